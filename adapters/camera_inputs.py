@@ -1,6 +1,6 @@
 """From an `Observation` to what camera networks read: images, camera matrices and the ego motion vector.
 
-What is common to VAD, UniAD, SparseDrive and DiffusionDrive; a model says which `ImageFormat` and `Normalisation` it
+What is common to VAD, UniAD, SparseDrive and DiffusionDrive; a model says which `NetworkImageFormat` and `PixelNormalisation` it
 was trained with. All of them were trained on nuScenes images of 1600 x 900. Images of another size are brought to the
 size that the network expects, and the camera matrices with them, so that the geometry stays exact.
 """
@@ -25,7 +25,7 @@ Pixels = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Normalisation:
+class PixelNormalisation:
     """Normalisation from pixel values of 0 to 255 to network inputs: ``(value - mean) / std`` for each channel.
 
     `mean` and `std` are in the order of the network's channels: red, green, blue if `rgb`, else blue, green, red.
@@ -37,14 +37,14 @@ class Normalisation:
     rgb: bool
 
 
-BGR_MEAN: Final = Normalisation("bgr-mean", (103.530, 116.280, 123.675), (1.0, 1.0, 1.0), False)
+BGR_MEAN: Final = PixelNormalisation("bgr-mean", (103.530, 116.280, 123.675), (1.0, 1.0, 1.0), False)
 """Blue first and the mean subtracted: the published VAD and UniAD weights."""
-RGB_MEAN_STD: Final = Normalisation("rgb-mean-std", (123.675, 116.28, 103.53), (58.395, 57.12, 57.375), True)
+RGB_MEAN_STD: Final = PixelNormalisation("rgb-mean-std", (123.675, 116.28, 103.53), (58.395, 57.12, 57.375), True)
 """Red first, mean and deviation: VAD's present configuration files, SparseDrive and DiffusionDrive."""
 NORMALISATIONS: Final = {variant.name: variant for variant in (BGR_MEAN, RGB_MEAN_STD)}
 
 
-def normalisation_of(name: str) -> Normalisation:
+def find_normalisation(name: str) -> PixelNormalisation:
     """Normalisation of a name, for example ``bgr-mean``."""
     if name not in NORMALISATIONS:
         raise InputError(f"there is no normalisation {name!r}; known are {', '.join(NORMALISATIONS)}")
@@ -52,7 +52,7 @@ def normalisation_of(name: str) -> Normalisation:
 
 
 @dataclass(frozen=True, slots=True)
-class ImageFormat:
+class NetworkImageFormat:
     """The image that a network expects.
 
     Attributes:
@@ -85,13 +85,15 @@ class ImageFormat:
         return -(-rows // self.divisor) * self.divisor, -(-self.width // self.divisor) * self.divisor
 
 
-SPARSE_DRIVE_IMAGE: Final = ImageFormat(704, 396, crop_top=140, resize="bicubic")
+SPARSE_DRIVE_IMAGE: Final = NetworkImageFormat(704, 396, crop_top=140, resize="bicubic")
 """What SparseDrive and DiffusionDrive read: 704 x 256."""
-MINIATURE_IMAGE: Final = ImageFormat(224, 128)
+MINIATURE_IMAGE: Final = NetworkImageFormat(224, 128)
 """What the miniatures of all four models read."""
 
 
-def camera_images(observation: Observation, image_format: ImageFormat, normalisation: Normalisation) -> Pixels:
+def camera_images(
+    observation: Observation, image_format: NetworkImageFormat, normalisation: PixelNormalisation
+) -> Pixels:
     """Images of the six cameras at a sample as a network reads them.
 
     (6, 3, H, W) in the order of `CAMERA_NAMES`; the padding is 0. One that is missing, broken, or not of the size that
@@ -101,11 +103,11 @@ def camera_images(observation: Observation, image_format: ImageFormat, normalisa
     rows = image_format.height - image_format.crop_top
     for image, view in zip(images, _six_views(observation), strict=True):
         unpadded = image[:, :rows, : image_format.width]
-        _write_network_image(unpadded, _loaded(view), image_format, normalisation)
+        _write_network_image(unpadded, _load_image(view), image_format, normalisation)
     return images
 
 
-def lidar_to_image(observation: Observation, image_format: ImageFormat) -> Floats:
+def lidar_to_image(observation: Observation, image_format: NetworkImageFormat) -> Floats:
     """Projections from the lidar frame of the sample into the network's images.
 
     A camera is exposed up to 50 ms before or after the lidar's time stamp; the ego's motion in between is part of
@@ -125,7 +127,7 @@ def lidar_to_image(observation: Observation, image_format: ImageFormat) -> Float
     return np.stack(matrices)
 
 
-def image_affine(camera: Camera, image_format: ImageFormat) -> Floats:
+def image_affine(camera: Camera, image_format: NetworkImageFormat) -> Floats:
     """Matrix, (4, 4) on (u d, v d, d, 1), from pixels of the recorded image to pixels of the network's image."""
     affine = np.diag([image_format.width / camera.width, image_format.height / camera.height, 1.0, 1.0])
     affine[1, 2] = -image_format.crop_top
@@ -174,7 +176,7 @@ def _six_views(observation: Observation) -> list[CameraView]:
     return [observation.views[name] for name in CAMERA_NAMES]
 
 
-def _loaded(view: CameraView) -> NDArray[np.uint8]:
+def _load_image(view: CameraView) -> NDArray[np.uint8]:
     image = view.load()
     height, width = image.shape[:2]
     if (width, height) != (view.camera.width, view.camera.height):
@@ -186,7 +188,7 @@ def _loaded(view: CameraView) -> NDArray[np.uint8]:
 
 
 def _write_network_image(
-    image: Pixels, rgb: NDArray[np.uint8], image_format: ImageFormat, normalisation: Normalisation
+    image: Pixels, rgb: NDArray[np.uint8], image_format: NetworkImageFormat, normalisation: PixelNormalisation
 ) -> None:
     """Fill ``image`` (3, rows, width), cropped and not padded.
 
@@ -194,7 +196,7 @@ def _write_network_image(
     """
     size = (image_format.width, image_format.height)
     if image_format.resize == "bicubic":
-        resized = _resized_bytes(rgb, size).astype(np.float32)
+        resized = _resize_bytes(rgb, size).astype(np.float32)
     else:
         resized = np.asarray(cv2.resize(rgb.astype(np.float32), size, interpolation=cv2.INTER_LINEAR), np.float32)
     cropped = resized[image_format.crop_top :]
@@ -205,7 +207,7 @@ def _write_network_image(
         image[channel] /= np.float32(std)
 
 
-def _resized_bytes(rgb: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+def _resize_bytes(rgb: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
     from PIL import Image
 
     return np.asarray(Image.fromarray(rgb).resize(size, Image.Resampling.BICUBIC))

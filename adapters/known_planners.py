@@ -12,10 +12,10 @@ from adapters.checkpoints.cache import cached_weights, weights_folder
 from adapters.models import MODELS, Model, baselines
 from adapters.registry import installed_planners, planner_factory
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, Shown
-from benchmark.report.table import Table, table_of
-from benchmark.report.terminal import wrapped
-from benchmark.weights.catalogue import PublishedWeights, checkpoint_of
+from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, TableCell
+from benchmark.report.table import Table, build_table
+from benchmark.report.terminal import wrap_text
+from benchmark.weights.catalogue import PublishedWeights, find_checkpoint
 
 Weights = Literal["none needed", "packaged", "imported", "missing", "its own"]
 _NETWORK_SEES: Final = "six images"
@@ -24,7 +24,7 @@ _PACKAGED_ALWAYS: Final = ("ego-status",)
 
 
 @dataclass(frozen=True, slots=True)
-class KnownPlanner:
+class PlannerListing:
     """One planner.
 
     Attributes:
@@ -52,7 +52,7 @@ class KnownPlanner:
 
 def known_planners(
     cache: Path | None = None, installed: Mapping[str, EntryPoint] | None = None
-) -> tuple[KnownPlanner, ...]:
+) -> tuple[PlannerListing, ...]:
     """Every planner that has a name.
 
     Args:
@@ -63,14 +63,14 @@ def known_planners(
         Those of this package in the order of the table, then those of others.
     """
     folder, packages = cache or weights_folder(), installed_planners() if installed is None else installed
-    built_in = [_built_in(model, folder) for name, model in MODELS.items() if name == model.name]
+    built_in = [_list_built_in(model, folder) for name, model in MODELS.items() if name == model.name]
     return (
         *built_in,
-        *(KnownPlanner(name, "?", "its own", "?", comes_from=point.value) for name, point in packages.items()),
+        *(PlannerListing(name, "?", "its own", "?", comes_from=point.value) for name, point in packages.items()),
     )
 
 
-def own_planner_like(planner: PlannerFacts) -> PlannerFacts | None:
+def find_own_planner(planner: PlannerFacts) -> PlannerFacts | None:
     """The planner of this program that one is, by what a record says of it.
 
     The one that has its code, whatever it is called; else the one that it is called like; else ``None``. Networks are
@@ -86,22 +86,22 @@ def own_planner_like(planner: PlannerFacts) -> PlannerFacts | None:
     return next(same_code, called)
 
 
-def planners_text(planners: tuple[KnownPlanner, ...], width: int | None = None) -> str:
+def planners_text(planners: tuple[PlannerListing, ...], width: int | None = None) -> str:
     """The planners as a table, and how to get what is missing."""
     missing = dict.fromkeys(planner.comes_from for planner in planners if planner.weights == "missing")
     lines = [planners_table(planners).plain(width=width)]
     if missing:
         lines.append("Weights that are missing, and how to get them:")
     for name in missing:
-        lines += _how_to_get(checkpoint_of(name), width)
+        lines += _describe_how_to_get(find_checkpoint(name), width)
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
-def planners_table(planners: tuple[KnownPlanner, ...]) -> Table:
+def planners_table(planners: tuple[PlannerListing, ...]) -> Table:
     """One row for each planner."""
     rows = [
         (
-            Shown(
+            TableCell(
                 f"{planner.name} {MINIATURE_MARK}" if planner.miniature else planner.name, miniature=planner.miniature
             ),
             *(planner.sees, planner.weights, planner.gpu, _extra(planner)),
@@ -115,7 +115,7 @@ def planners_table(planners: tuple[KnownPlanner, ...]) -> Table:
     ]
     extras = dict.fromkeys(planner.extra for planner in planners if planner.extra)
     also = [f"{name} is short for {planner.name}." for planner in planners for name in planner.also]
-    return table_of(
+    return build_table(
         "models",
         "Planners that --model takes; your own is --model package.module:Class",
         ("planner", "sees", "weights", "GPU", "extra"),
@@ -133,14 +133,14 @@ def planners_table(planners: tuple[KnownPlanner, ...]) -> Table:
     )
 
 
-def _built_in(model: Model, folder: Path) -> KnownPlanner:
+def _list_built_in(model: Model, folder: Path) -> PlannerListing:
     also = tuple(name for name, other in MODELS.items() if other is model and name != model.name)
     if model.network is None:
         packaged = model.name in _PACKAGED_ALWAYS
-        return KnownPlanner(model.name, model.sees, "packaged" if packaged else "none needed", "no", also=also)
+        return PlannerListing(model.name, model.sees, "packaged" if packaged else "none needed", "no", also=also)
     weights = _weights(model, folder)
     extra_here = not model.extra or find_spec(model.extra_package) is not None
-    return KnownPlanner(
+    return PlannerListing(
         model.name,
         _NETWORK_SEES,
         weights,
@@ -159,19 +159,19 @@ def _weights(model: Model, folder: Path) -> Weights:
     return "imported" if cached_weights(folder, model.weights) else "missing"
 
 
-def _extra(planner: KnownPlanner) -> str:
+def _extra(planner: PlannerListing) -> str:
     if not planner.extra:
         return "–"
     return planner.extra if planner.here or planner.weights == "missing" else f"{planner.extra} (missing)"
 
 
-def _how_to_get(weights: PublishedWeights, width: int | None) -> list[str]:
+def _describe_how_to_get(weights: PublishedWeights, width: int | None) -> list[str]:
     lines = [f"  {weights.name}: challenger-bench weights fetch {weights.name}, or with a browser:"]
     lines += [f"    {file.name}: {file.page or weights.address}" for file in weights.files]
     return [
         line
         for text in (*lines, f"    then {weights.how_to_import}", f"    licence: {weights.licence}")
-        for line in wrapped(text.strip(), width, indent=text[: len(text) - len(text.lstrip())], hanging="  ")
+        for line in wrap_text(text.strip(), width, indent=text[: len(text) - len(text.lstrip())], hanging="  ")
     ]
 
 

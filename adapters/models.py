@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.errors import InputError, did_you_mean
-from benchmark.records.run_schema import Want
+from benchmark.records.run_schema import PlannerInput
 
 PACKAGED: Final = Path(__file__).parent / "weights"
 """Folder of the weights that come with this package."""
@@ -100,7 +100,7 @@ class Model:
     miniature: Miniature | None = None
     published_as: str | None = None
     native_protocol: str | None = None
-    wants: tuple[Want, ...] = ("images", "motion")
+    wants: tuple[PlannerInput, ...] = ("images", "motion")
     sees: str = ""
     requires: str | None = None
     extra: str = ""
@@ -163,17 +163,17 @@ def resolve(reference: str) -> Any:
 
 def miniatures() -> dict[str, Model]:
     """Small networks whose weights come with this package (docs/miniatures.md), by name."""
-    return _those(lambda model: model.miniature is not None)
+    return _select_models(lambda model: model.miniature is not None)
 
 
 def published_models() -> dict[str, Model]:
     """Networks that have published weights of their own (docs/models.md), by name."""
-    return _those(lambda model: model.weights == model.name)
+    return _select_models(lambda model: model.weights == model.name)
 
 
 def baselines() -> dict[str, Model]:
     """Planners that are no native networks, by name."""
-    return _those(lambda model: model.network is None)
+    return _select_models(lambda model: model.network is None)
 
 
 def published_model(name: str) -> Model:
@@ -198,7 +198,7 @@ def published_as(planner: str) -> str | None:
     return None if model is None else model.published_as
 
 
-def _those(kind: Callable[[Model], bool]) -> dict[str, Model]:
+def _select_models(kind: Callable[[Model], bool]) -> dict[str, Model]:
     return {name: model for name, model in MODELS.items() if name == model.name and kind(model)}
 
 
@@ -315,9 +315,9 @@ _MINIATURES: Final = (
         replace(_UNIAD, config="adapters.networks.uniad.config:UniADConfig.miniature", fitted=False),
         miniature=Miniature(
             ("uniad",),
-            "adapters.extensions.training.uniad.phases:untrained",
+            "adapters.extensions.training.uniad.phases:build_untrained",
             "adapters.extensions.training.uniad.phases:phases",
-            "adapters.extensions.training.uniad.phases:seen_by_vad",
+            "adapters.extensions.training.uniad.phases:transfer_from_vad",
         ),
         native_protocol="uniad",
     ),
@@ -327,9 +327,9 @@ _MINIATURES: Final = (
         replace(_VAD, config="adapters.networks.vad.config:VADConfig.miniature"),
         miniature=Miniature(
             ("vad-tiny", "vad-base"),
-            "adapters.extensions.training.vad.phases:untrained",
+            "adapters.extensions.training.vad.phases:build_untrained",
             "adapters.extensions.training.vad.phases:phases",
-            "adapters.extensions.training.vad.phases:begun_from",
+            "adapters.extensions.training.vad.phases:transfer_start_weights",
         ),
         native_protocol="vad",
     ),
@@ -339,9 +339,9 @@ _MINIATURES: Final = (
         replace(_SPARSE, config="adapters.networks.sparse.config:SparseConfig.miniature"),
         miniature=Miniature(
             ("sparsedrive",),
-            "adapters.extensions.training.sparse.start:untrained",
+            "adapters.extensions.training.sparse.start:build_untrained",
             "adapters.extensions.training.sparse.phases:phases",
-            "adapters.extensions.training.front:seen_with_own_eyes",
+            "adapters.extensions.training.front:add_front_backbone",
         ),
         native_protocol="sparsedrive",
     ),
@@ -351,9 +351,9 @@ _MINIATURES: Final = (
         replace(_DIFFUSION, config="adapters.networks.sparse.config:SparseConfig.miniature"),
         miniature=Miniature(
             ("diffusiondrive",),
-            "adapters.extensions.training.sparse.start:untrained_diffusion",
+            "adapters.extensions.training.sparse.start:build_untrained_diffusion",
             "adapters.extensions.training.sparse.phases:diffusion_phases",
-            "adapters.extensions.training.sparse.start:planned_from",
+            "adapters.extensions.training.sparse.start:transfer_from_sparsedrive",
         ),
         native_protocol="diffusiondrive",
     ),

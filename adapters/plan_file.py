@@ -24,7 +24,7 @@ import numpy as np
 
 from adapters.models import published_as
 from benchmark.constants import FARTHEST_WAYPOINT_M, LONGEST_PLAN_STEPS, PLAN_STEPS
-from benchmark.datasets.contents import scenes_by_split
+from benchmark.datasets.contents import list_scenes_by_split
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
 from benchmark.geometry import Floats
@@ -33,13 +33,13 @@ from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.caveats import Caveat
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.records.store import where_planned
+from benchmark.records.store import find_record_with_samples
 from benchmark.runs.code_identity import code_sha256
-from benchmark.runs.planner_facts import known_native
+from benchmark.runs.planner_facts import require_known_native
 from benchmark.truth import SampleTruth
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.plan_plausibility import ComparedPlans, FrameName, plausibility_of
-from benchmark.untrusted.plan_verdicts import caveat_as_is, checks_said, refusal_of
+from benchmark.untrusted.files import to_one_line
+from benchmark.untrusted.plan_plausibility import ComparedPlans, FrameName, measure_plausibility
+from benchmark.untrusted.plan_verdicts import describe_checks, format_refusal, make_as_is_caveat
 from benchmark.untrusted.tables import read_table
 from benchmark.waypoints import waypoints_in_lidar
 
@@ -50,7 +50,7 @@ LONGEST_COLUMNS = tuple(f"{axis}{step}" for step in range(1, LONGEST_PLAN_STEPS 
 WAYPOINT_COLUMNS = LONGEST_COLUMNS[: 2 * PLAN_STEPS]
 """Those that every plan file has; the others may follow, one step after the other."""
 _BY_TOKEN, _BY_TIME = ("sample_token",), ("scene", "timestamp")
-_SHOWN = 3
+_MOST_LISTED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +103,12 @@ class PlanFile:
             rule = (
                 "no sample has one" if allow_partial else "every sample needs a plan, unless --allow-partial is given"
             )
-            raise InputError(f"{self.path} has no row for {_listed(missing)} of split {split!r}; {rule}")
+            raise InputError(f"{self.path} has no row for {_format_keys(missing)} of split {split!r}; {rule}")
         known = set().union(*samples.values())
         extra = [key for key in self.keys if key not in known]
         if extra:
             raise InputError(
-                f"{self.path} has rows for {_listed(extra)} that split {split!r} does not have; remove them"
+                f"{self.path} has rows for {_format_keys(extra)} that split {split!r} does not have; remove them"
             )
 
     def samples_of(self, data: "DataSet", split: str) -> "SplitSamples":
@@ -124,7 +124,7 @@ class PlanFile:
         Two rows of one sample are an `InputError`.
         """
         keys = tuple((tokens.get(str(key[0]), key[0]),) for key in self.keys)
-        _require_once(self.path, keys)
+        _require_unique(self.path, keys)
         return replace(self, keys=keys)
 
     def compared(self, samples: "SplitSamples") -> ComparedPlans:
@@ -191,7 +191,7 @@ class PlanFileFactory:
         """Sentences about the file."""
         rows = "sample_token holds tokens of sample_data rows; each stands for the sample of its keyframe"
         notes = [f"{self.path}: {rows}"] if self.tokens else []
-        return [*notes, f"{self.path}: {checks_said(self.measured)}"]
+        return [*notes, f"{self.path}: {describe_checks(self.measured)}"]
 
 
 def plan_file_factory(
@@ -230,7 +230,7 @@ def plan_file_factory(
         InputError: If the file is malformed, its rows do not match the samples, its plans fit far better otherwise
             (`benchmark.untrusted`), or the native protocol is unknown.
     """
-    known_native(native, f"plan file {path}")
+    require_known_native(native, f"plan file {path}")
     plans = read_plan_file(path, frame)
     chosen, samples = EvalSettings(scenes=scenes, limit=limit).chosen(data, split), plans.samples_of(data, split)
     tokens = _tokens_of_keyframes(plans, data, samples)
@@ -238,10 +238,10 @@ def plan_file_factory(
     try:
         plans.require(samples, split, chosen, allow_partial=allow_partial)
     except InputError as error:
-        raise _foreign(plans, data, split, samples, records) or error from None
-    plausibility = plausibility_of(plans.compared(samples))
+        raise _other_split_error(plans, data, split, samples, records) or error from None
+    plausibility = measure_plausibility(plans.compared(samples))
     if plausibility.misreading is not None and not as_is:
-        raise InputError(refusal_of(path, plausibility.misreading))
+        raise InputError(format_refusal(path, plausibility.misreading))
     facts = PlannerFacts(
         name=name or path.stem,
         privileged=False,
@@ -251,7 +251,7 @@ def plan_file_factory(
         native_protocol=native,
         published_as=published_as(name or path.stem),
     )
-    caveats = () if plausibility.misreading is None else (caveat_as_is(plausibility.misreading),)
+    caveats = () if plausibility.misreading is None else (make_as_is_caveat(plausibility.misreading),)
     return PlanFileFactory(path, facts, tokens, frame, caveats, plausibility.measured)
 
 
@@ -264,7 +264,7 @@ def _tokens_of_keyframes(plans: PlanFile, data: "DataSet", samples: "SplitSample
     return {row: rows[row] for row in sorted(named & rows.keys())}
 
 
-def _foreign(
+def _other_split_error(
     plans: PlanFile,
     data: "DataSet",
     split: str,
@@ -275,7 +275,7 @@ def _foreign(
     present = set(plans.keys)
     if not present.isdisjoint(set().union(*samples.values())):
         return None
-    other_splits = (other for other in scenes_by_split(data)[0] if other != split)
+    other_splits = (other for other in list_scenes_by_split(data)[0] if other != split)
     own_split = next(
         (
             split_name
@@ -284,7 +284,9 @@ def _foreign(
         ),
         None,
     )
-    recorded_split = where_planned(records, [tuple(json.dumps(part) for part in key) for key in plans.keys[:_SHOWN]])
+    recorded_split = find_record_with_samples(
+        records, [tuple(json.dumps(part) for part in key) for key in plans.keys[:_MOST_LISTED]]
+    )
     seems = "whose samples it names is not known here; name the data set that it was made for with --data"
     if own_split is not None:
         seems = f"they are samples of its split {own_split!r}; name that with --split"
@@ -309,14 +311,16 @@ def read_plan_file(path: Path, frame: FrameName | None = None) -> PlanFile:
     if len(table) == 0:
         raise InputError(f"{path} has no rows")
     keys = tuple(_row_key(path, key_columns, values) for values in zip(*(table[column] for column in key_columns)))
-    _require_once(path, keys)
+    _require_unique(path, keys)
     waypoints = _numbers(path, table, keys)
     frames = tuple(str(frame_name) for frame_name in table["frame"])
     wrong = [
-        f"{frame_name!r} ({_shown(key)})" for frame_name, key in zip(frames, keys) if frame_name not in set(PlanFrame)
+        f"{frame_name!r} ({_format_key(key)})"
+        for frame_name, key in zip(frames, keys)
+        if frame_name not in set(PlanFrame)
     ]
     if wrong:
-        raise InputError(f"{path} has the unknown frame {_counted(wrong)}; a frame is 'lidar' or 'ego'")
+        raise InputError(f"{path} has the unknown frame {_summarise(wrong)}; a frame is 'lidar' or 'ego'")
     read_as = tuple(PlanFrame(frame or frame_name) for frame_name in frames)
     return PlanFile(path, key_columns == _BY_TOKEN, keys, read_as, waypoints)
 
@@ -330,7 +334,7 @@ def _read_table(path: Path) -> Any:
     try:
         return read_table(path)
     except (ValueError, OSError, AttributeError, TypeError) as error:
-        raise InputError(f"{path} cannot be read as {kind[1:]}: {one_line(error)}; make it again") from error
+        raise InputError(f"{path} cannot be read as {kind[1:]}: {to_one_line(error)}; make it again") from error
 
 
 def _require_columns(path: Path, columns: list[str], key_columns: tuple[str, ...]) -> None:
@@ -342,7 +346,9 @@ def _require_columns(path: Path, columns: list[str], key_columns: tuple[str, ...
         raise InputError(f"{path} has no column {', '.join(missing)}{hint}")
     unknown = [column for column in columns if column not in (*expected, *_BY_TOKEN, *_BY_TIME)]
     if unknown:
-        raise InputError(f"{path} has unknown columns {', '.join(unknown[:_SHOWN])}; columns are {', '.join(expected)}")
+        raise InputError(
+            f"{path} has unknown columns {', '.join(unknown[:_MOST_LISTED])}; columns are {', '.join(expected)}"
+        )
 
 
 def _waypoint_columns(columns: Sequence[str]) -> tuple[str, ...]:
@@ -372,36 +378,38 @@ def _numbers(path: Path, table: Any, keys: tuple[tuple[Hashable, ...], ...]) -> 
     names = _waypoint_columns(list(table.columns))
     truths = [column for column in names if table[column].map(lambda value: isinstance(value, bool)).any()]
     if truths:
-        raise InputError(f"{path} has true or false in column {', '.join(truths[:_SHOWN])}; waypoints are metres")
+        raise InputError(f"{path} has true or false in column {', '.join(truths[:_MOST_LISTED])}; waypoints are metres")
     columns = [pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64) for column in names]
     waypoints: Floats = np.column_stack(columns).reshape(-1, len(names) // 2, 2)
     bad = np.flatnonzero(~np.isfinite(waypoints).all(axis=(1, 2)))
     if len(bad):
-        raise InputError(f"{path} has waypoints that are not finite numbers for {_listed([keys[row] for row in bad])}")
+        raise InputError(
+            f"{path} has waypoints that are not finite numbers for {_format_keys([keys[row] for row in bad])}"
+        )
     far = np.flatnonzero(np.abs(waypoints).max(axis=(1, 2), initial=0.0) > FARTHEST_WAYPOINT_M)
     if len(far):
         raise InputError(
-            f"{path} has waypoints farther than {FARTHEST_WAYPOINT_M:.0f} m for {_listed([keys[row] for row in far])}; "
+            f"{path} has waypoints farther than {FARTHEST_WAYPOINT_M:.0f} m for {_format_keys([keys[row] for row in far])}; "
             "they are metres from the car, not global coordinates"
         )
     return waypoints
 
 
-def _require_once(path: Path, keys: Sequence[tuple[Hashable, ...]]) -> None:
+def _require_unique(path: Path, keys: Sequence[tuple[Hashable, ...]]) -> None:
     repeated = [key for key, count in Counter(keys).items() if count > 1]
     if repeated:
-        raise InputError(f"{path} has more than one row for {_listed(repeated)}")
+        raise InputError(f"{path} has more than one row for {_format_keys(repeated)}")
 
 
-def _shown(key: tuple[Hashable, ...]) -> str:
+def _format_key(key: tuple[Hashable, ...]) -> str:
     return " at ".join(str(part) for part in key)
 
 
-def _listed(keys: Sequence[tuple[Hashable, ...]]) -> str:
+def _format_keys(keys: Sequence[tuple[Hashable, ...]]) -> str:
     count = f"{len(keys)} samples" if len(keys) > 1 else "sample"
-    return f"{count} {_counted([_shown(key) for key in keys])}"
+    return f"{count} {_summarise([_format_key(key) for key in keys])}"
 
 
-def _counted(items: Sequence[str]) -> str:
-    more = f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else ""
-    return f"{', '.join(items[:_SHOWN])}{more}"
+def _summarise(items: Sequence[str]) -> str:
+    more = f" and {len(items) - _MOST_LISTED} more" if len(items) > _MOST_LISTED else ""
+    return f"{', '.join(items[:_MOST_LISTED])}{more}"

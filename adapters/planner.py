@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from torch import nn
 
-from adapters.camera_inputs import ImageFormat, Normalisation
-from adapters.networks.layers.reporting import Reporting, said_once, steered
-from adapters.networks.layers.resnet import channels_last, folded
+from adapters.camera_inputs import NetworkImageFormat, PixelNormalisation
+from adapters.networks.layers.reporting import ReportingRules, find_distinct, limit_steering
+from adapters.networks.layers.resnet import fold_normalisation, use_channels_last
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.errors import InputError, did_you_mean
 from benchmark.geometry import Floats
-from benchmark.machine.devices import Precision, device_of, require_precision, single_precision
+from benchmark.machine.devices import Precision, require_precision, select_device, single_precision
 from benchmark.planning import Forecasts, Observation, Plan, SceneInfo
 
 MEMORY: Final = "memory"
@@ -31,7 +31,7 @@ CROSS_SCENES: Final = frozenset({MEMORY, CAN_ONCE})
 """With these a split is one unit of work."""
 
 
-def options_of(name: str, known: Collection[str], asked: Sequence[str]) -> tuple[str, ...]:
+def select_options(name: str, known: Collection[str], asked: Sequence[str]) -> tuple[str, ...]:
     """Options that a model has of those asked for (of `OPTIONS`, or `ALL`), in the order of `OPTIONS`.
 
     `known` are those of `adapters.models.Network.as_published`; a model that does nothing of the kind is an
@@ -80,7 +80,7 @@ class NativePlanner(ABC, Generic[Network]):
         network: Network,
         *,
         name: str,
-        normalisation: Normalisation,
+        normalisation: PixelNormalisation,
         weights_sha256: str | None = None,
         settings: dict[str, Any] | None = None,
         native_protocol: str | None = None,
@@ -94,14 +94,14 @@ class NativePlanner(ABC, Generic[Network]):
         self.name = name
         self.weights_sha256 = weights_sha256
         self.native_protocol = native_protocol
-        self._device = device_of(device)
+        self._device = select_device(device)
         self._half = precision == "bfloat16"
         self._network = network.eval().to(self._device)
         if self._device.type == "cpu":
-            channels_last(folded(self._network))
+            use_channels_last(fold_normalisation(self._network))
         config: Any = network.config
-        self._format: ImageFormat = config.image_format
-        self._reporting: Reporting = config.reporting
+        self._format: NetworkImageFormat = config.image_format
+        self._reporting: ReportingRules = config.reporting
         self._normalisation = normalisation
         self.settings = {
             **(settings or {}),
@@ -139,33 +139,33 @@ class NativePlanner(ABC, Generic[Network]):
         """
         half = torch.autocast(self._device.type, torch.bfloat16, enabled=self._half)
         with torch.inference_mode(), single_precision(), half:
-            plan = self._computed(observation)
+            plan = self._compute_plan(observation)
         least_m = self._reporting.steered_from_m
         if not least_m:
             return plan
-        modes = None if plan.modes is None else steered(plan.modes, least_m)
-        return replace(plan, waypoints=steered(plan.waypoints, least_m), modes=modes)
+        modes = None if plan.modes is None else limit_steering(plan.modes, least_m)
+        return replace(plan, waypoints=limit_steering(plan.waypoints, least_m), modes=modes)
 
     def _own_settings(self) -> dict[str, Any]:
         """Settings of the network that identify a run, beside those that all of them have."""
         return {}
 
     @abstractmethod
-    def _computed(self, observation: Observation) -> Plan:
+    def _compute_plan(self, observation: Observation) -> Plan:
         """The plan, inside the precision that was asked for."""
 
 
-def numbers(tensor: torch.Tensor) -> Floats:
+def to_array(tensor: torch.Tensor) -> Floats:
     """Numbers of any network as arrays of the benchmark."""
     return np.asarray(tensor.double().cpu().numpy(), np.float64)
 
 
-def forecasts_of(
+def select_forecasts(
     boxes: torch.Tensor,
     scores: torch.Tensor,
     trajectories: torch.Tensor,
     shares: torch.Tensor,
-    reporting: Reporting,
+    reporting: ReportingRules,
 ) -> Forecasts:
     """Forecasts of the boxes that count, in their order.
 
@@ -176,10 +176,10 @@ def forecasts_of(
     modes, steps, 2) centres, at least as many steps as a plan has; `shares` (N, modes) probabilities.
     """
     rows = (scores >= reporting.least_score).nonzero()[:, 0]
-    rows = rows[said_once(boxes[rows][:, :2], boxes[rows][:, 4], scores[rows], reporting.apart)]
+    rows = rows[find_distinct(boxes[rows][:, :2], boxes[rows][:, 4], scores[rows], reporting.apart)]
     # Length before width, as boxes are everywhere here; networks have them the other way round.
-    listed, paths = numbers(boxes[rows][:, [0, 1, 4, 3, 6]]), numbers(trajectories[rows][:, :, :PLAN_STEPS])
-    likely = numbers(shares[rows])
+    listed, paths = to_array(boxes[rows][:, [0, 1, 4, 3, 6]]), to_array(trajectories[rows][:, :, :PLAN_STEPS])
+    likely = to_array(shares[rows])
     plausible = (np.abs(listed) <= FARTHEST_WAYPOINT_M).all(1) & (np.abs(paths) <= FARTHEST_WAYPOINT_M).all((1, 2, 3))
     sound = plausible & (listed[:, 2:4] > 0).all(1) & np.isfinite(likely).all(1)
     return Forecasts(boxes=listed[sound], trajectories=paths[sound], scores=likely[sound])

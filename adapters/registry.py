@@ -17,22 +17,22 @@ from typing import Any, TextIO
 from adapters.models import MODELS, published_as
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.address import Address, is_address
-from benchmark.machine.extension import OFFERS, imported
-from benchmark.machine.several_devices import device_here
+from benchmark.machine.extension import OFFERS, import_reference
+from benchmark.machine.several_devices import find_own_device
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Planner
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import FAILURES
-from benchmark.runs.planner_facts import facts_of
-from benchmark.sandbox.limits import Supervision
-from benchmark.sandbox.planner import Identity, Maker, identity_of, supervised
+from benchmark.runs.planner_facts import build_planner_facts
+from benchmark.sandbox.limits import SandboxLimits
+from benchmark.sandbox.planner import PlannerIdentity, PlannerSpec, find_identity, make_sandboxed_planner
 
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
-_MAKER_OF_NETWORKS = "adapters.checkpoints.loading:planner_of"
+_MAKER_OF_NETWORKS = "adapters.checkpoints.loading:build_native_planner"
 _MAKER_OVER_HTTP = OFFERS["planner"]["http"]
 _CONTRACT = ("reset", "plan")
 _LONGEST_NAME = 100
-_BUILT_FROM = "adapters.registry:planner_with_facts"
+_BUILT_FROM = "adapters.registry:build_planner_with_facts"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,27 +53,27 @@ class NamedPlanner:
     precision: str | None = None
     as_published: tuple[str, ...] = ()
     over_http: Mapping[str, Any] | None = None
-    supervision: Supervision | None = None
-    identity: Identity | None = None
+    supervision: SandboxLimits | None = None
+    identity: PlannerIdentity | None = None
 
     def __call__(self) -> Planner:
         """Build it; one with a process of its own is built there when a scene begins."""
         if self.supervision is not None and self.identity is not None:
-            return supervised(self._maker, self.identity, self.supervision)
-        return planner(
+            return make_sandboxed_planner(self._maker, self.identity, self.supervision)
+        return build_planner(
             self.name,
             checkpoint=self.checkpoint,
             seed=self.seed,
-            device=device_here(self.device),
+            device=find_own_device(self.device),
             precision=self.precision,
             as_published=self.as_published,
             over_http=self.over_http,
         )
 
     @property
-    def _maker(self) -> Maker:
+    def _maker(self) -> PlannerSpec:
         return _maker(
-            self.name, self.checkpoint, seed=self.seed, device=device_here(self.device), precision=self.precision,
+            self.name, self.checkpoint, seed=self.seed, device=find_own_device(self.device), precision=self.precision,
             as_published=self.as_published,
         )  # fmt: skip
 
@@ -88,7 +88,7 @@ def planner_factory(
     precision: str | None = None,
     as_published: Sequence[str] = (),
     over_http: Mapping[str, Any] | None = None,
-    supervision: Supervision | None = None,
+    supervision: SandboxLimits | None = None,
 ) -> NamedPlanner:
     """A planner that several processes can build; it is built once here, so that mistakes show at once.
 
@@ -100,21 +100,21 @@ def planner_factory(
     """
     published = tuple(as_published)
     identity, limits = None, None
-    if is_foreign(name):
-        limits = supervision or Supervision()
+    if is_third_party(name):
+        limits = supervision or SandboxLimits()
         maker = _maker(
-            name, checkpoint, seed=seed, device=device_here(device), precision=precision, as_published=published
+            name, checkpoint, seed=seed, device=find_own_device(device), precision=precision, as_published=published
         )
-        identity = identity_of(maker, limits)
+        identity = find_identity(maker, limits)
         facts = identity.facts
         _require_name(facts.name, name)
     else:
-        _, facts = planner_with_facts(
+        _, facts = build_planner_with_facts(
             name,
             checkpoint=checkpoint,
             data=data,
             seed=seed,
-            device=device_here(device),
+            device=find_own_device(device),
             precision=precision,
             as_published=published,
             over_http=over_http,
@@ -132,15 +132,15 @@ def planner_factory(
     return NamedPlanner(name, checkpoint, seed, facts, device, precision, published, over_http, limits, identity)
 
 
-def is_foreign(name: str) -> bool:
+def is_third_party(name: str) -> bool:
     """Whether a planner is of another package, and runs in a process of its own."""
     return name not in MODELS and not is_address(name)
 
 
-def planner_with_facts(name: str, **given: Any) -> tuple[Planner, PlannerFacts]:
+def build_planner_with_facts(name: str, **given: Any) -> tuple[Planner, PlannerFacts]:
     """Build a planner in this process, and say who it is."""
-    built = planner(name, **given)
-    return built, facts_of(built, made_by=made_by(name))
+    built = build_planner(name, **given)
+    return built, build_planner_facts(built, made_by=describe_maker(name))
 
 
 def _maker(
@@ -151,13 +151,13 @@ def _maker(
     device: str | None,
     precision: str | None,
     as_published: tuple[str, ...],
-) -> Maker:
+) -> PlannerSpec:
     require_known(name)
     options = {"checkpoint": checkpoint, "seed": seed, "device": device, "precision": precision}
-    return Maker(name, _BUILT_FROM, {"name": name, **options, "as_published": as_published})
+    return PlannerSpec(name, _BUILT_FROM, {"name": name, **options, "as_published": as_published})
 
 
-def planner(
+def build_planner(
     name: str,
     *,
     checkpoint: Path | None = None,
@@ -196,9 +196,9 @@ def planner(
     elif name in installed:
         maker = _load(installed[name])
     elif is_address(name):
-        maker = partial(imported(_MAKER_OVER_HTTP), name)
+        maker = partial(import_reference(_MAKER_OVER_HTTP), name)
     else:
-        _look_here()
+        _add_current_folder()
         maker = _import(name, name)
     if checkpoint is not None and not checkpoint.exists():
         raise InputError(f"there is no checkpoint {checkpoint}")
@@ -207,7 +207,7 @@ def planner(
         offered["as_published"] = tuple(as_published)
     if is_address(name):
         offered |= over_http or {}
-    return _checked(_build(maker, name, offered), name)
+    return _check_contract(_build(maker, name, offered), name)
 
 
 def require_known(name: str) -> None:
@@ -224,7 +224,7 @@ def require_known(name: str) -> None:
         )
 
 
-def made_by(name: str) -> str:
+def describe_maker(name: str) -> str:
     """Class or function that made a planner, as ``package.module:name``."""
     installed = installed_planners()
     if is_address(name):
@@ -240,7 +240,7 @@ def installed_planners() -> dict[str, EntryPoint]:
     return {point.name: point for point in points if point.name not in MODELS}
 
 
-def _look_here() -> None:
+def _add_current_folder() -> None:
     """Find modules in the current folder as ``python -m`` does; an installed command does not look there by itself."""
     folder = str(Path.cwd())
     if not {"", folder} & set(sys.path):
@@ -250,7 +250,7 @@ def _look_here() -> None:
 def _import(reference: str, name: str) -> Any:
     module_name, _, attribute = reference.partition(":")
     try:
-        with _stdout_kept():
+        with _redirect_stdout():
             module = importlib.import_module(module_name)
     except ImportError as error:
         raise InputError(
@@ -260,9 +260,9 @@ def _import(reference: str, name: str) -> Any:
     except (ValueError, TypeError) as error:
         if not module_name or module_name.startswith("."):
             raise InputError(f"model {name!r} is not of the form package.module:Class") from error
-        raise _raised(name, f"importing {module_name}", error) from error
+        raise _planner_error(name, f"importing {module_name}", error) from error
     except FAILURES as error:
-        raise _raised(name, f"importing {module_name}", error) from error
+        raise _planner_error(name, f"importing {module_name}", error) from error
     target: Any = module
     for part in attribute.split("."):
         if not hasattr(target, part):
@@ -273,7 +273,7 @@ def _import(reference: str, name: str) -> Any:
 
 def _load(point: EntryPoint) -> Any:
     try:
-        with _stdout_kept():
+        with _redirect_stdout():
             return point.load()
     except FAILURES as error:
         raise InputError(
@@ -306,27 +306,27 @@ def _build(maker: Any, name: str, offered: dict[str, Any]) -> Any:
         raise InputError(f"model {name!r} cannot be built without {', '.join(missing)}")
     arguments = {key: value for key, value in offered.items() if (takes_any or key in taken) and value is not None}
     try:
-        with _stdout_kept():
+        with _redirect_stdout():
             return maker(**arguments)
     except InputError:
         raise
     except FAILURES as error:
-        raise _raised(name, "building it", error) from error
+        raise _planner_error(name, "building it", error) from error
 
 
-def _stdout_kept() -> contextlib.redirect_stdout[TextIO]:
+def _redirect_stdout() -> contextlib.redirect_stdout[TextIO]:
     """Stdout belongs to the command (``--json``); what a stranger's code prints goes to stderr."""
     return contextlib.redirect_stdout(sys.stderr)
 
 
-def _raised(name: str, doing: str, error: BaseException) -> InputError:
+def _planner_error(name: str, doing: str, error: BaseException) -> InputError:
     reason = (str(error).splitlines() or [""])[0]
     return InputError(
         f"model {name!r}: {doing} raised {type(error).__name__}{': ' if reason else ''}{reason}; --debug shows where"
     )
 
 
-def _checked(built: Any, name: str) -> Planner:
+def _check_contract(built: Any, name: str) -> Planner:
     """Whether a stranger's class keeps the contract of `benchmark.planning.Planner`."""
     missing = [method for method in _CONTRACT if not callable(getattr(built, method, None))]
     if missing:
@@ -337,7 +337,7 @@ def _checked(built: Any, name: str) -> Planner:
     try:
         called = getattr(built, "name", None)
     except FAILURES as error:
-        raise _raised(name, "asking for its name", error) from error
+        raise _planner_error(name, "asking for its name", error) from error
     _require_name(called, name)
     typed: Planner = built
     return typed

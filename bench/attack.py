@@ -20,11 +20,11 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bench.attacking.campaign import RESULTS, Attempts, Campaign, Result, known_results, run_campaign
-from bench.attacking.doors import DOORS, Doors
+from bench.attacking.doors import DOORS, DoorCampaign
 from bench.attacking.targets import TARGETS
 from bench.attacking.verdicts import FALLEN, FINE
 
-_KEPT = {"files": RESULTS, "doors": DOORS}
+_RESULT_NAMES = {"files": RESULTS, "doors": DOORS}
 
 
 def main() -> None:
@@ -42,10 +42,10 @@ def main() -> None:
     if options.only and not options.doors:
         options.files = True
     if not options.files and not options.doors:
-        results = in_two_processes(options)
+        results = run_in_two_processes(options)
     else:
         given = options.folder, options.seed
-        campaign: Attempts = Doors(*given) if options.doors else Campaign(*given)
+        campaign: Attempts = DoorCampaign(*given) if options.doors else Campaign(*given)
         # A child that collects garbage would copy every page that it shares with this process.
         gc.freeze()
         wanted, kinds = options.kind or [""], enumerate(campaign.kinds(options.count))
@@ -62,9 +62,9 @@ def main() -> None:
     sys.exit(any(result.verdict in FALLEN for result in results))
 
 
-def in_two_processes(options: argparse.Namespace) -> list[Result]:
+def run_in_two_processes(options: argparse.Namespace) -> list[Result]:
     """Half of the variants are of files, half of doors, each in a process and a folder of its own, side by side."""
-    kept = {what: options.folder / what / name.format(seed=options.seed) for what, name in _KEPT.items()}
+    kept = {what: options.folder / what / name.format(seed=options.seed) for what, name in _RESULT_NAMES.items()}
     again = ["--seed", str(options.seed), "--count", str(-(-options.count // 2))]
     again += [word for kind in options.kind or () for word in ("--kind", kind)]
     commands = [

@@ -35,7 +35,7 @@ _COMPUTE_OR_DRAW = ("numpy", "scipy", "torch", "opencv-python-headless", "pillow
 """Packages whose other version makes a kept side worthless."""
 _AT_A_TIME = 2
 _SHOWN_CHARACTERS = 200
-Seens = dict[str, Seen]
+OutputsByCase = dict[str, Seen]
 """What was seen, by name of the case."""
 
 
@@ -47,7 +47,7 @@ def commit_of(tree: Path) -> str:
     return head.stdout.strip()
 
 
-def kept_name(start: Path, golden: Path | None) -> str:
+def cached_name(start: Path, golden: Path | None) -> str:
     """Under what a start's side is kept: its commit, and what else it depends on."""
     text = "".join(path.read_text() for path in sorted((Path(__file__).parent / "freezing").glob("*.py")))
     versions = {}
@@ -60,7 +60,7 @@ def kept_name(start: Path, golden: Path | None) -> str:
     return f"{commit_of(start)[:12]}-{hashlib.sha256(depends.encode()).hexdigest()[:8]}"
 
 
-def run_side(tree: Tree, names: list[str], kept: Path | None = None) -> Seens:
+def run_side(tree: Tree, names: list[str], kept: Path | None = None) -> OutputsByCase:
     """Run cases in a tree, two at a time, but for those whose outcome is kept."""
     tree.check()
     began, stopped = time.monotonic(), threading.Event()
@@ -110,7 +110,7 @@ def first_difference(old: str | None, new: str | None) -> str:
     return f"\n    start:   {was[shown].strip()}\n    present: {now[shown].strip()}"
 
 
-def differences(old: Seens, new: Seens, *, numbers: bool = False) -> list[str]:
+def differences(old: OutputsByCase, new: OutputsByCase, *, numbers: bool = False) -> list[str]:
     """Print a line for each case of the new side; the names of those that differ.
 
     Args:
@@ -139,7 +139,7 @@ def differences(old: Seens, new: Seens, *, numbers: bool = False) -> list[str]:
     return differing_cases
 
 
-def chosen(only: list[str] | None, *, quick: bool) -> list[str]:
+def choose_cases(only: list[str] | None, *, quick: bool) -> list[str]:
     """Names of the cases to run; says which are left out because a package is missing."""
     names = only or [name for name, case in CASES.items() if not (quick and case.whole)]
     for name in list(names):
@@ -153,7 +153,7 @@ def chosen(only: list[str] | None, *, quick: bool) -> list[str]:
 def compare(start: Path, names: list[str], golden: Path | None, kept: Path | None, *, numbers: bool) -> bool:
     """Run both sides and print what differs; whether nothing does."""
     folder = Path(tempfile.mkdtemp(prefix="freeze-"))
-    start_folder = (kept / kept_name(start, golden) if kept else folder / "start").resolve()
+    start_folder = (kept / cached_name(start, golden) if kept else folder / "start").resolve()
     work = start_folder / "work"
     work.mkdir(parents=True, exist_ok=True)
     present = Tree("present", PRESENT, (folder / "present").resolve(), work, golden)
@@ -188,7 +188,7 @@ def main() -> None:
             print(f"not frozen: {name}, which {why}")
         return
     golden = given.golden.resolve() if given.golden.is_dir() else None
-    names = chosen(given.only, quick=given.quick)
+    names = choose_cases(given.only, quick=given.quick)
     sys.exit(0 if compare(given.start.resolve(), names, golden, given.kept, numbers=given.numbers) else 1)
 
 

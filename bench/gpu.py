@@ -23,15 +23,15 @@ from bench.gpu_day.pieces import (
     PIECE_LIMIT_S,
     Piece,
     Setting,
-    kept_outcome,
+    cached_outcome,
+    describe_outcome,
+    find_piece,
     markdown,
-    piece_named,
     run_piece,
-    said,
 )
 from bench.gpu_day.training import training_pieces
 from benchmark.errors import InputError
-from benchmark.machine.devices import device_of
+from benchmark.machine.devices import select_device
 
 PIECES = (*network_pieces(), *magicdrive_pieces(), *training_pieces())
 
@@ -57,10 +57,10 @@ def main(arguments: Sequence[str] | None = None, pieces: tuple[Piece, ...] = PIE
         if chosen.table:
             print(markdown(setting, pieces))
             return 0
-        device_of(chosen.device)
-        kept = {piece.name: kept_outcome(setting, piece) for piece in pieces}
+        select_device(chosen.device)
+        kept = {piece.name: cached_outcome(setting, piece) for piece in pieces}
         left = [name for name, outcome in kept.items() if outcome is None or not outcome[0].finished]
-        wanted = [piece_named(pieces, name) for name in chosen.piece or left]
+        wanted = [find_piece(pieces, name) for name in chosen.piece or left]
     except InputError as error:
         print(f"{error} (--device cpu --tiny is a trial)" if "GPU" in str(error) else error, file=sys.stderr)
         return 2
@@ -75,18 +75,18 @@ def _run(setting: Setting, wanted: Sequence[Piece], minutes: float | None) -> in
             print(f"{len(wanted) - number} pieces are left; run the same command again")
             return 1
         outcome = run_piece(setting, piece, min(left_s, PIECE_LIMIT_S))
-        print(f"{piece.name}: {said(piece, outcome)} ({outcome.seconds:.0f} s)", flush=True)
+        print(f"{piece.name}: {describe_outcome(piece, outcome)} ({outcome.seconds:.0f} s)", flush=True)
         sound &= outcome.finished
     return 0 if sound else 1
 
 
 def _state(setting: Setting, piece: Piece) -> str:
-    kept = kept_outcome(setting, piece)
+    kept = cached_outcome(setting, piece)
     if kept is None:
         return f"left: {piece.what}"
     outcome, machine = kept
     where = machine.get("card") or "no GPU"
-    return f"{'done' if outcome.finished else 'left'}: {said(piece, outcome)}, {where}"
+    return f"{'done' if outcome.finished else 'left'}: {describe_outcome(piece, outcome)}, {where}"
 
 
 if __name__ == "__main__":

@@ -22,10 +22,10 @@ import adapters.extensions.training.ego_status
 import benchmark.evaluation
 from adapters.extensions.training.ego_status import TrainingSettings
 from bench.attacking.campaign import RESULTS, preload
-from bench.killing.commands import COMMANDS, Killed
-from bench.killing.series import EXEMPT, WAYS, Bench, Series
+from bench.killing.commands import COMMANDS, KilledCommand
+from bench.killing.series import EXEMPT, WAYS, KillBench, Series
 from benchmark.errors import InputError
-from benchmark.machine.environment import source_state
+from benchmark.machine.environment import read_source_state
 
 
 def main() -> None:
@@ -47,7 +47,7 @@ def main() -> None:
     # Its command has no option of how long it trains, which is minutes.
     short = partial(TrainingSettings, steps=60, batch=64)
     adapters.extensions.training.ego_status.TrainingSettings = short  # type: ignore[assignment, misc]
-    bench = Bench(options.folder, options.seed)
+    bench = KillBench(options.folder, options.seed)
     try:
         results = list(_series(bench, options))
     finally:
@@ -63,7 +63,7 @@ def main() -> None:
     sys.exit(not all(series.same for series in results))
 
 
-def cases(options: argparse.Namespace) -> Iterator[tuple[Killed, str, int, int]]:
+def cases(options: argparse.Namespace) -> Iterator[tuple[KilledCommand, str, int, int]]:
     """Command, way, workers and number of each case."""
     for number in range(options.moments):
         for command in COMMANDS.values():
@@ -76,7 +76,7 @@ def cases(options: argparse.Namespace) -> Iterator[tuple[Killed, str, int, int]]
                 yield from ((command, how, workers, number) for workers in counts)
 
 
-def _series(bench: Bench, options: argparse.Namespace) -> Iterator[Series]:
+def _series(bench: KillBench, options: argparse.Namespace) -> Iterator[Series]:
     path = bench.folder / RESULTS.format(seed=options.seed)
     known = known_series(path)
     for command, how, workers, number in cases(options):
@@ -98,8 +98,8 @@ def known_series(path: Path) -> dict[str, Series]:
 
 def _require_commit(folder: Path) -> None:
     """Refuse to go on where the checkout is no longer that of the series."""
-    source_state.cache_clear()
-    path, now = folder / "source.json", json.dumps(source_state(), sort_keys=True)
+    read_source_state.cache_clear()
+    path, now = folder / "source.json", json.dumps(read_source_state(), sort_keys=True)
     if path.is_file() and path.read_text() != now:
         raise InputError(f"{path} says that this series is of another commit; begin another in another --folder")
     path.write_text(now)

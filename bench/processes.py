@@ -24,7 +24,7 @@ def command_line(process: int) -> str:
     return _read(process, "cmdline").replace("\0", " ")
 
 
-def alive(process: int) -> bool:
+def is_alive(process: int) -> bool:
     """Whether it runs; a child that was not waited for does not."""
     return _stat(process)[:1] not in ([], ["Z"])
 

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from bench.processes import descendants, processor_ticks
 from benchmark.machine.workers import single_threaded
 from benchmark.records.run import find_records
-from benchmark.records.scenes import find_sheets
+from benchmark.records.scenes import find_scene_pages
 from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from tests.leaderboard.site.big_workspace import DATA_NAME, make_workspace
@@ -109,7 +109,7 @@ def scrub(browser: Browser, what: str, route: str, *, everything: bool) -> None:
     )
 
 
-def in_browser(index: Path, made: Any, repeats: int) -> None:
+def measure_in_browser(index: Path, made: Any, repeats: int) -> None:
     programs = find_chromium()
     if programs is None:
         print("no Chromium with its driver here (make browser): painting and scrubbing were not measured")
@@ -151,7 +151,7 @@ def main() -> None:
             lambda: make_workspace(out, given.scenes, given.models, cell_width_px=CELL_WIDTH_PX),
         )
         records = timed("read the records", lambda: find_records(out / "runs"))
-        sheets = timed("read the sheets", lambda: find_sheets(out / "sheets"))
+        sheets = timed("read the sheets", lambda: find_scene_pages(out / "sheets"))
         folder = out / "leaderboard"
         timed(
             "write tables and figures",
@@ -164,7 +164,7 @@ def main() -> None:
         print(f"{'largest script of a scene':<52}{max(scripts) / 1e6:8.2f} MB   (aim 0.5)")
         of_media = folder_size(site / "media") / 1e6
         print(f"{'all files':<52}{folder_size(site) / 1e6:8.1f} MB   of this media {of_media:.1f}")
-        in_browser(site / "index.html", made, given.repeats)
+        measure_in_browser(site / "index.html", made, given.repeats)
 
 
 if __name__ == "__main__":

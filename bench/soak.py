@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bench.processes import children, resident_mb
 from benchmark import api
-from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Planner
@@ -37,7 +37,7 @@ MOST_TIMES: Final = 1.1
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class ProcessResources:
     """What a process holds.
 
     Attributes:
@@ -53,7 +53,7 @@ class Held:
     children: list[int]
 
     @classmethod
-    def now(cls) -> "Held":
+    def now(cls) -> "ProcessResources":
         """What this process holds, after everything that nobody holds was given back."""
         gc.collect()
         open_files = {}
@@ -65,7 +65,7 @@ class Held:
         threads = (len(list(Path("/proc/self/task").iterdir())), names)
         return cls(resident_mb(os.getpid()), open_files, threads, children(os.getpid()))
 
-    def left(self, before: "Held") -> list[str]:
+    def left(self, before: "ProcessResources") -> list[str]:
         """What is there that was not before, as sentences."""
         # Numbers are given again; what they lead to tells.
         new = sorted(self.descriptors.values())
@@ -83,14 +83,14 @@ Work = Callable[[DataSet, Planner, Path], int]
 """Give a planner some scenes; how many they were."""
 
 
-def evaluated(data: DataSet, planner: Planner, out: Path) -> int:
+def evaluate_all(data: DataSet, planner: Planner, out: Path) -> int:
     """Evaluate every scene of a data set anew."""
     return len(evaluate(data, "val", planner, out, EvalSettings(fresh=True)).run.scenes)
 
 
-def driven(data: DataSet, planner: Planner, out: Path) -> int:
+def drive_all(data: DataSet, planner: Planner, out: Path) -> int:
     """Drive every scene of a data set anew, without images."""
-    settings = DriveSettings("default", DefaultRides("idm"), "idm", fresh=True)
+    settings = DriveSettings("default", DefaultBackend("idm"), "idm", fresh=True)
     return len(drive_split(data, "val", planner, out, settings).rows)
 
 
@@ -107,14 +107,14 @@ def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> tup
     Returns:
         A row of the table, and what piled up.
     """
-    planner, before = api.load_planner("constant-velocity")(), Held.now()
+    planner, before = api.load_planner("constant-velocity")(), ProcessResources.now()
     done, rounds, early = 0, 0, None
     while done < scenes:
         done += work(data, planner, folder / f"{rounds}")
         rounds += 1
         if early is None and done >= FIRST:
-            early = Held.now()
-    end = Held.now()
+            early = ProcessResources.now()
+    end = ProcessResources.now()
     early = early or end
     faults, times = end.left(before), end.memory_mb / early.memory_mb
     if times > MOST_TIMES:
@@ -124,7 +124,7 @@ def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> tup
     return row, [f"{what}: {fault}" for fault in faults]
 
 
-def made_data(folder: Path, scenes: int) -> DataSet:
+def make_data(folder: Path, scenes: int) -> DataSet:
     """A data set of so many short scenes without images."""
 
     def scene(number: int) -> Scene:
@@ -142,12 +142,12 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        data = made_data(folder / "road", FIRST) if options.data is None else open_data(options.data)
+        data = make_data(folder / "road", FIRST) if options.data is None else open_data(options.data)
         print("| work in one process | scenes | MB after 20 | MB at the end | ratio "
               "| descriptors | threads | children |")  # fmt: skip
         print("|---|--:|--:|--:|--:|--:|--:|--:|")
         faults = []
-        for what, work in (("evaluated", evaluated), ("driven without images", driven)):
+        for what, work in (("evaluated", evaluate_all), ("driven without images", drive_all)):
             row, leaks = soak(what, work, data, options.scenes, folder / work.__name__)
             print(row, flush=True)
             faults += leaks

@@ -28,7 +28,7 @@ from benchmark.machine.workers import single_threaded
 from benchmark.planning import Observation, Plan
 from benchmark.protocols import STANDARD
 from benchmark.runs.plan_rows import plan_scene
-from benchmark.runs.scene_work import Run, SceneReading, judged_scene
+from benchmark.runs.scene_work import EvaluationJob, SceneReading, judge_scene
 
 MOST: Final = 0.05
 """What supervision may cost of the harness' own time."""
@@ -65,7 +65,7 @@ def clocks(process: int | None) -> Clocks:
     return time.perf_counter(), own + other, own
 
 
-class Scene:
+class SceneTimer:
     """One scene planned and judged again and again, here and in a process of its own in turn, in pieces.
 
     A piece is what happens between two questions: the harness reads, packs, waits, judges a row. Of every piece the
@@ -73,7 +73,7 @@ class Scene:
     however much the machine does, which is not so of a scene.
     """
 
-    def __init__(self, run: Run, data: Any, name: str) -> None:
+    def __init__(self, run: EvaluationJob, data: Any, name: str) -> None:
         self.run, self.data, self.name = run, data, name
         self._pieces: dict[str, list[NDArray[np.float64]]] = {"here": [], "there": []}
         self.judging: Clocks = ()
@@ -95,7 +95,7 @@ class Scene:
         self._asked = [clocks(self._process)]
         planned = plan_scene(planner, reading, self.name, self.run.directory, self.name, fresh=True)
         self._asked.append(clocks(self._process))
-        judged_scene(self.run, reading, planned)
+        judge_scene(self.run, reading, planned)
         self._asked.append(clocks(self._process))
         *pieces, judging = np.diff(np.array(self._asked), axis=0)
         self._pieces[where].append(np.stack(pieces))
@@ -132,8 +132,10 @@ def main() -> None:
             if options.planner and made.__name__ not in options.planner:
                 continue
             factory = planner_factory(f"bench.supervision:{made.__name__}")
-            run = Run(Path(folder) / made.name, data.fingerprint(), options.split, factory.facts, STANDARD, fresh=True)
-            scenes, there = [Scene(run, data, name) for name in names], factory()
+            run = EvaluationJob(
+                Path(folder) / made.name, data.fingerprint(), options.split, factory.facts, STANDARD, fresh=True
+            )
+            scenes, there = [SceneTimer(run, data, name) for name in names], factory()
             # Pages of code and of pictures are read, and the process is there, before the first round that counts.
             for number in range(options.rounds + 1):
                 for scene in scenes:

@@ -14,7 +14,7 @@ from benchmark.constants import VERSION
 __version__ = VERSION
 
 
-def _declared() -> tuple[list[str], dict[str, str]]:
+def _read_declared_names() -> tuple[list[str], dict[str, str]]:
     """Names that are shown, and of every name ``module:attribute``, as the stub declares them."""
     names, places = [], {}
     for node in ast.parse(Path(__file__).with_name("__init__.pyi").read_text("utf-8")).body:
@@ -25,17 +25,17 @@ def _declared() -> tuple[list[str], dict[str, str]]:
     return names, places
 
 
-__all__, _PLACES = _declared()
+__all__, _PLACES = _read_declared_names()
 
 
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from benchmark.errors import InputError
-    from benchmark.machine.extension import imported
+    from benchmark.machine.extension import import_reference
 
     try:
-        value = imported(_PLACES[name])
+        value = import_reference(_PLACES[name])
     except InputError as absent:
         raise AttributeError(f"benchmark.{name}: {absent}") from None
     globals()[name] = value

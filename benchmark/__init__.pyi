@@ -19,7 +19,7 @@ from adapters.known_planners import known_planners as known_planners
 from adapters.plan_file import plan_file_factory as plan_file_factory
 from adapters.result_files.planner import result_file_factory as result_file_factory
 from adapters.result_files.recognition import recognise as open_results
-from adapters.result_files.samples import samples_of_data as recorded_samples
+from adapters.result_files.samples import read_recorded_samples as recorded_samples
 from adapters.result_files.writing.formats import write_results as write_results
 from benchmark.api.driving import drive_settings as drive_settings
 from benchmark.api.opening import (
@@ -72,7 +72,7 @@ from benchmark.extensions.explain.pictures import explain as explain_protocols
 from benchmark.extensions.http.cli import serve_planner as serve_planner
 from benchmark.extensions.infos.exporting import InfoSettings as InfoSettings
 from benchmark.extensions.infos.exporting import export_infos as export_infos
-from benchmark.extensions.quality.definition import Definition as QualityDefinition
+from benchmark.extensions.quality.definition import QualityDefinition as QualityDefinition
 from benchmark.extensions.quality.measure import QualitySettings as QualitySettings
 from benchmark.extensions.quality.measure import measure_quality as measure_quality
 from benchmark.extensions.reproduce.reproducing import (
@@ -149,23 +149,23 @@ from generation.extensions.denoiser_training.loop import (
 from generation.extensions.denoiser_training.loop import (
     train_denoiser as train_denoiser,
 )
-from generation.extensions.magicdrive.command import magicdrive_renderer as magicdrive_renderer
+from generation.extensions.magicdrive.command import build_magicdrive_renderer as magicdrive_renderer
 from generation.extensions.magicdrive.condition_pictures import write_condition_pictures as write_condition_pictures
-from generation.pipeline.ablation import ablate as ablate
+from generation.pipeline.ablation import run_ablation as ablate
 from generation.pipeline.settings import BuildSettings as BuildSettings
 from generation.pipeline.split import build_split as generate
 from generation.render.pictures import write_pictures as write_pictures
 from generation.search.hyperparameters import HyperParameters as HyperParameters
-from generation.search.presets import hyper_parameters as hyper_parameters
-from generation.search.presets import trajectory_model as trajectory_model
+from generation.search.presets import build_hyper_parameters as hyper_parameters
+from generation.search.presets import build_trajectory_model as trajectory_model
 from generation.sources.importing import ImportSettings as ImportSettings
 from generation.sources.importing import import_scenarionet as import_scenarionet
 from generation.sources.mini import TownSettings as TownSettings
-from generation.sources.mini import build_town as build_town
+from generation.sources.mini import build_town_data_set as build_town
 from generation.splits.building import build_frozen as build_frozen
-from generation.splits.edited import edited_split as edited_split
-from generation.splits.packaged import frozen_split as frozen_split
-from generation.splits.packaged import packaged_splits as packaged_splits
+from generation.splits.edited import build_edited_split as edited_split
+from generation.splits.packaged import read_frozen_split as frozen_split
+from generation.splits.packaged import list_packaged_splits as packaged_splits
 from generation.splits.packing import PackageContents as PackageContents
 from generation.splits.packing import pack_split as pack_split
 from generation.splits.unpacking import read_split_package as read_split_package

@@ -13,7 +13,7 @@ BOX_EDGES: Final = tuple((a, b) for a in range(8) for b in range(a + 1, 8) if bi
 """The twelve pairs of corners that an edge joins."""
 
 
-def agents_at(scene: Scene, timestamp_us: int) -> tuple[Floats, Floats, Bools]:
+def interpolate_agents(scene: Scene, timestamp_us: int) -> tuple[Floats, Floats, Bools]:
     """The N agents at a time in microseconds, between frames interpolated.
 
     Outside the scene as in its first or last frame.
@@ -33,7 +33,7 @@ def agents_at(scene: Scene, timestamp_us: int) -> tuple[Floats, Floats, Bools]:
     return position, agents.yaw[:, before] + share * turn, agents.valid[:, nearest]
 
 
-def corners_of_box(position: Floats, yaw: float, size: Floats) -> Floats:
+def compute_box_corners(position: Floats, yaw: float, size: Floats) -> Floats:
     """(8, 3) global corners of an upright box of (3,) length, width, height; `BOX_EDGES` says which are neighbours."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     turned = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -49,7 +49,7 @@ def to_camera(points: Floats, global_T_ego: Floats, camera: Camera) -> Floats:
     return np.asarray((in_ego - camera.translation) @ rotation_matrix(camera.rotation))
 
 
-def at_near_plane(first: Floats, second: Floats, near_m: float) -> Floats:
+def intersect_near_plane(first: Floats, second: Floats, near_m: float) -> Floats:
     """Where the line between a point before and one behind the near plane crosses it; (3,) camera axes each."""
     share = (near_m - first[2]) / (second[2] - first[2])
     return np.asarray(first + share * (second - first))

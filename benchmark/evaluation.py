@@ -17,30 +17,37 @@ from typing import TYPE_CHECKING, Any, cast
 
 from benchmark.datasets.annotated import require_annotated
 from benchmark.datasets.categories import CategoryNames
-from benchmark.datasets.scene_facts import with_truth
+from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.metering import keep_pages_of
-from benchmark.machine.progress import Count, progress
-from benchmark.machine.storage import only_writer
-from benchmark.machine.workers import LocalProcesses, map_ordered, single_threaded, workers_at_hand
+from benchmark.machine.metering import disable_malloc_trim_for
+from benchmark.machine.progress import CountedUnits, track_progress
+from benchmark.machine.storage import lock_folder
+from benchmark.machine.workers import LocalProcesses, has_forkserver, map_ordered, single_threaded
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
-from benchmark.protocols import STANDARD, protocol
+from benchmark.protocols import STANDARD, find_protocol
 from benchmark.records.planner_cost import SceneCost, cost_path, gather_costs, note_cost, shard_cost_path
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.review import require_not_rejected
-from benchmark.records.rows import Rows
+from benchmark.records.rows import SampleRows
 from benchmark.records.run import RunRecord, write_record
 from benchmark.records.run_schema import TruthFacts
-from benchmark.report.words import counted
-from benchmark.runs.caveats import run_caveats
-from benchmark.runs.judging import JudgedScenes, described
-from benchmark.runs.pairing import with_partner
-from benchmark.runs.plan_rows import PlannerFactory, plan_scene, plan_store, scene_key, supervision_said
-from benchmark.runs.planner_facts import facts_of
-from benchmark.runs.rescoring import require_vocabulary, unjudged
+from benchmark.report.words import pluralise
+from benchmark.runs.caveats import list_run_caveats
+from benchmark.runs.judging import JudgedScenes, describe_data
+from benchmark.runs.pairing import name_partner
+from benchmark.runs.plan_rows import PlannerFactory, describe_sandbox_limits, open_plan_store, plan_scene, scene_key
+from benchmark.runs.planner_facts import build_planner_facts
+from benchmark.runs.rescoring import find_unjudged, require_vocabulary
 from benchmark.runs.run_directory import run_directory
-from benchmark.runs.scene_work import Run, SceneResult, reopening, work_here, work_in_worker, work_through
-from benchmark.runs.units import FinishedShard, Shard, write_failures
+from benchmark.runs.scene_work import (
+    EvaluationJob,
+    SceneResult,
+    evaluate_scene,
+    evaluate_scene_in_worker,
+    evaluate_split_in_order,
+    make_reopener,
+)
+from benchmark.runs.units import Shard, ShardProgress, write_failures
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -88,18 +95,20 @@ class EvalSettings:
         if unknown:
             raise InputError(
                 f"split {split!r} has no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
-                f"{did_you_mean(unknown[0], names)}it has {counted(len(names), 'scene')}, among them "
+                f"{did_you_mean(unknown[0], names)}it has {pluralise(len(names), 'scene')}, among them "
                 f"{', '.join(names[:3])}"
             )
         if self.limit is not None and self.limit < 1:
             raise InputError(f"--limit must be at least 1, got {self.limit}")
         wanted = names if self.scenes is None else tuple(name for name in names if name in set(self.scenes))
         if not wanted:
-            raise InputError(f"split {split!r} of {data.root} has no scenes to evaluate{_all_rejected(data, split)}")
+            raise InputError(
+                f"split {split!r} of {data.root} has no scenes to evaluate{_describe_all_rejected(data, split)}"
+            )
         return wanted[: self.limit]
 
 
-def _all_rejected(data: "DataSet", split: str) -> str:
+def _describe_all_rejected(data: "DataSet", split: str) -> str:
     rejected = len(data.review(split).rejected)
     return f": inspectors rejected all {rejected} (challenger-bench data review {data.root})" if rejected else ""
 
@@ -161,16 +170,16 @@ def evaluate_together(
     The records are the same as one by one.
     """
     records: dict[int, RunRecord] = {}
-    waiting: dict[int, _Planned] = {}
+    waiting: dict[int, _PreparedRun] = {}
     # Networks last, whoever is named first: those that have none are then together, and a network is made when it is
     # its turn, so that there is one at a time.
     for place in sorted(range(len(planners)), key=lambda place: _has_weights(planners[place][0])):
-        planned = _planned(data, split, planners[place][0], out, planners[place][1])
-        if not all(planned.goes_with(other) for other in waiting.values()):
-            records |= zip(waiting, _evaluated(data, split, [*waiting.values()], out, reopen))
+        planned = _prepare_run(data, split, planners[place][0], out, planners[place][1])
+        if not all(planned.can_run_with(other) for other in waiting.values()):
+            records |= zip(waiting, _evaluate_runs(data, split, [*waiting.values()], out, reopen))
             waiting = {}
         waiting[place] = planned
-    records |= zip(waiting, _evaluated(data, split, [*waiting.values()], out, reopen))
+    records |= zip(waiting, _evaluate_runs(data, split, [*waiting.values()], out, reopen))
     return [records[place] for place in range(len(planners))]
 
 
@@ -180,7 +189,7 @@ def plan_shard(
     planners: Sequence[tuple[Planner | PlannerFactory, EvalSettings]],
     out: Path,
     shard: Shard,
-) -> list[FinishedShard]:
+) -> list[ShardProgress]:
     """Plan the scenes of one shard, in this process, and keep the plans; nothing is judged and no record is written.
 
     Args:
@@ -199,7 +208,7 @@ def plan_shard(
     single_threaded()
     finished = []
     for planner, settings in planners:
-        planned = _planned(data, split, planner, out, settings)
+        planned = _prepare_run(data, split, planner, out, settings)
         run, ready = planned.run, planned.ready
         if remembers_across_scenes(ready):
             raise InputError(
@@ -209,73 +218,75 @@ def plan_shard(
         shard_scenes = shard.part(planned.scenes)
         costs: dict[str, SceneCost | None] = {}
         label = f"{run.planner.name} on {split}, shard {shard}"
-        for scene in progress(shard_scenes, total=len(shard_scenes), label=label, count=Count()):
+        for scene in track_progress(shard_scenes, total=len(shard_scenes), label=label, count=CountedUnits()):
             key = scene_key(run.fingerprint, split, scene, run.planner)
             costs[scene] = plan_scene(ready, data, scene, run.directory, key, fresh=settings.fresh).cost
-        if (timings_path := _cost_path(planned, out)) is not None:
+        if (timings_path := _find_cost_path(planned, out)) is not None:
             note_cost(shard_cost_path(timings_path, shard.number, shard.of), run.planner, costs)
-        finished.append(FinishedShard(run.directory, len(shard_scenes), len(planned.scenes)))
+        finished.append(ShardProgress(run.directory, len(shard_scenes), len(planned.scenes)))
     return finished
 
 
 @dataclass(frozen=True, slots=True)
-class _Planned:
+class _PreparedRun:
     """A run that is about to begin."""
 
-    run: Run
+    run: EvaluationJob
     ready: Planner
     factory: PlannerFactory | None
     settings: EvalSettings
     scenes: tuple[str, ...]
 
     @property
-    def portable(self) -> bool:
+    def is_portable(self) -> bool:
         """Whether it may run in other processes."""
         return self.factory is not None and not isinstance(self.ready, RemotePlanner)
 
     @property
     def light(self) -> bool:
         """Whether reading a scene takes longer than its planner does, and several of them fit into memory."""
-        return self.portable and self.run.planner.weights_sha256 is None and not remembers_across_scenes(self.ready)
+        return self.is_portable and self.run.planner.weights_sha256 is None and not remembers_across_scenes(self.ready)
 
-    def goes_with(self, other: "_Planned") -> bool:
+    def can_run_with(self, other: "_PreparedRun") -> bool:
         """Whether both can be done scene by scene together."""
         same = (self.scenes, self.settings.workers) == (other.scenes, other.settings.workers)
         return same and self.light and other.light and self.run.directory != other.run.directory
 
 
 def _has_weights(planner: Planner | PlannerFactory) -> bool:
-    facts = facts_of(cast("Planner", planner)) if hasattr(planner, "plan") else planner.facts
+    facts = build_planner_facts(cast("Planner", planner)) if hasattr(planner, "plan") else planner.facts
     return facts.weights_sha256 is not None
 
 
-def _planned(
+def _prepare_run(
     data: "DataSet", split: str, planner: Planner | PlannerFactory, out: Path, settings: EvalSettings
-) -> _Planned:
+) -> _PreparedRun:
     if settings.workers < 1:
         raise InputError(f"--workers must be at least 1, got {settings.workers}")
     factory = None if hasattr(planner, "plan") else planner
     ready = cast("Planner", planner) if factory is None else factory()
     if remembers_across_scenes(ready):
         require_whole_split(ready.name, settings.scenes, settings.limit, settings.workers)
-    facts = facts_of(ready) if factory is None else factory.facts
-    keep_pages_of(facts.weights_sha256)
+    facts = build_planner_facts(ready) if factory is None else factory.facts
+    disable_malloc_trim_for(facts.weights_sha256)
     for name in settings.protocols:
-        protocol(name)
+        find_protocol(name)
     scenes, every_scene = settings.chosen(data, split), data.scene_names(split)
     counts = require_annotated(data, split, scenes)
     own = () if facts.native_protocol is None else (facts.native_protocol,)
     require_vocabulary(counts, (*settings.asked, *own), settings.protocols, str(data.root))
     directory = run_directory(out, data.name, split, facts, () if len(scenes) == len(every_scene) else scenes)
-    unjudged_protocols = unjudged(counts, settings.protocols)
-    run = Run(directory, data.fingerprint(), split, facts, settings.protocols, settings.fresh, unjudged_protocols)
-    return _Planned(run, ready, factory, settings, scenes)
+    unjudged_protocols = find_unjudged(counts, settings.protocols)
+    run = EvaluationJob(
+        directory, data.fingerprint(), split, facts, settings.protocols, settings.fresh, unjudged_protocols
+    )
+    return _PreparedRun(run, ready, factory, settings, scenes)
 
 
-def _evaluated(
+def _evaluate_runs(
     data: "DataSet",
     split: str,
-    planned: Sequence[_Planned],
+    planned: Sequence[_PreparedRun],
     out: Path,
     reopen: Callable[[], "DataSet"] | None,
 ) -> list[RunRecord]:
@@ -284,45 +295,47 @@ def _evaluated(
         return []
     runs, workers, scenes = [prepared.run for prepared in planned], planned[0].settings.workers, planned[0].scenes
     elsewhere = None
-    if workers > 1 and all(prepared.portable for prepared in planned):
-        opener = reopen or reopening(data)
+    if workers > 1 and all(prepared.is_portable for prepared in planned):
+        opener = reopen or make_reopener(data)
         elsewhere = partial(
-            work_in_worker, runs, opener, [prepared.factory for prepared in planned if prepared.factory]
+            evaluate_scene_in_worker, runs, opener, [prepared.factory for prepared in planned if prepared.factory]
         )
-    shared = described(JudgedScenes(data, split, scenes, out, LocalProcesses(workers)))
+    shared = describe_data(JudgedScenes(data, split, scenes, out, LocalProcesses(workers)))
     with ExitStack() as writing:
         for run in runs:
-            writing.enter_context(only_writer(run.directory))
+            writing.enter_context(lock_folder(run.directory))
         label = f"{', '.join(run.planner.name for run in runs[:3])}{', ...' if len(runs) > 3 else ''} on {split}"
         if remembers_across_scenes(planned[0].ready):
             scene_results: Iterator[list[SceneResult]] = (
-                [result] for result in work_through(runs[0], data, planned[0].ready, scenes)
+                [result] for result in evaluate_split_in_order(runs[0], data, planned[0].ready, scenes)
             )
         else:
-            here = partial(work_here, runs, data, [prepared.ready for prepared in planned])
+            here = partial(evaluate_scene, runs, data, [prepared.ready for prepared in planned])
             # A network takes longer than a worker needs to begin, if what it is copied from is there.
-            sure = workers_at_hand() and len(scenes) > 1 and not all(prepared.light for prepared in planned)
-            scene_results = _results(scenes, here, elsewhere, workers, label, sure=sure)
-        rows: list[Rows] = [Rows() for _ in runs]
+            sure = has_forkserver() and len(scenes) > 1 and not all(prepared.light for prepared in planned)
+            scene_results = _iterate_results(scenes, here, elsewhere, workers, label, sure=sure)
+        rows: list[SampleRows] = [SampleRows() for _ in runs]
         costs: list[dict[str, SceneCost | None]] = [{} for _ in runs]
         truths: dict[str, TruthFacts] = {}
-        for results in progress(scene_results, total=len(scenes), label=label, count=Count(kept=_was_there)):
+        for results in track_progress(
+            scene_results, total=len(scenes), label=label, count=CountedUnits(kept=_all_cached)
+        ):
             for place, result in enumerate(results):
                 rows[place].add(result.rows)
                 costs[place][result.scene] = result.cost
                 truths[result.scene] = result.truth
-        shared["scene_facts"] = with_truth(shared["scene_facts"], truths)
+        shared["scene_facts"] = add_truth_facts(shared["scene_facts"], truths)
         return [
             # Rows are by scene and time, in whatever order scenes were planned.
-            _written(prepared, shared, own.in_order_of(scenes), spent, out, data.categories)
+            _write_run(prepared, shared, own.in_order_of(scenes), spent, out, data.categories)
             for prepared, own, spent in zip(planned, rows, costs, strict=True)
         ]
 
 
-def _written(
-    planned: _Planned,
+def _write_run(
+    planned: _PreparedRun,
     shared: Mapping[str, Any],
-    rows: Rows,
+    rows: SampleRows,
     costs: Mapping[str, SceneCost | None],
     out: Path,
     categories: CategoryNames,
@@ -331,22 +344,22 @@ def _written(
     facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
     run_facts = {
         **shared,
-        "caveats": run_caveats(facts, shared["scene_facts"], rows, getattr(planned.factory, "caveats", ())),
+        "caveats": list_run_caveats(facts, shared["scene_facts"], rows, getattr(planned.factory, "caveats", ())),
         "planner": facts,
         "plans_from": getattr(planned.factory, "plans_from", None),
         "config": {
             "protocols": list(settings.protocols),
             "seed": settings.seed,
-            **supervision_said(planned.factory),
+            **describe_sandbox_limits(planned.factory),
             **({"categories": dict(categories)} if categories else {}),
         },
     }
-    versions = {name: protocol(name).version for name in settings.protocols}
+    versions = {name: find_protocol(name).version for name in settings.protocols}
     record = write_record(directory, run_facts, rows, versions, seed=settings.seed)
-    record = with_partner(record, out, settings.unchanged)
+    record = name_partner(record, out, settings.unchanged)
     write_failures(directory, record.rows)
-    plan_store(directory).tidy(costs)
-    if (timings_path := _cost_path(planned, out)) is not None:
+    open_plan_store(directory).tidy(costs)
+    if (timings_path := _find_cost_path(planned, out)) is not None:
         beside = {
             scene: cost and cost.model_copy(update={"workers": settings.workers}) for scene, cost in costs.items()
         }
@@ -355,7 +368,7 @@ def _written(
     return record
 
 
-def _cost_path(planned: _Planned, out: Path) -> Path | None:
+def _find_cost_path(planned: _PreparedRun, out: Path) -> Path | None:
     """File of what the planner of a run takes; looking plans up in a file says nothing of how fast theirs was."""
     timings = planned.settings.timings
     if timings is None or PLANS_SHA256 in planned.run.planner.settings:
@@ -363,11 +376,11 @@ def _cost_path(planned: _Planned, out: Path) -> Path | None:
     return cost_path(timings, out, planned.run.directory)
 
 
-def _was_there(results: Sequence[SceneResult]) -> bool:
+def _all_cached(results: Sequence[SceneResult]) -> bool:
     return all(result.kept for result in results)
 
 
-def _results(
+def _iterate_results(
     scenes: tuple[str, ...],
     here: Callable[[str], list[SceneResult]],
     elsewhere: Callable[[str], list[SceneResult]] | None,

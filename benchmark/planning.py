@@ -270,7 +270,7 @@ class SupervisedPlanner(Protocol):
         """Global generators of its process begin there at the next `Planner.reset`."""
 
     def loaded_code(self) -> dict[str, str]:
-        """What `benchmark.runs.code_identity.loaded_code` is in its process."""
+        """What `benchmark.runs.code_identity.hash_loaded_code` is in its process."""
 
 
 @runtime_checkable

@@ -79,7 +79,7 @@ INCREASE: Final = {"UniAD": "12.6", "VAD": "26.1", "SparseDrive": "8.6", "Diffus
 
 
 CHECKPOINTS: Final = ("uniad", "vad-tiny", "vad-base", "sparsedrive", "diffusiondrive")
-"""Our models that load published checkpoints, of which planning results are printed (`published_planning`)."""
+"""Our models that load published checkpoints, of which planning results are printed (`find_published_results`)."""
 PLANNING_ALLOWED: Final = {"collision": 0.03, "l2": 0.02}
 """How far ours may be from the nearest published value, per cent and metres. Two evaluations of one checkpoint by
 others are 0.03 % apart (DiffusionDrive at 1 s: 0.03 and 0.059), for VAD up to 0.07 %, and their L2 up to 0.03 m."""
@@ -117,7 +117,7 @@ how many nuScenes-val-R has."""
 
 
 @dataclass(frozen=True, slots=True)
-class StandingValue:
+class PublishedResult:
     """A planning result in print, by any publication.
 
     Attributes:
@@ -138,17 +138,19 @@ class StandingValue:
     source: str
 
 
-def _from_table_1(row: PublishedRate) -> StandingValue:
+def _read_table_1_row(row: PublishedRate) -> PublishedResult:
     names = {"UniAD": ("uniad",), "VAD": ("vad", "vad-base")}.get(row.model, (row.model.lower(),))
     split = next(split for split, data_set in DATA_SET_OF_SPLIT.items() if data_set == row.data_set)
-    return StandingValue(row.model, names, split, row.protocol, row.protocol, "collision", row.percent, TABLE_1_SOURCE)
+    return PublishedResult(
+        row.model, names, split, row.protocol, row.protocol, "collision", row.percent, TABLE_1_SOURCE
+    )
 
 
-def _on_val(
+def _build_val_result(
     planner: str, ours: tuple[str, ...], protocol: str | None, column: str, values: str, source: str, by: str = ""
-) -> StandingValue:
+) -> PublishedResult:
     one, two, three, average = (text.replace("-", "") for text in values.split("/"))
-    return StandingValue(
+    return PublishedResult(
         planner, ours, "val", protocol, by or protocol or "", column, (one, two, three, average), source
     )
 
@@ -160,49 +162,55 @@ _SPARSE_PAPER: Final = "Sun et al. 2024 (SparseDrive)"
 _SPARSE_README: Final = "SparseDrive's repository, README"
 _DIFFUSION_README: Final = "DiffusionDrive's repository, README"
 _AVERAGED: Final = "uniad, averaged over the steps as ST-P3 does"
-STANDING: Final[tuple[StandingValue, ...]] = (
-    _on_val("UniAD", ("uniad",), "uniad", "collision", "0.05/0.17/0.71/0.31", _UNIAD_README),
-    _on_val("UniAD", ("uniad",), "uniad", "l2", "0.48/0.96/1.65/1.03", _UNIAD_README),
-    _on_val("UniAD, table of checkpoints", ("uniad",), "uniad", "collision", "-/-/-/0.29", _UNIAD_README),
-    _on_val("UniAD", ("uniad",), "uniad", "collision", "0.10/0.15/0.61/-", _UNIAD_ISSUES),
-    _on_val("UniAD", ("uniad",), "uniad", "l2", "0.51/0.98/1.65/-", _UNIAD_ISSUES),
-    _on_val("UniAD", ("uniad",), None, "collision", "0.07/0.10/0.22/-", _UNIAD_ISSUES, _AVERAGED),
-    _on_val("UniAD", ("uniad",), None, "l2", "0.42/0.64/0.91/-", _UNIAD_ISSUES, _AVERAGED),
-    _on_val("UniAD", ("uniad",), "sparsedrive", "collision", "0.62/0.58/0.63/-", _SPARSE_PAPER),
-    _on_val("VAD-Tiny", ("vad-tiny",), "vad", "collision", "0.21/0.35/0.58/0.38", _VAD_README),
-    _on_val("VAD-Tiny", ("vad-tiny",), "vad", "l2", "0.46/0.76/1.12/0.78", _VAD_README),
-    _on_val("VAD-Base", ("vad", "vad-base"), "vad", "collision", "0.07/0.17/0.41/0.22", _VAD_README),
-    _on_val("VAD-Base", ("vad", "vad-base"), "vad", "l2", "0.41/0.70/1.05/0.72", _VAD_README),
-    _on_val("VAD", (), "sparsedrive", "collision", "0.03/0.19/0.43/-", _SPARSE_PAPER),
-    _on_val(
+PUBLISHED_RESULTS: Final[tuple[PublishedResult, ...]] = (
+    _build_val_result("UniAD", ("uniad",), "uniad", "collision", "0.05/0.17/0.71/0.31", _UNIAD_README),
+    _build_val_result("UniAD", ("uniad",), "uniad", "l2", "0.48/0.96/1.65/1.03", _UNIAD_README),
+    _build_val_result("UniAD, table of checkpoints", ("uniad",), "uniad", "collision", "-/-/-/0.29", _UNIAD_README),
+    _build_val_result("UniAD", ("uniad",), "uniad", "collision", "0.10/0.15/0.61/-", _UNIAD_ISSUES),
+    _build_val_result("UniAD", ("uniad",), "uniad", "l2", "0.51/0.98/1.65/-", _UNIAD_ISSUES),
+    _build_val_result("UniAD", ("uniad",), None, "collision", "0.07/0.10/0.22/-", _UNIAD_ISSUES, _AVERAGED),
+    _build_val_result("UniAD", ("uniad",), None, "l2", "0.42/0.64/0.91/-", _UNIAD_ISSUES, _AVERAGED),
+    _build_val_result("UniAD", ("uniad",), "sparsedrive", "collision", "0.62/0.58/0.63/-", _SPARSE_PAPER),
+    _build_val_result("VAD-Tiny", ("vad-tiny",), "vad", "collision", "0.21/0.35/0.58/0.38", _VAD_README),
+    _build_val_result("VAD-Tiny", ("vad-tiny",), "vad", "l2", "0.46/0.76/1.12/0.78", _VAD_README),
+    _build_val_result("VAD-Base", ("vad", "vad-base"), "vad", "collision", "0.07/0.17/0.41/0.22", _VAD_README),
+    _build_val_result("VAD-Base", ("vad", "vad-base"), "vad", "l2", "0.41/0.70/1.05/0.72", _VAD_README),
+    _build_val_result("VAD", (), "sparsedrive", "collision", "0.03/0.19/0.43/-", _SPARSE_PAPER),
+    _build_val_result(
         "SparseDrive-S, released", ("sparsedrive",), "sparsedrive", "collision", "0.01/0.05/0.23/0.10", _SPARSE_README
     ),
-    _on_val("SparseDrive-S, released", ("sparsedrive",), "sparsedrive", "l2", "0.30/0.58/0.95/0.61", _SPARSE_README),
-    _on_val("SparseDrive-S, paper", (), "sparsedrive", "collision", "0.01/0.05/0.18/0.08", _SPARSE_README),
-    _on_val("SparseDrive-S, paper", (), "sparsedrive", "l2", "0.29/0.58/0.96/0.61", _SPARSE_README),
-    _on_val("SparseDrive-B, paper", (), "sparsedrive", "collision", "-/-/-/0.06", _SPARSE_README),
-    _on_val("SparseDrive-B, paper", (), "sparsedrive", "l2", "-/-/-/0.58", _SPARSE_README),
-    _on_val(
+    _build_val_result(
+        "SparseDrive-S, released", ("sparsedrive",), "sparsedrive", "l2", "0.30/0.58/0.95/0.61", _SPARSE_README
+    ),
+    _build_val_result("SparseDrive-S, paper", (), "sparsedrive", "collision", "0.01/0.05/0.18/0.08", _SPARSE_README),
+    _build_val_result("SparseDrive-S, paper", (), "sparsedrive", "l2", "0.29/0.58/0.96/0.61", _SPARSE_README),
+    _build_val_result("SparseDrive-B, paper", (), "sparsedrive", "collision", "-/-/-/0.06", _SPARSE_README),
+    _build_val_result("SparseDrive-B, paper", (), "sparsedrive", "l2", "-/-/-/0.58", _SPARSE_README),
+    _build_val_result(
         "DiffusionDrive", ("diffusiondrive",), "diffusiondrive", "collision", "0.03/0.05/0.16/0.08", _DIFFUSION_README
     ),
-    _on_val("DiffusionDrive", ("diffusiondrive",), "diffusiondrive", "l2", "0.27/0.54/0.90/0.57", _DIFFUSION_README),
-    *map(_from_table_1, TABLE_1),
+    _build_val_result(
+        "DiffusionDrive", ("diffusiondrive",), "diffusiondrive", "l2", "0.27/0.54/0.90/0.57", _DIFFUSION_README
+    ),
+    *map(_read_table_1_row, TABLE_1),
 )
 """Who prints which number on which split under which protocol: what specifications and the paper give, no more."""
 
 
-def published_planning(model: str, protocol: str) -> tuple[StandingValue, ...]:
+def find_published_results(model: str, protocol: str) -> tuple[PublishedResult, ...]:
     """Printed values of a published checkpoint on the nuScenes validation split, under one protocol.
 
     A number that is printed twice was measured twice. ``model`` is our model that loads the checkpoint.
     """
     return tuple(
-        result for result in STANDING if model in result.ours and (result.split, result.protocol) == ("val", protocol)
+        result
+        for result in PUBLISHED_RESULTS
+        if model in result.ours and (result.split, result.protocol) == ("val", protocol)
     )
 
 
 @dataclass(frozen=True, slots=True)
-class NeuroncapValue:
+class PublishedNeuroncapResult:
     """A result in NeuroNCAP's closed loop.
 
     Attributes:
@@ -220,18 +228,18 @@ class NeuroncapValue:
 
 _QUOTED: Final = "Impromptu-VLA's repository, README, which quotes the papers"
 _FIRST_RENDERER, _LATER_RENDERER = "of the paper", "of the repository, later"
-NEURONCAP: Final[tuple[NeuroncapValue, ...]] = (
-    NeuroncapValue("UniAD", ("0.73", "0.84", "0.10", "1.26"), "88.6", _FIRST_RENDERER, _QUOTED),
-    NeuroncapValue("VAD", ("0.66", "", "", ""), "92.5", _FIRST_RENDERER, _QUOTED),
-    NeuroncapValue("SparseDrive", ("0.92", "", "", ""), "93.9", _FIRST_RENDERER, _QUOTED),
-    NeuroncapValue("BridgeAD-S", ("1.52", "", "", ""), "76.2", _FIRST_RENDERER, _QUOTED),
-    NeuroncapValue("BridgeAD-B", ("1.60", "", "", ""), "72.6", _FIRST_RENDERER, _QUOTED),
-    NeuroncapValue("Impromptu-VLA 3B", ("2.15", "", "", ""), "65.5", _FIRST_RENDERER, _QUOTED),
-    NeuroncapValue("UniAD, post-processed", ("1.84", "", "", ""), "", _FIRST_RENDERER, _QUOTED),
-    NeuroncapValue("VAD, post-processed", ("2.75", "", "", ""), "", _FIRST_RENDERER, _QUOTED),
-    NeuroncapValue("BridgeAD-B, post-processed", ("3.06", "", "", ""), "44.3", _FIRST_RENDERER, _QUOTED),
-    NeuroncapValue("ColaVLA", ("3.48", "", "", ""), "36.8", _FIRST_RENDERER, "ColaVLA"),
-    NeuroncapValue(
+NEURONCAP: Final[tuple[PublishedNeuroncapResult, ...]] = (
+    PublishedNeuroncapResult("UniAD", ("0.73", "0.84", "0.10", "1.26"), "88.6", _FIRST_RENDERER, _QUOTED),
+    PublishedNeuroncapResult("VAD", ("0.66", "", "", ""), "92.5", _FIRST_RENDERER, _QUOTED),
+    PublishedNeuroncapResult("SparseDrive", ("0.92", "", "", ""), "93.9", _FIRST_RENDERER, _QUOTED),
+    PublishedNeuroncapResult("BridgeAD-S", ("1.52", "", "", ""), "76.2", _FIRST_RENDERER, _QUOTED),
+    PublishedNeuroncapResult("BridgeAD-B", ("1.60", "", "", ""), "72.6", _FIRST_RENDERER, _QUOTED),
+    PublishedNeuroncapResult("Impromptu-VLA 3B", ("2.15", "", "", ""), "65.5", _FIRST_RENDERER, _QUOTED),
+    PublishedNeuroncapResult("UniAD, post-processed", ("1.84", "", "", ""), "", _FIRST_RENDERER, _QUOTED),
+    PublishedNeuroncapResult("VAD, post-processed", ("2.75", "", "", ""), "", _FIRST_RENDERER, _QUOTED),
+    PublishedNeuroncapResult("BridgeAD-B, post-processed", ("3.06", "", "", ""), "44.3", _FIRST_RENDERER, _QUOTED),
+    PublishedNeuroncapResult("ColaVLA", ("3.48", "", "", ""), "36.8", _FIRST_RENDERER, "ColaVLA"),
+    PublishedNeuroncapResult(
         "UniAD, post-processed", ("2.111", "3.501", "1.166", "1.667"), "60.4", _LATER_RENDERER, "NeuroNCAP's README"
     ),
 )

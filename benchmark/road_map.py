@@ -192,7 +192,7 @@ class DrivableRaster:
         window = shapely.box(x - reach, y - reach, x + reach, y + reach)
         local = RoadMap(road_map.location, as_multipolygon(road_map.drivable_area.intersection(window)))
         shapely.prepare(local.drivable_area)
-        return cls(_drivable_nodes(local, steps, pose, resolution_m), pose, resolution_m)
+        return cls(_find_drivable_nodes(local, steps, pose, resolution_m), pose, resolution_m)
 
     def look_up(self, points: Floats) -> Bools:
         """Whether (..., 2) global points in metres are drivable."""
@@ -219,29 +219,29 @@ class DrivableRaster:
         return place.astype(np.int64)
 
 
-def _drivable_nodes(area: RoadMap, steps: Floats, pose: Floats, spacing_m: float) -> NDArray[np.bool_]:
+def _find_drivable_nodes(area: RoadMap, steps: Floats, pose: Floats, spacing_m: float) -> NDArray[np.bool_]:
     """`RoadMap.is_drivable` of a grid, (n, n) nodes at some metres to the right of a pose and ahead of it.
 
     One node speaks for its block where the border is elsewhere; in the other blocks each is asked.
     """
     firsts = np.arange(0, len(steps), BLOCK)
     right, forward = np.meshgrid(firsts, firsts, indexing="ij")
-    verdicts = area.is_drivable(_nodes(steps, pose, right, forward))
+    verdicts = area.is_drivable(_compute_nodes(steps, pose, right, forward))
     drivable, undecided = (
         blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)[: len(steps), : len(steps)]
-        for blocks in (verdicts, _with_border(area, steps, pose, spacing_m))
+        for blocks in (verdicts, _find_border_blocks(area, steps, pose, spacing_m))
     )
     right, forward = np.nonzero(undecided)
-    drivable[right, forward] = area.is_drivable(_nodes(steps, pose, right, forward))
+    drivable[right, forward] = area.is_drivable(_compute_nodes(steps, pose, right, forward))
     return drivable
 
 
-def _nodes(steps: Floats, pose: Floats, right: NDArray[np.int64], forward: NDArray[np.int64]) -> Floats:
+def _compute_nodes(steps: Floats, pose: Floats, right: NDArray[np.int64], forward: NDArray[np.int64]) -> Floats:
     """(..., 2) nodes of a grid by their indices, global."""
     return to_global(np.stack([steps[forward], -steps[right]], axis=-1), pose)
 
 
-def _with_border(area: RoadMap, steps: Floats, pose: Floats, spacing_m: float) -> NDArray[np.bool_]:
+def _find_border_blocks(area: RoadMap, steps: Floats, pose: Floats, spacing_m: float) -> NDArray[np.bool_]:
     """Which blocks of a grid have the border between their nodes; a few more, and none less."""
     count = -(-len(steps) // BLOCK)
     has_border = np.zeros((count, count), np.bool_)
@@ -250,14 +250,14 @@ def _with_border(area: RoadMap, steps: Floats, pose: Floats, spacing_m: float) -
     places = (np.stack([-local[:, 1], local[:, 0]]) - steps[0]) / spacing_m
     reach = 0.5 * BORDER_STEP_M / spacing_m + SLACK
     first, last = np.ceil((places - (BLOCK - 1) - reach) / BLOCK), np.floor((places + reach) / BLOCK)
-    for right in _between(first[0], last[0]):
-        for forward in _between(first[1], last[1]):
+    for right in _fill_ranges(first[0], last[0]):
+        for forward in _fill_ranges(first[1], last[1]):
             inside = (right >= 0) & (right < count) & (forward >= 0) & (forward < count)
             has_border[right[inside], forward[inside]] = True
     return has_border
 
 
-def _between(first: Floats, last: Floats) -> list[NDArray[np.int64]]:
+def _fill_ranges(first: Floats, last: Floats) -> list[NDArray[np.int64]]:
     """Whole numbers from first to last of each row, one after the other; the last again where there are less."""
     most = int((last - first).max(initial=0.0))
     return [np.minimum(first + number, last).astype(np.int64) for number in range(most + 1)]

@@ -18,7 +18,7 @@ from benchmark.report.terminal import html_table
 from benchmark.road_map import RoadMap
 
 
-class Look(StrEnum):
+class Conditions(StrEnum):
     """Light and weather of a scene, as its description says."""
 
     DAY = "day"
@@ -27,15 +27,15 @@ class Look(StrEnum):
     RAIN = "rain"
 
     @classmethod
-    def said_in(cls, description: str) -> tuple["Look", ...]:
+    def find_in(cls, description: str) -> tuple["Conditions", ...]:
         """Every look that a scene description names; none where it names none: nuScenes never says that it is day."""
         words = description.lower()
         return tuple(look for look in cls if re.search(rf"\b{look.value}", words))
 
     @classmethod
-    def of_description(cls, description: str) -> "Look":
+    def from_description(cls, description: str) -> "Conditions":
         """Read the look from a nuScenes scene description, which names night and rain in words."""
-        named = cls.said_in(description)
+        named = cls.find_in(description)
         return next((look for look in (cls.RAIN, cls.NIGHT, cls.DUSK) if look in named), cls.DAY)
 
 
@@ -236,9 +236,9 @@ class Scene:
         return html_table(repr(self)[1:-1], ("fact", "value"), [*facts.items()])
 
     @property
-    def look(self) -> Look:
+    def look(self) -> Conditions:
         """Light and weather."""
-        return Look.of_description(self.description)
+        return Conditions.from_description(self.description)
 
     @property
     def seconds(self) -> Floats:

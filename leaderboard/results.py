@@ -9,24 +9,24 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import read_kept_json, write_bytes, write_json
+from benchmark.machine.storage import read_cached_json, write_bytes, write_json
 from benchmark.metrics.disagreement import EXACT
 from benchmark.records.ablation import AblationReport
-from benchmark.records.planner_versions import labelled
+from benchmark.records.planner_versions import label_versions
 from benchmark.records.review import NOT_REVIEWED
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.report.table import Table
-from benchmark.report.words import split_of
-from leaderboard.frame.runs import Frame
+from benchmark.report.words import format_split
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.comparisons import split_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.effect import effect_table
-from leaderboard.tables.transfer import both_matrices, lift_table, transfer_table
+from leaderboard.tables.transfer import build_both_matrices, lift_table, transfer_table
 
 
-def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
+def select_runs(records: Sequence[RunRecord]) -> list[RunRecord]:
     """The record that stands for each version of a planner on each split of each data set.
 
     Versions are told apart by `benchmark.records.planner_versions`. A run of the whole split goes before runs of some
@@ -36,7 +36,7 @@ def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
     data set saw different content, or that adversarial scenes were recorded under the name of another split.
     """
     chosen: dict[tuple[str, str, str], RunRecord] = {}
-    for record in sorted(labelled(records), key=_preference):
+    for record in sorted(label_versions(records), key=_preference_key):
         key = (record.run.data.name, record.run.split, record.planner)
         first = chosen.setdefault(key, record)
         if first is not record and record.covers_split:
@@ -50,7 +50,7 @@ def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
     return sorted(selected, key=lambda record: (record.run.data.name, record.run.split, record.planner))
 
 
-def _preference(record: RunRecord) -> tuple[bool, int, list[str], str]:
+def _preference_key(record: RunRecord) -> tuple[bool, int, list[str], str]:
     return not record.covers_split, -len(record.run.scenes), record.run.scenes, record.directory.as_posix()
 
 
@@ -62,28 +62,28 @@ def _require_same_content(records: Sequence[RunRecord]) -> None:
         if first.judged_content[1] != record.judged_content[1]:
             raise InputError(
                 f"{first.directory} and {record.directory} ran under different verdicts of inspectors on "
-                f"{split_of(record.run.split, record.run.data.name)} ({_verdicts(first)} and {_verdicts(record)}); run "
+                f"{format_split(record.run.split, record.run.data.name)} ({_verdict_key(first)} and {_verdict_key(record)}); run "
                 "challenger-bench eval again for the older one, or move it away"
             )
         if first.run.data.fingerprint != record.run.data.fingerprint:
             raise InputError(
                 f"{first.directory} and {record.directory} ran on different content of "
-                f"{split_of(record.run.split, record.run.data.name)} (the data fingerprints differ); run "
+                f"{format_split(record.run.split, record.run.data.name)} (the data fingerprints differ); run "
                 "challenger-bench eval again for the older "
                 "one, or move it away"
             )
 
 
-def _verdicts(record: RunRecord) -> str:
+def _verdict_key(record: RunRecord) -> str:
     review = record.run.review
     return NOT_REVIEWED if review is None else f"review {review.content[:12]}"
 
 
 def _require_one_split(records: Sequence[RunRecord]) -> None:
     """Adversarial scenes under the name of another split would be compared with themselves: an increase of 0."""
-    adversarial = {_scenes(record): record for record in records if record.run.split == "adv"}
+    adversarial = {_scene_key(record): record for record in records if record.run.split == "adv"}
     for record in records:
-        same = adversarial.get(_scenes(record))
+        same = adversarial.get(_scene_key(record))
         if same is not None and record is not same and record.run.split != "adv":
             raise InputError(
                 f"{record.directory} and {same.directory} hold the same scenes of {record.run.data.name} as split "
@@ -99,7 +99,7 @@ def _require_one_split(records: Sequence[RunRecord]) -> None:
             )
 
 
-def _scenes(record: RunRecord) -> tuple[str, str, tuple[str, ...]]:
+def _scene_key(record: RunRecord) -> tuple[str, str, tuple[str, ...]]:
     return record.run.data.name, record.run.data.fingerprint, tuple(record.run.scenes)
 
 
@@ -140,7 +140,7 @@ def write_results(
 
 def _results_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
     """The tables of the page in reading order: collisions, what changes between splits, transfer, diagnosis."""
-    frame = Frame(data_name, records)
+    frame = DataSetRuns(data_name, records)
     tables: list[Table | None] = [
         effect_table(frame),
         collision_table(frame, EXACT),
@@ -149,18 +149,18 @@ def _results_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]
     ]
     adversarial = [record for record in frame.runs if record.run.split == "adv"]
     if len(adversarial) > 1:
-        for matrix in both_matrices(adversarial, EXACT):
+        for matrix in build_both_matrices(adversarial, EXACT):
             tables += [transfer_table(data_name, matrix), lift_table(data_name, matrix)]
     tables += diagnosis_tables(frame)
     return [table for table in tables if table is not None]
 
 
-def stale_results(folder: Path, made_from: Mapping[str, Any]) -> list[str]:
+def find_stale_results(folder: Path, made_from: Mapping[str, Any]) -> list[str]:
     """One sentence for each reason why results are not what would be measured now; nothing is measured for that.
 
     `made_from` is what they would be made from now.
     """
-    numbers = read_kept_json(folder / NUMBERS)
+    numbers = read_cached_json(folder / NUMBERS)
     if not isinstance(numbers, dict) or not isinstance(numbers.get("made_from"), dict):
         return [f"there are no results in {folder}"]
     before = numbers["made_from"]

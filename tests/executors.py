@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
-from benchmark.machine.progress import Count
+from benchmark.machine.progress import CountedUnits
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -21,7 +21,7 @@ class Forbidden:
         *,
         total: int,
         label: str,
-        count: Count | None = None,
+        count: CountedUnits | None = None,
     ) -> Iterator[Result]:
         assert total == 0, f"{label}: {total} again"
         assert list(items) == []

@@ -7,10 +7,10 @@ import shapely
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.geometry import Floats, quaternion_from_yaw
-from benchmark.machine.storage import token
+from benchmark.machine.storage import make_token
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
 from benchmark.scene import Agents, Annotations, EgoTrack, Scene
-from generation.sources.rig import default_cameras, default_lidar
+from generation.sources.rig import build_default_cameras, build_default_lidar
 
 LANE_WIDTH_M = 3.5
 ROAD_X_M = (0.0, 400.0)
@@ -97,7 +97,7 @@ def scene_on_straight_road(
     )
     return Scene(
         name=name,
-        token=token("hand-made", name),
+        token=make_token("hand-made", name),
         description=description,
         log=f"n000-{name}",
         vehicle="n000",
@@ -107,8 +107,8 @@ def scene_on_straight_road(
         ego=ego,
         agents=agents,
         annotations=annotations,
-        cameras=default_cameras(),
-        lidar=default_lidar(),
+        cameras=build_default_cameras(),
+        lidar=build_default_lidar(),
         road_map=straight_road(),
     )
 
@@ -141,7 +141,7 @@ def _agents(cars: tuple[Car, ...], time: Floats, scene: str) -> Agents:
         position[row, :, 1] = car.y + car.speed * np.sin(car.yaw) * time
         position[row, :, 2] = car.size[2] / 2
     return Agents(
-        ids=tuple(token("car", scene, row) for row in range(len(cars))),
+        ids=tuple(make_token("car", scene, row) for row in range(len(cars))),
         categories=tuple(car.category for car in cars),
         position=position,
         yaw=np.repeat(np.array([car.yaw for car in cars], dtype=np.float64)[:, None], count, axis=1),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.machine.extension import OFFERS, imported
+from benchmark.machine.extension import OFFERS, import_reference
 from tests.test_layers import ALLOWED, ROOT, extension_of, modules
 from tests.whole_product import needs_extensions
 
@@ -75,7 +75,7 @@ def run_all_absent(arguments: list[str], where: Path, *, of: Path) -> subprocess
 def test_what_extensions_offer_is_there() -> None:
     for kind, offered in OFFERS.items():
         for name, reference in offered.items():
-            found = imported(reference)
+            found = import_reference(reference)
             # What golden sets offer is declared, and a method of it is run.
             assert callable(getattr(found, "verify", found)), (kind, name)
 

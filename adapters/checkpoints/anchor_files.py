@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from adapters.models import MOTION_ANCHORS, published_models
-from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS, Sightings, anchors_of
+from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS, AnchorSamples, cluster_anchors
 from adapters.networks.sparse.config import SparseConfig
 from benchmark.constants import DETECTION_CLASS_OF_CATEGORY, DETECTION_CLASSES, FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.datasets.roots import DataSet
-from benchmark.datasets.sample_truth import planar_lidar_poses
+from benchmark.datasets.sample_truth import compute_planar_lidar_poses
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_global, to_local, transform_matrix, yaw_of_quaternion
 from benchmark.machine.storage import file_sha256
@@ -61,20 +61,20 @@ def read_motion_anchors(path: Path) -> Tensor:
     return torch.from_numpy(anchors).float()
 
 
-def anchors_beside(path: Path, tensors: Mapping[str, Tensor]) -> Path | None:
+def find_anchors_beside(path: Path, tensors: Mapping[str, Tensor]) -> Path | None:
     """File of the anchors that lie beside a checkpoint of UniAD which has none, under their published name."""
     if MOTION_ANCHORS in tensors or not _is_uniad(tensors):
         return None
-    return published_beside(path)
+    return find_published_beside(path)
 
 
-def published_beside(path: Path) -> Path | None:
+def find_published_beside(path: Path) -> Path | None:
     """The file of the published name in the folder of another, if there is one."""
     beside = path.with_name(FILE)
     return beside if beside.is_file() else None
 
 
-def with_motion_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path) -> dict[str, Tensor]:
+def add_motion_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path) -> dict[str, Tensor]:
     """Tensors of UniAD and its anchors; those of another model, or with other anchors, are refused."""
     if not _is_uniad(tensors):
         raise InputError(
@@ -104,7 +104,7 @@ MAP_AHEAD_M: Final = 30.0
 """Half the sides of the rectangle around the lidar in which map elements are looked for."""
 
 
-def sightings_of(data: DataSet, split: str | None, config: SparseConfig) -> Sightings:
+def collect_anchor_samples(data: DataSet, split: str | None, config: SparseConfig) -> AnchorSamples:
     """Sightings of all key frames of a split, in the order of scenes and time.
 
     Futures and plans that the recording cuts off are left out. A network that plans other steps than a data set has is
@@ -120,14 +120,14 @@ def sightings_of(data: DataSet, split: str | None, config: SparseConfig) -> Sigh
         scene = data.scene(name)
         classes = detected_classes(scene)
         boxes.append(box_centres(scene, classes))
-        for pose in planar_lidar_poses(scene) if data.has_map(name) else ():
+        for pose in compute_planar_lidar_poses(scene) if data.has_map(name) else ():
             middles.append(line_centres(scene.road_map, pose, config.points_per_line))
         for row, kind in enumerate(classes):
             if kind >= 0:
                 futures[kind].append(agent_futures(scene, row, config.agent_steps))
         for command, plan in _plans(data.truth(name)):
             plans[command].append(plan[None])
-    return Sightings(
+    return AnchorSamples(
         box_centres=np.concatenate(boxes),
         line_centres=np.concatenate(middles),
         futures=[np.concatenate(parts) for parts in futures],
@@ -229,7 +229,7 @@ class AnchorFile:
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {"path": str(self.path), "sha256": self.sha256, **_facts(self)}
+        return {"path": str(self.path), "sha256": self.sha256, **_metadata(self)}
 
 
 def write_anchors(model: str, data: DataSet, split: str | None, path: Path) -> AnchorFile:
@@ -251,17 +251,17 @@ def write_anchors(model: str, data: DataSet, split: str | None, path: Path) -> A
     if model not in known:
         raise InputError(f"{model!r} is no model with anchors; those are {', '.join(known)}")
     config = known[model].configuration()
-    samples = sightings_of(data, split, config)
+    samples = collect_anchor_samples(data, split, config)
     counts = {
         "boxes": len(np.asarray(samples.box_centres)),
         "map elements": len(np.asarray(samples.line_centres)),
         "futures": sum(len(np.asarray(futures)) for futures in samples.futures),
         "plans": sum(len(np.asarray(plans)) for plans in samples.plans),
     }
-    anchors = anchors_of(samples, config)
+    anchors = cluster_anchors(samples, config)
     source = {"name": data.name, "fingerprint": data.fingerprint()}
     anchor_file = AnchorFile(path, "", model, source, split, counts)
-    write_tensors(path, anchors, _facts(anchor_file), entry=_ENTRY)
+    write_tensors(path, anchors, _metadata(anchor_file), entry=_ENTRY)
     return AnchorFile(path, file_sha256(path), model, source, split, counts)
 
 
@@ -273,7 +273,7 @@ def read_anchors(path: Path) -> dict[str, Tensor]:
     return anchors
 
 
-def _facts(anchor_file: AnchorFile) -> dict[str, Any]:
+def _metadata(anchor_file: AnchorFile) -> dict[str, Any]:
     return {
         "model": anchor_file.model,
         "data": anchor_file.data,

@@ -13,9 +13,9 @@ from torch import Tensor, nn
 
 from benchmark.errors import InputError
 from benchmark.machine.workspace import weights_root
-from benchmark.report.terminal import wrapped
+from benchmark.report.terminal import wrap_text
 from benchmark.weights.catalogue import CHECKPOINTS, FOLDERS, PublishedWeights
-from benchmark.weights.folders import kept_folder
+from benchmark.weights.folders import find_cached_folder
 from benchmark.weights.tensors import read_header, read_tensors, write_tensors
 
 _AGAIN: Final = "import or fetch them again"
@@ -111,7 +111,7 @@ def _provenance(path: Path, facts: Any) -> Provenance:
 
 
 @dataclass(frozen=True, slots=True)
-class KnownWeights:
+class WeightsListing:
     """Published weights. `imported` is what has been imported for a model, from its file or another, or the folder."""
 
     weights: PublishedWeights
@@ -170,12 +170,12 @@ class KnownWeights:
                 if provenance is not None
             ]
         every = lines if self.imported else [*lines, "  not imported"]
-        return "\n".join(line for text in every for line in _wrapped(text))
+        return "\n".join(line for text in every for line in _wrap(text))
 
 
 def known_weights(
     cache: Path | None = None, entries: Sequence[PublishedWeights] = (*CHECKPOINTS, *FOLDERS)
-) -> tuple[KnownWeights, ...]:
+) -> tuple[WeightsListing, ...]:
     """Published weights and what is here of them.
 
     Args:
@@ -185,16 +185,16 @@ def known_weights(
     Returns:
         One for each entry.
     """
-    return tuple(KnownWeights(entry, _imported(entry, cache or weights_folder())) for entry in entries)
+    return tuple(WeightsListing(entry, _find_imported(entry, cache or weights_folder())) for entry in entries)
 
 
-def _wrapped(text: str) -> list[str]:
+def _wrap(text: str) -> list[str]:
     indent = text[: len(text) - len(text.lstrip())]
-    return wrapped(text.strip(), indent=indent, hanging="  ")
+    return wrap_text(text.strip(), indent=indent, hanging="  ")
 
 
-def _imported(weights: PublishedWeights, cache: Path) -> dict[Path, Provenance | None]:
+def _find_imported(weights: PublishedWeights, cache: Path) -> dict[Path, Provenance | None]:
     if not weights.is_folder:
         return dict(cached_weights(cache, weights.name))
-    folder = kept_folder(weights, cache)
+    folder = find_cached_folder(weights, cache)
     return {} if folder is None else {folder: None}

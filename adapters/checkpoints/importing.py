@@ -13,9 +13,14 @@ from typing import Any, Final, Self
 import torch
 from torch import Tensor
 
-from adapters.camera_inputs import NORMALISATIONS, normalisation_of
+from adapters.camera_inputs import NORMALISATIONS, find_normalisation
 from adapters.checkpoints.anchor_files import FILE as ANCHORS_FILE
-from adapters.checkpoints.anchor_files import anchors_beside, published_beside, read_anchors, with_motion_anchors
+from adapters.checkpoints.anchor_files import (
+    add_motion_anchors,
+    find_anchors_beside,
+    find_published_beside,
+    read_anchors,
+)
 from adapters.checkpoints.cache import (
     Provenance,
     cached_weights,
@@ -24,13 +29,13 @@ from adapters.checkpoints.cache import (
     weights_path,
     write_weights,
 )
-from adapters.checkpoints.stand_in import no_weights, official_weights, what_to_get
+from adapters.checkpoints.stand_in import describe_how_to_get, missing_weights_error, official_weights
 from adapters.models import Model, published_model, published_models
-from adapters.networks.sparse.anchors import with_anchors
+from adapters.networks.sparse.anchors import add_anchors
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
-from benchmark.machine.storage import file_sha256, only_writer
-from benchmark.report.words import counted
+from benchmark.machine.storage import file_sha256, lock_folder
+from benchmark.report.words import pluralise
 from benchmark.untrusted.files import CHECKPOINT, PICKLE, open_file
 from benchmark.weights.catalogue import PublishedWeights
 from benchmark.weights.fetch import fetch_files
@@ -56,7 +61,7 @@ class TensorMatch:
 
     @classmethod
     def of(cls, tensors: Mapping[str, Tensor], model: Model) -> Self:
-        """Differences in names, shapes and kinds of numbers; `tensors` are under the model's names (`renamed`)."""
+        """Differences in names, shapes and kinds of numbers; `tensors` are under the model's names (`rename_tensors`)."""
         expected = expected_tensors(model, {name: tuple(tensor.shape) for name, tensor in tensors.items()})
         shared = [name for name in expected if name in tensors]
         misshapen = [name for name in shared if tensors[name].shape != expected[name].shape]
@@ -101,7 +106,7 @@ def expected_tensors(model: Model, shapes: Mapping[str, Sequence[int]]) -> dict[
     return dict(model.build(shapes, device="meta").state_dict())
 
 
-def renamed(tensors: Mapping[str, Tensor], model: Model) -> dict[str, Tensor]:
+def rename_tensors(tensors: Mapping[str, Tensor], model: Model) -> dict[str, Tensor]:
     """Tensors under the names that a model has now, without those that it is known not to need."""
     by_name = {}
     for name, tensor in tensors.items():
@@ -112,30 +117,30 @@ def renamed(tensors: Mapping[str, Tensor], model: Model) -> dict[str, Tensor]:
     return by_name
 
 
-def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tuple[Model, dict[str, Tensor]]:
+def match_model(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tuple[Model, dict[str, Tensor]]:
     """The model that tensors are the weights of, and the tensors under its names, in its order and its number types.
 
     Tensors with NaN or infinity are refused, as are those that fit no model or not the `wanted` one.
     """
-    compared = [TensorMatch.of(renamed(tensors, model), model) for model in published_models().values()]
+    compared = [TensorMatch.of(rename_tensors(tensors, model), model) for model in published_models().values()]
     fitting = [candidate for candidate in compared if candidate.fits and wanted in (None, candidate.model.name)]
     if not fitting:
-        raise InputError(_does_not_fit(path, compared, wanted))
+        raise InputError(_describe_mismatch(path, compared, wanted))
     model = fitting[0].model
-    candidate = renamed(tensors, model)
+    candidate = rename_tensors(tensors, model)
     expected = expected_tensors(model, {name: tuple(tensor.shape) for name, tensor in candidate.items()})
     converted = {name: candidate[name].to(like.dtype).contiguous() for name, like in expected.items()}
     broken = [name for name, tensor in converted.items() if not bool(torch.isfinite(tensor).all())]
     if broken:
         raise InputError(
-            f"{path}: {counted(len(broken), 'tensor')} hold NaN or infinity (first: {broken[0]}); the file is "
+            f"{path}: {pluralise(len(broken), 'tensor')} hold NaN or infinity (first: {broken[0]}); the file is "
             "damaged or the "
             "training diverged, get another"
         )
     return model, converted
 
 
-def _does_not_fit(path: Path, compared: Sequence[TensorMatch], wanted: str | None) -> str:
+def _describe_mismatch(path: Path, compared: Sequence[TensorMatch], wanted: str | None) -> str:
     other = next((match.model.name for match in compared if match.fits), None)
     if other is not None:
         return f"{path} holds the weights of {other}, not of {wanted}; use it with --model {other}"
@@ -181,7 +186,7 @@ class ImportedWeights:
         """Sentence about the weights."""
         known = self.provenance
         return (
-            f"{self.path}: {known.model}, {counted(self.tensors, 'tensor')}, {self.parameters / 1e6:.1f} M numbers, "
+            f"{self.path}: {known.model}, {pluralise(self.tensors, 'tensor')}, {self.parameters / 1e6:.1f} M numbers, "
             f"pixel values {known.normalisation} (said by: {known.normalisation_from})"
         )
 
@@ -213,9 +218,9 @@ def import_checkpoint(
     if model is not None:
         published_model(model)
     checkpoint = read_checkpoint(path)
-    anchors = anchors or anchors_beside(path, checkpoint.tensors)
-    matched_model, tensors = matched(path, _with_anchors(path, checkpoint.tensors, anchors), model)
-    wanted, said_by = _normalisation(path, checkpoint.configuration, matched_model, normalisation)
+    anchors = anchors or find_anchors_beside(path, checkpoint.tensors)
+    matched_model, tensors = match_model(path, _add_anchors(path, checkpoint.tensors, anchors), model)
+    wanted, said_by = _find_normalisation(path, checkpoint.configuration, matched_model, normalisation)
     digest = file_sha256(path)
     official = official_weights(matched_model.name)
     provenance = Provenance(
@@ -237,10 +242,10 @@ def import_checkpoint(
 def fetch_checkpoint(weights: PublishedWeights, cache: Path, *, normalisation: str | None = None) -> ImportedWeights:
     """Fetch an official checkpoint and what it needs, check and import them; the fetched files themselves are not kept.
 
-    The same command goes on where a download broke off. `weights` is of `benchmark.weights.catalogue.checkpoint_of`.
+    The same command goes on where a download broke off. `weights` is of `benchmark.weights.catalogue.find_checkpoint`.
     """
     folder = cache / f".fetching-{weights.name}"
-    with only_writer(folder):
+    with lock_folder(folder):
         fetch_files(weights, folder)
         try:
             return import_checkpoint(folder / weights.files[0].name, weights.name, cache, normalisation=normalisation)
@@ -257,9 +262,9 @@ def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None =
     """
     folder = cache or weights_folder()
     if checkpoint is None:
-        return _imported(model, folder)
+        return _find_imported(model, folder)
     if not checkpoint.is_file():
-        raise InputError(f"there is no checkpoint {checkpoint}; {what_to_get(model)}")
+        raise InputError(f"there is no checkpoint {checkpoint}; {describe_how_to_get(model)}")
     if checkpoint.suffix == ".safetensors":
         provenance = read_provenance(checkpoint)
         if provenance.model != model:
@@ -271,40 +276,40 @@ def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None =
     open_file(checkpoint, CHECKPOINT).close()
     digest = file_sha256(checkpoint)
     known = {path: origin for path, origin in cached_weights(folder, model).items() if origin.source_sha256 == digest}
-    beside = published_beside(checkpoint) if published_model(model).net.anchors else None
+    beside = find_published_beside(checkpoint) if published_model(model).net.anchors else None
     if beside is not None:
         open_file(beside, PICKLE).close()
         anchor_digests = (None, file_sha256(beside))
         known = {path: origin for path, origin in known.items() if origin.anchors_sha256 in anchor_digests}
-    return _only(model, known) if known else import_checkpoint(checkpoint, model, folder).path
+    return _require_one(model, known) if known else import_checkpoint(checkpoint, model, folder).path
 
 
-def _with_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path | None) -> Mapping[str, Tensor]:
+def _add_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path | None) -> Mapping[str, Tensor]:
     if anchors is None:
         return tensors
     if anchors.suffix != ".safetensors":
-        return with_motion_anchors(path, tensors, anchors)
-    return with_anchors(tensors, read_anchors(anchors))
+        return add_motion_anchors(path, tensors, anchors)
+    return add_anchors(tensors, read_anchors(anchors))
 
 
-def _imported(model: str, folder: Path) -> Path:
+def _find_imported(model: str, folder: Path) -> Path:
     known = cached_weights(folder, model)
     if not known:
-        raise no_weights(model)
-    return _only(model, known)
+        raise missing_weights_error(model)
+    return _require_one(model, known)
 
 
-def _only(model: str, known: Mapping[Path, Provenance]) -> Path:
+def _require_one(model: str, known: Mapping[Path, Provenance]) -> Path:
     if len(known) > 1:
         listing = ", ".join(f"{path} (from {provenance.source})" for path, provenance in known.items())
         raise InputError(f"there are several weights for {model}: {listing}; choose one with --checkpoint")
     return next(iter(known))
 
 
-def _normalisation(path: Path, configuration: str, model: Model, requested: str | None) -> tuple[str, str]:
+def _find_normalisation(path: Path, configuration: str, model: Model, requested: str | None) -> tuple[str, str]:
     """Normalisation of the pixels that the weights want, and who says so."""
     if requested is not None:
-        return normalisation_of(requested).name, "user"
+        return find_normalisation(requested).name, "user"
     match = _NORM.search(configuration)
     if match is None:
         return model.net.published_normalisation, "publication"

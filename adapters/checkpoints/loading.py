@@ -8,20 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from adapters.camera_inputs import normalisation_of
+from adapters.camera_inputs import find_normalisation
 from adapters.checkpoints.cache import load_weights, read_shapes, weights_folder
 from adapters.checkpoints.importing import ImportedWeights, fetch_checkpoint, import_checkpoint, resolve_checkpoint
 from adapters.models import Model, resolve
-from adapters.planner import NativePlanner, options_of
+from adapters.planner import NativePlanner, select_options
 from benchmark.errors import InputError
 from benchmark.machine.devices import Precision
 from benchmark.machine.storage import file_sha256
-from benchmark.weights.catalogue import FOLDERS, PublishedWeights, checkpoint_of
-from benchmark.weights.folders import fetch_folder, import_folder, weights_at
+from benchmark.weights.catalogue import FOLDERS, PublishedWeights, find_checkpoint
+from benchmark.weights.folders import fetch_folder, import_folder, recognise_weights
 
 
 @dataclass(frozen=True, slots=True)
-class KeptWeights:
+class CachedWeightsFolder:
     """A folder of published weights in the cache."""
 
     weights: PublishedWeights
@@ -38,7 +38,7 @@ class KeptWeights:
 
 def import_weights(
     path: Path, model: str | None = None, *, normalisation: str | None = None, anchors: Path | None = None
-) -> ImportedWeights | KeptWeights:
+) -> ImportedWeights | CachedWeightsFolder:
     """Check official weights without running anything in them, and keep them.
 
     Args:
@@ -53,13 +53,13 @@ def import_weights(
     Raises:
         InputError: If the file or folder is refused, or the cache cannot be written.
     """
-    published = weights_at(path, model)
+    published = recognise_weights(path, model)
     if published is not None:
-        return KeptWeights(published, import_folder(published, path))
+        return CachedWeightsFolder(published, import_folder(published, path))
     return import_checkpoint(path, model, normalisation=normalisation, anchors=anchors)
 
 
-def fetch_weights(name: str, *, normalisation: str | None = None) -> ImportedWeights | KeptWeights:
+def fetch_weights(name: str, *, normalisation: str | None = None) -> ImportedWeights | CachedWeightsFolder:
     """Fetch official weights from the internet and keep them; the same call goes on where it broke off.
 
     Args:
@@ -74,11 +74,11 @@ def fetch_weights(name: str, *, normalisation: str | None = None) -> ImportedWei
     """
     published = next((entry for entry in FOLDERS if entry.name == name), None)
     if published is not None:
-        return KeptWeights(published, fetch_folder(published))
-    return fetch_checkpoint(checkpoint_of(name), weights_folder(), normalisation=normalisation)
+        return CachedWeightsFolder(published, fetch_folder(published))
+    return fetch_checkpoint(find_checkpoint(name), weights_folder(), normalisation=normalisation)
 
 
-def planner_of(
+def build_native_planner(
     model: Model,
     checkpoint: Path | None = None,
     seed: int = 0,
@@ -92,7 +92,7 @@ def planner_of(
     been imported. `seed` is of the noise, where there is some; ``bfloat16`` computes the matrix products in half the
     bytes; `as_published` as in `adapters.planner`.
     """
-    options = options_of(model.name, model.net.as_published, as_published)
+    options = select_options(model.name, model.net.as_published, as_published)
     if model.requires is not None:
         resolve(model.requires)()
     path = _weights_file(model, checkpoint)
@@ -101,7 +101,7 @@ def planner_of(
     planner: NativePlanner[Any] = resolve(model.planner)(
         network,
         name=model.name,
-        normalisation=normalisation_of(provenance.normalisation),
+        normalisation=find_normalisation(provenance.normalisation),
         weights_sha256=file_sha256(path),
         settings={"weights": provenance.model_dump(mode="json")},
         native_protocol=model.native_protocol,

@@ -44,14 +44,14 @@ def require_weights(name: str, checkpoint: Path | None) -> None:
     if model is None or model.network is None or checkpoint is not None:
         return
     if model.miniature is None and not has_weights(name):
-        raise no_weights(model.weights or model.name)
+        raise missing_weights_error(model.weights or model.name)
 
 
-def no_weights(model: str) -> InputError:
+def missing_weights_error(model: str) -> InputError:
     """Error that says that a full model has no weights."""
     small = miniature_of(model)
     instead = "" if small is None else f"; or try its small sibling, which comes with this package: --model {small}"
-    return InputError(f"there are no weights for {model}; {what_to_get(model)}{instead}")
+    return InputError(f"there are no weights for {model}; {describe_how_to_get(model)}{instead}")
 
 
 def official_weights(model: str) -> PublishedWeights | None:
@@ -59,7 +59,7 @@ def official_weights(model: str) -> PublishedWeights | None:
     return next((entry for entry in CHECKPOINTS if entry.name == model), None)
 
 
-def what_to_get(model: str) -> str:
+def describe_how_to_get(model: str) -> str:
     """Sentence that says where the weights of a model are had."""
     official = official_weights(model)
     if official is None:

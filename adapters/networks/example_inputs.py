@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from adapters.camera_inputs import NUSCENES_IMAGE, ImageFormat, Pixels
+from adapters.camera_inputs import NUSCENES_IMAGE, NetworkImageFormat, Pixels
 from benchmark.constants import CAMERA_NAMES
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
@@ -14,7 +14,7 @@ _FOCAL_PX: Final = (1266.0, 1266.0, 1266.0, 809.0, 1260.0, 1260.0)
 _BELOW_LIDAR_M: Final = 0.3
 
 
-def example_images(image_format: ImageFormat) -> Pixels:
+def example_images(image_format: NetworkImageFormat) -> Pixels:
     """Noise, (6, 3, H, W), in the place of normalised images, zero in the padding; the same every time."""
     generator = np.random.default_rng(content_seed("example images"))
     images = np.zeros((len(CAMERA_NAMES), 3, *image_format.padded), np.float32)
@@ -24,7 +24,7 @@ def example_images(image_format: ImageFormat) -> Pixels:
     return images
 
 
-def example_projections(image_format: ImageFormat) -> Floats:
+def example_projections(image_format: NetworkImageFormat) -> Floats:
     """Projections, (6, 4, 4), of a rig like that of nuScenes, all lenses below the lidar.
 
     Lidar frame to pixels of the network's images, as `adapters.camera_inputs.lidar_to_image` has them.

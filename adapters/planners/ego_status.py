@@ -17,7 +17,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Command, Observation, Plan, PlanFrame, SceneInfo
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 from benchmark.weights.tensors import read_tensors
 
 PAST_STEPS = 4
@@ -28,7 +28,7 @@ _WEIGHTS = "ego_status.safetensors"
 
 
 @dataclass(frozen=True, slots=True)
-class EgoMotion:
+class EgoStatusInputs:
     """Motion of the ego now and before, for B samples, in the ego frame of each.
 
     Attributes:
@@ -81,7 +81,7 @@ class EgoStatusNetwork(torch.nn.Module):
         )
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """Correction of the constant-velocity plan, (B, 6, 2) metres, from (B, 24) of `EgoMotion.features`."""
+        """Correction of the constant-velocity plan, (B, 6, 2) metres, from (B, 24) of `EgoStatusInputs.features`."""
         correction: torch.Tensor = self.layers(features)
         return correction.reshape(-1, PLAN_STEPS, 2)
 
@@ -110,7 +110,7 @@ class EgoStatus:
             self._network.load_state_dict(tensors)
         except RuntimeError as error:
             raise InputError(
-                f"{path} does not hold the weights of ego-status ({one_line(error)}); {instead}"
+                f"{path} does not hold the weights of ego-status ({to_one_line(error)}); {instead}"
             ) from error
         if not all(bool(torch.isfinite(tensor).all()) for tensor in self._network.state_dict().values()):
             raise InputError(f"the weights of ego-status in {path} hold NaN or infinity; {instead}")
@@ -122,13 +122,13 @@ class EgoStatus:
 
     def plan(self, observation: Observation) -> Plan:
         """Waypoints of the rear axle from ego motion and command, ego frame; images are not looked at."""
-        motion = motion_of(observation)
+        motion = read_ego_status(observation)
         with torch.inference_mode():
             correction = self._network(motion.features())[0].double().numpy()
         return Plan(motion.constant_velocity()[0] + correction, PlanFrame.EGO)
 
 
-def motion_of(observation: Observation) -> EgoMotion:
+def read_ego_status(observation: Observation) -> EgoStatusInputs:
     """Motion of the ego at one sample, a batch of one."""
     known = min(PAST_STEPS, len(observation.past_poses) - 1)
     past, valid = np.zeros((1, PAST_STEPS, 3)), np.zeros((1, PAST_STEPS), dtype=np.bool_)
@@ -137,7 +137,7 @@ def motion_of(observation: Observation) -> EgoMotion:
         now = observation.past_poses[-1]
         past[0, -known:] = np.column_stack([to_local(past_poses[:, :2], now), wrap_angle(past_poses[:, 2] - now[2])])
         valid[0, -known:] = observation.past_valid[-1 - known : -1]
-    return EgoMotion(
+    return EgoStatusInputs(
         past=past,
         past_valid=valid,
         velocity=np.asarray(observation.ego.velocity, float)[None],

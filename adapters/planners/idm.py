@@ -20,8 +20,8 @@ from benchmark.constants import (
     PLAN_STEP_S,
     PLAN_STEPS,
 )
-from benchmark.dynamics.idm import DriverSettings, idm_acceleration
-from benchmark.dynamics.lane_path import Path, lane_path, straight_path
+from benchmark.dynamics.idm import DriverParameters, idm_acceleration
+from benchmark.dynamics.lane_path import LanePath, build_lane_path, build_straight_path
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.planning import Forecasts, Observation, Plan, PlanFrame, SceneInfo
 from benchmark.scene import Scene
@@ -46,7 +46,7 @@ class Obstacles:
 
 
 @dataclass(frozen=True, slots=True)
-class _Expectation:
+class _ExpectedPlaces:
     """Places beside a path where A others are expected at K instants.
 
     `crossing` and `ahead` (whether it can be met at all) are (A,), as is the heading of the path beside it now;
@@ -61,7 +61,7 @@ class _Expectation:
 
 
 def obstacles_along(
-    path: Path, boxes: Floats, velocity: Floats, seconds: Floats, *, side_margin_m: float, foresight_s: float
+    path: LanePath, boxes: Floats, velocity: Floats, seconds: Floats, *, side_margin_m: float, foresight_s: float
 ) -> Obstacles:
     """Others that will be in the corridor.
 
@@ -72,7 +72,7 @@ def obstacles_along(
     `boxes` are (A, 5) present ones and `velocity` (A, 2) m/s, global; `seconds` (K,) instants from now;
     `side_margin_m` is room beside the car that counts as its corridor.
     """
-    expected = _expectation(path, boxes, velocity, seconds, foresight_s)
+    expected = _expect_places(path, boxes, velocity, seconds, foresight_s)
     # A box is turned to the path as now, unless it goes straight on where the path does not.
     heading_there = np.where(expected.crossing[:, None], path.heading_at(expected.along), expected.heading[:, None])
     half_along, half_across = _half_extents(boxes, heading_there)
@@ -82,38 +82,40 @@ def obstacles_along(
     return Obstacles(
         rear=np.where(inside, expected.along - half_along, np.inf),
         front=np.where(inside, expected.along + half_along, np.inf),
-        speed=_turned_by(velocity[:, None], heading_there)[0],
+        speed=_along_and_left(velocity[:, None], heading_there)[0],
     )
 
 
-def expected_centres(path: Path, boxes: Floats, velocity: Floats, seconds: Floats, *, foresight_s: float) -> Floats:
+def expected_centres(path: LanePath, boxes: Floats, velocity: Floats, seconds: Floats, *, foresight_s: float) -> Floats:
     """Centres where others are expected, (A, K, 2) global metres, by the rules and arguments of `obstacles_along`.
 
     In the plane instead of along the path; beyond its ends the path goes straight on.
     """
     now_and_then = np.concatenate([[0.0], seconds])
-    expected = _expectation(path, boxes, velocity, now_and_then, foresight_s)
-    beside = _beside(path, expected.along, expected.left)
+    expected = _expect_places(path, boxes, velocity, now_and_then, foresight_s)
+    beside = _to_points(path, expected.along, expected.left)
     # A point far from a bend is not quite where its place beside the path is; its motion is taken, from where it is.
     following = boxes[:, None, :2] + beside[:, 1:] - beside[:, :1]
     straight = boxes[:, None, :2] + velocity[:, None] * seconds[:, None]
     return np.where(expected.crossing[:, None, None], straight, following)
 
 
-def _expectation(path: Path, boxes: Floats, velocity: Floats, seconds: Floats, foresight_s: float) -> _Expectation:
+def _expect_places(
+    path: LanePath, boxes: Floats, velocity: Floats, seconds: Floats, foresight_s: float
+) -> _ExpectedPlaces:
     along, left = path.project(boxes[:, :2])
     heading = path.heading_at(along)
     direction = np.arctan2(velocity[:, 1], velocity[:, 0])
     turned = np.abs(wrap_angle(np.where(np.hypot(*velocity.T) > 0.3, direction, boxes[:, 4]) - heading))
     crossing, oncoming = (turned > _CROSSING_RAD) & (turned < _ONCOMING_RAD), turned >= _ONCOMING_RAD
 
-    forward, sideways = _turned_by(velocity, heading)
+    forward, sideways = _along_and_left(velocity, heading)
     # What follows behind cannot lead, even where, going on as it does, it would drive through the ego.
     ahead = crossing | (along > 0.0)
     sideways_s = np.where(oncoming[:, None], 0.0, np.minimum(seconds, foresight_s))
     straight = boxes[:, None, :2] + velocity[:, None] * seconds[:, None]
     straight_along, straight_left = path.project(straight)
-    return _Expectation(
+    return _ExpectedPlaces(
         crossing=crossing,
         ahead=ahead,
         heading=heading,
@@ -122,8 +124,8 @@ def _expectation(path: Path, boxes: Floats, velocity: Floats, seconds: Floats, f
     )
 
 
-def _beside(path: Path, along: Floats, left: Floats) -> Floats:
-    """(..., 2) points beside a path; the inverse of `Path.project`."""
+def _to_points(path: LanePath, along: Floats, left: Floats) -> Floats:
+    """(..., 2) points beside a path; the inverse of `LanePath.project`."""
     on_path = np.clip(along, 0.0, path.arc_length[-1])
     heading = np.interp(on_path, path.arc_length, path.heading)
     direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -131,7 +133,7 @@ def _beside(path: Path, along: Floats, left: Floats) -> Floats:
     return np.asarray(path.at(on_path) + (along - on_path)[..., None] * direction + left[..., None] * to_the_left)
 
 
-def _turned_by(velocity: Floats, heading: Floats) -> tuple[Floats, Floats]:
+def _along_and_left(velocity: Floats, heading: Floats) -> tuple[Floats, Floats]:
     """Components along and to the left of a heading."""
     cos, sin = np.cos(heading), np.sin(heading)
     return velocity[..., 0] * cos + velocity[..., 1] * sin, velocity[..., 1] * cos - velocity[..., 0] * sin
@@ -160,7 +162,7 @@ class IntelligentDriver:
     name = "idm"
 
     def __init__(self) -> None:
-        self._driver = DriverSettings()
+        self._driver = DriverParameters()
         self.settings = asdict(self._driver)
         self._scene: Scene | None = None
 
@@ -179,10 +181,10 @@ class IntelligentDriver:
         pose, speed = observation.ego.pose, max(float(observation.ego.velocity[0]), 0.0)
         fastest = max(speed, min(speed + self._driver.acceleration * _HORIZON_S, self._driver.speed_limit))
         length_m = fastest * (_HORIZON_S + self._driver.time_gap_s) + 20.0
-        path = lane_path(self._scene.road_map, pose, observation.command, speed, length_m)
+        path = build_lane_path(self._scene.road_map, pose, observation.command, speed, length_m)
         if path is None:
-            path = straight_path(pose, length_m)
-        boxes, velocity = _others_now(self._scene, observation, self._driver.sight_m)
+            path = build_straight_path(pose, length_m)
+        boxes, velocity = _observe_others(self._scene, observation, self._driver.sight_m)
         obstacles = obstacles_along(
             path,
             boxes,
@@ -191,12 +193,12 @@ class IntelligentDriver:
             side_margin_m=self._driver.side_margin_m,
             foresight_s=self._driver.foresight_s,
         )
-        travelled = drive(path, speed, obstacles, self._driver)
+        travelled = simulate_motion(path, speed, obstacles, self._driver)
         centres = expected_centres(path, boxes, velocity, _STEP_SECONDS, foresight_s=self._driver.foresight_s)
         return Plan(to_local(path.at(travelled), pose), PlanFrame.EGO, forecasts=_forecasts(boxes, centres, pose))
 
 
-def drive(path: Path, speed: float, obstacles: Obstacles, driver: DriverSettings) -> Floats:
+def simulate_motion(path: LanePath, speed: float, obstacles: Obstacles, driver: DriverParameters) -> Floats:
     """Distances travelled, (6,) metres at the plan's steps, in intelligent-driver motion along a path.
 
     `speed` is that of now, m/s.
@@ -216,7 +218,7 @@ def drive(path: Path, speed: float, obstacles: Obstacles, driver: DriverSettings
     return np.array(distances)
 
 
-def _speed_for_bends(path: Path, allowed: Floats, travelled: float, driver: DriverSettings) -> float:
+def _speed_for_bends(path: LanePath, allowed: Floats, travelled: float, driver: DriverParameters) -> float:
     """Highest speed now from which each bend ahead can be reached at its own speed by comfortable braking."""
     ahead = path.arc_length - travelled
     reachable = np.sqrt(allowed**2 + 2 * driver.comfortable_braking * np.maximum(ahead, 0.0))
@@ -233,13 +235,15 @@ def _leader(obstacles: Obstacles, step: int, travelled: float) -> tuple[float, f
     return float(gaps[nearest]), float(obstacles.speed[nearest, step])
 
 
-def _others_now(scene: Scene, observation: Observation, sight_m: float) -> tuple[Floats, Floats]:
+def _observe_others(scene: Scene, observation: Observation, sight_m: float) -> tuple[Floats, Floats]:
     """Boxes now and their velocities, (A, 5) and (A, 2), of everything within sight.
 
     The velocity is that of the last half second, or of the next one for what has just appeared, as in the devkit.
     """
     now, agents = observation.index, scene.agents
-    frame, previous, following = (int(scene.keyframes[at]) for at in (now, max(now - 1, 0), min(now + 1, _last(scene))))
+    frame, previous, following = (
+        int(scene.keyframes[at]) for at in (now, max(now - 1, 0), min(now + 1, _last_key_frame(scene)))
+    )
     in_sight = np.hypot(*(agents.position[:, frame, :2] - observation.ego.pose[:2]).T) < sight_m
     rows = np.flatnonzero(agents.valid[:, frame] & in_sight)
     positions, seconds = agents.position[rows, frame, :2], scene.seconds
@@ -262,5 +266,5 @@ def _forecasts(boxes: Floats, centres: Floats, pose: Floats) -> Forecasts:
     )
 
 
-def _last(scene: Scene) -> int:
+def _last_key_frame(scene: Scene) -> int:
     return len(scene.keyframes) - 1

@@ -42,7 +42,7 @@ class LogReplay:
         elapsed = max(float(seconds[-1] - seconds[last]), 1e-9)
         velocity = (lidar[-1] - lidar[last]) / elapsed
         beyond = seconds[scene.keyframes[-1]] + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
-        self._lidar_path = np.concatenate([keyframes, _at(beyond, seconds, lidar, velocity)])
+        self._lidar_path = np.concatenate([keyframes, _extrapolate(beyond, seconds, lidar, velocity)])
 
     def plan(self, observation: Observation) -> Plan:
         """The recorded future: waypoints of the lidar origin, lidar frame; in closed loop of the rear axle, ego frame.
@@ -58,7 +58,7 @@ class LogReplay:
         return Plan(np.column_stack([-forward_left[:, 1], forward_left[:, 0]]), PlanFrame.LIDAR)
 
 
-def _at(when: Floats, seconds: Floats, path: Floats, velocity: Floats) -> Floats:
+def _extrapolate(when: Floats, seconds: Floats, path: Floats, velocity: Floats) -> Floats:
     """Positions at times after the last keyframe: recorded frames where there are any, then the last velocity."""
     inside = np.column_stack([np.interp(when, seconds, path[:, axis]) for axis in range(2)])
     return np.asarray(inside + np.maximum(when - seconds[-1], 0.0)[:, None] * velocity)

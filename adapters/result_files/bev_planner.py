@@ -5,9 +5,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from adapters.result_files.contract import LACKS, FileFrame, FilePlans, ResultFormat, Rows, key_of, numbers_of, refuse
-from adapters.result_files.samples import RecordedSamples, turned
-from adapters.result_files.uniad import SAME_M, entries_of
+from adapters.result_files.contract import (
+    LACKS,
+    FileFrame,
+    FilePlans,
+    ResultFormat,
+    Rows,
+    read_key,
+    read_numbers,
+    refuse,
+)
+from adapters.result_files.samples import RecordedSamples, rotate
+from adapters.result_files.uniad import SAME_M, unwrap_entries
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats
 
@@ -22,17 +31,17 @@ def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     """
     plans: dict[int, Floats] = {}
     duplicates = 0
-    for at, entry in enumerate(entries_of(content)):
-        held = key_of(path, entry, "pred_ego_traj", f"entry {at}")
-        stored = key_of(path, held, "pred_ego_fut_trajs", f"entry {at}")
-        plan = numbers_of(path, stored, f"the plan of entry {at}", (PLAN_STEPS, 2))
-        row = _row(path, key_of(path, held, "index_w_scene", f"entry {at}"), samples)
-        if held.get("index", entry.get("index")) != _index(held["index_w_scene"]):
+    for at, entry in enumerate(unwrap_entries(content)):
+        held = read_key(path, entry, "pred_ego_traj", f"entry {at}")
+        stored = read_key(path, held, "pred_ego_fut_trajs", f"entry {at}")
+        plan = read_numbers(path, stored, f"the plan of entry {at}", (PLAN_STEPS, 2))
+        row = _find_row(path, read_key(path, held, "index_w_scene", f"entry {at}"), samples)
+        if held.get("index", entry.get("index")) != _read_index(held["index_w_scene"]):
             refuse(path, "order", f"entry {at} has another index than its name {held['index_w_scene']}", _ADVICE)
-        path_global = numbers_of(path, held.get("ego_trajs_in_global"), f"the way of entry {at}", (PLAN_STEPS + 1, 2))
+        path_global = read_numbers(path, held.get("ego_trajs_in_global"), f"the way of entry {at}", (PLAN_STEPS + 1, 2))
         _require_pose(path, row, path_global[0], samples)
         stored = held.get("gt_ego_fut_trajs")
-        recorded = numbers_of(path, stored, f"the recorded future of entry {at}", (PLAN_STEPS, 2))
+        recorded = read_numbers(path, stored, f"the recorded future of entry {at}", (PLAN_STEPS, 2))
         _require_recorded(path, row, recorded, samples)
         if row in plans:
             if not np.array_equal(plans[row], plan):
@@ -40,7 +49,7 @@ def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
             duplicates += 1
         else:
             plans[row] = plan
-    return _found(path, plans, "ego poses and recorded displacements as ours", duplicates)
+    return _collect_plans(path, plans, "ego poses and recorded displacements as ours", duplicates)
 
 
 def read_json(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
@@ -53,14 +62,14 @@ def read_json(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
         refuse(path, "shape", "its trajs are no object", "make the file again with the official script")
     plans: dict[int, Floats] = {}
     for name, way in content["trajs"].items():
-        row = _row(path, name, samples)
-        points = numbers_of(path, way, f"the way of {name}", (PLAN_STEPS + 1, 2))
+        row = _find_row(path, name, samples)
+        points = read_numbers(path, way, f"the way of {name}", (PLAN_STEPS + 1, 2))
         _require_pose(path, row, points[0], samples)
-        plans[row] = turned(points[1:] - points[0], -float(samples.ego_pose[row, 2]))
-    return _found(path, plans, "ego poses as ours")
+        plans[row] = rotate(points[1:] - points[0], -float(samples.ego_pose[row, 2]))
+    return _collect_plans(path, plans, "ego poses as ours")
 
 
-def _found(path: Path, plans: dict[int, Floats], shown_by: str, duplicates: int = 0) -> FilePlans:
+def _collect_plans(path: Path, plans: dict[int, Floats], shown_by: str, duplicates: int = 0) -> FilePlans:
     if not plans:
         refuse(path, "empty", "it has no entries", "run the planner again")
     rows: Rows = np.array(list(plans), np.int64)
@@ -69,14 +78,14 @@ def _found(path: Path, plans: dict[int, Floats], shown_by: str, duplicates: int 
     )
 
 
-def _index(name: str) -> int:
+def _read_index(name: str) -> int:
     index = name.rpartition("-")[2]
     return int(index) if index.isascii() and index.isdigit() and len(index) < 10 else -1
 
 
-def _row(path: Path, name: Any, samples: RecordedSamples) -> int:
+def _find_row(path: Path, name: Any, samples: RecordedSamples) -> int:
     """The sample of ``scene-0553-12``: the number counts over all scenes of the info file."""
-    scene, index = (name.rpartition("-")[0], _index(name)) if isinstance(name, str) else ("", -1)
+    scene, index = (name.rpartition("-")[0], _read_index(name)) if isinstance(name, str) else ("", -1)
     if index < 0:
         refuse(path, "shape", f"it names a sample {str(name)[:60]!r}, not SCENE-NUMBER", "make the file again")
     if scene not in samples.scenes:
@@ -97,7 +106,7 @@ def _require_pose(path: Path, row: int, start: Floats, samples: RecordedSamples)
 
 
 def _require_recorded(path: Path, row: int, recorded: Floats, samples: RecordedSamples) -> None:
-    ours = turned(samples.future[row], float(samples.lidar_in_ego[row, 2]))
+    ours = rotate(samples.future[row], float(samples.lidar_in_ego[row, 2]))
     valid = samples.valid[row]
     away_m = float(np.where(valid, np.linalg.norm(recorded - ours, axis=1), 0.0).max())
     if away_m > SAME_M:

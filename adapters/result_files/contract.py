@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adapters.result_files.samples import RecordedSamples
 from benchmark.geometry import Floats
 from benchmark.records.run_schema import SampleOrder
-from benchmark.untrusted.files import Category, RefusedFile, one_line
+from benchmark.untrusted.files import Category, RefusedFileError, to_one_line
 
 Rows = NDArray[np.int64]
 LONG_PLAN_STEPS: Final = 12
@@ -73,7 +73,7 @@ class ResultFormat:
         name: As ``--format`` takes it.
         repositories: Whose files have it.
         native: Protocol of these repositories, if it is known here.
-        read: Finds plans and samples in the content of a file; raises `RefusedFile`.
+        read: Finds plans and samples in the content of a file; raises `RefusedFileError`.
         lacks: What the record therefore does not have, in words that fit behind "the record has no ".
         by_place: Whether samples are known by their place in the list alone.
     """
@@ -94,20 +94,20 @@ class ResultFormat:
 
 def refuse(path: Path, category: Category, what: str, advice: str) -> NoReturn:
     """Raise the refusal of a file: what is wrong with it, and what to do."""
-    raise RefusedFile(category, f"{path}: {what}; {advice}")
+    raise RefusedFileError(category, f"{path}: {what}; {advice}")
 
 
-def rows_of(path: Path, tokens: list[Any], samples: RecordedSamples) -> Rows:
+def find_rows(path: Path, tokens: list[Any], samples: RecordedSamples) -> Rows:
     """Rows of (N,) samples by foreign tokens; one that is no sample of the data, or none at all, is refused."""
     if not tokens:
         refuse(path, "empty", "it has no entries", "run the planner again")
     known = samples.row_of
     for token in tokens:
         if not isinstance(token, str):
-            refuse(path, "token", f"it names a sample {one_line(token, 40)!r}, which is no token", "make it again")
+            refuse(path, "token", f"it names a sample {to_one_line(token, 40)!r}, which is no token", "make it again")
     unknown = [token for token in tokens if token not in known]
     if unknown:
-        which = f"{len(unknown)} of its {len(tokens)} samples, the first {one_line(unknown[0], 64)!r},"
+        which = f"{len(unknown)} of its {len(tokens)} samples, the first {to_one_line(unknown[0], 64)!r},"
         other = None if samples.others is None else samples.others.first(lambda tokens: unknown[0] in tokens)
         if other is not None:
             fault = f"{which} are samples of split {other!r}, not of {samples.name}"
@@ -117,7 +117,7 @@ def rows_of(path: Path, tokens: list[Any], samples: RecordedSamples) -> Rows:
     return np.array([known[token] for token in tokens], np.int64)
 
 
-def refuse_twice(path: Path, rows: Rows, samples: RecordedSamples) -> None:
+def refuse_duplicates(path: Path, rows: Rows, samples: RecordedSamples) -> None:
     """Refuse a file with a sample twice."""
     distinct, counts = np.unique(rows, return_counts=True)
     if (counts > 1).any():
@@ -125,7 +125,7 @@ def refuse_twice(path: Path, rows: Rows, samples: RecordedSamples) -> None:
         refuse(path, "duplicate", f"sample {token} stands in it {counts.max()} times", "make it again from one run")
 
 
-def numbers_of(path: Path, value: Any, where: str, *shapes: tuple[int | None, ...]) -> Floats:
+def read_numbers(path: Path, value: Any, where: str, *shapes: tuple[int | None, ...]) -> Floats:
     """Foreign numbers of one of some shapes (``None`` for any length), finite, in double precision.
 
     `where` says what they are, for messages.
@@ -139,7 +139,7 @@ def numbers_of(path: Path, value: Any, where: str, *shapes: tuple[int | None, ..
         array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape))
         for shape in shapes
     )
-    is_numeric = array.dtype.kind in "fiu" and not _has_truths(value)
+    is_numeric = array.dtype.kind in "fiu" and not _has_booleans(value)
     if not is_numeric or not fits:
         have = " x ".join(map(str, array.shape)) if is_numeric else f"{type(value).__name__} of no numbers"
         refuse(path, "shape", f"{where} is {have}, not {expected}", "make the file again with the official script")
@@ -149,14 +149,14 @@ def numbers_of(path: Path, value: Any, where: str, *shapes: tuple[int | None, ..
     return numbers
 
 
-def _has_truths(value: Any) -> bool:
+def _has_booleans(value: Any) -> bool:
     """Whether nested lists hold true or false, which would count as 1 and 0 metres."""
     if isinstance(value, list | tuple):
-        return any(_has_truths(element) for element in value)
+        return any(_has_booleans(element) for element in value)
     return isinstance(value, bool)
 
 
-def key_of(path: Path, entry: Any, key: str, where: str) -> Any:
+def read_key(path: Path, entry: Any, key: str, where: str) -> Any:
     """A value of a foreign dictionary; refuses one that lacks it."""
     if not isinstance(entry, dict) or entry.get(key) is None:
         refuse(path, "shape", f"{where} has no {key}", "make the file again with the official script")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from adapters.result_files.contract import FileFrame, FilePlans
-from adapters.result_files.samples import RecordedSamples, turned
+from adapters.result_files.samples import RecordedSamples, rotate
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats
 from benchmark.planning import Plan, PlanFrame
@@ -19,11 +19,11 @@ def lidar_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
     if found.frame is FileFrame.LIDAR:
         return found.waypoints
     if found.frame is FileFrame.DISPLACEMENT:
-        return turned(found.waypoints, -mount[:, None, 2])
+        return rotate(found.waypoints, -mount[:, None, 2])
     heading = chord_headings(found.waypoints, start_heading_rad=0.0)
     at = mount[:, None, :2]
-    return turned(
-        found.waypoints + turned(np.broadcast_to(at, found.waypoints.shape), heading) - at, -mount[:, None, 2]
+    return rotate(
+        found.waypoints + rotate(np.broadcast_to(at, found.waypoints.shape), heading) - at, -mount[:, None, 2]
     )
 
 
@@ -36,9 +36,9 @@ def ego_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
         return found.waypoints[:, :PLAN_STEPS]
     mount = samples.lidar_in_ego[found.rows]
     at = np.broadcast_to(mount[:, None, :2], (len(mount), PLAN_STEPS, 2))
-    away = turned(lidar_waypoints(found, samples)[:, :PLAN_STEPS], mount[:, None, 2])
+    away = rotate(lidar_waypoints(found, samples)[:, :PLAN_STEPS], mount[:, None, 2])
     heading = chord_headings(away, start_heading_rad=0.0)
-    return away + at - turned(at, heading)
+    return away + at - rotate(at, heading)
 
 
 def plans_of(found: FilePlans, samples: RecordedSamples) -> list[Plan]:
@@ -46,7 +46,7 @@ def plans_of(found: FilePlans, samples: RecordedSamples) -> list[Plan]:
     mount = samples.lidar_in_ego[found.rows]
     if found.frame is FileFrame.EGO or np.abs(mount[:, 1]).max(initial=0.0) > _ASIDE_M:
         return [Plan(waypoints, PlanFrame.EGO) for waypoints in ego_waypoints(found, samples)]
-    ahead = turned(lidar_waypoints(found, samples), mount[:, None, 2] + np.pi / 2)
+    ahead = rotate(lidar_waypoints(found, samples), mount[:, None, 2] + np.pi / 2)
     return [Plan(waypoints, PlanFrame.LIDAR) for waypoints in ahead]
 
 
@@ -61,12 +61,12 @@ def file_waypoints(plan: Plan, frame: FileFrame, mount: Floats) -> Floats:
     away: Floats
     if plan.frame is PlanFrame.EGO:
         heading = chord_headings(plan.waypoints, start_heading_rad=0.0)
-        away = plan.waypoints + turned(np.broadcast_to(at, plan.waypoints.shape), heading) - at
+        away = plan.waypoints + rotate(np.broadcast_to(at, plan.waypoints.shape), heading) - at
     else:
-        away = turned(plan.waypoints, -np.pi / 2)
+        away = rotate(plan.waypoints, -np.pi / 2)
     if frame is FileFrame.DISPLACEMENT:
         return away
     if frame is FileFrame.LIDAR:
-        return turned(away, -yaw)
+        return rotate(away, -yaw)
     heading = chord_headings(away, start_heading_rad=0.0)
-    return away + at - turned(np.broadcast_to(at, away.shape), heading)
+    return away + at - rotate(np.broadcast_to(at, away.shape), heading)

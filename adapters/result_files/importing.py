@@ -12,16 +12,16 @@ import numpy as np
 
 from adapters.result_files.contract import FileFrame, FilePlans, ResultFormat, Rows, refuse
 from adapters.result_files.frames import lidar_waypoints, plans_of
-from adapters.result_files.recognition import Recognised
+from adapters.result_files.recognition import RecognisedFile
 from adapters.result_files.samples import RecordedSamples
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.planning import Plan
 from benchmark.records.run_schema import SampleOrder
-from benchmark.untrusted.files import RefusedFile
-from benchmark.untrusted.plan_plausibility import ComparedPlans, FrameName, Plausibility, plausibility_of
-from benchmark.untrusted.plan_verdicts import refusal_of
+from benchmark.untrusted.files import RefusedFileError
+from benchmark.untrusted.plan_plausibility import ComparedPlans, FrameName, Plausibility, measure_plausibility
+from benchmark.untrusted.plan_verdicts import format_refusal
 
 _TOO_FAR = "such plans are not judged: check which script wrote the file"
 
@@ -36,9 +36,9 @@ def require_plausible(
     of the first test that fails, and what would fit.
     """
     complete = samples.complete[rows]
-    plausibility = plausibility_of(ComparedPlans(plans[complete, :PLAN_STEPS], samples.future[rows][complete]))
+    plausibility = measure_plausibility(ComparedPlans(plans[complete, :PLAN_STEPS], samples.future[rows][complete]))
     if plausibility.misreading is not None and not as_is:
-        raise RefusedFile(plausibility.misreading.category, refusal_of(path, plausibility.misreading))
+        raise RefusedFileError(plausibility.misreading.category, format_refusal(path, plausibility.misreading))
     far = np.abs(plans).max(axis=(1, 2), initial=0.0)
     if far.max(initial=0.0) > FARTHEST_WAYPOINT_M:
         token = samples.tokens[int(rows[far.argmax()])]
@@ -47,7 +47,7 @@ def require_plausible(
     return plausibility
 
 
-SHOWN: Final[tuple[SampleOrder, ...]] = ("assumed", "consistent", "proven", "tokens")
+EVIDENCE_ORDER: Final[tuple[SampleOrder, ...]] = ("assumed", "consistent", "proven", "tokens")
 """How well the order of a file is shown, worst first."""
 
 
@@ -66,7 +66,7 @@ class ImportedPlans:
 
 
 def import_results(
-    opened: Sequence[Recognised],
+    opened: Sequence[RecognisedFile],
     samples: RecordedSamples,
     scenes: Collection[str] | None = None,
     *,
@@ -78,7 +78,7 @@ def import_results(
     Where only some `scenes` are evaluated, a file without tokens may be of them alone. `frame` is that of the
     waypoints, if it is not that of the format; `as_is` takes plans as they stand, whatever would fit better. Files of
     different formats are an `InputError`; a damaged or hostile file, or plans of other samples or such as cannot be, a
-    `RefusedFile`.
+    `RefusedFileError`.
     """
     first = opened[0]
     for other in opened[1:]:
@@ -93,7 +93,7 @@ def import_results(
             "judge them one by one, with --scenes where they are of some scenes"
         )
     parts = [_read(file, samples, scenes) for file in opened]
-    joined = _joined(parts, opened, samples)
+    joined = _join_files(parts, opened, samples)
     if frame is not None:
         joined = replace(joined, frame=FileFrame(frame))
     plausibility = require_plausible(first.path, lidar_waypoints(joined, samples), joined.rows, samples, as_is=as_is)
@@ -102,26 +102,26 @@ def import_results(
     return ImportedPlans(tuple(file.path for file in opened), first.format, joined, plans, plausibility)
 
 
-def _read(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
+def _read(opened: RecognisedFile, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
     """Plans of a file; without tokens in the order of info files that it does not contradict, the better shown one."""
     if not opened.format.by_place:
         return opened.format.read(opened.path, opened.content, samples)
     candidates: list[FilePlans] = []
-    refused: RefusedFile | None = None
-    for ordered in samples.in_orders():
+    refused: RefusedFileError | None = None
+    for ordered in samples.possible_orders():
         try:
-            candidates.append(_of_part(opened, ordered, scenes))
-        except RefusedFile as error:
+            candidates.append(_read_part(opened, ordered, scenes))
+        except RefusedFileError as error:
             refused = refused or error
     if refused is not None and not candidates:
         raise refused
-    best = max(candidates, key=lambda plans: SHOWN.index(plans.order))
+    best = max(candidates, key=lambda plans: EVIDENCE_ORDER.index(plans.order))
     if any(other.order == best.order and not np.array_equal(other.rows, best.rows) for other in candidates):
         return replace(best, order="assumed", shown_by=f"{best.shown_by}; another order of info files fits as well")
     return best
 
 
-def _of_part(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
+def _read_part(opened: RecognisedFile, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
     """Plans of a file of the whole split, or of the chosen scenes where only their number fits."""
     content = opened.content
     if scenes is not None:
@@ -132,7 +132,7 @@ def _of_part(opened: Recognised, samples: RecordedSamples, scenes: Collection[st
     return opened.format.read(opened.path, content, samples)
 
 
-def _joined(parts: Sequence[FilePlans], opened: Sequence[Recognised], samples: RecordedSamples) -> FilePlans:
+def _join_files(parts: Sequence[FilePlans], opened: Sequence[RecognisedFile], samples: RecordedSamples) -> FilePlans:
     """Plans of several files together; a sample in two of them must have the same plan in both."""
     if len(parts) == 1:
         return parts[0]

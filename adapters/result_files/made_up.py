@@ -4,10 +4,10 @@ from typing import Final
 
 import numpy as np
 
-from adapters.result_files.samples import RecordedSamples, turned
+from adapters.result_files.samples import RecordedSamples, rotate
 from benchmark.constants import LIDAR_FROM_REAR_AXLE_M, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Floats, to_local
-from benchmark.machine.storage import content_seed, token
+from benchmark.machine.storage import content_seed, make_token
 from benchmark.planning import Plan, PlanFrame
 
 SINGLE_M: Final = 2e-5
@@ -27,7 +27,7 @@ _KEYFRAMES: Final = 24
 _TURNS_RAD: Final = {"left": 0.06, "right": -0.07, "straight": 0.0, "stands": 0.0}
 
 
-def made_up_samples(lidar_yaw: float = -np.pi / 2) -> RecordedSamples:
+def make_synthetic_samples(lidar_yaw: float = -np.pi / 2) -> RecordedSamples:
     """Four scenes of 24 samples: turning left and right, going straight, standing; two of them at the same time.
 
     `lidar_yaw` is that of the lidar's axes in the ego frame.
@@ -48,11 +48,11 @@ def made_up_samples(lidar_yaw: float = -np.pi / 2) -> RecordedSamples:
     steps = np.arange(1, PLAN_STEPS + 1)
     valid = within[:, None] + steps < _KEYFRAMES
     after = np.minimum(np.arange(count)[:, None] + steps, count - 1)
-    future = np.stack([turned(to_local(lidar[after[row], :2], lidar[row]), -lidar_yaw) for row in range(count)])
+    future = np.stack([rotate(to_local(lidar[after[row], :2], lidar[row]), -lidar_yaw) for row in range(count)])
     timestamps = np.concatenate(times)
     return RecordedSamples(
         name="the made-up samples",
-        tokens=tuple(token("made up", row) for row in range(count)),
+        tokens=tuple(make_token("made up", row) for row in range(count)),
         scenes=tuple(scenes),
         timestamps_us=timestamps,
         ego_pose=pose,
@@ -64,7 +64,7 @@ def made_up_samples(lidar_yaw: float = -np.pi / 2) -> RecordedSamples:
     )
 
 
-def made_up_plans(samples: RecordedSamples, frame: PlanFrame = PlanFrame.LIDAR) -> dict[int, Plan]:
+def make_synthetic_plans(samples: RecordedSamples, frame: PlanFrame = PlanFrame.LIDAR) -> dict[int, Plan]:
     """A plan for each sample: what the car will do as if it went on as now, a little aside and faster."""
     generator = np.random.default_rng(content_seed("made-up plans"))
     plans = {}
@@ -74,5 +74,5 @@ def made_up_plans(samples: RecordedSamples, frame: PlanFrame = PlanFrame.LIDAR) 
         bend = generator.uniform(-0.1, 0.1)
         times = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
         ahead: Floats = np.stack([bend * speed * times, speed * times], axis=1)
-        plans[row] = Plan(ahead if frame is PlanFrame.LIDAR else turned(ahead, -np.pi / 2), frame)
+        plans[row] = Plan(ahead if frame is PlanFrame.LIDAR else rotate(ahead, -np.pi / 2), frame)
     return plans

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING
 from adapters.models import published_as
 from adapters.result_files.contract import LONG_PLAN_STEPS
 from adapters.result_files.importing import ImportedPlans, import_results
-from adapters.result_files.recognition import Recognised
-from adapters.result_files.samples import samples_of_data
+from adapters.result_files.recognition import RecognisedFile
+from adapters.result_files.samples import read_recorded_samples
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Observation, Plan, SceneInfo
 from benchmark.records.caveats import Caveat
 from benchmark.records.planner_versions import PLANS_SHA256
-from benchmark.records.run_schema import PlannerFacts, PlansFrom
-from benchmark.report.words import counted
+from benchmark.records.run_schema import PlanFileFacts, PlannerFacts
+from benchmark.report.words import pluralise
 from benchmark.runs.code_identity import code_sha256
-from benchmark.runs.planner_facts import known_native
+from benchmark.runs.planner_facts import require_known_native
 from benchmark.untrusted.plan_plausibility import FrameName
-from benchmark.untrusted.plan_verdicts import caveat_as_is, checks_said
+from benchmark.untrusted.plan_verdicts import describe_checks, make_as_is_caveat
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -62,7 +62,7 @@ class ResultFileFactory:
     """
 
     facts: PlannerFacts
-    plans_from: PlansFrom
+    plans_from: PlanFileFacts
     plans: Mapping[str, Plan]
     skipped: Mapping[str, str]
     caveats: tuple[Caveat, ...] = ()
@@ -76,27 +76,27 @@ class ResultFileFactory:
         """Sentences about the import, for the terminal."""
         plans_from = self.plans_from
         lines = [
-            f"{', '.join(plans_from.files)}: {plans_from.format}, {plans_from.plans} plans for {counted(plans_from.samples, 'sample')}; "
+            f"{', '.join(plans_from.files)}: {plans_from.format}, {plans_from.plans} plans for {pluralise(plans_from.samples, 'sample')}; "
             f"order {plans_from.order}: {plans_from.shown_by}"
         ]
         if plans_from.mirrored is not None:
             lines.append(f"x is {'mirrored in the file and turned back' if plans_from.mirrored else 'not mirrored'}")
         if plans_from.skipped:
             first = next(iter(plans_from.skipped.items()))
-            lines.append(f"{counted(len(plans_from.skipped), 'sample')} skipped, the first {first[0]}: {first[1]}")
+            lines.append(f"{pluralise(len(plans_from.skipped), 'sample')} skipped, the first {first[0]}: {first[1]}")
         if plans_from.repaired:
             lines.append(
-                f"{counted(plans_from.repaired, 'plan')} completed by the repository's own rule (docs/your-results.md)"
+                f"{pluralise(plans_from.repaired, 'plan')} completed by the repository's own rule (docs/your-results.md)"
             )
         if plans_from.duplicates:
-            lines.append(f"{counted(plans_from.duplicates, 'entry', 'entries')} repeated and left out")
+            lines.append(f"{pluralise(plans_from.duplicates, 'entry', 'entries')} repeated and left out")
         if plans_from.steps == LONG_PLAN_STEPS:
             lines.append("plans of 6 s: protocols judge the first 3 s of a planner that was trained for 6 s")
-        return [*lines, checks_said(plans_from.checks), f"the record has no {', no '.join(plans_from.lacks)}"]
+        return [*lines, describe_checks(plans_from.checks), f"the record has no {', no '.join(plans_from.lacks)}"]
 
 
 def result_file_factory(
-    opened: Sequence[Recognised],
+    opened: Sequence[RecognisedFile],
     data: "DataSet",
     split: str,
     *,
@@ -126,8 +126,8 @@ def result_file_factory(
         InputError: If the data is broken, or the native protocol is unknown.
     """
     paths = [file.path for file in opened]
-    known_native(native, f"result file {paths[0]}")
-    every = samples_of_data(data, split)
+    require_known_native(native, f"result file {paths[0]}")
+    every = read_recorded_samples(data, split)
     imported = import_results(opened, every, scenes, frame=frame, as_is=as_is)
     misreading = imported.plausibility.misreading
     name = name or paths[0].stem
@@ -148,18 +148,18 @@ def result_file_factory(
     )
     return ResultFileFactory(
         facts,
-        _described(imported, hashes, len(every.tokens)),
+        _describe_import(imported, hashes, len(every.tokens)),
         imported.plans,
         imported.found.skipped,
-        () if misreading is None else (caveat_as_is(misreading),),
+        () if misreading is None else (make_as_is_caveat(misreading),),
     )
 
 
-def _described(imported: ImportedPlans, hashes: dict[str, str], samples: int) -> PlansFrom:
+def _describe_import(imported: ImportedPlans, hashes: dict[str, str], samples: int) -> PlanFileFacts:
     file_plans = imported.found
     steps = file_plans.waypoints.shape[1]
     lacks = [item for item in imported.format.lacks if steps < LONG_PLAN_STEPS or not item.startswith("plans beyond")]
-    return PlansFrom(
+    return PlanFileFacts(
         format=imported.format.name,
         files=hashes,
         order=file_plans.order,

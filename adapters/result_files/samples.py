@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
-from benchmark.datasets.contents import scenes_by_split
-from benchmark.datasets.split_names import exported_order
+from benchmark.datasets.contents import list_scenes_by_split
+from benchmark.datasets.split_names import sort_as_exported
 from benchmark.geometry import Bools, Floats, rotation_matrix, yaw_of_quaternion
 from benchmark.planning import Command
 from benchmark.scene import Scene
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _NOTHING_RAD = 1e-12
 
 
-def turned(points: Floats, angle_rad: ArrayLike) -> Floats:
+def rotate(points: Floats, angle_rad: ArrayLike) -> Floats:
     """Points, (..., 2), turned counter-clockwise about the origin.
 
     `angle_rad` is (...), less any axes; an angle that is none but for rounding leaves its points as they are.
@@ -50,7 +50,7 @@ class OtherSplits:
 
     def first(self, fits: Callable[[Set[str]], bool]) -> str | None:
         """Name of the first other split that a file fits, by its sample tokens."""
-        for split, scenes in scenes_by_split(self.data)[0].items():
+        for split, scenes in list_scenes_by_split(self.data)[0].items():
             tokens = {sample for scene in scenes for sample in self.data.keyframe_rows(scene).values()}
             if split != self.split and fits(tokens):
                 return split
@@ -111,7 +111,7 @@ class RecordedSamples:
         turned = np.where(x >= COMMAND_LATERAL_M, Command.RIGHT, Command.STRAIGHT)
         return np.where(x <= -COMMAND_LATERAL_M, Command.LEFT, turned).astype(np.int64)
 
-    def may_be(self, row: int, command: int) -> bool:
+    def may_have_command(self, row: int, command: int) -> bool:
         """Whether a stored command may be that of a sample."""
         if command == self.commands[row]:
             return True
@@ -119,14 +119,14 @@ class RecordedSamples:
         side = Command.RIGHT if x > 0 else Command.LEFT
         return abs(abs(x) - COMMAND_LATERAL_M) <= UNDECIDED_M and command in (side, Command.STRAIGHT)
 
-    def in_orders(self) -> tuple["RecordedSamples", ...]:
+    def possible_orders(self) -> tuple["RecordedSamples", ...]:
         """Samples in every order of info files that are sorted by time, the likelier one first.
 
         Where scenes overlap in time, as all variants of one recording do, a converter mixes them, and the info files
         that are exported here keep them apart (`benchmark.datasets.split_names`). No planner with memory
         runs on variants that are mixed; recordings of two cars at the same time have official info files.
         """
-        exported = exported_order(self.scenes, self.timestamps_us)
+        exported = sort_as_exported(self.scenes, self.timestamps_us)
         if np.array_equal(exported, self.by_time):
             return (self,)
         variants = len(np.unique(self.timestamps_us)) < len(self.timestamps_us)
@@ -139,7 +139,7 @@ class RecordedSamples:
         return replace(self, by_time=self.by_time[chosen[self.by_time]], by_table=self.by_table[chosen[self.by_table]])
 
 
-def samples_of_data(data: "DataSet", split: str) -> RecordedSamples:
+def read_recorded_samples(data: "DataSet", split: str) -> RecordedSamples:
     """The samples of a split.
 
     Args:
@@ -160,7 +160,7 @@ def samples_of_data(data: "DataSet", split: str) -> RecordedSamples:
         of_scene = [truth.sample_token for truth in data.truth(name)]
         tokens += of_scene
         scenes += [name] * len(of_scene)
-        parts.append(_of_scene(scene))
+        parts.append(_scene_arrays(scene))
     times, poses, mounts, futures, valid = (np.concatenate(part) for part in zip(*parts, strict=True))
     return RecordedSamples(
         name=f"split {split!r} of {data.name}",
@@ -178,7 +178,7 @@ def samples_of_data(data: "DataSet", split: str) -> RecordedSamples:
     )
 
 
-def _of_scene(scene: Scene) -> tuple[NDArray[np.int64], Floats, Floats, Floats, Bools]:
+def _scene_arrays(scene: Scene) -> tuple[NDArray[np.int64], Floats, Floats, Floats, Bools]:
     frames = scene.keyframes
     count = len(frames)
     mount = np.array([*scene.lidar.translation[:2], float(yaw_of_quaternion(scene.lidar.rotation))])

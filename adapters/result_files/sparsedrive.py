@@ -10,12 +10,12 @@ from adapters.result_files.contract import (
     FileFrame,
     FilePlans,
     ResultFormat,
-    key_of,
-    numbers_of,
+    read_key,
+    read_numbers,
     refuse,
 )
 from adapters.result_files.samples import RecordedSamples
-from adapters.result_files.uniad import MIRRORED, entries_of
+from adapters.result_files.uniad import MIRRORED, unwrap_entries
 from adapters.result_files.vad import COMMANDS, require_count
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats
@@ -31,17 +31,17 @@ def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     Their order is consistent where the chosen mode is that of our command and more than one command occurs, else it is
     assumed. A file without one entry for each sample, or that chose by another command, is refused.
     """
-    entries, rows = entries_of(content), samples.by_time
+    entries, rows = unwrap_entries(content), samples.by_time
     require_count(path, len(entries), len(rows), samples)
     plans: list[Floats] = []
     commands: set[int] = set()
     for at, (row, entry) in enumerate(zip(rows.tolist(), entries)):
-        held = key_of(path, entry, "img_bbox", f"entry {at}")
-        stored = key_of(path, held, "final_planning", f"entry {at}")
-        plan = numbers_of(path, stored, f"the plan of entry {at}", (PLAN_STEPS, 2), (LONG_PLAN_STEPS, 2))
+        held = read_key(path, entry, "img_bbox", f"entry {at}")
+        stored = read_key(path, held, "final_planning", f"entry {at}")
+        plan = read_numbers(path, stored, f"the plan of entry {at}", (PLAN_STEPS, 2), (LONG_PLAN_STEPS, 2))
         if plans and len(plan) != len(plans[0]):
             refuse(path, "shape", f"entry {at} has {len(plan)} waypoints, others {len(plans[0])}", "make it again")
-        if _tells_command(path, at, row, plan, held, samples):
+        if _reveals_command(path, at, row, plan, held, samples):
             commands.add(int(samples.commands[row]))
         plans.append(plan)
     order: SampleOrder = "consistent" if len(commands) > 1 else "assumed"
@@ -53,18 +53,18 @@ def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     return FilePlans(FileFrame.LIDAR, rows, np.array(plans), order, shown_by)
 
 
-def _tells_command(path: Path, at: int, row: int, plan: Floats, held: Any, samples: RecordedSamples) -> bool:
+def _reveals_command(path: Path, at: int, row: int, plan: Floats, held: Any, samples: RecordedSamples) -> bool:
     """Whether the entry's modes say by which command it chose; refuses one that chose by another than ours."""
     if held.get("planning") is None or held.get("planning_score") is None:
         return False
-    modes = numbers_of(path, held["planning"], f"the modes of entry {at}", (COMMANDS, None, len(plan), 2))
-    scores = numbers_of(path, held["planning_score"], f"the scores of entry {at}", (COMMANDS, modes.shape[1]))
+    modes = read_numbers(path, held["planning"], f"the modes of entry {at}", (COMMANDS, None, len(plan), 2))
+    scores = read_numbers(path, held["planning_score"], f"the scores of entry {at}", (COMMANDS, modes.shape[1]))
     best = modes[np.arange(COMMANDS), scores.argmax(axis=1)]
     fits = np.abs(best - plan).max(axis=(1, 2)) <= SAME_M
     if not fits.any() and (np.abs(best * MIRRORED - plan).max(axis=(1, 2)) <= SAME_M).any():
         fault = f"the plan of entry {at} is one of its modes with left and right exchanged"
         refuse(path, "frame", fault, "the list was dumped after its metric had changed it: dump it before")
-    if not any(fits[command] and samples.may_be(row, command) for command in range(COMMANDS)):
+    if not any(fits[command] and samples.may_have_command(row, command) for command in range(COMMANDS)):
         refuse(
             path,
             "order",

@@ -7,11 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from adapters.result_files.contract import ROUNDED, FileFrame, FilePlans, ResultFormat, numbers_of, refuse, rows_of
+from adapters.result_files.contract import ROUNDED, FileFrame, FilePlans, ResultFormat, find_rows, read_numbers, refuse
 from adapters.result_files.samples import RecordedSamples
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 
 SUFFIX: Final = "_trajectory"
 _NUMBER: Final = r"\s*([-+]?(?:\d{1,9}(?:\.\d{0,18})?|\.\d{1,18}))\s*"
@@ -29,18 +29,18 @@ def read_omnidrive(path: Path, content: Mapping[str, Any], samples: RecordedSamp
     `content` is the JSON of each file by its name, which is the token. Samples without a plan of six waypoints are
     skipped, as by its own evaluation.
     """
-    rows = rows_of(path, list(content), samples)
+    rows = find_rows(path, list(content), samples)
     plans: dict[int, Floats] = {}
     skipped = {}
     for row in rows[np.argsort(samples.timestamps_us[rows], kind="stable")].tolist():
         token = samples.tokens[row]
         match = _PLAN.search(_first_answer(path, content[token], token))
-        pairs = pairs_of(match[1]) if match else []
+        pairs = read_pairs(match[1]) if match else []
         if len(pairs) == PLAN_STEPS:
             plans[row] = np.array(pairs)
         else:
-            skipped[token] = _why(len(pairs)) if match else NO_PLAN
-    return _found(path, FileFrame.EGO, plans, skipped)
+            skipped[token] = _describe_skip(len(pairs)) if match else NO_PLAN
+    return _collect_plans(path, FileFrame.EGO, plans, skipped)
 
 
 def read_conversation(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
@@ -58,52 +58,52 @@ def read_conversation(path: Path, content: Any, samples: RecordedSamples) -> Fil
         token = name.removesuffix(SUFFIX)
         duplicates += token in answers
         answers[token] = answer
-    rows = rows_of(path, list(answers), samples)
+    rows = find_rows(path, list(answers), samples)
     plans: dict[int, Floats] = {}
     skipped, repaired = {}, 0
     for row, (token, text) in zip(rows.tolist(), answers.items()):
-        pairs = pairs_of(text)
+        pairs = read_pairs(text)
         if not pairs:
             skipped[token] = NO_PLAN
             continue
         repaired += len(pairs) != PLAN_STEPS
         plans[row] = np.array([*pairs, *[pairs[-1]] * PLAN_STEPS][:PLAN_STEPS])
-    return _found(path, FileFrame.LIDAR, plans, skipped, duplicates=duplicates, repaired=repaired)
+    return _collect_plans(path, FileFrame.LIDAR, plans, skipped, duplicates=duplicates, repaired=repaired)
 
 
 def read_modes(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     """Plans of OpenDriveVLA's dictionaries: the first mode."""
-    rows = rows_of(path, [name.removesuffix(SUFFIX) for name in content], samples)
+    rows = find_rows(path, [name.removesuffix(SUFFIX) for name in content], samples)
     plans = {}
     for row, (name, modes) in zip(rows.tolist(), content.items()):
         first = modes[0] if isinstance(modes, list) and modes else None
-        plans[row] = numbers_of(path, first, f"the first mode of {name}", (PLAN_STEPS, 2))
-    return _found(path, FileFrame.LIDAR, plans, {})
+        plans[row] = read_numbers(path, first, f"the first mode of {name}", (PLAN_STEPS, 2))
+    return _collect_plans(path, FileFrame.LIDAR, plans, {})
 
 
 def read_gptdriver(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     """Plans of GPT-Driver's texts: the last line of each. A last line that is no list of six pairs is skipped."""
-    rows = rows_of(path, list(content), samples)
+    rows = find_rows(path, list(content), samples)
     plans: dict[int, Floats] = {}
     skipped = {}
     for row, (token, text) in zip(rows.tolist(), content.items()):
         if not isinstance(text, str) or len(text) > _LONGEST_ANSWER:
             refuse(path, "shape", f"the answer of sample {token} is no text of ordinary length", "make the file again")
         last = _SPACE.sub("", (text.strip().splitlines() or [""])[-1])
-        pairs = pairs_of(last) if _LIST.fullmatch(last) else []
+        pairs = read_pairs(last) if _LIST.fullmatch(last) else []
         if len(pairs) == PLAN_STEPS:
             plans[row] = np.array(pairs)
         else:
-            skipped[token] = _why(len(pairs)) if pairs else NO_PLAN
-    return _found(path, FileFrame.LIDAR, plans, skipped)
+            skipped[token] = _describe_skip(len(pairs)) if pairs else NO_PLAN
+    return _collect_plans(path, FileFrame.LIDAR, plans, skipped)
 
 
-def pairs_of(text: str) -> list[tuple[float, float]]:
+def read_pairs(text: str) -> list[tuple[float, float]]:
     """Every pair of numbers in parentheses; further numbers of one are left out."""
     return [(float(x), float(y)) for x, y in _PAIR.findall(text)]
 
 
-def _why(count: int) -> str:
+def _describe_skip(count: int) -> str:
     return f"{count} waypoints"
 
 
@@ -112,11 +112,11 @@ def _first_answer(path: Path, held: Any, token: str) -> str:
     answer = first.get("A") if isinstance(first, dict) and "Q" in first else None
     answer = answer[0] if isinstance(answer, list) and answer else answer
     if not isinstance(answer, str):
-        refuse(path, "shape", f"file {one_line(token, 64)} is no list of questions and answers", "make it again")
+        refuse(path, "shape", f"file {to_one_line(token, 64)} is no list of questions and answers", "make it again")
     return answer
 
 
-def _found(
+def _collect_plans(
     path: Path,
     frame: FileFrame,
     plans: dict[int, Floats],

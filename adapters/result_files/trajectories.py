@@ -5,23 +5,25 @@ from typing import Any, Final
 
 import numpy as np
 
-from adapters.result_files.contract import FileFrame, FilePlans, ResultFormat, numbers_of, rows_of
+from adapters.result_files.contract import FileFrame, FilePlans, ResultFormat, find_rows, read_numbers
 from adapters.result_files.samples import RecordedSamples
 from benchmark.constants import PLAN_STEPS
 
 
 def read_positions(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     """Plans of ``pred_trajs_dict.pkl`` and its like."""
-    rows = rows_of(path, list(content), samples)
-    plans = [numbers_of(path, plan, f"the plan of sample {token}", (PLAN_STEPS, 2)) for token, plan in content.items()]
+    rows = find_rows(path, list(content), samples)
+    plans = [
+        read_numbers(path, plan, f"the plan of sample {token}", (PLAN_STEPS, 2)) for token, plan in content.items()
+    ]
     return FilePlans(FileFrame.LIDAR, rows, np.array(plans), "tokens", "each sample by its token")
 
 
 def read_with_heading(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     """Plans of AD-MLP's ``output_data.pkl``, whose third column is a heading that is not needed: 1 x 6 x 3 numbers."""
-    rows = rows_of(path, list(content), samples)
+    rows = find_rows(path, list(content), samples)
     plans = [
-        numbers_of(path, plan, f"the plan of sample {token}", (1, PLAN_STEPS, 3))[0, :, :2]
+        read_numbers(path, plan, f"the plan of sample {token}", (1, PLAN_STEPS, 3))[0, :, :2]
         for token, plan in content.items()
     ]
     return FilePlans(FileFrame.LIDAR, rows, np.array(plans), "tokens", "each sample by its token")

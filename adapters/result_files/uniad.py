@@ -10,11 +10,11 @@ from adapters.result_files.contract import (
     FilePlans,
     ResultFormat,
     Rows,
-    key_of,
-    numbers_of,
+    find_rows,
+    read_key,
+    read_numbers,
     refuse,
-    refuse_twice,
-    rows_of,
+    refuse_duplicates,
 )
 from adapters.result_files.samples import RecordedSamples
 from benchmark.constants import PLAN_STEPS
@@ -25,7 +25,7 @@ SAME_M: Final = 0.05
 MIRRORED: Final = np.array([-1.0, 1.0])
 
 
-def entries_of(content: Any) -> Any:
+def unwrap_entries(content: Any) -> Any:
     """The list of a file that may be wrapped in a dictionary."""
     return content["bbox_results"] if isinstance(content, dict) else content
 
@@ -35,19 +35,19 @@ def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
 
     A sample that is unknown or occurs twice, and recorded futures of other samples, are refused.
     """
-    entries = entries_of(content)
-    rows = rows_of(path, [key_of(path, entry, "token", f"entry {at}") for at, entry in enumerate(entries)], samples)
-    refuse_twice(path, rows, samples)
+    entries = unwrap_entries(content)
+    rows = find_rows(path, [read_key(path, entry, "token", f"entry {at}") for at, entry in enumerate(entries)], samples)
+    refuse_duplicates(path, rows, samples)
     plans, recorded = [], []
     for entry in entries:
         where = f"of sample {entry['token']}"
-        stored = key_of(path, entry, "planning_traj", f"the entry {where}")
-        plans.append(numbers_of(path, stored, f"the plan {where}", (1, PLAN_STEPS, 2))[0])
-        stored = key_of(path, entry, "planning_traj_gt", f"the entry {where}")
+        stored = read_key(path, entry, "planning_traj", f"the entry {where}")
+        plans.append(read_numbers(path, stored, f"the plan {where}", (1, PLAN_STEPS, 2))[0])
+        stored = read_key(path, entry, "planning_traj_gt", f"the entry {where}")
         stored = stored[0] if isinstance(stored, list | tuple) and len(stored) == 1 else stored
-        recorded.append(numbers_of(path, stored, f"the recorded future {where}", (1, 1, PLAN_STEPS, 3))[0, 0, :, :2])
+        recorded.append(read_numbers(path, stored, f"the recorded future {where}", (1, 1, PLAN_STEPS, 3))[0, 0, :, :2])
     waypoints = np.array(plans)
-    mirrored, error_m = _mirrored(path, rows, np.array(recorded), samples)
+    mirrored, error_m = _measure_mirroring(path, rows, np.array(recorded), samples)
     return FilePlans(
         frame=FileFrame.LIDAR,
         rows=rows,
@@ -58,7 +58,7 @@ def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     )
 
 
-def _mirrored(path: Path, rows: Rows, recorded: Floats, samples: RecordedSamples) -> tuple[bool, float]:
+def _measure_mirroring(path: Path, rows: Rows, recorded: Floats, samples: RecordedSamples) -> tuple[bool, float]:
     """Whether x is mirrored, by the recorded futures that the file holds, and how well they agree."""
     valid = samples.valid[rows]
     if not valid.any():

@@ -9,13 +9,13 @@ from adapters.result_files.contract import (
     FileFrame,
     FilePlans,
     ResultFormat,
-    key_of,
-    numbers_of,
+    find_rows,
+    read_key,
+    read_numbers,
     refuse,
-    rows_of,
 )
 from adapters.result_files.samples import RecordedSamples
-from adapters.result_files.uniad import entries_of
+from adapters.result_files.uniad import unwrap_entries
 from benchmark.constants import HORIZON_STEPS, PLAN_STEPS
 from benchmark.geometry import Floats
 from benchmark.planning import Command
@@ -31,13 +31,13 @@ def read_results(path: Path, content: Any, samples: RecordedSamples) -> FilePlan
     stored = content["plan_results"]
     if not isinstance(stored, dict):
         refuse(path, "shape", "its plan_results are no dictionary", "make the file again with the official script")
-    rows = rows_of(path, list(stored), samples)
+    rows = find_rows(path, list(stored), samples)
     plans = []
     for row, (token, entry) in zip(rows.tolist(), stored.items()):
         where = f"of sample {token}"
         if not isinstance(entry, list | tuple) or len(entry) != 2:
             refuse(path, "shape", f"the entry {where} is no pair of offsets and command", "make the file again")
-        plan, command = _chosen(path, entry[0], entry[1], where)
+        plan, command = _select_plan(path, entry[0], entry[1], where)
         _require_command(path, row, command, samples)
         plans.append(plan)
     return FilePlans(
@@ -51,14 +51,14 @@ def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     Refused if there is not one entry for each sample, or its command, its displacement or whether the recording goes
     on are those of another sample.
     """
-    entries, rows = entries_of(content), samples.by_time
+    entries, rows = unwrap_entries(content), samples.by_time
     require_count(path, len(entries), len(rows), samples)
     plans, compared = [], 0
     for at, (row, entry) in enumerate(zip(rows.tolist(), entries)):
         where = f"of entry {at}"
-        held = key_of(path, entry, "pts_bbox", f"entry {at}")
-        offsets, stored = (key_of(path, held, key, f"entry {at}") for key in ("ego_fut_preds", "ego_fut_cmd"))
-        plan, command = _chosen(path, offsets, stored, where)
+        held = read_key(path, entry, "pts_bbox", f"entry {at}")
+        offsets, stored = (read_key(path, held, key, f"entry {at}") for key in ("ego_fut_preds", "ego_fut_cmd"))
+        plan, command = _select_plan(path, offsets, stored, where)
         _require_command(path, row, command, samples, f"entry {at}, which would be ")
         plans.append(plan)
         compared += _compare_metrics(path, at, row, plan, entry.get("metric_results"), samples)
@@ -80,10 +80,10 @@ def require_count(path: Path, found: int, wanted: int, samples: RecordedSamples)
         refuse(path, "count", fault, advice)
 
 
-def _chosen(path: Path, offsets: Any, command: Any, where: str) -> tuple[Floats, int]:
+def _select_plan(path: Path, offsets: Any, command: Any, where: str) -> tuple[Floats, int]:
     """Positions of the plan of the stored command, and the command."""
-    modes = numbers_of(path, offsets, f"the offsets {where}", (COMMANDS, PLAN_STEPS, 2))
-    one_hot = numbers_of(path, command, f"the command {where}", (1, 1, 1, COMMANDS), (COMMANDS,)).reshape(-1)
+    modes = read_numbers(path, offsets, f"the offsets {where}", (COMMANDS, PLAN_STEPS, 2))
+    one_hot = read_numbers(path, command, f"the command {where}", (1, 1, 1, COMMANDS), (COMMANDS,)).reshape(-1)
     if sorted(one_hot.tolist()) != [0.0, 0.0, 1.0]:
         refuse(path, "shape", f"the command {where} is not exactly one of three", "make the file again")
     chosen = int(one_hot.argmax())
@@ -91,7 +91,7 @@ def _chosen(path: Path, offsets: Any, command: Any, where: str) -> tuple[Floats,
 
 
 def _require_command(path: Path, row: int, command: int, samples: RecordedSamples, place: str = "") -> None:
-    if not samples.may_be(row, command):
+    if not samples.may_have_command(row, command):
         stored, ours = (Command(number).name.lower() for number in (command, int(samples.commands[row])))
         refuse(
             path,

@@ -11,8 +11,8 @@ from pathlib import Path
 from random import Random
 from typing import Final
 
-from bench.attacking.children import Ended, run_command
-from bench.attacking.targets import TARGETS, Named, Target, replaced
+from bench.attacking.children import CommandOutcome, run_command
+from bench.attacking.targets import TARGETS, NamedVariant, Target, replace_content
 from bench.attacking.valid import make_valid
 from bench.attacking.verdicts import FINE, Verdict, verdict
 from benchmark.errors import InputError
@@ -57,7 +57,7 @@ class Result:
     said: str
 
     @classmethod
-    def of(cls, number: int, kind: str, command: str, name: str, found: Verdict, ended: Ended) -> "Result":
+    def of(cls, number: int, kind: str, command: str, name: str, found: Verdict, ended: CommandOutcome) -> "Result":
         """That of a command that ended."""
         measured = round(ended.cpu_s, 2), round(ended.wall_s, 2), ended.peak_bytes >> 20
         message = "\n".join(ended.err.strip().splitlines()[-3:])[-_SHOWN:]
@@ -93,17 +93,17 @@ class Campaign(Attempts):
 
     def __init__(self, folder: Path, seed: int, targets: tuple[Target, ...] = TARGETS) -> None:
         super().__init__(folder, seed, RESULTS)
-        self.targets = targets
+        self.compute_targets = targets
         self.numbers: dict[str, str] = {}
 
     def kinds(self, count: int) -> list[str]:
         """Every target in turn."""
-        return [target.kind for target in self.targets] * count
+        return [target.kind for target in self.compute_targets] * count
 
-    def attack(self, number: int) -> tuple[Target, str, Named]:
+    def attack(self, number: int) -> tuple[Target, str, NamedVariant]:
         """What is attacked, which file of it, and how: what somebody thought of and what chance does in turn."""
-        target = self.targets[number % len(self.targets)]
-        turn = number // len(self.targets)
+        target = self.compute_targets[number % len(self.compute_targets)]
+        turn = number // len(self.compute_targets)
         chance = Random(f"{self.seed}/{number}")
         file = self._file(target, chance)
         # All of the named ones come, in an order of the seed.
@@ -113,10 +113,10 @@ class Campaign(Attempts):
         mutation = chance.choice(FORMS[target.form])
 
         def change(_: Path, attacked: Path) -> None:
-            replaced(attacked, mutation.change(attacked.read_bytes(), chance))
+            replace_content(attacked, mutation.change(attacked.read_bytes(), chance))
 
         name = f"{mutation.name} in {file or target.copied}"
-        return target, file, Named(name, change, mutation.may_be_valid or target.other_files)
+        return target, file, NamedVariant(name, change, mutation.may_be_valid or target.other_files)
 
     def _file(self, target: Target, chance: Random) -> str:
         if not target.files:
@@ -134,7 +134,7 @@ class Campaign(Attempts):
         variant.change(copy, copy / file if file else copy)
         changed = listing(copy)
         if changed == before:
-            outcome, ended = Verdict.UNCHANGED, Ended(0, "", "", 0.0, 0.0, 1.0, 0)
+            outcome, ended = Verdict.UNCHANGED, CommandOutcome(0, "", "", 0.0, 0.0, 1.0, 0)
         else:
             ended = self._ended(target, case)
             places, valid_numbers = (copy, self.valid), "" if ended.code else self._valid_numbers(target)
@@ -152,7 +152,7 @@ class Campaign(Attempts):
         (shutil.copytree if valid.is_dir() else shutil.copy)(valid, given)
         return given
 
-    def _ended(self, target: Target, case: Path) -> Ended:
+    def _ended(self, target: Target, case: Path) -> CommandOutcome:
         places = {"in": case / target.copied, "valid": self.valid, "out": case / "out"}
         return run_command([argument.format(**places) for argument in target.arguments], case)
 

@@ -22,7 +22,7 @@ _LOOK_S: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class CommandOutcome:
     """How a command ended.
 
     Attributes:
@@ -50,7 +50,7 @@ def patience_s() -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Begun:
+class RunningCommand:
     """A command that runs.
 
     Attributes:
@@ -72,7 +72,7 @@ class Begun:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process, signal.SIGKILL)
 
-    def end(self, patience: float, *, until: str = "") -> Ended:
+    def end(self, patience: float, *, until: str = "") -> CommandOutcome:
         """Wait for it, and end what is left of its process group.
 
         Args:
@@ -91,10 +91,12 @@ class Begun:
             path.unlink(missing_ok=True)
         # Kilobytes on Linux, bytes on macOS.
         peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-        return Ended(code, out, err, usage.ru_utime + usage.ru_stime, wall, patience, peak)
+        return CommandOutcome(code, out, err, usage.ru_utime + usage.ru_stime, wall, patience, peak)
 
 
-def run_command(arguments: Sequence[str], folder: Path, *, patience: float | None = None, until: str = "") -> Ended:
+def run_command(
+    arguments: Sequence[str], folder: Path, *, patience: float | None = None, until: str = ""
+) -> CommandOutcome:
     """Run a command of the command line.
 
     Args:
@@ -111,18 +113,18 @@ def run_command(arguments: Sequence[str], folder: Path, *, patience: float | Non
         return begun.end(allowed, until=until)
 
 
-def begin_command(arguments: Sequence[str], folder: Path, *, bounded: bool = False) -> Begun:
+def begin_command(arguments: Sequence[str], folder: Path, *, bounded: bool = False) -> RunningCommand:
     """Begin a command in a process group of its own; arguments and folder as of `run_command`."""
     printed = folder.with_name(f"{folder.name}.out"), folder.with_name(f"{folder.name}.err")
     sys.stdout.flush()
     sys.stderr.flush()
     child = os.fork()
     if child == 0:
-        _be_command(arguments, folder, printed, bounded=bounded)
-    return Begun(child, printed)
+        _become_command(arguments, folder, printed, bounded=bounded)
+    return RunningCommand(child, printed)
 
 
-def _await(begun: Begun, deadline: float, until: str) -> tuple[int, resource.struct_rusage]:
+def _await(begun: RunningCommand, deadline: float, until: str) -> tuple[int, resource.struct_rusage]:
     """Wait for a child; killed where it takes too long or too much, and interrupted once it has said something."""
     child, waiting = begun.process, bool(until)
     while True:
@@ -139,7 +141,7 @@ def _await(begun: Begun, deadline: float, until: str) -> tuple[int, resource.str
         time.sleep(_LOOK_S)
 
 
-def _be_command(arguments: Sequence[str], folder: Path, printed: tuple[Path, Path], *, bounded: bool) -> None:
+def _become_command(arguments: Sequence[str], folder: Path, printed: tuple[Path, Path], *, bounded: bool) -> None:
     """Become the command; never returns."""
     code = 1
     try:

@@ -62,7 +62,7 @@ ABSURD: Final[dict[str, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Try:
+class DoorAttempt:
     """One command line, or one request.
 
     Attributes:
@@ -86,7 +86,7 @@ class Try:
     request: Request | None = None
 
 
-class Doors(Attempts):
+class DoorCampaign(Attempts):
     """Attempts on all of these doors, in an order of the seed, requests last."""
 
     def __init__(self, folder: Path, seed: int) -> None:
@@ -128,7 +128,7 @@ class Doors(Attempts):
         shutil.rmtree(case, ignore_errors=True)
         return Result.of(number, tried.kind, tried.command, tried.name, outcome, ended)
 
-    def _furnish(self, case: Path, tried: Try) -> None:
+    def _furnish(self, case: Path, tried: DoorAttempt) -> None:
         """Everything that a value may name."""
         shutil.rmtree(case, ignore_errors=True)
         (case / "folder").mkdir(parents=True)
@@ -159,7 +159,7 @@ def commands_of(command: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         yield name, command
 
 
-def option_tries() -> list[Try]:
+def option_tries() -> list[DoorAttempt]:
     """Each absurd value for each option and argument of each command that has a base."""
     tries = []
     for name, command in commands_of(typer.main.get_command(app)):
@@ -177,7 +177,9 @@ def option_tries() -> list[Try]:
             }
             if positional:
                 lines[f"the argument is {kind}"] = (*words, *base[1:], "--", value)
-            tries += [Try(f"options of {words[0]}", name, description, line) for description, line in lines.items()]
+            tries += [
+                DoorAttempt(f"options of {words[0]}", name, description, line) for description, line in lines.items()
+            ]
     return tries
 
 
@@ -189,19 +191,19 @@ def _without(base: tuple[str, ...], option: str) -> tuple[str, ...]:
     return (*base[:at], *base[at + 2 :])
 
 
-def planner_tries() -> list[Try]:
+def planner_tries() -> list[DoorAttempt]:
     """Each odd planner in open and in closed loop."""
     return [
-        Try("planners of others", f"{command} --model module:Class", name, arguments(line), source)
+        DoorAttempt("planners of others", f"{command} --model module:Class", name, arguments(line), source)
         for command, line in TABLE["planners"].items()
         for name, source in ODD_PLANNERS.items()
     ]
 
 
-def server_tries() -> list[Try]:
+def server_tries() -> list[DoorAttempt]:
     """Each odd answer of a model server in open and in closed loop; who is slow only where a limit can be said."""
     return [
-        Try(
+        DoorAttempt(
             "answers of model servers",
             f"{command} --model http",
             f"{path}: {name}",
@@ -215,9 +217,9 @@ def server_tries() -> list[Try]:
     ]
 
 
-def request_tries(seed: int) -> list[Try]:
+def request_tries(seed: int) -> list[DoorAttempt]:
     """Requests to our own server that are none."""
     return [
-        Try("requests to our server", f"serve --model {SERVED}", f"{request.name} ({number})", request=request)
+        DoorAttempt("requests to our server", f"serve --model {SERVED}", f"{request.name} ({number})", request=request)
         for number, request in enumerate(malformed(REQUESTS, seed))
     ]

@@ -8,13 +8,13 @@ import time
 from pathlib import Path
 from typing import Final
 
-from bench.attacking.children import HANG_S, Ended, begin_command
+from bench.attacking.children import HANG_S, CommandOutcome, begin_command
 from bench.attacking.verdicts import Verdict, fall
-from bench.processes import alive, resident_mb
+from bench.processes import is_alive, resident_mb
 from benchmark.errors import InputError
 from benchmark.extensions.http.model import http_planner
-from benchmark.extensions.http.session import request_of
-from benchmark.extensions.http.values import ImageFormat
+from benchmark.extensions.http.session import build_request
+from benchmark.extensions.http.values import HttpImageFormat
 from tests.benchmark.extensions.http.made import free_port, observed
 from tests.benchmark.extensions.http.malformed import Request, answered, posted
 
@@ -40,8 +40,8 @@ class OwnServer:
         self._folder, self._port = folder, free_port()
         self.url = f"http://127.0.0.1:{self._port}"
         self.begin()
-        self._bodies = [request_of(observed(index), ImageFormat.PNG).encoded() for index in range(3)]
-        self._plans, self._said, self._asked, self._settled_mb = self._planned(), 0, 0, float("inf")
+        self._bodies = [build_request(observed(index), HttpImageFormat.PNG).encoded() for index in range(3)]
+        self._plans, self._said, self._asked, self._settled_mb = self._plan_frame(), 0, 0, float("inf")
 
     @property
     def process(self) -> int:
@@ -58,24 +58,24 @@ class OwnServer:
             try:
                 return one.require_alive()
             except InputError:
-                if time.monotonic() > until or not alive(self.process):
+                if time.monotonic() > until or not is_alive(self.process):
                     raise InputError(f"no server began: {self.end().err}") from None
                 time.sleep(0.05)
 
-    def end(self) -> Ended:
+    def end(self) -> CommandOutcome:
         """End it at once."""
         atexit.unregister(self.end)
         return self._begun.end(0.0)
 
-    def asked(self, request: Request) -> tuple[Verdict, Ended]:
+    def asked(self, request: Request) -> tuple[Verdict, CommandOutcome]:
         """Send it a request, and say what became of it: of the server, and at times of good requests that follow."""
         began = time.monotonic()
         reply = self._answer(request.sent, request.whole)
         output = self._begun.printed[1].read_text(errors="replace")
         memory_mb = resident_mb(self.process)
-        code = 0 if alive(self.process) else -signal.SIGKILL
+        code = 0 if is_alive(self.process) else -signal.SIGKILL
         spent = time.monotonic() - began
-        ended = Ended(code, "", output[self._said :], 0.0, spent, HANG_S, int(memory_mb * 2**20))
+        ended = CommandOutcome(code, "", output[self._said :], 0.0, spent, HANG_S, int(memory_mb * 2**20))
         outcome = fall(ended) or self._verdict(request, reply, memory_mb)
         self._said = len(output)
         return outcome, ended
@@ -85,7 +85,7 @@ class OwnServer:
             self._settled_mb = memory_mb
         if memory_mb > self._settled_mb + _GROWTH_MB:
             return Verdict.MEMORY
-        if self._asked % _EVERY == 0 and self._planned() != self._plans:
+        if self._asked % _EVERY == 0 and self._plan_frame() != self._plans:
             return Verdict.SILENT
         self._asked += 1
         status = reply[9:10]
@@ -93,7 +93,7 @@ class OwnServer:
             return Verdict.ANSWERED
         return Verdict.OTHER_INPUT if status == b"2" else Verdict.UNCLEAR
 
-    def _planned(self) -> list[bytes]:
+    def _plan_frame(self) -> list[bytes]:
         """The plans of three good requests."""
         self._answer(posted(b"{}", "/reset"))
         return [self._answer(posted(body)).partition(b"\r\n\r\n")[2] for body in self._bodies]

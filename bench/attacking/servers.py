@@ -127,7 +127,7 @@ class OddServer(ThreadingTCPServer):
     daemon_threads = True
 
     def __init__(self, path: str, name: str) -> None:
-        super().__init__(("127.0.0.1", 0), _Asked)
+        super().__init__(("127.0.0.1", 0), _RequestHandler)
         self.path, self.name, self.ended = path, name, threading.Event()
         self.url = f"http://127.0.0.1:{self.server_address[1]}"
         self._thread = threading.Thread(target=self.serve_forever, args=(0.01,), daemon=True)
@@ -147,7 +147,7 @@ class OddServer(ThreadingTCPServer):
         self.close_request(request)
 
 
-class _Asked(StreamRequestHandler):
+class _RequestHandler(StreamRequestHandler):
     """One request, and what is answered to it."""
 
     server: OddServer
@@ -171,18 +171,18 @@ class _Asked(StreamRequestHandler):
         return asked[1] if len(asked) > 1 else ""
 
 
-def _never(_: socket.socket, ended: threading.Event) -> None:
+def _send_nothing(_: socket.socket, ended: threading.Event) -> None:
     ended.wait(_LONGEST_REQUEST_S)
 
 
-def _drips(connection: socket.socket, ended: threading.Event) -> None:
+def _send_slowly(connection: socket.socket, ended: threading.Event) -> None:
     for byte in reply(GOOD_PLAN):
         connection.sendall(bytes([byte]))
         if ended.wait(0.5):
             return
 
 
-def _endlessly(connection: socket.socket, ended: threading.Event) -> None:
+def _send_endlessly(connection: socket.socket, ended: threading.Event) -> None:
     connection.sendall(_HEAD + b"\r\n")
     until = time.monotonic() + _LONGEST_REQUEST_S
     for _ in range(_ENDLESS_BYTES >> 20):
@@ -191,14 +191,14 @@ def _endlessly(connection: socket.socket, ended: threading.Event) -> None:
             return
 
 
-def _resets(connection: socket.socket, _: threading.Event) -> None:
+def _reset_connection(connection: socket.socket, _: threading.Event) -> None:
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
 SLOW: Final[dict[str, Callable[[socket.socket, threading.Event], None]]] = {
-    "never": _never,
-    "a byte each half second": _drips,
-    "without an end": _endlessly,
-    "resets the connection": _resets,
+    "never": _send_nothing,
+    "a byte each half second": _send_slowly,
+    "without an end": _send_endlessly,
+    "resets the connection": _reset_connection,
 }
 """What is done instead of sending bytes at once."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from bench.attacking.children import Ended
+from bench.attacking.children import CommandOutcome
 from bench.attacking.table import TABLE, arguments
 from tests.adapters.result_files.broken_files import HOSTILE, Broken
 from tests.benchmark.datasets.hostile_tables import HOSTILE_ROOTS
@@ -17,12 +17,12 @@ from tests.benchmark.untrusted.hostile_recordings import RECORDINGS
 
 Change = Callable[[Path, Path], None]
 """Given the copied input and the attacked file in it."""
-Numbers = Callable[[Ended, Path], str]
+Numbers = Callable[[CommandOutcome, Path], str]
 """What a command found, to be compared: of how it ended and the folder that it wrote to."""
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
+class NamedVariant:
     """A variant that somebody thought of.
 
     Attributes:
@@ -63,7 +63,7 @@ class Target:
     form: str
     numbers: Numbers
     files: tuple[str, ...] = ()
-    named: tuple[Named, ...] = ()
+    named: tuple[NamedVariant, ...] = ()
     lists_faults: bool = False
     other_files: bool = False
     keeps_work: bool = False
@@ -75,30 +75,30 @@ class Target:
         return f"{self.kind}: {self.command}"
 
 
-def replaced(file: Path, content: bytes) -> None:
+def replace_content(file: Path, content: bytes) -> None:
     """Write a file anew."""
     file.unlink()
     file.write_bytes(content)
 
 
-def _of_bytes(*found: variants.Variant) -> tuple[Named, ...]:
+def _byte_variants(*found: variants.Variant) -> tuple[NamedVariant, ...]:
     def made(variant: variants.Variant) -> Change:
-        return lambda _, file: replaced(file, variant.change(file.read_bytes()))
+        return lambda _, file: replace_content(file, variant.change(file.read_bytes()))
 
-    return tuple(Named(item.name, made(item), item.harmless) for item in found)
+    return tuple(NamedVariant(item.name, made(item), item.harmless) for item in found)
 
 
-def _made_elsewhere(broken: Broken) -> Named:
+def _broken_variant(broken: Broken) -> NamedVariant:
     """A file that is broken whatever the valid one holds."""
 
     def change(_: Path, file: Path) -> None:
         with tempfile.TemporaryDirectory() as folder:
-            replaced(file, broken.make(Path(folder)).read_bytes())
+            replace_content(file, broken.make(Path(folder)).read_bytes())
 
-    return Named(broken.name, change)
+    return NamedVariant(broken.name, change)
 
 
-def _sparse(size: int) -> tuple[Named, ...]:
+def _sparse_variants(size: int) -> tuple[NamedVariant, ...]:
     def change(_: Path, file: Path) -> None:
         file.unlink()
         variants.write_sparse(file, size)
@@ -108,29 +108,29 @@ def _sparse(size: int) -> tuple[Named, ...]:
             stream.truncate(size)
 
     description = f"{size >> 30} GB of nothing"
-    return Named(description, change), Named(f"{description} behind the content", after)
+    return NamedVariant(description, change), NamedVariant(f"{description} behind the content", after)
 
 
-def _roots(*readable: str) -> tuple[Named, ...]:
+def _root_variants(*readable: str) -> tuple[NamedVariant, ...]:
     """Roots with a small change; those of some names may be read."""
     return tuple(
-        Named(root_change.name, lambda root, _, act=root_change.damage: act(root), root_change.name in readable)  # type: ignore[misc]
+        NamedVariant(root_change.name, lambda root, _, act=root_change.damage: act(root), root_change.name in readable)  # type: ignore[misc]
         for root_change in HOSTILE_ROOTS
     )
 
 
-NAMED: Final[dict[str, tuple[Named, ...]]] = {
-    "sparse": (*_sparse(20 << 30), *_sparse(3 << 30)),
-    "roots": _roots(),
-    "roots that are looked at": _roots("1 Hz", "10 Hz"),
-    "checkpoints": _of_bytes(*variants.CHECKPOINTS),
-    "pickles": _of_bytes(*variants.PICKLES),
-    "headers": _of_bytes(*variants.SAFETENSORS),
-    "json": _of_bytes(*variants.JSONS),
-    "json plans": _of_bytes(*variants.JSON_PLANS),
-    "plans": _of_bytes(*variants.PLANS),
-    "recordings": _of_bytes(*RECORDINGS),
-    "result files": tuple(map(_made_elsewhere, HOSTILE)),
+NAMED: Final[dict[str, tuple[NamedVariant, ...]]] = {
+    "sparse": (*_sparse_variants(20 << 30), *_sparse_variants(3 << 30)),
+    "roots": _root_variants(),
+    "roots that are looked at": _root_variants("1 Hz", "10 Hz"),
+    "checkpoints": _byte_variants(*variants.CHECKPOINTS),
+    "pickles": _byte_variants(*variants.PICKLES),
+    "headers": _byte_variants(*variants.SAFETENSORS),
+    "json": _byte_variants(*variants.JSONS),
+    "json plans": _byte_variants(*variants.JSON_PLANS),
+    "plans": _byte_variants(*variants.PLANS),
+    "recordings": _byte_variants(*RECORDINGS),
+    "result files": tuple(map(_broken_variant, HOSTILE)),
 }
 
 
@@ -142,22 +142,22 @@ def _without_places(value: Any) -> Any:
     return [_without_places(held) for held in value] if isinstance(value, list) else value
 
 
-def _printed_json(ended: Ended, _: Path) -> str:
+def _printed_json(ended: CommandOutcome, _: Path) -> str:
     return json.dumps(_without_places(json.loads(ended.out)), sort_keys=True)
 
 
-def _printed(ended: Ended, folder: Path) -> str:
+def _printed(ended: CommandOutcome, folder: Path) -> str:
     """Standard output, but for the place of the case."""
     return ended.out.replace(str(folder.parent), "")
 
 
-def _verdicts(_: Ended, folder: Path) -> str:
+def _verdicts(_: CommandOutcome, folder: Path) -> str:
     """What a challenge says of an entry, but for hashes of what was given."""
     contents = [json.loads(path.read_text()) for path in sorted(folder.glob("challenge/*/verdict.json"))]
     return json.dumps([_without_places(content) for content in contents], sort_keys=True)
 
 
-def _reviewed(_: Ended, folder: Path) -> str:
+def _reviewed(_: CommandOutcome, folder: Path) -> str:
     """The verdicts that stand beside the root."""
     return (folder.parent / "reviewed" / "root" / "review.json").read_text()
 
@@ -170,10 +170,10 @@ NUMBERS: Final[dict[str, Numbers]] = {
 }
 
 
-def _written(patterns: list[str]) -> Numbers:
+def _read_written(patterns: list[str]) -> Numbers:
     """The files of some patterns below the output."""
 
-    def numbers(_: Ended, folder: Path) -> str:
+    def numbers(_: CommandOutcome, folder: Path) -> str:
         digest = hashlib.sha256()
         for path in sorted({path for pattern in patterns for path in folder.glob(pattern)}):
             digest.update(f"{path.relative_to(folder)} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
@@ -191,7 +191,7 @@ def _targets() -> Iterator[Target]:
             numbers = members.pop("numbers", "json")
             yield Target(
                 arguments=arguments(members.pop("line")),
-                numbers=NUMBERS[numbers] if isinstance(numbers, str) else _written(numbers),
+                numbers=NUMBERS[numbers] if isinstance(numbers, str) else _read_written(numbers),
                 files=tuple(members.pop("files", ())),
                 named=tuple(variant for group in members.pop("named", ()) for variant in NAMED[group]),
                 **members,

@@ -83,7 +83,7 @@ def write_verdicts(folder: Path) -> None:
     (reviewed / "said.json").write_text(json.dumps({scene["name"]: verdict}, indent=1))
     (reviewed / "said.csv").write_text(f"scene,verdict,reason\n{scene['name']},accept,looks right\n")
     shutil.copytree(reviewed / "root", folder / "judged")
-    _commanded(folder, "data", "review", "judged", "--verdicts", "reviewed/said.csv")
+    _run_command(folder, "data", "review", "judged", "--verdicts", "reviewed/said.csv")
 
 
 def write_weights(folder: Path) -> None:
@@ -123,11 +123,11 @@ def write_plans(folder: Path) -> None:
 def write_exchanged(valid: Path) -> None:
     """What strangers exchange: rules of a challenge, a package, and a scene edited in ScenarioNet's form."""
     # What is generated here has no pictures.
-    rules = _commanded(valid, "challenge", "rules").replace("required = true", "required = false")
+    rules = _run_command(valid, "challenge", "rules").replace("required = true", "required = false")
     (valid / "rules.toml").write_text(rules)
     given = ("--root", "generated", "--rules", "rules.toml", "--to", "package.zip")
-    _commanded(valid, "data", "pack", "frozen.json", *given)
-    _commanded(valid, "data", "export", "scenarionet", "root", "--to", "exported")
+    _run_command(valid, "data", "pack", "frozen.json", *given)
+    _run_command(valid, "data", "export", "scenarionet", "root", "--to", "exported")
     (exported,) = (valid / "exported").glob("sd_*.pkl")
     # This command's own file.
     scene = pickle.loads(exported.read_bytes())  # noqa: S301
@@ -141,10 +141,10 @@ def write_exchanged(valid: Path) -> None:
 
 def _by_command(valid: Path, command: str, *more: str) -> None:
     given = ("--data", str(valid / "root"), "--out", str(valid / "made"), "--workers", "1")
-    _commanded(valid, command, *given, *more)
+    _run_command(valid, command, *given, *more)
 
 
-def _commanded(valid: Path, *words: str) -> str:
+def _run_command(valid: Path, *words: str) -> str:
     """Run a command in the folder of valid files, and say what it printed."""
     ended = run_command(words, valid)
     if ended.code:

@@ -5,7 +5,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
-from bench.attacking.children import HANG_S, MEMORY_BYTES, Ended
+from bench.attacking.children import HANG_S, MEMORY_BYTES, CommandOutcome
 from bench.attacking.targets import Target
 
 _LONGEST_SENTENCE: Final = 1200
@@ -32,7 +32,7 @@ FINE: Final = (Verdict.ANSWERED, Verdict.SAME, Verdict.OTHER_INPUT, Verdict.UNCH
 FALLEN: Final = tuple(each for each in Verdict if each not in FINE)
 
 
-def fall(ended: Ended) -> Verdict | None:
+def fall(ended: CommandOutcome) -> Verdict | None:
     """How a command fell, whatever it was given; ``None`` where it ended by itself, within its limits."""
     if ended.peak_bytes > MEMORY_BYTES:
         return Verdict.MEMORY
@@ -44,7 +44,13 @@ def fall(ended: Ended) -> Verdict | None:
 
 
 def verdict(
-    target: Target, ended: Ended, valid_numbers: str, out: Path, places: tuple[Path, ...], *, may_be_valid: bool
+    target: Target,
+    ended: CommandOutcome,
+    valid_numbers: str,
+    out: Path,
+    places: tuple[Path, ...],
+    *,
+    may_be_valid: bool,
 ) -> Verdict:
     """Classify what became of a file.
 
@@ -69,11 +75,11 @@ def verdict(
         # A search that found nothing, as it might with other weights, and names the file that says why.
         return Verdict.OTHER_INPUT if may_be_valid else Verdict.SILENT
     if ended.code == 1 and target.lists_faults:
-        return Verdict.ANSWERED if is_a_list(ended.out, places) else Verdict.UNCLEAR
+        return Verdict.ANSWERED if is_fault_list(ended.out, places) else Verdict.UNCLEAR
     return Verdict.ANSWERED if ended.code == 2 and is_one_sentence(ended.err, places) else Verdict.UNCLEAR
 
 
-def _accepted(target: Target, ended: Ended, valid_numbers: str, out: Path, *, may_be_valid: bool) -> Verdict:
+def _accepted(target: Target, ended: CommandOutcome, valid_numbers: str, out: Path, *, may_be_valid: bool) -> Verdict:
     try:
         numbers = target.numbers(ended, out)
     except ValueError:
@@ -85,7 +91,7 @@ def _accepted(target: Target, ended: Ended, valid_numbers: str, out: Path, *, ma
     return Verdict.OTHER_INPUT if may_be_valid else Verdict.SILENT
 
 
-def door_verdict(ended: Ended, out: Path, *, keeps_work: bool = False) -> Verdict:
+def door_verdict(ended: CommandOutcome, out: Path, *, keeps_work: bool = False) -> Verdict:
     """Classify what became of a command line: 0 is fine, 1 is spoken of, 2 a sentence and nothing written.
 
     Args:
@@ -108,7 +114,7 @@ def door_verdict(ended: Ended, out: Path, *, keeps_work: bool = False) -> Verdic
     return Verdict.WROTE if wrote and not keeps_work and f"{out}/" not in ended.err else Verdict.ANSWERED
 
 
-def is_a_list(said: str, places: tuple[Path, ...]) -> bool:
+def is_fault_list(said: str, places: tuple[Path, ...]) -> bool:
     """Whether faults are printable lines that name the input, or quantities that differ."""
     names_it = any(str(place) in said for place in places) or "FAIL" in said
     return all(map(str.isprintable, said.splitlines())) and names_it

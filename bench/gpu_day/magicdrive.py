@@ -13,7 +13,7 @@ import torch
 
 from bench.gpu_day.pieces import Piece, Setting, mean_seconds
 from generation.extensions.magicdrive.checkpoint import DIFFUSERS, VideoDecoder
-from generation.extensions.magicdrive.conditions import TEXT_TOKENS, Conditions, TextStates
+from generation.extensions.magicdrive.conditions import TEXT_TOKENS, ClipConditions, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.layers import LatentSize
 from generation.extensions.magicdrive.model import MagicDriveDiT
@@ -39,11 +39,11 @@ def config_of(setting: Setting) -> MagicDriveConfig:
     return MagicDriveConfig.full() if setting.on_gpu else REDUCED
 
 
-def random_conditions(config: MagicDriveConfig, frames: int, height: int, width: int) -> Conditions:
+def random_conditions(config: MagicDriveConfig, frames: int, height: int, width: int) -> ClipConditions:
     """Random numbers of the right sizes: time does not depend on them."""
     # The map is finer for larger images.
     views, cells = config.views, 200 if height <= 224 else 400
-    return Conditions(
+    return ClipConditions(
         bboxes=20 * torch.randn(1, frames, BOXES, 8, 3),
         classes=torch.randint(0, 10, (1, frames, BOXES)),
         masks=torch.randint(0, 2, (views, frames, BOXES)),
@@ -58,7 +58,7 @@ def random_conditions(config: MagicDriveConfig, frames: int, height: int, width:
     )
 
 
-def ready(setting: Setting, mode: str, frames: int, height: int, width: int) -> Callable[[], Callable[[], object]]:
+def prepare(setting: Setting, mode: str, frames: int, height: int, width: int) -> Callable[[], Callable[[], object]]:
     """What encodes conditions and gives what evaluates once; of the decoder, what decodes one view.
 
     The mode is ``decoder``, or has words of ``plain``, ``kept``, ``together``, ``compiled``.
@@ -77,7 +77,7 @@ def ready(setting: Setting, mode: str, frames: int, height: int, width: int) -> 
     conditions = random_conditions(config_of(setting), frames, height, width).to(device)
     if "compiled" in mode:
         network.compile_blocks("eager" if setting.tiny else "inductor")
-    size = network.size_of(conditions)
+    size = network.compute_latent_size(conditions)
     latent = torch.randn(1, 96, size.frames, size.rows, size.columns, device=device)
     timestep = torch.tensor([500.0], device=device)
 
@@ -93,7 +93,7 @@ def cost(setting: Setting, *, mode: str, size: str) -> dict[str, Any]:
     """Seconds and memory of a scene of 241 frames and six cameras: its share of the network, or of the decoder."""
     height, width = (32, 64) if setting.tiny else SIZES[size]
     frames = 9 if setting.tiny else FRAMES
-    encoded = ready(setting, mode, frames, height, width)
+    encoded = prepare(setting, mode, frames, height, width)
     with torch.no_grad():
         evaluate = encoded()
         encoders_s, _ = mean_seconds(setting, encoded, 1)
@@ -105,7 +105,7 @@ def cost(setting: Setting, *, mode: str, size: str) -> dict[str, Any]:
     return {**spent, "size": f"{height}x{width}", "frames": frames, **peak}
 
 
-def cost_said(figures: dict[str, Any]) -> str:
+def describe_cost(figures: dict[str, Any]) -> str:
     """For people."""
     return (
         f"{figures['scene_s']:.1f} s a scene of {figures['frames']} frames at {figures['size']}, "
@@ -119,6 +119,6 @@ def magicdrive_pieces() -> tuple[Piece, ...]:
     wanted = [(mode, "224x400") for mode in ("plain", "kept", "compiled-kept", "decoder")] + [("kept", "424x800")]
     what = f"a scene of {FRAMES} frames"
     return tuple(
-        Piece(f"magicdrive-{mode}-{size}", what, partial(cost, mode=mode, size=size), cost_said)
+        Piece(f"magicdrive-{mode}-{size}", what, partial(cost, mode=mode, size=size), describe_cost)
         for mode, size in wanted
     )

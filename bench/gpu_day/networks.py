@@ -34,7 +34,7 @@ def on_device(inputs: Any, device: str) -> Any:
     return replace(inputs, **{images: getattr(inputs, images).to(device)})
 
 
-def few_tracks(network: Any, inputs: Any) -> None:
+def limit_tracks(network: Any, inputs: Any) -> None:
     """Set the class thresholds of UniAD by what it says of a frame; random ones make a track of every query."""
     bias = network.pts_bbox_head.cls_branches[-1][-1].bias
     with torch.inference_mode(), single_precision():
@@ -45,7 +45,7 @@ def few_tracks(network: Any, inputs: Any) -> None:
         network.reset()
 
 
-def built(name: str, device: str, *, tiny: bool) -> tuple[Any, Any]:
+def build(name: str, device: str, *, tiny: bool) -> tuple[Any, Any]:
     """A network with random weights, and a frame: the published one, or the small one of the same classes."""
     torch.manual_seed(0)
     small = (candidate for candidate in miniatures().values() if name in candidate.small.stands_for)
@@ -53,13 +53,13 @@ def built(name: str, device: str, *, tiny: bool) -> tuple[Any, Any]:
     network: Any = model.build().eval().to(device)
     inputs = on_device(resolve(model.net.example)(model.configuration()), device)
     if name == "uniad":
-        few_tracks(network, inputs)
+        limit_tracks(network, inputs)
     return network, inputs
 
 
 def ready(setting: Setting, name: str, mode: str) -> tuple[Any, Callable[[], Any]]:
     """A network with random weights, and what plans one frame."""
-    network, inputs = built(name, setting.device, tiny=setting.tiny)
+    network, inputs = build(name, setting.device, tiny=setting.tiny)
     # A trial traces the network and spares itself the minutes of a compiler.
     backend = "eager" if setting.tiny else "inductor"
     step = torch.compile(network, backend=backend) if mode.endswith("compiled") else network
@@ -91,7 +91,7 @@ def speed(setting: Setting, *, name: str, mode: str) -> dict[str, Any]:
     return {"frames_per_s": 1 / seconds, "ms": 1e3 * seconds, "frames": frames, **peak}
 
 
-def speed_said(figures: dict[str, Any]) -> str:
+def describe_speed(figures: dict[str, Any]) -> str:
     """For people."""
     return (
         f"{figures['frames_per_s']:.2f} frames/s ({figures['ms']:.1f} ms), {figures['peak_gib']:.2f} GiB peak, mean of "
@@ -117,7 +117,7 @@ def agreement(setting: Setting, *, name: str) -> dict[str, Any]:
             "error": worst.error,
             "tolerance": worst.tolerance,
         }
-    network, inputs = built(name, "cpu", tiny=True)
+    network, inputs = build(name, "cpu", tiny=True)
     plans = []
     for place in ("cpu", setting.device):
         twin = copy.deepcopy(network).to(place)
@@ -128,7 +128,7 @@ def agreement(setting: Setting, *, name: str) -> dict[str, Any]:
     return {"against": against, "frames": COMPARED_FRAMES, "plan_m": apart}
 
 
-def agreement_said(figures: dict[str, Any]) -> str:
+def describe_agreement(figures: dict[str, Any]) -> str:
     """For people."""
     if "plan_m" in figures:
         return (
@@ -143,11 +143,16 @@ def agreement_said(figures: dict[str, Any]) -> str:
 def network_pieces() -> tuple[Piece, ...]:
     """All of them, the quick ones first."""
     agreements = [
-        Piece(f"{name}-agreement", "does it say the same on the device?", partial(agreement, name=name), agreement_said)
+        Piece(
+            f"{name}-agreement",
+            "does it say the same on the device?",
+            partial(agreement, name=name),
+            describe_agreement,
+        )
         for name in reversed(NETWORKS)
     ]
     speeds = [
-        Piece(f"{name}-{mode}", "frames per second and memory", partial(speed, name=name, mode=mode), speed_said)
+        Piece(f"{name}-{mode}", "frames per second and memory", partial(speed, name=name, mode=mode), describe_speed)
         for mode in MODES
         for name in reversed(NETWORKS)
     ]

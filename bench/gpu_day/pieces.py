@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.errors import InputError
-from benchmark.machine.environment import facts as environment_facts
-from benchmark.machine.storage import read_kept_json, write_json
+from benchmark.machine.environment import read_machine_metadata as environment_facts
+from benchmark.machine.storage import read_cached_json, write_json
 from benchmark.machine.workers import end_with_parent
 
 PIECE_LIMIT_S: Final = 540.0
@@ -80,7 +80,7 @@ class Piece:
     what: str
     work: Callable[[Setting], dict[str, Any]]
     said: Callable[[dict[str, Any]], str]
-    so_far: Callable[[Setting], dict[str, Any]] | None = None
+    tally_until: Callable[[Setting], dict[str, Any]] | None = None
 
 
 def mean_seconds(
@@ -155,14 +155,14 @@ def _driver() -> str | None:
     return words[0] if words else None
 
 
-def kept_path(setting: Setting, piece: Piece) -> Path:
+def cached_path(setting: Setting, piece: Piece) -> Path:
     """File of what came of a piece."""
     return setting.kept / f"{piece.name}.json"
 
 
-def kept_outcome(setting: Setting, piece: Piece) -> tuple[Outcome, dict[str, Any]] | None:
+def cached_outcome(setting: Setting, piece: Piece) -> tuple[Outcome, dict[str, Any]] | None:
     """What came of a piece and on which machine; ``None`` where nothing is kept, or it is damaged."""
-    value = read_kept_json(kept_path(setting, piece))
+    value = read_cached_json(cached_path(setting, piece))
     if not isinstance(value, dict) or value.get("schema") != SCHEMA or value.get("piece") != piece.name:
         return None
     try:
@@ -198,12 +198,12 @@ def run_piece(setting: Setting, piece: Piece, limit_s: float = PIECE_LIMIT_S) ->
     else:
         process.terminate()
     process.join()
-    if not answered and piece.so_far is not None:
-        figures, failure, unfinished = piece.so_far(setting), None, True
+    if not answered and piece.tally_until is not None:
+        figures, failure, unfinished = piece.tally_until(setting), None, True
     outcome = Outcome(figures, failure, unfinished, round(time.monotonic() - begun, 1))
     if answered or unfinished or limit_s >= PIECE_LIMIT_S:
         value = {"schema": SCHEMA, "piece": piece.name, "outcome": asdict(outcome), "machine": machine_facts(setting)}
-        write_json(kept_path(setting, piece), value)
+        write_json(cached_path(setting, piece), value)
     return outcome
 
 
@@ -218,7 +218,7 @@ def _work(work: Callable[[Setting], dict[str, Any]], setting: Setting, sending: 
         sending.send((None, f"{type(error).__name__}: {first}"))
 
 
-def piece_named(pieces: tuple[Piece, ...], name: str) -> Piece:
+def find_piece(pieces: tuple[Piece, ...], name: str) -> Piece:
     """A piece by name; raises `InputError` if there is none."""
     match = next((piece for piece in pieces if piece.name == name), None)
     if match is None:
@@ -230,18 +230,20 @@ def markdown(setting: Setting, pieces: tuple[Piece, ...]) -> str:
     """The figures as a Markdown table for ``docs/performance.md``; what was not run is there too."""
     lines = ["| piece | figures | card | torch | commit |", "|---|---|---|---|---|"]
     for piece in pieces:
-        kept = kept_outcome(setting, piece)
+        kept = cached_outcome(setting, piece)
         if kept is None:
             lines.append(f"| {piece.name} | not run | | | |")
             continue
         outcome, machine = kept
         card = machine.get("card") or f"none ({machine.get('processor')})"
         commit = str(machine.get("commit") or "")[:7]
-        lines.append(f"| {piece.name} | {said(piece, outcome)} | {card} | {machine.get('torch')} | {commit} |")
+        lines.append(
+            f"| {piece.name} | {describe_outcome(piece, outcome)} | {card} | {machine.get('torch')} | {commit} |"
+        )
     return "\n".join(lines)
 
 
-def said(piece: Piece, outcome: Outcome) -> str:
+def describe_outcome(piece: Piece, outcome: Outcome) -> str:
     """What came of a piece, in a few words."""
     if outcome.figures is None:
         return f"failed: {outcome.failure}"

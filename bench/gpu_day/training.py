@@ -8,14 +8,14 @@ from typing import Any, Final
 
 import torch
 
-from adapters.extensions.training.mixture import gathered
+from adapters.extensions.training.mixture import cached_frames_of
 from adapters.extensions.training.trainer import fit
 from adapters.models import miniature, resolve
 from bench.gpu_day.pieces import Piece, Setting
 from benchmark.machine.workspace import cache_root
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
 from generation.extensions.denoiser_training.loop import TrainingConfig, train_denoiser
-from generation.sources.mini import TownSettings, build_town
+from generation.sources.mini import TownSettings, build_town_data_set
 
 FEW, MANY = 50, 350
 """Steps of two runs; what lies between them has no share of reading and writing."""
@@ -28,14 +28,14 @@ SPLIT: Final = "val"
 def town(setting: Setting) -> Path:
     """Root of the embedded town; of a smaller one in a trial."""
     if setting.tiny:
-        return build_town(setting.kept / "town", TownSettings(1, 0, 0, 64, 36, "keyframes"), workers=1)
+        return build_town_data_set(setting.kept / "town", TownSettings(1, 0, 0, 64, 36, "keyframes"), workers=1)
     full = TownSettings()
-    return build_town(cache_root() / full.folder_name("mini"), full, workers=1)
+    return build_town_data_set(cache_root() / full.folder_name("mini"), full, workers=1)
 
 
 def prior_training(setting: Setting, out: Path) -> TrainingConfig:
     """Training of the published network."""
-    config = TrainingConfig(setting.tracks or town(setting), out, device=setting.device).of_architecture("published")
+    config = TrainingConfig(setting.tracks or town(setting), out, device=setting.device).for_architecture("published")
     if not setting.tiny:
         return replace(config, checkpoint_every=KEPT_EVERY)
     small = DenoiserConfig(feature_dim=16, heads=2, layers=1, feedforward_dim=16)
@@ -54,16 +54,16 @@ def prior_speed(setting: Setting) -> dict[str, Any]:
     config = prior_training(setting, setting.kept)
     parameters = sum(parameter.numel() for parameter in TrajectoryDenoiser(config.denoiser).parameters())
     whose = {"batch": config.batch, "parameters": parameters, "tracks": "given" if setting.tracks else "embedded town"}
-    return _timed(setting, train, (FEW, MANY), config.steps) | whose
+    return _measure_steps(setting, train, (FEW, MANY), config.steps) | whose
 
 
-def prior_to_the_end(setting: Setting) -> dict[str, Any]:
+def finish_prior(setting: Setting) -> dict[str, Any]:
     """Train the trajectory prior; a call that is ended is gone on with by the next one."""
     train_denoiser(prior_training(setting, _prior(setting)))
-    return prior_so_far(setting)
+    return read_prior_progress(setting)
 
 
-def prior_so_far(setting: Setting) -> dict[str, Any]:
+def read_prior_progress(setting: Setting) -> dict[str, Any]:
     """The last row of the training's log."""
     log = _prior(setting).with_suffix(".log.jsonl")
     rows = log.read_text().splitlines() if log.is_file() else []
@@ -75,7 +75,7 @@ def prior_so_far(setting: Setting) -> dict[str, Any]:
 def miniature_speed(setting: Setting) -> dict[str, Any]:
     """Seconds of a step of a miniature's first part, and what its whole recipe would take at that rate."""
     root, small = town(setting), miniature(MINIATURE)
-    store = gathered(root, SPLIT, workers=1)
+    store = cached_frames_of(root, SPLIT, workers=1)
     learned = [number for name in store.scenes for number in store.frames_of(name)]
     frames = [replace(store.frame(number), images=torch.empty(0, dtype=torch.uint8)) for number in learned]
     phases = resolve(small.small.phases)()
@@ -88,10 +88,10 @@ def miniature_speed(setting: Setting) -> dict[str, Any]:
         for left in (out.with_suffix(".progress.safetensors"), out.with_suffix(".log.jsonl")):
             left.unlink(missing_ok=True)
 
-    return _timed(setting, train, (FEW // 5, MANY // 5), sum(phase.recipe.steps for phase in phases))
+    return _measure_steps(setting, train, (FEW // 5, MANY // 5), sum(phase.recipe.steps for phase in phases))
 
 
-def _timed(setting: Setting, train: Callable[[int], None], runs: tuple[int, int], steps: int) -> dict[str, Any]:
+def _measure_steps(setting: Setting, train: Callable[[int], None], runs: tuple[int, int], steps: int) -> dict[str, Any]:
     """What a step takes, and all steps; nothing in a trial whose few steps are lost in reading and writing."""
     spent, (few, many) = [], TINY if setting.tiny else runs
     # The first run warms up; the second and third are compared.
@@ -112,7 +112,7 @@ def _prior(setting: Setting) -> Path:
     return setting.kept / "prior.safetensors"
 
 
-def training_said(figures: dict[str, Any]) -> str:
+def describe_timing(figures: dict[str, Any]) -> str:
     """For people."""
     whose = f", {figures['parameters']:,} parameters, batch {figures['batch']}" if "parameters" in figures else ""
     if "step_ms" not in figures:
@@ -123,7 +123,7 @@ def training_said(figures: dict[str, Any]) -> str:
     )
 
 
-def trained_said(figures: dict[str, Any]) -> str:
+def describe_training(figures: dict[str, Any]) -> str:
     """For people."""
     return f"{figures['step']:,} of {figures['of']:,} steps, loss {figures['loss']}, held out {figures['held_out']}"
 
@@ -131,9 +131,13 @@ def trained_said(figures: dict[str, Any]) -> str:
 def training_pieces() -> tuple[Piece, ...]:
     """All of them; the one that may take several calls last."""
     return (
-        Piece("prior-speed", "a step of the published trajectory prior", prior_speed, training_said),
-        Piece(f"{MINIATURE}-speed", "a step of a miniature", miniature_speed, training_said),
+        Piece("prior-speed", "a step of the published trajectory prior", prior_speed, describe_timing),
+        Piece(f"{MINIATURE}-speed", "a step of a miniature", miniature_speed, describe_timing),
         Piece(
-            "prior-trained", "the published trajectory prior, to the end", prior_to_the_end, trained_said, prior_so_far
+            "prior-trained",
+            "the published trajectory prior, to the end",
+            finish_prior,
+            describe_training,
+            read_prior_progress,
         ),
     )

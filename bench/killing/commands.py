@@ -23,7 +23,7 @@ _TABLE: Final = tomllib.loads((Path(__file__).parent / "commands.toml").read_tex
 
 
 @dataclass(frozen=True, slots=True)
-class Killed:
+class KilledCommand:
     """A command that is killed.
 
     Attributes:
@@ -48,7 +48,8 @@ class Killed:
 
 
 COMMANDS: Final = {
-    name: Killed(name, arguments(said.pop("line"), _TABLE["words"]), **said) for name, said in _TABLE["command"].items()
+    name: KilledCommand(name, arguments(said.pop("line"), _TABLE["words"]), **said)
+    for name, said in _TABLE["command"].items()
 }
 """By name, in the order in which they begin."""
 
@@ -69,7 +70,7 @@ def write_recorded(root: Path) -> Path:
     return root / "road"
 
 
-def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
+def write_needed(command: KilledCommand, data: Path, folder: Path, case: Path) -> Path:
     """What a command finds in ``--out``: what the ones before it leave undisturbed, all at one place; made once."""
     needed = folder / ("-".join(command.after) or "nothing")
     if needed.is_dir():
@@ -85,7 +86,7 @@ def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
     return needed
 
 
-def words(command: Killed, data: Path, out: Path, workers: int, *, ray: str = "", url: str = "") -> list[str]:
+def words(command: KilledCommand, data: Path, out: Path, workers: int, *, ray: str = "", url: str = "") -> list[str]:
     """The command line of a command; ``ray`` is the address of a cluster, ``url`` that of a model server."""
     places = {"data": data, "tracks": data.parent / "tracks", "out": out, "url": url}
     line = [argument.format(**places) for argument in command.arguments]

@@ -14,10 +14,10 @@ from pathlib import Path
 from random import Random
 from typing import Final
 
-from bench.attacking.children import Begun, Ended, begin_command, run_command
+from bench.attacking.children import CommandOutcome, RunningCommand, begin_command, run_command
 from bench.attacking.requests import OwnServer
-from bench.killing.commands import Killed, words, write_needed, write_recorded
-from bench.processes import alive, command_line, descendants
+from bench.killing.commands import KilledCommand, words, write_needed, write_recorded
+from bench.processes import command_line, descendants, is_alive
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
 from benchmark.machine.workspace import TIMINGS_FOLDER
@@ -82,14 +82,14 @@ class Series:
         return not self.differences and not self.said
 
 
-class Bench:
+class KillBench:
     """A folder in which commands are run undisturbed once, and disturbed many times at the same place."""
 
     def __init__(self, folder: Path, seed: int) -> None:
         self.folder, self.seed = folder.resolve(), seed
         self.case = self.folder / "case"
         self.data = write_recorded(self.folder / "recorded")
-        self._left: dict[str, Listing] = {}
+        self._build_away_error: dict[str, Listing] = {}
         self._lasting: dict[tuple[str, int], float] = {}
         self._pages: dict[str, int] = {}
         self._beside = contextlib.ExitStack()
@@ -97,7 +97,7 @@ class Bench:
     @cached_property
     def cluster(self) -> tuple[str, int]:
         """Address and process of a cluster of Ray of its own, begun where it is first wanted."""
-        return self._beside.enter_context(ray_here())
+        return self._beside.enter_context(start_ray())
 
     @cached_property
     def server(self) -> OwnServer:
@@ -108,22 +108,22 @@ class Bench:
         """Stop what runs beside the commands."""
         self._beside.close()
 
-    def undisturbed(self, command: Killed, workers: int) -> tuple[Listing, float]:
+    def undisturbed(self, command: KilledCommand, workers: int) -> tuple[Listing, float]:
         """What a command leaves, and how long it takes with so many workers, seconds."""
-        if command.name not in self._left or (command.name, workers) not in self._lasting:
+        if command.name not in self._build_away_error or (command.name, workers) not in self._lasting:
             self._begin(command)
-            ended = self._run(command, workers)
+            ended = self._describe_run(command, workers)
             if ended.code:
                 raise InputError(f"{command.name} failed undisturbed: {ended.err.strip()[-400:]}; mend it first")
             self._lasting[command.name, workers] = ended.wall_s
             self._pages.setdefault(command.name, pages_below(self.case / "out"))
             left = listing(self.case)
-            if self._left.setdefault(command.name, left) != left:
-                names = differences(self._left[command.name], left)
+            if self._build_away_error.setdefault(command.name, left) != left:
+                names = differences(self._build_away_error[command.name], left)
                 raise InputError(f"{command.name} leaves other bytes with {workers} workers: {names[:5]}")
-        return self._left[command.name], self._lasting[command.name, workers]
+        return self._build_away_error[command.name], self._lasting[command.name, workers]
 
-    def disturbed(self, command: Killed, how: str, workers: int, number: int) -> Series:
+    def disturbed(self, command: KilledCommand, how: str, workers: int, number: int) -> Series:
         """Disturb a command in one of the `WAYS`, let it end, and compare what it leaves."""
         row, word = (template.format(workers=workers, s="s" * (workers > 1)) for template in WAYS[how])
         wanted, lasts_s = self.undisturbed(command, workers)
@@ -135,7 +135,7 @@ class Bench:
             else:
                 kills, note = self._kill(command, how, workers, lasts_s, chance)
             for _ in range(TRIES_AT_LAST):
-                ended = self._run(command, workers)
+                ended = self._describe_run(command, workers)
                 if ended.code == 0:
                     break
                 time.sleep(1.0)
@@ -144,7 +144,7 @@ class Bench:
             left = listing(self.case)
         return Series(command.name, row, number, kills, differences(wanted, left), len(wanted), note)
 
-    def _kill(self, command: Killed, how: str, workers: int, lasts_s: float, chance: Random) -> tuple[int, str]:
+    def _kill(self, command: KilledCommand, how: str, workers: int, lasts_s: float, chance: Random) -> tuple[int, str]:
         """Kill something at a moment of chance: a command twice in a row, what works for it once; and let it end.
 
         Returns:
@@ -163,9 +163,9 @@ class Bench:
             note = "" if dies or ended.code == 0 else ended.err.strip()[-400:]
         return kills, note
 
-    def _strike(self, how: str, begun: Begun, chance: Random) -> bool:
+    def _strike(self, how: str, begun: RunningCommand, chance: Random) -> bool:
         """Kill what is to be killed; whether a command was there that it works for."""
-        met = alive(begun.process)
+        met = is_alive(begun.process)
         if how == "server":
             self.server.end()
             self.server.begin()
@@ -182,7 +182,7 @@ class Bench:
     def _busy_on_ray(self, child: int) -> list[int]:
         """Workers of Ray as soon as some have a unit of work, which their titles name; none if the command ends."""
         until = time.monotonic() + _PATIENCE_S
-        while alive(child) and time.monotonic() < until:
+        while is_alive(child) and time.monotonic() < until:
             if busy := [
                 process for process in descendants(self.cluster[1]) if command_line(process).startswith(_RAY_WORKER)
             ]:
@@ -190,7 +190,9 @@ class Bench:
             time.sleep(_LOOK_S)
         return []
 
-    def _fill_the_disk(self, command: Killed, chance: Random, until_compared: contextlib.ExitStack) -> tuple[int, str]:
+    def _fill_the_disk(
+        self, command: KilledCommand, chance: Random, until_compared: contextlib.ExitStack
+    ) -> tuple[int, str]:
         """Run a command on a disk that gets full, then give it room; needs the right to mount."""
         out, before = self.case / "out", self.folder / "before"
         has = pages_below(out)
@@ -199,25 +201,25 @@ class Bench:
         shutil.rmtree(before, ignore_errors=True)
         out.rename(before)
         out.mkdir()
-        give_room = until_compared.enter_context(mounted(out, room))
+        give_room = until_compared.enter_context(mount_disk(out, room))
         shutil.copytree(before, out, dirs_exist_ok=True)
-        ended = self._run(command, 1)
+        ended = self._describe_run(command, 1)
         note = "" if ended.code == 0 else ended.err.strip().splitlines()[-1][:400]
         full = ended.code == 2 and note.startswith("error: ") and any(phrase in note for phrase in _FULL)
         give_room()
         return int(full), "" if full or ended.code == 0 else f"a full disk: exit code {ended.code}, {note}"
 
-    def _begin(self, command: Killed) -> None:
+    def _begin(self, command: KilledCommand) -> None:
         """An ``--out`` with what the command needs, nothing else."""
         needed = write_needed(command, self.data, self.folder / "needed", self.case)
         shutil.rmtree(self.case, ignore_errors=True)
         shutil.copytree(needed, self.case / "out")
 
-    def _words(self, command: Killed, workers: int, ray: str = "") -> list[str]:
+    def _words(self, command: KilledCommand, workers: int, ray: str = "") -> list[str]:
         url = self.server.url if command.served else ""
         return words(command, self.data, self.case / "out", workers, ray=ray, url=url)
 
-    def _run(self, command: Killed, workers: int) -> Ended:
+    def _describe_run(self, command: KilledCommand, workers: int) -> CommandOutcome:
         return run_command(self._words(command, workers), self.case, patience=_PATIENCE_S)
 
 
@@ -227,7 +229,7 @@ def pages_below(folder: Path) -> int:
 
 
 @contextlib.contextmanager
-def ray_here() -> Iterator[tuple[str, int]]:
+def start_ray() -> Iterator[tuple[str, int]]:
     """A cluster of two processors on this machine: its address, and the process below which all of it runs."""
     command, pipe = [sys.executable, "-c", _CLUSTER], subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
@@ -238,7 +240,7 @@ def ray_here() -> Iterator[tuple[str, int]]:
 
 
 @contextlib.contextmanager
-def mounted(folder: Path, pages: int) -> Iterator[Callable[[], None]]:
+def mount_disk(folder: Path, pages: int) -> Iterator[Callable[[], None]]:
     """A disk in memory with so many pages of room in a folder; what is yielded gives it room enough.
 
     Raises:

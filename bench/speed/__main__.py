@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.speed.case import Case, measure, said
+from bench.speed.case import Case, format_line, measure
 from bench.speed.cases import CASES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,7 +34,7 @@ def in_this_process(name: str, folder: str, quick: str, repeat: str) -> None:
     print(json.dumps(figures))
 
 
-def measured_in(tree: Path, case: Case, given: argparse.Namespace) -> dict[str, Any]:
+def measure_in_tree(tree: Path, case: Case, given: argparse.Namespace) -> dict[str, Any]:
     """Figures of a case, in a process of its own; or why there are none."""
     words = [case.name, given.folder or "", "quick" if given.quick else "", str(given.repeat)]
     environment = {"OMP_NUM_THREADS": "1", **os.environ, "PYTHONPATH": str(tree)}
@@ -51,10 +51,10 @@ def figures_of(case: Case, given: argparse.Namespace) -> dict[str, Any]:
     """Figures of a case; with those of the other tree, if one is given."""
     if (why := case.missing()) is not None:
         return {"name": case.name, "skipped": why}
-    here = measured_in(ROOT, case, given)
+    here = measure_in_tree(ROOT, case, given)
     if given.against is None or "failed" in here:
         return here
-    there, again = measured_in(given.against.resolve(), case, given), measured_in(ROOT, case, given)
+    there, again = measure_in_tree(given.against.resolve(), case, given), measure_in_tree(ROOT, case, given)
     if "failed" in there:
         return here | {"wrong": [*here["wrong"], f"not measured in the other tree: {there['failed']}"]}
     here |= {"ours_s": min(here["ours_s"], again.get("ours_s", here["ours_s"])), "there_s": there["ours_s"]}
@@ -68,7 +68,7 @@ def line(figures: dict[str, Any]) -> str:
     for key, word in (("skipped", "skipped"), ("failed", "FAILED")):
         if key in figures:
             return f"{figures['name']:<32} {word}: {figures[key]}"
-    return said(figures)
+    return format_line(figures)
 
 
 def main(arguments: Sequence[str] | None = None, cases: tuple[Case, ...] = CASES) -> int:

@@ -99,14 +99,14 @@ def measure(
         figures["more"] = case.more(state, results[0])
     if case.digest is not None:
         figures["digest"] = case.digest(results[0])
-    limits = [] if quick else _past(case, figures)
+    limits = [] if quick else _find_excesses(case, figures)
     return figures | {"wrong": [*limits, *(() if same else (f"{beside}: comes to something else",))]}
 
 
-def _past(case: Case, figures: dict[str, Any]) -> list[str]:
+def _find_excesses(case: Case, figures: dict[str, Any]) -> list[str]:
     faults = []
     if case.most_s is not None and figures["ours_s"] > case.most_s:
-        faults.append(f"too slow: at most {in_words(case.most_s)} per {case.unit} are meant")
+        faults.append(f"too slow: at most {format_seconds(case.most_s)} per {case.unit} are meant")
     if case.least_ratio is not None and figures["ratio"] < case.least_ratio:
         faults.append(f"too slow: {case.least_ratio:.2f} times as fast is meant")
     if case.most_mb is not None and figures["peak_mb"] > case.most_mb:
@@ -114,7 +114,7 @@ def _past(case: Case, figures: dict[str, Any]) -> list[str]:
     return faults
 
 
-def in_words(seconds: float) -> str:
+def format_seconds(seconds: float) -> str:
     """With a unit that leaves few zeros."""
     for factor, unit in ((1.0, "s"), (1e3, "ms")):
         if seconds * factor >= 1:
@@ -122,13 +122,11 @@ def in_words(seconds: float) -> str:
     return f"{seconds * 1e6:.3g} us"
 
 
-def said(figures: dict[str, Any]) -> str:
+def format_line(figures: dict[str, Any]) -> str:
     """One line for people."""
-    text = f"{figures['name']:<32} {in_words(figures['ours_s'])} per {figures['unit']}"
+    text = f"{figures['name']:<32} {format_seconds(figures['ours_s'])} per {figures['unit']}"
     if "ratio" in figures:
-        text += f"; {figures['beside']} {in_words(figures['other_s'])}: {figures['ratio']:.3g} times"
+        text += f"; {figures['beside']} {format_seconds(figures['other_s'])}: {figures['ratio']:.3g} times"
     if "there_s" in figures:
-        text += (
-            f"; in the other tree {in_words(figures['there_s'])}: {figures['there_s'] / figures['ours_s']:.2f} times"
-        )
+        text += f"; in the other tree {format_seconds(figures['there_s'])}: {figures['there_s'] / figures['ours_s']:.2f} times"
     return "; ".join([text, *filter(None, [figures.get("more")]), f"{figures['peak_mb']} MB", *figures["wrong"]])

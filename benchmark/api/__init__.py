@@ -6,13 +6,13 @@ and a missing extra breaks only what needs it.
 
 from benchmark.api.driving import (
     drive_settings as drive_settings,
-    looks_at_images as looks_at_images,
+    uses_images as uses_images,
     require_sensor as require_sensor,
 )
 from benchmark.api.opening import (
     DEFAULT_IMAGE_SIZE as DEFAULT_IMAGE_SIZE,
     OUT as OUT,
-    frozen_root as frozen_root,
+    build_frozen_root as build_frozen_root,
     known_scenes as known_scenes,
     open_data as open_data,
     open_split as open_split,
@@ -20,22 +20,22 @@ from benchmark.api.opening import (
     worker_count as worker_count,
     workspace as workspace,
 )
-from benchmark.api.sources import named_alike as named_alike
+from benchmark.api.sources import select_matching_options as select_matching_options
 from benchmark.api.planners import (
     NEEDS_SERVE as NEEDS_SERVE,
     PlannerSource as PlannerSource,
     load_planner as load_planner,
-    model_that_runs as model_that_runs,
+    find_runnable_model as find_runnable_model,
     planner_under_test as planner_under_test,
     require_device as require_device,
     require_devices as require_devices,
 )
 from benchmark.api.sources import (
-    Ahead as Ahead,
+    SourcePreview as SourcePreview,
     DataSource as DataSource,
-    town_bytes as town_bytes,
+    estimate_town_bytes as estimate_town_bytes,
 )
-from benchmark.api.opening import say_once as say_once, tell as tell
+from benchmark.api.opening import notify_once as notify_once, notify as notify
 from benchmark.api.showing import (
     stale_leaderboard as stale_leaderboard,
     write_leaderboard as write_leaderboard,

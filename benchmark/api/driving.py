@@ -8,13 +8,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from benchmark.closed_loop.adversary import AdversaryMaker
+    from benchmark.closed_loop.adversary import AdversaryFactory
     from benchmark.closed_loop.observing import Sensor
     from benchmark.machine.workers import Executor
     from benchmark.runs.driving import DriveSettings
 
 
-def looks_at_images(name: str) -> bool | None:
+def uses_images(name: str) -> bool | None:
     """Whether a planner looks at images: built-in ones say so, HTTP carries some, others are unknown (``None``)."""
     from adapters.models import MODELS
     from benchmark.machine.address import is_address
@@ -85,14 +85,14 @@ def drive_settings(
         InputError: If there is no such engine, policy or sensor, or they do not go together.
     """
     from benchmark.closed_loop.adversary import ADVERSARY
-    from benchmark.closed_loop.engines import rides_of
+    from benchmark.closed_loop.engines import make_backend
     from benchmark.closed_loop.world import ENGINE
-    from benchmark.interactions.driving import LADDER
-    from benchmark.machine.extension import from_extension
+    from benchmark.interactions.driving import REFERENCE_DRIVER_KINDS
+    from benchmark.machine.extension import import_from_extension
     from benchmark.machine.workers import LocalProcesses
     from benchmark.runs.driving import DriveSettings
 
-    drivers = [driver.value for driver in LADDER]
+    drivers = [driver.value for driver in REFERENCE_DRIVER_KINDS]
     if ladder is not None and (strange := [name for name in ladder if name not in drivers]):
         raise InputError(f"there is no reference driver {strange[0]!r}; there are {', '.join(drivers)}")
     if keep_considered and (agents != ADVERSARY or adversary_tracks is not None):
@@ -100,13 +100,13 @@ def drive_settings(
             "--keep-considered keeps what an adversary considers that plans; add --agents adversary, and leave "
             "--adversary-tracks out"
         )
-    pursuit: AdversaryMaker | None = None
+    pursuit: AdversaryFactory | None = None
     if adversary_tracks is not None:
         if agents != ADVERSARY:
             raise InputError("--adversary-tracks are driven by an adversary; add --agents adversary")
         pursuit, runs = _given_tracks(adversary_tracks, split)
     elif agents == ADVERSARY and engine == ENGINE:
-        pursuit = from_extension("agents", ADVERSARY)(
+        pursuit = import_from_extension("agents", ADVERSARY)(
             knows=adversary_knows,
             every_s=adversary_every_s,
             others=adversary_others,
@@ -116,7 +116,7 @@ def drive_settings(
         )
     return DriveSettings(
         engine=engine,
-        maker=rides_of(engine, agents, latency_ms, scenarios, pursuit, until),
+        maker=make_backend(engine, agents, latency_ms, scenarios, pursuit, until),
         ladder=tuple(drivers if ladder is None else ladder),
         keep_considered=keep_considered,
         agents=agents,
@@ -132,14 +132,14 @@ def drive_settings(
     )
 
 
-def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryMaker, int]":
+def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryFactory, int]":
     """Adversaries on the tracks of a record of drives, and how many runs of each scene there are."""
-    from benchmark.closed_loop.adversary import GivenTracks
+    from benchmark.closed_loop.adversary import ScriptedTracks
     from benchmark.records.drives import load_drives
-    from benchmark.runs.drive_rows import track_of
+    from benchmark.runs.drive_rows import decode_adversary_track
 
     record = load_drives(directory)
-    tracks = {(row.scene, row.run): track_of(row) for row in record.rows}
+    tracks = {(row.scene, row.run): decode_adversary_track(row) for row in record.rows}
     known = {at: track for at, track in tracks.items() if track is not None}
     if len(known) < len(tracks) or record.facts.split != split:
         raise InputError(
@@ -148,7 +148,7 @@ def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryMaker, int]"
         )
     others = str(record.facts.measured.agents_facts.get("others", "replay"))
     facts = {"tracks_of": record.planner, "record": record.content_id, "others": others}
-    return GivenTracks(known, others, facts), record.facts.runs
+    return ScriptedTracks(known, others, facts), record.facts.runs
 
 
 def require_sensor(sensor: str) -> None:
@@ -170,13 +170,13 @@ def require_sensor(sensor: str) -> None:
 def _sensor(name: str, split: str, *, tensors: bool) -> "Sensor":
     from benchmark.closed_loop.observing import NO_SENSOR, NoSensor
     from benchmark.machine.address import Address, is_address
-    from benchmark.machine.extension import from_extension
+    from benchmark.machine.extension import import_from_extension
     from benchmark.machine.workspace import is_generated
     from generation.render.sensor import SchematicSensor
 
     require_sensor(name)
     if is_address(name):
-        served: Sensor = from_extension("sensor", "http")(Address.of(name, "--sensor"), tensors)
+        served: Sensor = import_from_extension("sensor", "http")(Address.of(name, "--sensor"), tensors)
         return served
     # Generated splits are drawn in the second style, what they are made from in the first.
     return NoSensor() if name == NO_SENSOR else SchematicSensor("second" if is_generated(split) else "first")

@@ -16,19 +16,19 @@ if TYPE_CHECKING:
     from generation.render.contract import Renderer
 
 
-def tell(sentence: str) -> None:
+def notify(sentence: str) -> None:
     """Say something to the person who waits; stdout stays free for results."""
     print(sentence, file=sys.stderr, flush=True)
 
 
-_said: set[str] = set()
+_notified: set[str] = set()
 
 
-def say_once(sentence: str) -> None:
+def notify_once(sentence: str) -> None:
     """Say what holds for a whole command, however often it is found out."""
-    if sentence not in _said:
-        _said.add(sentence)
-        tell(sentence)
+    if sentence not in _notified:
+        _notified.add(sentence)
+        notify(sentence)
 
 
 OUT = Path("challenger-out")
@@ -91,12 +91,14 @@ def open_data(
     from benchmark.datasets.categories import read_categories
     from benchmark.datasets.roots import open_data as open_root
     from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED, cache_root, is_finished
-    from generation.sources.mini import TownSettings, build_town
+    from generation.sources.mini import TownSettings, build_town_data_set
 
     if str(data) == DEMONSTRATED:
         town = open_root(workspace(out).demonstrated("val"), name=DEMONSTRATED)
         if sweeps:
-            build_town(town.root, TownSettings(val_scenes=len(town.scene_names("val"))), workers=worker_count(workers))
+            build_town_data_set(
+                town.root, TownSettings(val_scenes=len(town.scene_names("val"))), workers=worker_count(workers)
+            )
         return town
     if str(data) != EMBEDDED:
         named = None if categories is None else read_categories(str(categories))
@@ -104,8 +106,8 @@ def open_data(
     settings = TownSettings(pictures="all" if sweeps else "keyframes")
     root = cache_root() / settings.folder_name(EMBEDDED)
     if not is_finished(root):
-        tell(f"building the embedded data set in {root} (once, about {_TOWN_TAKES[settings.pictures]})")
-    return open_root(build_town(root, settings, workers=worker_count(workers)), name=EMBEDDED)
+        notify(f"building the embedded data set in {root} (once, about {_TOWN_TAKES[settings.pictures]})")
+    return open_root(build_town_data_set(root, settings, workers=worker_count(workers)), name=EMBEDDED)
 
 
 def open_split(
@@ -133,12 +135,12 @@ def open_split(
 
     def build() -> Path:
         if split == "adv":
-            return frozen_root(source, workers)
+            return build_frozen_root(source, workers)
         from benchmark.machine.workers import LocalProcesses
         from generation.pipeline.settings import BuildSettings
         from generation.pipeline.split import build_split
 
-        tell(f"rendering split {split} of the embedded data set (once, some minutes)")
+        notify(f"rendering split {split} of the embedded data set (once, some minutes)")
         target, executor = workspace(out).split_root(source.name, split), LocalProcesses(worker_count(workers))
         timings = workspace(out).timings_of(target)
         drawing = schematic_renderer()
@@ -151,11 +153,11 @@ def open_split(
     )
 
 
-def frozen_root(source: "DataSet", workers: int = 0) -> Path:
+def build_frozen_root(source: "DataSet", workers: int = 0) -> Path:
     """Root of the newest frozen split of the embedded data set, in the user's cache; built where it is not finished."""
-    from generation.splits.cached import cached_root
+    from generation.splits.cached import build_cached_root
 
-    return cached_root(source, schematic_renderer(), worker_count(workers), tell)
+    return build_cached_root(source, schematic_renderer(), worker_count(workers), notify)
 
 
 def known_scenes(data: str | Path, split: str, out: Path = OUT) -> "tuple[str, ...] | None":
@@ -173,7 +175,7 @@ def known_scenes(data: str | Path, split: str, out: Path = OUT) -> "tuple[str, .
         InputError: If what was generated cannot be read.
     """
     from benchmark.machine.workspace import EMBEDDED
-    from generation.splits.cached import known_scenes as known
+    from generation.splits.cached import list_scene_names as known
 
     if str(data) != EMBEDDED or split != "adv":
         return None

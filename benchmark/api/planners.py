@@ -5,16 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from benchmark.api.driving import looks_at_images, require_sensor
-from benchmark.api.opening import say_once, worker_count
-from benchmark.api.sources import named_alike
+from benchmark.api.driving import require_sensor, uses_images
+from benchmark.api.opening import notify_once, worker_count
+from benchmark.api.sources import select_matching_options
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from adapters.registry import NamedPlanner
-    from benchmark.sandbox.limits import Supervision
+    from benchmark.sandbox.limits import SandboxLimits
     from generation.pipeline.surrogate import PlannerUnderTest
 
 NEEDS_SERVE: Final = "{what} needs the package {package}; install it with: pip install 'challenger-bench[serve]'"
@@ -32,7 +32,7 @@ def load_planner(
     precision: str | None = None,
     as_published: "Sequence[str]" = (),
     over_http: "Mapping[str, Any] | None" = None,
-    supervision: "Supervision | None" = None,
+    supervision: "SandboxLimits | None" = None,
 ) -> "NamedPlanner":
     """A planner by name, for `benchmark.evaluate`.
 
@@ -56,9 +56,9 @@ def load_planner(
     """
     from adapters.registry import planner_factory
 
-    chosen = model_that_runs(name, checkpoint, data=data)
+    chosen = find_runnable_model(name, checkpoint, data=data)
     if chosen != name:
-        say_once(f"there are no weights for {name}: {chosen} runs in its place (docs/miniatures.md)")
+        notify_once(f"there are no weights for {name}: {chosen} runs in its place (docs/miniatures.md)")
     return planner_factory(
         chosen,
         checkpoint=checkpoint,
@@ -71,7 +71,7 @@ def load_planner(
     )
 
 
-def model_that_runs(name: str, checkpoint: Path | None = None, *, data: str | Path = "mini") -> str:
+def find_runnable_model(name: str, checkpoint: Path | None = None, *, data: str | Path = "mini") -> str:
     """Planner that `load_planner` builds: a miniature on embedded data where the full model has no weights.
 
     Nothing is loaded.
@@ -95,7 +95,7 @@ def planner_under_test(
     data: str | Path = "mini",
     seed: int = 0,
     workers: int = 0,
-    supervision: "Supervision | None" = None,
+    supervision: "SandboxLimits | None" = None,
 ) -> "PlannerUnderTest":
     """A planner that decides about generated scenes: the surrogate of a build, or who drives in an ablation.
 
@@ -116,7 +116,7 @@ def planner_under_test(
     from generation.pipeline.surrogate import PlannerUnderTest
 
     factory = load_planner(name, checkpoint, data=data, seed=seed, supervision=supervision)
-    return PlannerUnderTest(factory, images=looks_at_images(name) is not False, workers=worker_count(workers))
+    return PlannerUnderTest(factory, images=uses_images(name) is not False, workers=worker_count(workers))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,7 +151,7 @@ class PlannerSource:
             options: Those of them that are called as the attributes here count; ``model`` is one name or several.
         """
         named = getattr(options, "model", ())
-        values = {**named_alike(cls, options), "names": (named,) if isinstance(named, str) else named}
+        values = {**select_matching_options(cls, options), "names": (named,) if isinstance(named, str) else named}
         return cls(**{**values, "as_published": values.get("as_published") or (), **others})
 
     def require(self) -> "PlannerSource":
@@ -163,7 +163,7 @@ class PlannerSource:
         """
         from adapters.models import MODELS
 
-        for runs in self.running:
+        for runs in self.runnable_names:
             # What devices and precisions a planner of another package has is for that package to say.
             if runs not in MODELS or MODELS[runs].network is None:
                 continue
@@ -189,7 +189,7 @@ class PlannerSource:
             InputError: If one is no address, does not answer, or a model behind HTTP would be sent no pictures.
         """
         from benchmark.machine.address import Address, is_address
-        from benchmark.machine.extension import from_extension, require_package
+        from benchmark.machine.extension import import_from_extension, require_package
 
         if self.image_format is not None and not self._served:
             raise InputError("--image-format says how pictures are sent to a model at http://HOST:PORT; leave it out")
@@ -200,9 +200,9 @@ class PlannerSource:
             return
         require_package("httpx2", NEEDS_SERVE.format(what="asking over HTTP", package="httpx2"))
         for name in self._served:
-            from_extension("planner", "http")(name).require_alive()
+            import_from_extension("planner", "http")(name).require_alive()
         if is_address(sensor):
-            from_extension("sensor", "http")(Address.of(sensor, "--sensor")).require_alive()
+            import_from_extension("sensor", "http")(Address.of(sensor, "--sensor")).require_alive()
 
     def remembers_across_scenes(self) -> bool:
         """Whether any planner repeats a habit of published runs that makes plans depend on the scenes before.
@@ -211,37 +211,37 @@ class PlannerSource:
             InputError: If a planner does nothing of the kind that is asked for.
         """
         from adapters.models import MODELS
-        from adapters.planner import CROSS_SCENES, options_of
+        from adapters.planner import CROSS_SCENES, select_options
 
         if self.as_published and not self.names:
             raise InputError("--as-published says how networks run that --model names; leave it out")
         done: set[str] = set()
-        for runs in self.running if self.as_published else ():
+        for runs in self.runnable_names if self.as_published else ():
             network = MODELS[runs].network if runs in MODELS else None
-            done |= set(options_of(runs, {} if network is None else network.as_published, self.as_published))
+            done |= set(select_options(runs, {} if network is None else network.as_published, self.as_published))
         return not CROSS_SCENES.isdisjoint(done)
 
     @property
-    def running(self) -> list[str]:
+    def runnable_names(self) -> list[str]:
         """Names of what runs: miniatures on embedded data where a full model has no weights."""
-        return [model_that_runs(name, self.checkpoint, data=self.data) for name in self.names]
+        return [find_runnable_model(name, self.checkpoint, data=self.data) for name in self.names]
 
     @property
-    def supervision(self) -> "Supervision":
+    def supervision(self) -> "SandboxLimits":
         """Limits of planners of other packages; `InputError` where there is no such planner or no such number."""
-        from adapters.registry import is_foreign
-        from benchmark.sandbox.limits import Supervision
+        from adapters.registry import is_third_party
+        from benchmark.sandbox.limits import SandboxLimits
 
         given = {"--sample-limit": self.sample_limit, "--memory-limit": self.memory_limit}
         given_option = next((option for option, value in given.items() if value is not None), None)
-        if given_option is not None and not any(is_foreign(name) for name in self.names):
+        if given_option is not None and not any(is_third_party(name) for name in self.names):
             raise InputError(
                 f"{given_option} is of planners of other packages, which run in a process of their own (docs/planners.md); "
                 "leave it out"
             )
-        return Supervision.of(self.sample_limit, self.memory_limit)
+        return SandboxLimits.of(self.sample_limit, self.memory_limit)
 
-    def load(self, supervision: "Supervision | None" = None) -> "list[NamedPlanner]":
+    def load(self, supervision: "SandboxLimits | None" = None) -> "list[NamedPlanner]":
         """Load them; ``supervision`` replaces the limits that options name."""
         http_options = {"image_format": self.image_format, "frame": self.frame, "deadline_s": self.deadline_s}
         return [
@@ -281,7 +281,7 @@ def require_device(name: str) -> None:
 
 def require_devices(names: str) -> None:
     """`require_device` of each of several, which commas separate."""
-    from benchmark.machine.several_devices import device_names
+    from benchmark.machine.several_devices import parse_device_names
 
-    for name in device_names(names):
+    for name in parse_device_names(names):
         require_device(name)

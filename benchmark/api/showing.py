@@ -3,20 +3,20 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from benchmark.api.opening import OUT, say_once, workspace
-from benchmark.machine.extension import AbsentExtensionError, from_extension
+from benchmark.api.opening import OUT, notify_once, workspace
+from benchmark.machine.extension import AbsentExtensionError, import_from_extension
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from benchmark.datasets.roots import DataSet
-    from benchmark.scene_pages.writing import SheetSettings, WrittenSheets
-    from leaderboard.frame.results import Results
+    from benchmark.scene_pages.writing import SheetSettings, WrittenPages
+    from leaderboard.frame.results import LeaderboardResults
 
 _Record = TypeVar("_Record")
 
 
-def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSettings") -> "WrittenSheets":
+def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSettings") -> "WrittenPages":
     """Write the scene sheets of a split.
 
     Args:
@@ -34,11 +34,11 @@ def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSet
     from benchmark.machine.workspace import is_generated
     from benchmark.scene_pages.writing import write_sheets as write
     from generation.nuscenes_writer.plan import STATE_FOLDER
-    from generation.pipeline.estimate import kept_runtime
-    from generation.pipeline.said_settings import said_settings
+    from generation.pipeline.estimate import read_runtime_table
+    from generation.pipeline.said_settings import read_recorded_settings
 
-    hyper = said_settings(dataset.root, dataset.provenance()) if is_generated(split) else {}
-    runtime = kept_runtime(dataset.root / STATE_FOLDER, workspace(root.parent).timings_of(dataset.root))
+    hyper = read_recorded_settings(dataset.root, dataset.provenance()) if is_generated(split) else {}
+    runtime = read_runtime_table(dataset.root / STATE_FOLDER, workspace(root.parent).timings_of(dataset.root))
     return write(dataset, split, root, settings, runtime=runtime, hyper=hyper)
 
 
@@ -62,19 +62,19 @@ def write_leaderboard(
     """
     from leaderboard.build import write_leaderboard as write
 
-    return write(_shown(out, records), to or out / "leaderboard", site=site)
+    return write(_collect_results(out, records), to or out / "leaderboard", site=site)
 
 
 def stale_leaderboard(
     out: Path = OUT, to: Path | None = None, records: "Sequence[Path] | None" = None, *, site: bool = True
 ) -> list[str]:
     """Paths, below a written leaderboard, of all that `write_leaderboard` would write otherwise now."""
-    from leaderboard.build import stale_files
+    from leaderboard.build import find_stale_files
 
-    return stale_files(_shown(out, records), to or out / "leaderboard", site=site)
+    return find_stale_files(_collect_results(out, records), to or out / "leaderboard", site=site)
 
 
-def _shown(out: Path, folders: "Sequence[Path] | None") -> "Results":
+def _collect_results(out: Path, folders: "Sequence[Path] | None") -> "LeaderboardResults":
     """Sources of a leaderboard; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
     from benchmark.records.challenge import find_scores
@@ -83,12 +83,12 @@ def _shown(out: Path, folders: "Sequence[Path] | None") -> "Results":
     from benchmark.records.record_costs import with_cost, with_drive_cost
     from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.run import find_records
-    from benchmark.records.scenes import find_sheets
+    from benchmark.records.scenes import find_scene_pages
     from leaderboard.frame.results import read_results
 
     space = workspace(out)
     quality = _with_tables("quality", find_quality(space.quality_root()))
-    sheets = find_sheets(space.sheet_root())
+    sheets = find_scene_pages(space.sheet_root())
     ablations = find_ablations(space.ablation_root())
     drive_folders = [space.drive_root()] if space.drive_root().is_dir() else []
     drives = [
@@ -109,8 +109,8 @@ def _with_tables(kind: str, records: "list[_Record]") -> "list[_Record]":
     """Records of an extension, or none, and a sentence, where the one that makes tables of them is not installed."""
     if records:
         try:
-            from_extension("section", kind)
+            import_from_extension("section", kind)
         except AbsentExtensionError as absent:
-            say_once(f"the records of {kind} are not shown: {absent}")
+            notify_once(f"the records of {kind} are not shown: {absent}")
             return []
     return records

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.api.opening import DEFAULT_IMAGE_SIZE, OUT, open_data, open_split, worker_count, workspace
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.places import gigabytes, require_place, require_room
-from benchmark.report.words import counted
+from benchmark.machine.places import format_gigabytes, require_place, require_room
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from generation.splits.packaged import NamedSplit
 
 
-def named_alike(target: type, options: Any) -> dict[str, Any]:
+def select_matching_options(target: type, options: Any) -> dict[str, Any]:
     """Values of those options that are called as fields of a dataclass."""
     return {field.name: getattr(options, field.name) for field in fields(target) if hasattr(options, field.name)}
 
@@ -31,7 +31,7 @@ _IMAGES_OF_A_SCENE: Final = {"all": 241 * 6, "keyframes": 41 * 6}
 
 
 @dataclass(frozen=True, slots=True)
-class Ahead:
+class SourcePreview:
     """Scenes that a command will take, and what has to be built first, for people: what, where, how long, how large."""
 
     scenes: tuple[str, ...]
@@ -43,7 +43,7 @@ class Ahead:
 
     def counted(self) -> str:
         """How many scenes, for people."""
-        return counted(len(self.scenes), "scene")
+        return pluralise(len(self.scenes), "scene")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class DataSource:
     def of(cls, options: Any, **others: Any) -> "DataSource":
         """Data set that options of a command name, as ``data`` or ``root``; ``others`` take the place of options."""
         root = {"data": options.root} if hasattr(options, "root") else {}
-        return cls(**{**root, **named_alike(cls, options), **others})
+        return cls(**{**root, **select_matching_options(cls, options), **others})
 
     def open(self, *, sweeps: bool = False, rates: "FaultList | None" = None) -> "DataSet":
         """Open it; arguments and errors as in `benchmark.api.open_data`."""
@@ -91,22 +91,24 @@ class DataSource:
         """Open a split of it, whose data set may be open already; errors as in `benchmark.api.open_split`."""
         return open_split(source or self.open(), split, self.out, workers=self.workers)
 
-    def require(self, scenes: Sequence[str] | None = None) -> Ahead:
+    def require(self, scenes: Sequence[str] | None = None) -> SourcePreview:
         """Refuse an unknown data set, or scenes that are not in it; as `require_split` for any split."""
         if self._is_mini:
-            return _embedded("val", self.out, scenes, None)
-        return Ahead(_chosen(self._listed(None), None, scenes, None))
+            return _preview_embedded("val", self.out, scenes, None)
+        return SourcePreview(_choose_scenes(self._listed(None), None, scenes, None))
 
-    def require_source(self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None) -> Ahead:
+    def require_source(
+        self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None
+    ) -> SourcePreview:
         """Refuse what nothing can be generated from; as `require_split`, with scenes that may be of any split."""
         if self._is_mini:
             if split != "val":
                 raise InputError(f"the embedded data set mini has no split {split!r} of its own; the only one is val")
-            return _embedded("val", self.out, scenes, limit)
+            return _preview_embedded("val", self.out, scenes, limit)
         of_split = self._listed(split)
-        return Ahead(_chosen(of_split if scenes is None else self._listed(None), split, scenes, limit))
+        return SourcePreview(_choose_scenes(of_split if scenes is None else self._listed(None), split, scenes, limit))
 
-    def require_split(self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None) -> Ahead:
+    def require_split(self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None) -> SourcePreview:
         """Scenes of a split that is there or will be built, and the builds.
 
         A missing data set, split or scene is refused.
@@ -116,29 +118,29 @@ class DataSource:
         Raises:
             InputError: If there is no such data set, split or scene, or no room or right to build what is absent.
         """
-        from benchmark.datasets.split_names import NoSuchSplit
-        from benchmark.datasets.statistics import listed_scenes
-        from benchmark.machine.workspace import how_generated, is_finished, is_generated
+        from benchmark.datasets.split_names import NoSuchSplitError
+        from benchmark.datasets.statistics import list_scenes
+        from benchmark.machine.workspace import format_generate_options, is_finished, is_generated
 
         if self._is_mini:
-            return _embedded(split, self.out, scenes, limit)
+            return _preview_embedded(split, self.out, scenes, limit)
         name = Path(self.data).resolve().name
         split_folder = workspace(self.out).split_root(name, split)
         if is_generated(split) and is_finished(split_folder):
             _require_not_rejected(scenes, split_folder, split)
-            return Ahead(_chosen(listed_scenes(split_folder, split), split, scenes, limit))
+            return SourcePreview(_choose_scenes(list_scenes(split_folder, split), split, scenes, limit))
         all_scenes = self._listed(None)
         try:
             of_split = self._listed(split)
             _require_not_rejected(scenes, self._root, split, self.tables)
-        except NoSuchSplit as error:
+        except NoSuchSplitError as error:
             if not is_generated(split) or not all_scenes:
                 raise
             raise InputError(
                 f"split {split!r} of {name} is not at {split_folder}; make it with: challenger-bench generate --data "
-                f"{self.data} {how_generated(split)} --out {self.out}"
+                f"{self.data} {format_generate_options(split)} --out {self.out}"
             ) from error
-        return Ahead(_chosen(of_split, split, scenes, limit))
+        return SourcePreview(_choose_scenes(of_split, split, scenes, limit))
 
     def require_room_to_draw(self, split: str, *, scenes: int, size: tuple[int, int], frames: str) -> None:
         """Refuse a split made from it that the disk has no room for, where none of it has been made yet.
@@ -148,7 +150,7 @@ class DataSource:
         """
         folder = workspace(self.out).split_root(Path(self.data).resolve().name, split)
         if not folder.exists():
-            require_room(folder, town_bytes(scenes, size, frames), f"split {split}", "--out")
+            require_room(folder, estimate_town_bytes(scenes, size, frames), f"split {split}", "--out")
 
     @property
     def name(self) -> str:
@@ -176,81 +178,81 @@ class DataSource:
 
     def _listed(self, split: str | None) -> tuple[str, ...]:
         """Names of scenes as the tables have them, without opening the data set."""
-        from benchmark.datasets.statistics import listed_scenes
+        from benchmark.datasets.statistics import list_scenes
 
-        return listed_scenes(self._root, split, version=self.tables)
+        return list_scenes(self._root, split, version=self.tables)
 
 
-def town_bytes(scenes: int, size: tuple[int, int] = DEFAULT_IMAGE_SIZE, frames: str = "all") -> int:
+def estimate_town_bytes(scenes: int, size: tuple[int, int] = DEFAULT_IMAGE_SIZE, frames: str = "all") -> int:
     """How much of a disk scenes take with schematic images of a size (width, height), about."""
     return round(scenes * _IMAGES_OF_A_SCENE[frames] * size[0] * size[1] * _BYTES_OF_A_PIXEL)
 
 
-def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | None) -> Ahead:
+def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | None) -> SourcePreview:
     """The embedded data set, of which everything is known before it is built."""
-    from benchmark.datasets.statistics import listed_scenes
-    from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS, cache_root, how_generated, is_finished
-    from benchmark.records.attempts import seed_of
+    from benchmark.datasets.statistics import list_scenes
+    from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS, cache_root, format_generate_options, is_finished
+    from benchmark.records.attempts import parse_seed
     from generation.sources.mini import TownSettings
-    from generation.sources.town.scenes import town_scene_names
-    from generation.splits.packaged import newest_split
+    from generation.sources.town.scenes import list_town_scene_names
+    from generation.splits.packaged import read_newest_split
 
     splits = ("val", *GENERATED_SPLITS)
-    if seed_of(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(EMBEDDED, split)):
+    if parse_seed(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(EMBEDDED, split)):
         raise InputError(
             f"split {split!r} of {EMBEDDED} is not at {made_by_seed}; make it with: challenger-bench generate "
-            f"{how_generated(split)} --out {out}"
+            f"{format_generate_options(split)} --out {out}"
         )
-    if seed_of(split) is None and split not in splits:
+    if parse_seed(split) is None and split not in splits:
         raise InputError(
             f"the embedded data set mini has no split {split!r}; {did_you_mean(split, splits)}it has "
             f"{', '.join(splits)}"
         )
     settings, split_folder = TownSettings(), workspace(out).split_root(EMBEDDED, split)
-    root, recorded = cache_root() / settings.folder_name(EMBEDDED), town_scene_names("val", settings.val_scenes)
+    root, recorded = cache_root() / settings.folder_name(EMBEDDED), list_town_scene_names("val", settings.val_scenes)
     builds = []
     if not is_finished(root):
-        needed = town_bytes(settings.val_scenes, frames="keyframes")
+        needed = estimate_town_bytes(settings.val_scenes, frames="keyframes")
         require_place(root, "CHALLENGER_BENCH_CACHE")
         require_room(root, needed, "the embedded data set", "CHALLENGER_BENCH_CACHE")
-        builds.append(f"the embedded data set in {root} (once, about a minute, {gigabytes(needed)})")
+        builds.append(f"the embedded data set in {root} (once, about a minute, {format_gigabytes(needed)})")
     if split == "val":
-        return Ahead(_chosen(recorded, split, scenes, limit), tuple(builds))
+        return SourcePreview(_choose_scenes(recorded, split, scenes, limit), tuple(builds))
     if is_finished(split_folder):
-        return Ahead(_chosen(listed_scenes(split_folder, split), split, scenes, limit), tuple(builds))
+        return SourcePreview(_choose_scenes(list_scenes(split_folder, split), split, scenes, limit), tuple(builds))
     if split == "adv":
-        frozen = newest_split(EMBEDDED)
-        builds += _frozen_ahead(frozen)
+        frozen = read_newest_split(EMBEDDED)
+        builds += _list_frozen_builds(frozen)
         made_names = tuple(sorted(scene.name for scene in frozen.frozen.scenes))
-        return Ahead(_chosen(made_names, split, scenes, limit), tuple(builds))
-    needed = town_bytes(len(recorded))
+        return SourcePreview(_choose_scenes(made_names, split, scenes, limit), tuple(builds))
+    needed = estimate_town_bytes(len(recorded))
     require_place(split_folder, "--out")
     require_room(split_folder, needed, f"split {split} of the embedded data set", "--out")
-    builds.append(f"split {split} of it in {split_folder} (once, some minutes, {gigabytes(needed)})")
-    return Ahead(_chosen(recorded, split, scenes, limit), tuple(builds))
+    builds.append(f"split {split} of it in {split_folder} (once, some minutes, {format_gigabytes(needed)})")
+    return SourcePreview(_choose_scenes(recorded, split, scenes, limit), tuple(builds))
 
 
-def _frozen_ahead(newest: "NamedSplit") -> list[str]:
+def _list_frozen_builds(newest: "NamedSplit") -> list[str]:
     """A frozen split of the embedded data set, where it is not built yet."""
     from benchmark.machine.workspace import cache_root, is_finished
 
     # What else its folder's name is made of is known once the recordings are there.
     if any(is_finished(root) for root in cache_root().glob(f"{newest.name}-*")):
         return []
-    needed = town_bytes(len(newest.frozen.scenes), frames="keyframes")
+    needed = estimate_town_bytes(len(newest.frozen.scenes), frames="keyframes")
     require_place(cache_root(), "CHALLENGER_BENCH_CACHE")
     require_room(cache_root(), needed, f"the frozen split {newest.name}", "CHALLENGER_BENCH_CACHE")
-    return [f"the frozen split {newest.name} in {cache_root()} (once, about two minutes, {gigabytes(needed)})"]
+    return [f"the frozen split {newest.name} in {cache_root()} (once, about two minutes, {format_gigabytes(needed)})"]
 
 
 def _require_not_rejected(scenes: Sequence[str] | None, where: Path, split: str, version: str | None = None) -> None:
-    from benchmark.datasets.statistics import listed_review
+    from benchmark.datasets.statistics import read_split_review
     from benchmark.records.review import require_not_rejected
 
-    require_not_rejected(scenes or (), listed_review(where, split, version=version).rejected, str(where))
+    require_not_rejected(scenes or (), read_split_review(where, split, version=version).rejected, str(where))
 
 
-def _chosen(
+def _choose_scenes(
     known: tuple[str, ...], split: str | None, scenes: Sequence[str] | None, limit: int | None
 ) -> tuple[str, ...]:
     unknown = sorted(set(scenes or ()) - set(known))
@@ -258,7 +260,7 @@ def _chosen(
         where = "there is" if split is None else f"split {split!r} has"
         raise InputError(
             f"{where} no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
-            f"{did_you_mean(unknown[0], known)}it has {counted(len(known), 'scene')}, among them {', '.join(known[:3])}"
+            f"{did_you_mean(unknown[0], known)}it has {pluralise(len(known), 'scene')}, among them {', '.join(known[:3])}"
         )
     if not known:
         raise InputError(f"split {split!r} has no scene that could be used: inspectors rejected all, or it has none")

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.extension import OFFERS, from_extension
+from benchmark.machine.extension import OFFERS, import_from_extension
 
 if TYPE_CHECKING:
     from benchmark.verification.checks import Check
@@ -36,7 +36,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
     if what not in known:
         others = ", ".join(name for name in known if name != "model")
         raise InputError(f"cannot verify {what!r}; what has golden numbers is {others} and model")
-    checks: list[Check] = from_extension("golden set", what).verify(golden)
+    checks: list[Check] = import_from_extension("golden set", what).verify(golden)
     return checks
 
 
@@ -52,9 +52,9 @@ def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "li
         raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
     checks: list[Check]
     if model not in renderers:
-        checks = from_extension("golden set", "model")(model, golden, noise=noise)
+        checks = import_from_extension("golden set", "model")(model, golden, noise=noise)
         return checks
     if noise:
         raise InputError(f"--noise is for driving models; leave it out for {model}")
-    checks = from_extension("golden set of a renderer", model)(golden)
+    checks = import_from_extension("golden set of a renderer", model)(golden)
     return checks

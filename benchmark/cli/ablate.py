@@ -1,4 +1,4 @@
-"""Command that repeats the paper's ablation: ``ablate``."""
+"""Command that repeats the paper's ablation: ``run_ablation``."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -6,14 +6,14 @@ from typing import Annotated
 from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.built_splits import require_cluster, require_trajectory_model
-from benchmark.cli.options import executor_of, hyper_parameter_names, image_size, name_list
-from benchmark.cli.output import print_result, same_out, say_next, say_plan
+from benchmark.cli.options import list_hyper_parameters, make_executor, parse_image_size, parse_name_list
+from benchmark.cli.output import print_next_steps, print_plan, print_result, repeat_out_option
 from benchmark.cli.settings import Option, command
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AblateOptions:
-    """Options of ``ablate``."""
+    """Options of ``run_ablation``."""
 
     model: Annotated[str, Option("Planner that has to drive.", "Planner")] = "constant-velocity"
     checkpoint: shared.Checkpoint = None
@@ -44,26 +44,26 @@ class AblateOptions:
     @staticmethod
     def reserved() -> "frozenset[str]":
         """Names that ``--set`` leaves to the search: its hyper-parameters."""
-        return hyper_parameter_names()
+        return list_hyper_parameters()
 
 
 @command(AblateOptions)
 def ablate_command(options: AblateOptions) -> None:
     """Run the paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
     from benchmark.machine.places import require_place
-    from benchmark.machine.several_devices import require_one_device, workers_for
-    from benchmark.machine.storage import file_name
-    from generation.search.departures import told
-    from generation.search.presets import hyper_parameters, trajectory_model
+    from benchmark.machine.several_devices import count_workers, require_one_device
+    from benchmark.machine.storage import sanitise_file_name
+    from generation.search.departures import format_differences
+    from generation.search.presets import build_hyper_parameters, build_trajectory_model
 
     shortcuts = {"candidate_limit": options.vehicles, "candidates": options.candidates}
-    hyper = hyper_parameters(options.preset, shortcuts, options.changes or ())
+    hyper = build_hyper_parameters(options.preset, shortcuts, options.changes or ())
     driver = api.PlannerSource.of(options, device=None).require()
     require_trajectory_model(options.device, options.denoiser)
     if options.executor != "local":
         require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
-    drawing, scenes = api.schematic_renderer(image_size(options.size)), name_list(options.scenes)
-    place = executor_of(options.executor, options.address, workers_for(options.workers, options.device))
+    drawing, scenes = api.schematic_renderer(parse_image_size(options.size)), parse_name_list(options.scenes)
+    place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
     data = api.DataSource.of(options)
     ahead = data.require_source(options.source_split, scenes, options.limit)
     require_place(options.out, "--out")
@@ -72,19 +72,21 @@ def ablate_command(options: AblateOptions) -> None:
             f"search {ahead.counted()} four times, with {options.model} driving; --dry-run says how long once they are "
             "there"
         )
-        say_plan([*ahead.plan(next_step), *told(options.preset, hyper)], json_output=options.json_output)
+        print_plan(
+            [*ahead.plan(next_step), *format_differences(options.preset, hyper)], json_output=options.json_output
+        )
         return
     require_cluster(place, ahead)
-    from generation.pipeline.ablation import ablate, ablation_estimate
+    from generation.pipeline.ablation import estimate_ablation, run_ablation
     from generation.pipeline.settings import BuildSettings
 
     planner, source, space = driver.under_test(options.workers), data.open(), api.workspace(options.out)
-    study = space.ablation_root() / source.name / file_name(planner.factory.facts.name)
+    study = space.ablation_root() / source.name / sanitise_file_name(planner.factory.facts.name)
     settings = BuildSettings(
         out=study,
         timings=space.timings_of(study),
         hyper=hyper,
-        prior=trajectory_model(options.preset, options.denoiser, options.device),
+        prior=build_trajectory_model(options.preset, options.denoiser, options.device),
         source_split=options.source_split,
         scenes=scenes,
         limit=options.limit,
@@ -95,14 +97,14 @@ def ablate_command(options: AblateOptions) -> None:
         together=options.together,
     )
     if options.dry_run:
-        estimate = ablation_estimate(source, planner, settings)
-        say_plan([estimate, *told(options.preset, hyper)], json_output=options.json_output)
+        estimate = estimate_ablation(source, planner, settings)
+        print_plan([estimate, *format_differences(options.preset, hyper)], json_output=options.json_output)
         return
-    report = ablate(source, planner, settings)
+    report = run_ablation(source, planner, settings)
     report_json = report.model_dump(mode="json", by_alias=True)
     print_result(report_json, report.table().plain(wide=options.wide), json_output=options.json_output)
-    say_next(
+    print_next_steps(
         f"study: {settings.out}",
-        (f"leaderboard{same_out(options.out)}", "all records in tables beside the paper's"),
+        (f"leaderboard{repeat_out_option(options.out)}", "all records in tables beside the paper's"),
         json_output=options.json_output,
     )

@@ -30,27 +30,27 @@ from benchmark.cli import (
     verify,
     weights,
 )
-from benchmark.cli.help import WholeSummaries
+from benchmark.cli.help import FullSummaryGroup
 from benchmark.cli.settings import add_command
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.extension import (
     OFFERS,
     AbsentExtensionError,
-    absent_extension,
-    extension_of,
-    from_extension,
-    not_installed,
+    find_absent_extension,
+    import_from_extension,
+    make_absent_error,
+    parse_extension_name,
 )
 from benchmark.machine.workers import collect_rarely
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 
 Groups = Mapping[str, typer.Typer]
 """Groups of commands by name: the top one is ``""``, then ``data``, ``data export`` and ``leaderboard``."""
-Offered = Mapping[str, typer.Typer | Callable[..., Any]]
+OfferedCommands = Mapping[str, typer.Typer | Callable[..., Any]]
 """Commands by the words that they are called with: an application, or a function that one makes a command of."""
 ENTRY_POINTS: Final = "challenger_bench.extensions"
-"""Group in which other packages name an `Offered`."""
+"""Group in which other packages name an `OfferedCommands`."""
 
 
 def add_command_of_extension(words: str, groups: Groups) -> None:
@@ -59,20 +59,20 @@ def add_command_of_extension(words: str, groups: Groups) -> None:
     ``words`` are as the table of offers has them, ``data card``.
     """
     try:
-        _add(words, from_extension("command", words), groups)
+        _add(words, import_from_extension("command", words), groups)
     except AbsentExtensionError:
-        _add_absent(words, extension_of(OFFERS["command"][words]), groups)
+        _add_absent(words, parse_extension_name(OFFERS["command"][words]), groups)
 
 
 def add_commands_of_others(groups: Groups) -> None:
     """Add the commands of other packages; one that fails is named on standard error."""
     for entry in entry_points(group=ENTRY_POINTS):
         try:
-            offered: Offered = entry.load()
+            offered: OfferedCommands = entry.load()
             for words, command in offered.items():
                 _add(words, command, groups)
         except Exception as error:
-            print(f"warning: the extension {entry.name} adds no commands: {one_line(error)}", file=sys.stderr)
+            print(f"warning: the extension {entry.name} adds no commands: {to_one_line(error)}", file=sys.stderr)
 
 
 def _add(words: str, command: typer.Typer | Callable[..., Any], groups: Groups) -> None:
@@ -116,7 +116,7 @@ _CLOSEST: Final = {
 """Marks of tables stay different from each other."""
 
 
-def replace_what_cannot_be_shown() -> None:
+def replace_unencodable_characters() -> None:
     """Let stdout and stderr print any text; what their encoding lacks is replaced instead of ending the command."""
     codecs.register_error(_HANDLER, _replaced)
     for stream in (sys.stdout, sys.stderr):
@@ -137,7 +137,7 @@ def _without_accents(character: str) -> str:
 
 app = typer.Typer(
     name="challenger-bench",
-    cls=WholeSummaries,
+    cls=FullSummaryGroup,
     help="Adversarial driving scenes from nuScenes-format data, and driving models measured on them.",
     no_args_is_help=True,
     add_completion=True,
@@ -183,14 +183,16 @@ add_command(app, "doctor", verify.doctor_command)
 add_commands_of_others(_GROUPS)
 
 _LONGEST_SENTENCE: Final = 1000
-_OF_A_PLACE: Final = frozenset((errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR))
+_PATH_ERRNOS: Final = frozenset(
+    (errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
+)
 """What the operating system says of a path that somebody gave, wherever it is first used."""
 
 
 def main() -> None:
     """Run the command line; errors of the user are one sentence and exit code 2."""
     collect_rarely()
-    replace_what_cannot_be_shown()
+    replace_unencodable_characters()
     debug = "--debug" in sys.argv
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     command = typer.main.get_command(app)
@@ -202,12 +204,12 @@ def main() -> None:
             raise
         code = _fail(str(error))
     except ModuleNotFoundError as error:
-        name = absent_extension(error)
+        name = find_absent_extension(error)
         if debug or name is None:
             raise
-        code = _fail(str(not_installed(name)))
+        code = _fail(str(make_absent_error(name)))
     except OSError as error:
-        if debug or error.errno not in _OF_A_PLACE or error.filename is None:
+        if debug or error.errno not in _PATH_ERRNOS or error.filename is None:
             raise
         code = _fail(f"cannot use {error.filename}: {error.strerror}; name another place")
     except RuntimeError as error:
@@ -233,11 +235,11 @@ def _require_text(arguments: list[str]) -> None:
 
 
 def _fail(sentence: str) -> int:
-    typer.echo(f"error: {_fit_to_show(sentence)}", err=True)
+    typer.echo(f"error: {_sanitise_sentence(sentence)}", err=True)
     return 2
 
 
-def _fit_to_show(sentence: str) -> str:
+def _sanitise_sentence(sentence: str) -> str:
     """Any text as a sentence in one line that a terminal can show and a person can read."""
     printable = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in sentence)
     if len(printable) <= _LONGEST_SENTENCE:
@@ -252,7 +254,7 @@ def _help(text: str) -> int:
 
 
 @app.callback(invoke_without_command=True)
-def _top(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+def _print_version(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
     if version:
         typer.echo(VERSION)
         raise typer.Exit

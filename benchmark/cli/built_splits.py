@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmark import api
-from benchmark.cli.output import say_next, say_shard
+from benchmark.cli.output import print_next_steps, print_shard_progress
 from benchmark.cli.settings import is_given
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from benchmark.api import Ahead, DataSource
+    from benchmark.api import DataSource, SourcePreview
     from benchmark.cli.generate import GenerateOptions
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from generation.pipeline.settings import BuildSettings
     from generation.splits.packaged import NamedSplit
 
-OF_THE_SEARCH: Final = (
+SEARCH_OPTIONS: Final = (
     "freeze", "source_split", "adversaries", "surrogate", "surrogate_checkpoint", "vehicles", "per_scene", "top",
     "candidates", "rounds", "parked", "preset", "keep_unsolvable", "changes", "denoiser", "calls", "dropout", "samples",
     "device", "together", "keep_rounds", "profile",
@@ -45,20 +45,20 @@ class SplitToBuild:
 
 
 @dataclass(frozen=True, slots=True)
-class Built:
+class BuildOutcome:
     """Outcome of one split: for people, and as JSON."""
 
     text: str
     said: Mapping[str, Any]
 
 
-def splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[SplitToBuild, ...]:
+def list_splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[SplitToBuild, ...]:
     """Splits that a command builds, one without ``--seeds``.
 
     The recordings are opened only for edited scenes, which are compared with them.
     """
     from generation.splits.format import require_freezable
-    from generation.splits.packaged import file_of_seed, frozen_of_seed, frozen_split, seeds_of
+    from generation.splits.packaged import format_seed_path, parse_seeds, read_frozen_of_seed, read_frozen_split
 
     split, seed, from_file, freeze = options.split, options.seed, options.from_file, options.freeze
     if from_file is not None:
@@ -69,14 +69,14 @@ def splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[Spl
                 raise InputError("--seeds belongs to a search, and edited scenes have none; leave it out")
             if freeze is not None:
                 require_freezable(split, freeze)
-            from generation.splits.edited import edited_split, read_edited
+            from generation.splits.edited import build_edited_split, read_edited
 
             # Before the recordings, which may have to be built.
             files = read_edited(Path(from_file))
-            return (SplitToBuild(split, seed, freeze, edited_split(data.open(), Path(from_file), files)),)
+            return (SplitToBuild(split, seed, freeze, build_edited_split(data.open(), Path(from_file), files)),)
     if options.seeds is None:
         splits: tuple[SplitToBuild, ...] = (
-            SplitToBuild(split, seed, freeze, None if from_file is None else frozen_split(from_file)),
+            SplitToBuild(split, seed, freeze, None if from_file is None else read_frozen_split(from_file)),
         )
     else:
         if split != "adv":
@@ -87,10 +87,10 @@ def splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[Spl
             SplitToBuild(
                 f"adv-seed-{split_seed}",
                 split_seed,
-                None if freeze is None else file_of_seed(freeze, split_seed),
-                None if from_file is None else frozen_of_seed(Path(from_file), split_seed),
+                None if freeze is None else format_seed_path(freeze, split_seed),
+                None if from_file is None else read_frozen_of_seed(Path(from_file), split_seed),
             )
-            for split_seed in seeds_of(options.seeds)
+            for split_seed in parse_seeds(options.seeds)
         )
     for split_to_build in splits:
         if split_to_build.freeze is not None:
@@ -106,7 +106,7 @@ def require_trajectory_model(device: str, denoiser: Path | None) -> None:
     require_file(denoiser, "--denoiser")
 
 
-def require_cluster(place: "Executor", ahead: "Ahead") -> None:
+def require_cluster(place: "Executor", ahead: "SourcePreview") -> None:
     """Refuse a cluster that does not answer before minutes go into what is built for it here."""
     from benchmark.machine.ray_cluster import RayCluster, require_answer
 
@@ -116,13 +116,13 @@ def require_cluster(place: "Executor", ahead: "Ahead") -> None:
 
 def is_edited(from_file: str) -> bool:
     """Whether ``--from`` names ScenarioNet files of edited scenes: one, or a folder of them."""
-    from generation.splits.packaged import packaged_splits
+    from generation.splits.packaged import list_packaged_splits
 
     path = Path(from_file)
-    return from_file not in packaged_splits() and (path.suffix.lower() == ".pkl" or path.is_dir())
+    return from_file not in list_packaged_splits() and (path.suffix.lower() == ".pkl" or path.is_dir())
 
 
-def frozen_scenes(
+def list_frozen_scenes(
     wanted: "Sequence[SplitToBuild]", names: tuple[str, ...] | None, limit: int | None
 ) -> tuple[str, ...]:
     """Names of the scenes that frozen splits give, all or those that were asked for."""
@@ -132,9 +132,9 @@ def frozen_scenes(
     return tuple(scene.name for of_split in chosen for scene, _ in of_split)
 
 
-def build_one(
+def build_split_of_command(
     source: "DataSet", one: SplitToBuild, settings: "BuildSettings", unlike: "Sequence[str]", *, profile: bool
-) -> Built:
+) -> BuildOutcome:
     """Build a split; what is said of it names where the preset departs from its name and where the time went."""
     if one.frozen is not None:
         from generation.splits.building import build_frozen
@@ -144,7 +144,7 @@ def build_one(
 
             write_frozen(one.freeze, one.frozen.frozen)
         built = build_frozen(source, one.frozen, settings, as_split=one.split)
-        return Built(built.summary(), built.as_json())
+        return BuildOutcome(built.summary(), built.as_json())
     from generation.pipeline.split import build_split
 
     report = build_split(source, one.split, settings)
@@ -152,7 +152,7 @@ def build_one(
     departures = {"departures": list(unlike)} if unlike else {}
     timed = {} if runtime is None else {"runtime": runtime.model_dump()}
     table = "" if runtime is None else "\n" + runtime.table().plain(indent="  ", least=(10, 9, 9, 9)).rstrip("\n")
-    return Built("\n".join([report.summary(), *unlike]) + table, report.as_json() | departures | timed)
+    return BuildOutcome("\n".join([report.summary(), *unlike]) + table, report.as_json() | departures | timed)
 
 
 def build_shards(
@@ -185,7 +185,7 @@ def build_shards(
     ):
         if did in {progress.did for progress in finished_shards}:
             shards_of_step = [progress.finished for progress in finished_shards if progress.did == did]
-            say_shard(
+            print_shard_progress(
                 shard, shards_of_step, did, (f"generate --split {wanted[0].split}{again}", why), json_output=json_output
             )
 
@@ -205,7 +205,7 @@ def require_shardable(shard: "Shard | None", surrogate: str | None, executor: "E
         raise InputError("a Ray cluster shares the work out itself; leave --shard or --executor ray out")
 
 
-def say_built(
+def print_built_splits(
     wanted: "Sequence[SplitToBuild]", settings: "Sequence[BuildSettings]", again: str, *, json_output: bool
 ) -> None:
     """Say where the built splits are, and what comes next.
@@ -217,7 +217,7 @@ def say_built(
         ", ".join(map(str, places))
         for places in zip(*((split_settings.out, split_settings.freeze) for split_settings in settings))
     )
-    say_next(
+    print_next_steps(
         f"data set: {roots}" + ("" if wanted[0].freeze is None else f"; frozen split: {files}"),
         (f"data show {settings[0].out} --to pictures", "a picture of each scene"),
         (f"eval --split {wanted[0].split} --model idm{again}", "a planner on it; yours: docs/planners.md"),
@@ -229,7 +229,7 @@ def _require_no_search(split: str, but: tuple[str, ...] = ()) -> None:
     """Refuse options of the search beside a frozen split."""
     if split != "adv":
         raise InputError(f"--from builds split adv, not {split}; leave --split out")
-    for name in OF_THE_SEARCH:
+    for name in SEARCH_OPTIONS:
         if name not in but and is_given(name):
             option = {"changes": "set"}.get(name, name).replace("_", "-")
             raise InputError(f"--{option} belongs to a search, and --from does not search; leave one of them out")

@@ -8,19 +8,21 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.help import WholeSummaries
-from benchmark.cli.options import image_size, name_list
+from benchmark.cli.help import FullSummaryGroup
+from benchmark.cli.options import parse_image_size, parse_name_list
 from benchmark.cli.output import print_json, print_result
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
-    from benchmark.records.statistics import SplitJudgement
+    from benchmark.records.statistics import SplitAssessment
 
-app = typer.Typer(cls=WholeSummaries, help="Look at, check, import, build and export data sets.", no_args_is_help=True)
-export_app = typer.Typer(cls=WholeSummaries, help="Write a data set for the code of others.", no_args_is_help=True)
+app = typer.Typer(
+    cls=FullSummaryGroup, help="Look at, check, import, build and export data sets.", no_args_is_help=True
+)
+export_app = typer.Typer(cls=FullSummaryGroup, help="Write a data set for the code of others.", no_args_is_help=True)
 app.add_typer(export_app, name="export")
 
 
@@ -38,22 +40,22 @@ class DataInfoOptions:
 @command(DataInfoOptions, app, "info")
 def data_info_command(options: DataInfoOptions) -> None:
     """Say what a data set holds: splits, scenes, samples, annotations, fingerprint."""
-    from benchmark.datasets.contents import contents, contents_text
+    from benchmark.datasets.contents import contents, format_contents
 
     data = api.DataSource.of(options)
     data.require()
-    counts = contents(_open_to_look(data))
-    print_result(counts, contents_text(counts), json_output=options.json_output)
+    counts = contents(_open_for_reading(data))
+    print_result(counts, format_contents(counts), json_output=options.json_output)
 
 
-def _open_to_look(data: api.DataSource) -> "DataSet":
+def _open_for_reading(data: api.DataSource) -> "DataSet":
     """Open a data set that may have another keyframe rate; a warning says so."""
     from benchmark.datasets.schema import FaultList
 
     rates = FaultList()
     dataset = data.open(rates=rates)
     for fault in rates.told():
-        api.tell(f"warning: {fault.sentence}")
+        api.notify(f"warning: {fault.sentence}")
     return dataset
 
 
@@ -96,27 +98,29 @@ def data_stats_command(options: DataStatsOptions) -> None:
     if data.is_embedded:
         root = (data.open() if options.split is None else data.open_split(options.split)).root
     numbers = statistics(root, split=options.split, version=options.tables)
-    judged = None if options.judge is False else _judged(root, options, recordings)
+    judged = None if options.judge is False else _assess_scenes(root, options, recordings)
     if options.json_output:
         assessment_json = None if judged is None else judged.model_dump(mode="json")
         print_json({**numbers.as_json(), "judgement": assessment_json})
         return
     typer.echo(numbers.plain())
     if judged is not None:
-        from benchmark.fairness.tables import judgement_text
+        from benchmark.fairness.tables import format_assessment
 
-        typer.echo("\n" + judgement_text(judged), nl=False)
+        typer.echo("\n" + format_assessment(judged), nl=False)
 
 
-def _judged(root: Path, options: DataStatsOptions, recordings: api.DataSource | None) -> "SplitJudgement | None":
+def _assess_scenes(
+    root: Path, options: DataStatsOptions, recordings: api.DataSource | None
+) -> "SplitAssessment | None":
     """Judgements of the scenes of a root; nothing where there is none to judge."""
     from benchmark.datasets.roots import open_data
-    from benchmark.fairness.splits import adversarial_names, judge_split
+    from benchmark.fairness.splits import find_adversarial_names, judge_split
     from benchmark.machine.workers import LocalProcesses
 
     data = open_data(root, version=options.tables)
     known = data.scene_names(options.split)
-    names = known if options.judge else adversarial_names(data, known)
+    names = known if options.judge else find_adversarial_names(data, known)
     if not names:
         return None
     base = None if recordings is None else recordings.open()
@@ -142,18 +146,18 @@ def data_show_command(options: DataShowOptions) -> None:
     """Draw each scene: from above over time, and the camera that sees the adversary best."""
     from benchmark.machine.places import require_place
 
-    data, scenes = api.DataSource.of(options), name_list(options.scenes)
+    data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
     data.require(scenes)
     require_place(options.to, "--to")
-    from benchmark.machine.extension import from_extension
+    from benchmark.machine.extension import import_from_extension
     from generation.render.pictures import write_pictures
     from generation.render.schematic import SchematicRenderer
 
-    dataset = _open_to_look(data)
+    dataset = _open_for_reading(data)
     names = (scenes or dataset.scene_names(None))[: options.limit]
-    write = from_extension("pictures", "conditions") if options.conditions else write_pictures
+    write = import_from_extension("pictures", "conditions") if options.conditions else write_pictures
     written = write(dataset, names, options.to, SchematicRenderer())
-    typer.echo(f"{counted(len(written), 'picture')} in {options.to}")
+    typer.echo(f"{pluralise(len(written), 'picture')} in {options.to}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,7 +185,7 @@ def data_check_command(options: DataCheckOptions) -> None:
     else:
         for fault in faults:
             typer.echo(f"{fault.severity}: {fault.table}: {fault.sentence}")
-        typer.echo(f"{counted(errors, 'error')}, {counted(len(faults) - errors, 'warning')} in {options.root}")
+        typer.echo(f"{pluralise(errors, 'error')}, {pluralise(len(faults) - errors, 'warning')} in {options.root}")
     raise typer.Exit(1 if errors else 0)
 
 
@@ -211,11 +215,11 @@ def data_import_command(options: DataImportOptions) -> None:
     if options.form != "scenarionet":
         raise InputError(f"cannot import {options.form!r}; the form that can be imported is scenarionet")
     require_place(options.out, "--out")
-    width, height = image_size(options.size)
+    width, height = parse_image_size(options.size)
     images = options.renderer != "none"
     settings = ImportSettings(width, height, options.frames, images=images, split=options.split)
     names = import_scenarionet(options.source, options.out, settings, workers=api.worker_count(options.workers))
-    text = f"{counted(len(names), 'scene')} in {options.out}: {', '.join(names)}"
+    text = f"{pluralise(len(names), 'scene')} in {options.out}: {', '.join(names)}"
     print_result({"root": str(options.out), "scenes": names}, text, json_output=options.json_output)
 
 
@@ -246,9 +250,9 @@ def data_build_command(options: DataBuildOptions) -> None:
     """Build the embedded town, with any number of scenes; the same command resumes."""
     from benchmark.machine.places import require_folder, require_place
     from benchmark.machine.workspace import EMBEDDED, cache_root
-    from generation.sources.mini import TownSettings, build_town
+    from generation.sources.mini import TownSettings, build_town_data_set
 
-    width, height = image_size(options.size)
+    width, height = parse_image_size(options.size)
     images = options.renderer != "none"
     require_folder(options.driven, "--driven")
     settings = TownSettings(
@@ -265,4 +269,4 @@ def data_build_command(options: DataBuildOptions) -> None:
     )
     target = options.root or cache_root() / settings.folder_name(EMBEDDED)
     require_place(target, "--root")
-    typer.echo(str(build_town(target, settings, workers=api.worker_count(options.workers))))
+    typer.echo(str(build_town_data_set(target, settings, workers=api.worker_count(options.workers))))

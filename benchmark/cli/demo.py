@@ -12,10 +12,10 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.output import print_json, print_result, same_out, say_next
+from benchmark.cli.output import print_json, print_next_steps, print_result, repeat_out_option
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +31,7 @@ FULL_DEMO_VEHICLES = 5
 
 
 def demo(
-    out: Path = api.OUT, *, town_scenes: int = 4, workers: int = 0, say: "Callable[[str], None]" = api.tell
+    out: Path = api.OUT, *, town_scenes: int = 4, workers: int = 0, say: "Callable[[str], None]" = api.notify
 ) -> "tuple[BuildReport, list[RunRecord]]":
     """The whole story on a small embedded town: generate, evaluate, sheets, leaderboard.
 
@@ -50,26 +50,26 @@ def demo(
     from benchmark.datasets.roots import open_data as open_root
     from benchmark.machine.workers import LocalProcesses
     from benchmark.records.run import find_records
-    from benchmark.records.scenes import find_sheets
+    from benchmark.records.scenes import find_scene_pages
     from benchmark.scene_pages.writing import SheetSettings
     from generation.pipeline.settings import BuildSettings
     from generation.pipeline.split import build_split
-    from generation.search.presets import hyper_parameters
-    from generation.sources.mini import TownSettings, build_town
+    from generation.search.presets import build_hyper_parameters
+    from generation.sources.mini import TownSettings, build_town_data_set
     from leaderboard.build import write_leaderboard
     from leaderboard.frame.results import read_results
 
     space, processes = api.workspace(out), api.worker_count(workers)
-    say(f"1/4 building {counted(town_scenes, 'scene')} of the embedded town")
+    say(f"1/4 building {pluralise(town_scenes, 'scene')} of the embedded town")
     # Planners, tables and the site look at samples; what lies between them is drawn when somebody asks for it.
     settings = TownSettings(val_scenes=town_scenes, pictures="keyframes")
-    town = build_town(out / "data" / "demo" / "val", settings, workers=processes)
+    town = build_town_data_set(out / "data" / "demo" / "val", settings, workers=processes)
     source = open_root(town, name="demo")
     search = BuildSettings(
         out=space.split_root("demo", "adv"),
         timings=space.timings_of(space.split_root("demo", "adv")),
         # The default keeps scenes of two of these four recordings alone, whose ego hardly reacts to anybody.
-        hyper=hyper_parameters("near", {"candidates": 64, "candidate_limit": 5}),
+        hyper=build_hyper_parameters("near", {"candidates": 64, "candidate_limit": 5}),
         per_scene=1,
         renderer=api.schematic_renderer(),
         frames="keyframes",
@@ -87,7 +87,7 @@ def demo(
         api.write_sheets(dataset, split, space.sheet_root(), SheetSettings(workers=processes, rounds=split == "adv"))
     say("4/4 writing the leaderboard")
     write_leaderboard(
-        read_results(find_records(space.run_root()), sheets=find_sheets(space.sheet_root())), out / "leaderboard"
+        read_results(find_records(space.run_root()), sheets=find_scene_pages(space.sheet_root())), out / "leaderboard"
     )
     return report, records
 
@@ -99,7 +99,7 @@ def _evaluate_built_in(dataset: "DataSet", split: str, out: Path, processes: int
     from benchmark.evaluation import EvalSettings, evaluate_together
 
     planners, runs = (*baselines(), *miniatures()), api.workspace(out).run_root()
-    api.tell(f"{counted(len(planners), 'planner')} on {split}: {', '.join(planners)}")
+    api.notify(f"{pluralise(len(planners), 'planner')} on {split}: {', '.join(planners)}")
     settings = EvalSettings(workers=processes, timings=api.workspace(out).timings_of(runs))
     return evaluate_together(dataset, split, [(planner_factory(name), settings) for name in planners], runs)
 
@@ -121,18 +121,22 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
     from benchmark.datasets.roots import open_data as open_root
     from benchmark.machine.workers import LocalProcesses
     from benchmark.machine.workspace import EMBEDDED
-    from generation.pipeline.ablation import ablate
+    from generation.pipeline.ablation import run_ablation
     from generation.pipeline.settings import BuildSettings
-    from generation.search.presets import hyper_parameters
+    from generation.search.presets import build_hyper_parameters
     from leaderboard.results import write_results
 
-    made_from, source, processes = _results_from(), api.open_data(EMBEDDED, workers=workers), api.worker_count(workers)
+    made_from, source, processes = (
+        _collect_sources(),
+        api.open_data(EMBEDDED, workers=workers),
+        api.worker_count(workers),
+    )
     records = []
     for split in ("val", "val-r", "adv"):
         # Planners see key frames only; the others would take most of the time.
         if split == "adv":
             # Not what somebody searched for below the same folder: the page is about the frozen split.
-            dataset = open_root(api.frozen_root(source, workers), name=source.name)
+            dataset = open_root(api.build_frozen_root(source, workers), name=source.name)
         else:
             dataset = api.open_split(source, split, out, workers=workers, frames="keyframes")
         records += _evaluate_built_in(dataset, split, out, processes)
@@ -141,23 +145,23 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
     settings = BuildSettings(
         out=study,
         timings=api.workspace(out).timings_of(study),
-        hyper=hyper_parameters("default", {"candidate_limit": FULL_DEMO_VEHICLES}),
+        hyper=build_hyper_parameters("default", {"candidate_limit": FULL_DEMO_VEHICLES}),
         renderer=api.schematic_renderer(),
         frames="keyframes",
         executor=LocalProcesses(processes),
     )
-    api.tell(f"ablation with {driver.factory.facts.name}")
-    return write_results(source.name, records, [ablate(source, driver, settings)], made_from, to)
+    api.notify(f"ablation with {driver.factory.facts.name}")
+    return write_results(source.name, records, [run_ablation(source, driver, settings)], made_from, to)
 
 
 def stale_demo(to: Path = RESULTS) -> list[str]:
     """Why the results of `full_demo` are not what would be measured now: one sentence a reason, none if current."""
-    from leaderboard.results import stale_results
+    from leaderboard.results import find_stale_results
 
-    return stale_results(to, _results_from())
+    return find_stale_results(to, _collect_sources())
 
 
-def _results_from() -> dict[str, Any]:
+def _collect_sources() -> dict[str, Any]:
     """Sources that the measured results depend on: miniatures, town, frozen split, renderer, search and protocols."""
     from dataclasses import asdict
 
@@ -166,19 +170,19 @@ def _results_from() -> dict[str, Any]:
     from benchmark.protocols import PROTOCOLS, STANDARD
     from generation.search.adversary import ALGORITHM_VERSION
     from generation.search.definition import PackagedPrior
-    from generation.search.presets import hyper_parameters
+    from generation.search.presets import build_hyper_parameters
     from generation.sources.mini import TownSettings
-    from generation.splits.packaged import newest_split
+    from generation.splits.packaged import read_newest_split
 
-    newest, renderer = newest_split("mini"), api.schematic_renderer()
+    newest, renderer = read_newest_split("mini"), api.schematic_renderer()
     return {
         "weights": {name: file_sha256(miniature.packaged) for name, miniature in miniatures().items()},
         "configurations": {
             name: content_key(asdict(miniature.configuration()))[:12] for name, miniature in miniatures().items()
         },
-        "town": TownSettings().drawn_name("mini"),
+        "town": TownSettings().content_name("mini"),
         "frozen split": [newest.name, newest.frozen.content_id],
-        "search": [ALGORITHM_VERSION, hyper_parameters().fingerprint, FULL_DEMO_VEHICLES],
+        "search": [ALGORITHM_VERSION, build_hyper_parameters().fingerprint, FULL_DEMO_VEHICLES],
         "renderer": [renderer.name, renderer.version],
         "trajectory model": PackagedPrior(None, "cpu")().fingerprint,
         "protocols": {name: PROTOCOLS[name].version for name in STANDARD},
@@ -215,12 +219,12 @@ def demo_command(options: DemoOptions) -> None:
         raise typer.Exit(1 if stale else 0)
     api.worker_count(options.workers)
     require_place(options.out, "--out")
-    require_room(options.out, api.town_bytes(2 * options.town_scenes, frames="keyframes"), "the demo", "--out")
+    require_room(options.out, api.estimate_town_bytes(2 * options.town_scenes, frames="keyframes"), "the demo", "--out")
     if options.full:
         files = [str(path) for path in full_demo(options.out, options.to, workers=options.workers)]
         print_result({"files": files}, "\n".join(files), json_output=options.json_output)
         return
-    from leaderboard.frame.runs import Frame
+    from leaderboard.frame.runs import DataSetRuns
     from leaderboard.tables.collision import run_tables
     from leaderboard.tables.effect import effect_table
     from leaderboard.tables.transfer import transfer_matrices, transfer_table
@@ -231,15 +235,15 @@ def demo_command(options: DemoOptions) -> None:
         print_json({"leaderboard": str(options.out / "leaderboard"), "generated": report.as_json()})
         return
     tell("")
-    caused = effect_table(Frame("demo", records))
+    caused = effect_table(DataSetRuns("demo", records))
     for table in (*(() if caused is None else (caused,)), *run_tables("demo", records, ("exact",), allow_partial=True)):
         tell(table.plain(wide=options.wide))
     for name, matrix in transfer_matrices(records, "adv").items():
         tell(transfer_table(name, matrix).plain(wide=options.wide))
     leaderboard = options.out / "leaderboard"
     tell(f"site: {leaderboard / 'site' / 'index.html'}   tables: {leaderboard / 'README.md'}")
-    again = f" --data demo{same_out(options.out)}"
-    say_next(
+    again = f" --data demo{repeat_out_option(options.out)}"
+    print_next_steps(
         f"scenes: {options.out / 'data' / 'demo' / 'adv'}",
         (f"film --limit 1 --model uniad --model idm --to films{again}", "a scene as a film"),
         (f"eval --split adv --model my_package.planner:MyPlanner{again}", "your own planner: docs/planners.md"),

@@ -9,8 +9,15 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.options import executor_of, name_list
-from benchmark.cli.output import print_json, same_place, say_next, say_plan, say_shard, warn_of_caveats
+from benchmark.cli.options import make_executor, parse_name_list
+from benchmark.cli.output import (
+    print_json,
+    print_next_steps,
+    print_plan,
+    print_shard_progress,
+    repeat_data_options,
+    warn_of_caveats,
+)
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 
@@ -114,16 +121,16 @@ class DriveOptions:
     @staticmethod
     def from_record(members: "Mapping[str, Any]") -> "dict[str, Any] | None":
         """Settings of a record of drives."""
-        from benchmark.cli.recorded import drive_options
+        from benchmark.cli.recorded import read_drive_options
 
-        return drive_options(members)
+        return read_drive_options(members)
 
 
 @command(DriveOptions)
 def drive_command(options: DriveOptions) -> None:
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
     from benchmark.machine.places import require_place
-    from benchmark.machine.several_devices import require_one_device, workers_for
+    from benchmark.machine.several_devices import count_workers, require_one_device
     from benchmark.runs.units import Shard
 
     _require_engine(options)
@@ -133,21 +140,21 @@ def drive_command(options: DriveOptions) -> None:
     # A little longer than the drive itself waits, so that who is late is late for one reason.
     planners = api.PlannerSource.of(options, deadline_s=options.timeout + 5.0).require()
     supervision = replace(planners.supervision, sample_s=options.timeout)
-    for planner in planners.running:
-        if options.sensor == "none" and api.looks_at_images(planner):
+    for planner in planners.runnable_names:
+        if options.sensor == "none" and api.uses_images(planner):
             raise InputError(f"{planner} looks at images, and --sensor none has none; add --sensor schematic")
     planners.require_frame()
     planners.require_servers(options.sensor, tensors=options.accept_torch_tensors)
     shard = None if options.shard is None else Shard.named(options.shard)
     if options.executor != "local":
         require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
-    place = executor_of(options.executor, options.address, workers_for(options.workers, options.device))
-    data, scenes = api.DataSource.of(options), name_list(options.scenes)
+    place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
+    data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
     ahead = data.require_split(options.split, scenes, options.limit)
     require_place(options.out, "--out")
     if options.dry_run and ahead.builds:
         next_step = f"drive {', '.join(names)} through {ahead.counted()} of {options.split}"
-        say_plan(ahead.plan(next_step), json_output=options.json_output)
+        print_plan(ahead.plan(next_step), json_output=options.json_output)
         return
     # Planners first: a class of another package may not be importable, and data may take minutes to build.
     loading = replace(planners, image_format=options.image_format or "torch", frame=options.frame or "ego")
@@ -159,20 +166,20 @@ def drive_command(options: DriveOptions) -> None:
     space = api.workspace(options.out)
     how = replace(_settings(options, scenes, place), timings=space.timings_of(space.drive_root()))
     if options.dry_run:
-        from benchmark.runs.drive_estimate import estimate
+        from benchmark.runs.drive_estimate import estimate_driving
 
         root = space.drive_root()
         estimates = [
-            estimate(dataset, options.split, planner, _settings_of(planner, how), root) for planner in factories
+            estimate_driving(dataset, options.split, planner, _settings_of(planner, how), root) for planner in factories
         ]
-        say_plan(estimates, json_output=options.json_output)
+        print_plan(estimates, json_output=options.json_output)
         return
-    again = same_place(options)
+    again = repeat_data_options(options)
     if shard is not None:
         from benchmark.runs.driving import drive_shard
 
-        groups = [[planner for planner in factories if _looks_at_nothing(planner)]]
-        groups += [[planner] for planner in factories if not _looks_at_nothing(planner)]
+        groups = [[planner for planner in factories if _is_blind(planner)]]
+        groups += [[planner] for planner in factories if not _is_blind(planner)]
         done = [
             planner
             for group in filter(None, groups)
@@ -181,12 +188,12 @@ def drive_command(options: DriveOptions) -> None:
             )
         ]
         step = (f"drive{again}", "with the same options and no --shard, when all shards are")
-        say_shard(shard, done, "driven", step, json_output=options.json_output)
+        print_shard_progress(shard, done, "driven", step, json_output=options.json_output)
         return
-    records = _driven(dataset, options.split, factories, space.drive_root(), how)
+    records = _drive_planners(dataset, options.split, factories, space.drive_root(), how)
     warn_of_caveats(record.facts for record in records)
     sound = _show(records, wide=options.wide, json_output=options.json_output)
-    say_next(
+    print_next_steps(
         f"records: {', '.join(str(record.directory) for record in records)}",
         (f"eval --split {options.split}{again}", "the same planners in open loop"),
         json_output=options.json_output,
@@ -244,13 +251,13 @@ def _require_engine(options: DriveOptions) -> None:
         )
 
 
-def _driven(
+def _drive_planners(
     data: "DataSet", split: str, factories: "Sequence[NamedPlanner]", root: Path, how: "DriveSettings"
 ) -> "list[DriveRecord]":
     """Records in the order of the planners; built-in ones that look at nothing are driven side by side."""
     from benchmark.runs.driving import drive_planners, drive_split
 
-    blind_places = [place for place, planner in enumerate(factories) if _looks_at_nothing(planner)]
+    blind_places = [place for place, planner in enumerate(factories) if _is_blind(planner)]
     records: dict[int, DriveRecord] = {}
     if blind_places:
         blind_settings = _settings_of(factories[blind_places[0]], how)
@@ -264,20 +271,20 @@ def _driven(
     return [records[place] for place in range(len(factories))]
 
 
-def _looks_at_nothing(planner: "NamedPlanner") -> bool:
-    return api.looks_at_images(planner.name) is False
+def _is_blind(planner: "NamedPlanner") -> bool:
+    return api.uses_images(planner.name) is False
 
 
 def _settings_of(planner: "NamedPlanner", how: "DriveSettings") -> "DriveSettings":
     """How a planner is driven: those that look at nothing have no sensor, and company."""
     from benchmark.closed_loop.observing import NoSensor
 
-    return replace(how, sensor=NoSensor(), together=TOGETHER) if _looks_at_nothing(planner) else how
+    return replace(how, sensor=NoSensor(), together=TOGETHER) if _is_blind(planner) else how
 
 
 def _show(records: "Sequence[DriveRecord]", *, wide: bool, json_output: bool) -> bool:
     """Print the tables; whether no planner failed."""
-    from leaderboard.tables.drives import drive_tables, said_of_failures
+    from leaderboard.tables.drives import describe_failures, drive_tables
 
     if json_output:
         print_json(
@@ -298,5 +305,5 @@ def _show(records: "Sequence[DriveRecord]", *, wide: bool, json_output: bool) ->
             typer.echo(table.plain(wide=wide))
     partial = [record for record in records if not record.complete]
     for record in partial:
-        typer.echo(f"{said_of_failures(record)}; no number counts them", err=True)
+        typer.echo(f"{describe_failures(record)}; no number counts them", err=True)
     return not partial

@@ -12,14 +12,22 @@ import typer
 
 from benchmark import api
 from benchmark.cli.eval_options import EvalOptions
-from benchmark.cli.options import name_list
-from benchmark.cli.output import print_json, same_out, same_place, say_next, say_plan, say_shard, warn_of_caveats
+from benchmark.cli.options import parse_name_list
+from benchmark.cli.output import (
+    print_json,
+    print_next_steps,
+    print_plan,
+    print_shard_progress,
+    repeat_data_options,
+    repeat_out_option,
+    warn_of_caveats,
+)
 from benchmark.cli.settings import command
 from benchmark.errors import InputError
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
-    from adapters.result_files.recognition import Recognised
+    from adapters.result_files.recognition import RecognisedFile
     from benchmark.api import PlannerSource
     from benchmark.datasets.roots import DataSet
     from benchmark.evaluation import EvalSettings
@@ -28,7 +36,7 @@ if TYPE_CHECKING:
     from benchmark.runs.plan_rows import PlannerFactory
 
 
-def opened_results(options: "EvalOptions") -> "list[Recognised]":
+def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
     """Result files of ``--results`` with their formats.
 
     The file of ``--plans`` is checked too, before anything is built.
@@ -37,11 +45,11 @@ def opened_results(options: "EvalOptions") -> "list[Recognised]":
     from adapters.result_files.recognition import AUTO, recognise, require_format
     from adapters.result_files.writing.formats import require_writable
     from benchmark.machine.places import require_file
-    from benchmark.runs.planner_facts import known_native
+    from benchmark.runs.planner_facts import require_known_native
 
     plans, paths, wanted, name = options.plans, options.results, options.results_format, options.name
     if plans is not None:
-        known_native(options.native, f"plan file {plans}")
+        require_known_native(options.native, f"plan file {plans}")
         require_file(plans, "--plans", (".csv", ".parquet", ".json"))
         read_plan_file(plans)
     if options.dump_results is not None:
@@ -51,15 +59,15 @@ def opened_results(options: "EvalOptions") -> "list[Recognised]":
             raise InputError(f"{'--name' if name is not None else '--format'} belongs to --results; add it")
         return []
     require_format(wanted)
-    known_native(options.native, f"result file {paths[0]}")
+    require_known_native(options.native, f"result file {paths[0]}")
     if name is not None and (not name.strip() or not name.isprintable() or len(name) > 100):
         raise InputError("--name must be some printable text of at most 100 characters")
     return [recognise(path, wanted) for path in paths]
 
 
-def planners_of_files(
+def load_file_planners(
     options: "EvalOptions",
-    opened: "Sequence[Recognised]",
+    opened: "Sequence[RecognisedFile]",
     dataset: "DataSet",
     split: str,
     scenes: tuple[str, ...],
@@ -81,7 +89,7 @@ def planners_of_files(
         factories.append(result_file_factory(opened, dataset, split, name=options.name, **read_as))
     for factory in factories:
         for sentence in factory.sentences:
-            api.tell(sentence)
+            api.notify(sentence)
     return factories
 
 
@@ -91,10 +99,10 @@ def write_dumps(
     """Write the plans of records as result files, if asked to; what was written, in words."""
     if name is None:
         return []
-    from adapters.result_files.samples import samples_of_data
+    from adapters.result_files.samples import read_recorded_samples
     from adapters.result_files.writing.formats import write_results
 
-    samples = samples_of_data(dataset, split)
+    samples = read_recorded_samples(dataset, split)
     runs = space.run_root()
     written = [
         write_results(record, samples, name, space.out / "result-files" / record.directory.relative_to(runs) / name)
@@ -114,13 +122,13 @@ def eval_command(options: EvalOptions) -> None:
     from benchmark.runs.units import Shard
 
     _require_planner(options)
-    protocols, scenes = _protocols_to_show(options.protocol), name_list(options.scenes)
+    protocols, scenes = _protocols_to_show(options.protocol), parse_name_list(options.scenes)
     planners = api.PlannerSource.of(options).require()
     shard = None if options.shard is None else Shard.named(options.shard)
     count = _processes(options, planners)
     planners.require_frame(of_file=options.plans is not None or bool(options.results))
     planners.require_servers()
-    opened = opened_results(options)
+    opened = open_result_files(options)
     # Unchanged recordings first: the records of the others say which of theirs they are compared with.
     splits = tuple(sorted(dict.fromkeys(options.split), key=is_adversarial))
     _require_one_split(splits, options)
@@ -134,13 +142,13 @@ def eval_command(options: EvalOptions) -> None:
     require_place(options.out, "--out")
     if options.dry_run and any(ahead.builds for ahead in every_ahead.values()):
         files = [] if options.plans is None else [str(options.plans)]
-        runs = [*planners.running, *files, *map(str, options.results or ())]
+        runs = [*planners.runnable_names, *files, *map(str, options.results or ())]
         planned = [
             line
             for split, ahead in every_ahead.items()
             for line in ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}")
         ]
-        say_plan(list(dict.fromkeys(planned)), json_output=options.json_output)
+        print_plan(list(dict.fromkeys(planned)), json_output=options.json_output)
         return
     space = api.workspace(options.out)
     run_root = space.run_root()
@@ -160,21 +168,21 @@ def eval_command(options: EvalOptions) -> None:
     dataset = data.open_split(splits[0], source)
     if options.plans is not None or opened:
         chosen = settings.chosen(dataset, splits[0])
-        factories += planners_of_files(options, opened, dataset, splits[0], chosen, run_root)
+        factories += load_file_planners(options, opened, dataset, splits[0], chosen, run_root)
     if options.dry_run:
         names = ", ".join(factory.facts.name for factory in factories)
         chosen_of = {split: settings.chosen(data.open_split(split, source), split) for split in splits}
-        where = [f"{counted(len(chosen), 'scene')} of {split}" for split, chosen in chosen_of.items()]
-        say_plan([f"would run {names} on {split}" for split in where], json_output=options.json_output)
+        where = [f"{pluralise(len(chosen), 'scene')} of {split}" for split, chosen in chosen_of.items()]
+        print_plan([f"would run {names} on {split}" for split in where], json_output=options.json_output)
         return
-    judged = [(split, _also_by_its_own(settings, split)) for split in factories]
-    again = same_place(options)
+    judged = [(split, _with_native_protocol(settings, split)) for split in factories]
+    again = repeat_data_options(options)
     if shard is not None:
         from benchmark.evaluation import plan_shard
 
         step = (f"eval{again}", "with the same options and no --shard, when all shards are")
         done = plan_shard(dataset, splits[0], judged, run_root, shard)
-        say_shard(shard, done, "planned", step, json_output=options.json_output)
+        print_shard_progress(shard, done, "planned", step, json_output=options.json_output)
         return
     records: list[RunRecord] = []
     for place, split in enumerate(splits):
@@ -197,10 +205,10 @@ def eval_command(options: EvalOptions) -> None:
         wide=options.wide,
         json_output=options.json_output,
     )
-    say_next(
+    print_next_steps(
         "; ".join([f"records: {', '.join(str(record.directory) for record in records)}", *dumped]),
         (f"sheets --split {splits[-1]}{again}", "what films and the site show of the scenes"),
-        (f"leaderboard{same_out(options.out)}", "tables, figures and a site of all records"),
+        (f"leaderboard{repeat_out_option(options.out)}", "tables, figures and a site of all records"),
         json_output=options.json_output,
     )
     if not sound:
@@ -226,15 +234,15 @@ def _require_planner(options: EvalOptions) -> None:
 def _processes(options: EvalOptions, planners: "PlannerSource") -> int:
     """How many processes plan: one where a planner remembers across scenes."""
     from benchmark.evaluation import require_whole_split
-    from benchmark.machine.several_devices import require_one_device, workers_for
+    from benchmark.machine.several_devices import count_workers, require_one_device
 
-    count = api.worker_count(workers_for(options.workers, options.device))
+    count = api.worker_count(count_workers(options.workers, options.device))
     if options.shard is not None:
         require_one_device(options.device, "a shard plans in one process, on a device of its own")
     if not planners.remembers_across_scenes():
         return count
     require_one_device(options.device, "who remembers across scenes plans all of them in one process")
-    require_whole_split("the model", name_list(options.scenes), options.limit, options.workers)
+    require_whole_split("the model", parse_name_list(options.scenes), options.limit, options.workers)
     return 1
 
 
@@ -246,7 +254,7 @@ def _require_one_split(splits: tuple[str, ...], options: EvalOptions) -> None:
         raise InputError(f"--{option} belongs to one split, and --split names {', '.join(splits)}; give one at a time")
 
 
-def _also_by_its_own(settings: "EvalSettings", factory: "PlannerFactory") -> "EvalSettings":
+def _with_native_protocol(settings: "EvalSettings", factory: "PlannerFactory") -> "EvalSettings":
     """The settings with the planner's own protocol among the judges, if it has one."""
     native_protocol = factory.facts.native_protocol
     return (
@@ -262,24 +270,24 @@ def _protocols_to_show(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
     By default (``None``) exact, and the planners' own where they have one.
     """
     from benchmark.pdm.definition import PDM
-    from benchmark.protocols import PROTOCOLS, protocol
+    from benchmark.protocols import PROTOCOLS, find_protocol
     from benchmark.records.run import NATIVE
 
     if names is None:
         return None
     if "all" in names:
         return (*PROTOCOLS, PDM)
-    return tuple(dict.fromkeys(name if name in (NATIVE, PDM) else protocol(name).name for name in names))
+    return tuple(dict.fromkeys(name if name in (NATIVE, PDM) else find_protocol(name).name for name in names))
 
 
 def _explain(data_name: str, dataset: "DataSet", records: "Sequence[RunRecord]", options: EvalOptions) -> None:
     """Where protocols differ from exact on these runs: the table, and a picture of the clearest case of each cause."""
-    from benchmark.machine.extension import from_extension
+    from benchmark.machine.extension import import_from_extension
     from leaderboard.tables.disagreement import disagreement_table
 
     split = records[0].run.split
     folder = api.workspace(options.out).out / "explained" / data_name / split
-    pictures = from_extension("judge", "explanation")(records, dataset, folder)
+    pictures = import_from_extension("judge", "explanation")(records, dataset, folder)
     table = disagreement_table(data_name, split, records)
     typer.echo(table.plain(wide=options.wide), err=options.json_output)
     for picture in pictures:
@@ -298,26 +306,26 @@ def _show_runs(
     json_output: bool,
 ) -> bool:
     """Print the tables of runs; whether all is well: a run that failed on samples is not unless that is allowed."""
-    from benchmark.metrics.attacks import attack_facts
-    from benchmark.metrics.effect import effect_facts
-    from benchmark.metrics.slices import kinds_named
-    from benchmark.metrics.unchanged import unchanged_candidates, unchanged_record
-    from benchmark.runs.units import FAILURES_FILE, first_failure
+    from benchmark.metrics.attacks import attack_rates_to_json
+    from benchmark.metrics.effect import effect_to_json
+    from benchmark.metrics.slices import select_kinds
+    from benchmark.metrics.unchanged import find_unchanged_candidates, find_unchanged_record
+    from benchmark.runs.units import FAILURES_FILE, find_first_failure
     from leaderboard.tables.collision import run_tables
     from leaderboard.tables.slices import run_slices
 
     partial = [record for record in records if not record.complete]
     # The table that compares is shown where none is asked for by name.
-    against = unchanged_candidates(run_root, records) if json_output or protocols is None else []
-    sliced = run_slices(data_name, records, kinds_named(by), protocols, allow_partial=allow_partial)
+    against = find_unchanged_candidates(run_root, records) if json_output or protocols is None else []
+    sliced = run_slices(data_name, records, select_kinds(by), protocols, allow_partial=allow_partial)
     if json_output:
         rows = [
             {
                 "directory": str(r.directory),
                 "status": r.run.status,
                 **r.summary.model_dump(mode="json"),
-                **attack_facts(r),
-                **effect_facts(r, unchanged_record(r, (*against, *records))),
+                **attack_rates_to_json(r),
+                **effect_to_json(r, find_unchanged_record(r, (*against, *records))),
             }
             for r in records
         ]
@@ -328,8 +336,8 @@ def _show_runs(
             typer.echo(table.plain(wide=wide))
     for record in partial:
         typer.echo(
-            f"{record.planner} failed on {record.summary.failed} of {counted(record.summary.samples, 'sample')} "
-            f"(the first: {first_failure(record.rows)}; all tracebacks: {record.directory / FAILURES_FILE}); "
+            f"{record.planner} failed on {record.summary.failed} of {pluralise(record.summary.samples, 'sample')} "
+            f"(the first: {find_first_failure(record.rows)}; all tracebacks: {record.directory / FAILURES_FILE}); "
             + ("rates leave them out" if allow_partial else "--allow-partial prints the rates of the others"),
             err=True,
         )

@@ -13,18 +13,18 @@ import typer
 from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.built_splits import (
-    build_one,
     build_shards,
-    frozen_scenes,
+    build_split_of_command,
     is_edited,
+    list_frozen_scenes,
+    list_splits_to_build,
+    print_built_splits,
     require_cluster,
     require_shardable,
     require_trajectory_model,
-    say_built,
-    splits_to_build,
 )
-from benchmark.cli.options import executor_of, hyper_parameter_names, image_size, name_list
-from benchmark.cli.output import print_json, same_place, say_plan
+from benchmark.cli.options import list_hyper_parameters, make_executor, parse_image_size, parse_name_list
+from benchmark.cli.output import print_json, print_plan, repeat_data_options
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError, did_you_mean
 
@@ -112,7 +112,7 @@ class GenerateOptions:
     size: shared.Size = "448x256"
     render_size: shared.DrawnSize = "224x400"
     written_size: shared.WrittenSize = "1600x900"
-    prompt_look: shared.AskedLook = "recorded"
+    prompt_look: shared.RequestedConditions = "recorded"
     lossless: shared.Lossless = False
     weights_folder: shared.WeightsFolder = None
     render_device: shared.RenderDevice = "auto"
@@ -130,24 +130,24 @@ class GenerateOptions:
     @staticmethod
     def from_record(members: "Mapping[str, Any]") -> "dict[str, Any] | None":
         """Settings of the search of a built split."""
-        from benchmark.cli.recorded import generate_options
+        from benchmark.cli.recorded import read_generate_options
 
-        return generate_options(members)
+        return read_generate_options(members)
 
     @staticmethod
     def reserved() -> "frozenset[str]":
         """Names that ``--set`` leaves to the search: its hyper-parameters."""
-        return hyper_parameter_names()
+        return list_hyper_parameters()
 
 
 @command(GenerateOptions)
 def generate_command(options: GenerateOptions) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
     from benchmark.machine.places import require_place
-    from benchmark.machine.several_devices import require_one_device, workers_for
+    from benchmark.machine.several_devices import count_workers, require_one_device
     from benchmark.runs.units import Shard
-    from generation.search.departures import told
-    from generation.search.presets import hyper_parameters, trajectory_model
+    from generation.search.departures import format_differences
+    from generation.search.presets import build_hyper_parameters, build_trajectory_model
 
     _require_generated(options.split)
     data = api.DataSource.of(options)
@@ -156,9 +156,9 @@ def generate_command(options: GenerateOptions) -> None:
         require_place(options.out, "--out")
         if options.dry_run and first.builds:
             next_step = f"build split {options.split} from the edited scenes of {options.from_file}"
-            say_plan(first.plan(next_step), json_output=options.json_output)
+            print_plan(first.plan(next_step), json_output=options.json_output)
             return
-    wanted = splits_to_build(options, data)
+    wanted = list_splits_to_build(options, data)
     frozen = wanted[0].frozen
     shortcuts = {
         "candidate_limit": options.vehicles,
@@ -167,38 +167,42 @@ def generate_command(options: GenerateOptions) -> None:
         "parked": options.parked or None,
         "solvable": False if options.keep_unsolvable else None,
     }
-    hyper = hyper_parameters(options.preset, shortcuts, options.changes or ())
-    manoeuvres = _asked(options)
+    hyper = build_hyper_parameters(options.preset, shortcuts, options.changes or ())
+    manoeuvres = _parse_manoeuvres(options)
     if options.variants is not None and options.per_scene is not None:
         raise InputError("--variants keeps scenes that differ, --per-scene the most challenging ones; give one of them")
     surrogate = _surrogate(options)
     require_trajectory_model(options.device, options.denoiser)
     photorealistic = _photorealistic(options)
-    pixels, named = image_size(options.size), name_list(options.scenes)
+    pixels, named = parse_image_size(options.size), parse_name_list(options.scenes)
     if options.executor != "local":
         require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
-    place = executor_of(options.executor, options.address, workers_for(options.workers, options.device))
+    place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
     shard = None if options.shard is None else Shard.named(options.shard)
     require_shardable(shard, options.surrogate, place)
     if frozen is None:
         ahead = data.require_source(options.source_split, named, options.limit)
     else:
-        ahead = replace(data.require(), scenes=frozen_scenes(wanted, named, options.limit))
+        ahead = replace(data.require(), scenes=list_frozen_scenes(wanted, named, options.limit))
     require_place(options.out, "--out")
     if options.renderer == "schematic" and not options.dry_run:
         # How many a search finds is not known.
         least = 1 if options.split == "adv" and frozen is None else len(ahead.scenes)
         data.require_room_to_draw(wanted[0].split, scenes=least, size=pixels, frames=options.frames)
-    unlike = told(options.preset, hyper) if options.split == "adv" and frozen is None and options.dry_run else []
+    unlike = (
+        format_differences(options.preset, hyper)
+        if options.split == "adv" and frozen is None and options.dry_run
+        else []
+    )
     if options.dry_run and ahead.builds:
         from_what = ahead.counted() if frozen is None else f"frozen split {frozen.name}, {ahead.counted()}"
         next_step = (
             f"build split {options.split} from {from_what}; --dry-run says how much work that is once they are there"
         )
-        say_plan([*ahead.plan(next_step), *unlike], json_output=options.json_output)
+        print_plan([*ahead.plan(next_step), *unlike], json_output=options.json_output)
         return
     require_cluster(place, ahead)
-    from generation.pipeline.recordings import source_scenes
+    from generation.pipeline.recordings import list_source_scenes
     from generation.pipeline.settings import BuildSettings
 
     under_test = None if surrogate is None else surrogate.under_test(options.workers)
@@ -215,7 +219,7 @@ def generate_command(options: GenerateOptions) -> None:
         "out": root,
         "timings": space.timings_of(root),
         "hyper": hyper,
-        "prior": trajectory_model(
+        "prior": build_trajectory_model(
             options.preset,
             options.denoiser,
             options.device,
@@ -231,9 +235,9 @@ def generate_command(options: GenerateOptions) -> None:
         "executor": place,
         "rendering": rendering,
     }
-    settings = BuildSettings(**{**api.named_alike(BuildSettings, options), **others})
+    settings = BuildSettings(**{**api.select_matching_options(BuildSettings, options), **others})
     if photorealistic is not None:
-        typer.echo(network.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
+        typer.echo(network.estimate(source.scene(list_source_scenes(source, settings)[0])).plain(), err=True)
     settings_of_splits = []
     for split_to_build in wanted:
         root = space.split_root(source.name, split_to_build.split)
@@ -246,30 +250,30 @@ def generate_command(options: GenerateOptions) -> None:
                 freeze=split_to_build.freeze,
             )
         )
-    again = same_place(options)
+    again = repeat_data_options(options)
     if shard is not None and not options.dry_run:
         build_shards(source, wanted, settings_of_splits, shard, again, json_output=options.json_output)
         return
     built = []
     for split_to_build, of_split in zip(wanted, settings_of_splits, strict=True):
-        built.append(build_one(source, split_to_build, of_split, unlike, profile=options.profile))
+        built.append(build_split_of_command(source, split_to_build, of_split, unlike, profile=options.profile))
         if not options.json_output:
             typer.echo(built[-1].text if options.seeds is None else f"{split_to_build.split}: {built[-1].text}")
     if options.json_output:
         print_json(built[0].said if options.seeds is None else [outcome.said for outcome in built])
     if not options.dry_run:
-        say_built(wanted, settings_of_splits, again, json_output=options.json_output)
+        print_built_splits(wanted, settings_of_splits, again, json_output=options.json_output)
 
 
-def _asked(options: GenerateOptions) -> "tuple[Manoeuvre, ...]":
+def _parse_manoeuvres(options: GenerateOptions) -> "tuple[Manoeuvre, ...]":
     """The kinds of manoeuvre that are asked for; `InputError` for one that cannot be."""
     if not options.manoeuvres:
         return ()
-    from generation.search.asked_manoeuvres import askable
+    from generation.search.asked_manoeuvres import parse_manoeuvre
 
     if options.split != "adv" or options.from_file is not None:
         raise InputError("--manoeuvre steers the search for split adv, and nothing is searched here; leave it out")
-    kinds = tuple(map(askable, options.manoeuvres))
+    kinds = tuple(map(parse_manoeuvre, options.manoeuvres))
     if len(set(kinds)) < len(kinds):
         raise InputError("--manoeuvre names one kind twice; name each once")
     return kinds
@@ -287,11 +291,11 @@ def _surrogate(options: GenerateOptions) -> "PlannerSource | None":
 
 def _photorealistic(options: GenerateOptions) -> "Any | None":
     """The renderer of an extension, if one is named, checked; it is made later."""
-    from benchmark.machine.extension import OFFERS, from_extension
+    from benchmark.machine.extension import OFFERS, import_from_extension
 
     if options.renderer not in OFFERS["renderer"]:
         return None
-    renderer = from_extension("renderer", options.renderer)(
+    renderer = import_from_extension("renderer", options.renderer)(
         options.weights_folder,
         drawn_size=options.render_size,
         written_size=options.written_size,

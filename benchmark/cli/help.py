@@ -13,7 +13,7 @@ class SettingsCommand(TyperCommand):
         _write_panels(self, ctx, formatter)
 
 
-class WholeSummaries(TyperGroup):
+class FullSummaryGroup(TyperGroup):
     """A group whose list of commands shows the first sentence of each in full, not what fits on a line."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
@@ -24,11 +24,11 @@ class WholeSummaries(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list of commands."""
         for command in self.commands.values():
-            command.short_help = command.short_help or summary(command.help or "")
+            command.short_help = command.short_help or first_paragraph(command.help or "")
         super().format_commands(ctx, formatter)
 
 
-def summary(text: str) -> str:
+def first_paragraph(text: str) -> str:
     """The first paragraph of a command's help on one line."""
     return " ".join(text.strip().split("\n\n")[0].split())
 

@@ -100,9 +100,9 @@ def transfer_command(options: TransferOptions) -> None:
     """Show who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
     from benchmark.machine.places import require_output_file
     from benchmark.metrics.disagreement import EXACT
-    from benchmark.protocols import protocol as known_protocol
+    from benchmark.protocols import find_protocol as known_protocol
     from benchmark.records.run import NATIVE, find_records
-    from benchmark.records.store import recorded, said_of
+    from benchmark.records.store import describe_recorded, list_recorded
     from benchmark.report.plots import FORMATS
     from leaderboard.figures.heat_map import write_heat_map, write_lift_map
     from leaderboard.tables.transfer import agreement_table, lift_table, transfer_matrices, transfer_table
@@ -120,14 +120,14 @@ def transfer_command(options: TransferOptions) -> None:
         of_data = "" if options.data is None else f" for data set {options.data!r}"
         raise InputError(
             f"no complete run records of split {options.split!r} below {', '.join(map(str, folders))}{of_data}; "
-            f"{said_of(recorded(folders))}; name one of these or run challenger-bench eval --split {options.split} "
+            f"{describe_recorded(list_recorded(folders))}; name one of these or run challenger-bench eval --split {options.split} "
             "first"
         )
     if options.figure is not None:
         if len(matrices) > 1:
             raise InputError(f"--figure draws one matrix and there are {', '.join(matrices)}; choose one with --data")
         ((name, drawn),) = matrices.items()
-        of_adversary = _of_adversary(known, options.split, name) if options.protocol == EXACT else []
+        of_adversary = _adversary_matrices(known, options.split, name) if options.protocol == EXACT else []
         if options.figure_of == "adversary" and not of_adversary:
             raise InputError(
                 "--figure-of adversary needs two records that say whom contacts are with, judged by exact; "
@@ -140,7 +140,9 @@ def transfer_command(options: TransferOptions) -> None:
             {
                 name: {
                     **asdict(matrix),
-                    "adversary": [asdict(shown_matrix) for shown_matrix in _of_adversary(known, options.split, name)]
+                    "adversary": [
+                        asdict(shown_matrix) for shown_matrix in _adversary_matrices(known, options.split, name)
+                    ]
                     if options.protocol == EXACT
                     else [],
                 }
@@ -150,7 +152,7 @@ def transfer_command(options: TransferOptions) -> None:
         return
     for name, matrix in matrices.items():
         matrices_to_show = (
-            [matrix] if options.protocol != EXACT else [matrix, *_of_adversary(known, options.split, name)]
+            [matrix] if options.protocol != EXACT else [matrix, *_adversary_matrices(known, options.split, name)]
         )
         for shown_matrix in matrices_to_show:
             typer.echo(transfer_table(name, shown_matrix).plain(wide=options.wide))
@@ -159,11 +161,11 @@ def transfer_command(options: TransferOptions) -> None:
                 typer.echo(agreement_table(name, shown_matrix).plain(wide=options.wide))
 
 
-def _of_adversary(known: "Sequence[RunRecord]", split: str, data: str) -> "list[TransferMatrix]":
+def _adversary_matrices(known: "Sequence[RunRecord]", split: str, data: str) -> "list[TransferMatrix]":
     """The matrix of contacts with the adversary alone, where the records say whom contacts are with."""
-    from benchmark.metrics.effect import says_whom
+    from benchmark.metrics.effect import knows_contact_partners
     from leaderboard.tables.transfer import transfer_matrices
 
-    telling = [record for record in known if record.run.split != split or says_whom(record)]
+    telling = [record for record in known if record.run.split != split or knows_contact_partners(record)]
     matrices = transfer_matrices(telling, split, data=data, adversary_only=True)
     return [matrix for matrix in matrices.values() if len(matrix.planners) > 1]

@@ -127,7 +127,7 @@ WrittenSize = Annotated[
     Literal["model", "1600x900"],
     Option("magicdrive: what is written, the network's size or the camera's.", "Output", names="--image-size"),
 ]
-AskedLook = Annotated[
+RequestedConditions = Annotated[
     Literal["recorded", "daytime", "rainy", "night"],
     Option("magicdrive: light and weather, if not those of the recording.", "Output"),
 ]
@@ -147,7 +147,7 @@ Lossless = Annotated[bool, Option("Keep a PNG file beside each JPEG file.", "Out
 Frames = Annotated[Literal["all", "keyframes"], Option("Images at all 12 Hz frames or at 2 Hz keyframes.", "Output")]
 
 
-def image_size(text: str) -> tuple[int, int]:
+def parse_image_size(text: str) -> tuple[int, int]:
     """Width and height of ``WIDTHxHEIGHT``; raises `InputError` for anything else."""
     width, _, height = text.partition("x")
     if not (width.isdigit() and height.isdigit()) or not (32 <= int(width) <= 8192 and 32 <= int(height) <= 8192):
@@ -155,12 +155,12 @@ def image_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def name_list(text: str | None) -> tuple[str, ...] | None:
+def parse_name_list(text: str | None) -> tuple[str, ...] | None:
     """Names between commas, or ``None`` if nothing was given."""
     return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def executor_of(name: str, address: str | None, workers: int) -> "Place":
+def make_executor(name: str, address: str | None, workers: int) -> "Place":
     """Where work is done; raises `InputError` if the options contradict each other."""
     if name == "local":
         from benchmark.machine.workers import LocalProcesses
@@ -175,7 +175,7 @@ def executor_of(name: str, address: str | None, workers: int) -> "Place":
     return RayCluster(address or "auto")
 
 
-def hyper_parameter_names() -> frozenset[str]:
+def list_hyper_parameters() -> frozenset[str]:
     """Names of the settings of the search."""
     from generation.search.hyperparameters import HyperParameters
 

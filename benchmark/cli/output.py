@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 import typer
 
 from benchmark import api
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from benchmark.records.run_schema import RecordFacts
-    from benchmark.runs.units import FinishedShard, Shard
+    from benchmark.runs.units import Shard, ShardProgress
 
 
-class NamesData(Protocol):
+class DataLocation(Protocol):
     """Options that say where data are and where what is made goes."""
 
     @property
@@ -44,12 +44,12 @@ def print_result(value: Any, text: str, *, json_output: bool) -> None:
         typer.echo(text.removesuffix("\n"))
 
 
-def say_plan(sentences: Sequence[str], *, json_output: bool) -> None:
+def print_plan(sentences: Sequence[str], *, json_output: bool) -> None:
     """Print the text of ``--dry-run``."""
     print_result({"would": list(sentences)}, "\n".join(sentences), json_output=json_output)
 
 
-def say_next(where: str, *steps: tuple[str, str], json_output: bool) -> None:
+def print_next_steps(where: str, *steps: tuple[str, str], json_output: bool) -> None:
     """Say on stderr where things are and which commands come next; nothing where a program reads.
 
     Args:
@@ -62,22 +62,22 @@ def say_next(where: str, *steps: tuple[str, str], json_output: bool) -> None:
         typer.echo(f"{'next:' if number == 0 else '     '} challenger-bench {command}   # {purpose}", err=True)
 
 
-def same_place(options: NamesData) -> str:
+def repeat_data_options(options: DataLocation) -> str:
     """Options that name the same data and output folder again, with a space before; nothing where they are default."""
     categories = getattr(options, "categories", None)
     given = "" if options.data == "mini" else f" --data {options.data}"
     given += "" if options.tables is None else f" --tables {options.tables}"
     given += "" if categories is None else f" --categories {categories}"
-    return given + same_out(options.out)
+    return given + repeat_out_option(options.out)
 
 
-def same_out(out: Path) -> str:
+def repeat_out_option(out: Path) -> str:
     """The option that names the same output folder again, with a space before; nothing where it is the default."""
     return "" if out == api.OUT else f" --out {out}"
 
 
-def say_shard(
-    shard: "Shard", found: "Sequence[FinishedShard]", did: str, step: tuple[str, str], *, json_output: bool
+def print_shard_progress(
+    shard: "Shard", found: "Sequence[ShardProgress]", did: str, step: tuple[str, str], *, json_output: bool
 ) -> None:
     """Say what a shard did and what is left to do.
 
@@ -94,10 +94,10 @@ def say_shard(
         )
     for progress in found:
         typer.echo(
-            f"{progress.directory}: shard {shard}, {progress.done} of {counted(progress.scenes, 'scene')} {did}",
+            f"{progress.directory}: shard {shard}, {progress.done} of {pluralise(progress.scenes, 'scene')} {did}",
             err=json_output,
         )
-    say_next(f"shard {shard} is {did}", step, json_output=json_output)
+    print_next_steps(f"shard {shard} is {did}", step, json_output=json_output)
 
 
 def warn_of_caveats(records: "Iterable[RecordFacts]") -> None:
@@ -107,4 +107,4 @@ def warn_of_caveats(records: "Iterable[RecordFacts]") -> None:
         for caveat in facts.caveats:
             planners.setdefault(caveat.sentence, []).append(facts.planner.name)
     for sentence, names in planners.items():
-        api.tell(f"warning: {', '.join(dict.fromkeys(names))}: {sentence}")
+        api.notify(f"warning: {', '.join(dict.fromkeys(names))}: {sentence}")

@@ -8,11 +8,11 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.options import image_size, name_list
+from benchmark.cli.options import parse_image_size, parse_name_list
 from benchmark.cli.output import print_json
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,10 +49,10 @@ def data_pack_command(options: DataPackOptions) -> None:
         source.require_split("adv") if source.is_embedded else source.require()
     from benchmark.machine.workers import LocalProcesses
     from benchmark.records.drives import find_drives
-    from generation.splits.packaged import frozen_split
+    from generation.splits.packaged import read_frozen_split
     from generation.splits.packing import PackageContents, pack_split
 
-    named = tuple(map(frozen_split, options.splits))
+    named = tuple(map(read_frozen_split, options.splits))
     records = find_drives(*(options.drives or ()))
     if options.drives and not records:
         raise InputError(f"--drives {options.drives[0]} holds no record of drives; run challenger-bench drive first")
@@ -66,10 +66,10 @@ def data_pack_command(options: DataPackOptions) -> None:
         manifest_json = manifest.model_dump(mode="json", by_alias=True)
         print_json({"file": str(options.to), "sha256": packed.sha256, "manifest": manifest_json})
         return
-    names = ", ".join(f"{split.name} ({counted(split.scenes, 'scene')})" for split in manifest.splits)
+    names = ", ".join(f"{split.name} ({pluralise(split.scenes, 'scene')})" for split in manifest.splits)
     kinds = [file.kind for file in manifest.files.values()]
     companion_files = [str(kind) for kind in kinds if kind in ("verdicts", "statistics", "rules")]
-    companion_files += [f"settings of {counted(kinds.count('drive'), 'drive record')}"] if "drive" in kinds else []
+    companion_files += [f"settings of {pluralise(kinds.count('drive'), 'drive record')}"] if "drive" in kinds else []
     typer.echo(
         f"{options.to}: {names}{'; ' + ', '.join(companion_files) if companion_files else ''}\n  SHA-256 {packed.sha256}"
     )
@@ -103,25 +103,25 @@ def data_unpack_command(options: DataUnpackOptions) -> None:
     processes = api.worker_count(options.workers)
     require_place(options.to, "--to")
     require_place(options.out, "--out")
-    width, height = image_size(options.size)
-    from generation.splits.unpacking import read_split_package, write_files
+    width, height = parse_image_size(options.size)
+    from generation.splits.unpacking import read_split_package, write_package_files
 
     package = read_split_package(options.package)
     for sentence in package.left_out:
-        api.tell(sentence)
+        api.notify(sentence)
     chosen = None
     if options.data is not None:
         chosen = package.split(options.split)
-        named = chosen.chosen(name_list(options.scenes), options.limit)
+        named = chosen.chosen(parse_name_list(options.scenes), options.limit)
         recordings = api.DataSource.of(options)
         recordings.require_source("val", tuple({scene.source for scene, _ in named}))
     elif options.split is not None:
         raise InputError("--split says what is built from recordings; add --data, or leave it out")
-    files = () if options.dry_run else write_files(package, options.to)
+    files = () if options.dry_run else write_package_files(package, options.to)
     package_json = {"files": [str(path) for path in files], "splits": [split.name for split in package.splits]}
     if not options.json_output:
         typer.echo(
-            f"{options.package} is whole: {counted(len(package.files), 'file')}"
+            f"{options.package} is whole: {pluralise(len(package.files), 'file')}"
             + (f" in {options.to}" if files else "")
         )
     if chosen is None or options.data is None:
@@ -142,7 +142,7 @@ def data_unpack_command(options: DataUnpackOptions) -> None:
     settings = BuildSettings(
         out=root,
         timings=api.workspace(options.out).timings_of(root),
-        scenes=name_list(options.scenes),
+        scenes=parse_name_list(options.scenes),
         limit=options.limit,
         renderer=None if options.renderer == "none" else api.schematic_renderer((width, height)),
         frames=options.frames,

@@ -10,7 +10,7 @@ from typing import Any
 _GIB = float(1 << 30)
 
 
-def eval_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
+def read_eval_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
     """Options of ``eval`` from a run record (``run.json``); ``None`` for anything else."""
     if "protocols" not in members or "planner" not in members:
         return None
@@ -21,7 +21,7 @@ def eval_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
     supervision = config.get("supervision", {})
     published = _as_published(planner.get("settings", {}))
     return {
-        **_of_any(members),
+        **_read_common_options(members),
         "split": [members["split"]],
         "protocol": judges or None,
         "sample_limit": supervision.get("sample_limit_s"),
@@ -29,7 +29,7 @@ def eval_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
     }
 
 
-def drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
+def read_drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
     """Options of ``drive`` from a record of drives (``drive.json``); ``None`` for anything else."""
     if "measured" not in members or "planner" not in members:
         return None
@@ -40,7 +40,7 @@ def drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
     adversary["candidates"] = "candidates"
     searched = measured["agents"] == "adversary" and "every_s" in facts
     return {
-        **_of_any(members),
+        **_read_common_options(members),
         "split": members["split"],
         "baselines": False,
         "engine": measured["engine"],
@@ -55,7 +55,7 @@ def drive_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
     }
 
 
-def generate_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
+def read_generate_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
     """Options of ``generate`` from the search of a built split (``search.json``); ``None`` for anything else."""
     if "hyper" not in members or "hyper_fingerprint" not in members:
         return None
@@ -72,7 +72,7 @@ def generate_options(members: Mapping[str, Any]) -> dict[str, Any] | None:
     }
 
 
-def _of_any(members: Mapping[str, Any]) -> dict[str, Any]:
+def _read_common_options(members: Mapping[str, Any]) -> dict[str, Any]:
     """Settings that records of runs and of drives hold alike."""
     from adapters.models import MODELS
 

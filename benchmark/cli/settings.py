@@ -66,7 +66,7 @@ class Option:
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class SettingField:
     """A field of settings; the default is ``...`` where it has to be given, and help leaves out rare ones."""
 
     name: str
@@ -97,13 +97,13 @@ class Field:
         return annotation, list(self.default) if isinstance(self.default, tuple) else self.default
 
 
-def fields_of(settings: Any) -> tuple[Field, ...]:
+def list_fields(settings: Any) -> tuple[SettingField, ...]:
     """Fields of a dataclass of settings, in their order."""
-    return _fields_of(settings)
+    return _list_fields(settings)
 
 
 @cache
-def _fields_of(settings: Any) -> tuple[Field, ...]:
+def _list_fields(settings: Any) -> tuple[SettingField, ...]:
     hints, rare = typing.get_type_hints(settings, include_extras=True), getattr(settings, "RARE", ())
     setting_fields = []
     for field in dataclasses.fields(settings):
@@ -111,7 +111,7 @@ def _fields_of(settings: Any) -> tuple[Field, ...]:
         if option.names is None:
             option = dataclasses.replace(option, names=f"--{field.name.replace('_', '-')}")
         default = ... if field.default is dataclasses.MISSING else field.default
-        setting_fields.append(Field(field.name, kind, option, default, field.name in rare))
+        setting_fields.append(SettingField(field.name, kind, option, default, field.name in rare))
     return tuple(setting_fields)
 
 
@@ -132,41 +132,41 @@ def _for_typer(kind: Any) -> Any:
 
 
 SET: Final = "--set"
-SAID_BY_SET: Final = "benchmark.cli.settings"
+NAMES_GIVEN_BY_SET: Final = "benchmark.cli.settings"
 """Key of a command's context: names that ``--set`` gave."""
 
 
-def taking_file(settings: type) -> Callable[..., Any]:
+def make_file_callback(settings: type) -> Callable[..., Any]:
     """Callback of ``--config``: what the file says stands for what neither flags nor ``--set`` give."""
 
     def take(context: typer.Context, value: Path | None) -> Path | None:
         if value is not None and not context.resilient_parsing:
             known = _defaults(context)
-            known.update({**_of_file(context, settings, value), **known})
+            known.update({**_read_settings_file(context, settings, value), **known})
         return value
 
     return take
 
 
-def taking_settings(settings: type) -> Callable[..., Any]:
+def make_settings_callback(settings: type) -> Callable[..., Any]:
     """Callback of ``--set``: settings of the command are taken, and what is the command's own is left to it."""
 
     def take(context: typer.Context, value: list[str] | None) -> list[str] | None:
         if not value or context.resilient_parsing:
             return value
         reserved_names = settings.reserved() if hasattr(settings, "reserved") else None
-        known, left, values = _by_name(settings), [], {}
+        known, left, values = _index_fields(settings), [], {}
         for assignment in value:
             name, equals, text = assignment.partition("=")
             if reserved_names is not None and (name in reserved_names or _key(name) not in known):
                 left.append(assignment)
                 continue
-            field = _named(known, name, SET, context)
+            field = _find_field(known, name, SET, context)
             if not equals:
                 raise InputError(f"{SET} {assignment} is not NAME=VALUE; write {SET} {assignment}=VALUE")
-            values[field.name] = _checked(context, field, text.split(",") if field.repeated else text, SET, name)
+            values[field.name] = _convert_value(context, field, text.split(",") if field.repeated else text, SET, name)
         _defaults(context).update(values)
-        context.meta[SAID_BY_SET] = tuple(values)
+        context.meta[NAMES_GIVEN_BY_SET] = tuple(values)
         return left or None
 
     return take
@@ -179,16 +179,16 @@ def _defaults(context: typer.Context) -> MutableMapping[str, Any]:
     return context.default_map
 
 
-def _of_file(context: typer.Context, settings: type, path: Path) -> dict[str, Any]:
+def _read_settings_file(context: typer.Context, settings: type, path: Path) -> dict[str, Any]:
     """Checked settings of a file, by field."""
     from benchmark.untrusted.text_files import read_json, read_yaml
 
     members = read_json(path) if path.suffix.lower() == ".json" else read_yaml(path)
     if not isinstance(members, Mapping):
         raise InputError(f"{path} holds no settings; write NAME: VALUE lines, or name a record")
-    known, values = _by_name(settings), {}
-    for name, value in _of_record(context, settings, path, members).items():
-        field = _named(known, str(name), str(path), context)
+    known, values = _index_fields(settings), {}
+    for name, value in _read_record_settings(context, settings, path, members).items():
+        field = _find_field(known, str(name), str(path), context)
         if value is None:
             continue
         if isinstance(value, Mapping) and field.flag == SET:
@@ -199,11 +199,13 @@ def _of_file(context: typer.Context, settings: type, path: Path) -> dict[str, An
             value = ",".join(map(str, value))
         _require_kind(field, value, str(path), str(name))
         several = [value] if field.repeated and not isinstance(value, list) else value
-        values[field.name] = _checked(context, field, several, str(path), str(name))
+        values[field.name] = _convert_value(context, field, several, str(path), str(name))
     return values
 
 
-def _of_record(context: typer.Context, settings: type, path: Path, members: Mapping[str, Any]) -> Mapping[str, Any]:
+def _read_record_settings(
+    context: typer.Context, settings: type, path: Path, members: Mapping[str, Any]
+) -> Mapping[str, Any]:
     """Settings of a record; a file of settings gives its members as they are."""
     from_record = getattr(settings, "from_record", None)
     try:
@@ -215,9 +217,9 @@ def _of_record(context: typer.Context, settings: type, path: Path, members: Mapp
     return members if recorded is None else recorded
 
 
-def _by_name(settings: type) -> dict[str, Field]:
+def _index_fields(settings: type) -> dict[str, SettingField]:
     """Fields by each name that a file may use: their own, and the option's."""
-    fields = fields_of(settings)
+    fields = list_fields(settings)
     return {_key(field.flag): field for field in fields if field.flag} | {field.name: field for field in fields}
 
 
@@ -225,7 +227,7 @@ def _key(name: str) -> str:
     return name.strip().lstrip("-").replace("-", "_")
 
 
-def _named(known: Mapping[str, Field], name: str, where: str, context: typer.Context) -> Field:
+def _find_field(known: Mapping[str, SettingField], name: str, where: str, context: typer.Context) -> SettingField:
     field = known.get(_key(name))
     if field is None:
         close = did_you_mean(_key(name), known)
@@ -235,7 +237,7 @@ def _named(known: Mapping[str, Field], name: str, where: str, context: typer.Con
     return field
 
 
-def _require_kind(field: Field, value: Any, where: str, name: str) -> None:
+def _require_kind(field: SettingField, value: Any, where: str, name: str) -> None:
     """Refuse values of a file that are of another kind than the setting's."""
     kinds = field.leaves
     if bool in kinds:
@@ -249,7 +251,7 @@ def _require_kind(field: Field, value: Any, where: str, name: str) -> None:
         raise InputError(f"{where} gives {name} as {value!r}, and it has to be {kind_text}; correct it")
 
 
-def _checked(context: typer.Context, field: Field, value: Any, where: str, name: str) -> Any:
+def _convert_value(context: typer.Context, field: SettingField, value: Any, where: str, name: str) -> Any:
     """A value as the option would take it; raises `InputError` for one that it refuses."""
     parameter: Any = next(candidate for candidate in context.command.params if candidate.name == field.name)
     try:
@@ -279,7 +281,7 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
         if context.invoked_subcommand is not None:
             return
         given = {name: _source(context, name) for name in values}
-        for name in context.meta.get(SAID_BY_SET, ()):
+        for name in context.meta.get(NAMES_GIVEN_BY_SET, ()):
             if given.get(name) == "COMMANDLINE":
                 raise InputError(f"--set {name} and the option of that name say one thing twice; leave one out")
         of_fields = {
@@ -293,16 +295,16 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
         finally:
             _given.reset(token)
 
-    fields, changes = fields_of(settings), hasattr(settings, "reserved")
+    fields, changes = list_fields(settings), hasattr(settings, "reserved")
     names, parameters = {field.name for field in fields}, [_parameter("context", typer.Context)]
     for field in fields:
-        callback = taking_settings(settings) if field.flag == SET and changes else None
+        callback = make_settings_callback(settings) if field.flag == SET and changes else None
         parameters.append(_parameter(field.name, *field.for_typer(callback)))
     config = Option("Settings from a YAML or JSON file, or from a record; flags win.", names="--config")
-    parameters.append(_parameter("config_file", config.for_typer(Path | None, taking_file(settings)), None))
-    if rare_settings(settings) and not changes:
+    parameters.append(_parameter("config_file", config.for_typer(Path | None, make_file_callback(settings)), None))
+    if list_rare_settings(settings) and not changes:
         change = Option(f"A setting that help does not list, NAME=VALUE ({SETTINGS_PAGE}).", names=SET)
-        annotation = change.for_typer(list[str] | None, taking_settings(settings))
+        annotation = change.for_typer(list[str] | None, make_settings_callback(settings))
         parameters.append(_parameter("changed_settings", annotation, None))
     vars(command).update(__signature__=inspect.Signature(parameters), settings=settings)
     command.__annotations__ = {field.name: field.annotation for field in parameters}
@@ -336,18 +338,18 @@ def command(
 def add_command(app: typer.Typer, name: str, function: Callable[..., Any]) -> None:
     """Add what `command` made, or a plain function with options of typer, to an application."""
     settings = getattr(function, "settings", None)
-    epilog = None if settings is None else rare_sentence(settings)
+    epilog = None if settings is None else format_rare_settings(settings)
     app.command(name, cls=SettingsCommand, epilog=epilog)(function)
 
 
-def rare_settings(settings: type) -> list[str]:
+def list_rare_settings(settings: type) -> list[str]:
     """Names of the settings that help does not list."""
     return list(getattr(settings, "RARE", ()))
 
 
-def rare_sentence(settings: type) -> str | None:
+def format_rare_settings(settings: type) -> str | None:
     """Sentence at the end of help about rare settings."""
-    count = len(rare_settings(settings))
+    count = len(list_rare_settings(settings))
     subject = "one rare setting is" if count == 1 else f"{count} rare settings are"
     return f"{subject.capitalize()} not listed: --set and --config take them ({SETTINGS_PAGE})." if count else None
 

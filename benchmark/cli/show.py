@@ -9,15 +9,22 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.help import WholeSummaries
-from benchmark.cli.options import name_list
-from benchmark.cli.output import print_json, print_result, same_out, same_place, say_next, say_plan
+from benchmark.cli.help import FullSummaryGroup
+from benchmark.cli.options import parse_name_list
+from benchmark.cli.output import (
+    print_json,
+    print_next_steps,
+    print_plan,
+    print_result,
+    repeat_data_options,
+    repeat_out_option,
+)
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 leaderboard_app = typer.Typer(
-    cls=WholeSummaries,
+    cls=FullSummaryGroup,
     help="Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records; check submissions.",
 )
 
@@ -48,12 +55,12 @@ class SheetsOptions:
 def sheets_command(options: SheetsOptions) -> None:
     """Write scene sheets: what films, pictures and the site show of a split; the same command goes on."""
     from benchmark.machine.places import require_place
-    from benchmark.scene_pages.writing import SheetSettings, plan_of
+    from benchmark.scene_pages.writing import SheetSettings, describe_plan
 
     settings = SheetSettings(
         options.pictures,
         options.cell_width,
-        name_list(options.scenes),
+        parse_name_list(options.scenes),
         options.limit,
         api.worker_count(options.workers),
         options.rounds,
@@ -64,25 +71,25 @@ def sheets_command(options: SheetsOptions) -> None:
     ahead = data.require_split(options.split, settings.scenes, options.limit)
     require_place(options.out, "--out")
     if options.dry_run and ahead.builds:
-        say_plan(ahead.plan(f"write sheets of {ahead.counted()} of {options.split}"), json_output=options.json_output)
+        print_plan(ahead.plan(f"write sheets of {ahead.counted()} of {options.split}"), json_output=options.json_output)
         return
     between = options.pictures == "all" and options.split == "val" and not options.dry_run
     source = data.open(sweeps=between)
     root = api.workspace(options.out).sheet_root()
     dataset = data.open_split(options.split, source)
     if options.dry_run:
-        say_plan([plan_of(dataset, options.split, root, settings)], json_output=options.json_output)
+        print_plan([describe_plan(dataset, options.split, root, settings)], json_output=options.json_output)
         return
     written = api.write_sheets(dataset, options.split, root, settings)
     print_result(written.as_json(), written.sentence(), json_output=options.json_output)
-    again = same_place(options)
-    say_next(
+    again = repeat_data_options(options)
+    print_next_steps(
         f"sheets: {written.directory}",
         (
             f"film --split {options.split} --limit 1 --to films{again}",
             "a film of a scene; --model shows planners that ran",
         ),
-        (f"leaderboard{same_out(options.out)}", "tables and a site that plays all scenes"),
+        (f"leaderboard{repeat_out_option(options.out)}", "tables and a site that plays all scenes"),
         json_output=options.json_output,
     )
 
@@ -120,7 +127,7 @@ def leaderboard_command(options: LeaderboardOptions) -> None:
         if options.check:
             raise InputError("--check and --publish-check are two questions; ask them one after the other")
         raise typer.Exit(
-            _say_publishable(options.publish_check, options.may_show or (), json_output=options.json_output)
+            _print_unpublishable(options.publish_check, options.may_show or (), json_output=options.json_output)
         )
     if options.may_show:
         raise InputError("--may-show belongs to --publish-check; add it or leave it out")
@@ -134,28 +141,28 @@ def leaderboard_command(options: LeaderboardOptions) -> None:
     require_place(folder, "--to" if options.to else "--out")
     written = api.write_leaderboard(options.out, folder, options.records, site=options.site)
     first = folder / ("site/index.html" if options.site else "README.md")
-    text = f"{counted(len(written), 'file')} in {folder}; start with {first}"
+    text = f"{pluralise(len(written), 'file')} in {folder}; start with {first}"
     print_result({"files": [str(path) for path in written]}, text, json_output=options.json_output)
     page = f", {folder / 'site/index.html'} in any browser" if options.site else ""
-    say_next(
+    print_next_steps(
         f"to read: {folder / 'README.md'}{page}",
-        (f"leaderboard --check{same_out(options.out)}", "whether it is current, after further runs"),
+        (f"leaderboard --check{repeat_out_option(options.out)}", "whether it is current, after further runs"),
         json_output=options.json_output,
     )
 
 
-def _say_publishable(folder: Path, may_show: "Sequence[str]", *, json_output: bool) -> int:
+def _print_unpublishable(folder: Path, may_show: "Sequence[str]", *, json_output: bool) -> int:
     """Say what of a folder should not be published; the exit code."""
-    from benchmark.machine.extension import from_extension
+    from benchmark.machine.extension import import_from_extension
 
-    root, findings = from_extension("check", "publishing")(folder, may_show=may_show)
+    root, findings = import_from_extension("check", "publishing")(folder, may_show=may_show)
     if json_output:
         print_json({"folder": str(root), "findings": [finding.as_json() for finding in findings]})
     else:
         for finding in findings:
             typer.echo(finding.sentence())
         summary_text = (
-            counted(len(findings), "finding")
+            pluralise(len(findings), "finding")
             if findings
             else "nothing that tells of this machine, nothing that needs a server"
         )
@@ -183,12 +190,12 @@ class SlicesOptions:
 @command(SlicesOptions, leaderboard_app, "slices")
 def slices_command(options: SlicesOptions) -> None:
     """Print every rate by place, light, manoeuvre of the adversary, speed and command, from run records."""
-    from benchmark.metrics.slices import KINDS, kinds_named
-    from benchmark.protocols import protocol as known_protocol
+    from benchmark.metrics.slices import KINDS, select_kinds
+    from benchmark.protocols import find_protocol as known_protocol
     from benchmark.records.driving import PDM
     from benchmark.records.run import NATIVE, find_records
-    from benchmark.records.store import recorded, said_of
-    from leaderboard.results import one_run_each
+    from benchmark.records.store import describe_recorded, list_recorded
+    from leaderboard.results import select_runs
     from leaderboard.tables.slices import DIAGNOSIS, slice_tables
 
     protocols = tuple(dict.fromkeys(options.protocol or ["exact"]))
@@ -198,15 +205,15 @@ def slices_command(options: SlicesOptions) -> None:
     folders = options.records or [api.workspace(options.out).run_root()]
     chosen = [
         record
-        for record in one_run_each(find_records(*folders))
+        for record in select_runs(find_records(*folders))
         if options.split in (None, record.run.split) and options.data in (None, record.run.data.name)
     ]
     if not chosen:
         raise InputError(
-            f"there are no such run records below {', '.join(map(str, folders))}; {said_of(recorded(folders))}; name "
+            f"there are no such run records below {', '.join(map(str, folders))}; {describe_recorded(list_recorded(folders))}; name "
             "one of these or run challenger-bench eval first"
         )
-    kinds = kinds_named(options.by or KINDS)
+    kinds = select_kinds(options.by or KINDS)
     names = sorted({record.run.data.name for record in chosen})
     tables = [
         table

@@ -43,14 +43,14 @@ class VerifyOptions:
 def verify_command(options: VerifyOptions) -> None:
     """Compare numerics with golden numbers; exit code 1 if any differ by more than they may."""
     from benchmark.machine.places import require_folder
-    from benchmark.verification.checks import report
+    from benchmark.verification.checks import format_report
 
     require_folder(options.golden, "--golden")
     checks = api.verify(options.what, options.golden, options.model, noise=options.noise)
     if options.json_output:
         print_json([check.as_json() for check in checks])
     else:
-        typer.echo(report(checks))
+        typer.echo(format_report(checks))
         if options.what == "model" and not options.noise and not all(check.ok for check in checks):
             typer.echo("--noise says which of these are as far off as our own rounding moves them", err=True)
     raise typer.Exit(0 if all(check.passes for check in checks) else 1)

@@ -8,13 +8,13 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.help import WholeSummaries
+from benchmark.cli.help import FullSummaryGroup
 from benchmark.cli.output import print_json, print_result
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError, did_you_mean
 
 app = typer.Typer(
-    cls=WholeSummaries, help="List, import and fetch official weights of the native models.", no_args_is_help=True
+    cls=FullSummaryGroup, help="List, import and fetch official weights of the native models.", no_args_is_help=True
 )
 
 
@@ -122,11 +122,11 @@ def weights_anchors_command(options: WeightsAnchorsOptions) -> None:
 
 def _require_weights(name: str | None, normalisation: str | None, *, files: bool = False) -> None:
     """Refuse what names no model with published weights, nor a file of theirs where one may be named; `InputError`."""
-    from adapters.camera_inputs import normalisation_of
+    from adapters.camera_inputs import find_normalisation
     from adapters.models import published_model
-    from benchmark.weights.catalogue import FOLDERS, checkpoint_of
+    from benchmark.weights.catalogue import FOLDERS, find_checkpoint
 
     if name is not None and name not in {entry.name for entry in FOLDERS}:
-        checkpoint_of(name) if files else published_model(name)
+        find_checkpoint(name) if files else published_model(name)
     if normalisation is not None:
-        normalisation_of(normalisation)
+        find_normalisation(normalisation)

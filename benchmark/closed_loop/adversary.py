@@ -1,7 +1,7 @@
 """An adversary among the agents: where it leaves its recording, where it went, and one that goes there once more.
 
 Who plans while the drive lasts is made elsewhere (`generation.extensions.reactive_adversary`) and handed in as an
-`AdversaryMaker`. What it drove is kept with the drive, so that the drive can be repeated, scored and filmed without any
+`AdversaryFactory`. What it drove is kept with the drive, so that the drive can be repeated, scored and filmed without any
 search, and so that another planner can be driven against the same track.
 """
 
@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.closed_loop.contract import AgentPolicy, Moment, Moved
+from benchmark.closed_loop.contract import AgentMotion, AgentPolicy, TrafficSnapshot
 from benchmark.closed_loop.following import INSTANT_US, INSTANTS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, wrap_angle
@@ -35,7 +35,7 @@ class Replanning:
     Attributes:
         score: Of the chosen candidate, lower is better; ``None`` where none was.
         braked: Whether no candidate was allowed and it braked on its own path.
-        considered: A `benchmark.records.considered.ConsideredFrame` as JSON, where it was asked for.
+        considered: A `benchmark.records.considered.SearchTraceFrame` as JSON, where it was asked for.
     """
 
     frame: int
@@ -58,14 +58,14 @@ class AdversaryTrack:
 
 
 @runtime_checkable
-class DrivesAdversary(Protocol):
+class AdversarialPolicy(Protocol):
     """A policy with an adversary in it."""
 
     def adversary(self, memory: Any) -> AdversaryTrack:
         """Where it has been planned to go so far."""
 
 
-class AdversaryMaker(Protocol):
+class AdversaryFactory(Protocol):
     """Puts an adversary among the others. Picklable.
 
     Attributes:
@@ -122,7 +122,7 @@ class Handover:
         poses = np.column_stack([agents.position[agent, :, :2], agents.yaw[agent]])
         return cls(agent, start, scene.timestamps_us, poses, min(first, start))
 
-    def moved(self, others: Moved, track: Floats, time_us: int) -> Moved:
+    def moved(self, others: AgentMotion, track: Floats, time_us: int) -> AgentMotion:
         """The 0.1 s after a time, the adversary among the others.
 
         Args:
@@ -147,7 +147,7 @@ class Handover:
         if span > 0.0:
             before = self.poses(track, np.array([earlier]))[0]
             velocity[self.agent] = (poses[-1, :2] - before[:2]) / span
-        return Moved(boxes, present, velocity)
+        return AgentMotion(boxes, present, velocity)
 
     def poses(self, track: Floats, times_us: NDArray[np.int64]) -> Floats:
         """(K, 3) poses at (K,) times: linear between frames, headings by the shortest turn."""
@@ -165,7 +165,7 @@ class Handover:
 
 
 @dataclass(frozen=True, slots=True)
-class GivenAdversary:
+class ScriptedAdversary:
     """Adversary that drives a given track, independent of the ego.
 
     Beyond the end of its track it brakes to a stop on its heading.
@@ -180,13 +180,15 @@ class GivenAdversary:
 
     def __post_init__(self) -> None:
         left = len(self.handover.times_us) - self.track.start - len(self.track.poses)
-        object.__setattr__(self, "_whole", _braked(self.track.poses, self.handover.times_us, self.track.start, left))
+        object.__setattr__(
+            self, "_whole", _append_stop(self.track.poses, self.handover.times_us, self.track.start, left)
+        )
 
-    def init(self, time_us: int, key: int) -> tuple[Any, Moved]:
+    def init(self, time_us: int, key: int) -> tuple[Any, AgentMotion]:
         """All agents where the others have them."""
         return self.others.init(time_us, key)
 
-    def act(self, memory: Any, moment: Moment, key: int) -> tuple[Any, Moved]:
+    def act(self, memory: Any, moment: TrafficSnapshot, key: int) -> tuple[Any, AgentMotion]:
         """The next 0.1 s."""
         memory, moved = self.others.act(memory, moment, key)
         return memory, self.handover.moved(moved, self._whole, moment.time_us)
@@ -196,7 +198,7 @@ class GivenAdversary:
         return self.track
 
 
-def _braked(poses: Floats, times_us: NDArray[np.int64], start: int, frames: int) -> Floats:
+def _append_stop(poses: Floats, times_us: NDArray[np.int64], start: int, frames: int) -> Floats:
     """(F + frames, 3) a track and its stop."""
     if frames <= 0 or not len(poses):
         return poses
@@ -212,7 +214,7 @@ def _braked(poses: Floats, times_us: NDArray[np.int64], start: int, frames: int)
 
 
 @dataclass(frozen=True, slots=True)
-class GivenTracks:
+class ScriptedTracks:
     """Maker of adversaries that drive given tracks, by scene and run: those of drives that were driven already.
 
     ``facts`` say where the tracks come from.
@@ -238,9 +240,9 @@ class GivenTracks:
             raise InputError(
                 f"the track of the adversary in {scene.name}, run {run}, does not fit the scene; drive again"
             )
-        return GivenAdversary(others(track.agent), Handover.of(scene, track.agent, track.start), track)
+        return ScriptedAdversary(others(track.agent), Handover.of(scene, track.agent, track.start), track)
 
 
-def rounded(poses: Floats) -> Floats:
+def round_poses(poses: Floats) -> Floats:
     """Poses as they are driven and stored."""
     return np.asarray(np.round(poses, DECIMALS) + 0.0)

@@ -27,7 +27,7 @@ from benchmark.planning import (
     SupervisedPlanner,
     reads_message_after,
 )
-from benchmark.runs.plan_rows import FAILURES, BrokenImageError, loud, said_of
+from benchmark.runs.plan_rows import FAILURES, BrokenImageError, format_failure, wrap_image_loader
 
 DEFAULT_TIMEOUT_S: Final = 120.0
 """For one plan; no car drives with so old a plan, so that this ends what hangs."""
@@ -36,7 +36,7 @@ LONGEST_TIMEOUT_S: Final = 86_400.0
 """Timers know no infinity."""
 
 
-class Reason(StrEnum):
+class FailureReason(StrEnum):
     """Why a drive failed."""
 
     RAISED = "raised"
@@ -50,7 +50,7 @@ class Reason(StrEnum):
 class Failure:
     """Reason why there is no plan, in a word, and the error or fault in full."""
 
-    reason: Reason
+    reason: FailureReason
     text: str
 
 
@@ -87,69 +87,73 @@ def time_limit(seconds: float) -> Iterator[None]:
     _require_in_time(started, seconds)
 
 
-def asked(planner: Planner, observation: Observation, timeout_s: float, meter: Meter | None = None) -> Plan | Failure:
+def request_plan(
+    planner: Planner, observation: Observation, timeout_s: float, meter: Meter | None = None
+) -> Plan | Failure:
     """Ask for a plan; why there is none, if there is none.
 
     Raises:
         BrokenImageError: If a picture that it looks at cannot be had: not the planner's fault.
         PlannerGoneError: If it runs elsewhere and cannot be asked: not its fault either.
     """
-    views = {name: replace(view, load=loud(view.load)) for name, view in observation.views.items()}
+    views = {name: replace(view, load=wrap_image_loader(view.load)) for name, view in observation.views.items()}
     ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
     try:
         # Stdout belongs to the command (--json); what a planner prints goes to stderr.
         timed = contextlib.nullcontext() if meter is None else meter.call()
-        with contextlib.redirect_stdout(sys.stderr), _limit_of(planner, timeout_s), timed:
+        with contextlib.redirect_stdout(sys.stderr), _time_limit_of(planner, timeout_s), timed:
             plan = planner.plan(replace(observation, views=views, ego=ego))
     except PlanTimeoutError:
-        return Failure(Reason.TIMEOUT, f"no plan within {timeout_s:g} s")
+        return Failure(FailureReason.TIMEOUT, f"no plan within {timeout_s:g} s")
     except (BrokenImageError, PlannerGoneError):
         raise
     except PlannerLateError as error:
-        return Failure(Reason.TIMEOUT, str(error))
+        return Failure(FailureReason.TIMEOUT, str(error))
     except FAILURES as failure:
-        return _failure(failure)
+        return _to_failure(failure)
     if not isinstance(plan, Plan):
         answer_type = type(plan).__name__
         return Failure(
-            Reason.NO_PLAN, f"{planner.name} answered {answer_type}, a planner answers benchmark.planning.Plan"
+            FailureReason.NO_PLAN, f"{planner.name} answered {answer_type}, a planner answers benchmark.planning.Plan"
         )
     # A plan is checked when it is made; its numbers may have been changed since.
     if not np.isfinite(plan.waypoints).all():
-        return Failure(Reason.UNUSABLE, "a plan's waypoints must be finite numbers, this one has NaN or infinity")
+        return Failure(
+            FailureReason.UNUSABLE, "a plan's waypoints must be finite numbers, this one has NaN or infinity"
+        )
     return plan
 
 
-def told(planner: Planner, tell: Callable[[], None], timeout_s: float) -> Failure | None:
+def notify_planner(planner: Planner, tell: Callable[[], None], timeout_s: float) -> Failure | None:
     """Tell a planner something by a call; why the planner failed, if it did.
 
     Raises:
         PlannerGoneError: If it runs elsewhere and cannot be told: not its fault.
     """
     try:
-        with contextlib.redirect_stdout(sys.stderr), _limit_of(planner, timeout_s):
+        with contextlib.redirect_stdout(sys.stderr), _time_limit_of(planner, timeout_s):
             tell()
     except PlanTimeoutError:
-        return Failure(Reason.TIMEOUT, f"it did not return within {timeout_s:g} s")
+        return Failure(FailureReason.TIMEOUT, f"it did not return within {timeout_s:g} s")
     except PlannerGoneError:
         raise
     except PlannerLateError as error:
-        return Failure(Reason.TIMEOUT, str(error))
+        return Failure(FailureReason.TIMEOUT, str(error))
     except FAILURES as failure:
-        return _failure(failure)
+        return _to_failure(failure)
     return None
 
 
-def _limit_of(planner: Planner, timeout_s: float) -> contextlib.AbstractContextManager[None]:
+def _time_limit_of(planner: Planner, timeout_s: float) -> contextlib.AbstractContextManager[None]:
     """Who watches the clock: a planner in a process of its own is watched over there, to the end of its process."""
     return contextlib.nullcontext() if isinstance(planner, SupervisedPlanner) else time_limit(timeout_s)
 
 
-def _failure(failure: BaseException) -> Failure:
+def _to_failure(failure: BaseException) -> Failure:
     """What was raised, and handled now, as why there is no plan."""
     if isinstance(failure, PlannerLostError):
-        return Failure(Reason.TIMEOUT if failure.late else Reason.DIED, failure.text)
-    return Failure(Reason.RAISED, said_of(failure))
+        return Failure(FailureReason.TIMEOUT if failure.late else FailureReason.DIED, failure.text)
+    return Failure(FailureReason.RAISED, format_failure(failure))
 
 
 def _require_in_time(started: float, seconds: float) -> None:

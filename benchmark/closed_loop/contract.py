@@ -22,7 +22,7 @@ _WHOLE: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class PlanInForce:
+class ActivePlan:
     """Plan from the moment on that it takes effect.
 
     Attributes:
@@ -37,7 +37,7 @@ class PlanInForce:
     origin: Floats
     waypoints: Floats
 
-    def targets(self, now_us: int, pose: Floats) -> Floats:
+    def compute_targets(self, now_us: int, pose: Floats) -> Floats:
         """Targets of the ego: (6, 2) after 0.5, 1.0 .. 3.0 s, in the frame of the rear axle now, metres.
 
         ``pose`` is (3,) of the rear axle now, global.
@@ -45,12 +45,12 @@ class PlanInForce:
         if now_us == self.made_us:
             return np.asarray(self.waypoints[:PLAN_STEPS])
         steps = (now_us - self.made_us) / 1e6 / PLAN_STEP_S + np.arange(1, PLAN_STEPS + 1)
-        held = held_waypoints(self.waypoints, int(np.ceil(steps[-1])) + 1)
+        held = extend_waypoints(self.waypoints, int(np.ceil(steps[-1])) + 1)
         knots = np.concatenate([np.zeros((1, 2)), held])
-        return to_local(to_global(_between(knots, steps), self.origin), pose)
+        return to_local(to_global(_interpolate_spline(knots, steps), self.origin), pose)
 
 
-def held_waypoints(waypoints: Floats, count: int) -> Floats:
+def extend_waypoints(waypoints: Floats, count: int) -> Floats:
     """(count or N, 2) waypoints that go on beyond N of them.
 
     Beyond the last, each step is as long as the one before and turns as much as that turned.
@@ -70,7 +70,7 @@ def held_waypoints(waypoints: Floats, count: int) -> Floats:
     return np.array(held)
 
 
-def coasting(ego: Ego, now_us: int) -> PlanInForce:
+def make_coasting_plan(ego: Ego, now_us: int) -> ActivePlan:
     """The plan of a car that is given none: constant speed and curvature."""
     seconds = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
     bend = np.tan(ego.steering) / EGO_WHEELBASE_M
@@ -80,10 +80,10 @@ def coasting(ego: Ego, now_us: int) -> PlanInForce:
     safe = np.where(straight, 1.0, turned)
     along, aside = np.where(straight, 1.0, np.sin(safe) / safe), np.where(straight, 0.0, (1 - np.cos(safe)) / safe)
     waypoints = ego.speed * seconds[:, None] * np.column_stack([along, aside])
-    return PlanInForce(now_us, now_us, ego.pose, waypoints)
+    return ActivePlan(now_us, now_us, ego.pose, waypoints)
 
 
-def _between(knots: Floats, steps: Floats) -> Floats:
+def _interpolate_spline(knots: Floats, steps: Floats) -> Floats:
     """(6, 2) points of a curve through knots at whole steps (cubic, Catmull and Rom)."""
     at = np.floor(steps + _WHOLE).astype(np.int64)
     share = (steps - at)[:, None]
@@ -102,7 +102,7 @@ Memory = TypeVar("Memory")
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class TrafficSnapshot:
     """All road users at one instant.
 
     Attributes:
@@ -121,11 +121,11 @@ class Moment:
     boxes: Floats
     present: Bools
     velocity: Floats
-    plan: PlanInForce | None = None
+    plan: ActivePlan | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Moved:
+class AgentMotion:
     """Motion of the agents in a sub-step.
 
     Attributes:
@@ -155,7 +155,7 @@ class AgentPolicy(Protocol[Memory]):
     def draws(self) -> bool:
         """As above."""
 
-    def init(self, time_us: int, key: int) -> tuple[Memory, Moved]:
+    def init(self, time_us: int, key: int) -> tuple[Memory, AgentMotion]:
         """The beginning.
 
         Args:
@@ -166,7 +166,7 @@ class AgentPolicy(Protocol[Memory]):
             Its memory, and all agents at ``time_us``, in both rows.
         """
 
-    def act(self, memory: Memory, moment: Moment, key: int) -> tuple[Memory, Moved]:
+    def act(self, memory: Memory, moment: TrafficSnapshot, key: int) -> tuple[Memory, AgentMotion]:
         """The next 0.1 s.
 
         Args:
@@ -179,7 +179,7 @@ class AgentPolicy(Protocol[Memory]):
         """
 
 
-def check_policy(policy: AgentPolicy[Any], moment: Moment, steps: int = 5) -> None:
+def check_policy(policy: AgentPolicy[Any], moment: TrafficSnapshot, steps: int = 5) -> None:
     """Hold a policy to the contract: the same calls give the same bytes, and nothing that was given is changed.
 
     Args:
@@ -196,23 +196,23 @@ def check_policy(policy: AgentPolicy[Any], moment: Moment, steps: int = 5) -> No
         outputs: list[Any] = [moved]
         time = moment.time_us
         for step in range(steps):
-            now = Moment(time, moment.ego, moment.ego_speed, moved.boxes[1], moved.present[1], moved.velocity)
-            before = _bytes(memory), _bytes(now)
+            now = TrafficSnapshot(time, moment.ego, moment.ego_speed, moved.boxes[1], moved.present[1], moved.velocity)
+            before = _to_comparable(memory), _to_comparable(now)
             again = policy.act(memory, now, step)
             memory_after, moved = policy.act(memory, now, step)
-            if _bytes(again) != _bytes((memory_after, moved)):
+            if _to_comparable(again) != _to_comparable((memory_after, moved)):
                 raise ValueError(f"{policy.name} answers the same call differently: its memory is not in its memory")
-            if (_bytes(memory), _bytes(now)) != before:
+            if (_to_comparable(memory), _to_comparable(now)) != before:
                 raise ValueError(f"{policy.name} changes what it is given")
             _require_shape(policy.name, moved, len(now.boxes))
             memory, time = memory_after, time + SUBSTEP_US
             outputs.append((memory, moved))
-        runs.append(_bytes(outputs))
+        runs.append(_to_comparable(outputs))
     if runs[0] != runs[1]:
         raise ValueError(f"{policy.name} is not the same twice from the same key")
 
 
-def _require_shape(name: str, moved: Moved, count: int) -> None:
+def _require_shape(name: str, moved: AgentMotion, count: int) -> None:
     if moved.boxes.shape != (INSTANTS, count, 5) or moved.present.shape != (INSTANTS, count):
         raise ValueError(f"{name} answers boxes {moved.boxes.shape} for {count} agents at {INSTANTS} instants")
     if moved.velocity.shape != (count, 2):
@@ -221,12 +221,12 @@ def _require_shape(name: str, moved: Moved, count: int) -> None:
         raise ValueError(f"{name} answers boxes or velocities that are not finite")
 
 
-def _bytes(value: Any) -> Any:
+def _to_comparable(value: Any) -> Any:
     """A value that can be compared to the last bit."""
     if isinstance(value, np.ndarray):
         return value.shape, value.dtype.str, value.tobytes()
     if is_dataclass(value):
-        return type(value).__name__, [_bytes(getattr(value, field.name)) for field in fields(value)]
+        return type(value).__name__, [_to_comparable(getattr(value, field.name)) for field in fields(value)]
     if isinstance(value, tuple | list):
-        return [_bytes(item) for item in value]
+        return [_to_comparable(item) for item in value]
     return value

@@ -7,13 +7,13 @@ import numpy as np
 
 from benchmark.closed_loop.contract import AgentPolicy
 from benchmark.closed_loop.following import Ego
-from benchmark.closed_loop.replay import Replay
-from benchmark.closed_loop.riding import Touch
-from benchmark.closed_loop.world import STEP_US, Course
+from benchmark.closed_loop.replay import TrackReplay
+from benchmark.closed_loop.riding import CollisionEvent
+from benchmark.closed_loop.world import STEP_US, SimulationConfig
 from benchmark.constants import EGO_WHEELBASE_M
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_local, wrap_angle
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.scene import Scene
 
 _MOTION_S = 0.25
@@ -22,7 +22,7 @@ _SLOWEST_M_S = 0.5
 """Slower than this, a recorded turn says nothing about the wheels."""
 
 
-def course_of(
+def build_simulation_config(
     scene: Scene,
     *,
     policy: AgentPolicy[Any] | None = None,
@@ -30,8 +30,8 @@ def course_of(
     duration_s: float | None = None,
     seed: int = 0,
     latency_us: int = 0,
-    blamed: Callable[[Touch, Floats], bool] | None = None,
-) -> Course:
+    blamed: Callable[[CollisionEvent, Floats], bool] | None = None,
+) -> SimulationConfig:
     """The course of a scene, which starts with the recorded motion.
 
     Args:
@@ -40,7 +40,7 @@ def course_of(
         duration_s: How long it lasts; to the scene's last keyframe by default.
         seed: Of everything that is drawn.
         latency_us: So much later does a plan take effect.
-        blamed: As of a `Course`; ``None``: every contact ends the drive.
+        blamed: As of a `SimulationConfig`; ``None``: every contact ends the drive.
     """
     if not 0 <= keyframe < len(scene.keyframes):
         raise InputError(f"{scene.name} has {len(scene.keyframes)} keyframes, none of number {keyframe}")
@@ -48,42 +48,42 @@ def course_of(
     last_us = int(scene.timestamps_us[scene.keyframes[-1]])
     end_us = last_us if duration_s is None else start_us + round(duration_s * 1e6)
     agents = scene.agents
-    return Course(
+    return SimulationConfig(
         scene=scene.name,
         start_us=start_us,
         end_us=end_us,
-        start=recorded_ego(scene, start_us),
+        start=read_recorded_ego(scene, start_us),
         ids=agents.ids,
         categories=agents.categories,
-        policy=policy or replay_of(scene, start_us, end_us),
+        policy=policy or build_log_replay(scene, start_us, end_us),
         seed=seed,
         latency_us=latency_us,
         blamed=blamed,
     )
 
 
-def replay_of(scene: Scene, start_us: int, end_us: int) -> Replay:
+def build_log_replay(scene: Scene, start_us: int, end_us: int) -> TrackReplay:
     """A scene's own tracks, to the end of the last step of a drive."""
     steps = -(-(end_us - start_us) // STEP_US)
-    tracks = Tracks.of_scene(scene)
-    return Replay.of(tracks, int(scene.timestamps_us[0]), start_us, start_us + steps * STEP_US)
+    tracks = ContinuousTracks.of_scene(scene)
+    return TrackReplay.of(tracks, int(scene.timestamps_us[0]), start_us, start_us + steps * STEP_US)
 
 
-def recorded_poses(scene: Scene, times_us: Any) -> Floats:
+def interpolate_recorded_poses(scene: Scene, times_us: Any) -> Floats:
     """(..., 3) the recorded rear axle at times, linear between frames; at the ends it goes on as fast as it was."""
     frames, poses = scene.timestamps_us, scene.ego.pose
     yaw = np.unwrap(poses[:, 2])
     seconds = (np.asarray(times_us, np.int64) - int(frames[0])) / 1e6
     known = (frames - frames[0]) / 1e6
     held = [np.interp(seconds, known, column) for column in (poses[:, 0], poses[:, 1], yaw)]
-    ends = _end_velocities(known, poses[:, :2])
+    ends = _compute_end_velocities(known, poses[:, :2])
     before, after = np.minimum(seconds - known[0], 0.0), np.maximum(seconds - known[-1], 0.0)
     for axis in range(2):
         held[axis] = held[axis] + before * ends[0][axis] + after * ends[1][axis]
     return np.stack(held, axis=-1)
 
 
-def _end_velocities(known: Floats, places: Floats) -> tuple[Floats, Floats]:
+def _compute_end_velocities(known: Floats, places: Floats) -> tuple[Floats, Floats]:
     """(2,) m/s at the first and at the last frame."""
     inner = (int(np.searchsorted(known, known[0] + _MOTION_S)), int(np.searchsorted(known, known[-1] - _MOTION_S)) - 1)
     first, last = min(max(inner[0], 1), len(known) - 1), max(inner[1], 0)
@@ -93,10 +93,10 @@ def _end_velocities(known: Floats, places: Floats) -> tuple[Floats, Floats]:
     )
 
 
-def recorded_ego(scene: Scene, time_us: int) -> Ego:
+def read_recorded_ego(scene: Scene, time_us: int) -> Ego:
     """The recorded ego with its motion at a time of the scene."""
     reach = round(_MOTION_S * 1e6)
-    first, now, last = recorded_poses(scene, [time_us - reach, time_us, time_us + reach])
+    first, now, last = interpolate_recorded_poses(scene, [time_us - reach, time_us, time_us + reach])
     ahead, behind = to_local(last[:2], now), to_local(first[:2], now)
     speed = max(float(ahead[0] - behind[0]) / (2 * _MOTION_S), 0.0)
     acceleration = float(ahead[0] + behind[0]) / _MOTION_S**2

@@ -9,17 +9,17 @@ from dataclasses import dataclass, field
 from typing import Literal, cast
 
 from benchmark.closed_loop.adversary import AdversaryTrack
-from benchmark.closed_loop.asking import Failure, Reason, asked, told
-from benchmark.closed_loop.observing import Look, NoLook, Observer, Sensor
+from benchmark.closed_loop.asking import Failure, FailureReason, notify_planner, request_plan
+from benchmark.closed_loop.observing import NoCameras, ObservationBuilder, SceneCameras, Sensor
 from benchmark.closed_loop.riding import (
-    Motion,
+    CollisionEvent,
+    EpisodeMotion,
     RecordedCan,
-    Ride,
-    RideMaker,
-    Touch,
-    UndrivablePlanError,
+    RejectedPlanError,
+    SimulationState,
+    SimulatorBackend,
 )
-from benchmark.closed_loop.route import Route, RouteFollower, driven_scene
+from benchmark.closed_loop.route import Route, RouteFollower, build_driven_scene
 from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
 from benchmark.planning import CameraView, Command, Plan, Planner, PrivilegedPlanner, SceneInfo
@@ -31,7 +31,7 @@ End = Literal["contact", "end", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class Episode:
     """Outcome of one scene and one run.
 
     Attributes:
@@ -44,21 +44,21 @@ class Drive:
         passed: Contacts before that did not end it; they are not the ego's fault.
     """
 
-    motion: Motion
+    motion: EpisodeMotion
     primed: int
     plans: tuple[Plan, ...]
     commands: tuple[Command, ...]
     stations: tuple[float, ...]
     end: End
-    touch: Touch | None
+    touch: CollisionEvent | None
     failure: Failure | None
     neuroncap: NeuroncapScore | None
     adversary: AdversaryTrack | None = None
-    passed: tuple[Touch, ...] = ()
+    passed: tuple[CollisionEvent, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class EpisodeSpec:
     """One scene with one run, ready to be driven.
 
     Attributes:
@@ -70,7 +70,7 @@ class Stage:
     scene: Scene
     can: RecordedCan
     run: int
-    maker: RideMaker
+    maker: SimulatorBackend
     sensor: Sensor
     timeout_s: float
     family: str = ""
@@ -78,17 +78,17 @@ class Stage:
     meter: Meter | None = None
 
 
-def drive(stage: Stage, planner: Planner) -> Drive:
+def run_episode(stage: EpisodeSpec, planner: Planner) -> Episode:
     """Drive one scene.
 
     Raises:
         InputError: If the scene cannot be driven by any planner.
         BrokenImageError: If a picture cannot be had.
     """
-    return next(episode for _, episode in drive_together([stage], [planner]))
+    return next(episode for _, episode in run_episodes([stage], [planner]))
 
 
-def drive_together(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iterator[tuple[int, Drive]]:
+def run_episodes(stages: Sequence[EpisodeSpec], planners: Sequence[Planner]) -> Iterator[tuple[int, Episode]]:
     """Drive several scenes of one engine side by side; none changes a byte of another.
 
     Args:
@@ -104,14 +104,14 @@ def drive_together(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iter
         BrokenImageError: If a picture cannot be had; likewise.
     """
     errors: dict[int, InputError] = {}
-    seats: dict[int, _Seat] = {}
+    seats: dict[int, _Simulation] = {}
     for place, (stage, planner) in enumerate(zip(stages, planners, strict=True)):
-        with _keeping(errors, place):
-            seats[place] = _Seat.of(stage, planner)
+        with _defer_input_errors(errors, place):
+            seats[place] = _Simulation.of(stage, planner)
     while seats:
         plans: dict[int, Plan] = {}
         for place, seat in [*seats.items()]:
-            with _keeping(errors, place):
+            with _defer_input_errors(errors, place):
                 plan = seat.planned()
                 if plan is None:
                     yield place, seat.ended()
@@ -119,13 +119,13 @@ def drive_together(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iter
                     plans[place] = plan
         seats = {place: seats[place] for place in plans}
         if seats:
-            _drive_on(list(seats.values()), list(plans.values()))
+            _advance_simulations(list(seats.values()), list(plans.values()))
     if errors:
         raise errors[min(errors)]
 
 
 @contextlib.contextmanager
-def _keeping(errors: dict[int, InputError], place: int) -> Iterator[None]:
+def _defer_input_errors(errors: dict[int, InputError], place: int) -> Iterator[None]:
     """Put errors that are not the planner's aside until the others have arrived."""
     try:
         yield
@@ -133,45 +133,47 @@ def _keeping(errors: dict[int, InputError], place: int) -> Iterator[None]:
         errors[place] = error
 
 
-def _drive_on(seats: "Sequence[_Seat]", plans: Sequence[Plan]) -> None:
+def _advance_simulations(seats: "Sequence[_Simulation]", plans: Sequence[Plan]) -> None:
     """Half a second of every seat."""
-    later = seats[0].stage.maker.after_together([seat.ride for seat in seats], plans)
+    later = seats[0].stage.maker.advance_together([seat.ride for seat in seats], plans)
     for seat, ride in zip(seats, later, strict=True):
-        if isinstance(ride, UndrivablePlanError):
-            seat.failure = Failure(Reason.UNUSABLE, str(ride))
+        if isinstance(ride, RejectedPlanError):
+            seat.failure = Failure(FailureReason.UNUSABLE, str(ride))
         else:
             seat.ride = ride
 
 
 @dataclass(slots=True)
-class _Seat:
+class _Simulation:
     """Drive under way; plans, commands and stations are those so far, one for each planning instant."""
 
-    stage: Stage
+    stage: EpisodeSpec
     planner: Planner
-    ride: Ride
-    eyes: "_Eyes"
+    ride: SimulationState
+    eyes: "_PlannerInterface"
     failure: Failure | None
     plans: list[Plan] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
     stations: list[float] = field(default_factory=list)
 
     @classmethod
-    def of(cls, stage: Stage, planner: Planner) -> "_Seat":
+    def of(cls, stage: EpisodeSpec, planner: Planner) -> "_Simulation":
         """The seat of a planner that has been told where it drives."""
         if stage.meter is not None:
             # A drive that begins again begins without what it took before.
             stage.meter.latency_s.clear()
         scene, ride = stage.scene, stage.maker.begin(stage.scene, stage.run, stage.can, stage.family)
         route, look = Route.of(scene), stage.sensor.look(scene)
-        observer = Observer.of(scene, stage.can, ride.start, ride.primed)
-        eyes = _Eyes(scene, route, look, observer, stage.timeout_s, stage.meter)
-        failure = told(planner, lambda: _introduce(planner, scene, look.cameras, route), stage.timeout_s)
+        observer = ObservationBuilder.of(scene, stage.can, ride.start, ride.primed)
+        eyes = _PlannerInterface(scene, route, look, observer, stage.timeout_s, stage.meter)
+        failure = notify_planner(
+            planner, lambda: _introduce_scene(planner, scene, look.cameras, route), stage.timeout_s
+        )
         return cls(stage, planner, ride, eyes, failure)
 
     def planned(self) -> Plan | None:
         """The plan of this instant; ``None`` where the drive has ended or the planner fails."""
-        if self.failure is not None or not self.ride.goes_on or len(self.plans) == self.stage.most_plans:
+        if self.failure is not None or not self.ride.is_running or len(self.plans) == self.stage.most_plans:
             return None
         ride, route = self.ride, self.eyes.route
         place = route.place(ride.motion.ego[-1], self.stations[-1] if self.stations else None)
@@ -185,12 +187,12 @@ class _Seat:
         self.plans.append(plan)
         return plan
 
-    def ended(self) -> Drive:
+    def ended(self) -> Episode:
         """What came of it."""
         failed = self.failure is not None
         ride = self.ride if failed else self.ride.finished()
         touch = None if failed else ride.touch
-        return Drive(
+        return Episode(
             motion=ride.motion,
             primed=ride.primed,
             plans=tuple(self.plans),
@@ -206,32 +208,34 @@ class _Seat:
 
 
 @dataclass(frozen=True, slots=True)
-class _Eyes:
+class _PlannerInterface:
     """What stands between a world and a planner in one drive."""
 
     scene: Scene
     route: Route
-    look: Look
-    observer: Observer
+    look: SceneCameras
+    observer: ObservationBuilder
     timeout_s: float
     meter: Meter | None
 
-    def planned(self, planner: Planner, ride: Ride, command: Command) -> Plan | Failure:
+    def planned(self, planner: Planner, ride: SimulationState, command: Command) -> Plan | Failure:
         """The plan of this instant; the privileged see the world as driven, and none sees its future."""
         views: dict[str, CameraView] = {}
         reveals = isinstance(planner, PrivilegedPlanner) and not isinstance(planner, RouteFollower)
-        if reveals or not isinstance(self.look, NoLook):
-            driven = driven_scene(self.scene, self.route, ride.motion)
+        if reveals or not isinstance(self.look, NoCameras):
+            driven = build_driven_scene(self.scene, self.route, ride.motion)
             if reveals:
-                failure = told(planner, lambda: cast(PrivilegedPlanner, planner).reveal(driven), self.timeout_s)
+                failure = notify_planner(
+                    planner, lambda: cast(PrivilegedPlanner, planner).reveal(driven), self.timeout_s
+                )
                 if failure is not None:
                     return failure
             views = self.look.views(driven)
         observation = self.observer.observation(ride.motion, views, command, ride.can)
-        return asked(planner, observation, self.timeout_s, self.meter)
+        return request_plan(planner, observation, self.timeout_s, self.meter)
 
 
-def _introduce(planner: Planner, scene: Scene, cameras: tuple[Camera, ...], route: Route) -> None:
+def _introduce_scene(planner: Planner, scene: Scene, cameras: tuple[Camera, ...], route: Route) -> None:
     planner.reset(SceneInfo(scene.name, scene.road_map.location, cameras))
     if isinstance(planner, RouteFollower):
         planner.follow(route)

@@ -2,26 +2,26 @@
 
 from typing import Final, get_args
 
-from benchmark.closed_loop.adversary import ADVERSARY, AdversaryMaker, GivenTracks
-from benchmark.closed_loop.default_engine import AGENTS, DefaultRides
-from benchmark.closed_loop.riding import RideMaker
+from benchmark.closed_loop.adversary import ADVERSARY, AdversaryFactory, ScriptedTracks
+from benchmark.closed_loop.default_engine import AGENTS, DefaultBackend
+from benchmark.closed_loop.riding import SimulatorBackend
 from benchmark.closed_loop.world import ENGINE
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.extension import OFFERS, from_extension
-from benchmark.records.drive_schema import RECORDED, SCENARIOS, Measured, UntilName
+from benchmark.machine.extension import OFFERS, import_from_extension
+from benchmark.records.drive_schema import RECORDED, SCENARIOS, ClosedLoopDefinition, StopCondition
 
-UNTIL: Final[tuple[UntilName, ...]] = get_args(UntilName)
+STOP_CONDITIONS: Final[tuple[StopCondition, ...]] = get_args(StopCondition)
 ENGINES: Final = (ENGINE, *OFFERS["engine"])
 
 
-def rides_of(
+def make_backend(
     engine: str,
     agents: str = "replay",
     latency_ms: int = 0,
     scenarios: str = RECORDED,
-    adversary: AdversaryMaker | None = None,
+    adversary: AdversaryFactory | None = None,
     until: str = "contact",
-) -> RideMaker:
+) -> SimulatorBackend:
     """Maker of rides of an engine.
 
     Args:
@@ -29,7 +29,7 @@ def rides_of(
         latency_ms: So much later does a plan take effect.
         scenarios: Scenarios that scenes are driven with, in NeuroNCAP's engine.
         adversary: Puts an adversary among the agents; without one only drives with stored tracks begin.
-        until: What ends a drive before its time, one of `UNTIL`.
+        until: What ends a drive before its time, one of `STOP_CONDITIONS`.
 
     Raises:
         InputError: If there is no such engine or policy, or the engine has no such thing.
@@ -43,26 +43,30 @@ def rides_of(
         raise InputError(f"there are no agents {agents!r}; {did_you_mean(agents, AGENTS)}there are {known}")
     if scenarios not in SCENARIOS:
         raise InputError(f"there are no scenarios {scenarios!r}; there are {', '.join(SCENARIOS)}")
-    if until not in UNTIL:
-        raise InputError(f"no drive ends at {until!r}; {did_you_mean(until, UNTIL)}there are {' and '.join(UNTIL)}")
+    if until not in STOP_CONDITIONS:
+        raise InputError(
+            f"no drive ends at {until!r}; {did_you_mean(until, STOP_CONDITIONS)}there are {' and '.join(STOP_CONDITIONS)}"
+        )
     if engine == ENGINE:
         if scenarios != RECORDED:
             raise InputError(f"scenarios are of NeuroNCAP's engine; take --engine {ENGINES[1]} or leave them out")
-        return DefaultRides(agents, 1000 * latency_ms, adversary if agents == ADVERSARY else None, until)
+        return DefaultBackend(agents, 1000 * latency_ms, adversary if agents == ADVERSARY else None, until)
     if agents != "replay" or latency_ms:
         raise InputError(f"actors of {engine} never react and its plans take effect at once; take --engine {ENGINE}")
     if until != "contact":
         raise InputError(f"every contact ends a run of {engine}; take --engine {ENGINE} or leave --until {until} out")
-    backend: RideMaker = from_extension("engine", engine)(engine, scenarios)
+    backend: SimulatorBackend = import_from_extension("engine", engine)(engine, scenarios)
     return backend
 
 
-def rides_as(measured: Measured) -> RideMaker:
+def restore_backend(measured: ClosedLoopDefinition) -> SimulatorBackend:
     """Maker of the rides of a record again: an adversary drives its stored tracks.
 
     It needs its track, which `benchmark.runs.redriving` takes from each row.
     """
     stored = (
-        GivenTracks({}, str(measured.agents_facts.get("others", "replay"))) if measured.agents == ADVERSARY else None
+        ScriptedTracks({}, str(measured.agents_facts.get("others", "replay"))) if measured.agents == ADVERSARY else None
     )
-    return rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios, stored, measured.until)
+    return make_backend(
+        measured.engine, measured.agents, measured.latency_ms, measured.scenarios, stored, measured.until
+    )

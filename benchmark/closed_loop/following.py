@@ -16,7 +16,7 @@ from typing import Final, Self
 import numpy as np
 
 from benchmark.constants import EGO_WHEELBASE_M, PLAN_STEPS
-from benchmark.dynamics.bicycle import DriverLimits, steering_limits
+from benchmark.dynamics.bicycle import DriverLimits, compute_steering_limits
 from benchmark.geometry import Floats, wrap_angle
 
 SUBSTEP_S: Final = 0.1
@@ -78,7 +78,7 @@ class Ego:
         return cls(*row.tolist())
 
 
-def followed(egos: Floats, targets: Floats, substeps: int = SUBSTEPS) -> Floats:
+def follow_waypoints(egos: Floats, targets: Floats, substeps: int = SUBSTEPS) -> Floats:
     """Drive towards waypoints.
 
     Args:
@@ -90,23 +90,23 @@ def followed(egos: Floats, targets: Floats, substeps: int = SUBSTEPS) -> Floats:
     Returns:
         (2 substeps + 1, 6, S) the egos every 0.05 s, beginning now.
     """
-    speed, heading = _wanted(egos, targets)
+    speed, heading = _compute_targets(egos, targets)
     states = np.empty((INSTANTS * substeps + 1, *egos.shape))
     states[0] = egos
     turned = np.zeros(egos.shape[1])
     for number in range(substeps):
         now = states[INSTANTS * number]
-        acceleration, steering = _commands(now, speed[number + 1], heading[number + 1] - turned)
+        acceleration, steering = _compute_commands(now, speed[number + 1], heading[number + 1] - turned)
         for instant in range(INSTANTS):
             here = INSTANTS * number + instant
-            states[here + 1] = _moved(states[here], acceleration, steering)
-            turned = turned + _turn(states[here], states[here + 1], steering)
+            states[here + 1] = _advance_bicycle(states[here], acceleration, steering)
+            turned = turned + _compute_turn(states[here], states[here + 1], steering)
     return states
 
 
-def _wanted(egos: Floats, targets: Floats) -> tuple[Floats, Floats]:
+def _compute_targets(egos: Floats, targets: Floats) -> tuple[Floats, Floats]:
     """Speeds and headings, relative to now, of the smooth motion at 0, 0.1 .. 0.5 s: (6, S) each."""
-    per_speed, per_acceleration, per_target = _smooth_motion()
+    per_speed, per_acceleration, per_target = _fit_smooth_motion()
     speed, acceleration = egos[3], egos[4]
     sideways = speed * speed * np.tan(egos[5]) / EGO_WHEELBASE_M
     x = per_speed[:, None] * speed + per_acceleration[:, None] * acceleration
@@ -121,7 +121,7 @@ def _wanted(egos: Floats, targets: Floats) -> tuple[Floats, Floats]:
 
 
 @functools.cache
-def _smooth_motion() -> tuple[Floats, Floats, Floats]:
+def _fit_smooth_motion() -> tuple[Floats, Floats, Floats]:
     """Velocity at 0, 0.1 .. 0.5 s of the best motion per speed (6,), acceleration (6,) and waypoint (6, 6).
 
     Jerk is constant in each of 30 steps of 0.1 s and minimises the squared distances to the waypoints plus its own
@@ -145,7 +145,7 @@ def _smooth_motion() -> tuple[Floats, Floats, Floats]:
     return np.array(start[:, 1]), np.array(start[:, 2]), np.asarray(velocity)
 
 
-def _commands(now: Floats, speed: Floats, heading: Floats) -> tuple[Floats, Floats]:
+def _compute_commands(now: Floats, speed: Floats, heading: Floats) -> tuple[Floats, Floats]:
     """(S,) acceleration and (S,) steering angle that reach a speed and a turn within a sub-step, within limits."""
     most_change = LIMITS.jerk_m_s3 * SUBSTEP_S
     wanted_acceleration = (np.minimum(speed, LIMITS.speed_m_s) - now[3]) / SUBSTEP_S
@@ -156,12 +156,12 @@ def _commands(now: Floats, speed: Floats, heading: Floats) -> tuple[Floats, Floa
     travel = 0.5 * SUBSTEP_S * (now[3] + after)
     moving = (speed > _SLOW_M_S) & (travel > SUBSTEP_S * _SLOW_M_S)
     steering = np.where(moving, np.arctan(EGO_WHEELBASE_M * heading / np.where(moving, travel, 1.0)), now[5])
-    most_turn, most_angle = steering_limits(after, EGO_WHEELBASE_M, LIMITS, SUBSTEP_S)
+    most_turn, most_angle = compute_steering_limits(after, EGO_WHEELBASE_M, LIMITS, SUBSTEP_S)
     steering = np.clip(steering, now[5] - most_turn, now[5] + most_turn)
     return np.asarray(acceleration), np.asarray(np.clip(steering, -most_angle, most_angle))
 
 
-def _moved(now: Floats, acceleration: Floats, steering: Floats) -> Floats:
+def _advance_bicycle(now: Floats, acceleration: Floats, steering: Floats) -> Floats:
     """(6, S) the bicycle after half a sub-step, by the heading in the middle of it."""
     seconds = SUBSTEP_S / INSTANTS
     after = np.empty_like(now)
@@ -175,6 +175,6 @@ def _moved(now: Floats, acceleration: Floats, steering: Floats) -> Floats:
     return after
 
 
-def _turn(now: Floats, after: Floats, steering: Floats) -> Floats:
+def _compute_turn(now: Floats, after: Floats, steering: Floats) -> Floats:
     """(S,) radians turned between two states."""
     return np.asarray(0.5 * (SUBSTEP_S / INSTANTS) * (now[3] + after[3]) * np.tan(steering) / EGO_WHEELBASE_M)

@@ -14,13 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.closed_loop.contract import Moment, Moved
+from benchmark.closed_loop.contract import AgentMotion, TrafficSnapshot
 from benchmark.closed_loop.following import INSTANT_US, INSTANTS
-from benchmark.closed_loop.replay import Replay
+from benchmark.closed_loop.replay import TrackReplay
 from benchmark.constants import FOUR_WHEELED_CATEGORIES
-from benchmark.dynamics.lane_path import SPACING_M, Path, lane_path, straight_path
+from benchmark.dynamics.lane_path import SPACING_M, LanePath, build_lane_path, build_straight_path
 from benchmark.geometry import Bools, Floats
-from benchmark.interactions.keeping_distance import idm_acceleration
+from benchmark.interactions.keeping_distance import compute_idm_acceleration
 from benchmark.interactions.tracks import Integers
 from benchmark.planning import Command
 from benchmark.road_map import RoadMap
@@ -36,7 +36,7 @@ _SAFE_M: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Roads:
+class VehicleRoads:
     """Lines along which M vehicles drive, one after the other, in whole blocks of points.
 
     Attributes:
@@ -49,7 +49,7 @@ class Roads:
             many for each metre that it is beside the road.
     """
 
-    paths: tuple[Path, ...]
+    paths: tuple[LanePath, ...]
     length: Integers
     first: Integers
     line: Floats
@@ -58,7 +58,7 @@ class Roads:
     stray: Floats
 
     @classmethod
-    def of(cls, paths: Sequence[Path]) -> "Roads":
+    def of(cls, paths: Sequence[LanePath]) -> "VehicleRoads":
         """Cut lines into blocks."""
         length = np.array([len(path.points) for path in paths], np.int64)
         padded_length = -(-length // _BLOCK) * _BLOCK
@@ -77,11 +77,13 @@ class Roads:
             line=line,
             centre=centre,
             radius=away.max(axis=1),
-            stray=np.array([_stray(path) for path in paths]).reshape(-1, 2).T,
+            stray=np.array([_measure_stray(path) for path in paths]).reshape(-1, 2).T,
         )
 
 
-def leaders(roads: Roads, driving: Integers, station: Floats, here: Integers, moment: Moment) -> tuple[Floats, Floats]:
+def find_leaders(
+    roads: VehicleRoads, driving: Integers, station: Floats, here: Integers, moment: TrafficSnapshot
+) -> tuple[Floats, Floats]:
     """The nearest in each vehicle's way.
 
     (M,) metres to it, infinite without one, and (M,) its speed along the road, m/s. ``driving`` are the places of
@@ -89,13 +91,13 @@ def leaders(roads: Roads, driving: Integers, station: Floats, here: Integers, mo
     road.
     """
     gaps, speeds = np.full(len(driving), np.inf), np.zeros(len(driving))
-    boxes, velocity, vehicles, other = _in_sight(driving, here, moment)
+    boxes, velocity, vehicles, other = _find_visible_pairs(driving, here, moment)
     if not len(vehicles):
         return gaps, speeds
     # Nobody reaches farther to the side than half of its diagonal.
     reach = 0.5 * np.hypot(boxes[other, 2], boxes[other, 3]) + 0.5 * moment.boxes[driving[vehicles], 3]
     reach += SIDE_MARGIN_M + _SAFE_M
-    in_reach, point = _nearest(roads, vehicles, station[vehicles], boxes[other, :2], reach)
+    in_reach, point = _find_nearest_points(roads, vehicles, station[vehicles], boxes[other, :2], reach)
     vehicles, other, reach = vehicles[in_reach], other[in_reach], reach[in_reach]
     line = roads.line[roads.first[vehicles] + point]
     offset = boxes[other, :2] - line[:, :2]
@@ -107,7 +109,7 @@ def leaders(roads: Roads, driving: Integers, station: Floats, here: Integers, mo
     vehicles, other, along, left = vehicles[near], other[near], along[near], left[near]
     own = moment.boxes[driving[vehicles]]
     heading = np.empty(len(vehicles))
-    for vehicle, rows in _runs(vehicles):
+    for vehicle, rows in _group_runs(vehicles):
         path = roads.paths[vehicle]
         heading[rows] = np.interp(along[rows], path.arc_length, path.heading)
     box, motion = boxes[other], velocity[other]
@@ -118,13 +120,15 @@ def leaders(roads: Roads, driving: Integers, station: Floats, here: Integers, mo
     gap = np.maximum(along - half_along - station[vehicles] - 0.5 * own[:, 2], 0.0)
     speed = motion[:, 0] * np.cos(heading) + motion[:, 1] * np.sin(heading)
     vehicles, gap, speed = vehicles[inside], gap[inside], speed[inside]
-    for vehicle, rows in _runs(vehicles):
+    for vehicle, rows in _group_runs(vehicles):
         nearest = rows.start + int(np.argmin(gap[rows]))
         gaps[vehicle], speeds[vehicle] = gap[nearest], speed[nearest]
     return gaps, speeds
 
 
-def _in_sight(driving: Integers, here: Integers, moment: Moment) -> tuple[Floats, Floats, Integers, Integers]:
+def _find_visible_pairs(
+    driving: Integers, here: Integers, moment: TrafficSnapshot
+) -> tuple[Floats, Floats, Integers, Integers]:
     """Boxes (N + 1, 5) and velocities of all, the ego last, and pairs: which vehicle, and whom it sees."""
     yaw = moment.ego[4]
     own_motion = moment.ego_speed * np.array([[np.cos(yaw), np.sin(yaw)]])
@@ -138,7 +142,9 @@ def _in_sight(driving: Integers, here: Integers, moment: Moment) -> tuple[Floats
     return boxes, velocity, here[row], other
 
 
-def _nearest(roads: Roads, who: Integers, station: Floats, places: Floats, reach: Floats) -> tuple[Integers, Integers]:
+def _find_nearest_points(
+    roads: VehicleRoads, who: Integers, station: Floats, places: Floats, reach: Floats
+) -> tuple[Integers, Integers]:
     """Those of Q places that can be in the way of vehicles, and the points of their roads that are nearest to them.
 
     Only the part of a road counts that is from 20 m behind a vehicle to 200 m ahead of it; of equals the first point.
@@ -148,7 +154,7 @@ def _nearest(roads: Roads, who: Integers, station: Floats, places: Floats, reach
     # Truncation is towards zero, and whoever is before the start of its road is at its start.
     lowest = np.maximum(((station - _BEHIND_M) / SPACING_M).astype(np.int64), 0)
     beyond = np.minimum(((station + 2 * SIGHT_M) / SPACING_M).astype(np.int64) + 1, roads.length[who])
-    farthest = _farthest(roads, who, station, reach)
+    farthest = _bound_distances(roads, who, station, reach)
     begin = lowest // _BLOCK
     columns = np.arange(int(((beyond - 1) // _BLOCK - begin).max()) + 1)
     block = (roads.first[who] // _BLOCK + begin)[:, None] + columns
@@ -167,17 +173,17 @@ def _nearest(roads: Roads, who: Integers, station: Floats, places: Floats, reach
     value, point = squared[row, best], point[row, best]
     near = value < np.inf
     pair, value, point = pair[near], value[near], point[near]
-    firsts = _firsts(pair)
+    firsts = _find_first_indices(pair)
     least = np.repeat(np.minimum.reduceat(value, firsts), np.diff(np.append(firsts, len(pair)))) if len(pair) else value
     pair, point = pair[value == least], point[value == least]
-    firsts = _firsts(pair)
+    firsts = _find_first_indices(pair)
     return pair[firsts], point[firsts]
 
 
-def _farthest(roads: Roads, who: Integers, station: Floats, reach: Floats) -> Floats:
+def _bound_distances(roads: VehicleRoads, who: Integers, station: Floats, reach: Floats) -> Floats:
     """(Q,) how far from the nearest point of a road a place is at most that is within reach of it.
 
-    Such a place is hardly ahead of the point or behind it (`_stray`); but beyond the end of a road it can be ahead as
+    Such a place is hardly ahead of the point or behind it (`_measure_stray`); but beyond the end of a road it can be ahead as
     far as is looked.
     """
     constant, slope = roads.stray[:, who]
@@ -185,8 +191,8 @@ def _farthest(roads: Roads, who: Integers, station: Floats, reach: Floats) -> Fl
     return np.asarray(np.hypot(np.maximum(constant + slope * reach, beyond_end), reach) + _SAFE_M)
 
 
-def _stray(path: Path) -> tuple[float, float]:
-    """See `Roads`: infinite of a line that turns back on itself.
+def _measure_stray(path: LanePath) -> tuple[float, float]:
+    """See `VehicleRoads`: infinite of a line that turns back on itself.
 
     Of a place o from its nearest point, with steps u to the next point and from the one before, o u <= u u / 2 and
     o u >= - u u / 2; along and across the heading there that bounds how far o is along it.
@@ -203,14 +209,14 @@ def _stray(path: Path) -> tuple[float, float]:
     return float((np.concatenate([half, half]) / along).max()) + _SAFE_M, float((across / along).max()) + _SAFE_M
 
 
-def _runs(rising: Integers) -> list[tuple[int, slice]]:
+def _group_runs(rising: Integers) -> list[tuple[int, slice]]:
     """Values of a rising list and where each one is."""
-    firsts = _firsts(rising)
+    firsts = _find_first_indices(rising)
     ends = np.append(firsts, len(rising))
     return [(int(rising[first]), slice(int(first), int(end))) for first, end in zip(firsts, ends[1:], strict=True)]
 
 
-def _firsts(rising: Integers) -> Integers:
+def _find_first_indices(rising: Integers) -> Integers:
     """Where each value of a rising list is first."""
     return np.flatnonzero(np.append(True, rising[1:] != rising[:-1])) if len(rising) else rising
 
@@ -237,56 +243,56 @@ class IdmMemory:
 
 
 @dataclass(frozen=True, slots=True)
-class Idm:
+class IdmPolicy:
     """Policy under which M vehicles drive by themselves along roads and all other agents keep their tracks.
 
     ``driving`` are their indices; ``free_speed`` is m/s on an empty road, ``length`` metres of each one's road.
     """
 
-    replay: Replay
+    replay: TrackReplay
     driving: Integers
-    roads: Roads
+    roads: VehicleRoads
     free_speed: Floats
     length: Floats
     name: str = "idm"
     draws: bool = False
 
     @classmethod
-    def of(cls, replay: Replay, categories: Sequence[str], road_map: RoadMap) -> "Idm":
+    def of(cls, replay: TrackReplay, categories: Sequence[str], road_map: RoadMap) -> "IdmPolicy":
         """The policy of a scene; the map says where roads go on."""
         driving, paths, fastest = [], [], []
         for agent, category in enumerate(categories):
             rows = np.flatnonzero(replay.present[:, agent])
             places = replay.boxes[rows, agent]
-            if category not in FOUR_WHEELED_CATEGORIES or len(rows) < 2 or _reach(places) < MOVING_M:
+            if category not in FOUR_WHEELED_CATEGORIES or len(rows) < 2 or _measure_reach(places) < MOVING_M:
                 continue
             driving.append(agent)
             speed = np.hypot(*replay.velocity[rows, agent].T)
             fastest.append(max(float(speed.max()), FREE_SPEED_M_S))
-            paths.append(_road(places, float(speed[-1]), road_map))
+            paths.append(_build_road_path(places, float(speed[-1]), road_map))
         return cls(
             replay=replay,
             driving=np.array(driving, np.int64),
-            roads=Roads.of(paths),
+            roads=VehicleRoads.of(paths),
             free_speed=np.array(fastest),
             length=np.array([path.arc_length[-1] for path in paths]),
         )
 
-    def init(self, time_us: int, key: int) -> tuple[IdmMemory, Moved]:
+    def init(self, time_us: int, key: int) -> tuple[IdmMemory, AgentMotion]:
         """All agents where the tracks begin."""
         count = len(self.driving)
         all_absent = np.zeros(count, np.bool_)
         _, moved = self.replay.init(time_us, key)
-        memory = self._arrivals(IdmMemory(np.zeros(count), np.zeros(count), all_absent, all_absent), moved)
+        memory = self._add_arrivals(IdmMemory(np.zeros(count), np.zeros(count), all_absent, all_absent), moved)
         return memory, moved
 
-    def act(self, memory: IdmMemory, moment: Moment, key: int) -> tuple[IdmMemory, Moved]:
+    def act(self, memory: IdmMemory, moment: TrafficSnapshot, key: int) -> tuple[IdmMemory, AgentMotion]:
         """The next 0.1 s: those on the road follow the nearest ahead of them now."""
         _, moved = self.replay.act(None, moment, key)
         boxes, present, velocity = moved.boxes.copy(), moved.present.copy(), moved.velocity.copy()
         here = np.flatnonzero(memory.here)
-        gap, leader_speed = leaders(self.roads, self.driving, memory.station, here, moment)
-        acceleration = idm_acceleration(memory.speed, self.free_speed, gap, leader_speed)
+        gap, leader_speed = find_leaders(self.roads, self.driving, memory.station, here, moment)
+        acceleration = compute_idm_acceleration(memory.speed, self.free_speed, gap, leader_speed)
         station, speed = memory.station, memory.speed
         seconds = INSTANT_US / 1e6
         for instant in range(INSTANTS):
@@ -295,15 +301,15 @@ class Idm:
             self._place(boxes[instant], station, memory.here)
             present[instant, self.driving] = memory.here
         after = IdmMemory(station, speed, memory.here & (station < self.length), memory.come)
-        after = self._arrivals(after, moved)
+        after = self._add_arrivals(after, moved)
         present[-1, self.driving] |= after.here & ~memory.come
         boxes[-1, self.driving] = np.where(
             (after.here & ~memory.come)[:, None], moved.boxes[-1, self.driving], boxes[-1, self.driving]
         )
         self._set_velocity(velocity, after)
-        return after, Moved(boxes, present, velocity)
+        return after, AgentMotion(boxes, present, velocity)
 
-    def _arrivals(self, memory: IdmMemory, moved: Moved) -> IdmMemory:
+    def _add_arrivals(self, memory: IdmMemory, moved: AgentMotion) -> IdmMemory:
         """Who is there for the first time drives on from where the tracks have it."""
         new = moved.present[-1, self.driving] & ~memory.come
         if not new.any():
@@ -333,23 +339,23 @@ class Idm:
         velocity[self.driving[memory.here]] = moving[memory.here]
 
 
-def _reach(places: Floats) -> float:
+def _measure_reach(places: Floats) -> float:
     """How far from its first place an agent comes, metres."""
     return float(np.hypot(*(places[:, :2] - places[0, :2]).T).max())
 
 
-def _road(places: Floats, speed: float, road_map: RoadMap) -> Path:
+def _build_road_path(places: Floats, speed: float, road_map: RoadMap) -> LanePath:
     """The recorded path, and where the road goes on from its end."""
-    spaced_rows = _a_step_apart(places[:, :2])
+    spaced_rows = _find_spaced_rows(places[:, :2])
     end = places[-1, [0, 1, 4]]
-    beyond = lane_path(road_map, end, Command.STRAIGHT, speed, _BEYOND_M) or straight_path(end, _BEYOND_M)
+    beyond = build_lane_path(road_map, end, Command.STRAIGHT, speed, _BEYOND_M) or build_straight_path(end, _BEYOND_M)
     recorded = places[spaced_rows, :2]
     # The last recorded place is where the road beyond begins; what is nearer than a step to it would fold the line.
     far = np.hypot(*(recorded - end[:2]).T) >= SPACING_M
-    return Path.through(np.concatenate([recorded[far], beyond.points]))
+    return LanePath.through(np.concatenate([recorded[far], beyond.points]))
 
 
-def _a_step_apart(places: Floats) -> list[int]:
+def _find_spaced_rows(places: Floats) -> list[int]:
     """Rows of (R, 2) places, each half a metre or more from the one before."""
     spaced_rows, at = [0], places.tolist()
     x, y = at[0]

@@ -11,17 +11,23 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.closed_loop.contract import Moment, Moved
+from benchmark.closed_loop.contract import AgentMotion, TrafficSnapshot
 from benchmark.closed_loop.following import INSTANT_US, INSTANTS, SUBSTEP_US
-from benchmark.closed_loop.riding import Touch
-from benchmark.closed_loop.stepping import begin
-from benchmark.closed_loop.world import Course, World
+from benchmark.closed_loop.riding import CollisionEvent
+from benchmark.closed_loop.stepping import begin_simulation
+from benchmark.closed_loop.world import SimulationConfig, WorldState
 from benchmark.geometry import Bools, Floats, boxes_overlap
-from benchmark.interactions.contacts import KINDS, at_fault
-from benchmark.interactions.driving import Advancing, Motion, Rung, Situation, given
+from benchmark.interactions.contacts import KINDS, is_at_fault
+from benchmark.interactions.driving import (
+    DriverMotion,
+    DriverSimulation,
+    DrivingSituation,
+    ReferenceDriver,
+    compute_unreactive_motion,
+)
 from benchmark.interactions.reaction import REACTING, Driver
-from benchmark.interactions.relations import Relations
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.relations import PathRelations
+from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.records.drive_schema import LadderOutcome
 from benchmark.scene import Scene
 
@@ -29,43 +35,47 @@ DECIMALS: Final = 6
 """Of seconds."""
 
 
-def climbed(scene: Scene, course: Course, drivers: Sequence[Driver]) -> dict[Driver, LadderOutcome]:
+def simulate_reference_drivers(
+    scene: Scene, course: SimulationConfig, drivers: Sequence[Driver]
+) -> dict[Driver, LadderOutcome]:
     """Let reference drivers drive a course, each by itself; the course's policy answers each driver."""
-    tracks = Tracks.of_scene(scene)
+    tracks = ContinuousTracks.of_scene(scene)
     start = (course.start_us - int(scene.timestamps_us[0])) / 1e6
     last = (course.end_us - int(scene.timestamps_us[0])) / 1e6
     times = tracks.grid(start)
-    situation = Situation(tracks, times[times <= last + 1e-6])
-    return {driver: _driven(course, situation, driver) for driver in drivers}
+    situation = DrivingSituation(tracks, times[times <= last + 1e-6])
+    return {driver: _run_driver(course, situation, driver) for driver in drivers}
 
 
-def _driven(course: Course, situation: Situation, driver: Driver) -> LadderOutcome:
+def _run_driver(course: SimulationConfig, situation: DrivingSituation, driver: Driver) -> LadderOutcome:
     """One driver, to the first contact or to the end."""
-    rung, world = Rung(driver), begin(course)
+    rung, world = ReferenceDriver(driver), begin_simulation(course)
     decides = driver in (Driver.IDM, *REACTING)
-    advancing = Advancing(situation, [rung]) if decides else None
-    motion = None if decides else given(situation, rung)
+    advancing = DriverSimulation(situation, [rung]) if decides else None
+    motion = None if decides else compute_unreactive_motion(situation, rung)
     moment, memory = world.others, world.memory
     moment = replace(moment, ego=situation.tracks.ego_at(situation.times[:1])[0], ego_speed=float(situation.speed[0]))
     for step in range(len(situation.times) - 1):
         if advancing is not None:
-            advancing.step(step, _seen(situation, world, moment, step), 0)
-            (motion,) = advancing.motions()
+            advancing.step(step, _update_situation(situation, world, moment, step), 0)
+            (motion,) = advancing.collect_motions()
         assert motion is not None
-        egos = _ego_boxes(situation, motion, step)
+        egos = _compute_ego_boxes(situation, motion, step)
         memory, moved = course.policy.act(memory, moment, 0)
-        touched = _first_touch(course, world, egos, moved, moment.time_us, float(motion.speed[step + 1]))
+        touched = _find_first_contact(course, world, egos, moved, moment.time_us, float(motion.speed[step + 1]))
         if touched is not None:
-            return _outcome(touched, course.start_us)
+            return _build_outcome(touched, course.start_us)
         speed = float(motion.speed[step + 1])
         now = moment.time_us + SUBSTEP_US
-        moment = Moment(now, egos[-1], speed, moved.boxes[-1], moved.present[-1], moved.velocity)
+        moment = TrafficSnapshot(now, egos[-1], speed, moved.boxes[-1], moved.present[-1], moved.velocity)
     return LadderOutcome(survives=True)
 
 
-def _seen(situation: Situation, world: World, moment: Moment, step: int) -> Situation:
+def _update_situation(
+    situation: DrivingSituation, world: WorldState, moment: TrafficSnapshot, step: int
+) -> DrivingSituation:
     """The situation of now: of the recording only the ego's path is left."""
-    relations = Relations.now(
+    relations = PathRelations.now(
         situation.path,
         float(situation.times[step]),
         moment.boxes,
@@ -74,19 +84,19 @@ def _seen(situation: Situation, world: World, moment: Moment, step: int) -> Situ
         situation.tracks.hides,
         float(situation.station.min()),
     )
-    return _Now(situation, relations, world.ignored)
+    return _CurrentSituation(situation, relations, world.ignored)
 
 
-class _Now(Situation):
+class _CurrentSituation(DrivingSituation):
     """A situation with other relations and other people to ignore."""
 
-    def __init__(self, situation: Situation, relations: Relations, ignored: Bools) -> None:
+    def __init__(self, situation: DrivingSituation, relations: PathRelations, ignored: Bools) -> None:
         self.tracks, self.times, self.adversary = situation.tracks, situation.times, situation.adversary
         self.path, self.station, self.speed = situation.path, situation.station, situation.speed
         self.relations, self.ignored = relations, ignored
 
 
-def _ego_boxes(situation: Situation, motion: Motion, step: int) -> Floats:
+def _compute_ego_boxes(situation: DrivingSituation, motion: DriverMotion, step: int) -> Floats:
     """(2, 5) the driver's body after 0.05 and 0.1 s of a step: the recording's until it drives by itself."""
     share = np.arange(1, INSTANTS + 1) / INSTANTS
     if step < motion.free_from:
@@ -96,14 +106,14 @@ def _ego_boxes(situation: Situation, motion: Motion, step: int) -> Floats:
     return situation.path.boxes(station)
 
 
-def _first_touch(
-    course: Course, world: World, egos: Floats, moved: Moved, time_us: int, ego_speed: float
-) -> Touch | None:
+def _find_first_contact(
+    course: SimulationConfig, world: WorldState, egos: Floats, moved: AgentMotion, time_us: int, ego_speed: float
+) -> CollisionEvent | None:
     for row in range(INSTANTS):
         hit = moved.present[row] & ~world.ignored & boxes_overlap(egos[row][None], moved.boxes[row])
         if hit.any():
             agent = int(np.argmax(hit))
-            return Touch(
+            return CollisionEvent(
                 agent=agent,
                 uuid=course.ids[agent],
                 category=course.categories[agent],
@@ -116,7 +126,7 @@ def _first_touch(
     return None
 
 
-def _outcome(touched: Touch, start_us: int) -> LadderOutcome:
+def _build_outcome(touched: CollisionEvent, start_us: int) -> LadderOutcome:
     kind = KINDS[int(touched.pair.kinds[0])]
     seconds = round((touched.time_us - start_us) / 1e6, DECIMALS)
-    return LadderOutcome(False, seconds, touched.uuid, kind.value, at_fault(kind, unsure=False))
+    return LadderOutcome(False, seconds, touched.uuid, kind.value, is_at_fault(kind, unsure=False))

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.closed_loop.driving import Drive
-from benchmark.closed_loop.riding import ACCELERATION, SPEED, STEERING, SUBSTEP_S, YAW, YAW_RATE, Motion
+from benchmark.closed_loop.driving import Episode
+from benchmark.closed_loop.riding import ACCELERATION, SPEED, STEERING, SUBSTEP_S, YAW, YAW_RATE, EpisodeMotion
 from benchmark.geometry import Bools, Floats
 from benchmark.pdm import definition as pdm
 from benchmark.scene import Scene
@@ -30,7 +30,7 @@ class DrivenPart:
     present: Bools
 
     @classmethod
-    def of(cls, scene: Scene, drive: Drive) -> "DrivenPart":
+    def of(cls, scene: Scene, drive: Episode) -> "DrivenPart":
         """The scored part of a drive that did not fail."""
         motion = drive.motion
         first = int(motion.ticks[min(drive.primed, len(motion.ticks)) - 1])
@@ -51,7 +51,7 @@ class DrivenPart:
         )
 
 
-def _states(motion: Motion) -> Floats:
+def _states(motion: EpisodeMotion) -> Floats:
     """(F, 11) the motion in the columns of driving scores; the acceleration across is that of the bend."""
     ego, states = motion.ego, np.zeros((len(motion.ego), pdm.STATE_COLUMNS))
     states[:, : pdm.HEADING + 1] = ego[:, : YAW + 1]

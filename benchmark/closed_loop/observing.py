@@ -19,21 +19,21 @@ from benchmark.closed_loop.riding import (
     STEERING,
     YAW,
     YAW_RATE,
-    Motion,
+    EpisodeMotion,
     RecordedCan,
     X,
     Y,
 )
 from benchmark.closed_loop.route import Route
 from benchmark.geometry import Floats, quaternion_from_yaw
-from benchmark.machine.storage import token
+from benchmark.machine.storage import make_token
 from benchmark.planning import CameraView, Command, EgoState, Observation
 from benchmark.scene import Camera, EgoTrack, LidarMount, Scene
 
 NO_SENSOR: Final = "none"
 
 
-class Look(Protocol):
+class SceneCameras(Protocol):
     """A sensor made ready for one scene."""
 
     @property
@@ -62,7 +62,7 @@ class Sensor(Protocol):
     def facts(self) -> Mapping[str, Any]:
         """What else its pictures depend on, as plain JSON values."""
 
-    def look(self, scene: Scene) -> Look:
+    def look(self, scene: Scene) -> SceneCameras:
         """Make ready for a scene."""
 
 
@@ -85,13 +85,13 @@ class NoSensor:
         """Nothing."""
         return {}
 
-    def look(self, scene: Scene) -> "NoLook":
+    def look(self, scene: Scene) -> "NoCameras":
         """The scene's own rig, that sees nothing."""
-        return NoLook(scene.cameras)
+        return NoCameras(scene.cameras)
 
 
 @dataclass(frozen=True, slots=True)
-class NoLook:
+class NoCameras:
     """A rig that sees nothing."""
 
     cameras: tuple[Camera, ...]
@@ -108,7 +108,7 @@ STEERING_RATIO: Final = 14.9
 
 
 @dataclass(frozen=True, slots=True)
-class Observer:
+class ObservationBuilder:
     """Maker of the observations of one drive.
 
     Of the recording it holds only the past of the drive, and the route. ``start`` is the keyframe of the first planning
@@ -123,7 +123,7 @@ class Observer:
     route: Route
 
     @classmethod
-    def of(cls, recorded: Scene, can: RecordedCan, start: int, primed: int) -> "Observer":
+    def of(cls, recorded: Scene, can: RecordedCan, start: int, primed: int) -> "ObservationBuilder":
         """The observer of a drive.
 
         It starts at a keyframe of the recording; at the first ``primed`` planning instants the ego is the
@@ -134,7 +134,7 @@ class Observer:
         return cls(recorded.name, recorded.lidar, start, known, can.at(slice(start + primed)), Route.of(recorded))
 
     def observation(
-        self, motion: Motion, views: dict[str, CameraView], command: Command, can: Floats | None = None
+        self, motion: EpisodeMotion, views: dict[str, CameraView], command: Command, can: Floats | None = None
     ) -> Observation:
         """The planner's observation now; its index is that of the keyframe in the world as driven.
 
@@ -146,24 +146,24 @@ class Observer:
         past = index - PAST_TICKS + 1 + np.arange(PAST_TICKS)
         return Observation(
             scene=self.scene,
-            sample_token=token("drive", self.scene, index),
+            sample_token=make_token("drive", self.scene, index),
             index=index,
             timestamp_us=int(motion.times_us[-1]),
             views=views,
             lidar=self.lidar,
-            ego=self.ego_state(motion, index, can),
+            ego=self.build_ego_state(motion, index, can),
             past_poses=poses[np.maximum(past, 0)],
             past_valid=past >= 0,
             command=command,
         )
 
-    def ego_state(self, motion: Motion, index: int, row: Floats | None = None) -> EgoState:
+    def build_ego_state(self, motion: EpisodeMotion, index: int, row: Floats | None = None) -> EgoState:
         """Motion now: measured while the ego is the recorded one, then simulated.
 
         ``index`` is that of the keyframe, ``row`` the engine's own (9,) row of the CAN bus, if it has one.
         """
         now, primed = motion.ego[-1], index < len(self.can.motion)
-        simulated = simulated_can(now) if row is None else row
+        simulated = simulate_can_row(now) if row is None else row
         can = self.can.motion[index] if primed else simulated
         wheel = float(self.can.steering_wheel_rad[index]) if primed else STEERING_RATIO * float(now[STEERING])
         here = np.array([now[X], now[Y], self.route.height(now)])
@@ -182,7 +182,7 @@ class Observer:
         )
 
 
-def simulated_can(ego: Floats) -> Floats:
+def simulate_can_row(ego: Floats) -> Floats:
     """(9,) CAN row of a simulated car, as nuScenes' message ``pose`` has it, from (7,) columns of a motion.
 
     Velocity, acceleration (with gravity, and towards the inside of a bend) and rotation rate of the rear axle.

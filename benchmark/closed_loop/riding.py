@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, wrap_angle
-from benchmark.interactions.contacts import Pairs, is_agent
+from benchmark.interactions.contacts import ContactPairs, is_agent_category
 from benchmark.planning import Command, EgoState, Plan
 from benchmark.records.drive_schema import NeuroncapScore
 from benchmark.scene import Scene
@@ -29,7 +29,7 @@ EGO_COLUMNS: Final = 7
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class EpisodeMotion:
     """All that has happened since the first planning instant; nothing later. F instants, N agents.
 
     Attributes:
@@ -69,7 +69,7 @@ class Motion:
         step[YAW] = wrap_angle(step[YAW])
         return np.asarray(first + np.clip(share, 0.0, 1.0) * step)
 
-    def then(self, later: "Motion") -> Self:
+    def then(self, later: "EpisodeMotion") -> Self:
         """The motion gone on with: the ticks of ``later`` are counted from its own first instant."""
         return replace(
             self,
@@ -83,7 +83,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class CollisionEvent:
     """Contact of a drive with the agent of an index; boxes are (5,), the ego's as the engine has it.
 
     ``ego_speed`` is along the heading, m/s; ``other_velocity`` (2,) m/s.
@@ -99,26 +99,26 @@ class Touch:
     other_velocity: Floats
 
     @property
-    def pair(self) -> Pairs:
+    def pair(self) -> ContactPairs:
         """As `benchmark.interactions.contacts` judges it: kind, blame, impact speed, change of velocity."""
-        return Pairs(
+        return ContactPairs(
             ego=self.ego[None],
             ego_speed=np.array([self.ego_speed]),
             other=self.other[None],
             other_velocity=self.other_velocity[None],
-            is_agent=np.array([is_agent(self.category)]),
+            is_agent=np.array([is_agent_category(self.category)]),
         )
 
 
-class UndrivablePlanError(ValueError):
+class RejectedPlanError(ValueError):
     """A plan that an engine cannot drive: the planner failed."""
 
 
-class Ride(Protocol):
+class SimulationState(Protocol):
     """A drive at a planning instant: a value; `after` gives another one and changes nothing."""
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> EpisodeMotion:
         """Everything so far, ending with now."""
 
     @property
@@ -130,7 +130,7 @@ class Ride(Protocol):
         """Planning instants at which the ego is the recorded one; from the last of them on plans are driven."""
 
     @property
-    def goes_on(self) -> bool:
+    def is_running(self) -> bool:
         """Whether a plan is wanted."""
 
     @property
@@ -142,18 +142,18 @@ class Ride(Protocol):
         """(9,) velocity, acceleration and rotation rate now, of engines that report such a row of their own."""
 
     @property
-    def touch(self) -> Touch | None:
+    def touch(self) -> CollisionEvent | None:
         """The contact that ends it, once the engine knows of it."""
 
     @property
-    def passed(self) -> tuple[Touch, ...]:
+    def passed(self) -> tuple[CollisionEvent, ...]:
         """Contacts before it that do not end it; none where every contact does."""
 
     @property
     def adversary(self) -> AdversaryTrack | None:
         """Where an adversary went, planned while the ego drove or on a stored track; ``None`` without one."""
 
-    def after(self, plan: Plan) -> "Ride":
+    def after(self, plan: Plan) -> "SimulationState":
         """Half a second later.
 
         Args:
@@ -163,14 +163,14 @@ class Ride(Protocol):
             UndrivablePlanError: If the engine cannot drive it; nothing is scored then.
         """
 
-    def finished(self) -> "Ride":
+    def finished(self) -> "SimulationState":
         """The same with everything that the engine checks at the end."""
 
     def neuroncap_score(self) -> NeuroncapScore | None:
         """The engine's own score of a finished ride, if it has one."""
 
 
-class RideMaker(Protocol):
+class SimulatorBackend(Protocol):
     """Begins rides of one engine, one policy of agents and one latency. Picklable."""
 
     @property
@@ -184,8 +184,10 @@ class RideMaker(Protocol):
             read: Gives the scene and what its car measured; not called where that does not matter.
         """
 
-    def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> "list[Ride | UndrivablePlanError]":
-        """Half a second of several rides that it began: to the last bit what `Ride.after` says of each alone.
+    def advance_together(
+        self, rides: Sequence[SimulationState], plans: Sequence[Plan]
+    ) -> "list[SimulationState | RejectedPlanError]":
+        """Half a second of several rides that it began: to the last bit what `SimulationState.after` says of each alone.
 
         Args:
             rides: R of them.
@@ -195,7 +197,7 @@ class RideMaker(Protocol):
             R rides, or why the engine cannot drive its plan.
         """
 
-    def begin(self, scene: Scene, run: int, can: "RecordedCan", family: str = "") -> Ride:
+    def begin(self, scene: Scene, run: int, can: "RecordedCan", family: str = "") -> SimulationState:
         """The ride at its first planning instant.
 
         Args:
@@ -229,7 +231,7 @@ class RecordedCan:
     def of(cls, states: Iterable[EgoState], root: Path | None = None) -> Self:
         """What observations of a scene say, of a data set with a root."""
         ego_states = list(states)
-        motion = np.array([can_row(state) for state in ego_states]).reshape(-1, 9)
+        motion = np.array([build_can_row(state) for state in ego_states]).reshape(-1, 9)
         wheel = np.array([state.steering_angle or 0.0 for state in ego_states], np.float64)
         return cls(motion, wheel, all(state.source == "can_bus" for state in ego_states), root)
 
@@ -238,7 +240,7 @@ class RecordedCan:
         return type(self)(self.motion[keyframes].copy(), self.steering_wheel_rad[keyframes].copy(), self.measured)
 
 
-def require_room(scene: Scene, ticks: int) -> None:
+def require_enough_keyframes(scene: Scene, ticks: int) -> None:
     """Refuse a scene with fewer keyframes than a drive of so many ticks needs to begin."""
     if len(scene.keyframes) < ticks:
         raise InputError(
@@ -247,7 +249,7 @@ def require_room(scene: Scene, ticks: int) -> None:
         )
 
 
-def can_row(state: EgoState) -> Floats:
+def build_can_row(state: EgoState) -> Floats:
     """(9,) what a car measured: velocity, acceleration, rotation rate; or its derived motion in that form."""
     if state.can_motion is not None:
         return state.can_motion

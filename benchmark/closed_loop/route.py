@@ -8,9 +8,9 @@ from typing import Final, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from benchmark.closed_loop.riding import TICK_US, YAW, Motion, X, Y
+from benchmark.closed_loop.riding import TICK_US, YAW, EpisodeMotion, X, Y
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
-from benchmark.datasets.sample_truth import command_of
+from benchmark.datasets.sample_truth import compute_command
 from benchmark.geometry import Floats, quaternion_from_yaw, to_local
 from benchmark.planning import Command
 from benchmark.scene import Annotations, EgoTrack, Scene
@@ -25,7 +25,7 @@ _SHORTEST_M: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RoutePosition:
     """Place beside the route: metres along the path and metres from it."""
 
     station: float
@@ -78,7 +78,7 @@ class Route:
         """Seconds since the first frame of a time."""
         return (time_us - self.first_us) * 1e-6
 
-    def place(self, point: Floats, near_m: float | None = None) -> Place:
+    def place(self, point: Floats, near_m: float | None = None) -> RoutePosition:
         """The nearest point of the path to an x, y, 100 m of extension included.
 
         ``near_m`` is the station half a second ago, around which alone is looked; the whole path without it.
@@ -91,7 +91,7 @@ class Route:
             inside = (station + length >= near_m - _BACK_M) & (station <= near_m + _AHEAD_M)
             away = np.where(inside, away, np.inf)
         nearest = int(np.argmin(away))
-        return Place(float(station[nearest] + share[nearest] * length[nearest]), float(away[nearest]))
+        return RoutePosition(float(station[nearest] + share[nearest] * length[nearest]), float(away[nearest]))
 
     def at(self, station: Floats) -> Floats:
         """(..., 2) points of the path after so many metres; straight on before its start and beyond its end."""
@@ -100,7 +100,7 @@ class Route:
         knots = np.append(begins, begins[-1] + EXTENSION_M)
         on_path = np.stack([np.interp(station, knots, points[:, axis]) for axis in range(2)], axis=-1)
         past = np.maximum(np.asarray(station) - knots[-1], 0.0)
-        return np.asarray(on_path + past[..., None] * self._straight_on())
+        return np.asarray(on_path + past[..., None] * self._extend_straight())
 
     def height(self, point: Floats) -> float:
         """Height of the road beside a point (2 or more,): engines are planar, hills are not."""
@@ -130,19 +130,19 @@ class Route:
     def command(self, station: float, seconds: float) -> Command:
         """The driving command: where the recorded ego went within 3 s of the point at a station.
 
-        The rule is that of data sets (`benchmark.datasets.sample_truth.command_of`), seen from the recorded lidar
+        The rule is that of data sets (`benchmark.datasets.sample_truth.compute_command`), seen from the recorded lidar
         there. Of a place where it stood for a while, the moment nearest to now counts. Past the end of the
         recording it is straight on. Seconds are since the first frame.
         """
-        passed = self._passed(station, seconds)
+        passed = self._find_passing_time(station, seconds)
         steps = passed + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
         # Half of a frame's time: keyframes are not to the microsecond half a second apart.
         valid = steps <= self.step_seconds[-1] + 0.04
         lidar = self._lidar(np.append(steps, passed))
         local = to_local(lidar[:-1, :2], lidar[-1])
-        return command_of(np.column_stack([-local[:, 1], local[:, 0]]), valid)
+        return compute_command(np.column_stack([-local[:, 1], local[:, 0]]), valid)
 
-    def _passed(self, station: float, seconds: float) -> float:
+    def _find_passing_time(self, station: float, seconds: float) -> float:
         """When the recorded ego was at a station; of a stay there, the moment nearest to a time."""
         inside = np.clip(station, 0.0, self.station[-1])
         first = np.searchsorted(self.station, inside - _SAME_PLACE_M)
@@ -165,10 +165,10 @@ class Route:
         """(M, 2) starts of the path's pieces, (M, 2) their steps and (M,) the stations of their starts."""
         moved = np.append(np.diff(self.station) > _SHORTEST_M, True)
         start, station = self.poses[moved, :2], self.station[moved]
-        end = start[-1] + EXTENSION_M * self._straight_on()
+        end = start[-1] + EXTENSION_M * self._extend_straight()
         return start, np.diff(np.concatenate([start, end[None]]), axis=0), station
 
-    def _straight_on(self) -> Floats:
+    def _extend_straight(self) -> Floats:
         return np.array([np.cos(self.poses[-1, 2]), np.sin(self.poses[-1, 2])])
 
 
@@ -184,7 +184,7 @@ _SEEN: Final = 4
 """nuScenes' visibility of what is seen whole."""
 
 
-def driven_scene(recorded: Scene, route: Route, motion: Motion) -> Scene:
+def build_driven_scene(recorded: Scene, route: Route, motion: EpisodeMotion) -> Scene:
     """Scene of all that has happened up to the last instant of a motion.
 
     The recorded frames before, then the instants of the motion; planning instants are keyframes.
@@ -237,7 +237,7 @@ def driven_scene(recorded: Scene, route: Route, motion: Motion) -> Scene:
     )
 
 
-def with_the_end_held(scene: Scene, ticks: int) -> Scene:
+def hold_last_frame(scene: Scene, ticks: int) -> Scene:
     """A scene that goes on for some ticks as it ends: every agent stays where it is (HUGSIM keeps its last list so)."""
     frames = np.concatenate([np.arange(len(scene.timestamps_us)), np.full(ticks, len(scene.timestamps_us) - 1)])
     keys = np.concatenate([np.arange(len(scene.keyframes)), np.full(ticks, len(scene.keyframes) - 1)])

@@ -17,11 +17,11 @@ from typing import Final
 import numpy as np
 import shapely
 
-from benchmark.closed_loop.driving import Drive
+from benchmark.closed_loop.driving import Episode
 from benchmark.closed_loop.following import Ego
 from benchmark.closed_loop.nuplan import DrivenPart
-from benchmark.closed_loop.riding import Touch
-from benchmark.closed_loop.route import Route, driven_scene, with_the_end_held
+from benchmark.closed_loop.riding import CollisionEvent
+from benchmark.closed_loop.route import Route, build_driven_scene, hold_last_frame
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.interactions.contacts import (
@@ -29,59 +29,66 @@ from benchmark.interactions.contacts import (
     BEHIND_RAD,
     KINDS,
     ContactKind,
-    Pairs,
-    at_fault,
-    bearing,
-    delta_v,
-    is_agent,
+    ContactPairs,
+    compute_bearing,
+    compute_delta_v,
+    is_agent_category,
+    is_at_fault,
     mass_kg,
 )
-from benchmark.machine.last_made import LastMade
+from benchmark.machine.last_made import IdentityCache
 from benchmark.pdm import definition as pdm
 from benchmark.pdm.contacts import STANDING_M_S
 from benchmark.pdm.definition import SPEED, STATE_COLUMNS
-from benchmark.pdm.judging import judge_scene
-from benchmark.pdm.layers import Road, Whereabouts, footprints, road_of, route_of, whereabouts
-from benchmark.pdm.motion import comfort_checks, comfort_series, extremes_of
-from benchmark.pdm.scoring import course, direction_compliance
+from benchmark.pdm.judging import score_scene_plans
+from benchmark.pdm.layers import (
+    RoadPolygons,
+    RoadPositions,
+    build_road_polygons,
+    build_route,
+    compute_footprints,
+    locate_on_road,
+)
+from benchmark.pdm.motion import check_comfort, compute_comfort_series, compute_extremes
+from benchmark.pdm.scoring import measure_along_route, score_direction_compliance
 from benchmark.planning import Plan
 from benchmark.records.drive_schema import HdScore, NuplanTerms, ScoredContact
 from benchmark.scene import Scene
 
 
-def _recorded_road(scene: Scene) -> tuple[Floats, Road]:
-    line = route_of(scene.ego.pose)
-    return line, road_of(scene.road_map, line)
+def _read_recorded_road(scene: Scene) -> tuple[Floats, RoadPolygons]:
+    line = build_route(scene.ego.pose)
+    return line, build_road_polygons(scene.road_map, line)
 
 
-scored_road: Final = LastMade[Scene, tuple[Floats, Road]](_recorded_road, kept=4)
+load_scored_road: Final = IdentityCache[Scene, tuple[Floats, RoadPolygons]](_read_recorded_road, kept=4)
 """(M, 2) recorded route of a scene and the surfaces along it, which all drives of the scene are scored by."""
 
 
-def unsure_of_its_lane(road: Road, where: Whereabouts) -> Bools:
+def is_lane_ambiguous(road: RoadPolygons, where: RoadPositions) -> Bools:
     """(B, T) whether the ego is in several lanes or off the drivable area; nowhere on a map without road or lanes."""
     return (where.multiple_lanes | where.non_drivable) & bool(road.drivable and road.lanes)
 
 
 @dataclass(frozen=True, slots=True)
-class Blame:
+class EpisodeFaultAttribution:
     """Judge of whether a contact is the ego's fault, from the recorded scene with its map. Picklable."""
 
     scene: Scene
 
-    def __call__(self, contact: Touch, ego: Floats) -> bool:
+    def __call__(self, contact: CollisionEvent, ego: Floats) -> bool:
         """Whether the ego is to blame.
 
         ``ego`` are (6,) values of `Ego` at the first end of a sub-step that does not come before the contact.
         """
         kind = KINDS[int(contact.pair.kinds[0])]
-        return at_fault(kind, kind is ContactKind.LATERAL and self._unsure(Ego.of_row(ego)))
+        return is_at_fault(kind, kind is ContactKind.LATERAL and self._is_lane_ambiguous(Ego.of_row(ego)))
 
-    def _unsure(self, ego: Ego) -> bool:
-        _, road = scored_road(self.scene)
+    def _is_lane_ambiguous(self, ego: Ego) -> bool:
+        _, road = load_scored_road(self.scene)
         state = np.zeros((1, 1, pdm.STATE_COLUMNS))
         state[0, 0, : pdm.HEADING + 1] = ego.pose
-        return bool(unsure_of_its_lane(road, whereabouts(road, state))[0, 0])
+        return bool(is_lane_ambiguous(road, locate_on_road(road, state))[0, 0])
 
 
 LACKS: Final = ("SL (speed limits)", "traffic lights", "route blocks (the route is the recorded path)")
@@ -100,7 +107,7 @@ _WEIGHTS: Final = (5.0, 5.0, 2.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class RouteProgress:
     """Progress along the route, metres.
 
     ``metres`` is from the first driven instant to the last scored one, ``recorded_m`` the recorded ego's in the
@@ -117,29 +124,34 @@ class Progress:
         return float(np.clip(self.metres / self.whole_m, 0.0, 1.0)) if self.whole_m > SHORTEST_M else None
 
     @property
-    def beside_recorded(self) -> float:
+    def relative_to_recorded(self) -> float:
         """NuPlan's P."""
         if self.metres < -SHORTEST_M:
             return 0.0
         return min(1.0, max(self.metres, SHORTEST_M) / max(self.recorded_m, SHORTEST_M))
 
 
-def nuplan_terms(
-    part: DrivenPart, road: Road, where: Whereabouts, route: Floats, progress: Progress, contact: ScoredContact | None
+def compute_nuplan_terms(
+    part: DrivenPart,
+    road: RoadPolygons,
+    where: RoadPositions,
+    route: Floats,
+    progress: RouteProgress,
+    contact: ScoredContact | None,
 ) -> NuplanTerms:
     """Terms of nuPlan of the scored part of a drive.
 
     ``route`` is a (M, 2) polyline; the contact is the one that ended the drive.
     """
-    outside = outside_m(part, road)
+    outside = measure_outside_m(part, road)
     off = np.flatnonzero(outside >= OFF_ROAD_M)
-    wrong = course(part.states[None], route, where.oncoming, where.center_in_intersection).wrong_way_m
-    least = least_ttc(part, where)
+    wrong = measure_along_route(part.states[None], route, where.oncoming, where.center_in_intersection).wrong_way_m
+    least = compute_least_ttc(part, where)
     is_at_fault = contact is not None and contact.at_fault
-    share = progress.beside_recorded
-    nc, dac, mp = no_collision(contact), 0.0 if len(off) else 1.0, float(share >= LEAST_PROGRESS)
-    ddc = float(direction_compliance(wrong)[0])
-    p, ttc, c = share, float(least > TTC_S and not is_at_fault), comfort(part.states)
+    share = progress.relative_to_recorded
+    nc, dac, mp = compute_no_collision(contact), 0.0 if len(off) else 1.0, float(share >= LEAST_PROGRESS)
+    ddc = float(score_direction_compliance(wrong)[0])
+    p, ttc, c = share, float(least > TTC_S and not is_at_fault), compute_comfort(part.states)
     return NuplanTerms(
         score=nuplan_score((nc, dac, mp, ddc), (p, ttc, c)),
         nc=nc,
@@ -161,27 +173,27 @@ def nuplan_score(multipliers: Sequence[float], parts: tuple[float, float, float 
     return math.prod(multipliers) * mean
 
 
-def no_collision(contact: ScoredContact | None) -> float:
+def compute_no_collision(contact: ScoredContact | None) -> float:
     """NC of a drive that ends at a contact, if at all; contacts that did not end it do not count."""
     if contact is None or not contact.at_fault:
         return 1.0
-    return 0.0 if is_agent(contact.category) else 0.5
+    return 0.0 if is_agent_category(contact.category) else 0.5
 
 
-def comfort(states: Floats) -> float | None:
+def compute_comfort(states: Floats) -> float | None:
     """1 where all six series of (F, 11) states stay inside their bounds, else 0.
 
     ``None`` of fewer than 15 instants.
     """
     if len(states) < _COMFORT_INSTANTS:
         return None
-    series = comfort_series(states[None], np.zeros((1, 0, STATE_COLUMNS)))
-    return float(comfort_checks(extremes_of(series)).all())
+    series = compute_comfort_series(states[None], np.zeros((1, 0, STATE_COLUMNS)))
+    return float(check_comfort(compute_extremes(series)).all())
 
 
-def outside_m(part: DrivenPart, road: Road) -> Floats:
+def measure_outside_m(part: DrivenPart, road: RoadPolygons) -> Floats:
     """(F,) how far the corner that is farthest outside the drivable area is outside it, metres; 0 inside."""
-    corners = box_corners(footprints(part.states))
+    corners = box_corners(compute_footprints(part.states))
     surface = shapely.union_all(road.drivable)
     shapely.prepare(surface)
     points = shapely.points(corners)
@@ -191,32 +203,32 @@ def outside_m(part: DrivenPart, road: Road) -> Floats:
     return np.asarray(away.max(axis=-1))
 
 
-def least_ttc(part: DrivenPart, where: Whereabouts) -> float:
+def compute_least_ttc(part: DrivenPart, where: RoadPositions) -> float:
     """The smallest time to collision of all instants, infinite above 2.9 s.
 
     Both go on as they are; any object ahead counts, and where the ego is in several lanes, off the road or in an
     intersection any that is not behind. An object touched at an instant can no longer be hit.
     """
-    boxes, speed = footprints(part.states), part.states[:, SPEED]
-    agents = np.array([is_agent(category) for category in part.scene.agents.categories], np.bool_)
-    near = _near(part, boxes, speed)
+    boxes, speed = compute_footprints(part.states), part.states[:, SPEED]
+    agents = np.array([is_agent_category(category) for category in part.scene.agents.categories], np.bool_)
+    near = _find_near(part, boxes, speed)
     agent_rows, instants = np.nonzero(near)
     if not len(agent_rows):
         return float("inf")
-    pairs = Pairs(
+    pairs = ContactPairs(
         boxes[instants],
         speed[instants],
         part.boxes[agent_rows, instants],
         part.velocity[agent_rows, instants],
         agents[agent_rows],
     )
-    angle = bearing(pairs.ego, pairs.other)
+    angle = compute_bearing(pairs.ego, pairs.other)
     unsure = (where.multiple_lanes | where.non_drivable | where.axle_in_intersection)[0, instants]
     counts = ((angle < AHEAD_RAD) | (unsure & (angle <= BEHIND_RAD))) & (pairs.gap > 0.0)
     return float(np.where(counts, pairs.time_to_contact_nuplan, np.inf).min())
 
 
-def _near(part: DrivenPart, boxes: Floats, speed: Floats) -> Bools:
+def _find_near(part: DrivenPart, boxes: Floats, speed: Floats) -> Bools:
     """(N, F) who could touch the ego within 3 s."""
     reach = 0.5 * (np.hypot(boxes[:, 2], boxes[:, 3]) + np.hypot(part.boxes[..., 2], part.boxes[..., 3]))
     closing = LONGEST_TTC_S * (np.abs(speed) + np.hypot(part.velocity[..., 0], part.velocity[..., 1]))
@@ -225,9 +237,9 @@ def _near(part: DrivenPart, boxes: Floats, speed: Floats) -> Bools:
     return np.asarray(part.present & near & (speed >= STANDING_M_S))
 
 
-def places_on(road: Road, part: DrivenPart) -> Whereabouts:
+def locate_segment(road: RoadPolygons, part: DrivenPart) -> RoadPositions:
     """Where the ego is on the road, (1, F) each."""
-    return whereabouts(road, part.states[None])
+    return locate_on_road(road, part.states[None])
 
 
 NOT_HUGSIM: Final = "HD-Score's formula with our terms; not HUGSIM's number"
@@ -235,25 +247,25 @@ COMPLETE_AT: Final = 0.9
 """Of the recorded poses, from which on the route is complete."""
 
 
-def hd_score(scene: Scene, route: Route, drive: Drive) -> HdScore | None:
+def compute_hd_score(scene: Scene, route: Route, drive: Episode) -> HdScore | None:
     """Score a drive that did not fail; ``None`` where the map has no road or no lanes."""
-    driven = with_the_end_held(driven_scene(scene, route, drive.motion), PLAN_STEPS)
+    driven = hold_last_frame(build_driven_scene(scene, route, drive.motion), PLAN_STEPS)
     first = int(np.searchsorted(scene.timestamps_us[scene.keyframes], drive.motion.times_us[0]))
     plans: list[Plan | None] = [None] * len(driven.keyframes)
     for tick in range(drive.primed - 1, len(drive.plans)):
         plans[first + tick] = drive.plans[tick]
-    judged = [verdict for verdict in judge_scene(driven, plans) if verdict is not None]
+    judged = [verdict for verdict in score_scene_plans(driven, plans) if verdict is not None]
     if not judged:
         return None
     terms = [
         scores.nc * scores.dac * (5 * scores.ttc + 2 * (1.0 if scores.hc is None else scores.hc)) / 7
         for scores in judged
     ]
-    mean, completed = float(np.mean(terms)), completed_share(scene, drive, first)
+    mean, completed = float(np.mean(terms)), compute_completed_share(scene, drive, first)
     return HdScore(score=mean * completed, plans=mean, completed=completed)
 
 
-def completed_share(scene: Scene, drive: Drive, first: int) -> float:
+def compute_completed_share(scene: Scene, drive: Episode, first: int) -> float:
     """The farthest recorded pose that the ego came nearest to, among those from the first driven instant on.
 
     ``first`` is the keyframe of the first planning instant.
@@ -265,8 +277,8 @@ def completed_share(scene: Scene, drive: Drive, first: int) -> float:
     return float(min(1.0, (nearest.max() + 1) / (COMPLETE_AT * len(recorded))))
 
 
-def scored_contact(
-    scene: Scene, touch: Touch, start_us: int, *, unsure: bool, adversary: int | None = None
+def score_collision(
+    scene: Scene, touch: CollisionEvent, start_us: int, *, unsure: bool, adversary: int | None = None
 ) -> ScoredContact:
     """A contact in numbers.
 
@@ -278,14 +290,14 @@ def scored_contact(
     pair = touch.pair
     kind = KINDS[int(pair.kinds[0])]
     impact = pair.impact_speed
-    own, others = delta_v(impact, np.array([mass_kg(touch.category)]))
+    own, others = compute_delta_v(impact, np.array([mass_kg(touch.category)]))
     return ScoredContact(
         seconds=(touch.time_us - start_us) * 1e-6,
         agent=touch.uuid,
         category=touch.category,
         adversary=touch.uuid in scene.adversaries or touch.agent == adversary,
         kind=kind.value,
-        at_fault=at_fault(kind, unsure),
+        at_fault=is_at_fault(kind, unsure),
         impact_speed=float(impact[0]),
         delta_v_ego=float(own[0]),
         delta_v_other=float(others[0]),
@@ -297,7 +309,7 @@ VERSION: Final = 1
 
 
 @dataclass(frozen=True, slots=True)
-class DriveScores:
+class EpisodeScores:
     """Scores of one drive.
 
     Attributes:
@@ -309,44 +321,44 @@ class DriveScores:
     """
 
     contact: ScoredContact | None
-    progress: Progress
+    progress: RouteProgress
     comfortable: float | None
     nuplan: NuplanTerms | None
     hd: HdScore | None
     passed: tuple[ScoredContact, ...] = ()
 
 
-def score_drive(scene: Scene, drive: Drive) -> DriveScores:
+def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
     """Score a drive that did not fail, in the recorded scene with its map.
 
     NeuroNCAP's own scores are in the drive, and a drive that has them has no score of another formula.
     """
     part, route = DrivenPart.of(scene, drive), Route.of(scene)
-    line, road = scored_road(scene)
-    where = places_on(road, part)
+    line, road = load_scored_road(scene)
+    where = locate_segment(road, part)
     known = bool(road.drivable and road.lanes)
-    unsure = unsure_of_its_lane(road, where)[0]
+    unsure = is_lane_ambiguous(road, where)[0]
     pursuer = None if drive.adversary is None else drive.adversary.agent
 
-    def scored_touch(touch: Touch) -> ScoredContact:
+    def scored_touch(touch: CollisionEvent) -> ScoredContact:
         at = min(int(np.searchsorted(part.times_us, touch.time_us)), len(unsure) - 1)
         start_us = int(part.times_us[0])
-        return scored_contact(scene, touch, start_us, unsure=bool(unsure[at]), adversary=pursuer)
+        return score_collision(scene, touch, start_us, unsure=bool(unsure[at]), adversary=pursuer)
 
     contact = None if drive.touch is None else scored_touch(drive.touch)
-    progress = progress_of(route, part)
+    progress = measure_progress(route, part)
     scored = known and drive.neuroncap is None
-    return DriveScores(
+    return EpisodeScores(
         contact=contact,
         progress=progress,
-        comfortable=comfort(part.states),
-        nuplan=nuplan_terms(part, road, where, line, progress, contact) if scored else None,
-        hd=hd_score(scene, route, drive) if scored else None,
+        comfortable=compute_comfort(part.states),
+        nuplan=compute_nuplan_terms(part, road, where, line, progress, contact) if scored else None,
+        hd=compute_hd_score(scene, route, drive) if scored else None,
         passed=tuple(scored_touch(touch) for touch in drive.passed),
     )
 
 
-def progress_of(route: Route, part: DrivenPart) -> Progress:
+def measure_progress(route: Route, part: DrivenPart) -> RouteProgress:
     """How far along the route a drive came."""
     station = route.place(part.states[0]).station
     near = station
@@ -356,4 +368,4 @@ def progress_of(route: Route, part: DrivenPart) -> Progress:
     first, last = (route.seconds_of(int(part.times_us[at])) for at in (0, -1))
     recorded = route.recorded_station(last) - route.recorded_station(first)
     full_length = route.recorded_station(float(route.step_seconds[-1])) - route.recorded_station(first)
-    return Progress(end - station, recorded, full_length)
+    return RouteProgress(end - station, recorded, full_length)

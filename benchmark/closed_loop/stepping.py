@@ -2,11 +2,11 @@
 
 The order inside a step is fixed:
 
-1. the plan joins those in force, `Course.latency_us` after it was made;
+1. the plan joins those in force, `SimulationConfig.latency_us` after it was made;
 2. the ego moves: five sub-steps of 0.1 s, by the plan in force at each one's beginning (`following`);
-3. the agents move, sub-step by sub-step, each seeing all as they are at its beginning (`Course.policy`);
+3. the agents move, sub-step by sub-step, each seeing all as they are at its beginning (`SimulationConfig.policy`);
 4. contact is looked for every 0.05 s; the first one ends the drive, or the first that is the ego's fault
-   (`Course.blamed`): then an agent that touches it otherwise is gone from the next planning instant on.
+   (`SimulationConfig.blamed`): then an agent that touches it otherwise is gone from the next planning instant on.
 
 Many worlds can be stepped together. That is faster, and changes no byte of any.
 """
@@ -17,17 +17,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.contract import Moment, PlanInForce, coasting
+from benchmark.closed_loop.contract import ActivePlan, TrafficSnapshot, make_coasting_plan
 from benchmark.closed_loop.following import (
     INSTANT_US,
     INSTANTS,
     SUBSTEP_US,
     SUBSTEPS,
     Ego,
-    followed,
+    follow_waypoints,
 )
-from benchmark.closed_loop.riding import Touch
-from benchmark.closed_loop.world import STEP_US, Course, Trace, World, ego_boxes
+from benchmark.closed_loop.riding import CollisionEvent
+from benchmark.closed_loop.world import STEP_US, SimulationConfig, StepTrace, WorldState, compute_ego_boxes
 from benchmark.constants import EGO_LENGTH_M, FARTHEST_WAYPOINT_M, LONGEST_PLAN_STEPS, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.machine.storage import content_seed
@@ -36,26 +36,26 @@ _ROWS: Final = SUBSTEPS * INSTANTS
 """Instants of a step."""
 
 
-class UndrivablePlanError(ValueError):
+class InfeasiblePlanError(ValueError):
     """A plan that cannot be driven: the planner failed, and nothing is scored."""
 
 
-def begin(course: Course) -> World:
+def begin_simulation(course: SimulationConfig) -> WorldState:
     """The world at the start; agents that overlap the ego here are ignored from then on."""
     memory, moved = course.policy.init(course.start_us, content_seed(course.seed, course.scene, "agents"))
-    own = ego_boxes(np.array(course.start.row))
+    own = compute_ego_boxes(np.array(course.start.row))
     boxes, present = moved.boxes[-1], moved.present[-1]
     ignored = np.asarray(present & boxes_overlap(own[None], boxes)) if len(boxes) else np.zeros(0, np.bool_)
-    others = Moment(course.start_us, own, course.start.speed, boxes, present, moved.velocity)
-    return World(0, course.start, others, memory, ignored)
+    others = TrafficSnapshot(course.start_us, own, course.start.speed, boxes, present, moved.velocity)
+    return WorldState(0, course.start, others, memory, ignored)
 
 
-def goes_on(course: Course, world: World) -> bool:
+def is_running(course: SimulationConfig, world: WorldState) -> bool:
     """Whether a plan is wanted."""
     return world.contact is None and world.time_us < course.end_us
 
 
-def step(course: Course, world: World, waypoints: Floats) -> World:
+def step(course: SimulationConfig, world: WorldState, waypoints: Floats) -> WorldState:
     """The world half a second later.
 
     Waypoints are (6 to 16, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
@@ -66,18 +66,23 @@ def step(course: Course, world: World, waypoints: Floats) -> World:
     return step_together([course], [world], [waypoints])[0]
 
 
-def step_together(courses: Sequence[Course], worlds: Sequence[World], plans: Sequence[Floats]) -> list[World]:
+def step_together(
+    courses: Sequence[SimulationConfig], worlds: Sequence[WorldState], plans: Sequence[Floats]
+) -> list[WorldState]:
     """Half a second of many worlds; arguments and errors as in `step`, the same bytes as one by one."""
-    in_force = [_in_force(course, world, drivable(course, plan)) for course, world, plan in zip(courses, worlds, plans)]
-    egos = _driven(courses, worlds, in_force)
+    in_force = [
+        _find_active_plans(course, world, require_drivable(course, plan))
+        for course, world, plan in zip(courses, worlds, plans)
+    ]
+    egos = _simulate_egos(courses, worlds, in_force)
     moved = (
-        _with_others(course, world, plans_now, np.ascontiguousarray(egos[:, :, index]))
+        _step_agents(course, world, plans_now, np.ascontiguousarray(egos[:, :, index]))
         for index, (course, world, plans_now) in enumerate(zip(courses, worlds, in_force))
     )
     return list(moved)
 
 
-def drivable(course: Course, plan: Any) -> Floats:
+def require_drivable(course: SimulationConfig, plan: Any) -> Floats:
     """(6 to 16, 2) waypoints as in `step`, of a plan that can be driven.
 
     Raises:
@@ -86,26 +91,28 @@ def drivable(course: Course, plan: Any) -> Floats:
     try:
         waypoints = np.array(plan, np.float64)
     except (TypeError, ValueError):
-        raise UndrivablePlanError(f"a plan for {course.scene} is no table of numbers") from None
+        raise InfeasiblePlanError(f"a plan for {course.scene} is no table of numbers") from None
     if waypoints.ndim != 2 or waypoints.shape[1] != 2 or not PLAN_STEPS <= len(waypoints) <= LONGEST_PLAN_STEPS:
-        raise UndrivablePlanError(
+        raise InfeasiblePlanError(
             f"a plan for {course.scene} is {waypoints.shape}, not {PLAN_STEPS} to {LONGEST_PLAN_STEPS} waypoints"
         )
     if not np.isfinite(waypoints).all() or np.abs(waypoints).max() > FARTHEST_WAYPOINT_M:
-        raise UndrivablePlanError(f"a plan for {course.scene} has NaN, infinity or another world's coordinates in it")
+        raise InfeasiblePlanError(f"a plan for {course.scene} has NaN, infinity or another world's coordinates in it")
     return waypoints
 
 
-def _in_force(course: Course, world: World, waypoints: Floats) -> tuple[PlanInForce, ...]:
+def _find_active_plans(course: SimulationConfig, world: WorldState, waypoints: Floats) -> tuple[ActivePlan, ...]:
     """Plans of this step, by when they take effect; the first one is in force at its beginning."""
     now = world.time_us
-    new = PlanInForce(now, now + course.latency_us, world.ego.pose, waypoints)
-    plans = (*(world.plans or (coasting(world.ego, now),)), new)
+    new = ActivePlan(now, now + course.latency_us, world.ego.pose, waypoints)
+    plans = (*(world.plans or (make_coasting_plan(world.ego, now),)), new)
     first = max(index for index, plan in enumerate(plans) if plan.effect_us <= now)
     return plans[first:]
 
 
-def _driven(courses: Sequence[Course], worlds: Sequence[World], plans: Sequence[tuple[PlanInForce, ...]]) -> Floats:
+def _simulate_egos(
+    courses: Sequence[SimulationConfig], worlds: Sequence[WorldState], plans: Sequence[tuple[ActivePlan, ...]]
+) -> Floats:
     """(11, 6, S) egos every 0.05 s.
 
     With a latency a plan may change within the step; such worlds are driven in two parts, by themselves.
@@ -120,49 +127,55 @@ def _driven(courses: Sequence[Course], worlds: Sequence[World], plans: Sequence[
                 continue
             times = [worlds[index].time_us + start * SUBSTEP_US for index in group]
             targets = [
-                _active(plans[index], time).targets(time, column[:3])
+                _find_active_plan(plans[index], time).compute_targets(time, column[:3])
                 for index, time, column in zip(group, times, now.T)
             ]
-            rows = followed(np.ascontiguousarray(now), np.ascontiguousarray(np.stack(targets, axis=-1)), stop - start)
+            rows = follow_waypoints(
+                np.ascontiguousarray(now), np.ascontiguousarray(np.stack(targets, axis=-1)), stop - start
+            )
             egos[start * INSTANTS : stop * INSTANTS + 1, :, group] = rows
             now = rows[-1]
     return egos
 
 
-def _active(plans: tuple[PlanInForce, ...], time_us: int) -> PlanInForce:
+def _find_active_plan(plans: tuple[ActivePlan, ...], time_us: int) -> ActivePlan:
     return next(plan for plan in reversed(plans) if plan.effect_us <= time_us)
 
 
-def _with_others(course: Course, world: World, plans: tuple[PlanInForce, ...], egos: Floats) -> World:
+def _step_agents(
+    course: SimulationConfig, world: WorldState, plans: tuple[ActivePlan, ...], egos: Floats
+) -> WorldState:
     """The world after a step of which the ego's part is known, (11, 6)."""
-    own, others, memory = ego_boxes(egos), world.others, world.memory
+    own, others, memory = compute_ego_boxes(egos), world.others, world.memory
     removed = [contact_before.agent for contact_before in world.passed]
     boxes, present, velocities = [], [], []
     for number in range(SUBSTEPS):
         row = INSTANTS * number
         # Making a key costs as much as replaying a sub-step.
         key = content_seed(course.seed, course.scene, world.step, number) if course.policy.draws else 0
-        memory, moved = course.policy.act(memory, replace(others, plan=_active(plans, others.time_us)), key)
-        there = _without(moved.present, removed)
+        memory, moved = course.policy.act(memory, replace(others, plan=_find_active_plan(plans, others.time_us)), key)
+        there = _remove_agents(moved.present, removed)
         boxes.append(moved.boxes)
         present.append(there)
         velocities.append(moved.velocity)
         end = row + INSTANTS
         time = world.time_us + (number + 1) * SUBSTEP_US
-        others = Moment(time, own[end], float(egos[end, 3]), moved.boxes[-1], there[-1], moved.velocity)
-    trace = Trace(egos, np.concatenate(boxes), np.concatenate(present))
+        others = TrafficSnapshot(time, own[end], float(egos[end, 3]), moved.boxes[-1], there[-1], moved.velocity)
+    trace = StepTrace(egos, np.concatenate(boxes), np.concatenate(present))
     contact, passed = world.contact, world.passed
     if contact is None:
-        contact, also = _contacts(course, world, trace, own[1:], velocities)
+        contact, also = _find_contacts(course, world, trace, own[1:], velocities)
         if also:
             passed = (*passed, *also)
             trace.present[-1, [contact_before.agent for contact_before in also]] = False
             others = replace(others, present=trace.present[-1])
     assert others.time_us == world.time_us + STEP_US
-    return World(world.step + 1, Ego.of_row(egos[-1]), others, memory, world.ignored, plans, contact, trace, passed)
+    return WorldState(
+        world.step + 1, Ego.of_row(egos[-1]), others, memory, world.ignored, plans, contact, trace, passed
+    )
 
 
-def _without(present: Bools, removed: Sequence[int]) -> Bools:
+def _remove_agents(present: Bools, removed: Sequence[int]) -> Bools:
     """(2, N) who is there, less those who are gone."""
     if not removed:
         return present
@@ -171,14 +184,14 @@ def _without(present: Bools, removed: Sequence[int]) -> Bools:
     return left
 
 
-def _contacts(
-    course: Course, world: World, trace: Trace, own: Floats, velocities: Sequence[Floats]
-) -> tuple[Touch | None, list[Touch]]:
+def _find_contacts(
+    course: SimulationConfig, world: WorldState, trace: StepTrace, own: Floats, velocities: Sequence[Floats]
+) -> tuple[CollisionEvent | None, list[CollisionEvent]]:
     """The touch that ends the drive, if any, and those before it that do not."""
-    hits = _overlaps(own, trace.boxes, trace.present & ~world.ignored)
-    passed: list[Touch] = []
+    hits = _find_overlaps(own, trace.boxes, trace.present & ~world.ignored)
+    passed: list[CollisionEvent] = []
     while hits.any():
-        row, contact = _first_contact(course, world, trace, own, velocities, hits)
+        row, contact = _find_first_contact(course, world, trace, own, velocities, hits)
         end_of_substep = -(-(row + 1) // INSTANTS) * INSTANTS
         if course.blamed is None or course.blamed(contact, trace.egos[end_of_substep]):
             return contact, passed
@@ -187,12 +200,17 @@ def _contacts(
     return None, passed
 
 
-def _first_contact(
-    course: Course, world: World, trace: Trace, own: Floats, velocities: Sequence[Floats], hits: Bools
-) -> tuple[int, Touch]:
+def _find_first_contact(
+    course: SimulationConfig,
+    world: WorldState,
+    trace: StepTrace,
+    own: Floats,
+    velocities: Sequence[Floats],
+    hits: Bools,
+) -> tuple[int, CollisionEvent]:
     """The first instant at which an agent overlaps the ego, and that touch; of several, the first of the list."""
     row, agent = (int(index) for index in np.argwhere(hits)[0])
-    return row, Touch(
+    return row, CollisionEvent(
         agent=agent,
         uuid=course.ids[agent],
         category=course.categories[agent],
@@ -204,7 +222,7 @@ def _first_contact(
     )
 
 
-def _overlaps(own: Floats, boxes: Floats, counted: Bools) -> Bools:
+def _find_overlaps(own: Floats, boxes: Floats, counted: Bools) -> Bools:
     """(R, N) who overlaps the ego at which instant; boxes whose circles are apart are not looked at further."""
     offset = boxes[..., :2] - own[:, None, :2]
     reach = 0.5 * (np.hypot(boxes[..., 2], boxes[..., 3]) + np.hypot(EGO_LENGTH_M, own[0, 3])) + 1e-6

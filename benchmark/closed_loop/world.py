@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.contract import AgentPolicy, Moment, PlanInForce
+from benchmark.closed_loop.contract import ActivePlan, AgentPolicy, TrafficSnapshot
 from benchmark.closed_loop.following import SUBSTEP_US, SUBSTEPS, Ego
-from benchmark.closed_loop.riding import Touch
+from benchmark.closed_loop.riding import CollisionEvent
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
@@ -18,7 +18,7 @@ ENGINE: Final = "default"
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class SimulationConfig:
     """All that does not change during a drive.
 
     Attributes:
@@ -41,7 +41,7 @@ class Course:
     policy: AgentPolicy[Any]
     seed: int = 0
     latency_us: int = 0
-    blamed: Callable[[Touch, Floats], bool] | None = None
+    blamed: Callable[[CollisionEvent, Floats], bool] | None = None
 
     def __post_init__(self) -> None:
         if self.latency_us < 0 or self.latency_us % SUBSTEP_US:
@@ -60,7 +60,7 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
-class Trace:
+class StepTrace:
     """The last step every 0.05 s: for films and terms of comfort.
 
     Egos are (11, 6) values of `Ego`, from the state before to this one; boxes (10, N, 5) and presence (10, N) of
@@ -73,7 +73,7 @@ class Trace:
 
 
 @dataclass(frozen=True, slots=True)
-class World:
+class WorldState:
     """Everything at one planning instant.
 
     Attributes:
@@ -88,13 +88,13 @@ class World:
 
     step: int
     ego: Ego
-    others: Moment
+    others: TrafficSnapshot
     memory: Any
     ignored: Bools
-    plans: tuple[PlanInForce, ...] = ()
-    contact: Touch | None = None
-    trace: Trace | None = None
-    passed: tuple[Touch, ...] = ()
+    plans: tuple[ActivePlan, ...] = ()
+    contact: CollisionEvent | None = None
+    trace: StepTrace | None = None
+    passed: tuple[CollisionEvent, ...] = ()
 
     @property
     def time_us(self) -> int:
@@ -102,7 +102,7 @@ class World:
         return self.others.time_us
 
 
-def ego_boxes(egos: Floats) -> Floats:
+def compute_ego_boxes(egos: Floats) -> Floats:
     """(..., 5) boxes of the recording car, from (..., 6) values of `Ego`."""
     egos = np.asarray(egos, np.float64)
     boxes = np.empty((*egos.shape[:-1], 5))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, poses_between, yaw_of_quaternion
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from benchmark.scene import Agents, Annotations
 
 MOST_UNKNOWN: Final = 0.01
@@ -41,7 +41,7 @@ class AnnotationCount:
         return cls(sum(count.annotations for count in counts), unknown)
 
     @property
-    def foreign(self) -> bool:
+    def is_mostly_unknown(self) -> bool:
         """Whether so many categories are unknown that what goes by them means nothing."""
         return sum(self.unknown.values()) > MOST_UNKNOWN * self.annotations
 
@@ -51,12 +51,12 @@ class AnnotationCount:
         names = sorted(self.unknown, key=lambda name: (-self.unknown[name], name))
         listed = ", ".join(map(repr, names[:_NAMED])) + (", ..." if len(names) > _NAMED else "")
         return (
-            f"{sum(self.unknown.values()):,} of {counted(self.annotations, 'annotation')} have unknown categories "
+            f"{sum(self.unknown.values()):,} of {pluralise(self.annotations, 'annotation')} have unknown categories "
             f"({listed})"
         )
 
 
-class CountedData(Protocol):
+class AnnotationCounter(Protocol):
     """The part of a data set that counts its annotations."""
 
     root: Path
@@ -65,13 +65,13 @@ class CountedData(Protocol):
         """Counts by scene name."""
 
 
-def require_annotated(data: CountedData, split: str, scenes: Sequence[str]) -> AnnotationCount:
+def require_annotated(data: AnnotationCounter, split: str, scenes: Sequence[str]) -> AnnotationCount:
     """Refuse scenes none of which has an annotation: there is no truth to judge anything by."""
     total = AnnotationCount.together(list(data.annotation_counts(scenes).values()))
     if not total.annotations:
         which = "none of them" if len(scenes) > 1 else "it"
         raise InputError(
-            f"{counted(len(scenes), 'scene')} of split {split!r} of {data.root} cannot be judged: {which} has "
+            f"{pluralise(len(scenes), 'scene')} of split {split!r} of {data.root} cannot be judged: {which} has "
             f"{'an' if len(scenes) > 1 else 'no'} annotation; choose scenes that are labelled (test splits are not)"
         )
     return total
@@ -80,7 +80,7 @@ def require_annotated(data: CountedData, split: str, scenes: Sequence[str]) -> A
 LEAVE_TOGETHER: Final = 3
 
 
-def labelled_keyframes(boxes: NDArray[np.int64]) -> Bools:
+def find_labelled_keyframes(boxes: NDArray[np.int64]) -> Bools:
     """Which key frames were labelled, (K,), from the (K,) numbers of annotations of a scene in time order."""
     if not boxes.any():
         return np.zeros(len(boxes), np.bool_)
@@ -98,7 +98,7 @@ NO_SIZE_M: Final = 1e-3
 """A box that is no longer, wider or higher is none."""
 
 
-def nearest_valid(valid: Bools) -> NDArray[np.int64]:
+def find_nearest_valid(valid: Bools) -> NDArray[np.int64]:
     """(N, T) index of the nearest valid entry along the last axis; the earlier one of two equally near.
 
     Each row needs at least one valid entry.
@@ -143,7 +143,7 @@ def read_objects(nusc: Any, samples: list[Row], keyframes: NDArray[np.int64]) ->
             attribute[at] = ";".join(nusc.get("attribute", token)["name"] for token in row["attribute_tokens"])
             counts["visibility"][at] = _visibility(nusc, row.get("visibility_token", ""))
             counts["num_lidar_pts"][at], counts["num_radar_pts"][at] = row["num_lidar_pts"], row["num_radar_pts"]
-    nearest = nearest_valid(valid)
+    nearest = find_nearest_valid(valid)
     pick = (np.arange(len(instances))[:, None], nearest)
     annotations = Annotations(
         position=position[pick],
@@ -153,7 +153,7 @@ def read_objects(nusc: Any, samples: list[Row], keyframes: NDArray[np.int64]) ->
         attribute=attribute.astype(np.str_),
         **counts,
     )
-    return tracks_between(tuple(instances), tuple(categories), annotations, keyframes), annotations
+    return interpolate_tracks(tuple(instances), tuple(categories), annotations, keyframes), annotations
 
 
 def has_size(annotation: Row) -> bool:
@@ -161,7 +161,7 @@ def has_size(annotation: Row) -> bool:
     return bool(min(annotation["size"]) > NO_SIZE_M)
 
 
-def tracks_between(
+def interpolate_tracks(
     ids: tuple[str, ...], categories: tuple[str, ...], annotations: Annotations, keyframes: NDArray[np.int64]
 ) -> Agents:
     """Tracks at every frame from annotations at keyframes: linear position, shortest-arc heading.
@@ -187,7 +187,7 @@ def tracks_between(
     z = annotations.position[..., 2]
     heights = z[:, left] + fraction * (z[:, right] - z[:, left])
     position, yaw = np.concatenate([between[..., :2], heights[..., None]], axis=-1), between[..., 2]
-    pick = (np.arange(len(ids))[:, None], nearest_valid(is_there))
+    pick = (np.arange(len(ids))[:, None], find_nearest_valid(is_there))
     first = annotations.valid.argmax(axis=-1)
     return Agents(
         ids=ids,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ
 from benchmark.datasets.schema.beside import CAN_BUS, require_records
-from benchmark.datasets.schema.tables import Kind
+from benchmark.datasets.schema.tables import ValueKind
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 from benchmark.planning import EgoState
@@ -44,7 +44,7 @@ class CanMessages:
     values: Floats
 
     @classmethod
-    def read(cls, path: Path, fields: Mapping[str, Kind]) -> Self | None:
+    def read(cls, path: Path, fields: Mapping[str, ValueKind]) -> Self | None:
         """Messages of ``can_bus/<scene>_<message>.json``, or ``None`` if there is no such file or it is empty.
 
         Args:
@@ -105,11 +105,11 @@ class CanBus:
         return cls(motion, steering)
 
 
-def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_bus: CanBus) -> EgoState:
+def compute_ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_bus: CanBus) -> EgoState:
     """Ego motion at a frame.
 
     Velocity, acceleration and yaw rate are measured where a CAN message of the last half second exists, else fitted
-    to the poses of the last second (`_derived_motion`).
+    to the poses of the last second (`_fit_motion`).
 
     Args:
         ego: Recorded motion; only frames up to ``frame`` are looked at.
@@ -123,7 +123,7 @@ def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_b
     else:
         first = max(frame + 1 - _FIT_FRAMES, 0)
         seconds = (timestamps_us[first : frame + 1] - now_us) * 1e-6
-        velocity, acceleration, yaw_rate = _derived_motion(ego.pose[first : frame + 1], seconds)
+        velocity, acceleration, yaw_rate = _fit_motion(ego.pose[first : frame + 1], seconds)
     return EgoState(
         pose=pose,
         position=ego.position[frame],
@@ -138,7 +138,7 @@ def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_b
     )
 
 
-def _derived_motion(poses: Floats, seconds: Floats) -> tuple[Floats, Floats, float]:
+def _fit_motion(poses: Floats, seconds: Floats) -> tuple[Floats, Floats, float]:
     """Velocity, acceleration and yaw rate at the last of some poses, by least squares.
 
     A rear axle moves along the heading, so the distance driven is fitted by a parabola and the heading by a line. From

@@ -166,16 +166,18 @@ def read_categories(named: str) -> dict[str, str]:
     return dict(read)
 
 
-def names_in(own: Iterable[str], given: Mapping[str, str]) -> CategoryNames:
+def select_category_names(own: Iterable[str], given: Mapping[str, str]) -> CategoryNames:
     """Part of a map that renames categories of a data set: pairs for those that get another name, sorted.
 
     A name that is not in the map is looked up without regard to case and to what stands between its words, so that
     ``CAR`` and ``vehicle_car`` are found.
     """
-    loose = {_loosely(name): to for name, to in reversed([*given.items()])}
-    replacements = {name: given.get(name) or (None if name in KNOWN else loose.get(_loosely(name))) for name in own}
+    loose = {_normalise_name(name): to for name, to in reversed([*given.items()])}
+    replacements = {
+        name: given.get(name) or (None if name in KNOWN else loose.get(_normalise_name(name))) for name in own
+    }
     return tuple(sorted((name, to) for name, to in replacements.items() if to is not None and to != name))
 
 
-def _loosely(name: str) -> str:
+def _normalise_name(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", name.casefold()).strip("_")

@@ -4,8 +4,8 @@ from typing import Any, Final
 
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
-from benchmark.report.table import table_of
-from benchmark.report.terminal import wrapped
+from benchmark.report.table import build_table
+from benchmark.report.terminal import wrap_text
 
 _NAMES_SHOWN: Final = 24
 """Scene names that a terminal shows of a split."""
@@ -23,8 +23,10 @@ def contents(data: DataSet) -> dict[str, Any]:
         annotated at any sample and annotations, and why other splits cannot be.
     """
     provenance = data.provenance() or {}
-    usable, unusable = scenes_by_split(data)
-    scenes = {name: _counted(data, name) for name in dict.fromkeys(name for names in usable.values() for name in names)}
+    usable, unusable = list_scenes_by_split(data)
+    scenes = {
+        name: _count_scene(data, name) for name in dict.fromkeys(name for names in usable.values() for name in names)
+    }
     splits = {
         split: {"scenes": list(names), **{kind: sum(scenes[name][kind] for name in names) for kind in _KINDS}}
         for split, names in usable.items()
@@ -40,7 +42,7 @@ def contents(data: DataSet) -> dict[str, Any]:
     }
 
 
-def scenes_by_split(data: DataSet) -> tuple[dict[str, tuple[str, ...]], dict[str, str]]:
+def list_scenes_by_split(data: DataSet) -> tuple[dict[str, tuple[str, ...]], dict[str, str]]:
     """Scene names of each split that can be evaluated, and a sentence for each of the others why it cannot be."""
     usable: dict[str, tuple[str, ...]] = {}
     unusable: dict[str, str] = {}
@@ -57,7 +59,7 @@ def scenes_by_split(data: DataSet) -> tuple[dict[str, tuple[str, ...]], dict[str
     return usable, unusable
 
 
-def _counted(data: DataSet, name: str) -> dict[str, int]:
+def _count_scene(data: DataSet, name: str) -> dict[str, int]:
     """Counts of one scene; one is in memory at a time, for a whole data set of them does not fit."""
     scene = data.scene(name)
     is_annotated = scene.annotations.valid
@@ -65,12 +67,12 @@ def _counted(data: DataSet, name: str) -> dict[str, int]:
     return dict(zip(_KINDS, map(int, numbers), strict=True))
 
 
-def _some(names: list[str]) -> str:
+def _shorten_list(names: list[str]) -> str:
     left_out = len(names) - _NAMES_SHOWN
     return ", ".join(names[:_NAMES_SHOWN]) + (f" and {left_out} more (--json names all)" if left_out > 0 else "")
 
 
-def contents_text(found: dict[str, Any], width: int | None = None) -> str:
+def format_contents(found: dict[str, Any], width: int | None = None) -> str:
     """Text of the result of `contents` for a terminal of some width; without a width, the terminal is asked."""
     source = found["made_from"] if isinstance(found["made_from"], dict) else {}
     facts = [
@@ -92,12 +94,12 @@ def contents_text(found: dict[str, Any], width: int | None = None) -> str:
     names = [
         line
         for split, scene_names in found["splits"].items()
-        for line in wrapped(f"{split}: {_some(scene_names['scenes'])}", width, hanging="  ")
+        for line in wrap_text(f"{split}: {_shorten_list(scene_names['scenes'])}", width, hanging="  ")
     ]
     left_out = [
         line
         for split, why in found["unusable_splits"].items()
-        for line in wrapped(f"{split} cannot be evaluated: {why}", width, hanging="  ")
+        for line in wrap_text(f"{split} cannot be evaluated: {why}", width, hanging="  ")
     ]
-    table = table_of("", "", ("split", "scenes", *_KINDS), rows).plain(width=width)
+    table = build_table("", "", ("split", "scenes", *_KINDS), rows).plain(width=width)
     return "\n".join([*lines, "", table, *names, *left_out, ""])

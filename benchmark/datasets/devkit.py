@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.categories import CategoryNames, names_in
-from benchmark.datasets.devkit_import import FURTHER_TABLES, devkit_with
-from benchmark.datasets.kept_tables import read_or_kept
+from benchmark.datasets.categories import CategoryNames, select_category_names
+from benchmark.datasets.devkit_import import FURTHER_TABLES, build_devkit
+from benchmark.datasets.kept_tables import read_tables_cached
 from benchmark.datasets.scene_tables import (
     GROWING_TABLES,
     SceneTables,
-    camera_mounts,
-    counted_by_category,
+    count_by_category,
+    find_camera_mounts,
     read_rows,
-    renamed_rows,
+    rename_categories,
 )
-from benchmark.datasets.schema import FaultList, Refusal, check_table
-from benchmark.datasets.schema.opened import check_opened, check_scene
+from benchmark.datasets.schema import FaultList, StrictFaultList, check_table
+from benchmark.datasets.schema.opened import check_scene, check_shared_and_samples
 from benchmark.datasets.schema.table_checks import CheckedTables
 from benchmark.datasets.tables import Row, Tables
 from benchmark.errors import InputError
@@ -64,7 +64,7 @@ class OpenTables(ABC):
         """
 
 
-class SceneByScene(OpenTables):
+class PerSceneTables(OpenTables):
     """The devkit is given the rows of one scene at a time; only the last one is kept."""
 
     def __init__(self, root: Path, version: str, tables: SceneTables, categories: CategoryNames) -> None:
@@ -93,11 +93,11 @@ class SceneByScene(OpenTables):
         token = scene["token"]
         if self._kept[0] != token:
             self._kept = ("", None)
-            self._kept = (token, devkit_with(self._root, self._version, self._tables.of_scene(token, adversaries)))
+            self._kept = (token, build_devkit(self._root, self._version, self._tables.of_scene(token, adversaries)))
         return self._kept[1]
 
 
-class AllScenes(OpenTables):
+class AllSceneTables(OpenTables):
     """The devkit holds all rows.
 
     Args:
@@ -110,7 +110,7 @@ class AllScenes(OpenTables):
         self._shared = CheckedTables.of_sound_rows(
             {name: tables[name] for name in tables if name not in GROWING_TABLES}
         )
-        self._unchecked = _rows_of_scenes(tables)
+        self._unchecked = _group_rows_by_scene(tables)
 
     def rows(self, table: str) -> list[Row]:
         """Rows of the table ``scene``, ``log`` or ``category``."""
@@ -128,19 +128,19 @@ class AllScenes(OpenTables):
     def _by_category(self) -> dict[str, Counter[str]]:
         """The same by token of the scene."""
         shared = {"category": self._tables["category"]}
-        rows_of = _rows_of_scenes(self._tables)
-        return {token: counted_by_category({**shared, **rows}) for token, rows in rows_of.items()}
+        rows_of = _group_rows_by_scene(self._tables)
+        return {token: count_by_category({**shared, **rows}) for token, rows in rows_of.items()}
 
     def keyframe_images(self) -> Iterable[str]:
         """File names of the camera keyframes of all scenes."""
-        cameras, rows = camera_mounts(self._tables), self._tables["sample_data"]
+        cameras, rows = find_camera_mounts(self._tables), self._tables["sample_data"]
         return (row["filename"] for row in rows if row["is_key_frame"] and row["calibrated_sensor_token"] in cameras)
 
     def of_scene(self, scene: Row, adversaries: Collection[str] = ()) -> Any:
         """``NuScenes`` of the devkit with all rows."""
         if scene["token"] in self._unchecked:
             rows = self._unchecked[scene["token"]]
-            check_scene(self._shared, rows, scene, adversaries, Refusal(folder=self._folder))
+            check_scene(self._shared, rows, scene, adversaries, StrictFaultList(folder=self._folder))
             del self._unchecked[scene["token"]]
         return self._nusc
 
@@ -155,31 +155,31 @@ def open_tables(
         categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
     """
     folder = root / version
-    rates = Refusal(folder=folder) if rates is None else rates
+    rates = StrictFaultList(folder=folder) if rates is None else rates
     if not any((folder / f"{table}.json").exists() for table in FURTHER_TABLES):
-        tables = read_or_kept(folder, rates)
+        tables = read_tables_cached(folder, rates)
         if tables is not None:
             _require_masks(root, tables.shared["map"])
-            return SceneByScene(root, version, tables, _replaced(tables.shared, categories))
-    rows = _whole_tables(folder, rates)
+            return PerSceneTables(root, version, tables, _choose_replacements(tables.shared, categories))
+    rows = _read_all_tables(folder, rates)
     _require_masks(root, rows["map"])
-    names = _replaced(rows, categories)
-    rows = {**rows, "category": renamed_rows(rows["category"], names)}
-    return AllScenes(devkit_with(root, version, rows), rows, folder, names)
+    names = _choose_replacements(rows, categories)
+    rows = {**rows, "category": rename_categories(rows["category"], names)}
+    return AllSceneTables(build_devkit(root, version, rows), rows, folder, names)
 
 
-def _replaced(tables: Tables, categories: Mapping[str, str] | None) -> CategoryNames:
-    return () if categories is None else names_in((row["name"] for row in tables["category"]), categories)
+def _choose_replacements(tables: Tables, categories: Mapping[str, str] | None) -> CategoryNames:
+    return () if categories is None else select_category_names((row["name"] for row in tables["category"]), categories)
 
 
-def _whole_tables(folder: Path, rates: FaultList) -> Tables:
-    faults = Refusal(folder=folder)
+def _read_all_tables(folder: Path, rates: FaultList) -> Tables:
+    faults = StrictFaultList(folder=folder)
     rows = {table: check_table(table, read_rows(folder, table), faults)[0] for table in NUSCENES_TABLES}
-    check_opened(CheckedTables.of_sound_rows(rows), faults, rates)
+    check_shared_and_samples(CheckedTables.of_sound_rows(rows), faults, rates)
     return rows
 
 
-def _rows_of_scenes(tables: Tables) -> dict[str, dict[str, list[Row]]]:
+def _group_rows_by_scene(tables: Tables) -> dict[str, dict[str, list[Row]]]:
     """Rows of the growing tables by scene and table."""
     rows_of_scene: dict[str, dict[str, list[Row]]] = {
         scene["token"]: {table: [] for table in GROWING_TABLES} for scene in tables["scene"]

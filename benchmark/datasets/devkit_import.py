@@ -37,7 +37,7 @@ _PUT_OFF: Final = (
 _lock = threading.RLock()
 
 
-class _UsedLater:
+class _LazyObject:
     """Stands in for a module, or for something in it, until anything is asked of it."""
 
     def __init__(self, path: str) -> None:
@@ -45,7 +45,7 @@ class _UsedLater:
 
     def __getattr__(self, name: str) -> Any:
         # Classes are named in annotations, which are evaluated when the devkit is imported.
-        return _UsedLater(f"{self._path}.{name}") if name[:1].isupper() else getattr(resolve_name(self._path), name)
+        return _LazyObject(f"{self._path}.{name}") if name[:1].isupper() else getattr(resolve_name(self._path), name)
 
     def __setitem__(self, key: Any, value: Any) -> None:
         resolve_name(self._path)[key] = value
@@ -54,7 +54,7 @@ class _UsedLater:
         return resolve_name(self._path)(*arguments, **named)
 
 
-class _Package:
+class _LazyPackage:
     """Stand-in that ``import sklearn.metrics`` binds, with nothing imported yet."""
 
     def __init__(self, name: str) -> None:
@@ -63,28 +63,28 @@ class _Package:
     def __getattr__(self, name: str) -> Any:
         path = f"{self._name}.{name}"
         if path in _PUT_OFF:
-            return _UsedLater(path)
+            return _LazyObject(path)
         if any(module.startswith(f"{path}.") for module in _PUT_OFF):
-            return _Package(path)
+            return _LazyPackage(path)
         return getattr(importlib.import_module(self._name), name)
 
 
-class _Names:
+class _LazyNames:
     """Stand-in that ``from matplotlib.axes import Axes`` takes its names from."""
 
     def __init__(self, module: str) -> None:
         self._module = module
 
     def __getattr__(self, name: str) -> Any:
-        return _UsedLater(f"{self._module}.{name}")
+        return _LazyObject(f"{self._module}.{name}")
 
 
 def _import(name: str, scope: Any = None, local: Any = None, wanted: Sequence[str] = (), level: int = 0) -> Any:
     """``__import__`` as modules of the devkit see it."""
     if level == 0 and name in _PUT_OFF:
-        return _Names(name) if wanted else _Package(name.partition(".")[0])
+        return _LazyNames(name) if wanted else _LazyPackage(name.partition(".")[0])
     if level == 0 and any(f"{name}.{attribute}" in _PUT_OFF for attribute in wanted or ()):
-        return _Package(name)
+        return _LazyPackage(name)
     return builtins.__import__(name, scope, local, wanted, level)
 
 
@@ -105,14 +105,14 @@ class _DevkitFinder(MetaPathFinder):
         return spec
 
 
-def devkit_module(name: str) -> Any:
+def import_devkit_module(name: str) -> Any:
     """Module of nuscenes-devkit, as its authors meant it where it was imported before."""
-    with _lock, _finding():
+    with _lock, _devkit_finder_installed():
         return importlib.import_module(name)
 
 
 @contextmanager
-def _finding() -> Iterator[None]:
+def _devkit_finder_installed() -> Iterator[None]:
     finder = _DevkitFinder()
     sys.meta_path.insert(0, finder)
     try:
@@ -125,9 +125,9 @@ FURTHER_TABLES: Final = ("lidarseg", "panoptic", "image_annotations")
 """Tables that the devkit reads where they are, and nobody here."""
 
 
-def devkit_with(root: Path, version: str, tables: Tables) -> Any:
+def build_devkit(root: Path, version: str, tables: Tables) -> Any:
     """``NuScenes`` of the devkit with rows that are at hand."""
-    as_published: Any = devkit_module("nuscenes.nuscenes").NuScenes
+    as_published: Any = import_devkit_module("nuscenes.nuscenes").NuScenes
 
     class NuScenesWithRows(as_published):  # type: ignore[misc]
         """``NuScenes`` that is given its rows and reads no files; it reads tables that this product never uses."""

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.kept_tables import digests_beside, kept_at
+from benchmark.datasets.kept_tables import find_cache_folder, find_digest_file
 from benchmark.errors import InputError
-from benchmark.machine.storage import content_key, only_writer, read_kept_json, write_json
-from benchmark.machine.user_cache import Stamp, is_settled, stamp_of
+from benchmark.machine.storage import content_key, lock_folder, read_cached_json, write_json
+from benchmark.machine.user_cache import Stamp, is_settled, make_stamp
 from benchmark.untrusted.files import TABLE, open_file
 
 WORTH_BYTES: Final = 1 << 22
@@ -24,7 +24,7 @@ WORTH_BYTES: Final = 1 << 22
 _SHA256: Final = re.compile("[0-9a-f]{64}")
 
 
-class KeptDigests:
+class DigestCache:
     """Hashes of the files of one root.
 
     Args:
@@ -39,36 +39,36 @@ class KeptDigests:
     @classmethod
     def of(cls, folder: Path) -> Self:
         """Kept hashes of a root, given its version folder."""
-        cache_folder = kept_at(folder)
-        place = None if cache_folder is None else digests_beside(cache_folder)
-        return cls(place, _sound(None if place is None or not place.is_file() else read_kept_json(place)))
+        cache_folder = find_cache_folder(folder)
+        place = None if cache_folder is None else find_digest_file(cache_folder)
+        return cls(place, _select_valid(None if place is None or not place.is_file() else read_cached_json(place)))
 
     def sha256(self, path: Path) -> str:
         """Hash of a file's content, 64 hexadecimal digits; a file longer than any table is refused."""
         name, looked_ns = str(path.resolve()), time.time_ns()
         with open_file(path, TABLE) as stream:
-            stamp = stamp_of(os.fstat(stream.fileno()))
+            stamp = make_stamp(os.fstat(stream.fileno()))
             if name in self._known and self._known[name][0] == stamp:
                 return self._known[name][1]
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
-            unchanged = stamp_of(os.fstat(stream.fileno())) == stamp
+            unchanged = make_stamp(os.fstat(stream.fileno())) == stamp
         if unchanged and stamp[2] >= WORTH_BYTES and is_settled(stamp, looked_ns):
             self._new[name] = stamp, digest
         return digest
 
-    def keep(self) -> None:
+    def save(self) -> None:
         """Keep what was hashed, where there is room and a right to; without, it is hashed again."""
         if not self._new or self._place is None:
             return
         entries = {name: [list(stamp), digest] for name, (stamp, digest) in (self._known | self._new).items()}
         try:
-            with only_writer(self._place.parent):
+            with lock_folder(self._place.parent):
                 write_json(self._place, entries)
         except InputError:
             return
 
 
-def _sound(value: Any) -> dict[str, tuple[Stamp, str]]:
+def _select_valid(value: Any) -> dict[str, tuple[Stamp, str]]:
     """Sound part of a kept file."""
     digests: dict[str, tuple[Stamp, str]] = {}
     for name, entry in value.items() if isinstance(value, dict) else ():
@@ -78,7 +78,7 @@ def _sound(value: Any) -> dict[str, tuple[Stamp, str]]:
     return digests
 
 
-def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
+def compute_fingerprint(root: Path, version: str, images: Iterable[str]) -> str:
     """Hash of everything that a run reads.
 
     Bytes of the tables, of ``splits.json``, ``challenger.json`` and the map expansions; names and sizes of CAN bus
@@ -94,9 +94,9 @@ def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
     hashed["splits.json"] = root / "splits.json"
     for path in sorted((root / "maps" / "expansion").glob("*.json")):
         hashed[f"maps/expansion/{path.name}"] = path
-    digests = KeptDigests.of(tables)
+    digests = DigestCache.of(tables)
     contents = {name: digests.sha256(path) for name, path in hashed.items() if path.is_file()}
-    digests.keep()
+    digests.save()
     can_bus = {path.name: path.stat().st_size for path in sorted((root / "can_bus").glob("*.json"))}
     sizes = _sizes(root, sorted(set(images)))
     return content_key("data set", 1, contents, can_bus, sizes)

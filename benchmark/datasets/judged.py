@@ -10,20 +10,20 @@ from typing import Final, Literal
 
 from pydantic import Field
 
-from benchmark.datasets.tables import variant_folders
+from benchmark.datasets.tables import find_variant_folders
 from benchmark.machine.storage import canonical_json, read_json
-from benchmark.records.judgement import DEFINITION, SceneJudgement, SplitRealism
-from benchmark.records.store import validated
+from benchmark.records.judgement import DEFINITION, SceneAssessment, SplitRealism
+from benchmark.records.store import validate_stored
 from benchmark.records.stored import Stored
 from benchmark.untrusted.files import RECORD
 
-JUDGEMENTS_FILE: Final = "judgements.json"
+ASSESSMENTS_FILE: Final = "judgements.json"
 
-Judgements = Mapping[str, tuple[SceneJudgement, ...]]
+AssessmentsByScene = Mapping[str, tuple[SceneAssessment, ...]]
 """By scene name, one for each adversary."""
 
 
-class JudgementsFile(Stored):
+class AssessmentsFile(Stored):
     """File of judgements, by scene name, one for each adversary.
 
     Attributes:
@@ -31,11 +31,11 @@ class JudgementsFile(Stored):
     """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
-    scenes: dict[str, tuple[SceneJudgement, ...]]
+    scenes: dict[str, tuple[SceneAssessment, ...]]
     realism: SplitRealism | None = None
 
 
-def judgements_text(scenes: Judgements, realism: SplitRealism | None = None) -> str:
+def format_assessments(scenes: AssessmentsByScene, realism: SplitRealism | None = None) -> str:
     """Content of the file, the same for the same judgements."""
     scenes_json = {
         name: [assessment.model_dump(mode="json") for assessment in judged] for name, judged in scenes.items()
@@ -44,12 +44,12 @@ def judgements_text(scenes: Judgements, realism: SplitRealism | None = None) -> 
     return canonical_json({"schema": 1, "scenes": scenes_json, "realism": realism_json}) + "\n"
 
 
-def read_judgements(folder: Path) -> dict[str, tuple[SceneJudgement, ...]]:
+def read_assessments(folder: Path) -> dict[str, tuple[SceneAssessment, ...]]:
     """Judgements of one root by scene name; none where there is no file.
 
     Scenes that were judged by other definitions are left out.
     """
-    stored = read_judgements_file(folder)
+    stored = read_assessments_file(folder)
     return {
         name: judged
         for name, judged in (stored.scenes if stored is not None else {}).items()
@@ -57,33 +57,33 @@ def read_judgements(folder: Path) -> dict[str, tuple[SceneJudgement, ...]]:
     }
 
 
-def read_judgements_file(folder: Path) -> JudgementsFile | None:
+def read_assessments_file(folder: Path) -> AssessmentsFile | None:
     """Read the whole file of one root, ``None`` where there is none."""
-    path = folder / JUDGEMENTS_FILE
+    path = folder / ASSESSMENTS_FILE
     if not path.is_file():
         return None
-    return validated(
-        JudgementsFile.model_validate,
+    return validate_stored(
+        AssessmentsFile.model_validate,
         read_json(path, RECORD),
         lambda where, why: f"{path} is damaged at {where}: {why}; delete it, and data stats judges the scenes anew",
     )
 
 
-def stored_judgements(root: Path, version: str) -> dict[str, tuple[SceneJudgement, ...]]:
+def collect_assessments(root: Path, version: str) -> dict[str, tuple[SceneAssessment, ...]]:
     """Judgements of a data set in one root or in several, by the names that it gives its scenes."""
-    folders = variant_folders(root)
+    folders = find_variant_folders(root)
     if not folders:
-        return read_judgements(root / version)
+        return read_assessments(root / version)
     return {
         f"{folder}/{name}": judged
         for folder in folders
-        for name, judged in read_judgements(root / folder / version).items()
+        for name, judged in read_assessments(root / folder / version).items()
     }
 
 
-def stored_realism(root: Path, version: str) -> SplitRealism | None:
+def collect_realism(root: Path, version: str) -> SplitRealism | None:
     """Realism of a data set's adversaries, as its builder found it; ``None`` where it was not measured."""
-    folders = variant_folders(root)
+    folders = find_variant_folders(root)
     # Every variant says the same of all of them.
-    stored = read_judgements_file((root / folders[0] if folders else root) / version)
+    stored = read_assessments_file((root / folders[0] if folders else root) / version)
     return None if stored is None else stored.realism

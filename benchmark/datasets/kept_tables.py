@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, read_scene_tables, read_shared
-from benchmark.datasets.schema import FaultList, Refusal
-from benchmark.datasets.stored_rows import StoredRows, stamp_while_open
-from benchmark.machine.kept_arrays import arrow_of, kept_place, numpy_of, read_batch, write_batch
+from benchmark.datasets.schema import FaultList, StrictFaultList
+from benchmark.datasets.stored_rows import TableRowIndex, drop_inode_time
+from benchmark.machine.kept_arrays import find_cache_file, read_batch, to_arrow, to_numpy_array, write_batch
 from benchmark.machine.storage import content_key, file_sha256, parse_json
-from benchmark.machine.user_cache import Stamp, is_settled, stamp_of
+from benchmark.machine.user_cache import Stamp, is_settled, make_stamp
 from benchmark.untrusted.files import TABLE
 
 if TYPE_CHECKING:
@@ -38,15 +38,15 @@ _TYPES: Final = {
 }
 
 
-def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
+def read_tables_cached(folder: Path, rates: FaultList) -> SceneTables | None:
     """`read_scene_tables`, with nothing to read where the same tables were opened before."""
     looked_ns, stamps = time.time_ns(), _stamps(folder)
-    place = kept_at(folder)
+    place = find_cache_folder(folder)
     if place is None or sum(stamps[table][2] for table in GROWING_TABLES if table in stamps) < WORTH_BYTES:
         return read_scene_tables(folder, rates)
-    made_of = content_key(_checks(), sorted(stamps.items()))
+    made_of = content_key(_checks_key(), sorted(stamps.items()))
     batch = read_batch(place, made_of)
-    cached_tables = None if batch is None else _of_kept(folder, stamps, batch)
+    cached_tables = None if batch is None else _decode_tables(folder, stamps, batch)
     if cached_tables is not None and _stamps(folder) == stamps:
         return cached_tables
     noted = rates.counts.total()
@@ -54,16 +54,16 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
     settled = all(is_settled(stamp, looked_ns) for stamp in stamps.values())
     # What is noted of scenes is not kept, so that tables with anything to note are read again.
     if tables is not None and settled and rates.counts.total() == noted and _stamps(folder) == stamps:
-        write_batch(place, folder, made_of, _to_keep(tables))
+        write_batch(place, folder, made_of, _encode_tables(tables))
     return tables
 
 
-def kept_at(folder: Path) -> Path | None:
+def find_cache_folder(folder: Path) -> Path | None:
     """Folder in which facts about a version folder are kept; ``None`` where the user has no home."""
-    return kept_place(_FOLDER, folder)
+    return find_cache_file(_FOLDER, folder)
 
 
-def digests_beside(kept: Path) -> Path:
+def find_digest_file(kept: Path) -> Path:
     """File with the kept hashes of the same folder's files."""
     return kept.with_suffix(".digests.json")
 
@@ -71,11 +71,11 @@ def digests_beside(kept: Path) -> Path:
 def _stamps(folder: Path) -> dict[str, Stamp]:
     """Stamps of the tables that are there."""
     paths = {table: folder / f"{table}.json" for table in NUSCENES_TABLES}
-    return {table: stamp_of(path.stat()) for table, path in paths.items() if path.is_file()}
+    return {table: make_stamp(path.stat()) for table, path in paths.items() if path.is_file()}
 
 
 @functools.cache
-def _checks() -> str:
+def _checks_key() -> str:
     """Content key of all that decides which tables are refused and what is found in them: code of this folder."""
     folder = Path(__file__).parent
     code_files = [folder / f"{name}.py" for name in ("kept_tables", "scene_tables", "stored_rows")]
@@ -83,7 +83,7 @@ def _checks() -> str:
     return content_key([(path.name, file_sha256(path)) for path in modules])
 
 
-def _to_keep(tables: SceneTables) -> "pa.RecordBatch":
+def _encode_tables(tables: SceneTables) -> "pa.RecordBatch":
     import pyarrow as pa
 
     images = json.dumps(tables.keyframe_images(), separators=(",", ":")).encode()
@@ -96,16 +96,16 @@ def _to_keep(tables: SceneTables) -> "pa.RecordBatch":
         arrays |= {f"{table}.{part}": values.astype(_PARTS[part]) for part, values in zip(_PARTS, parts)}
     # Each array is the one value of a column.
     columns = {
-        name: pa.LargeListArray.from_arrays(arrow_of(np.array([0, len(values)])), arrow_of(values))
+        name: pa.LargeListArray.from_arrays(to_arrow(np.array([0, len(values)])), to_arrow(values))
         for name, values in arrays.items()
     }
     return pa.RecordBatch.from_arrays(list(columns.values()), names=list(columns))
 
 
-def _of_kept(folder: Path, stamps: dict[str, Stamp], batch: "pa.RecordBatch") -> SceneTables | None:
+def _decode_tables(folder: Path, stamps: dict[str, Stamp], batch: "pa.RecordBatch") -> SceneTables | None:
     if {field.name: str(field.type) for field in batch.schema} != _TYPES:
         return None
-    arrays = {name: numpy_of(batch.column(name).values) for name in _TYPES}
+    arrays = {name: to_numpy_array(batch.column(name).values) for name in _TYPES}
 
     def images() -> Sequence[str]:
         names: list[str] = parse_json(arrays[_IMAGES].tobytes(), TABLE)
@@ -114,7 +114,7 @@ def _of_kept(folder: Path, stamps: dict[str, Stamp], batch: "pa.RecordBatch") ->
     stored, by_scene = {}, {}
     for table in GROWING_TABLES:
         starts, lengths, rows, ends = (arrays[f"{table}.{part}"] for part in _PARTS)
-        stored[table] = StoredRows(folder / f"{table}.json", stamp_while_open(stamps[table]), starts, lengths)
+        stored[table] = TableRowIndex(folder / f"{table}.json", drop_inode_time(stamps[table]), starts, lengths)
         by_scene[table] = np.split(rows, ends)[:-1]
-    faults = Refusal(folder=folder)
+    faults = StrictFaultList(folder=folder)
     return SceneTables(images, stored, by_scene, read_shared(folder, faults), faults)

@@ -10,15 +10,15 @@ import shapely
 from shapely.geometry import LineString, MultiPolygon, Polygon
 
 from benchmark.constants import MAP_LAYERS
-from benchmark.datasets.devkit_import import devkit_module
+from benchmark.datasets.devkit_import import import_devkit_module
 from benchmark.datasets.schema.beside import ARC_LINE, MAP_LINKS, MAP_NODE, MAP_RECORD, require_records
-from benchmark.datasets.schema.rows import shown
+from benchmark.datasets.schema.rows import format_value
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 
 CENTERLINE_STEP_M: Final = 1.0
 _OLDEST_VERSION: Final = (1, 3)
@@ -35,7 +35,7 @@ _NAMED_LAYERS: Final = (
 """Further layers whose records are named; what they hold is sorted by these names."""
 
 
-def expansion_file(root: Path, location: str) -> Path | None:
+def find_expansion_file(root: Path, location: str) -> Path | None:
     """Map expansion file of a nuScenes location, or ``None`` if the data set has none."""
     if Path(location).name != location:
         return None
@@ -61,22 +61,22 @@ def read_road_map(path: Path) -> RoadMap:
         for layer in (*_POLYGON_LAYERS.values(), *_NAMED_LAYERS):
             require_records(path, f"{layer} record", layers.get(layer, []), MAP_RECORD)
         for lane, links in _mapping(layers["connectivity"]).items():
-            require_records(path, f"link of lane {shown(lane)}", [links], MAP_LINKS)
+            require_records(path, f"link of lane {format_value(lane)}", [links], MAP_LINKS)
         for lane, arclines in _mapping(layers["arcline_path_3"]).items():
-            require_records(path, f"path of lane {shown(lane)}", arclines, ARC_LINE)
-        return _Shapes(layers).road_map(path.stem)
+            require_records(path, f"path of lane {format_value(lane)}", arclines, ARC_LINE)
+        return _ExpansionShapes(layers).road_map(path.stem)
     except KeyError as error:
         raise InputError(
-            f"{path}: layer or record {one_line(repr(error.args[0]))} is missing; the map expansion is incomplete, "
+            f"{path}: layer or record {to_one_line(repr(error.args[0]))} is missing; the map expansion is incomplete, "
             "fetch or make it again"
         ) from error
     except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(
-            f"{path} is not a well-formed map expansion ({one_line(error)}); fetch or make it again"
+            f"{path} is not a well-formed map expansion ({to_one_line(error)}); fetch or make it again"
         ) from error
 
 
-def empty_expansion() -> dict[str, Any]:
+def make_empty_expansion() -> dict[str, Any]:
     """Content of a map expansion that holds nothing, for code that opens the maps of all cities."""
     return {
         "version": "1.3",
@@ -95,11 +95,11 @@ def _require_version(layers: Mapping[str, Any], path: Path) -> None:
         version = (0,)
     if version < _OLDEST_VERSION:
         raise InputError(
-            f"{path} has map version {one_line(text)}; version 1.3 or later is needed, fetch the newer expansion"
+            f"{path} has map version {to_one_line(text)}; version 1.3 or later is needed, fetch the newer expansion"
         )
 
 
-class _Shapes:
+class _ExpansionShapes:
     """Records of one expansion file, resolved to geometry."""
 
     def __init__(self, layers: Mapping[str, Any]) -> None:
@@ -165,7 +165,7 @@ class _Shapes:
                 links = self.connectivity.get(token, {"incoming": (), "outgoing": ()})
                 yield Lane(
                     identifier=token,
-                    centerline=centerline_of(self.arclines[token]),
+                    centerline=compute_centerline(self.arclines[token]),
                     polygon=None if polygon is None or polygon.is_empty else polygon,
                     successors=tuple(links["outgoing"]),
                     predecessors=tuple(links["incoming"]),
@@ -181,7 +181,7 @@ class _Shapes:
             yield Divider(row["token"], line, _kind(row, between_directions), between_directions)
 
 
-def centerline_of(arcline_paths: Sequence[Row]) -> Floats:
+def compute_centerline(arcline_paths: Sequence[Row]) -> Floats:
     """Points of a lane's arc-line paths, by the devkit's discretisation.
 
     Args:
@@ -193,7 +193,7 @@ def centerline_of(arcline_paths: Sequence[Row]) -> Floats:
     Raises:
         ValueError: If the paths have no length.
     """
-    discretize_lane = devkit_module("nuscenes.map_expansion.arcline_path_utils").discretize_lane
+    discretize_lane = import_devkit_module("nuscenes.map_expansion.arcline_path_utils").discretize_lane
     points = np.array(discretize_lane(list(arcline_paths), CENTERLINE_STEP_M), dtype=np.float64)[:, :2]
     moved = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
     if moved.sum() < 2:

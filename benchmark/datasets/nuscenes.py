@@ -13,23 +13,23 @@ from benchmark.datasets.annotated import AnnotationCount, read_objects
 from benchmark.datasets.can_bus import CanBus
 from benchmark.datasets.categories import KNOWN, CategoryNames
 from benchmark.datasets.devkit import OpenTables, open_tables
-from benchmark.datasets.fingerprint import fingerprint_of
-from benchmark.datasets.judged import read_judgements
-from benchmark.datasets.map_layers import expansion_file, read_road_map
-from benchmark.datasets.observations import observations_of_scene
-from benchmark.datasets.reviewed import review_of_rows
-from benchmark.datasets.sample_truth import truth_of_scene
-from benchmark.datasets.scene_facts import scene_facts_of
+from benchmark.datasets.fingerprint import compute_fingerprint
+from benchmark.datasets.judged import read_assessments
+from benchmark.datasets.map_layers import find_expansion_file, read_road_map
+from benchmark.datasets.observations import read_observations
+from benchmark.datasets.reviewed import read_root_review
+from benchmark.datasets.sample_truth import compute_truth
+from benchmark.datasets.scene_facts import build_scene_facts
 from benchmark.datasets.schema import FaultList
-from benchmark.datasets.sensors import read_cameras, read_lidar, read_sweep_poses, videos_of_scene
-from benchmark.datasets.split_names import read_splits, scenes_of_split, split_names
-from benchmark.datasets.steps import read_timeline, samples_of_scene
+from benchmark.datasets.sensors import read_cameras, read_lidar, read_sweep_poses, read_videos
+from benchmark.datasets.split_names import list_split_names, read_splits, select_scenes
+from benchmark.datasets.steps import list_samples, read_timeline
 from benchmark.datasets.tables import Row, find_version
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, read_json
 from benchmark.planning import CameraView, Observation
-from benchmark.records.judgement import SceneJudgement
+from benchmark.records.judgement import SceneAssessment
 from benchmark.records.review import SplitReview, read_review
 from benchmark.records.run_schema import SceneFacts
 from benchmark.road_map import RoadMap
@@ -38,7 +38,7 @@ from benchmark.truth import SampleTruth
 
 MAP_MARGIN_M: Final = 120.0
 """A scene's map reaches this far around everything that the ego visits."""
-_KEPT_SCENES: Final = 4
+_CACHED_SCENES: Final = 4
 
 
 class NuScenesData:
@@ -65,7 +65,7 @@ class NuScenesData:
         self._scenes: OrderedDict[str, Scene] = OrderedDict()
         self._maps: dict[str, RoadMap] = {}
         self._fingerprint: str | None = None
-        self._judged: dict[str, tuple[SceneJudgement, ...]] | None = None
+        self._judged: dict[str, tuple[SceneAssessment, ...]] | None = None
 
     @classmethod
     def open(
@@ -98,7 +98,7 @@ class NuScenesData:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as a path; each process loads the tables once."""
-        return _reopened, (str(self.root), self.version, self.name, self.categories)
+        return _reopen, (str(self.root), self.version, self.name, self.categories)
 
     def with_categories(self, categories: CategoryNames) -> Self:
         """The same root with other names of categories replaced."""
@@ -132,14 +132,14 @@ class NuScenesData:
         return dict(self._splits)
 
     def split_names(self) -> tuple[str, ...]:
-        """Names of all splits, of ``splits.json`` or by the rules of `scenes_of_split`."""
-        return split_names(tuple(self._rows), self._splits, self._built_as)
+        """Names of all splits, of ``splits.json`` or by the rules of `select_scenes`."""
+        return list_split_names(tuple(self._rows), self._splits, self._find_built_split)
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
         """Names of scenes.
 
         Args:
-            split: A split (the rules are those of `scenes_of_split`), or ``None`` for all scenes.
+            split: A split (the rules are those of `select_scenes`), or ``None`` for all scenes.
 
         Returns:
             Sorted names. Scenes that an inspector rejected are in no split.
@@ -157,15 +157,15 @@ class NuScenesData:
         """
         names = tuple(sorted(self._rows)) if split is None else self._listed(split)
         tokens = {name: str(self._rows[name]["token"]) for name in names}
-        return review_of_rows(self.root, tokens, self._provenance, split, self._verdicts)
+        return read_root_review(self.root, tokens, self._provenance, split, self._verdicts)
 
     def _listed(self, split: str) -> tuple[str, ...]:
         """Scenes of a split, with any verdict of inspectors or none."""
         present = tuple(sorted(self._rows))
-        return scenes_of_split(split, present, self._splits, where=str(self.root), built_as=self._built_as)
+        return select_scenes(split, present, self._splits, where=str(self.root), built_as=self._find_built_split)
 
     @property
-    def _built_as(self) -> str | None:
+    def _find_built_split(self) -> str | None:
         """Split that the data set was built as, if it says so."""
         return self._provenance.get("split") if self._provenance else None
 
@@ -187,7 +187,7 @@ class NuScenesData:
             return self._scenes[name]
         scene = self._read_scene(self._row(name))
         self._scenes[name] = scene
-        if len(self._scenes) > _KEPT_SCENES:
+        if len(self._scenes) > _CACHED_SCENES:
             self._scenes.popitem(last=False)
         return scene
 
@@ -205,12 +205,10 @@ class NuScenesData:
         """
         scene, row = self.scene(name), self._row(name)
         nusc = self._devkit(row)
-        yield from observations_of_scene(
-            nusc, self.root, scene, samples_of_scene(nusc, row), CanBus.read(self.root, name)
-        )
+        yield from read_observations(nusc, self.root, scene, list_samples(nusc, row), CanBus.read(self.root, name))
 
     def videos(self, name: str, *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
-        """Camera images of a scene by camera name, in time order (see `videos_of_scene`).
+        """Camera images of a scene by camera name, in time order (see `read_videos`).
 
         Args:
             name: Scene name.
@@ -224,7 +222,7 @@ class NuScenesData:
         """
         row = self._row(name)
         nusc = self._devkit(row)
-        return videos_of_scene(nusc, self.root, samples_of_scene(nusc, row), sweeps=sweeps)
+        return read_videos(nusc, self.root, list_samples(nusc, row), sweeps=sweeps)
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
         """Recorded truth of each sample, in time order.
@@ -239,8 +237,8 @@ class NuScenesData:
             InputError: As `scene`.
         """
         row = self._row(name)
-        samples = samples_of_scene(self._devkit(row), row)
-        return truth_of_scene(self.scene(name), [sample["token"] for sample in samples])
+        samples = list_samples(self._devkit(row), row)
+        return compute_truth(self.scene(name), [sample["token"] for sample in samples])
 
     def keyframe_rows(self, name: str) -> dict[str, str]:
         """Sample tokens of a scene by the tokens of their keyframe rows in ``sample_data.json``.
@@ -255,7 +253,7 @@ class NuScenesData:
             InputError: If there is no such scene or its rows are broken.
         """
         row = self._row(name)
-        samples = samples_of_scene(self._devkit(row), row)
+        samples = list_samples(self._devkit(row), row)
         return {token: sample["token"] for sample in samples for token in sample["data"].values()}
 
     def has_map(self, name: str) -> bool:
@@ -267,7 +265,7 @@ class NuScenesData:
         Raises:
             InputError: If there is no such scene.
         """
-        return expansion_file(self.root, self._log(self._row(name))["location"]) is not None
+        return find_expansion_file(self.root, self._log(self._row(name))["location"]) is not None
 
     def has_lidar(self, name: str) -> bool:
         """Whether the tables say where the lidar of a scene sits (`standard_lidar` is taken where they do not).
@@ -279,15 +277,15 @@ class NuScenesData:
             InputError: If there is no such scene or its rows are broken.
         """
         row = self._row(name)
-        return LIDAR_NAME in samples_of_scene(self._devkit(row), row)[0]["data"]
+        return LIDAR_NAME in list_samples(self._devkit(row), row)[0]["data"]
 
     def fingerprint(self) -> str:
-        """Content hash of tables, maps and file manifest (`fingerprint_of`), 64 hexadecimal digits.
+        """Content hash of tables, maps and file manifest (`compute_fingerprint`), 64 hexadecimal digits.
 
         Names of categories that were replaced are content, too: planners that see objects go by them.
         """
         if self._fingerprint is None:
-            fingerprint = fingerprint_of(self.root, self.version, self._tables.keyframe_images())
+            fingerprint = compute_fingerprint(self.root, self.version, self._tables.keyframe_images())
             self._fingerprint = (
                 content_key("categories", fingerprint, self.categories) if self.categories else fingerprint
             )
@@ -298,7 +296,7 @@ class NuScenesData:
         return self._provenance
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        """Source of scenes, manoeuvre of their first adversary, and judgements of them (see `scene_facts_of`).
+        """Source of scenes, manoeuvre of their first adversary, and judgements of them (see `build_scene_facts`).
 
         Args:
             names: Scene names.
@@ -312,10 +310,10 @@ class NuScenesData:
         scene_reports = self._provenance["scenes"] if self._provenance else {}
         known = {name: self._row(name) for name in names}
         if self._judged is None:
-            self._judged = read_judgements(self.root / self.version)
+            self._judged = read_assessments(self.root / self.version)
         judged = self._judged
         return {
-            name: scene_facts_of(
+            name: build_scene_facts(
                 name, scene_reports.get(name, {}), str(row.get("description", "")), judged.get(name, ())
             )
             for name, row in known.items()
@@ -339,7 +337,7 @@ class NuScenesData:
 
     def _read_scene(self, row: Row) -> Scene:
         nusc, log = self._devkit(row), self._log(row)
-        samples = samples_of_scene(nusc, row)
+        samples = list_samples(nusc, row)
         timeline = read_timeline(nusc, samples)
         cameras = read_cameras(nusc, samples[0])
         agents, annotations = read_objects(nusc, samples, timeline.keyframes)
@@ -364,14 +362,14 @@ class NuScenesData:
 
     def _map_around(self, location: str, position: Floats) -> RoadMap:
         if location not in self._maps:
-            path = expansion_file(self.root, location)
+            path = find_expansion_file(self.root, location)
             self._maps[location] = read_road_map(path) if path else RoadMap(location, MultiPolygon())
         low, high = position[:, :2].min(axis=0) - MAP_MARGIN_M, position[:, :2].max(axis=0) + MAP_MARGIN_M
         return self._maps[location].near((float(low[0]), float(low[1]), float(high[0]), float(high[1])))
 
 
 @functools.lru_cache(maxsize=2)
-def _reopened(root: str, version: str, name: str, categories: CategoryNames) -> NuScenesData:
+def _reopen(root: str, version: str, name: str, categories: CategoryNames) -> NuScenesData:
     return NuScenesData.open(Path(root), version=version, name=name, categories=dict(categories))
 
 

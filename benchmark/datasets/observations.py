@@ -6,10 +6,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.can_bus import CanBus, ego_state
-from benchmark.datasets.sample_truth import planar_lidar_poses, recorded_command
+from benchmark.datasets.can_bus import CanBus, compute_ego_state
+from benchmark.datasets.sample_truth import compute_planar_lidar_poses, compute_recorded_command
 from benchmark.datasets.sensors import read_views
-from benchmark.datasets.steps import KeyFrameSteps, values_at
+from benchmark.datasets.steps import KeyFrameSteps, interpolate_values
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
@@ -20,7 +20,7 @@ PAST_KEYFRAMES: Final = 5
 """Ego poses that a planner is given: now and two seconds back, at steps of half a second."""
 
 
-def observations_of_scene(
+def read_observations(
     nusc: Any, root: Path, scene: Scene, samples: Sequence[Row], can_bus: CanBus
 ) -> Iterator[Observation]:
     """Inputs that a planner may see at each sample: at each key frame, at any rate.
@@ -34,9 +34,9 @@ def observations_of_scene(
     """
     views = [read_views(nusc, root, sample) for sample in samples]
     _require_all_or_none(scene.name, [view.path for by_camera in views for view in by_camera.values()])
-    lidar_poses, clock, axle_poses = planar_lidar_poses(scene), KeyFrameSteps.of(scene), scene.ego.pose
+    lidar_poses, clock, axle_poses = compute_planar_lidar_poses(scene), KeyFrameSteps.of(scene), scene.ego.pose
     for index, sample in enumerate(samples):
-        past_poses, past_valid = past_of(scene, axle_poses, clock, index)
+        past_poses, past_valid = compute_past(scene, axle_poses, clock, index)
         frame = int(scene.keyframes[index])
         yield Observation(
             scene=scene.name,
@@ -45,14 +45,14 @@ def observations_of_scene(
             timestamp_us=int(scene.timestamps_us[frame]),
             views=views[index],
             lidar=scene.lidar,
-            ego=ego_state(scene.ego, scene.timestamps_us, frame, can_bus),
+            ego=compute_ego_state(scene.ego, scene.timestamps_us, frame, can_bus),
             past_poses=past_poses,
             past_valid=past_valid,
-            command=recorded_command(scene, clock, lidar_poses, index),
+            command=compute_recorded_command(scene, clock, lidar_poses, index),
         )
 
 
-def past_of(scene: Scene, axle_poses: Floats, clock: KeyFrameSteps, index: int) -> tuple[Floats, Bools]:
+def compute_past(scene: Scene, axle_poses: Floats, clock: KeyFrameSteps, index: int) -> tuple[Floats, Bools]:
     """Positions of the ego at steps of half a second up to a sample.
 
     Args:
@@ -67,7 +67,7 @@ def past_of(scene: Scene, axle_poses: Floats, clock: KeyFrameSteps, index: int) 
         past = index + steps
         return axle_poses[scene.keyframes[np.maximum(past, 0)]], past >= 0
     at = clock.at(index, steps)
-    poses = values_at(axle_poses, scene.timestamps_us, at.times_us)
+    poses = interpolate_values(axle_poses, scene.timestamps_us, at.times_us)
     return poses[np.maximum(np.arange(PAST_KEYFRAMES), np.count_nonzero(~at.known))], at.known
 
 

@@ -4,29 +4,29 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.datasets.stored_rows import table_rows
-from benchmark.datasets.tables import find_version, variant_folders
+from benchmark.datasets.stored_rows import iterate_rows
+from benchmark.datasets.tables import find_variant_folders, find_version
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.storage import only_writer, write_json
+from benchmark.machine.storage import lock_folder, write_json
 from benchmark.records.review import (
     REJECTED,
     REVIEW_FILE,
     SCHEMA,
-    Judged,
     ReviewFile,
     SplitReview,
+    StandingVerdict,
     Verdict,
     read_review,
-    standing,
+    resolve_verdicts,
 )
-from benchmark.report.words import counted
-from benchmark.untrusted.files import one_line
+from benchmark.report.words import pluralise
+from benchmark.untrusted.files import to_one_line
 
 LEFT_OUT: Final = "left_out"
 """In ``challenger.json``: scenes that a build left out because they were rejected."""
 
 
-def left_out_of(made: Any, split: str | None) -> dict[str, Judged]:
+def read_left_out(made: Any, split: str | None) -> dict[str, StandingVerdict]:
     """Verdicts on scenes of a split that a build left out because they were rejected, by name.
 
     A value that is no verdict names no scene.
@@ -39,11 +39,13 @@ def left_out_of(made: Any, split: str | None) -> dict[str, Judged]:
     rejected = {}
     for name, entry in entries.items() if isinstance(entries, dict) else ():
         if isinstance(entry, dict) and isinstance(entry.get("token"), str):
-            rejected[name] = Judged(name, entry["token"], REJECTED, one_line(entry.get("reason", "")), left_out=True)
+            rejected[name] = StandingVerdict(
+                name, entry["token"], REJECTED, to_one_line(entry.get("reason", "")), left_out=True
+            )
     return rejected
 
 
-def review_of_rows(
+def read_root_review(
     root: Path, tokens: Mapping[str, str], made: Any, split: str | None, verdicts: Mapping[str, Verdict] | None = None
 ) -> SplitReview:
     """Review of a split of one root.
@@ -54,10 +56,12 @@ def review_of_rows(
         verdicts: Those beside the root, if they were read before.
     """
     given = read_review(root) if verdicts is None else verdicts
-    return standing(given, tokens, left_out_of(made, split))
+    return resolve_verdicts(given, tokens, read_left_out(made, split))
 
 
-def joined(parts: Mapping[str, SplitReview], outer: Mapping[str, Verdict], tokens: Mapping[str, str]) -> SplitReview:
+def join_reviews(
+    parts: Mapping[str, SplitReview], outer: Mapping[str, Verdict], tokens: Mapping[str, str]
+) -> SplitReview:
     """Review of roots side by side, which may have verdicts each and all together: what either rejects is rejected.
 
     Args:
@@ -67,7 +71,7 @@ def joined(parts: Mapping[str, SplitReview], outer: Mapping[str, Verdict], token
     """
     renamed_parts = [part.under(folder) for folder, part in parts.items()]
     judged = {verdict.name: verdict for part in renamed_parts for verdict in part.judged}
-    above = standing(outer, tokens)
+    above = resolve_verdicts(outer, tokens)
     for verdict in above.judged:
         if verdict.name not in judged or verdict.verdict == REJECTED:
             judged[verdict.name] = verdict
@@ -89,11 +93,11 @@ def scene_tokens(root: Path, version: str | None = None) -> dict[str, str]:
     Raises:
         InputError: If there is no such data set, or its list of scenes is broken.
     """
-    folders = variant_folders(root)
+    folders = find_variant_folders(root)
     if folders:
         parts = {folder: scene_tokens(root / folder, version) for folder in folders}
         return {f"{folder}/{name}": token for folder, part in parts.items() for name, token in part.items()}
-    rows = table_rows(root / find_version(root, version) / "scene.json", "name", "token")
+    rows = iterate_rows(root / find_version(root, version) / "scene.json", "name", "token")
     return dict(sorted((row["name"], row["token"]) for row in rows))
 
 
@@ -107,7 +111,7 @@ def record_verdicts(root: Path, verdicts: Mapping[str, Verdict | None]) -> None:
     Raises:
         InputError: If the file is damaged or cannot be written, or another command is writing there.
     """
-    with only_writer(root):
+    with lock_folder(root):
         merged = {**read_review(root), **verdicts}
         stored = ReviewFile(
             schema=SCHEMA, verdicts={name: verdict for name, verdict in merged.items() if verdict is not None}
@@ -120,6 +124,6 @@ def require_scenes(names: Mapping[str, Any], tokens: Mapping[str, str], path: Pa
     unknown = sorted(set(names) - set(tokens))
     if unknown:
         raise InputError(
-            f"{path} names {one_line(unknown[0], 80)}, and {root} has no such scene; "
-            f"{did_you_mean(unknown[0], list(tokens))}it has {counted(len(tokens), 'scene')}; nothing was recorded"
+            f"{path} names {to_one_line(unknown[0], 80)}, and {root} has no such scene; "
+            f"{did_you_mean(unknown[0], list(tokens))}it has {pluralise(len(tokens), 'scene')}; nothing was recorded"
         )

@@ -13,9 +13,9 @@ from typing import Any, Protocol, Self
 from benchmark.datasets.annotated import AnnotationCount
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.datasets.reviewed import joined, scene_tokens
+from benchmark.datasets.reviewed import join_reviews, scene_tokens
 from benchmark.datasets.schema import FaultList
-from benchmark.datasets.tables import variant_folders
+from benchmark.datasets.tables import find_variant_folders
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
 from benchmark.planning import CameraView, Observation
@@ -120,7 +120,7 @@ class VariantRoots:
         """Open every variant; the settings are those of `NuScenesData.open`, the name the folder's by default."""
         variants = {
             folder: NuScenesData.open(root / folder, version=version, rates=rates, categories=categories)
-            for folder in variant_folders(root)
+            for folder in find_variant_folders(root)
         }
         if not variants:
             raise InputError(f"{root} holds no variants (v0/, v1/, ...); give the folder that contains them")
@@ -161,7 +161,7 @@ class VariantRoots:
         parts = {folder: data.review(split) for folder, data in self._variants.items()}
         of_split = {name for folder, part in parts.items() for name in part.under(folder).named}
         tokens = {name: token for name, token in self._tokens().items() if name in of_split}
-        return joined(parts, self._verdicts, tokens)
+        return join_reviews(parts, self._verdicts, tokens)
 
     def _tokens(self) -> dict[str, str]:
         tokens_of_variants = {folder: scene_tokens(data.root, data.version) for folder, data in self._variants.items()}
@@ -248,6 +248,6 @@ def open_data(
 ) -> DataSet:
     """Open a nuScenes-format root, or a folder of variant roots; settings as in `NuScenesData.open`."""
     root = Path(root)
-    if variant_folders(root):
+    if find_variant_folders(root):
         return VariantRoots.open(root, version=version, name=name, rates=rates, categories=categories)
     return NuScenesData.open(root, version=version, name=name, rates=rates, categories=categories)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from shapely.geometry.polygon import orient
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
-from benchmark.datasets.annotated import labelled_keyframes, nearest_valid
-from benchmark.datasets.steps import KeyFrameSteps, TimedSteps, other_interval_us, values_at
+from benchmark.datasets.annotated import find_labelled_keyframes, find_nearest_valid
+from benchmark.datasets.steps import KeyFrameSteps, TimedSteps, find_irregular_interval_us, interpolate_values
 from benchmark.geometry import Bools, Floats, poses_between, to_global, to_local, wrap_angle, yaw_of_quaternion
 from benchmark.planning import Command
 from benchmark.road_map import RoadMap, as_multipolygon
@@ -36,7 +36,7 @@ _LINE: Final = 1
 """Shapely's number of the type of lines."""
 
 
-class RoadSurfaces:
+class SceneRoadSurfaces:
     """Surfaces of a scene's map that its samples share, put together once and when they are asked for."""
 
     def __init__(self, road_map: RoadMap) -> None:
@@ -78,14 +78,14 @@ class RoadSurfaces:
 
 
 @dataclass(frozen=True, slots=True)
-class RoadsAround:
+class SampleRoads:
     """`benchmark.truth.Roads` of one sample.
 
     Attributes:
         axle_pose: (3,) global x, y, yaw of the rear axle.
     """
 
-    surfaces: RoadSurfaces
+    surfaces: SceneRoadSurfaces
     axle_pose: Floats
 
     @property
@@ -160,33 +160,33 @@ KEYFRAMES_BEFORE = 2
 """Keyframes before the present in which an object may have been seen: the last second."""
 
 
-def truth_of_scene(scene: Scene, sample_tokens: Sequence[str], steps: int = PLAN_STEPS) -> tuple[SampleTruth, ...]:
+def compute_truth(scene: Scene, sample_tokens: Sequence[str], steps: int = PLAN_STEPS) -> tuple[SampleTruth, ...]:
     """Recorded truth around each sample, in time order, for protocols.
 
     Args:
         scene: The scene; its annotations are used as they are, never the interpolated tracks.
         steps: How many steps ahead; six are what protocols take.
     """
-    lidar_poses = planar_lidar_poses(scene)
+    lidar_poses = compute_planar_lidar_poses(scene)
     boxes_yaw = yaw_of_quaternion(scene.annotations.rotation)
-    surfaces = None if scene.road_map.drivable_area.is_empty else RoadSurfaces(scene.road_map)
-    labelled = labelled_keyframes(scene.annotations.valid.sum(axis=0))
+    surfaces = None if scene.road_map.drivable_area.is_empty else SceneRoadSurfaces(scene.road_map)
+    labelled = find_labelled_keyframes(scene.annotations.valid.sum(axis=0))
     clock = KeyFrameSteps.of(scene)
     truths = (
         _truth(scene, token, index, lidar_poses, boxes_yaw, surfaces, labelled, steps)
         for index, token in enumerate(sample_tokens)
     )
-    if other_interval_us(clock.times_us) is not None:
+    if find_irregular_interval_us(clock.times_us) is not None:
         truths = (replace(truth, at_two_hz=False) for truth in truths)
     return tuple(
         truth
         if clock.are_key_frames(truth.index, steps)
-        else _with_timed(truth, scene, boxes_yaw, clock.at(truth.index, np.arange(steps + 1)))
+        else _add_timed_truth(truth, scene, boxes_yaw, clock.at(truth.index, np.arange(steps + 1)))
         for truth in truths
     )
 
 
-def planar_lidar_poses(scene: Scene) -> Floats:
+def compute_planar_lidar_poses(scene: Scene) -> Floats:
     """(K, 3) global x, y of LIDAR_TOP at the keyframes, and the heading of the car."""
     pose = scene.ego.pose[scene.keyframes]
     ahead_m = float(scene.lidar.translation[0])
@@ -194,7 +194,7 @@ def planar_lidar_poses(scene: Scene) -> Floats:
     return pose
 
 
-def command_of(future: Floats, valid: Bools) -> Command:
+def compute_command(future: Floats, valid: Bools) -> Command:
     """Driving command from the recorded future: the side on which its last waypoint lies.
 
     Right or left from 2 m of lateral displacement at the last valid waypoint, else straight.
@@ -211,7 +211,7 @@ def command_of(future: Floats, valid: Bools) -> Command:
     return Command.LEFT if lateral_m <= -COMMAND_LATERAL_M else Command.STRAIGHT
 
 
-def ego_future(lidar_poses: Floats, index: int, count: int = PLAN_STEPS) -> tuple[Floats, Bools]:
+def compute_ego_future(lidar_poses: Floats, index: int, count: int = PLAN_STEPS) -> tuple[Floats, Bools]:
     """Recorded lidar poses at the plan's steps, in the lidar frame of a keyframe.
 
     Args:
@@ -225,29 +225,29 @@ def ego_future(lidar_poses: Floats, index: int, count: int = PLAN_STEPS) -> tupl
     return _in_lidar(lidar_poses[np.minimum(steps, len(lidar_poses) - 1)], lidar_poses[index]), valid
 
 
-def recorded_command(scene: Scene, clock: KeyFrameSteps, lidar_poses: Floats, index: int) -> Command:
+def compute_recorded_command(scene: Scene, clock: KeyFrameSteps, lidar_poses: Floats, index: int) -> Command:
     """Driving command of a sample: from the key frames ahead, or from the same times where those are irregular.
 
     Args:
         lidar_poses: (K, 3) global poses of the lidar at the key frames.
     """
     if clock.are_key_frames(index, PLAN_STEPS):
-        return command_of(*ego_future(lidar_poses, index))
+        return compute_command(*compute_ego_future(lidar_poses, index))
     return _timed_command(scene, lidar_poses[index], clock.at(index, np.arange(1, PLAN_STEPS + 1)))
 
 
 def _timed_command(scene: Scene, lidar_pose: Floats, steps: TimedSteps) -> Command:
     """The command from where the car was at some times; a gap in between says nothing against where it came to."""
-    return command_of(_timed_future(scene, lidar_pose, steps), steps.recorded)
+    return compute_command(_timed_future(scene, lidar_pose, steps), steps.recorded)
 
 
 def _timed_future(scene: Scene, lidar_pose: Floats, steps: TimedSteps) -> Floats:
     """(N, 3) poses of the lidar at some times, in its frame at the sample."""
-    axle = values_at(scene.ego.pose, scene.timestamps_us, steps.times_us)
-    return _in_lidar(_lidar_of(axle, float(scene.lidar.translation[0])), lidar_pose)
+    axle = interpolate_values(scene.ego.pose, scene.timestamps_us, steps.times_us)
+    return _in_lidar(_to_lidar_poses(axle, float(scene.lidar.translation[0])), lidar_pose)
 
 
-def _lidar_of(axle_poses: Floats, ahead_m: float) -> Floats:
+def _to_lidar_poses(axle_poses: Floats, ahead_m: float) -> Floats:
     """Poses (..., 3) of the lidar from those of the rear axle."""
     ahead = ahead_m * np.stack([np.cos(axle_poses[..., 2]), np.sin(axle_poses[..., 2])], axis=-1)
     return np.concatenate([axle_poses[..., :2] + ahead, axle_poses[..., 2:]], axis=-1)
@@ -266,7 +266,7 @@ def _truth(
     index: int,
     lidar_poses: Floats,
     boxes_yaw: Floats,
-    surfaces: RoadSurfaces | None,
+    surfaces: SceneRoadSurfaces | None,
     labelled: Bools,
     count: int,
 ) -> SampleTruth:
@@ -279,13 +279,13 @@ def _truth(
     annotated: NDArray[np.bool_] = known.valid[visible_rows][:, steps] & exists
     rows, columns = (
         visible_rows[:, None],
-        steps[nearest_valid(annotated)] if len(visible_rows) else np.zeros((0, count + 1), np.int64),
+        steps[find_nearest_valid(annotated)] if len(visible_rows) else np.zeros((0, count + 1), np.int64),
     )
     poses = np.concatenate([known.position[rows, columns, :2], boxes_yaw[rows, columns][..., None]], axis=-1)
     local = _in_lidar(poses, lidar_poses[index])
     boxes = np.concatenate([local[..., :2], known.size[rows, columns, :2], local[..., 2:]], axis=-1)
     lidar_points, radar_points = known.num_lidar_pts[rows, columns], known.num_radar_pts[rows, columns]
-    future, future_valid = ego_future(lidar_poses, index, count)
+    future, future_valid = compute_ego_future(lidar_poses, index, count)
     past = slice(max(index - KEYFRAMES_BEFORE, 0), index + 1)
     return SampleTruth(
         scene=scene.name,
@@ -296,7 +296,7 @@ def _truth(
         lidar_ahead_m=float(scene.lidar.translation[0]),
         ego_future=future,
         ego_future_valid=future_valid,
-        command=command_of(future, future_valid),
+        command=compute_command(future, future_valid),
         instances=tuple(scene.agents.ids[row] for row in visible_rows),
         categories=tuple(scene.agents.categories[row] for row in visible_rows),
         boxes=boxes,
@@ -306,12 +306,12 @@ def _truth(
         adversaries=frozenset(scene.adversaries),
         axle_poses=axle_poses[steps],
         seen_before=(known.valid[visible_rows, past] & (known.visibility[visible_rows, past] != HIDDEN)).any(axis=-1),
-        roads=None if surfaces is None else RoadsAround(surfaces, axle_poses[index]),
+        roads=None if surfaces is None else SampleRoads(surfaces, axle_poses[index]),
         labelled=bool(labelled[index : index + count + 1].all()),
     )
 
 
-def _with_timed(truth: SampleTruth, scene: Scene, boxes_yaw: Floats, steps: TimedSteps) -> SampleTruth:
+def _add_timed_truth(truth: SampleTruth, scene: Scene, boxes_yaw: Floats, steps: TimedSteps) -> SampleTruth:
     """A truth whose steps are key frames, and beside it that of the times of steps.
 
     The ego is interpolated between frames, objects between the key frames around a time: they are there if they are
@@ -321,7 +321,7 @@ def _with_timed(truth: SampleTruth, scene: Scene, boxes_yaw: Floats, steps: Time
     is_there = known.valid[:, steps.before] & known.valid[:, steps.after] & steps.known
     visible_rows = np.flatnonzero(is_there.any(axis=-1))
     annotated: NDArray[np.bool_] = is_there[visible_rows]
-    nearest_known = nearest_valid(annotated) if len(visible_rows) else np.zeros(annotated.shape, np.int64)
+    nearest_known = find_nearest_valid(annotated) if len(visible_rows) else np.zeros(annotated.shape, np.int64)
     rows, nearest = visible_rows[:, None], steps.nearest[nearest_known]
     poses = np.concatenate([known.position[..., :2], boxes_yaw[..., None]], axis=-1)
     between = poses_between(
@@ -332,7 +332,7 @@ def _with_timed(truth: SampleTruth, scene: Scene, boxes_yaw: Floats, steps: Time
     # Steps become unknown once and for all, so that the last known one is held.
     last = np.minimum(np.arange(len(steps.known)), np.count_nonzero(steps.known) - 1)
     future = _timed_future(scene, truth.lidar_pose, steps)
-    command = command_of(future[1:], steps.recorded[1:])
+    command = compute_command(future[1:], steps.recorded[1:])
     timed = replace(
         truth,
         command=command,
@@ -344,7 +344,7 @@ def _with_timed(truth: SampleTruth, scene: Scene, boxes_yaw: Floats, steps: Time
         annotated=annotated,
         has_points=annotated & (lidar_points + radar_points > 0),
         has_lidar_points=annotated & (lidar_points > 0),
-        axle_poses=values_at(scene.ego.pose, scene.timestamps_us, steps.times_us)[last],
+        axle_poses=interpolate_values(scene.ego.pose, scene.timestamps_us, steps.times_us)[last],
         seen_before=None,
         cut_short=bool(steps.recorded.all() and not steps.known.all()),
     )

@@ -20,14 +20,14 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap
 from benchmark.scene import EgoTrack, Scene
-from benchmark.untrusted.files import MAP_LANES, MAP_POINTS, one_line
+from benchmark.untrusted.files import MAP_LANES, MAP_POINTS, to_one_line
 
 FARTHEST_M: Final = 1e8
 """More than any projected map coordinate."""
 _LONGEST_NAME: Final = 256
 
 
-def real_numbers(value: Any) -> Floats:
+def to_real_numbers(value: Any) -> Floats:
     """Numbers, in an array or a list of any shape, as an array in double precision.
 
     Raises:
@@ -39,10 +39,10 @@ def real_numbers(value: Any) -> Floats:
             raise ValueError(f"{numbers.dtype} is no type of numbers")
         return np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(one_line(error, 80)) from error
+        raise ValueError(to_one_line(error, 80)) from error
 
 
-def name_of(value: Any, what: str, path: Path) -> str:
+def to_name(value: Any, what: str, path: Path) -> str:
     """A name or whole number of a file as text; ``what`` and ``path`` are for the message.
 
     Raises:
@@ -50,7 +50,7 @@ def name_of(value: Any, what: str, path: Path) -> str:
     """
     text = str(value) if isinstance(value, str | int | np.integer) else ""
     if len(text) > _LONGEST_NAME or not text.isprintable() or (not text and not isinstance(value, str)):
-        raise InputError(f"{path}: {what} must be a name, it is {one_line(repr(value), 60)}; fetch the file again")
+        raise InputError(f"{path}: {what} must be a name, it is {to_one_line(repr(value), 60)}; fetch the file again")
     return text
 
 
@@ -71,7 +71,7 @@ NEEDS_A_PACKAGE: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Exchanged:
+class ExchangedScene:
     """A scene and how it was made, as a file carries both.
 
     Attributes:
@@ -84,14 +84,14 @@ class Exchanged:
     report: Mapping[str, Any] = field(default_factory=dict)
 
 
-def ego_center(ego: EgoTrack) -> Floats:
+def compute_ego_center(ego: EgoTrack) -> Floats:
     """(T, 3) centre of the ego's body, which is what positions of tracks are; `EgoTrack` has the rear axle."""
     yaw = ego.yaw
     ahead = EGO_CENTER_FROM_REAR_AXLE_M * np.column_stack([np.cos(yaw), np.sin(yaw)])
     return np.column_stack([ego.position[:, :2] + ahead, ego.position[:, 2] + 0.5 * EGO_HEIGHT_M])
 
 
-def track_digest(position: Floats, yaw: Floats, size: Floats, valid: Any) -> str:
+def hash_track(position: Floats, yaw: Floats, size: Floats, valid: Any) -> str:
     """Hash of a track, 64 hexadecimal digits, by which an edited one is known.
 
     Args:
@@ -105,7 +105,7 @@ def track_digest(position: Floats, yaw: Floats, size: Floats, valid: Any) -> str
     return hashlib.sha256(is_valid.tobytes() + b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
-Feature = dict[str, Any]
+MapFeature = dict[str, Any]
 
 _LINE_TYPES: Final = {
     DividerKind.SOLID_WHITE: "ROAD_LINE_SOLID_SINGLE_WHITE",
@@ -122,11 +122,11 @@ _SURFACE_NEAR_LINE_M: Final = 90.0
 """MetaDrive refuses lanes whose surface and centre line have mean points 100 m apart."""
 
 
-def features_of_map(road_map: RoadMap) -> tuple[dict[str, Feature], dict[str, Any]]:
+def encode_map(road_map: RoadMap) -> tuple[dict[str, MapFeature], dict[str, Any]]:
     """``map_features`` of a ScenarioNet file, and what has no place among them, for the file's own block."""
-    features: dict[str, Feature] = {name: _lane(lane) for name, lane in road_map.lanes.items()}
+    features: dict[str, MapFeature] = {name: _lane(lane) for name, lane in road_map.lanes.items()}
 
-    def put(key: str, feature: Feature) -> None:
+    def put(key: str, feature: MapFeature) -> None:
         while key in features:
             key = f"{key}_"
         features[key] = feature
@@ -154,9 +154,9 @@ def features_of_map(road_map: RoadMap) -> tuple[dict[str, Feature], dict[str, An
     }
 
 
-def _lane(lane: Lane) -> Feature:
+def _lane(lane: Lane) -> MapFeature:
     additions: dict[str, Any] = {"layer": "lanes", "identifier": lane.identifier, "is_connector": lane.is_connector}
-    feature: Feature = {
+    feature: MapFeature = {
         "type": "LANE_SURFACE_STREET",
         "polyline": _points(lane.centerline),
         "entry_lanes": list(lane.predecessors),
@@ -179,8 +179,8 @@ def _points(points: Floats) -> Floats:
     return np.array(points, np.float64)
 
 
-def map_of_own_features(features: Mapping[Any, Any], own: Any, path: Path) -> RoadMap:
-    """The whole map that `features_of_map` was given.
+def decode_map(features: Mapping[Any, Any], own: Any, path: Path) -> RoadMap:
+    """The whole map that `encode_map` was given.
 
     Args:
         own: What the file's own block says of the map.
@@ -190,7 +190,7 @@ def map_of_own_features(features: Mapping[Any, Any], own: Any, path: Path) -> Ro
         return _map(features, own, path)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, shapely.errors.ShapelyError) as error:
         raise InputError(
-            f"{path}: its map is not as challenger-bench writes it ({type(error).__name__}: {one_line(error, 80)}); "
+            f"{path}: its map is not as challenger-bench writes it ({type(error).__name__}: {to_one_line(error, 80)}); "
             "export it again"
         ) from error
 
@@ -207,7 +207,7 @@ def _map(features: Mapping[Any, Any], own: Any, path: Path) -> RoadMap:
         if layer == "drivable_area":
             rings.setdefault(int(additions["polygon"]), {})[int(additions["ring"])] = _read_points(feature["polyline"])
             continue
-        name = name_of(additions["identifier"], f"the name of {key}", path)
+        name = to_name(additions["identifier"], f"the name of {key}", path)
         if layer == "lanes":
             lanes[name] = _read_lane(name, feature, path)
         elif layer == "dividers":
@@ -225,11 +225,11 @@ def _map(features: Mapping[Any, Any], own: Any, path: Path) -> RoadMap:
     width, height = _read_numbers(own["canvas_m"], (2,)).tolist()
     layers = {layer: dict(_named_surfaces(own["layers"][layer], path)) for layer in _OTHER_LAYERS}
     return RoadMap(
-        location=name_of(own["location"], "the location", path),
+        location=to_name(own["location"], "the location", path),
         drivable_area=MultiPolygon(parts),
         lanes=lanes,
         dividers=tuple(lines),
-        intersections=frozenset(name_of(name, "an intersection", path) for name in own["intersections"]),
+        intersections=frozenset(to_name(name, "an intersection", path) for name in own["intersections"]),
         canvas_m=(width, height),
         **surfaces,
         **layers,
@@ -244,22 +244,22 @@ def _require_no_more_than_roads(features: Mapping[Any, Any]) -> None:
         raise ValueError(f"{points} points and {lanes} lanes, more than roads have")
 
 
-def _read_lane(name: str, feature: Feature, path: Path) -> Lane:
+def _read_lane(name: str, feature: MapFeature, path: Path) -> Lane:
     additions = feature[OWN]
     outline = feature.get("polygon", additions.get("polygon"))
     return Lane(
         identifier=name,
         centerline=_read_points(feature["polyline"]),
         polygon=None if outline is None else _surface([outline, *additions["holes"]]),
-        successors=tuple(name_of(other, f"a lane after {name}", path) for other in feature["exit_lanes"]),
-        predecessors=tuple(name_of(other, f"a lane before {name}", path) for other in feature["entry_lanes"]),
+        successors=tuple(to_name(other, f"a lane after {name}", path) for other in feature["exit_lanes"]),
+        predecessors=tuple(to_name(other, f"a lane before {name}", path) for other in feature["entry_lanes"]),
         is_connector=additions["is_connector"] is True,
     )
 
 
 def _named_surfaces(layer: Mapping[Any, Any], path: Path) -> Iterator[tuple[str, Polygon]]:
     for name, rings in layer.items():
-        yield name_of(name, "the name of a part of the map", path), _surface(rings)
+        yield to_name(name, "the name of a part of the map", path), _surface(rings)
 
 
 def _surface(rings: Any) -> Polygon:
@@ -268,14 +268,14 @@ def _surface(rings: Any) -> Polygon:
 
 
 def _read_points(value: Any) -> Floats:
-    points = real_numbers(value)
+    points = to_real_numbers(value)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
         raise ValueError(f"points of shape {points.shape}")
     return _finite(points)
 
 
 def _read_numbers(value: Any, shape: tuple[int, ...]) -> Floats:
-    return _finite(real_numbers(value).reshape(shape))
+    return _finite(to_real_numbers(value).reshape(shape))
 
 
 def _finite(values: Floats) -> Floats:

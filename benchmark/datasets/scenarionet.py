@@ -19,19 +19,19 @@ from benchmark.constants import (
     FRAMES_PER_KEYFRAME,
     OFFICIAL_LOCATIONS,
 )
-from benchmark.datasets.scenario_map import Exchanged, name_of, real_numbers
-from benchmark.datasets.scenarionet_map import map_of_features
-from benchmark.datasets.scenarionet_tracks import SourceTrack, objects_of_tracks, read_track
-from benchmark.datasets.scene_of_own import OwnFile, adversaries_of, own_block, scene_of_own
-from benchmark.datasets.scene_words import described, place_and_light, traffic_and_road
-from benchmark.datasets.sensors import standard_lidar
-from benchmark.datasets.tables import scene_number
+from benchmark.datasets.scenario_map import ExchangedScene, to_name, to_real_numbers
+from benchmark.datasets.scenarionet_map import build_road_map
+from benchmark.datasets.scenarionet_tracks import SourceTrack, read_track, resample_tracks
+from benchmark.datasets.scene_of_own import RoundtripFile, find_own_block, read_adversaries, restore_scene
+from benchmark.datasets.scene_words import describe_place_and_light, describe_traffic_and_road, join_words
+from benchmark.datasets.sensors import make_standard_lidar
+from benchmark.datasets.tables import parse_scene_number
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, poses_between, quaternion_from_yaw
-from benchmark.machine.storage import content_seed, token
+from benchmark.machine.storage import content_seed, make_token
 from benchmark.scene import EgoTrack, Scene
 from benchmark.untrusted.children import read_pickle
-from benchmark.untrusted.files import RECORDED_OBJECTS, RECORDED_POSES, RECORDING_S, one_line
+from benchmark.untrusted.files import RECORDED_OBJECTS, RECORDED_POSES, RECORDING_S, to_one_line
 
 _FALLBACK_LOCATION: Final = OFFICIAL_LOCATIONS[0]
 _UNOFFICIAL_NUMBERS: Final = range(2000, 10000)
@@ -43,7 +43,7 @@ _FASTEST_EGO_MPS: Final = 200.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Recording:
+class _ScenarioNetFile:
     """Facts that a file states about itself; ``value`` is its whole content.
 
     Attributes:
@@ -104,34 +104,34 @@ def read_scenarionet(path: Path) -> Scene:
         The scene, without cameras, with a map cropped to 200 m around the ego's path, and described in words
         (`benchmark.datasets.scene_words`).
     """
-    return read_exchanged(path).scene
+    return read_exchanged_scene(path).scene
 
 
-def read_exchanged(path: Path) -> Exchanged:
+def read_exchanged_scene(path: Path) -> ExchangedScene:
     """The same with how the scene was made, which files say that were exported here; as `read_scenarionet`."""
     recording = _read_recording(path)
     tracks = _tracks_of(recording)
     ego = _ego_of(recording, tracks)
     others = {name: track for name, track in tracks.items() if track is not ego}
-    additions = own_block(recording.metadata, path)
+    additions = find_own_block(recording.metadata, path)
     if additions is not None:
         _require_steady(recording, ego)
         value = recording.value
-        return scene_of_own(
-            OwnFile(path, additions, recording.metadata, value["tracks"], others, ego, value["map_features"])
+        return restore_scene(
+            RoundtripFile(path, additions, recording.metadata, value["tracks"], others, ego, value["map_features"])
         )
-    scene = _foreign_scene(recording, ego, others)
-    return Exchanged(scene, scene.name)
+    scene = _build_external_scene(recording, ego, others)
+    return ExchangedScene(scene, scene.name)
 
 
-def _foreign_scene(recording: _Recording, ego: SourceTrack, others: Mapping[str, SourceTrack]) -> Scene:
+def _build_external_scene(recording: _ScenarioNetFile, ego: SourceTrack, others: Mapping[str, SourceTrack]) -> Scene:
     """Scene of a file that was not exported here."""
     frame_seconds = _frame_seconds(recording, ego)
     position = _ego_position(recording, ego)
     ground_z = None if recording.is_nuscenes else position[:, 2].copy()
     if ground_z is not None:
         position[:, 2] = 0.0
-    road_map, shift = map_of_features(
+    road_map, shift = build_road_map(
         recording.value["map_features"],
         path=recording.path,
         location=_location(recording),
@@ -139,7 +139,7 @@ def _foreign_scene(recording: _Recording, ego: SourceTrack, others: Mapping[str,
         ego_path=position[:, :2],
     )
     keyframes = np.arange(0, len(frame_seconds), FRAMES_PER_KEYFRAME)
-    agents, annotations = objects_of_tracks(
+    agents, annotations = resample_tracks(
         others, recording.seconds, frame_seconds, keyframes, shift=shift, ground_z=ground_z
     )
     name = _scene_name(recording)
@@ -157,14 +157,17 @@ def _foreign_scene(recording: _Recording, ego: SourceTrack, others: Mapping[str,
         agents=agents,
         annotations=annotations,
         cameras=(),
-        lidar=standard_lidar(),
+        lidar=make_standard_lidar(),
         road_map=road_map,
-        adversaries=adversaries_of(recording.metadata, agents.ids, recording.path),
+        adversaries=read_adversaries(recording.metadata, agents.ids, recording.path),
     )
-    return replace(scene, description=described([*place_and_light(recording.metadata), *traffic_and_road(scene)]))
+    return replace(
+        scene,
+        description=join_words([*describe_place_and_light(recording.metadata), *describe_traffic_and_road(scene)]),
+    )
 
 
-def _read_recording(path: Path) -> _Recording:
+def _read_recording(path: Path) -> _ScenarioNetFile:
     value = read_pickle(path)
     needed = ("id", "length", "metadata", "tracks", "map_features")
     if not isinstance(value, dict) or any(key not in value for key in needed):
@@ -173,14 +176,14 @@ def _read_recording(path: Path) -> _Recording:
     if not all(isinstance(value[key], dict) for key in ("metadata", "tracks", "map_features")):
         raise InputError(f"{path}: metadata, tracks and map_features must be dictionaries; fetch the file again")
     try:
-        seconds = real_numbers(metadata["ts"]).reshape(-1)
+        seconds = to_real_numbers(metadata["ts"]).reshape(-1)
     except (KeyError, ValueError):
         raise InputError(f"{path}: metadata has no usable list of times 'ts'; fetch the file again") from None
     steps, length = np.diff(seconds), value["length"]
     is_complete = isinstance(length, int | np.integer) and len(seconds) == length >= 2
     if not is_complete or not np.isfinite(seconds).all() or not (steps > 0).all():
         raise InputError(
-            f"{path}: metadata 'ts' must be {one_line(length, 40)} increasing finite times, one a step; fetch the file "
+            f"{path}: metadata 'ts' must be {to_one_line(length, 40)} increasing finite times, one a step; fetch the file "
             "again"
         )
     if not 0.01 <= float(np.median(steps)) <= 1.0:
@@ -189,13 +192,13 @@ def _read_recording(path: Path) -> _Recording:
         raise InputError(
             f"{path} lasts {seconds[-1] - seconds[0]:g} s; one recording has at most {RECORDING_S:g} s, cut it"
         )
-    dataset = name_of(metadata.get("dataset", "unknown"), "metadata dataset", path)
-    return _Recording(path, name_of(value["id"], "id", path), dataset, seconds - seconds[0], metadata, value)
+    dataset = to_name(metadata.get("dataset", "unknown"), "metadata dataset", path)
+    return _ScenarioNetFile(path, to_name(value["id"], "id", path), dataset, seconds - seconds[0], metadata, value)
 
 
-def _tracks_of(recording: _Recording) -> dict[str, SourceTrack]:
+def _tracks_of(recording: _ScenarioNetFile) -> dict[str, SourceTrack]:
     path, given = recording.path, recording.value["tracks"]
-    named = {name_of(name, "the name of a track", path): track for name, track in given.items()}
+    named = {to_name(name, "the name of a track", path): track for name, track in given.items()}
     if len(named) != len(given):
         raise InputError(f"{path} has two tracks of one name; fetch the file again")
     frames = max(len(recording.seconds), (recording.seconds[-1] + 1.0) * FRAME_HZ)
@@ -205,8 +208,8 @@ def _tracks_of(recording: _Recording) -> dict[str, SourceTrack]:
     return {name: track for name, track in read.items() if track is not None}
 
 
-def _ego_of(recording: _Recording, tracks: Mapping[str, SourceTrack]) -> SourceTrack:
-    name = name_of(recording.metadata.get("sdc_id"), "metadata sdc_id", recording.path)
+def _ego_of(recording: _ScenarioNetFile, tracks: Mapping[str, SourceTrack]) -> SourceTrack:
+    name = to_name(recording.metadata.get("sdc_id"), "metadata sdc_id", recording.path)
     if name not in tracks:
         raise InputError(
             f"{recording.path}: metadata sdc_id {name!r} names no track, so there is no ego; fetch the file again"
@@ -214,7 +217,7 @@ def _ego_of(recording: _Recording, tracks: Mapping[str, SourceTrack]) -> SourceT
     return tracks[name]
 
 
-def _require_steady(recording: _Recording, ego: SourceTrack) -> None:
+def _require_steady(recording: _ScenarioNetFile, ego: SourceTrack) -> None:
     """Refuse an ego that is not always there, or jumps."""
     if not ego.valid.all():
         raise InputError(
@@ -229,7 +232,7 @@ def _require_steady(recording: _Recording, ego: SourceTrack) -> None:
         )
 
 
-def _frame_seconds(recording: _Recording, ego: SourceTrack) -> Floats:
+def _frame_seconds(recording: _ScenarioNetFile, ego: SourceTrack) -> Floats:
     """12 Hz times from the first step to the last whole keyframe."""
     _require_steady(recording, ego)
     half_second = FRAMES_PER_KEYFRAME / FRAME_HZ
@@ -243,7 +246,7 @@ def _frame_seconds(recording: _Recording, ego: SourceTrack) -> Floats:
     return np.arange((count - 1) * FRAMES_PER_KEYFRAME + 1) / FRAME_HZ
 
 
-def _ego_position(recording: _Recording, ego: SourceTrack) -> Floats:
+def _ego_position(recording: _ScenarioNetFile, ego: SourceTrack) -> Floats:
     """(L, 3) rear axle on the ground."""
     if recording.is_nuscenes:
         return ego.position.copy()
@@ -262,7 +265,7 @@ def _ego_track(seconds: Floats, position: Floats, heading: Floats, wanted: Float
     return EgoTrack(np.column_stack([between[:, :2], z]), quaternion_from_yaw(between[:, 2]))
 
 
-def _location(recording: _Recording) -> str:
+def _location(recording: _ScenarioNetFile) -> str:
     location = recording.metadata.get("map")
     return str(location) if _is_official(location) else _FALLBACK_LOCATION
 
@@ -271,29 +274,29 @@ def _is_official(location: Any) -> bool:
     return isinstance(location, str) and location in OFFICIAL_LOCATIONS
 
 
-def _scene_name(recording: _Recording) -> str:
-    if scene_number(recording.identifier) is not None:
+def _scene_name(recording: _ScenarioNetFile) -> str:
+    if parse_scene_number(recording.identifier) is not None:
         return recording.identifier
     span = len(_UNOFFICIAL_NUMBERS)
     number = _UNOFFICIAL_NUMBERS[content_seed("scene name", recording.dataset, recording.identifier) % span]
     return f"scene-{number:04d}"
 
 
-def _scene_token(recording: _Recording) -> str:
+def _scene_token(recording: _ScenarioNetFile) -> str:
     given = recording.metadata.get("scenario_token")
     if isinstance(given, str) and re.fullmatch(r"[0-9a-f]{32}", given):
         return given
-    return token("scene", recording.dataset, recording.identifier)
+    return make_token("scene", recording.dataset, recording.identifier)
 
 
-def _date(recording: _Recording) -> str:
+def _date(recording: _ScenarioNetFile) -> str:
     date = recording.metadata.get("date")
     return date if isinstance(date, str) and re.fullmatch(r"\d{4}-\d{2}-\d{2}", date) else "1970-01-01"
 
 
 def _timestamps(name: str, frame_seconds: Floats) -> NDArray[np.int64]:
     """Scenes ten minutes apart on one clock: official code sorts samples by time and must not mix two scenes."""
-    number = scene_number(name)
+    number = parse_scene_number(name)
     assert number is not None
     start_us = _CLOCK_START_US + number * _CLOCK_APART_US
     return np.asarray(start_us + np.rint(frame_seconds * 1e6), dtype=np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, MultiPolygon, Polygon
 
-from benchmark.datasets.scenario_map import FARTHEST_M, name_of, real_numbers
+from benchmark.datasets.scenario_map import FARTHEST_M, to_name, to_real_numbers
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
@@ -33,7 +33,7 @@ _CANVAS_M: Final = {
 """Extents of the real maps, which scenes with official locations lie in."""
 
 
-def map_of_features(
+def build_road_map(
     features: Mapping[Any, Any], *, path: Path, location: str, official: bool, ego_path: Floats
 ) -> tuple[RoadMap, Floats]:
     """Build the map of one file.
@@ -69,13 +69,13 @@ def map_of_features(
     width, height = (float(value) + _MARGIN_M for value in extent[1] + shift)
     if official:
         width, height = (max(pair) for pair in zip((width, height), _CANVAS_M[location], strict=True))
-    return replace(_moved(road_map, shift) if shift.any() else road_map, canvas_m=(width, height)), shift
+    return replace(_shift_map(road_map, shift) if shift.any() else road_map, canvas_m=(width, height)), shift
 
 
-def _read_features(features: Mapping[Any, Any], path: Path) -> dict[str, "_Feature"]:
+def _read_features(features: Mapping[Any, Any], path: Path) -> dict[str, "_CheckedFeature"]:
     """Features by name, which can be joined in seconds: not too many, and not all across one another."""
-    named = {name_of(name, "the name of a map feature", path): feature for name, feature in features.items()}
-    read = {name: _Feature(feature, name, path) for name, feature in named.items()}
+    named = {to_name(name, "the name of a map feature", path): feature for name, feature in features.items()}
+    read = {name: _CheckedFeature(feature, name, path) for name, feature in named.items()}
     lines = [
         line
         for checked_feature in read.values()
@@ -108,7 +108,7 @@ def _meet_often(lines: Sequence[Floats]) -> bool:
     return False
 
 
-class _Feature:
+class _CheckedFeature:
     """One map feature with its coordinates checked."""
 
     def __init__(self, feature: Any, name: str, path: Path) -> None:
@@ -150,7 +150,7 @@ def _coordinates(feature: Mapping[str, Any], key: str, name: str, path: Path) ->
     if key not in feature or feature[key] is None:
         return None
     try:
-        points = real_numbers(feature[key])
+        points = to_real_numbers(feature[key])
         if points.shape[:1] == (0,):
             return None
         if points.ndim != 2 or points.shape[1] < 2:
@@ -168,7 +168,7 @@ def _coordinates(feature: Mapping[str, Any], key: str, name: str, path: Path) ->
 
 def _width(value: Any, name: str, path: Path) -> Floats | None:
     try:
-        return None if value is None else real_numbers(value)
+        return None if value is None else to_real_numbers(value)
     except ValueError as error:
         raise InputError(f"{path}: width of map feature {name} is no list of numbers ({error})") from error
 
@@ -179,16 +179,19 @@ def _names(value: Any, name: str, path: Path) -> tuple[str, ...] | None:
     is_list = value.ndim > 0 if isinstance(value, np.ndarray) else isinstance(value, list | tuple | set | frozenset)
     if not is_list:
         raise InputError(f"{path}: the lanes before and after map feature {name} must be lists; fetch the file again")
-    return tuple(name_of(other, f"a neighbour of map feature {name}", path) for other in value)
+    return tuple(to_name(other, f"a neighbour of map feature {name}", path) for other in value)
 
 
-def _surfaces(features: Mapping[str, _Feature], types: tuple[str, ...]) -> dict[str, Polygon]:
+def _surfaces(features: Mapping[str, _CheckedFeature], types: tuple[str, ...]) -> dict[str, Polygon]:
     shapes = {name: feature.surface() for name, feature in features.items() if feature.type in types}
     return {name: shape for name, shape in shapes.items() if shape is not None}
 
 
 def _drivable_area(
-    features: Mapping[str, _Feature], lanes: Mapping[str, _Feature], crossings: Mapping[str, Polygon], window: Polygon
+    features: Mapping[str, _CheckedFeature],
+    lanes: Mapping[str, _CheckedFeature],
+    crossings: Mapping[str, Polygon],
+    window: Polygon,
 ) -> MultiPolygon:
     rings = [feature.line for name, feature in features.items() if name.startswith(_RING_PREFIX)]
     closed = [ring for ring in rings if ring is not None and len(ring) >= 4 and np.allclose(ring[0], ring[-1])]
@@ -205,9 +208,11 @@ def _drivable_area(
     return as_multipolygon(union.buffer(0.2, join_style="mitre").buffer(-0.2, join_style="mitre"))
 
 
-def _linked_lanes(features: Mapping[str, _Feature]) -> dict[str, Lane]:
+def _linked_lanes(features: Mapping[str, _CheckedFeature]) -> dict[str, Lane]:
     given = any(feature.exits is not None or feature.entries is not None for feature in features.values())
-    exits = {name: feature.exits or () for name, feature in features.items()} if given else _touching(features)
+    exits = (
+        {name: feature.exits or () for name, feature in features.items()} if given else _find_touching_lanes(features)
+    )
     successors = {name: {other for other in neighbours if other in features} for name, neighbours in exits.items()}
     if given:
         for name, feature in features.items():
@@ -234,7 +239,7 @@ def _linked_lanes(features: Mapping[str, _Feature]) -> dict[str, Lane]:
     return lanes
 
 
-def _touching(features: Mapping[str, _Feature]) -> dict[str, tuple[str, ...]]:
+def _find_touching_lanes(features: Mapping[str, _CheckedFeature]) -> dict[str, tuple[str, ...]]:
     """Lanes that begin where another ends, in about the same direction."""
     names = list(features)
     if not names:
@@ -249,7 +254,7 @@ def _touching(features: Mapping[str, _Feature]) -> dict[str, tuple[str, ...]]:
     return {name: tuple(names[other] for other in np.flatnonzero(row)) for name, row in zip(names, joined, strict=True)}
 
 
-def _dividers(features: Mapping[str, _Feature]) -> Iterable[Divider]:
+def _dividers(features: Mapping[str, _CheckedFeature]) -> Iterable[Divider]:
     for name, feature in features.items():
         if not feature.type.startswith("ROAD_LINE_") or name.startswith(_RING_PREFIX) or feature.line is None:
             continue
@@ -272,7 +277,7 @@ def _extent(road_map: RoadMap, ego_path: Floats) -> Floats:
     return np.array([bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)])
 
 
-def _moved(road_map: RoadMap, shift: Floats) -> RoadMap:
+def _shift_map(road_map: RoadMap, shift: Floats) -> RoadMap:
     def moved(shape: Any) -> Any:
         return None if shape is None else shapely.transform(shape, lambda points: points + shift)
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import CATEGORIES
-from benchmark.datasets.annotated import nearest_valid
-from benchmark.datasets.scenario_map import FARTHEST_M, real_numbers
+from benchmark.datasets.annotated import find_nearest_valid
+from benchmark.datasets.scenario_map import FARTHEST_M, to_real_numbers
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, poses_between, quaternion_from_yaw
 from benchmark.scene import Agents, Annotations
@@ -62,10 +62,12 @@ def read_track(track: Any, name: str, steps: int, path: Path) -> SourceTrack | N
         if not isinstance(track, dict) or not isinstance(track["state"], dict) or not isinstance(track["type"], str):
             raise TypeError("no dictionary with a state and a type")
         state, kind = track["state"], track["type"]
-        valid = real_numbers(state["valid"]).reshape(steps) > 0
-        position = real_numbers(state["position"])
-        heading = real_numbers(state["heading"]).reshape(steps)
-        sizes = np.column_stack([real_numbers(state[field]).reshape(steps) for field in ("length", "width", "height")])
+        valid = to_real_numbers(state["valid"]).reshape(steps) > 0
+        position = to_real_numbers(state["position"])
+        heading = to_real_numbers(state["heading"]).reshape(steps)
+        sizes = np.column_stack(
+            [to_real_numbers(state[field]).reshape(steps) for field in ("length", "width", "height")]
+        )
         if position.shape not in ((steps, 2), (steps, 3)):
             raise ValueError(f"position has shape {position.shape}")
     except (KeyError, TypeError, ValueError) as error:
@@ -106,7 +108,7 @@ def _category(track: Mapping[str, Any], kind: str, size: Floats) -> str:
     return "vehicle.truck" if size[0] <= _LONGEST_TRUCK_M else "vehicle.bus.rigid"
 
 
-def objects_of_tracks(
+def resample_tracks(
     tracks: Mapping[str, SourceTrack],
     seconds: Floats,
     frame_seconds: Floats,
@@ -139,8 +141,8 @@ def objects_of_tracks(
         is_there = (track.valid[left] | (fraction == 1.0)) & (track.valid[right] | (fraction == 0.0))
         if not is_there[keyframes].any():
             continue
-        xyz, yaw = _between(track, left, right, fraction, ground_z)
-        nearest = nearest_valid(is_there[None])[0]
+        xyz, yaw = _interpolate_between(track, left, right, fraction, ground_z)
+        nearest = find_nearest_valid(is_there[None])[0]
         resampled[name] = (track, xyz[nearest] + [*shift, 0.0], yaw[nearest], is_there)
     count, frames = len(resampled), len(frame_seconds)
     agents = Agents(
@@ -154,7 +156,7 @@ def objects_of_tracks(
     return agents, _annotations(agents, keyframes)
 
 
-def _between(
+def _interpolate_between(
     track: SourceTrack, left: NDArray[np.int64], right: NDArray[np.int64], fraction: Floats, ground_z: Floats | None
 ) -> tuple[Floats, Floats]:
     z = track.position[:, 2]
@@ -175,7 +177,7 @@ def _between(
 def _annotations(agents: Agents, keyframes: NDArray[np.int64]) -> Annotations:
     """One lidar point for every box: the files count none, and metrics drop boxes without points."""
     valid = agents.valid[:, keyframes]
-    nearest_keyframes = keyframes[nearest_valid(valid)] if len(agents) else np.zeros(valid.shape, np.int64)
+    nearest_keyframes = keyframes[find_nearest_valid(valid)] if len(agents) else np.zeros(valid.shape, np.int64)
     rows = np.arange(len(agents))[:, None]
     return Annotations(
         position=agents.position[rows, nearest_keyframes],

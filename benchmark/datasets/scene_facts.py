@@ -4,20 +4,20 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from benchmark.records.attempts import stored_labels
-from benchmark.records.judgement import JudgementSummary, SceneJudgement
+from benchmark.records.attempts import list_stored_labels
+from benchmark.records.judgement import AssessmentSummary, SceneAssessment
 from benchmark.records.run_schema import SceneFacts, TruthFacts
-from benchmark.scene import Look
+from benchmark.scene import Conditions
 
 _PUBLISHED: Final = re.compile(r"(scene-\d{4})-.+")
 """Names of the published Adv-nuSc, which has no provenance file: the recorded scene and a suffix."""
 
 
-def scene_facts_of(
+def build_scene_facts(
     name: str,
     made: Mapping[str, Any],
     description: str | None = None,
-    judgements: Sequence[SceneJudgement] = (),
+    judgements: Sequence[SceneAssessment] = (),
 ) -> SceneFacts:
     """Facts of one scene.
 
@@ -34,18 +34,20 @@ def scene_facts_of(
     """
     published = _PUBLISHED.fullmatch(name)
     source = made.get("source_scene") or (published[1] if published else name)
-    manoeuvres = (labels.get("manoeuvre") for labels in stored_labels(made.get("report")) if isinstance(labels, dict))
+    manoeuvres = (
+        labels.get("manoeuvre") for labels in list_stored_labels(made.get("report")) if isinstance(labels, dict)
+    )
     listed = made.get("adversaries")
     return SceneFacts(
         source=source,
         manoeuvre=next((manoeuvre for manoeuvre in manoeuvres if isinstance(manoeuvre, str)), None),
         adversaries=len(listed) if isinstance(listed, list) else 0 if source == name else None,
-        judgement=JudgementSummary.of(judgements) if judgements else None,
-        light=None if description is None else [look.value for look in Look.said_in(description)],
+        judgement=AssessmentSummary.of(judgements) if judgements else None,
+        light=None if description is None else [look.value for look in Conditions.find_in(description)],
     )
 
 
-def frozen_split_of(made: Mapping[str, Any] | None) -> str | None:
+def find_frozen_split(made: Mapping[str, Any] | None) -> str | None:
     """Name of the frozen split that a data set was built from, or ``None`` where nothing says so.
 
     Args:
@@ -56,7 +58,7 @@ def frozen_split_of(made: Mapping[str, Any] | None) -> str | None:
     return name if isinstance(name, str) else None
 
 
-def with_truth(facts: Mapping[str, SceneFacts], truths: Mapping[str, TruthFacts]) -> dict[str, SceneFacts]:
+def add_truth_facts(facts: Mapping[str, SceneFacts], truths: Mapping[str, TruthFacts]) -> dict[str, SceneFacts]:
     """Facts of scenes with what the data set holds of their truth; scenes without truths stay as they are."""
     return {
         name: fact.model_copy(update={"truth": truths[name]}) if name in truths else fact

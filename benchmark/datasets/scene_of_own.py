@@ -9,24 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M
-from benchmark.datasets.annotated import nearest_valid
+from benchmark.datasets.annotated import find_nearest_valid
 from benchmark.datasets.scenario_map import (
     ADVERSARIES,
     FARTHEST_M,
     OWN,
     SCHEMA,
-    Exchanged,
-    ego_center,
-    map_of_own_features,
-    name_of,
-    real_numbers,
-    track_digest,
+    ExchangedScene,
+    compute_ego_center,
+    decode_map,
+    hash_track,
+    to_name,
+    to_real_numbers,
 )
 from benchmark.datasets.scenarionet_tracks import SourceTrack
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.scene import Agents, Annotations, Camera, EgoTrack, LidarMount, Scene, SweepPoses
-from benchmark.untrusted.files import RECORD, one_line
+from benchmark.untrusted.files import RECORD, to_one_line
 from benchmark.untrusted.text_files import parse_json
 
 _SAME_M: Final = 1e-6
@@ -36,7 +36,7 @@ _MOST_PIXELS: Final = 20_000
 
 
 @dataclass(frozen=True, slots=True)
-class OwnFile:
+class RoundtripFile:
     """Checked content of a file that was exported here.
 
     Attributes:
@@ -54,7 +54,7 @@ class OwnFile:
     features: Mapping[Any, Any]
 
 
-def own_block(metadata: Mapping[Any, Any], path: Path) -> Mapping[Any, Any] | None:
+def find_own_block(metadata: Mapping[Any, Any], path: Path) -> Mapping[Any, Any] | None:
     """Own block of a file that was exported here; ``None`` in any other file."""
     additions = metadata.get(OWN)
     if additions is None:
@@ -68,7 +68,7 @@ def own_block(metadata: Mapping[Any, Any], path: Path) -> Mapping[Any, Any] | No
     return additions
 
 
-def scene_of_own(file: OwnFile) -> Exchanged:
+def restore_scene(file: RoundtripFile) -> ExchangedScene:
     """The scene as it was exported, with what was edited since.
 
     A track that is as it was exported keeps its annotations. One that was edited, or is new, is annotated where it is
@@ -79,11 +79,11 @@ def scene_of_own(file: OwnFile) -> Exchanged:
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise InputError(
             f"{file.path}: what challenger-bench adds to its files is damaged ({type(error).__name__}: "
-            f"{one_line(error, 80)}); export it again"
+            f"{to_one_line(error, 80)}); export it again"
         ) from error
 
 
-def _scene(file: OwnFile) -> Exchanged:
+def _scene(file: RoundtripFile) -> ExchangedScene:
     additions, path = file.own, file.path
     timestamps = _whole_numbers(additions["timestamps_us"])
     keyframes = _whole_numbers(additions["keyframes"])
@@ -93,15 +93,15 @@ def _scene(file: OwnFile) -> Exchanged:
     if not len(keyframes) or (np.diff(keyframes) <= 0).any() or keyframes[0] < 0 or keyframes[-1] >= frames:
         raise ValueError("keyframes that are no steps of it")
     agents, annotations = _objects(file, keyframes)
-    name = name_of(additions["name"], "the name of the scene", path)
-    exchanged = Exchanged(
+    name = to_name(additions["name"], "the name of the scene", path)
+    exchanged = ExchangedScene(
         scene=Scene(
             name=name,
-            token=name_of(additions["token"], "the token of the scene", path),
+            token=to_name(additions["token"], "the token of the scene", path),
             description=_text(additions["description"]),
-            log=name_of(additions["log"], "the log", path),
-            vehicle=name_of(additions["vehicle"], "the vehicle", path),
-            date=name_of(additions["date"], "the date", path),
+            log=to_name(additions["log"], "the log", path),
+            vehicle=to_name(additions["vehicle"], "the vehicle", path),
+            date=to_name(additions["date"], "the date", path),
             timestamps_us=timestamps,
             keyframes=keyframes,
             ego=_ego(file),
@@ -111,17 +111,17 @@ def _scene(file: OwnFile) -> Exchanged:
             lidar=LidarMount(
                 _numbers(additions["lidar"]["translation"], (3,)), _numbers(additions["lidar"]["rotation"], (4,))
             ),
-            road_map=map_of_own_features(file.features, additions["map"], path),
-            adversaries=adversaries_of(file.metadata, agents.ids, path),
+            road_map=decode_map(file.features, additions["map"], path),
+            adversaries=read_adversaries(file.metadata, agents.ids, path),
             sweep_poses=_sweeps(additions["sweeps"], frames, len(additions["cameras"])),
         ),
-        source_scene=name_of(additions["source_scene"], "the source scene", path) or name,
+        source_scene=to_name(additions["source_scene"], "the source scene", path) or name,
         report=_report(additions["report"]),
     )
     return exchanged
 
 
-def adversaries_of(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) -> tuple[str, ...]:
+def read_adversaries(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) -> tuple[str, ...]:
     """Adversaries that the metadata of any ScenarioNet file may name (``adversaries``, names of tracks).
 
     Args:
@@ -130,7 +130,7 @@ def adversaries_of(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) 
     listed = metadata.get(ADVERSARIES, [])
     if not isinstance(listed, list | tuple):
         raise InputError(f"{path}: metadata {ADVERSARIES} must be a list of tracks; correct it")
-    names = tuple(dict.fromkeys(name_of(adversary, f"one of the {ADVERSARIES}", path) for adversary in listed))
+    names = tuple(dict.fromkeys(to_name(adversary, f"one of the {ADVERSARIES}", path) for adversary in listed))
     unknown = [name for name in names if name not in ids]
     if unknown:
         raise InputError(
@@ -139,13 +139,13 @@ def adversaries_of(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) 
     return names
 
 
-def _ego(file: OwnFile) -> EgoTrack:
+def _ego(file: RoundtripFile) -> EgoTrack:
     """Recorded poses, unless the ego was moved since."""
     frames = len(file.ego.heading)
     known = EgoTrack(
         _numbers(file.own["ego_position"], (frames, 3)), _unit(_numbers(file.own["ego_rotation"], (frames, 4)))
     )
-    away = np.abs(ego_center(known) - file.ego.position).max(axis=1)
+    away = np.abs(compute_ego_center(known) - file.ego.position).max(axis=1)
     turned = np.abs(np.sin((known.yaw - file.ego.heading) / 2))
     if max(away.max(), turned.max()) < _SAME_M:
         return known
@@ -156,13 +156,13 @@ def _ego(file: OwnFile) -> EgoTrack:
     return EgoTrack(position, quaternion_from_yaw(yaw))
 
 
-def _objects(file: OwnFile, keyframes: NDArray[np.int64]) -> tuple[Agents, Annotations]:
+def _objects(file: RoundtripFile, keyframes: NDArray[np.int64]) -> tuple[Agents, Annotations]:
     tracks = {name: track for name, track in file.tracks.items() if track.valid[keyframes].any()}
-    nearest = {name: nearest_valid(track.valid[None])[0] for name, track in tracks.items()}
+    nearest = {name: find_nearest_valid(track.valid[None])[0] for name, track in tracks.items()}
     frames, count = len(file.ego.heading), len(tracks)
     # Names may be numbers in the file.
     raw = {str(name): track for name, track in file.raw_tracks.items()}
-    additions = {name: _own_of_track(raw[name]) for name in tracks}
+    additions = {name: _find_track_additions(raw[name]) for name in tracks}
     categories = [_category(additions[name], track, file.path) for name, track in tracks.items()]
     agents = Agents(
         ids=tuple(tracks),
@@ -172,7 +172,7 @@ def _objects(file: OwnFile, keyframes: NDArray[np.int64]) -> tuple[Agents, Annot
         size=np.array([track.size for track in tracks.values()]).reshape(count, 3),
         valid=np.array([track.valid for track in tracks.values()], np.bool_).reshape(count, frames),
     )
-    rows = [_annotated(additions[name], agents, row, keyframes) for row, name in enumerate(tracks)]
+    rows = [_read_annotations(additions[name], agents, row, keyframes) for row, name in enumerate(tracks)]
     shape = (count, len(keyframes))
 
     def together(field: str, last: tuple[int, ...], kind: type) -> Any:
@@ -190,7 +190,7 @@ def _objects(file: OwnFile, keyframes: NDArray[np.int64]) -> tuple[Agents, Annot
     )
 
 
-def _own_of_track(track: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
+def _find_track_additions(track: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
     """Additions of the file to a track; ``None`` for a track that was added since."""
     metadata = track.get("metadata")
     additions = metadata.get(OWN) if isinstance(metadata, dict) else None
@@ -198,22 +198,24 @@ def _own_of_track(track: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
 
 
 def _category(own: Mapping[Any, Any] | None, track: SourceTrack, path: Path) -> str:
-    return track.category if own is None else name_of(own["category"], "a category", path)
+    return track.category if own is None else to_name(own["category"], "a category", path)
 
 
-def _annotated(own: Mapping[Any, Any] | None, agents: Agents, row: int, keyframes: NDArray[np.int64]) -> dict[str, Any]:
+def _read_annotations(
+    own: Mapping[Any, Any] | None, agents: Agents, row: int, keyframes: NDArray[np.int64]
+) -> dict[str, Any]:
     """Fields of `Annotations` of one object."""
     position, yaw, size, valid = (part[row] for part in (agents.position, agents.yaw, agents.size, agents.valid))
     if own is not None:
-        known = _known_annotations(own["annotations"], len(keyframes))
-        if own["digest"] == track_digest(position, yaw, size, valid):
+        known = _read_recorded_annotations(own["annotations"], len(keyframes))
+        if own["digest"] == hash_track(position, yaw, size, valid):
             return known
     else:
         nothing = np.zeros(len(keyframes), np.int64)
         known = {"attribute": [""] * len(keyframes), "visibility": nothing, "num_lidar_pts": nothing}
         known["num_radar_pts"] = nothing
     is_there = valid[keyframes]
-    at = keyframes[nearest_valid(is_there[None])[0]]
+    at = keyframes[find_nearest_valid(is_there[None])[0]]
     return {
         **known,
         "position": position[at],
@@ -225,7 +227,7 @@ def _annotated(own: Mapping[Any, Any] | None, agents: Agents, row: int, keyframe
     }
 
 
-def _known_annotations(stored: Mapping[str, Any], count: int) -> dict[str, Any]:
+def _read_recorded_annotations(stored: Mapping[str, Any], count: int) -> dict[str, Any]:
     attributes = [_text(text) for text in stored["attribute"]]
     if len(attributes) != count:
         raise ValueError(f"{len(attributes)} attributes at {count} keyframes")
@@ -250,7 +252,7 @@ def _camera(stored: Mapping[Any, Any], path: Path) -> Camera:
     if not (0 < width <= _MOST_PIXELS and 0 < height <= _MOST_PIXELS):
         raise ValueError(f"a camera of {width} x {height} pixels")
     return Camera(
-        name=name_of(stored["name"], "the name of a camera", path),
+        name=to_name(stored["name"], "the name of a camera", path),
         translation=_numbers(stored["translation"], (3,)),
         rotation=_unit(_numbers(stored["rotation"], (4,))),
         intrinsic=_numbers(stored["intrinsic"], (3, 3)),
@@ -280,7 +282,7 @@ def _text(value: Any, longest: int = _LONGEST_TEXT) -> str:
 
 
 def _numbers(value: Any, shape: tuple[int, ...]) -> Floats:
-    numbers = real_numbers(value).reshape(shape)
+    numbers = to_real_numbers(value).reshape(shape)
     if not np.isfinite(numbers).all() or np.abs(numbers).max(initial=0.0) > FARTHEST_M:
         raise ValueError("numbers that are not finite or too large")
     return numbers

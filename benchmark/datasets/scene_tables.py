@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.categories import CategoryNames
-from benchmark.datasets.schema import LINKS, FaultList, Refusal, check_rows, check_table
+from benchmark.datasets.schema import LINKS, FaultList, StrictFaultList, check_rows, check_table
 from benchmark.datasets.schema.links import check_link, note_dead_link
-from benchmark.datasets.schema.opened import check_opened, check_scene
+from benchmark.datasets.schema.opened import check_scene, check_shared_and_samples
 from benchmark.datasets.schema.table_checks import CheckedTables
-from benchmark.datasets.stored_rows import PassOverRows, StoredRows
+from benchmark.datasets.stored_rows import TableRowIndex, TableScan
 from benchmark.datasets.tables import Row, Tables
 
 Numbers = NDArray[np.int64]
@@ -43,10 +43,10 @@ class SceneTables:
     """
 
     keyframe_images: Callable[[], Sequence[str]]
-    stored: Mapping[str, StoredRows]
+    stored: Mapping[str, TableRowIndex]
     rows_of_scenes: Mapping[str, Sequence[Numbers]]
     _shared: CheckedTables
-    _faults: Refusal
+    _faults: StrictFaultList
     _sound: set[str] = field(default_factory=set)
 
     @property
@@ -79,11 +79,11 @@ class SceneTables:
         rows = {
             table: self.stored[table].read(np.array(row_numbers, np.int64)) for table, row_numbers in numbers.items()
         }
-        return counted_by_category({**self.shared, **rows})
+        return count_by_category({**self.shared, **rows})
 
     def renamed(self, names: CategoryNames) -> Self:
         """The same tables with other names of categories."""
-        shared = {**self.shared, "category": renamed_rows(self.shared["category"], names)}
+        shared = {**self.shared, "category": rename_categories(self.shared["category"], names)}
         return replace(self, _shared=CheckedTables.of_sound_rows(shared))
 
     def numbers_of_scene(self, table: str, token: str) -> tuple[int, ...]:
@@ -92,14 +92,14 @@ class SceneTables:
         return tuple(self.rows_of_scenes[table][number].tolist())
 
 
-def counted_by_category(tables: Tables) -> Counter[str]:
+def count_by_category(tables: Tables) -> Counter[str]:
     """Number of annotations of each category, from the tables category, instance and sample_annotation."""
     names = {row["token"]: row["name"] for row in tables["category"]}
     categories = {row["token"]: names[row["category_token"]] for row in tables["instance"]}
     return Counter(categories[row["instance_token"]] for row in tables["sample_annotation"])
 
 
-def renamed_rows(rows: Sequence[Row], names: CategoryNames) -> list[Row]:
+def rename_categories(rows: Sequence[Row], names: CategoryNames) -> list[Row]:
     """Rows of the table category with other names."""
     new = dict(names)
     return [{**row, "name": new.get(row["name"], row["name"])} for row in rows]
@@ -119,20 +119,20 @@ def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:
     # Rows hold no circles, so looking for some among millions of them is time lost.
     gc.disable()
     try:
-        return _Reading(folder, rates).result()
-    except _SameHash:
+        return _TablesPass(folder, rates).result()
+    except _HashCollisionError:
         return None
     finally:
         if collecting:
             gc.enable()
 
 
-class _SameHash(Exception):
+class _HashCollisionError(Exception):
     """Two tokens have the same hash."""
 
 
 @dataclass(slots=True)
-class _Column:
+class _GrowingColumn:
     """One field of a growing table: hashes of its texts, or numbers of the rows that these name."""
 
     parts: list[Numbers] = field(default_factory=list)
@@ -144,23 +144,25 @@ class _Column:
         return np.concatenate([np.zeros(0, np.int64), *self.parts])
 
 
-class _Reading:
+class _TablesPass:
     """The pass over all tables of a folder."""
 
     def __init__(self, folder: Path, rates: FaultList) -> None:
         self._folder = folder
-        self._faults = Refusal(folder=folder)
+        self._faults = StrictFaultList(folder=folder)
         self._rates = rates
-        self._stored: dict[str, StoredRows] = {}
+        self._stored: dict[str, TableRowIndex] = {}
         self._images: list[str] = []
         self._shared = read_shared(folder, self._faults)
-        self._cameras = camera_mounts(self._shared.rows)
+        self._cameras = find_camera_mounts(self._shared.rows)
 
     def result(self) -> SceneTables:
         """Raises InputError for the first fault."""
         samples: list[Row] = []
         sample_rows = self._by_token("sample", self._pass("sample", ("token",), samples.extend)["token"])
-        check_opened(CheckedTables.of_sound_rows({**self._shared.rows, "sample": samples}), self._faults, self._rates)
+        check_shared_and_samples(
+            CheckedTables.of_sound_rows({**self._shared.rows, "sample": samples}), self._faults, self._rates
+        )
         scenes = {row["token"]: number for number, row in enumerate(self._shared.rows["scene"])}
         scene_of_sample = np.array([scenes[row["scene_token"]] for row in samples], dtype=np.int64)
         del samples
@@ -182,9 +184,9 @@ class _Reading:
         of_scene = {
             "sample": _grouped(scene_of_sample, count),
             "sample_data": data_rows,
-            "ego_pose": [_small(np.unique(pose_of_data[rows])) for rows in data_rows],
+            "ego_pose": [_to_int32(np.unique(pose_of_data[rows])) for rows in data_rows],
             "sample_annotation": annotation_rows,
-            "instance": [_small(np.unique(instance_of_annotation[rows])) for rows in annotation_rows],
+            "instance": [_to_int32(np.unique(instance_of_annotation[rows])) for rows in annotation_rows],
         }
         images = tuple(self._images)
         return SceneTables(lambda: images, self._stored, of_scene, self._shared, self._faults)
@@ -193,7 +195,7 @@ class _Reading:
         self, table: str, wanted: tuple[str, ...], look: Callable[[list[Row]], None] | None = None
     ) -> dict[str, Numbers]:
         """Check a table's rows, and their links to shared tables; hashes of the texts in some of their fields."""
-        reading, columns = PassOverRows(self._folder / f"{table}.json"), {name: _Column() for name in wanted}
+        reading, columns = TableScan(self._folder / f"{table}.json"), {name: _GrowingColumn() for name in wanted}
         known = {name: rows.keys() for name, rows in self._shared.by_token.items()}
         links = [link for link in LINKS if link.table == table and link.target in known]
         count = 0
@@ -222,7 +224,7 @@ class _Reading:
         if rows.alike:
             first, second = (self._row(table, number)["token"] for number in rows.alike)
             if first != second:
-                raise _SameHash
+                raise _HashCollisionError
             self._faults.add("tokens used twice", table, first, "two rows have this token")
         return rows
 
@@ -281,10 +283,10 @@ def read_shared(folder: Path, faults: FaultList) -> CheckedTables:
 
 def read_rows(folder: Path, table: str) -> list[Row]:
     """All rows of a table."""
-    return list(chain.from_iterable(PassOverRows(folder / f"{table}.json").batches()))
+    return list(chain.from_iterable(TableScan(folder / f"{table}.json").batches()))
 
 
-def camera_mounts(tables: Tables) -> frozenset[str]:
+def find_camera_mounts(tables: Tables) -> frozenset[str]:
     """Tokens of the calibrated cameras, from the tables sensor and calibrated_sensor."""
     modality = {row["token"]: row["modality"] for row in tables["sensor"]}
     mounts = tables["calibrated_sensor"]
@@ -294,9 +296,9 @@ def camera_mounts(tables: Tables) -> frozenset[str]:
 def _grouped(scene_of: Numbers, count: int) -> list[Numbers]:
     """Row numbers of each scene, increasing."""
     order = np.argsort(scene_of, kind="stable")
-    return [_small(rows) for rows in np.split(order, np.searchsorted(scene_of[order], np.arange(1, count)))]
+    return [_to_int32(rows) for rows in np.split(order, np.searchsorted(scene_of[order], np.arange(1, count)))]
 
 
-def _small(rows: NDArray[Any]) -> Any:
+def _to_int32(rows: NDArray[Any]) -> Any:
     """The same numbers in half the memory."""
     return rows.astype(np.int32)

@@ -1,7 +1,7 @@
 """A scene in words as nuScenes describes its own: traffic and road, and where and when it was, as far as that is known.
 
 Nothing is guessed: what a recording does not say is not said here. Words for light and weather are read by whoever
-draws a scene (`benchmark.scene.Look`), so they stand here only where the recording has them.
+draws a scene (`benchmark.scene.Conditions`), so they stand here only where the recording has them.
 """
 
 import re
@@ -41,7 +41,7 @@ _NUSCENES_LOG: Final = re.compile(r"n\d{3}-\d{4}-\d{2}-\d{2}-(\d{2})-\d{2}-\d{2}
 _DAY_HOURS, _NIGHT_HOURS = range(8, 17), (20, 21, 22, 23, 0, 1, 2, 3, 4)
 
 
-def place_and_light(metadata: Mapping[str, Any]) -> list[str]:
+def describe_place_and_light(metadata: Mapping[str, Any]) -> list[str]:
     """City, light and weather of a ScenarioNet recording, as far as it says so in words that are known.
 
     Places of nuScenes are named with its maps already.
@@ -54,12 +54,12 @@ def place_and_light(metadata: Mapping[str, Any]) -> list[str]:
     return [word for word in words if word]
 
 
-def traffic_and_road(scene: Scene) -> list[str]:
+def describe_traffic_and_road(scene: Scene) -> list[str]:
     """Traffic and road of a scene, a few words each; its description is not looked at."""
     return [*_traffic(scene), *_road(scene)]
 
 
-def described(words: list[str]) -> str:
+def join_words(words: list[str]) -> str:
     """Words as one description."""
     text = ", ".join(words)
     return text[:1].upper() + text[1:]
@@ -112,13 +112,13 @@ def _road(scene: Scene) -> list[str]:
     stood = float(np.linalg.norm(np.ptp(pose[:, :2], axis=0))) <= _MOVED_M
     points = [_lane_points(lane.centerline) for lane in scene.road_map.lanes.values()]
     lanes = np.concatenate(points) if points else np.zeros((0, 3))
-    lanes_beside = [_beside(now, lanes) for now in pose[::_EVERY_FRAMES]]
+    lanes_beside = [_find_lanes_beside(now, lanes) for now in pose[::_EVERY_FRAMES]]
     crossing = np.mean([crosses for crosses, _ in lanes_beside]) > 0.1
     wide = np.median([count for _, count in lanes_beside]) >= 3
     words = [("multi-lane road", bool(wide)), ("intersection", bool(crossing))]
     words += [("turn left", turned > _TURN_RAD), ("turn right", turned < -_TURN_RAD), ("waiting", stood)]
     crossings = scene.road_map.ped_crossings.values()
-    words.append(("crosswalk", any(_touches(shape.bounds, pose) for shape in crossings)))
+    words.append(("crosswalk", any(_is_near(shape.bounds, pose) for shape in crossings)))
     return [word for word, applies in words if applies]
 
 
@@ -128,7 +128,7 @@ def _lane_points(line: Floats) -> Floats:
     return np.column_stack([0.5 * (line[1:] + line[:-1]), np.arctan2(steps[:, 1], steps[:, 0])])
 
 
-def _beside(pose: Floats, lanes: Floats) -> tuple[bool, int]:
+def _find_lanes_beside(pose: Floats, lanes: Floats) -> tuple[bool, int]:
     """Whether a lane crosses the ego's heading near it, and how many lie side by side there."""
     near = lanes[np.abs(lanes[:, :2] - pose[:2]).max(axis=1) <= _BESIDE_M] if len(lanes) else lanes
     if not len(near):
@@ -139,7 +139,7 @@ def _beside(pose: Floats, lanes: Floats) -> tuple[bool, int]:
     return bool((along >= _CROSSING_RAD).any()), len(np.unique(np.round(lateral / _LANE_M)))
 
 
-def _touches(bounds: tuple[float, float, float, float], pose: Floats) -> bool:
+def _is_near(bounds: tuple[float, float, float, float], pose: Floats) -> bool:
     x_low, y_low, x_high, y_high = bounds
     x, y = pose[:, 0], pose[:, 1]
     return bool(((x >= x_low) & (x <= x_high) & (y >= y_low) & (y <= y_high)).any())

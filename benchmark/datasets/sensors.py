@@ -80,15 +80,15 @@ def _global_T_sensor(nusc: Any, rows: Sequence[Row]) -> Floats:
     return np.asarray(chain[0] @ chain[1])
 
 
-def standard_lidar() -> LidarMount:
+def make_standard_lidar() -> LidarMount:
     """LIDAR_TOP as on the nuScenes cars, for data sets that have no lidar calibration: +y forward, 1.84 m high."""
     return LidarMount(np.array([LIDAR_FROM_REAR_AXLE_M, 0.0, 1.84]), quaternion_from_yaw(np.array(-np.pi / 2)))
 
 
 def read_lidar(nusc: Any, sample: Row) -> LidarMount:
-    """Mount of LIDAR_TOP at a sample, or `standard_lidar` where the data set has none."""
+    """Mount of LIDAR_TOP at a sample, or `make_standard_lidar` where the data set has none."""
     if LIDAR_NAME not in sample["data"]:
-        return standard_lidar()
+        return make_standard_lidar()
     row = nusc.get("sample_data", sample["data"][LIDAR_NAME])
     mount = nusc.get("calibrated_sensor", row["calibrated_sensor_token"])
     return LidarMount(np.array(mount["translation"], np.float64), np.array(mount["rotation"], np.float64))
@@ -104,11 +104,11 @@ def read_views(nusc: Any, root: Path, sample: Row) -> dict[str, CameraView]:
 
     Files are opened only when a view is loaded.
     """
-    views = (view_of(nusc, root, row, _camera(nusc, row)) for row in _camera_rows(nusc, sample))
+    views = (read_view(nusc, root, row, _camera(nusc, row)) for row in _camera_rows(nusc, sample))
     return {view.camera.name: view for view in views}
 
 
-def view_of(nusc: Any, root: Path, row: Row, camera: Camera) -> CameraView:
+def read_view(nusc: Any, root: Path, row: Row, camera: Camera) -> CameraView:
     """One image, from its row of the sample_data table; its file is opened only when it is loaded."""
     pose = nusc.get("ego_pose", row["ego_pose_token"])
     path = root / row["filename"]
@@ -140,9 +140,7 @@ def _camera(nusc: Any, row: Row) -> Camera:
     )
 
 
-def videos_of_scene(
-    nusc: Any, root: Path, samples: Sequence[Row], *, sweeps: bool
-) -> dict[str, tuple[CameraView, ...]]:
+def read_videos(nusc: Any, root: Path, samples: Sequence[Row], *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
     """Images by camera name in time order; files are opened only when a view is loaded.
 
     Args:
@@ -176,6 +174,6 @@ def _sweeps(nusc: Any, root: Path, token: str, keyframe: CameraView) -> list[Cam
         row = nusc.get("sample_data", row["next"])
         if row["is_key_frame"]:
             return views
-        views.append(view_of(nusc, root, row, keyframe.camera))
+        views.append(read_view(nusc, root, row, keyframe.camera))
     # No keyframe follows although there is a later sample: the chain is broken, and its rows belong nowhere.
     return []

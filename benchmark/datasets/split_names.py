@@ -11,18 +11,18 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.datasets.devkit_import import devkit_module
-from benchmark.datasets.tables import splits_file
+from benchmark.datasets.devkit_import import import_devkit_module
+from benchmark.datasets.tables import find_splits_file
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import read_json
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 
 _APART_US: Final = 2_000_000
 """Readers of SparseDrive's family keep their memory across no longer time than this."""
 _SHIFTED_APART_US: Final = 10_000_000
 
 
-def shifts_us(scenes: Sequence[tuple[str, int, int]]) -> dict[str, int]:
+def compute_shifts_us(scenes: Sequence[tuple[str, int, int]]) -> dict[str, int]:
     """Shifts by name that keep scenes together and apart from each other in time, for those that need one.
 
     Those are scenes that begin before all earlier ones have ended for 2 s. Of scenes that begin together the first by
@@ -41,7 +41,7 @@ def shifts_us(scenes: Sequence[tuple[str, int, int]]) -> dict[str, int]:
     return shifts
 
 
-def exported_order(scenes: Sequence[str], times_us: NDArray[np.int64]) -> NDArray[np.int64]:
+def sort_as_exported(scenes: Sequence[str], times_us: NDArray[np.int64]) -> NDArray[np.int64]:
     """Places of samples in dumps by official code of exported infos, which do not name them.
 
     Args:
@@ -53,14 +53,14 @@ def exported_order(scenes: Sequence[str], times_us: NDArray[np.int64]) -> NDArra
     """
     names = np.array(scenes)
     of_scene = {name: times_us[names == name] for name in dict.fromkeys(scenes)}
-    shifts = shifts_us([(name, int(times.min()), int(times.max())) for name, times in of_scene.items()])
+    shifts = compute_shifts_us([(name, int(times.min()), int(times.max())) for name, times in of_scene.items()])
     return np.argsort(times_us + np.array([shifts.get(name, 0) for name in scenes], np.int64), kind="stable")
 
 
 _SUFFIXED = re.compile(r"scene-\d{4}-.+")
 
 
-class NoSuchSplit(InputError):
+class NoSuchSplitError(InputError):
     """A data set is sound, but has no split of a name."""
 
 
@@ -69,7 +69,7 @@ def read_splits(root: Path, version: str) -> dict[str, tuple[str, ...]]:
 
     Scene names by split, in the order of the file; empty where there is no such file.
     """
-    path = splits_file(root / version, root)
+    path = find_splits_file(root / version, root)
     return {} if path is None else _checked(read_json(path), path)
 
 
@@ -84,7 +84,7 @@ def _checked(value: Any, path: Path) -> dict[str, tuple[str, ...]]:
     return {split: tuple(names) for split, names in value.items()}
 
 
-def scenes_of_split(
+def select_scenes(
     split: str,
     present: Sequence[str],
     custom: Mapping[str, Sequence[str]],
@@ -116,19 +116,19 @@ def scenes_of_split(
         absent = sorted(set(custom[split]) - set(present))
         if absent:
             raise InputError(
-                f"{where}: splits.json puts {one_line(absent[0], 80)} into {split!r}, but there is no such scene; "
+                f"{where}: splits.json puts {to_one_line(absent[0], 80)} into {split!r}, but there is no such scene; "
                 "complete the data set or correct splits.json"
             )
         return tuple(sorted(custom[split]))
-    known = _known(present, custom, built_as)
+    known = _list_generated_splits(present, custom, built_as)
     if split in known:
         return known[split]
-    available = split_names(present, custom, built_as)
+    available = list_split_names(present, custom, built_as)
     only = f"the only one is {available[0]}" if len(available) == 1 else f"it has {', '.join(available)}"
-    raise NoSuchSplit(f"{where} has no split {split!r}; {did_you_mean(split, available)}{only}")
+    raise NoSuchSplitError(f"{where} has no split {split!r}; {did_you_mean(split, available)}{only}")
 
 
-def evaluated_split(
+def find_default_split(
     present: Sequence[str], custom: Mapping[str, Sequence[str]], *, where: str, built_as: str | None = None
 ) -> str:
     """The split that is meant where none is named: ``val`` where there is one, else the only one.
@@ -136,7 +136,7 @@ def evaluated_split(
     Raises:
         InputError: If there are several and none is ``val``.
     """
-    available = split_names(present, custom, built_as)
+    available = list_split_names(present, custom, built_as)
     if "val" in available:
         return "val"
     if len(available) != 1:
@@ -144,33 +144,33 @@ def evaluated_split(
     return available[0]
 
 
-def split_names(
+def list_split_names(
     present: Sequence[str], custom: Mapping[str, Sequence[str]], built_as: str | None = None
 ) -> tuple[str, ...]:
-    """Sorted names of a data set's splits, whether `scenes_of_split` takes them or says what is wrong with them."""
-    return tuple(sorted({*custom, *_known(present, custom, built_as)}))
+    """Sorted names of a data set's splits, whether `select_scenes` takes them or says what is wrong with them."""
+    return tuple(sorted({*custom, *_list_generated_splits(present, custom, built_as)}))
 
 
-def _known(
+def _list_generated_splits(
     present: Sequence[str], custom: Mapping[str, Sequence[str]], built_as: str | None
 ) -> dict[str, tuple[str, ...]]:
     """Splits beside those of ``splits.json``."""
     if custom or built_as is not None:
         return {} if built_as is None else {built_as: tuple(sorted(present))}
-    return _unsaid(present)
+    return _guess_splits(present)
 
 
-def _unsaid(present: Sequence[str]) -> dict[str, tuple[str, ...]]:
+def _guess_splits(present: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Splits of a data set that does not say which it has."""
     everything = tuple(sorted(present))
     if present and all(_SUFFIXED.fullmatch(name) for name in present):
         return {"adv": everything}
-    return _official(present) or {"val": everything}
+    return _list_official_splits(present) or {"val": everything}
 
 
-def _official(present: Sequence[str]) -> dict[str, tuple[str, ...]]:
+def _list_official_splits(present: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Official nuScenes splits, reduced to the scenes that are here; empty ones are left out."""
     present_names = set(present)
-    create_splits_scenes = devkit_module("nuscenes.utils.splits").create_splits_scenes
+    create_splits_scenes = import_devkit_module("nuscenes.utils.splits").create_splits_scenes
     reduced = {name: tuple(sorted(present_names & set(scenes))) for name, scenes in create_splits_scenes().items()}
     return {name: scenes for name, scenes in reduced.items() if scenes}

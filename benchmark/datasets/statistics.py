@@ -13,21 +13,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.reviewed import joined, review_of_rows, scene_tokens
-from benchmark.datasets.split_names import read_splits, scenes_of_split
+from benchmark.datasets.reviewed import join_reviews, read_root_review, scene_tokens
+from benchmark.datasets.split_names import read_splits, select_scenes
 from benchmark.datasets.stored_rows import count_rows
-from benchmark.datasets.tables import find_version, variant_folders
+from benchmark.datasets.tables import find_variant_folders, find_version
 from benchmark.errors import InputError
-from benchmark.machine.storage import read_json, read_kept_json
+from benchmark.machine.storage import read_cached_json, read_json
 from benchmark.published import ADV_NUSC
-from benchmark.records.attempts import Labels, stored_labels
+from benchmark.records.attempts import ManoeuvreLabels, list_stored_labels
 from benchmark.records.review import SplitReview, read_review
 from benchmark.records.statistics import ManoeuvreRow, Quantiles, SplitStatistics, TableCounts
-from benchmark.records.store import validated
-from benchmark.report.table import table_of
+from benchmark.records.store import validate_stored
+from benchmark.report.table import build_table
 
 
-def listed_scenes(root: Path, split: str | None = None, *, version: str | None = None) -> tuple[str, ...]:
+def list_scenes(root: Path, split: str | None = None, *, version: str | None = None) -> tuple[str, ...]:
     """Names of scenes as an opened data set has them (`benchmark.datasets.nuscenes.NuScenesData.scene_names`).
 
     Args:
@@ -35,34 +35,34 @@ def listed_scenes(root: Path, split: str | None = None, *, version: str | None =
         version: Version folder; needed only where there are several.
     """
     if split is not None:
-        review = listed_review(root, split, version=version)
+        review = read_split_review(root, split, version=version)
         return review.kept(tuple(name for name in scene_tokens(root, version) if name in set(review.named)))
     return tuple(scene_tokens(root, version))
 
 
-def listed_review(root: Path, split: str, *, version: str | None = None) -> SplitReview:
+def read_split_review(root: Path, split: str, *, version: str | None = None) -> SplitReview:
     """Review of a split (`benchmark.datasets.nuscenes.NuScenesData.review`)."""
-    variants = variant_folders(root)
+    variants = find_variant_folders(root)
     if not variants:
-        return _review(root, split, version)
-    parts = {folder: _review(root / folder, split, version) for folder in variants}
+        return _read_root_review(root, split, version)
+    parts = {folder: _read_root_review(root / folder, split, version) for folder in variants}
     of_split = {name for folder, part in parts.items() for name in part.under(folder).named}
     tokens = {name: token for name, token in scene_tokens(root, version).items() if name in of_split}
-    return joined(parts, read_review(root), tokens)
+    return join_reviews(parts, read_review(root), tokens)
 
 
-def _review(root: Path, split: str, version: str | None) -> SplitReview:
+def _read_root_review(root: Path, split: str, version: str | None) -> SplitReview:
     version, tokens = find_version(root, version), scene_tokens(root, version)
-    provenance = read_kept_json(root / version / "challenger.json")
+    provenance = read_cached_json(root / version / "challenger.json")
     built_as = provenance.get("split") if isinstance(provenance, dict) else None
-    names = scenes_of_split(split, tuple(tokens), read_splits(root, version), where=str(root), built_as=built_as)
-    return review_of_rows(root, {name: tokens[name] for name in names}, provenance, split)
+    names = select_scenes(split, tuple(tokens), read_splits(root, version), where=str(root), built_as=built_as)
+    return read_root_review(root, {name: tokens[name] for name in names}, provenance, split)
 
 
 _QUANTILES: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9, "most": 1.0}
 
 
-class Statistics(SplitStatistics):
+class DataSetStatistics(SplitStatistics):
     """Numbers that `statistics` found in the data set at ``root``."""
 
     root: str
@@ -80,7 +80,7 @@ class Statistics(SplitStatistics):
         if self.labelled:
             tables += [_manoeuvre_rows(self.manoeuvres, self.places), _quantile_rows(self)]
         texts = ([tuple(map(str, row)) for row in rows] for rows in tables)
-        blocks = (table_of("", "", head, rows).plain() for head, *rows in texts)
+        blocks = (build_table("", "", head, rows).plain() for head, *rows in texts)
         return "\n".join([f"{self.root}, {which}\n", *blocks]).removesuffix("\n")
 
 
@@ -93,12 +93,12 @@ class _Root:
     made: Mapping[str, Any]
 
 
-def statistics(root: Path, *, split: str | None = None, version: str | None = None) -> Statistics:
+def statistics(root: Path, *, split: str | None = None, version: str | None = None) -> DataSetStatistics:
     """Count a data set: tables always, manoeuvres where ``challenger.json`` has labels.
 
     Args:
         root: A nuScenes-format root, or a folder of variant roots, which are summed. Only tables are read.
-        split: Split to count, by the rules of `scenes_of_split`, without scenes that inspectors rejected; ``None`` for
+        split: Split to count, by the rules of `select_scenes`, without scenes that inspectors rejected; ``None`` for
             every row of the tables.
         version: Version folder; needed only where there are several.
 
@@ -114,7 +114,7 @@ def statistics(root: Path, *, split: str | None = None, version: str | None = No
     labels = [label for part in parts for label in _labels_of(part)]
     adversaries = Counter(len(entry.get("adversaries", ())) for part in parts for entry in part.made.values())
     reached = [label.time_to_collision.seconds for label in labels if label.time_to_collision is not None]
-    return Statistics(
+    return DataSetStatistics(
         root=str(root),
         split=split,
         counts=total,
@@ -129,10 +129,10 @@ def statistics(root: Path, *, split: str | None = None, version: str | None = No
 
 
 def _roots(root: Path, split: str | None, version: str | None) -> list[_Root]:
-    folders = variant_folders(root)
+    folders = find_variant_folders(root)
     if split is None:
         return [_open(folder, version, None) for folder in ([root / name for name in folders] or [root])]
-    listed = listed_scenes(root, split, version=version)
+    listed = list_scenes(root, split, version=version)
     if not folders:
         return [_open(root, version, listed)]
     return [
@@ -163,20 +163,20 @@ def _provenance(path: Path) -> dict[str, Any]:
     return dict(value)
 
 
-def _labels_of(part: _Root) -> Iterator[Labels]:
-    def labels(scene: str, stored: Any) -> Labels:
+def _labels_of(part: _Root) -> Iterator[ManoeuvreLabels]:
+    def labels(scene: str, stored: Any) -> ManoeuvreLabels:
         whose = f"{part.folder / 'challenger.json'}: the labels of {scene}"
-        return validated(
-            Labels.model_validate,
+        return validate_stored(
+            ManoeuvreLabels.model_validate,
             stored,
             lambda where, _: f"{whose} lack a proper {where or 'content'}; generate the data set again",
         )
 
     for name, entry in part.made.items():
-        yield from (labels(name, stored_label) for stored_label in stored_labels(entry.get("report")))
+        yield from (labels(name, stored_label) for stored_label in list_stored_labels(entry.get("report")))
 
 
-def _rows_of(labels: Sequence[Labels]) -> tuple[ManoeuvreRow, ...]:
+def _rows_of(labels: Sequence[ManoeuvreLabels]) -> tuple[ManoeuvreRow, ...]:
     primary = Counter(label.manoeuvre for label in labels)
     occurred = Counter(kind for label in labels for kind in {item.kind for item in label.occurred})
     rows = []
@@ -221,7 +221,7 @@ def _manoeuvre_rows(table: Sequence[ManoeuvreRow], places: Mapping[str, int]) ->
     return [*rows, ("all", sum(row.primary for row in table), "", *places.values(), "")]
 
 
-def _quantile_rows(numbers: Statistics) -> list[tuple[Any, ...]]:
+def _quantile_rows(numbers: DataSetStatistics) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = [("", "of", *(name for name in _QUANTILES))]
     for label, count, quantiles, digits in (
         ("smallest gap, m", numbers.labelled, numbers.gap_m, 2),

@@ -39,7 +39,7 @@ def is_step(interval_us: int) -> bool:
     return SHORTEST_US <= interval_us <= LONGEST_US
 
 
-def other_interval_us(timestamps_us: "list[int] | NDArray[np.int64]") -> float | None:
+def find_irregular_interval_us(timestamps_us: "list[int] | NDArray[np.int64]") -> float | None:
     """Median interval of key frames that do not come at 2 Hz, microseconds, from K increasing times.
 
     ``None`` where it is that of nuScenes, or there is no interval.
@@ -130,7 +130,9 @@ class KeyFrameSteps:
         return TimedSteps(wanted, before, after, fraction, recorded, recorded & unbroken)
 
 
-def values_at(values: Floats, times_us: NDArray[np.int64], wanted_us: NDArray[np.int64], heading: int = 2) -> Floats:
+def interpolate_values(
+    values: Floats, times_us: NDArray[np.int64], wanted_us: NDArray[np.int64], heading: int = 2
+) -> Floats:
     """Values recorded at frames, interpolated to other times: linear, headings by the shortest turn.
 
     Args:
@@ -156,7 +158,7 @@ def require_two_hz(scene: Scene, what: str) -> None:
     Args:
         what: What needs key frames at 2 Hz, in words.
     """
-    interval_us = other_interval_us(scene.timestamps_us[scene.keyframes])
+    interval_us = find_irregular_interval_us(scene.timestamps_us[scene.keyframes])
     if interval_us is not None:
         raise InputError(
             f"the key frames of {scene.name} are {interval_us * 1e-6:.3g} s apart (median), and {what} needs one every "
@@ -178,7 +180,7 @@ class Timeline:
     ego: EgoTrack
 
 
-def samples_of_scene(nusc: Any, scene: Row) -> list[Row]:
+def list_samples(nusc: Any, scene: Row) -> list[Row]:
     """Samples of a scene in time order."""
     samples: list[Row] = []
     token = scene["first_sample_token"]
@@ -228,14 +230,14 @@ def read_timeline(nusc: Any, samples: list[Row]) -> Timeline:
         return Timeline(times_us, keyframes, EgoTrack(position, rotation))
     frames = np.arange(keyframes[-1] + 1)
     frame_times_us = np.rint(np.interp(frames, keyframes, sample_times_us - sample_times_us[0])).astype(np.int64)
-    ego = _interpolated(times_us - sample_times_us[0], position, rotation, frame_times_us)
+    ego = _interpolate_ego(times_us - sample_times_us[0], position, rotation, frame_times_us)
     ego.position[keyframes], ego.rotation[keyframes] = position[at], rotation[at]
     return Timeline(frame_times_us + sample_times_us[0], keyframes, ego)
 
 
 def _keyframes(sample_times_us: NDArray[np.int64]) -> NDArray[np.int64]:
     """(K,) frame of each sample."""
-    if other_interval_us(sample_times_us) is None:
+    if find_irregular_interval_us(sample_times_us) is None:
         return np.arange(len(sample_times_us), dtype=np.int64) * FRAMES_PER_KEYFRAME
     frames = np.maximum(np.rint(np.diff(sample_times_us) * 1e-6 * FRAME_HZ), 1)
     return np.concatenate([[0], np.cumsum(frames)], dtype=np.int64, casting="unsafe")
@@ -267,7 +269,7 @@ def _rows_between(nusc: Any, samples: list[Row]) -> list[Row]:
     return rows
 
 
-def _interpolated(
+def _interpolate_ego(
     times_us: NDArray[np.int64], position: Floats, rotation: Floats, wanted_us: NDArray[np.int64]
 ) -> EgoTrack:
     rotation = rotation / np.linalg.norm(rotation, axis=-1, keepdims=True)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
-from benchmark.machine.user_cache import Stamp, stamp_of
+from benchmark.machine.user_cache import Stamp, make_stamp
 from benchmark.records.statistics import TableCounts
 from benchmark.untrusted.text_files import require_utf8
 
@@ -35,7 +35,7 @@ _BETWEEN_OBJECTS: Final = re.compile(rf"[{_SPACE}]*,[{_SPACE}]*(?=\{{)")
 
 
 @dataclass(frozen=True, slots=True)
-class StoredRows:
+class TableRowIndex:
     """Places of a table's rows in its file.
 
     Attributes:
@@ -70,7 +70,7 @@ class StoredRows:
         return rows
 
 
-class PassOverRows:
+class TableScan:
     """One pass over a table, batch by batch."""
 
     def __init__(self, path: Path) -> None:
@@ -106,13 +106,13 @@ class PassOverRows:
             "fetch or make it again"
         )
 
-    def stored(self) -> StoredRows:
+    def stored(self) -> TableRowIndex:
         """Places of the rows; call it after the pass."""
         starts, lengths = np.array(self._starts, dtype=np.int64), np.array(self._lengths, dtype=np.int32)
-        return StoredRows(self._path, self._stamp, starts, lengths)
+        return TableRowIndex(self._path, self._stamp, starts, lengths)
 
 
-def stamp_while_open(stamp: Stamp) -> Stamp:
+def drop_inode_time(stamp: Stamp) -> Stamp:
     """Part of a stamp that tells whether a table is still the one that was opened: all but the time of its inode.
 
     That changes with rights and links too, which do not matter while a command runs.
@@ -122,10 +122,10 @@ def stamp_while_open(stamp: Stamp) -> Stamp:
 
 def _stamp(stream: IO[bytes]) -> Stamp:
     """Stamp that tells whether a file is still the one that it was."""
-    return stamp_while_open(stamp_of(os.fstat(stream.fileno())))
+    return drop_inode_time(make_stamp(os.fstat(stream.fileno())))
 
 
-class _Text:
+class _StreamedText:
     """Text of a file, decoded as it is read, with the place in bytes of the character that is next."""
 
     def __init__(self, stream: IO[bytes]) -> None:
@@ -162,7 +162,7 @@ class _Text:
 
 def _objects(stream: IO[bytes]) -> Iterator[tuple[int, int, Row]]:
     """First byte, bytes and value of each object of a JSON list, as strict as `json.load`."""
-    text, decoder = _Text(stream), json.JSONDecoder()
+    text, decoder = _StreamedText(stream), json.JSONDecoder()
     if text.next() != "[":
         raise ValueError("it does not begin with [")
     text.passed(text.at + 1)
@@ -189,7 +189,7 @@ def _objects(stream: IO[bytes]) -> Iterator[tuple[int, int, Row]]:
         raise ValueError("more than one JSON value")
 
 
-def _object(text: _Text, decoder: json.JSONDecoder) -> tuple[Any, int]:
+def _object(text: _StreamedText, decoder: json.JSONDecoder) -> tuple[Any, int]:
     """The object that begins here, and the character where it ends."""
     while True:
         try:
@@ -207,14 +207,18 @@ def count_rows(folder: Path, names: Collection[str] | None) -> TableCounts:
         names: Names of the scenes; ``None`` for every row of the tables, linked to a scene or not.
     """
     all_scenes = names is None
-    named, scene_count = _linked(folder / "scene.json", "name", names, "token")
-    samples, sample_count = _linked(folder / "sample.json", "scene_token", None if all_scenes else named, "token")
+    named, scene_count = _collect_linked(folder / "scene.json", "name", names, "token")
+    samples, sample_count = _collect_linked(
+        folder / "sample.json", "scene_token", None if all_scenes else named, "token"
+    )
     wanted = None if all_scenes else samples
-    poses, data_count = _linked(folder / "sample_data.json", "sample_token", wanted, "ego_pose_token")
-    instances, annotation_count = _linked(folder / "sample_annotation.json", "sample_token", wanted, "instance_token")
+    poses, data_count = _collect_linked(folder / "sample_data.json", "sample_token", wanted, "ego_pose_token")
+    instances, annotation_count = _collect_linked(
+        folder / "sample_annotation.json", "sample_token", wanted, "instance_token"
+    )
     return TableCounts(
-        instances=_linked(folder / "instance.json", "token", None if all_scenes else instances, "token")[1],
-        ego_poses=_linked(folder / "ego_pose.json", "token", None if all_scenes else poses, "token")[1],
+        instances=_collect_linked(folder / "instance.json", "token", None if all_scenes else instances, "token")[1],
+        ego_poses=_collect_linked(folder / "ego_pose.json", "token", None if all_scenes else poses, "token")[1],
         scenes=scene_count,
         samples=sample_count,
         sample_data=data_count,
@@ -222,11 +226,11 @@ def count_rows(folder: Path, names: Collection[str] | None) -> TableCounts:
     )
 
 
-def _linked(path: Path, field: str, wanted: Collection[str] | None, gives: str) -> tuple[set[str], int]:
+def _collect_linked(path: Path, field: str, wanted: Collection[str] | None, gives: str) -> tuple[set[str], int]:
     """Values of one field in the rows whose other field is wanted (``None``: all rows), and how many rows these are."""
     linked, count = set(), 0
     tokens = array("q")
-    for row in table_rows(path, *dict.fromkeys(("token", field, gives))):
+    for row in iterate_rows(path, *dict.fromkeys(("token", field, gives))):
         tokens.append(hash(row["token"]))
         if wanted is None or row[field] in wanted:
             count += 1
@@ -237,13 +241,13 @@ def _linked(path: Path, field: str, wanted: Collection[str] | None, gives: str) 
     return linked, count
 
 
-def table_rows(path: Path, *needed: str) -> Iterator[Row]:
+def iterate_rows(path: Path, *needed: str) -> Iterator[Row]:
     """Rows of one table, one after the other, as the file is read.
 
     Args:
         needed: Fields that must be there and be text.
     """
-    for number, row in enumerate(chain.from_iterable(PassOverRows(path).batches())):
+    for number, row in enumerate(chain.from_iterable(TableScan(path).batches())):
         if not all(isinstance(row.get(field), str) for field in needed):
             raise InputError(f"{path} row {number} is not an object with {' and '.join(needed)}; make the table again")
         yield row

@@ -12,7 +12,7 @@ Row = dict[str, Any]
 Tables = Mapping[str, list[Row]]
 
 
-def version_folders(root: Path) -> tuple[str, ...]:
+def find_version_folders(root: Path) -> tuple[str, ...]:
     """Names of the folders in a root that hold nuScenes tables, sorted; a single table is enough to count."""
     names = []
     for folder in sorted(root.iterdir()):
@@ -24,7 +24,7 @@ def version_folders(root: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
-def variant_folders(root: Path) -> tuple[str, ...]:
+def find_variant_folders(root: Path) -> tuple[str, ...]:
     """Names of the variant roots in a folder: ``v0``, ``v1``, ... in numeric order.
 
     None unless at least one of them holds a version folder. An unfinished variant beside finished ones is among them,
@@ -33,7 +33,7 @@ def variant_folders(root: Path) -> tuple[str, ...]:
     if not root.is_dir():
         return ()
     numbered = [path for path in root.iterdir() if re.fullmatch(r"v\d+", path.name) and path.is_dir()]
-    if not any(map(version_folders, numbered)):
+    if not any(map(find_version_folders, numbered)):
         return ()
     return tuple(path.name for path in sorted(numbered, key=lambda path: int(path.name[1:])))
 
@@ -46,11 +46,11 @@ def find_version(root: Path, version: str | None) -> str:
         raise InputError(f"{root} is not a folder; give the root of a nuScenes-format data set")
     if version is not None:
         if Path(version).name != version or not (root / version).is_dir():
-            known = ", ".join(version_folders(root)) or "none"
+            known = ", ".join(find_version_folders(root)) or "none"
             raise InputError(f"{root} has no version folder {version!r}; versions there: {known}")
         _require_all_tables(root / version)
         return version
-    versions = version_folders(root)
+    versions = find_version_folders(root)
     if not versions:
         raise InputError(
             f"{root} has no version folder with nuScenes tables (scene.json and 12 more); give the folder that "
@@ -69,12 +69,12 @@ def _require_all_tables(folder: Path) -> None:
         raise InputError(f"{folder} lacks {names}; all 13 nuScenes tables must be there (they may be empty lists)")
 
 
-def splits_file(folder: Path, root: Path) -> Path | None:
+def find_splits_file(folder: Path, root: Path) -> Path | None:
     """Path of ``splits.json`` in the version folder, else in the root; ``None`` where neither has one."""
     return next((path for path in (folder / "splits.json", root / "splits.json") if path.is_file()), None)
 
 
-def scene_number(name: str) -> int | None:
+def parse_scene_number(name: str) -> int | None:
     """Number of an official scene name such as ``scene-0061``, or ``None`` for any other name."""
     match = re.fullmatch(r"scene-(\d{4})", name)
     return int(match.group(1)) if match else None

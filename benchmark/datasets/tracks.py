@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.untrusted.arrays import read_npz
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 
 REQUIRED: Final = ("ptr", "x", "y", "heading", "length", "cls", "hz", "source", "licence")
 
@@ -51,7 +51,7 @@ def read_recorded_tracks(path: Path) -> RecordedTracks:
         arrays = read_npz(path)
     except (OSError, ValueError) as error:
         raise InputError(
-            f"cannot read the tracks in {path} ({one_line(error)}); fetch or make the file again"
+            f"cannot read the tracks in {path} ({to_one_line(error)}); fetch or make the file again"
         ) from error
     missing = [name for name in REQUIRED if name not in arrays]
     if missing:

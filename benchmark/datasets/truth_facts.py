@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.datasets.annotated import labelled_keyframes
+from benchmark.datasets.annotated import find_labelled_keyframes
 from benchmark.datasets.categories import KNOWN
-from benchmark.datasets.steps import other_interval_us
+from benchmark.datasets.steps import find_irregular_interval_us
 from benchmark.geometry import Bools, Floats, wrap_angle, yaw_of_quaternion
 from benchmark.records.run_schema import InputFacts, TruthFacts
 from benchmark.scene import Scene
@@ -44,7 +44,7 @@ LEAST_MOVING: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
+class AnnotationSteps:
     """S steps of objects from one annotation to the next, over all objects of a scene.
 
     Attributes:
@@ -60,7 +60,7 @@ class Steps:
     direction: Floats
 
     @classmethod
-    def of(cls, owner: NDArray[np.int64], seconds: Floats, position: Floats) -> "Steps":
+    def of(cls, owner: NDArray[np.int64], seconds: Floats, position: Floats) -> "AnnotationSteps":
         """Steps of R annotations; none where time does not go on.
 
         Args:
@@ -90,7 +90,7 @@ class Steps:
         return directions
 
 
-def objects_across(steps: Steps, yaw: Floats, size: Floats) -> tuple[int, int]:
+def count_objects_across(steps: AnnotationSteps, yaw: Floats, size: Floats) -> tuple[int, int]:
     """Number of objects that move, and of those that lie across their motion at most of their moving steps.
 
     A box lies across its motion if its heading is at right angles to it or it is wider than long.
@@ -109,12 +109,12 @@ def objects_across(steps: Steps, yaw: Floats, size: Floats) -> tuple[int, int]:
     return len(objects), int(np.count_nonzero(most))
 
 
-def lie_across(moving: int, across: int) -> bool:
-    """Whether boxes have width and length exchanged, or headings of another convention, by `objects_across`."""
+def are_boxes_across(moving: int, across: int) -> bool:
+    """Whether boxes have width and length exchanged, or headings of another convention, by `count_objects_across`."""
     return moving >= LEAST_MOVING and across > 0.5 * moving
 
 
-def in_another_order(quaternions: Floats, direction: Floats | None = None) -> bool:
+def are_rotations_xyzw(quaternions: Floats, direction: Floats | None = None) -> bool:
     """Whether rotations make sense only if they are read as x, y, z, w.
 
     Args:
@@ -128,10 +128,13 @@ def in_another_order(quaternions: Floats, direction: Floats | None = None) -> bo
     if not len(quaternions):
         return False
     other = np.roll(quaternions, 1, axis=-1)
-    return _sensible(quaternions, direction) < 0.5 and _sensible(other, direction) >= SENSIBLE_SHARE
+    return (
+        _compute_plausible_share(quaternions, direction) < 0.5
+        and _compute_plausible_share(other, direction) >= SENSIBLE_SHARE
+    )
 
 
-def _sensible(quaternions: Floats, direction: Floats | None) -> float:
+def _compute_plausible_share(quaternions: Floats, direction: Floats | None) -> float:
     """Share of rotations that stand upright, and look where the motion goes."""
     w, x, y, z = np.moveaxis(quaternions, -1, 0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -142,7 +145,7 @@ def _sensible(quaternions: Floats, direction: Floats | None) -> float:
     return float(upright.mean())
 
 
-def scene_inputs(scene: Scene, *, lidar: bool) -> InputFacts:
+def find_scene_inputs(scene: Scene, *, lidar: bool) -> InputFacts:
     """Look at map, rig, boxes and rotations of a scene.
 
     Args:
@@ -151,10 +154,10 @@ def scene_inputs(scene: Scene, *, lidar: bool) -> InputFacts:
     known, ego, seconds = scene.annotations, scene.ego, scene.seconds[scene.keyframes]
     owner, at = np.nonzero(known.valid)
     rotation = known.rotation[owner, at]
-    steps = Steps.of(owner, seconds[at], known.position[owner, at, :2])
-    moving, across = objects_across(steps, yaw_of_quaternion(rotation), known.size[owner, at, :2])
+    steps = AnnotationSteps.of(owner, seconds[at], known.position[owner, at, :2])
+    moving, across = count_objects_across(steps, yaw_of_quaternion(rotation), known.size[owner, at, :2])
     position, area = ego.position[scene.keyframes, :2], scene.road_map.drivable_area
-    driven = Steps.of(np.zeros(len(seconds), np.int64), seconds, position).directions(len(seconds))
+    driven = AnnotationSteps.of(np.zeros(len(seconds), np.int64), seconds, position).directions(len(seconds))
     return InputFacts(
         samples=len(seconds),
         lanes=len(scene.road_map.lanes),
@@ -164,7 +167,7 @@ def scene_inputs(scene: Scene, *, lidar: bool) -> InputFacts:
         jumps=int(np.count_nonzero(steps.jumps)),
         moving=moving,
         across=across,
-        turned_quaternions=in_another_order(ego.rotation[scene.keyframes], driven) or in_another_order(rotation),
+        turned_quaternions=are_rotations_xyzw(ego.rotation[scene.keyframes], driven) or are_rotations_xyzw(rotation),
     )
 
 
@@ -173,7 +176,7 @@ MOTIONLESS_S: Final = 5.0
 is never so still: its recorded pose trembles by hundredths of a millimetre."""
 
 
-def truth_facts(data: "DataSet", name: str, truths: Sequence[SampleTruth]) -> TruthFacts:
+def compute_truth_facts(data: "DataSet", name: str, truths: Sequence[SampleTruth]) -> TruthFacts:
     """Count annotations in a scene and key frames that are no steps, and look at all other inputs.
 
     Args:
@@ -185,22 +188,22 @@ def truth_facts(data: "DataSet", name: str, truths: Sequence[SampleTruth]) -> Tr
     for category, keyframe_count in zip(scene.agents.categories, valid.sum(axis=1).tolist(), strict=True):
         if category not in KNOWN:
             unknown[category] += keyframe_count
-    interval_us = other_interval_us([truth.timestamp_us for truth in truths])
-    labelled = labelled_keyframes(valid.sum(axis=0))
+    interval_us = find_irregular_interval_us([truth.timestamp_us for truth in truths])
+    labelled = find_labelled_keyframes(valid.sum(axis=0))
     return TruthFacts(
         annotations=int(valid.sum()),
         unlabelled=sum(not labelled[now : now + PLAN_STEPS + 1].all() for now in range(len(labelled))),
         without_size=data.annotation_counts([name])[name].annotations - int(valid.sum()),
         unknown=dict(sorted(unknown.items())),
-        motionless=_motionless(scene),
+        motionless=_is_motionless(scene),
         irregular=sum(truth.timed is not None for truth in truths),
         cut_short=sum(truth.by_clock.cut_short for truth in truths),
         interval_s=None if interval_us is None else round(interval_us * 1e-6, 6),
-        inputs=scene_inputs(scene, lidar=data.has_lidar(name)),
+        inputs=find_scene_inputs(scene, lidar=data.has_lidar(name)),
     )
 
 
-def _motionless(scene: Scene) -> bool:
+def _is_motionless(scene: Scene) -> bool:
     seconds = scene.seconds[scene.keyframes]
     poses = np.unique(scene.ego.pose[scene.keyframes], axis=0)
     return bool(seconds[-1] - seconds[0] >= MOTIONLESS_S and len(poses) == 1)

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
-from benchmark.dynamics.reference_path import ReferencePath, reference_path, wrapped
+from benchmark.dynamics.reference_path import ReferencePath, build_reference_path, wrap_angle_exactly
 from benchmark.dynamics.tracker import (
     STOPPING_GAIN,
     STOPPING_SPEED,
     SteeringLaw,
-    cruising_gain,
-    speeds_ahead,
-    steering_law,
+    compute_cruising_gain,
+    compute_steering_law,
+    find_speeds_ahead,
 )
 from benchmark.geometry import Bools, Floats, wrap_angle
 
@@ -115,7 +115,7 @@ class SimulatedMotion:
         return VehicleState(np.array([x, y, yaw]), float(speed), float(acceleration), float(steering))
 
 
-def rear_axle(center: Floats, length_m: float) -> Floats:
+def compute_rear_axle(center: Floats, length_m: float) -> Floats:
     """(..., 3) x, y, yaw of the rear axle from those of the box centre of a vehicle of some length."""
     back = REAR_AXLE_BEHIND_CENTER * length_m
     x = center[..., 0] - back * np.cos(center[..., 2])
@@ -139,11 +139,13 @@ def simulate(
     safe = waypoints[..., :2] if finite.all() else np.where(finite[:, None, None], waypoints[..., :2], 0.0)
     # A candidate that overflows is marked below; the others never see it.
     with np.errstate(all="ignore"):
-        path = reference_path(safe, dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth)
+        path = build_reference_path(
+            safe, dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth
+        )
         motion = np.array([state.speed, state.acceleration, state.steering])[:, None]
-        drive = drive_along(path, motion, wheelbase_m=WHEELBASE * length_m, steps=steps, model=model)
+        drive = follow_path(path, motion, wheelbase_m=WHEELBASE * length_m, steps=steps, model=model)
         finite &= np.isfinite(drive.states).all(axis=(0, 1))
-        states, center = _global(drive, state.pose, REAR_AXLE_BEHIND_CENTER * length_m)
+        states, center = _to_global(drive, state.pose, REAR_AXLE_BEHIND_CENTER * length_m)
     states[..., ~finite] = np.nan
     center[..., ~finite] = np.nan
     return SimulatedMotion(
@@ -152,7 +154,7 @@ def simulate(
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class BicycleMotion:
     """Motion in the local frame, candidates last: every row that a step works on is contiguous.
 
     Attributes:
@@ -166,7 +168,9 @@ class Drive:
     commands: Floats
 
 
-def drive_along(path: ReferencePath, motion: Floats, *, wheelbase_m: float, steps: int, model: MotionModel) -> Drive:
+def follow_path(
+    path: ReferencePath, motion: Floats, *, wheelbase_m: float, steps: int, model: MotionModel
+) -> BicycleMotion:
     """Track a path in its own frame, from its origin.
 
     Speeds first, because they do not depend on steering; then the steering law at all frames; then the path.
@@ -174,14 +178,14 @@ def drive_along(path: ReferencePath, motion: Floats, *, wheelbase_m: float, step
     tracker's too unless the model says otherwise.
     """
     count = path.speed.shape[1]
-    drive = Drive(np.zeros((steps + 1, 6, count)), np.zeros((steps + 1, 2, count)), np.zeros((steps, 2, count)))
+    drive = BicycleMotion(np.zeros((steps + 1, 6, count)), np.zeros((steps + 1, 2, count)), np.zeros((steps, 2, count)))
     drive.states[0, 3:] = motion
     drive.direction[:, 0] = 1.0
-    wanted = speeds_ahead(path, steps)
+    wanted = find_speeds_ahead(path, steps)
     if model.limits is not None:
         np.clip(wanted, 0.0, np.maximum(model.limits.speed_m_s, motion[0]), out=wanted)
     stopping = _change_speed(drive, wanted, model)
-    law = steering_law(
+    law = compute_steering_law(
         path,
         drive.states[:-1, 3],
         drive.commands[:, 0],
@@ -193,7 +197,7 @@ def drive_along(path: ReferencePath, motion: Floats, *, wheelbase_m: float, step
     return drive
 
 
-def _change_speed(drive: Drive, wanted: Floats, model: MotionModel) -> Bools:
+def _change_speed(drive: BicycleMotion, wanted: Floats, model: MotionModel) -> Bools:
     """Fill in speeds, accelerations and their commands; returns (S, B) where the controller for stopping works."""
     limits, count = model.limits, wanted.shape[1]
     bounds = [np.inf] * 3
@@ -202,7 +206,7 @@ def _change_speed(drive: Drive, wanted: Floats, model: MotionModel) -> Bools:
     lag_share = model.dt / (model.dt + ACCELERATION_LAG_S)
     # Constants are rows like everything else: arithmetic with a Python number takes twice as long.
     gain, lag, dt, most_change, most, most_braking = (
-        np.full(count, value) for value in (cruising_gain(model.dt), lag_share, model.dt, *bounds)
+        np.full(count, value) for value in (compute_cruising_gain(model.dt), lag_share, model.dt, *bounds)
     )
     least_change, least = -most_change, -most_braking
     stopping = wanted <= STOPPING_SPEED
@@ -231,12 +235,12 @@ def _change_speed(drive: Drive, wanted: Floats, model: MotionModel) -> Bools:
     return stopping
 
 
-def _steer(drive: Drive, law: SteeringLaw, wheelbase: float, model: MotionModel) -> None:
+def _steer(drive: BicycleMotion, law: SteeringLaw, wheelbase: float, model: MotionModel) -> None:
     """Fill in poses, steering angles and their commands."""
     states, direction = drive.states, drive.direction
     travel = states[:-1, 3] * model.dt
     turning = travel / wheelbase
-    most_change, most_angle = steering_limits(states[1:, 3], wheelbase, model.limits, model.dt)
+    most_change, most_angle = compute_steering_limits(states[1:, 3], wheelbase, model.limits, model.dt)
     least_change, least_angle = -most_change, -most_angle
     responding = np.full(travel.shape[1], model.dt * model.dt / (model.dt + STEERING_LAG_S))
     for step, (now, following, heading) in enumerate(zip(states, states[1:], direction)):
@@ -258,7 +262,9 @@ def _steer(drive: Drive, law: SteeringLaw, wheelbase: float, model: MotionModel)
     np.sin(states[-1, 2], out=direction[-1, 1])
 
 
-def steering_limits(speed: Floats, wheelbase: float, limits: DriverLimits | None, dt: float) -> tuple[Floats, Floats]:
+def compute_steering_limits(
+    speed: Floats, wheelbase: float, limits: DriverLimits | None, dt: float
+) -> tuple[Floats, Floats]:
     """Largest change of the steering angle in one frame and largest angle, radians, at speeds in m/s.
 
     Without limits of the driver, the reference's steering limit alone.
@@ -271,13 +277,13 @@ def steering_limits(speed: Floats, wheelbase: float, limits: DriverLimits | None
     return most_rate * dt, np.minimum(limits.steering_rad, np.arctan(most_curvature * wheelbase))
 
 
-def _global(drive: Drive, pose: Floats, ahead_m: float) -> tuple[Floats, Floats]:
+def _to_global(drive: BicycleMotion, pose: Floats, ahead_m: float) -> tuple[Floats, Floats]:
     """States (S + 1, 6, B) in the global frame, and poses (S + 1, 3, B) of a point ahead of theirs."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[cos, -sin], [sin, cos]])
     states = drive.states.copy()
     states[:, :2] = turn @ drive.states[:, :2] + pose[:2, None]
-    states[:, 2] = wrapped(drive.states[:, 2] + pose[2])
+    states[:, 2] = wrap_angle_exactly(drive.states[:, 2] + pose[2])
     center = states[:, :3].copy()
     center[:, :2] += ahead_m * (turn @ drive.direction)
     return states, center
@@ -289,7 +295,9 @@ SIDEWAYS_M_S = 0.3
 """Sideways speed of the rear axle that an explicit integration step may show in a tight turn."""
 
 
-def broken_limit(boxes: Floats, limits: DriverLimits, *, rounded_m: float = 0.0) -> tuple[str, float, float] | None:
+def find_broken_limit(
+    boxes: Floats, limits: DriverLimits, *, rounded_m: float = 0.0
+) -> tuple[str, float, float] | None:
     """First limit of the driver that a 12 Hz track breaks: finite differences of the rear axle's path.
 
     Name with unit, value and limit, or ``None``; tracks of fewer than three frames break none.
@@ -298,7 +306,7 @@ def broken_limit(boxes: Floats, limits: DriverLimits, *, rounded_m: float = 0.0)
     """
     if len(boxes) < 3:
         return None
-    axle = rear_axle(boxes[:, [0, 1, 4]], float(boxes[0, 2]))
+    axle = compute_rear_axle(boxes[:, [0, 1, 4]], float(boxes[0, 2]))
     step = np.diff(axle[:, :2], axis=0) * FRAME_HZ
     yaw = axle[:-1, 2]
     along = step[:, 0] * np.cos(yaw) + step[:, 1] * np.sin(yaw)

@@ -15,7 +15,7 @@ _EXPONENT = 4
 
 
 @dataclass(frozen=True, slots=True)
-class DriverSettings:
+class DriverParameters:
     """Kind of driver, in metres, m/s and m/s^2.
 
     Attributes:
@@ -40,7 +40,9 @@ class DriverSettings:
     sight_m: float = 70.0
 
 
-def idm_acceleration(speed: float, free_speed: float, gap: float, leader_speed: float, driver: DriverSettings) -> float:
+def idm_acceleration(
+    speed: float, free_speed: float, gap: float, leader_speed: float, driver: DriverParameters
+) -> float:
     """Acceleration of a car that follows a leader, or none, m/s^2, not below ``-driver.hardest_braking``.
 
     The gap is from its front to the rear of the leader, infinite without one; the leader's speed along the same

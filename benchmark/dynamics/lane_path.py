@@ -16,7 +16,7 @@ _LEFT_OF = {Command.LEFT: 1.0, Command.RIGHT: -1.0}
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class LanePath:
     """Line to drive along, in equal steps, from the place of the car; (P, 2) metres, global.
 
     Headings are radians, the arc length is metres from the first point, the curvature 1/m, unsigned; all (P,).
@@ -28,7 +28,7 @@ class Path:
     curvature: Floats
 
     @classmethod
-    def through(cls, points: Floats) -> "Path":
+    def through(cls, points: Floats) -> "LanePath":
         """Resample a line, (M, 2) metres, to equal steps."""
         step = np.hypot(*np.diff(points, axis=0).T)
         points = points[np.concatenate([[True], step > 1e-6])]
@@ -71,13 +71,15 @@ class Path:
         return (self.arc_length[nearest] + ahead).reshape(shape), left.reshape(shape)
 
 
-def straight_path(pose: Floats, length_m: float) -> Path:
+def build_straight_path(pose: Floats, length_m: float) -> LanePath:
     """Path straight ahead of a pose (x, y, yaw), where there is no lane to follow."""
     ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
-    return Path.through(pose[:2] + np.array([[0.0], [length_m]]) * ahead)
+    return LanePath.through(pose[:2] + np.array([[0.0], [length_m]]) * ahead)
 
 
-def lane_path(road_map: RoadMap, pose: Floats, command: Command, speed: float, length_m: float) -> Path | None:
+def build_lane_path(
+    road_map: RoadMap, pose: Floats, command: Command, speed: float, length_m: float
+) -> LanePath | None:
     """Path from the car onto the nearest lane that goes its way, and along the route that the command names.
 
     ``None`` if no lane is near or the car is at its end.
@@ -88,10 +90,10 @@ def lane_path(road_map: RoadMap, pose: Floats, command: Command, speed: float, l
         speed: m/s; a faster car takes longer to reach the middle of its lane.
         length_m: How far to look; beyond the end of the lane the path goes straight on.
     """
-    lane = nearest_lane(road_map, pose)
+    lane = find_nearest_lane(road_map, pose)
     if lane is None:
         return None
-    route = Path.through(_route(road_map, lane, pose, command, length_m))
+    route = LanePath.through(_build_route_line(road_map, lane, pose, command, length_m))
     start, left = (float(value) for value in route.project(pose[:2]))
     start = max(start, 0.0)
     remaining = route.arc_length[-1] - start
@@ -111,10 +113,10 @@ def lane_path(road_map: RoadMap, pose: Floats, command: Command, speed: float, l
     if missing_m > 0.0:
         ahead = np.array([np.cos(heading[-1]), np.sin(heading[-1])])
         points = np.concatenate([points, points[-1:] + missing_m * ahead])
-    return Path.through(points)
+    return LanePath.through(points)
 
 
-def nearest_lane(road_map: RoadMap, pose: Floats) -> Lane | None:
+def find_nearest_lane(road_map: RoadMap, pose: Floats) -> Lane | None:
     """The lane that a car with a pose (x, y, yaw) is on, or ``None``.
 
     It is within 3.5 m and runs within 50 degrees of the car's heading, the closest in position and heading.
@@ -127,7 +129,7 @@ def nearest_lane(road_map: RoadMap, pose: Floats) -> Lane | None:
     for place in np.flatnonzero(around):
         name = names[place]
         line = road_map.lanes[name].centerline
-        distance, heading = _beside(line, pose[:2])
+        distance, heading = _measure_offset(line, pose[:2])
         turn = abs(float(wrap_angle(np.asarray(pose[2] - heading))))
         if distance > _LARGEST_OFFSET_M or turn > _LARGEST_TURN_RAD:
             continue
@@ -136,7 +138,7 @@ def nearest_lane(road_map: RoadMap, pose: Floats) -> Lane | None:
     return road_map.lanes[best[1]] if best else None
 
 
-def _beside(line: Floats, point: Floats) -> tuple[float, float]:
+def _measure_offset(line: Floats, point: Floats) -> tuple[float, float]:
     """Distance from a point to a line, and the line's heading there."""
     start, step = line[:-1], np.diff(line, axis=0)
     squared = np.maximum((step**2).sum(axis=1), 1e-12)
@@ -146,34 +148,34 @@ def _beside(line: Floats, point: Floats) -> tuple[float, float]:
     return float(distance[nearest]), float(np.arctan2(step[nearest, 1], step[nearest, 0]))
 
 
-def _route(road_map: RoadMap, lane: Lane, pose: Floats, command: Command, length_m: float) -> Floats:
+def _build_route_line(road_map: RoadMap, lane: Lane, pose: Floats, command: Command, length_m: float) -> Floats:
     """Centre lines one after the other, from the start of the lane to ``length_m`` beyond the car."""
-    line = Path.through(lane.centerline)
+    line = LanePath.through(lane.centerline)
     ahead_m = float(line.arc_length[-1] - line.project(pose[:2])[0])
     parts, seen = [lane.centerline], {lane.identifier}
     while ahead_m < length_m:
         following = [name for name in lane.successors if name in road_map.lanes and name not in seen]
         if not following:
             break
-        lane = road_map.lanes[_chosen(road_map, following, command)]
+        lane = road_map.lanes[_choose_branch(road_map, following, command)]
         seen.add(lane.identifier)
         parts.append(lane.centerline)
         ahead_m += float(np.hypot(*np.diff(lane.centerline, axis=0).T).sum())
     return np.concatenate(parts)
 
 
-def _chosen(road_map: RoadMap, following: list[str], command: Command) -> str:
+def _choose_branch(road_map: RoadMap, following: list[str], command: Command) -> str:
     """The branch that turns most to the side of the command, or least; equal ones by name."""
 
     def cost(name: str) -> tuple[float, str]:
-        turn = _turn_within(road_map, name)
+        turn = _measure_turn(road_map, name)
         side = _LEFT_OF.get(command)
         return (abs(turn) if side is None else -side * turn, name)
 
     return min(following, key=cost)
 
 
-def _turn_within(road_map: RoadMap, name: str) -> float:
+def _measure_turn(road_map: RoadMap, name: str) -> float:
     """Change of heading along the first part of a lane and what follows it, radians to the left."""
     turn, length_m, seen = 0.0, 0.0, set[str]()
     while length_m < _LOOK_ALONG_ROUTE_M and name not in seen:

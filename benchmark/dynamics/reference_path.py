@@ -38,7 +38,7 @@ class ReferencePath:
     curvature: Floats
 
 
-def wrapped(angle_rad: Floats) -> Floats:
+def wrap_angle_exactly(angle_rad: Floats) -> Floats:
     """Wrap angles to [-pi, pi), leaving those inside untouched to the last bit."""
     outside = angle_rad < -np.pi
     outside |= angle_rad >= np.pi
@@ -49,7 +49,7 @@ def wrapped(angle_rad: Floats) -> Floats:
     return result
 
 
-def reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, smooth: bool) -> ReferencePath:
+def build_reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, smooth: bool) -> ReferencePath:
     """Interpolate waypoints and fit speed and curvature to them by regularised least squares.
 
     Args:
@@ -64,17 +64,17 @@ def reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, sm
     position = (_interpolation(frames_per_waypoint, smooth) @ knots).reshape(frames + 1, 2, count)
     chord = position[2:] - position[:-2]
     if smooth:
-        _hold(chord, dt)
-    heading = _ends_repeated(np.arctan2(chord[:, 1], chord[:, 0]))
-    direction = _ends_repeated(_directions(chord))
-    return fitted_path(position, heading, direction, dt=dt, smooth=smooth)
+        _hold_chords(chord, dt)
+    heading = _repeat_ends(np.arctan2(chord[:, 1], chord[:, 0]))
+    direction = _repeat_ends(_directions(chord))
+    return fit_path(position, heading, direction, dt=dt, smooth=smooth)
 
 
-def fitted_path(position: Floats, heading: Floats, direction: Floats, *, dt: float, smooth: bool) -> ReferencePath:
+def fit_path(position: Floats, heading: Floats, direction: Floats, *, dt: float, smooth: bool) -> ReferencePath:
     """Fit speed and curvature to poses by regularised least squares.
 
     Positions are (F + 1, 2, B) metres, headings (F + 1, B) radians, wrapped or not; ``smooth`` is as in
-    `reference_path`: no reversing and a penalty on jerk.
+    `build_reference_path`: no reversing and a penalty on jerk.
     """
     step = np.diff(position, axis=0)
     step *= direction[:-1]
@@ -82,11 +82,11 @@ def fitted_path(position: Floats, heading: Floats, direction: Floats, *, dt: flo
     if smooth:
         np.maximum(along, 0.0, out=along)
     speed = _speed_fit(len(step), dt, smooth) @ along
-    curvature = fitted_curvature(speed * dt, wrapped(np.diff(heading, axis=0)), CURVATURE_RATE_PENALTY / dt**2)
+    curvature = fit_curvature(speed * dt, wrap_angle_exactly(np.diff(heading, axis=0)), CURVATURE_RATE_PENALTY / dt**2)
     return ReferencePath(position, heading, direction, speed, curvature)
 
 
-def _ends_repeated(inner: Floats) -> Floats:
+def _repeat_ends(inner: Floats) -> Floats:
     """First and last frame, where there is no chord, repeat their neighbours."""
     return np.concatenate([inner[:1], inner, inner[-1:]])
 
@@ -137,7 +137,7 @@ def _speed_fit(frames: int, dt: float, true_jerk: bool) -> Floats:
         return np.asarray(np.linalg.inv(normal) * dt)
 
 
-def _hold(chord: Floats, dt: float) -> None:
+def _hold_chords(chord: Floats, dt: float) -> None:
     """Replace chords (F - 1, 2, B) by the last usable one: where the car hardly moves or the path turns back.
 
     Before the first usable one, the vehicle's own heading stands.
@@ -171,17 +171,17 @@ def _directions(chord: Floats) -> Floats:
     return np.asarray(direction)
 
 
-def fitted_curvature(travel: Floats, turns: Floats, rate_penalty: float) -> Floats:
+def fit_curvature(travel: Floats, turns: Floats, rate_penalty: float) -> Floats:
     """Curvature by least squares, radians per metre: turns are travel times curvature, with a penalty on its change.
 
     Travel is metres and turns are radians in each frame; the penalty weighs the squared change from frame to frame.
     """
     pull = travel * travel
     pull[0] += INITIAL_CURVATURE_PENALTY
-    return _chain(pull, travel * turns, np.full((len(travel) - 1, 1), rate_penalty))
+    return _solve_tridiagonal(pull, travel * turns, np.full((len(travel) - 1, 1), rate_penalty))
 
 
-def _chain(pull: Floats, push: Floats, link: Floats) -> Floats:
+def _solve_tridiagonal(pull: Floats, push: Floats, link: Floats) -> Floats:
     """Solve a chain of springs: positive definite tridiagonal equations, by removing every other node again and again.
 
     Node i is pulled to zero by a spring of strength ``pull[i]``, pushed by ``push[i]`` and linked to node i + 1 by a
@@ -209,7 +209,7 @@ def _chain(pull: Floats, push: Floats, link: Floats) -> Floats:
     kept_push[:removed] += to_left * push[1::2]
     kept_pull[1 : between + 1] += to_right * pull[1::2][:between]
     kept_push[1 : between + 1] += to_right * push[1::2][:between]
-    kept = _chain(kept_pull, kept_push, (to_left[:between] * after)[: len(kept_pull) - 1])
+    kept = _solve_tridiagonal(kept_pull, kept_push, (to_left[:between] * after)[: len(kept_pull) - 1])
     result = np.empty_like(pull)
     result[::2] = kept
     rest += to_left * kept[:removed]

@@ -27,13 +27,13 @@ heading error by [p, q] times the last two.
 """
 
 
-def cruising_gain(dt: float) -> float:
+def compute_cruising_gain(dt: float) -> float:
     """Acceleration per excess of speed: one constant acceleration over the look-ahead, least squares."""
     span = LOOK_AHEAD_STEPS * dt
     return -(SPEED_WEIGHT * span) / (SPEED_WEIGHT * span**2 + 1.0)
 
 
-def speeds_ahead(path: ReferencePath, steps: int) -> Floats:
+def find_speeds_ahead(path: ReferencePath, steps: int) -> Floats:
     """Speeds (S, B) that the tracker aims at: those of the path at the end of the look-ahead."""
     return np.asarray(path.speed[np.minimum(np.arange(steps) + LOOK_AHEAD_STEPS, len(path.speed) - 1)])
 
@@ -86,7 +86,7 @@ class SteeringLaw:
         return rate
 
 
-def steering_law(
+def compute_steering_law(
     path: ReferencePath, speed: Floats, acceleration: Floats, stopping: Bools, *, wheelbase_m: float, dt: float
 ) -> SteeringLaw:
     """Gains of the lateral regulator for frames 0 to S - 1.
@@ -111,7 +111,7 @@ def steering_law(
     response = np.zeros((4, 5))
     response[0, :3], response[1, 3:], response[2, :3], response[3, 3:] = held[:3], held[3:], swept[:3], swept[3:]
     held_lateral, held_heading, swept_lateral, swept_heading = (response @ basis).transpose(1, 0, 2)
-    bend = _windows(path.curvature, steps) * basis
+    bend = _compute_window_responses(path.curvature, steps) * basis
     bend_lateral, bend_heading = bend[:, 0] + bend[:, 1] + bend[:, 2], bend[:, 3] + bend[:, 4]
 
     cost = LATERAL_WEIGHT * swept_lateral**2 + HEADING_WEIGHT * swept_heading**2 + 1.0
@@ -134,7 +134,7 @@ def steering_law(
     )
 
 
-def _windows(curvature: Floats, steps: int) -> Floats:
+def _compute_window_responses(curvature: Floats, steps: int) -> Floats:
     """(S, 5, B) responses to the curvature in each look-ahead; the path's last curvature goes on behind its end."""
     frames = np.minimum(np.arange(steps + LOOK_AHEAD_STEPS), len(curvature) - 1)
     windows = np.lib.stride_tricks.sliding_window_view(curvature[frames], LOOK_AHEAD_STEPS, axis=0)

@@ -33,7 +33,9 @@ class Attack:
         ``None`` where the scene was not judged.
         """
         ego_at_fault = at_fault if contact else False
-        return cls(contact, ego_at_fault, None if careful_survives is None else _both(ego_at_fault, careful_survives))
+        return cls(
+            contact, ego_at_fault, None if careful_survives is None else _and_or_unknown(ego_at_fault, careful_survives)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,14 +51,14 @@ class AttackSuccess:
     attributable: float | None
 
 
-def attack_success(attacks: Sequence[Attack]) -> AttackSuccess:
+def compute_attack_success(attacks: Sequence[Attack]) -> AttackSuccess:
     """Sum scenes up."""
     return AttackSuccess(
-        len(attacks), *(_share(getattr(attack, reading) for attack in attacks) for reading in READINGS)
+        len(attacks), *(_compute_share(getattr(attack, reading) for attack in attacks) for reading in READINGS)
     )
 
 
-def any_known(verdicts: Iterable[bool | None]) -> bool | None:
+def any_or_unknown(verdicts: Iterable[bool | None]) -> bool | None:
     """Whether something holds anywhere: yes if it is known to somewhere, else unknown if it is unknown anywhere."""
     known_verdicts = list(verdicts)
     if any(known_verdicts):
@@ -64,12 +66,12 @@ def any_known(verdicts: Iterable[bool | None]) -> bool | None:
     return None if None in known_verdicts else False
 
 
-def _both(first: bool | None, second: bool) -> bool | None:
+def _and_or_unknown(first: bool | None, second: bool) -> bool | None:
     if first is None:
         return None if second else False
     return first and second
 
 
-def _share(verdicts: Iterable[bool | None]) -> float | None:
+def _compute_share(verdicts: Iterable[bool | None]) -> float | None:
     known = [verdict for verdict in verdicts if verdict is not None]
     return sum(known) / len(known) if known else None

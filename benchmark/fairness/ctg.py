@@ -51,7 +51,7 @@ Singles = NDArray[np.float32]
 Histograms = dict[str, Floats]
 
 
-class Version(StrEnum):
+class CtgVersion(StrEnum):
     """Which public code: `CTG` is the one that published numbers come from."""
 
     OLD = "old"
@@ -60,7 +60,7 @@ class Version(StrEnum):
     MTD = "mtd"
 
 
-class Mask(StrEnum):
+class CtgMask(StrEnum):
     """Which agents count; `CURRENT_SPEED` is the default of the public script."""
 
     NONE = "None"
@@ -68,7 +68,7 @@ class Mask(StrEnum):
     ANY_SPEED = "any_speed"
 
 
-class Normalisation(StrEnum):
+class CtgNormalisation(StrEnum):
     """Whether histograms are averaged over scenes or summed."""
 
     SCENE = "scene"
@@ -83,11 +83,11 @@ class SceneTracks:
     yaw: Floats
 
 
-def histograms(
+def compute_histograms(
     scenes: Sequence[SceneTracks],
-    version: Version = Version.CTG,
-    normalisation: Normalisation = Normalisation.SCENE,
-    mask: Mask = Mask.CURRENT_SPEED,
+    version: CtgVersion = CtgVersion.CTG,
+    normalisation: CtgNormalisation = CtgNormalisation.SCENE,
+    mask: CtgMask = CtgMask.CURRENT_SPEED,
     edges: Mapping[str, Floats] | None = None,
 ) -> Histograms:
     """(20,) shares of the histograms of scenes, at least one, by name; relative ones in the version `CTG` alone.
@@ -96,28 +96,30 @@ def histograms(
     the code by default.
     """
     edges = bin_edges() if edges is None else edges
-    counts = [_counts(scene, version, mask, edges) for scene in scenes]
+    counts = [_count_scene(scene, version, mask, edges) for scene in scenes]
     shares = {}
     for name in counts[0]:
         of_scenes = np.array([scene_counts[name] for scene_counts in counts])
         totals = of_scenes.sum(axis=1, keepdims=True)
-        if normalisation is Normalisation.SCENE:
+        if normalisation is CtgNormalisation.SCENE:
             shares[name] = np.mean(of_scenes / np.where(totals > 0, totals, 1.0), axis=0)
         else:
             shares[name] = of_scenes.sum(axis=0) / max(float(totals.sum()), 1.0)
     return shares
 
 
-def deviations(first: Histograms, second: Histograms, edges: Mapping[str, Floats] | None = None) -> dict[str, float]:
+def compute_deviations(
+    first: Histograms, second: Histograms, edges: Mapping[str, Floats] | None = None
+) -> dict[str, float]:
     """Earth mover's distances, by name, of histograms of generated scenes and recordings.
 
-    The means that are quoted are among them; the edges are those of `histograms`.
+    The means that are quoted are among them; the edges are those of `compute_histograms`.
     """
     edges = bin_edges() if edges is None else edges
     distances = {}
     for name, shares in first.items():
         widths = np.diff(np.asarray(edges[name])[1:])
-        moved = np.abs(np.cumsum(_normalised(shares) - _normalised(second[name])))[:-1]
+        moved = np.abs(np.cumsum(_normalise(shares) - _normalise(second[name])))[:-1]
         distances[name] = float((widths * moved).sum())
     means = {
         mean: float(np.mean([distances[name] for name in names]))
@@ -137,25 +139,25 @@ def bin_edges() -> dict[str, Floats]:
     }
 
 
-def _normalised(shares: Floats) -> Floats:
+def _normalise(shares: Floats) -> Floats:
     total = float(shares.sum())
     return shares / total if total > 0 else shares
 
 
-def _counts(scene: SceneTracks, version: Version, mask: Mask, edges: Mapping[str, Floats]) -> Histograms:
+def _count_scene(scene: SceneTracks, version: CtgVersion, mask: CtgMask, edges: Mapping[str, Floats]) -> Histograms:
     position = scene.position[:, ::SAMPLES_PER_STEP].astype(np.float32)
     yaw = scene.yaw[:, ::SAMPLES_PER_STEP].astype(np.float32)
-    values = _agent_values(position, yaw, version)
-    masked = version in (Version.CTG, Version.MTD)
-    counts = _counted(position, values["velocity"], mask) if masked else np.ones(yaw.shape, np.bool_)
-    counts_of_feature = {name: _histogram(values[name], counts, edges[name]) for name in AGENT_NAMES}
-    if version is Version.CTG:
-        relative, of_other = _relative_values(position, yaw, counts)
-        counts_of_feature |= {name: _histogram(relative[name], of_other, edges[name]) for name in RELATIVE_NAMES}
+    values = _compute_agent_values(position, yaw, version)
+    masked = version in (CtgVersion.CTG, CtgVersion.MTD)
+    counts = _find_counted(position, values["velocity"], mask) if masked else np.ones(yaw.shape, np.bool_)
+    counts_of_feature = {name: _build_histogram(values[name], counts, edges[name]) for name in AGENT_NAMES}
+    if version is CtgVersion.CTG:
+        relative, of_other = _compute_relative_values(position, yaw, counts)
+        counts_of_feature |= {name: _build_histogram(relative[name], of_other, edges[name]) for name in RELATIVE_NAMES}
     return counts_of_feature
 
 
-def _histogram(values: Singles, counts: Bools, edges: Floats) -> Floats:
+def _build_histogram(values: Singles, counts: Bools, edges: Floats) -> Floats:
     counted_values = values[counts]
     # What follows an absent sample is NaN and falls out, as what is out of range does.
     return np.histogram(counted_values[np.isfinite(counted_values)], np.asarray(edges, np.float32))[0].astype(
@@ -163,18 +165,18 @@ def _histogram(values: Singles, counts: Bools, edges: Floats) -> Floats:
     )
 
 
-def _agent_values(position: Singles, yaw: Singles, version: Version) -> dict[str, Singles]:
-    if version is Version.OLD:
+def _compute_agent_values(position: Singles, yaw: Singles, version: CtgVersion) -> dict[str, Singles]:
+    if version is CtgVersion.OLD:
         # That code pads with the first difference itself, and differentiates positions where velocities are meant.
         velocity = _differences(position, position[:, 1:2] - position[:, :1])
         acceleration = _differences(position, velocity[:, 1:2] - velocity[:, :1])
         size = _norm(acceleration)
         jerk = _differences(size, size[:, 1:2] - size[:, :1])
     else:
-        velocity = _repeating(position)
-        acceleration = _repeating(velocity)
+        velocity = _differentiate(position)
+        acceleration = _differentiate(velocity)
         size = _norm(acceleration)
-        jerk = _repeating(size)
+        jerk = _differentiate(size)
     return {
         "velocity": _norm(velocity),
         "lon_accel": size * np.cos(yaw),
@@ -183,46 +185,46 @@ def _agent_values(position: Singles, yaw: Singles, version: Version) -> dict[str
     }
 
 
-def _counted(position: Singles, speed: Singles, mask: Mask) -> Bools:
+def _find_counted(position: Singles, speed: Singles, mask: CtgMask) -> Bools:
     """(N, T) samples that count: an agent on the line x + y = 0 is lost, and one that comes after the second sample."""
     filled = np.nan_to_num(position)
     there = filled[..., 0] + filled[..., 1] != 0
     counts = there & there[:, 1:2]
-    if mask is Mask.CURRENT_SPEED:
+    if mask is CtgMask.CURRENT_SPEED:
         counts &= speed[:, :1] > _MOVING_M_S
-    elif mask is Mask.ANY_SPEED:
+    elif mask is CtgMask.ANY_SPEED:
         counts &= (speed > _MOVING_M_S).any(axis=1, keepdims=True)
     return np.asarray(counts)
 
 
-def _relative_values(position: Singles, yaw: Singles, counts: Bools) -> tuple[dict[str, Singles], Bools]:
+def _compute_relative_values(position: Singles, yaw: Singles, counts: Bools) -> tuple[dict[str, Singles], Bools]:
     """Values of ordered pairs of observer and other, and where the other counts."""
-    relative_position = _seen_from(np.nan_to_num(position), yaw)
+    relative_position = _to_observer_frames(np.nan_to_num(position), yaw)
     turn = np.asarray((yaw[None] - yaw[:, None] + np.pi) % (2 * np.pi) - np.pi, np.float32)
     pairs = ~np.eye(len(position), dtype=np.bool_)
     place, turn = relative_position[pairs], turn[pairs]
     of_other = np.broadcast_to(counts, (len(position), *counts.shape))[pairs]
-    velocity = _repeating(place)
-    acceleration = _repeating(velocity)
+    velocity = _differentiate(place)
+    acceleration = _differentiate(velocity)
     size = _norm(acceleration)
     values = {
         "rel_pos_norm": _norm(place),
         "rel_lon_pos_abs": np.abs(place[..., 0]),
         "rel_lat_pos": np.abs(place[..., 1]),
         "rel_yaw_abs": np.abs(turn),
-        "rel_yaw_vel_abs": np.abs(_repeating(turn)),
+        "rel_yaw_vel_abs": np.abs(_differentiate(turn)),
         "rel_vel_norm": _norm(velocity),
         "rel_lon_vel": velocity[..., 0],
         "rel_lat_vel": velocity[..., 1],
         "rel_accel_norm": size,
         "rel_lon_accel": acceleration[..., 0],
         "rel_lat_accel": acceleration[..., 1],
-        "rel_jerk": _repeating(size),
+        "rel_jerk": _differentiate(size),
     }
     return values, of_other
 
 
-def _seen_from(position: Singles, yaw: Singles) -> Singles:
+def _to_observer_frames(position: Singles, yaw: Singles) -> Singles:
     """(N, N, T, 2) places in the frames of observers, through inverted matrices as the code does it.
 
     The rounding of that inversion decides about the bins of cars that all but stand.
@@ -241,7 +243,7 @@ def _seen_from(position: Singles, yaw: Singles) -> Singles:
     return np.asarray(torch.einsum("itab,jtb->ijta", inverse, points).numpy()[..., :2], np.float32)
 
 
-def _repeating(values: Singles) -> Singles:
+def _differentiate(values: Singles) -> Singles:
     """Differences a second along the second axis; the first one is repeated."""
     return _differences(values, values[:, :1] - (values[:, 1:2] - values[:, :1]))
 

@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 
 from benchmark.geometry import Bools, Floats, box_gap, boxes_overlap
-from benchmark.interactions.contacts import is_agent, time_to_contact
+from benchmark.interactions.contacts import compute_time_to_contact, is_agent_category
 from benchmark.interactions.ego_path import EgoPath
 from benchmark.interactions.reaction import HARDEST_BRAKING
-from benchmark.interactions.relations import Relations
-from benchmark.interactions.tracks import STEP_S, Integers, Tracks
+from benchmark.interactions.relations import PathRelations
+from benchmark.interactions.tracks import STEP_S, ContinuousTracks, Integers
 
 CRITICAL_S: Final = 1.5
 """Times to contact below this are counted by TET and TIT."""
@@ -23,7 +23,7 @@ LARGEST_BTN: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Severity:
+class SeveritySeries:
     """Encounter of the ego with one agent, K samples every 0.1 s.
 
     Attributes:
@@ -91,10 +91,10 @@ class Severity:
         return slice(self.first_contact if self.first_contact >= 0 else None)
 
 
-def severity_of(tracks: Tracks, agent: int) -> Severity:
+def measure_severity(tracks: ContinuousTracks, agent: int) -> SeveritySeries:
     """Measure the encounter of the ego, the recorded one or one that follows a plan, with one agent."""
     times = tracks.grid()
-    pair = _resampled(tracks.only([agent]), times)
+    pair = _resample_pair(tracks.only([agent]), times)
     ego, other, present = pair.ego, pair.agents[0], pair.valid[0]
     gap = np.where(present, box_gap(ego, other), np.nan)
     hits = np.flatnonzero(gap == 0.0)
@@ -102,23 +102,23 @@ def severity_of(tracks: Tracks, agent: int) -> Severity:
     measured = present.copy()
     if len(hits):
         measured[first_contact + 1 :] = False
-    velocity = pair.velocities_at(times)[0] * is_agent(pair.categories[0])
+    velocity = pair.velocities_at(times)[0] * is_agent_category(pair.categories[0])
     ego_velocity = pair.ego_velocities_at(times)
-    ttc = np.where(measured, time_to_contact(ego, ego_velocity, other, velocity), np.nan)
-    btn = np.where(measured, _braking_threat(tracks.only([agent]), times, ego_velocity), np.nan)
-    pet, first = (0, "none") if len(hits) else _encroachment(ego, other, present)
-    return Severity(times, gap, ttc, btn, first_contact, pet, first)
+    ttc = np.where(measured, compute_time_to_contact(ego, ego_velocity, other, velocity), np.nan)
+    btn = np.where(measured, _compute_braking_threat(tracks.only([agent]), times, ego_velocity), np.nan)
+    pet, first = (0, "none") if len(hits) else _find_encroachment(ego, other, present)
+    return SeveritySeries(times, gap, ttc, btn, first_contact, pet, first)
 
 
-def _resampled(tracks: Tracks, times: Floats) -> Tracks:
+def _resample_pair(tracks: ContinuousTracks, times: Floats) -> ContinuousTracks:
     boxes, present = tracks.agents_at(times)
-    return Tracks(times, tracks.ego_at(times), boxes, present, tracks.categories)
+    return ContinuousTracks(times, tracks.ego_at(times), boxes, present, tracks.categories)
 
 
-def _braking_threat(tracks: Tracks, times: Floats, ego_velocity: Floats) -> Floats:
+def _compute_braking_threat(tracks: ContinuousTracks, times: Floats, ego_velocity: Floats) -> Floats:
     """(K,) for a leader that keeps its speed; 0 where the agent is behind or not in the way."""
     path = EgoPath.of(tracks)
-    relations = Relations.of(path, tracks, times)
+    relations = PathRelations.of(path, tracks, times)
     around = relations.seen(np.array(0), np.arange(len(times)), path.recorded_station(times))
     speed = np.hypot(ego_velocity[:, 0], ego_velocity[:, 1])
     closing = np.maximum(speed - np.maximum(around.along, 0.0), 0.0)
@@ -127,9 +127,9 @@ def _braking_threat(tracks: Tracks, times: Floats, ego_velocity: Floats) -> Floa
     return np.where(around.ahead & (around.side <= 0), threat, 0.0)
 
 
-def _encroachment(ego: Floats, other: Floats, present: Bools) -> tuple[int | None, str | None]:
+def _find_encroachment(ego: Floats, other: Floats, present: Bools) -> tuple[int | None, str | None]:
     """Smallest step count between two samples of the two whose rectangles would touch, and who was there first."""
-    mine, theirs = _meeting(ego, other, present)
+    mine, theirs = _find_meetings(ego, other, present)
     if not len(mine):
         return None, None
     apart = np.abs(mine - theirs)
@@ -137,7 +137,7 @@ def _encroachment(ego: Floats, other: Floats, present: Bools) -> tuple[int | Non
     return int(apart[best]), "ego" if mine[best] < theirs[best] else "other"
 
 
-def _meeting(ego: Floats, other: Floats, present: Bools) -> tuple[Integers, Integers]:
+def _find_meetings(ego: Floats, other: Floats, present: Bools) -> tuple[Integers, Integers]:
     """Samples of the two, at most 5 s apart, whose rectangles touch."""
     samples = np.arange(len(ego))
     apart = np.arange(-LONGEST_PET_STEPS, LONGEST_PET_STEPS + 1)

@@ -18,8 +18,8 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
 from benchmark.geometry import Bools, Floats, box_corners, box_gap
-from benchmark.interactions.contacts import time_to_contact
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.contacts import compute_time_to_contact
+from benchmark.interactions.tracks import ContinuousTracks
 
 NEAREST_M: Final = -20.0
 """Further inside than this counts as this."""
@@ -40,7 +40,7 @@ class RoadEdge:
         self._start = np.concatenate([np.empty((0, 2)), *(points[:-1] for points in rings)])
         self._end = np.concatenate([np.empty((0, 2)), *(points[1:] for points in rings)])
 
-    def beyond(self, boxes: Floats) -> Floats:
+    def measure_overhang(self, boxes: Floats) -> Floats:
         """(S,) metres by which the corner of each box that is furthest out is over the edge.
 
         Positive outside, between -20 and 5.
@@ -93,7 +93,7 @@ Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class FeatureRun:
     """One stretch of keyframes of an agent that counts, sampled at (S,) seconds.
 
     ``values`` are (S,) of each of `FEATURES`, and of `ROAD_EDGE` with a map, by name.
@@ -116,14 +116,14 @@ class SplinedMotion:
     values: dict[str, Floats]
 
 
-def runs_of(
-    tracks: Tracks,
+def extract_runs(
+    tracks: ContinuousTracks,
     keyframes: Integers,
     agent: int,
     *,
     between: tuple[float, float] | None = None,
     road: RoadEdge | None = None,
-) -> list[Run]:
+) -> list[FeatureRun]:
     """All runs of one agent that count, in order of time.
 
     Args:
@@ -132,17 +132,17 @@ def runs_of(
         between: Keyframes outside these times do not count; for the adversarial stretch of an adversary.
         road: Where the road ends, for `ROAD_EDGE`.
     """
-    return list(_runs(Surroundings.of(tracks), keyframes, agent, between, road))
+    return list(_iterate_runs(NearbyRoadUsers.of(tracks), keyframes, agent, between, road))
 
 
-def recorded_runs(
-    tracks: Tracks,
+def extract_recorded_runs(
+    tracks: ContinuousTracks,
     keyframes: Integers,
     category: str,
     *,
     without: Collection[int] = (),
     road: RoadEdge | None = None,
-) -> list[Run]:
+) -> list[FeatureRun]:
     """All runs of all agents of a category, by agent and time: what a scene gives to the reference.
 
     The ego is left out: another instrument measured it.
@@ -152,16 +152,16 @@ def recorded_runs(
         without: Indices of agents that are not as recorded.
         road: Where the road ends, for `ROAD_EDGE`.
     """
-    around = Surroundings.of(tracks)
+    around = NearbyRoadUsers.of(tracks)
     return [
         run
         for agent, name in enumerate(tracks.categories)
         if name == category and agent not in without
-        for run in _runs(around, keyframes, agent, None, road)
+        for run in _iterate_runs(around, keyframes, agent, None, road)
     ]
 
 
-def stretches(valid: Bools, centres: Floats) -> list[slice]:
+def find_stretches(valid: Bools, centres: Floats) -> list[slice]:
     """Runs of keyframes that count: at least 5 of them, along which the agent moves 5 m or more."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], valid, [False]]).astype(np.int8)))
     slices = []
@@ -172,7 +172,7 @@ def stretches(valid: Bools, centres: Floats) -> list[slice]:
     return slices
 
 
-def splined(times: Floats, boxes: Floats, samples: Floats) -> SplinedMotion:
+def fit_splines(times: Floats, boxes: Floats, samples: Floats) -> SplinedMotion:
     """Smooth the keyframes of a run, (K,) seconds and (K, 5) boxes, and differentiate at (S,) seconds."""
     poses = np.column_stack([boxes[:, :2], np.unwrap(boxes[:, 4])])
     smooth = savgol_filter(poses, _WINDOW, _ORDER, axis=0, mode="interp")
@@ -193,13 +193,13 @@ def splined(times: Floats, boxes: Floats, samples: Floats) -> SplinedMotion:
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class NearbyRoadUsers:
     """Road users that an agent may come near: all objects, and the recorded ego as the last one."""
 
-    tracks: Tracks
+    tracks: ContinuousTracks
 
     @classmethod
-    def of(cls, tracks: Tracks) -> "Surroundings":
+    def of(cls, tracks: ContinuousTracks) -> "NearbyRoadUsers":
         """Those of a scene."""
         everybody = replace(
             tracks,
@@ -209,7 +209,7 @@ class Surroundings:
         )
         return cls(everybody)
 
-    def nearness(self, agent: int, samples: Floats, motion: SplinedMotion) -> dict[str, Floats]:
+    def measure_nearness(self, agent: int, samples: Floats, motion: SplinedMotion) -> dict[str, Floats]:
         """Distance and time to contact of an agent's smoothed motion to all others.
 
         (S,) ``gap`` and ``ttc``, with their caps.
@@ -233,7 +233,7 @@ class Surroundings:
         heading_for = _circles_meet(motion, others[rows], velocity)
         row, column = np.nonzero(near[rows] & heading_for)
         mine, theirs = motion.boxes[column], others[rows[row], column]
-        contact_times = time_to_contact(mine, motion.velocity[column], theirs, velocity[row, column])
+        contact_times = compute_time_to_contact(mine, motion.velocity[column], theirs, velocity[row, column])
         soon = contact_times <= LONGEST_TTC_S
         # Only of those that matter is it asked whether they are near enough to count.
         soon[soon] = box_gap(mine[soon], theirs[soon]) <= TTC_WITHIN_M
@@ -251,26 +251,26 @@ class Surroundings:
         return np.asarray(np.where(span[..., None] > 0, moved / np.where(span > 0, span, 1.0)[..., None], 0.0))
 
 
-def _runs(
-    around: Surroundings,
+def _iterate_runs(
+    around: NearbyRoadUsers,
     keyframes: Integers,
     agent: int,
     between: tuple[float, float] | None,
     road: RoadEdge | None,
-) -> Iterator[Run]:
+) -> Iterator[FeatureRun]:
     tracks = around.tracks
     times, boxes, valid = tracks.seconds[keyframes], tracks.agents[agent, keyframes], tracks.valid[agent, keyframes]
     if between is not None:
         valid = valid & (times >= between[0]) & (times <= between[1])
-    for run in stretches(valid, boxes[:, :2]):
+    for run in find_stretches(valid, boxes[:, :2]):
         of_run = times[run]
         count = int(np.floor((of_run[-2] - of_run[1]) / SAMPLE_S + 1e-6)) + 1
         samples = of_run[1] + SAMPLE_S * np.arange(count)
-        motion = splined(of_run, boxes[run], samples)
-        values = {**motion.values, **around.nearness(agent, samples, motion)}
+        motion = fit_splines(of_run, boxes[run], samples)
+        values = {**motion.values, **around.measure_nearness(agent, samples, motion)}
         if road is not None:
-            values[ROAD_EDGE] = road.beyond(motion.boxes)
-        yield Run(agent, samples, values)
+            values[ROAD_EDGE] = road.measure_overhang(motion.boxes)
+        yield FeatureRun(agent, samples, values)
 
 
 def _along(vectors: Floats, places: Floats) -> Floats:

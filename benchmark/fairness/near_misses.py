@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmark.fairness.encounter import CRITICAL_S, LARGEST_BTN, LONGEST_PET_STEPS
 from benchmark.geometry import Bools, Floats, box_corners, box_gap, boxes_overlap
-from benchmark.interactions.contacts import time_to_contact
+from benchmark.interactions.contacts import compute_time_to_contact
 from benchmark.interactions.ego_path import AFTER_M, BEFORE_M, TANGENT_REACH_M, VERTEX_SPACING_M
 from benchmark.interactions.reaction import HARDEST_BRAKING
 from benchmark.interactions.relations import HORIZON_M, LOOK_AHEAD_M, LOOK_BACK_M, OUTLINE_REACH_M
@@ -43,7 +43,7 @@ class PlanPaths:
     @classmethod
     def of(cls, ego: Floats) -> "PlanPaths":
         """The paths of tracks, (P, K, 5) boxes."""
-        spaced = _spaced(ego[..., :2])
+        spaced = _find_spaced_centres(ego[..., :2])
         count, rows = ego.shape[1], np.arange(len(ego))[:, None]
         boxes = ego[rows, np.maximum.accumulate(np.where(spaced, np.arange(count), 0), axis=1)]
         ends = boxes[:, [0, -1]]
@@ -103,7 +103,7 @@ class PlanPaths:
         return station, np.copysign(np.sqrt(distance[rows, nearest]), left)
 
 
-def braking_threats(ego: Floats, speed: Floats, other: Floats, present: Bools, velocity: Floats) -> Floats:
+def compute_braking_threats(ego: Floats, speed: Floats, other: Floats, present: Bools, velocity: Floats) -> Floats:
     """(P, K) braking threat numbers from 0 to 10, as `benchmark.fairness.encounter` has them for one pair.
 
     0 where the other is behind, not in the way or not there. Boxes are (P, K, 5), speeds of the ego (P, K),
@@ -128,7 +128,7 @@ def braking_threats(ego: Floats, speed: Floats, other: Floats, present: Bools, v
         station[in_the_way],
         boxes[in_the_way],
     )
-    rear, side = _outlines(paths, path, station, boxes, size[1])
+    rear, side = _project_outlines(paths, path, station, boxes, size[1])
     tangent, moving = paths.tangent(path, station), velocity[path, at]
     along = moving[:, 0] * tangent[:, 0] + moving[:, 1] * tangent[:, 1]
     gap = rear - (now + 0.5 * size[0])
@@ -139,7 +139,9 @@ def braking_threats(ego: Floats, speed: Floats, other: Floats, present: Bools, v
     return threats
 
 
-def _outlines(paths: PlanPaths, path: Integers, station: Floats, boxes: Floats, width: float) -> tuple[Floats, Floats]:
+def _project_outlines(
+    paths: PlanPaths, path: Integers, station: Floats, boxes: Floats, width: float
+) -> tuple[Floats, Floats]:
     """(Q,) lowest station of the outline of each box, and (Q,) free distance between it and the ego's strip."""
     corners = box_corners(boxes)
     outline = np.concatenate([corners, 0.5 * (corners + np.roll(corners, -1, axis=1))], axis=1).reshape(-1, 2)
@@ -152,7 +154,7 @@ def _outlines(paths: PlanPaths, path: Integers, station: Floats, boxes: Floats, 
     return stations.min(axis=1), side
 
 
-def _spaced(centres: Floats) -> Bools:
+def _find_spaced_centres(centres: Floats) -> Bools:
     """(P, K) the first centre of each track, and each that is half a metre or more from the last one kept."""
     spaced = np.zeros(centres.shape[:2], np.bool_)
     if not spaced.size:
@@ -169,7 +171,7 @@ _MEMORY_STEPS: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
-class NearMisses:
+class NearMissMeasures:
     """P pairs that do not touch while both are there; every array (P,).
 
     Attributes:
@@ -189,27 +191,27 @@ class NearMisses:
     btn: Floats
 
 
-def near_misses(ego: Floats, other: Floats, present: Bools, velocity: Floats) -> NearMisses:
+def measure_near_misses(ego: Floats, other: Floats, present: Bools, velocity: Floats) -> NearMissMeasures:
     """Measure pairs, (P, K, 5) boxes every 0.1 s; velocities are the other's, m/s.
 
     The other is there at one instant at least.
     """
-    moving = ego_velocities(ego)
+    moving = compute_ego_velocities(ego)
     gap = np.where(present, box_gap(ego, other), np.inf)
-    ttc = np.where(present, time_to_contact(ego, moving, other, velocity), np.inf)
+    ttc = np.where(present, compute_time_to_contact(ego, moving, other, velocity), np.inf)
     left = np.where(ttc < CRITICAL_S, CRITICAL_S - ttc, 0.0)
-    btn = braking_threats(ego, np.hypot(moving[..., 0], moving[..., 1]), other, present, velocity)
-    return NearMisses(
+    btn = compute_braking_threats(ego, np.hypot(moving[..., 0], moving[..., 1]), other, present, velocity)
+    return NearMissMeasures(
         gap=gap.min(axis=1),
         ttc=ttc.min(axis=1),
         tet=STEP_S * (ttc < CRITICAL_S).sum(axis=1),
         tit=STEP_S * left.sum(axis=1),
-        pet=STEP_S * _encroachment_steps(ego, other, present),
+        pet=STEP_S * _count_encroachment_steps(ego, other, present),
         btn=btn.max(axis=1),
     )
 
 
-def ego_velocities(ego: Floats) -> Floats:
+def compute_ego_velocities(ego: Floats) -> Floats:
     """(P, K, 2) velocities of tracks that begin at their first instant, m/s.
 
     Over the last 0.2 s, forward at the first, of boxes every 0.1 s.
@@ -223,7 +225,7 @@ def ego_velocities(ego: Floats) -> Floats:
     return velocities
 
 
-def _encroachment_steps(ego: Floats, other: Floats, present: Bools) -> Floats:
+def _count_encroachment_steps(ego: Floats, other: Floats, present: Bools) -> Floats:
     """(P,) smallest number of steps between two instants of the two whose rectangles would touch; infinite for none."""
     offset = other[:, None, :, :2] - ego[:, :, None, :2]
     circles = np.hypot(ego[..., 2], ego[..., 3])[:, :, None] + np.hypot(other[..., 2], other[..., 3])[:, None]

@@ -10,21 +10,21 @@ from typing import Final, Protocol
 import numpy as np
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.fairness.near_misses import ego_velocities, near_misses
+from benchmark.fairness.near_misses import compute_ego_velocities, measure_near_misses
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, wrap_angle
 from benchmark.interactions.contacts import (
     KINDS,
     ContactKind,
-    Pairs,
-    at_fault,
-    delta_v,
-    fatal_probability,
-    is_agent,
+    ContactPairs,
+    compute_delta_v,
+    compute_fatal_probability,
+    is_agent_category,
+    is_at_fault,
     mass_kg,
 )
-from benchmark.interactions.tracks import STEP_S, Integers, Tracks
-from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes, object_boxes
-from benchmark.records.row_schema import PlanContactRow, PlanNearRow, PlanSeverityRow
+from benchmark.interactions.tracks import STEP_S, ContinuousTracks, Integers
+from benchmark.protocols.exact import INSTANTS_PER_STEP, compute_plan_boxes, interpolate_object_boxes
+from benchmark.records.row_schema import PlanCollision, PlanNearRow, PlanSeverityRow
 from benchmark.truth import SampleTruth
 
 INSTANTS: Final = PLAN_STEPS * INSTANTS_PER_STEP + 1
@@ -36,7 +36,7 @@ _SAMPLES_AT_ONCE: Final = 128
 _TIMES: Final = STEP_S * np.arange(INSTANTS)
 
 
-class Lanes(Protocol):
+class LaneLookup(Protocol):
     """The part of a map that blame needs."""
 
     def unsure(self, boxes: Floats) -> Bools:
@@ -44,7 +44,7 @@ class Lanes(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class _World:
+class _PlanSurroundings:
     """N agents around S samples in the lidar frame of each: (N, 31, 5) boxes.
 
     ``sample`` says of which; ``counts``, (N, 31), which are there, without those that touch the ego in the present.
@@ -58,11 +58,11 @@ class _World:
     counts: Bools
 
     @classmethod
-    def of(cls, truths: Sequence[SampleTruth]) -> "_World":
+    def of(cls, truths: Sequence[SampleTruth]) -> "_PlanSurroundings":
         sample = np.repeat(np.arange(len(truths)), [len(truth.instances) for truth in truths])
         keyframes = np.concatenate([truth.boxes for truth in truths])
         annotated = np.concatenate([truth.annotated for truth in truths])
-        boxes, present = object_boxes(keyframes, annotated)
+        boxes, present = interpolate_object_boxes(keyframes, annotated)
         boxes = np.concatenate([keyframes[:, :1], boxes], axis=1)
         present = np.concatenate([annotated[:, :1], present], axis=1)
         touching = present[:, 0] & boxes_overlap(_PRESENT, boxes[:, 0])
@@ -78,8 +78,8 @@ class _World:
     def velocities(self, rows: Integers) -> Floats:
         """(Q, 31, 2) of (Q,) agents, m/s; zero for what is no agent."""
         categories = tuple(self.categories[row] for row in rows.tolist())
-        tracks = Tracks(_TIMES, np.zeros((INSTANTS, 5)), self.boxes[rows], self.counts[rows], categories)
-        moves = np.array([is_agent(name) for name in categories])[:, None, None]
+        tracks = ContinuousTracks(_TIMES, np.zeros((INSTANTS, 5)), self.boxes[rows], self.counts[rows], categories)
+        moves = np.array([is_agent_category(name) for name in categories])[:, None, None]
         return np.asarray(tracks.velocities_at(_TIMES) * moves)
 
 
@@ -87,8 +87,8 @@ _PRESENT: Final = ego_footprints(np.array([0.0, 0.0, np.pi / 2]))
 """(5,) the ego at the sample in its lidar frame, x right, y forward."""
 
 
-def plan_severities(
-    truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: Lanes | None = None
+def measure_plan_severities(
+    truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: LaneLookup | None = None
 ) -> list[PlanSeverityRow]:
     """Measure S plans; of agents that are touched at the same instant the first by name counts, as in ``exact``.
 
@@ -99,56 +99,58 @@ def plan_severities(
     plans = np.asarray(plans_lidar, np.float64)
     starts = range(0, len(truths), _SAMPLES_AT_ONCE)
     batches = [slice(start, start + _SAMPLES_AT_ONCE) for start in starts]
-    return [row for batch in batches for row in _batch(truths[batch], plans[batch], lanes)]
+    return [row for batch in batches for row in _measure_batch(truths[batch], plans[batch], lanes)]
 
 
-def _batch(truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: Lanes | None) -> list[PlanSeverityRow]:
-    ego = np.concatenate([np.broadcast_to(_PRESENT, (len(truths), 1, 5)), ego_boxes(plans_lidar)], axis=1)
-    world = _World.of(truths)
-    contacts = _contacts(ego, world, truths, lanes)
+def _measure_batch(
+    truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: LaneLookup | None
+) -> list[PlanSeverityRow]:
+    ego = np.concatenate([np.broadcast_to(_PRESENT, (len(truths), 1, 5)), compute_plan_boxes(plans_lidar)], axis=1)
+    world = _PlanSurroundings.of(truths)
+    contacts = _measure_contacts(ego, world, truths, lanes)
     without_contact = np.array([contact is None for contact in contacts])
-    near = _near(ego, world, without_contact)
+    near = _measure_near_misses(ego, world, without_contact)
     return [PlanSeverityRow(contact=contact, near=near.get(sample)) for sample, contact in enumerate(contacts)]
 
 
-def _contacts(
-    ego: Floats, world: _World, truths: Sequence[SampleTruth], lanes: Lanes | None
-) -> list[PlanContactRow | None]:
-    contact_rows: list[PlanContactRow | None] = [None] * len(truths)
-    rows, instants = _first_hits(ego, world)
+def _measure_contacts(
+    ego: Floats, world: _PlanSurroundings, truths: Sequence[SampleTruth], lanes: LaneLookup | None
+) -> list[PlanCollision | None]:
+    contact_rows: list[PlanCollision | None] = [None] * len(truths)
+    rows, instants = _find_first_hits(ego, world)
     if not len(rows):
         return contact_rows
     samples = world.sample[rows]
     mine = ego[samples, instants]
-    speed = np.hypot(*ego_velocities(ego[samples])[np.arange(len(rows)), instants].T)
-    pairs = Pairs(
+    speed = np.hypot(*compute_ego_velocities(ego[samples])[np.arange(len(rows)), instants].T)
+    pairs = ContactPairs(
         ego=mine,
         ego_speed=speed,
         other=world.boxes[rows, instants],
         other_velocity=world.velocities(rows)[np.arange(len(rows)), instants],
-        is_agent=np.array([is_agent(world.categories[row]) for row in rows]),
+        is_agent=np.array([is_agent_category(world.categories[row]) for row in rows]),
     )
     masses = np.array([mass_kg(world.categories[row]) for row in rows])
     impact, kinds = pairs.impact_speed, [KINDS[kind] for kind in pairs.kinds]
-    changes = delta_v(impact, masses)
-    unsure = _unsure(mine, kinds, [truths[sample].lidar_pose for sample in samples], lanes)
+    changes = compute_delta_v(impact, masses)
+    unsure = _find_ambiguous_lanes(mine, kinds, [truths[sample].lidar_pose for sample in samples], lanes)
     for place, (sample, row) in enumerate(zip(samples.tolist(), rows.tolist())):
-        fault = at_fault(kinds[place], bool(unsure[place]))
-        contact_rows[sample] = PlanContactRow(
+        fault = is_at_fault(kinds[place], bool(unsure[place]))
+        contact_rows[sample] = PlanCollision(
             time_s=_rounded(_TIMES[instants[place]]),
             kind=kinds[place].value,
             at_fault=None if lanes is None and kinds[place] is ContactKind.LATERAL else fault,
             impact_speed_m_s=_rounded(impact[place]),
             delta_v_ego_m_s=_rounded(changes[0][place]),
             delta_v_other_m_s=_rounded(changes[1][place]),
-            fatal_probability=_rounded(fatal_probability(changes[0][place])),
+            fatal_probability=_rounded(compute_fatal_probability(changes[0][place])),
             agent=world.names[row],
             adversary=bool(world.adversary[row]),
         )
     return contact_rows
 
 
-def _first_hits(ego: Floats, world: _World) -> tuple[Integers, Integers]:
+def _find_first_hits(ego: Floats, world: _PlanSurroundings) -> tuple[Integers, Integers]:
     """Rows of who is touched first in each sample with a contact, and at which instants."""
     mine = ego[world.sample]
     offset = world.boxes[..., :2] - mine[..., :2]
@@ -165,16 +167,18 @@ def _first_hits(ego: Floats, world: _World) -> tuple[Integers, Integers]:
     return chosen[:, 0], chosen[:, 1]
 
 
-def _unsure(boxes: Floats, kinds: Sequence[ContactKind], lidar_poses: Sequence[Floats], lanes: Lanes | None) -> Bools:
+def _find_ambiguous_lanes(
+    boxes: Floats, kinds: Sequence[ContactKind], lidar_poses: Sequence[Floats], lanes: LaneLookup | None
+) -> Bools:
     """Whether a lateral contact is the ego's fault; the map is asked about no other."""
     unsure = np.zeros(len(kinds), np.bool_)
     lateral = np.flatnonzero([kind is ContactKind.LATERAL for kind in kinds])
     if lanes is not None and len(lateral):
-        unsure[lateral] = lanes.unsure(_global(boxes[lateral], np.array(lidar_poses)[lateral]))
+        unsure[lateral] = lanes.unsure(_to_global(boxes[lateral], np.array(lidar_poses)[lateral]))
     return unsure
 
 
-def _global(boxes: Floats, lidar_poses: Floats) -> Floats:
+def _to_global(boxes: Floats, lidar_poses: Floats) -> Floats:
     """(Q, 5) boxes of a lidar frame (x right, y forward) in the world, given (Q, 3) poses of the lidar there."""
     turn = lidar_poses[:, 2] - np.pi / 2
     cos, sin = np.cos(turn), np.sin(turn)
@@ -185,13 +189,13 @@ def _global(boxes: Floats, lidar_poses: Floats) -> Floats:
     return placed
 
 
-def _near(ego: Floats, world: _World, spared: Bools) -> dict[int, PlanNearRow]:
+def _measure_near_misses(ego: Floats, world: _PlanSurroundings, spared: Bools) -> dict[int, PlanNearRow]:
     """Of samples without contact, by sample."""
     rows = np.flatnonzero(world.adversary & spared[world.sample] & world.counts.any(axis=1))
     if not len(rows):
         return {}
     samples = world.sample[rows]
-    measures = near_misses(ego[samples], world.boxes[rows], world.counts[rows], world.velocities(rows))
+    measures = measure_near_misses(ego[samples], world.boxes[rows], world.counts[rows], world.velocities(rows))
     nearest: dict[int, PlanNearRow] = {}
     for sample in dict.fromkeys(samples.tolist()):
         own = samples == sample

@@ -12,36 +12,36 @@ from typing import Final, Literal, TypeVar, cast
 
 import numpy as np
 
-from benchmark.fairness.encounter import severity_of
-from benchmark.fairness.validity import faults_of
+from benchmark.fairness.encounter import measure_severity
+from benchmark.fairness.validity import find_track_defects
 from benchmark.geometry import Floats
 from benchmark.interactions.contacts import (
-    BLAMELESS,
     KINDS,
+    NOT_AT_FAULT_KINDS,
     ContactKind,
-    Pairs,
-    at_fault,
-    delta_v,
-    fatal_probability,
-    is_agent,
+    ContactPairs,
+    compute_delta_v,
+    compute_fatal_probability,
+    is_agent_category,
+    is_at_fault,
     mass_kg,
 )
-from benchmark.interactions.outcomes import Contact, Outcome
+from benchmark.interactions.outcomes import DriverOutcome, EgoCollision
 from benchmark.interactions.reaction import Driver
-from benchmark.interactions.solvability import SceneLadder
-from benchmark.interactions.tracks import STEP_S, Tracks
-from benchmark.pdm.layers import Road, road_of, route_of
+from benchmark.interactions.solvability import SceneReferenceDrivers
+from benchmark.interactions.tracks import STEP_S, ContinuousTracks
+from benchmark.pdm.layers import RoadPolygons, build_road_polygons, build_route
 from benchmark.records.judgement import (
     DEFINITION,
     DRIVER_NAMES,
-    Chance,
-    DriverContact,
-    DriverRun,
-    EncounterSeverity,
-    Impact,
+    Avoidability,
+    CollisionSeverity,
+    InteractionSeverity,
     Party,
-    SceneJudgement,
-    TrackFaults,
+    ReferenceDriverCollision,
+    ReferenceDriverRun,
+    SceneAssessment,
+    StoredTrackDefects,
 )
 from benchmark.scene import Scene
 
@@ -49,37 +49,37 @@ DIGITS: Final = 6
 """Numbers are rounded, so that they are the same on every machine."""
 
 
-def impact_of(contact: Contact, category: str, at_fault: bool | None) -> Impact:
+def compute_impact(contact: EgoCollision, category: str, at_fault: bool | None) -> CollisionSeverity:
     """The numbers of the first contact of a run with an agent of a category, and whether the ego is to blame."""
-    ego, other = delta_v(np.asarray(contact.impact_speed), np.asarray(mass_kg(category)))
+    ego, other = compute_delta_v(np.asarray(contact.impact_speed), np.asarray(mass_kg(category)))
     numbers = {
         "time_s": contact.time,
         "impact_speed_m_s": contact.impact_speed,
         "delta_v_ego_m_s": float(ego),
         "delta_v_other_m_s": float(other),
-        "fatal_probability": float(fatal_probability(ego)),
+        "fatal_probability": float(compute_fatal_probability(ego)),
     }
     # Adding zero makes -0.0 plain.
     rounded = {name: round(value, DIGITS) + 0.0 for name, value in numbers.items()}
-    return Impact(kind=contact.kind.value, at_fault=at_fault, **rounded)
+    return CollisionSeverity(kind=contact.kind.value, at_fault=at_fault, **rounded)
 
 
-def contact_at(tracks: Tracks, agent: int, time: float) -> Contact:
+def build_collision_at(tracks: ContinuousTracks, agent: int, time: float) -> EgoCollision:
     """The ego and an agent at the moment at which they touch, independent of earlier touches of either.
 
     The ego may be the recorded one or one that follows a plan; seconds are inside the tracks. Speeds are those of the
-    last 0.2 s (`Tracks.velocities_at`), the ego's along its heading.
+    last 0.2 s (`ContinuousTracks.velocities_at`), the ego's along its heading.
     """
     at = np.array([time])
     ego, other = tracks.ego_at(at), tracks.agents_at(at)[0][agent]
-    pair = Pairs(
+    pair = ContactPairs(
         ego=ego,
         ego_speed=np.hypot(*tracks.ego_velocities_at(at).T),
         other=other,
         other_velocity=tracks.velocities_at(at, np.array([agent]))[0],
-        is_agent=np.array([is_agent(tracks.categories[agent])]),
+        is_agent=np.array([is_agent_category(tracks.categories[agent])]),
     )
-    return Contact(
+    return EgoCollision(
         time=time,
         step=round((time - float(tracks.seconds[0])) / STEP_S),
         agent=agent,
@@ -92,7 +92,7 @@ def contact_at(tracks: Tracks, agent: int, time: float) -> Contact:
     )
 
 
-class Blame:
+class SceneFaultAttribution:
     """Blame for contacts of one scene; the map is only looked at for lateral ones."""
 
     def __init__(self, scene: Scene) -> None:
@@ -102,12 +102,12 @@ class Blame:
     def at_fault(self, kind: ContactKind, ego: Floats) -> bool | None:
         """Whether the ego is to blame for a first contact; ``None`` for a lateral one without a map."""
         if kind is not ContactKind.LATERAL:
-            return at_fault(kind, unsure=False)
-        return at_fault(kind, bool(self._road.unsure(ego[None])[0])) if self.has_map else None
+            return is_at_fault(kind, unsure=False)
+        return is_at_fault(kind, bool(self._road.unsure(ego[None])[0])) if self.has_map else None
 
     @cached_property
-    def _road(self) -> Road:
-        return road_of(self._scene.road_map, route_of(self._scene.ego.pose))
+    def _road(self) -> RoadPolygons:
+        return build_road_polygons(self._scene.road_map, build_route(self._scene.ego.pose))
 
 
 FEWEST_FRAMES: Final = 2
@@ -115,7 +115,7 @@ Number = TypeVar("Number", float, None, float | None)
 
 
 @dataclass(frozen=True, slots=True)
-class TracksAtHand:
+class AdversaryProvenance:
     """What is known of how a scene's adversaries were made.
 
     Attributes:
@@ -130,7 +130,7 @@ class TracksAtHand:
     rounded_m: float = 0.0
 
 
-def judge_scene(scene: Scene, known: TracksAtHand) -> tuple[SceneJudgement, ...]:
+def assess_scene(scene: Scene, known: AdversaryProvenance) -> tuple[SceneAssessment, ...]:
     """Judge a scene.
 
     One judgement for each of its adversaries; one without an adversary where it names none that is in it; none for
@@ -140,56 +140,58 @@ def judge_scene(scene: Scene, known: TracksAtHand) -> tuple[SceneJudgement, ...]
         return ()
     ids = scene.agents.ids
     adversaries = [ids.index(name) for name in scene.adversaries if name in ids]
-    judge = _Judge.of(scene, known, frozenset(adversaries))
+    judge = _SceneAssessor.of(scene, known, frozenset(adversaries))
     return tuple(judge.judgement(agent) for agent in adversaries) or (judge.judgement(None),)
 
 
 @dataclass(frozen=True, slots=True)
-class _Judge:
+class _SceneAssessor:
     scene: Scene
-    known: TracksAtHand
+    known: AdversaryProvenance
     adversaries: frozenset[int]
-    tracks: Tracks
+    tracks: ContinuousTracks
     acts: float | None
-    ladder: SceneLadder
-    blame: Blame
+    ladder: SceneReferenceDrivers
+    fault_attribution: SceneFaultAttribution
 
     @classmethod
-    def of(cls, scene: Scene, known: TracksAtHand, adversaries: frozenset[int]) -> "_Judge":
-        tracks, blame = Tracks.of_scene(scene), Blame(scene)
+    def of(cls, scene: Scene, known: AdversaryProvenance, adversaries: frozenset[int]) -> "_SceneAssessor":
+        tracks, blame = ContinuousTracks.of_scene(scene), SceneFaultAttribution(scene)
         drivable = scene.road_map.drivable_area if blame.has_map else None
-        acts = _acts(scene, known, adversaries)
-        return cls(scene, known, adversaries, tracks, acts, SceneLadder.of(tracks, None, acts, drivable), blame)
+        acts = _find_action_time(scene, known, adversaries)
+        return cls(
+            scene, known, adversaries, tracks, acts, SceneReferenceDrivers.of(tracks, None, acts, drivable), blame
+        )
 
-    def judgement(self, agent: int | None) -> SceneJudgement:
-        ladder = self.ladder if agent is None else self.ladder.about(agent)
+    def judgement(self, agent: int | None) -> SceneAssessment:
+        ladder = self.ladder if agent is None else self.ladder.for_adversary(agent)
         first = ladder.first_visible
-        return SceneJudgement(
+        return SceneAssessment(
             definition=DEFINITION,
             adversary=None if agent is None else self.scene.agents.ids[agent],
             category=None if agent is None else self.scene.agents.categories[agent],
             tracks="generated" if self.known.generated else "annotated",
-            has_map=self.blame.has_map,
+            has_map=self.fault_attribution.has_map,
             acts_s=_rounded(self.acts),
-            drivers={name: self._run(ladder.outcomes[Driver(name)], agent) for name in DRIVER_NAMES},
+            drivers={name: self._describe_run(ladder.outcomes[Driver(name)], agent) for name in DRIVER_NAMES},
             first_visible_s=None if first is None else _rounded(first),
-            chance=_chance(ladder),
+            chance=_classify_avoidability(ladder),
             last_chance_s=_rounded(ladder.last_chance.time),
             margin_s=_rounded(ladder.margin_s),
             unsolvable=None if agent is None else ladder.unsolvable,
-            encounter=None if agent is None else self._encounter(agent),
+            encounter=None if agent is None else self._measure_severity(agent),
             faults=None if agent is None else self._faults(agent),
         )
 
-    def _run(self, outcome: Outcome, judged: int | None) -> DriverRun:
+    def _describe_run(self, outcome: DriverOutcome, judged: int | None) -> ReferenceDriverRun:
         contact, reason = outcome.contact, outcome.reason
-        return DriverRun(
+        return ReferenceDriverRun(
             survives=outcome.survives,
             contact=None
             if contact is None
-            else DriverContact(
+            else ReferenceDriverCollision(
                 time_s=_rounded(contact.time),
-                party=self._party(contact.agent, judged),
+                party=self._describe_party(contact.agent, judged),
                 instance=self.scene.agents.ids[contact.agent],
                 category=self.scene.agents.categories[contact.agent],
                 kind=contact.kind.value,
@@ -198,19 +200,19 @@ class _Judge:
                 impact_speed_m_s=_rounded(contact.impact_speed),
             ),
             reacted_s=_rounded(outcome.reacted),
-            reacted_to=None if reason is None else self._party(reason, judged),
+            reacted_to=None if reason is None else self._describe_party(reason, judged),
             reacted_to_instance=None if reason is None else self.scene.agents.ids[reason],
             beyond_end=outcome.beyond_end,
         )
 
-    def _party(self, agent: int, judged: int | None) -> Party:
+    def _describe_party(self, agent: int, judged: int | None) -> Party:
         if agent == judged:
             return "adversary"
         return "another_adversary" if agent in self.adversaries else "other"
 
-    def _encounter(self, agent: int) -> EncounterSeverity:
-        severity = severity_of(self.tracks, agent)
-        return EncounterSeverity(
+    def _measure_severity(self, agent: int) -> InteractionSeverity:
+        severity = measure_severity(self.tracks, agent)
+        return InteractionSeverity(
             least_gap_m=_rounded(severity.min_gap),
             least_ttc_s=_rounded(severity.min_ttc),
             tet_s=_rounded(severity.tet),
@@ -218,40 +220,40 @@ class _Judge:
             pet_s=_rounded(severity.pet),
             pet_first=cast(Literal["ego", "other", "none"] | None, severity.first),
             max_btn=_rounded(severity.max_btn),
-            contact=None if severity.contact_s is None else self._impact(agent, severity.contact_s),
+            contact=None if severity.contact_s is None else self._measure_impact(agent, severity.contact_s),
         )
 
-    def _impact(self, agent: int, time: float) -> Impact:
-        contact = contact_at(self.tracks, agent, time)
-        blamed = self.blame.at_fault(contact.kind, contact.ego)
-        return impact_of(contact, self.tracks.categories[agent], blamed)
+    def _measure_impact(self, agent: int, time: float) -> CollisionSeverity:
+        contact = build_collision_at(self.tracks, agent, time)
+        blamed = self.fault_attribution.at_fault(contact.kind, contact.ego)
+        return compute_impact(contact, self.tracks.categories[agent], blamed)
 
-    def _faults(self, agent: int) -> TrackFaults:
+    def _faults(self, agent: int) -> StoredTrackDefects:
         known, scene = self.known, self.scene
         launch = known.launches.get(scene.agents.ids[agent], 0)
         frames = np.arange(launch, len(scene.timestamps_us)) if known.generated else scene.keyframes
-        return faults_of(
+        return find_track_defects(
             self.tracks,
             agent,
             frames[frames >= launch],
-            scene.road_map if self.blame.has_map else None,
+            scene.road_map if self.fault_attribution.has_map else None,
             at_keyframes=not known.generated,
             rounded_m=known.rounded_m,
         )
 
 
-def _acts(scene: Scene, known: TracksAtHand, adversaries: frozenset[int]) -> float | None:
+def _find_action_time(scene: Scene, known: AdversaryProvenance, adversaries: frozenset[int]) -> float | None:
     """When the first adversary acts, seconds: at its launch; unknown where one of them has none."""
     launches = [known.launches.get(scene.agents.ids[agent]) for agent in adversaries]
     frames = [launch for launch in launches if launch is not None]
     return float(scene.seconds[min(frames)]) if frames and len(frames) == len(launches) else None
 
 
-def _chance(ladder: SceneLadder) -> Chance:
+def _classify_avoidability(ladder: SceneReferenceDrivers) -> Avoidability:
     contact = ladder.last_chance.contact
     if contact is None:
         return "not_threatened"
-    if KINDS.index(contact.kind) in BLAMELESS:
+    if KINDS.index(contact.kind) in NOT_AT_FAULT_KINDS:
         return "not_to_blame"
     return "never" if ladder.last_chance.time is None else "until"
 

@@ -10,33 +10,40 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.datasets.roots import DataSet
-from benchmark.fairness.ctg import Mask, Normalisation, SceneTracks, Version, deviations, histograms
-from benchmark.fairness.data_sets import adversarial_scene, judge_data, launches_of
-from benchmark.fairness.features import FEATURES, ROAD_EDGE, RoadEdge, Run, recorded_runs, runs_of
+from benchmark.fairness.ctg import (
+    CtgMask,
+    CtgNormalisation,
+    CtgVersion,
+    SceneTracks,
+    compute_deviations,
+    compute_histograms,
+)
+from benchmark.fairness.data_sets import assess_data_set, read_adversarial_scene, read_launches
+from benchmark.fairness.features import FEATURES, ROAD_EDGE, FeatureRun, RoadEdge, extract_recorded_runs, extract_runs
 from benchmark.fairness.realism import Histograms, quantile_bins, w1
 from benchmark.geometry import Floats
-from benchmark.interactions.tracks import STEP_S, Tracks
-from benchmark.machine.progress import progress
+from benchmark.interactions.tracks import STEP_S, ContinuousTracks
+from benchmark.machine.progress import track_progress
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.records.judgement import (
     DRIVER_NAMES,
-    FAULT_NAMES,
+    TRACK_DEFECT_NAMES,
     CtgRow,
-    DriverRun,
-    EncounterSeverity,
     FeatureRealism,
-    SceneJudgement,
+    InteractionSeverity,
+    ReferenceDriverRun,
+    SceneAssessment,
     SplitRealism,
     ValidityRow,
-    unsolvable,
+    is_unsolvable,
 )
-from benchmark.records.statistics import LadderRow, Quantiles, SeverityRow, SplitJudgement
+from benchmark.records.statistics import Quantiles, ReferenceDriverSurvival, SeverityRow, SplitAssessment
 from benchmark.scene import Scene
 
 BOOTSTRAP_DRAWS: Final = 200
 _INTERVAL: Final = (0.025, 0.975)
 
-RunsOfScenes = Mapping[str, Sequence[Run]]
+RunsOfScenes = Mapping[str, Sequence[FeatureRun]]
 """Runs by the name of their scene."""
 
 
@@ -63,7 +70,7 @@ class Realism:
         return float(np.mean([feature.realism for feature in self.features]))
 
 
-def realism_of(adversaries: RunsOfScenes, recorded: RunsOfScenes, seed: int = 0) -> Realism | None:
+def measure_realism(adversaries: RunsOfScenes, recorded: RunsOfScenes, seed: int = 0) -> Realism | None:
     """Compare adversaries with recordings, both by scene; ``None`` if one side has no run that counts.
 
     The reference is in the order of the scenes; every second scene is one half.
@@ -74,26 +81,26 @@ def realism_of(adversaries: RunsOfScenes, recorded: RunsOfScenes, seed: int = 0)
     everything = [run for runs in (*adversaries.values(), *recorded.values()) for run in runs]
     names = (*FEATURES, *([ROAD_EDGE] if all(ROAD_EDGE in run.values for run in everything) else []))
     halves = ({name: recorded[name] for name in scenes[first::2]} for first in (0, 1))
-    even, odd = (_pooled(half, names) for half in halves)
-    ours, reference = _pooled(adversaries, names), _pooled(recorded, names)
+    even, odd = (_pool_features(half, names) for half in halves)
+    ours, reference = _pool_features(adversaries, names), _pool_features(recorded, names)
     apart = {name: w1(ours[name], reference[name]) for name in names}
-    halves_apart = {name: _of_both(w1, even[name], odd[name]) for name in names}
+    halves_apart = {name: _measure_both(w1, even[name], odd[name]) for name in names}
     features = tuple(
         FeatureRealism(
             name=name,
             w1=apart[name],
             w1_of_halves=halves_apart[name],
             w1_in_halves=_times(apart[name], halves_apart[name]),
-            realism=_realism(ours[name], reference[name]),
-            realism_of_halves=_of_both(_realism, even[name], odd[name]),
-            interval=_interval(adversaries, reference[name], name, seed),
+            realism=_compute_realism(ours[name], reference[name]),
+            realism_of_halves=_measure_both(_compute_realism, even[name], odd[name]),
+            interval=_bootstrap_interval(adversaries, reference[name], name, seed),
         )
         for name in names
     )
     return Realism(features, (len(ours[FEATURES[0]]), len(reference[FEATURES[0]])))
 
 
-def _realism(sample: Floats, reference: Floats) -> float:
+def _compute_realism(sample: Floats, reference: Floats) -> float:
     return 1.0 - quantile_bins(sample, reference).divergence
 
 
@@ -101,18 +108,20 @@ def _times(value: float, unit: float | None) -> float | None:
     return value / unit if unit else None
 
 
-def _of_both(measure: Callable[[Floats, Floats], float], first: Floats, second: Floats) -> float | None:
+def _measure_both(measure: Callable[[Floats, Floats], float], first: Floats, second: Floats) -> float | None:
     return measure(first, second) if len(first) and len(second) else None
 
 
-def _pooled(runs: RunsOfScenes, names: Sequence[str]) -> dict[str, Floats]:
+def _pool_features(runs: RunsOfScenes, names: Sequence[str]) -> dict[str, Floats]:
     return {
         name: np.concatenate([np.empty(0), *(run.values[name] for some in runs.values() for run in some)])
         for name in names
     }
 
 
-def _interval(adversaries: RunsOfScenes, reference: Floats, name: str, seed: int) -> tuple[float, float] | None:
+def _bootstrap_interval(
+    adversaries: RunsOfScenes, reference: Floats, name: str, seed: int
+) -> tuple[float, float] | None:
     """Scenes of the adversaries are drawn again and again; the recordings stay."""
     scenes = [np.concatenate([run.values[name] for run in runs]) for runs in adversaries.values() if runs]
     if len(scenes) < 2:
@@ -137,17 +146,17 @@ DIGITS: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
-class _Compared:
+class _SceneComparison:
     """What one scene gives: runs of its adversaries and their reference, and both versions as ``ctg`` sees them."""
 
-    adversaries: list[Run]
-    recorded: list[Run]
+    adversaries: list[FeatureRun]
+    recorded: list[FeatureRun]
     scenes: tuple[SceneTracks, SceneTracks] | None
 
 
-def split_realism(
+def measure_split_realism(
     data: DataSet,
-    judgements: Mapping[str, Sequence[SceneJudgement]],
+    judgements: Mapping[str, Sequence[SceneAssessment]],
     recordings: DataSet | None = None,
 ) -> SplitRealism:
     """Realism of the motion of adversaries in scenes of a data set.
@@ -158,7 +167,7 @@ def split_realism(
     judged = [
         assessment for of_scene in judgements.values() for assessment in of_scene if assessment.adversary is not None
     ]
-    validity = validity_rows(judged)
+    validity = build_validity_rows(judged)
     names = [
         name
         for name, assessments in judgements.items()
@@ -171,16 +180,16 @@ def split_realism(
     sources = {name: facts.source for name, facts in data.scene_facts(names).items()}
     if recordings is not None and not set(sources.values()) <= set(recordings.scene_names(None)):
         recordings = None
-    adversaries: dict[str, list[Run]] = {}
-    recorded: dict[str, list[Run]] = {}
+    adversaries: dict[str, list[FeatureRun]] = {}
+    recorded: dict[str, list[FeatureRun]] = {}
     pairs: list[tuple[SceneTracks, SceneTracks]] = []
     used_references: set[tuple[str, str]] = set()
-    for name in progress(names, total=len(names), label="comparing with recordings"):
-        scene_comparison = _compared(data, name, sources[name], recordings, used_references)
+    for name in track_progress(names, total=len(names), label="comparing with recordings"):
+        scene_comparison = _compare_scene(data, name, sources[name], recordings, used_references)
         adversaries.setdefault(sources[name], []).extend(scene_comparison.adversaries)
         recorded.setdefault(sources[name], []).extend(scene_comparison.recorded)
         pairs += [] if scene_comparison.scenes is None else [scene_comparison.scenes]
-    realism = realism_of(adversaries, {name: recorded[name] for name in sorted(recorded)})
+    realism = measure_realism(adversaries, {name: recorded[name] for name in sorted(recorded)})
     if realism is None:
         return SplitRealism(adversaries=len(judged), validity=validity, not_compared=TOO_SHORT)
     which = "the unchanged agents of the same scenes" if recordings is None else f"the recordings {recordings.name}"
@@ -191,64 +200,64 @@ def split_realism(
         samples=realism.samples,
         features=tuple(map(_rounded, realism.features)),
         worst=realism.worst.name,
-        ctg=_ctg(pairs) if pairs else None,
+        ctg=_compute_ctg_row(pairs) if pairs else None,
     )
 
 
-def validity_rows(judged: Sequence[SceneJudgement]) -> tuple[ValidityRow, ...]:
+def build_validity_rows(judged: Sequence[SceneAssessment]) -> tuple[ValidityRow, ...]:
     """Faults of adversaries, counted: one row for each kind."""
     tracks = [item.faults for item in judged if item.faults is not None]
     rows = []
-    for name in FAULT_NAMES:
+    for name in TRACK_DEFECT_NAMES:
         known_values = [value for value in (getattr(item, name) for item in tracks) if value is not None]
         unknown = sorted({item.unknown[name] for item in tracks if name in item.unknown})
         rows.append(ValidityRow(fault=name, count=sum(known_values), of=len(known_values), unknown=tuple(unknown)))
     return tuple(rows)
 
 
-def _compared(
+def _compare_scene(
     data: DataSet, name: str, source: str, recordings: DataSet | None, used_references: set[tuple[str, str]]
-) -> _Compared:
-    scene = adversarial_scene(data, name, recordings)
+) -> _SceneComparison:
+    scene = read_adversarial_scene(data, name, recordings)
     base = scene if recordings is None else recordings.scene(source)
     agents = [scene.agents.ids.index(identifier) for identifier in scene.adversaries if identifier in scene.agents.ids]
     with_map = not scene.road_map.drivable_area.is_empty and not base.road_map.drivable_area.is_empty
-    tracks, launches = Tracks.of_scene(scene), launches_of(data, scene)
+    tracks, launches = ContinuousTracks.of_scene(scene), read_launches(data, scene)
     road, last = RoadEdge(scene.road_map.drivable_area) if with_map else None, float(scene.seconds[-1])
     mine = []
     for agent in agents:
         start = float(scene.seconds[launches.get(scene.agents.ids[agent], 0)])
-        mine += runs_of(tracks, scene.keyframes, agent, between=(start, last), road=road)
-    theirs: list[Run] = []
+        mine += extract_runs(tracks, scene.keyframes, agent, between=(start, last), road=road)
+    theirs: list[FeatureRun] = []
     for category in sorted({scene.agents.categories[agent] for agent in agents}):
         # Variants of one recording have one reference.
         if (source, category) not in used_references:
             used_references.add((source, category))
-            theirs += recorded_runs(
-                Tracks.of_scene(base),
+            theirs += extract_recorded_runs(
+                ContinuousTracks.of_scene(base),
                 base.keyframes,
                 category,
                 without=agents if recordings is None else (),
                 road=RoadEdge(base.road_map.drivable_area) if with_map else None,
             )
-    scenes = None if recordings is None else (_ten_hz(scene), _ten_hz(base))
-    return _Compared(mine, theirs, scenes)
+    scenes = None if recordings is None else (_resample_tracks(scene), _resample_tracks(base))
+    return _SceneComparison(mine, theirs, scenes)
 
 
-def _ten_hz(scene: Scene) -> SceneTracks:
+def _resample_tracks(scene: Scene) -> SceneTracks:
     """The ego and all vehicles at 10 Hz, as ``ctg-realism@code`` reads them."""
     chosen = [row for row, category in enumerate(scene.agents.categories) if category.startswith("vehicle.")]
-    tracks = Tracks.of_scene(scene).only(chosen)
+    tracks = ContinuousTracks.of_scene(scene).only(chosen)
     times = STEP_S * np.arange(int(scene.seconds[-1] / STEP_S + 1e-9) + 1)
     boxes, present = tracks.agents_at(times)
     everybody = np.concatenate([tracks.ego_at(times)[None], np.where(present[..., None], boxes, np.nan)])
     return SceneTracks(everybody[..., :2], everybody[..., 4])
 
 
-def _ctg(pairs: Sequence[tuple[SceneTracks, SceneTracks]]) -> CtgRow:
-    version, normalisation, mask = Version.CTG, Normalisation.SCENE, Mask.CURRENT_SPEED
-    ours, theirs = (histograms(scenes, version, normalisation, mask) for scenes in zip(*pairs, strict=True))
-    distances = deviations(ours, theirs)
+def _compute_ctg_row(pairs: Sequence[tuple[SceneTracks, SceneTracks]]) -> CtgRow:
+    version, normalisation, mask = CtgVersion.CTG, CtgNormalisation.SCENE, CtgMask.CURRENT_SPEED
+    ours, theirs = (compute_histograms(scenes, version, normalisation, mask) for scenes in zip(*pairs, strict=True))
+    distances = compute_deviations(ours, theirs)
     return CtgRow(
         version=version.value,
         normalisation=normalisation.value,
@@ -280,7 +289,7 @@ _ALWAYS: Final = {
 }
 
 
-def adversarial_names(data: DataSet, names: Sequence[str]) -> tuple[str, ...]:
+def find_adversarial_names(data: DataSet, names: Sequence[str]) -> tuple[str, ...]:
     """Those scenes of a data set that are no recordings, as far as it says.
 
     Scenes with adversaries, and those of which it is not said how many they have.
@@ -291,7 +300,7 @@ def adversarial_names(data: DataSet, names: Sequence[str]) -> tuple[str, ...]:
 
 def judge_split(
     data: DataSet, names: Sequence[str], executor: Executor | None = None, recordings: DataSet | None = None
-) -> SplitJudgement:
+) -> SplitAssessment:
     """Judge scenes of a data set together.
 
     Args:
@@ -307,38 +316,40 @@ def judge_split(
         InputError: If a scene is broken, or workers are lost.
     """
     executor = executor or LocalProcesses()
-    judged = judge_data(data, names, executor, recordings)
-    ordinary: dict[str, tuple[SceneJudgement, ...]] = {}
+    judged = assess_data_set(data, names, executor, recordings)
+    ordinary: dict[str, tuple[SceneAssessment, ...]] = {}
     if recordings is not None:
         sources = {facts.source for facts in data.scene_facts(names).values()}
-        ordinary = judge_data(recordings, sorted(sources & set(recordings.scene_names(None))), executor)
+        ordinary = assess_data_set(recordings, sorted(sources & set(recordings.scene_names(None))), executor)
     encounters = [
         item.encounter for assessments in judged.values() for item in assessments if item.encounter is not None
     ]
     free = [item for item in encounters if item.contact is None]
-    return SplitJudgement(
+    return SplitAssessment(
         scenes=dict(judged),
-        ladder=ladder([assessments for assessments in judged.values() if assessments]),
-        ladder_of_recordings=ladder([assessments for assessments in ordinary.values() if assessments])
+        ladder=summarise_reference_drivers([assessments for assessments in judged.values() if assessments]),
+        ladder_of_recordings=summarise_reference_drivers(
+            [assessments for assessments in ordinary.values() if assessments]
+        )
         if ordinary
         else (),
-        unsolvable=tuple(name for name, assessments in judged.items() if unsolvable(assessments)),
+        unsolvable=tuple(name for name, assessments in judged.items() if is_unsolvable(assessments)),
         severity=(
-            *(_severity(label, name, encounters) for name, label in _ALWAYS.items()),
-            *(_severity(label, name, free) for name, label in _BEFORE_CONTACT.items()),
+            *(_summarise_severity(label, name, encounters) for name, label in _ALWAYS.items()),
+            *(_summarise_severity(label, name, free) for name, label in _BEFORE_CONTACT.items()),
         ),
         contacts=len(encounters) - len(free),
-        realism=split_realism(data, judged, recordings),
+        realism=measure_split_realism(data, judged, recordings),
     )
 
 
-def ladder(scenes: Sequence[Sequence[SceneJudgement]]) -> tuple[LadderRow, ...]:
+def summarise_reference_drivers(scenes: Sequence[Sequence[SceneAssessment]]) -> tuple[ReferenceDriverSurvival, ...]:
     """How many scenes, of at least one, each driver survives."""
     rows = []
     for name in DRIVER_NAMES:
         runs = [assessments[0].drivers[name] for assessments in scenes]
         rows.append(
-            LadderRow(
+            ReferenceDriverSurvival(
                 driver=name,
                 survives=sum(run.survives for run in runs),
                 of=len(runs),
@@ -350,11 +361,11 @@ def ladder(scenes: Sequence[Sequence[SceneJudgement]]) -> tuple[LadderRow, ...]:
     return tuple(rows)
 
 
-def _hits_adversary(run: DriverRun) -> bool:
+def _hits_adversary(run: ReferenceDriverRun) -> bool:
     return run.contact is not None and run.contact.party != "other"
 
 
-def _severity(label: str, name: str, met: Sequence[EncounterSeverity]) -> SeverityRow:
+def _summarise_severity(label: str, name: str, met: Sequence[InteractionSeverity]) -> SeverityRow:
     values = [value for value in (getattr(severity, name) for severity in met) if value is not None]
     quantiles = {level: float(np.quantile(values, at)) for level, at in _LEVELS.items()} if values else None
     return SeverityRow(

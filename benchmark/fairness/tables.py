@@ -3,38 +3,45 @@
 from collections.abc import Sequence
 from typing import Final
 
-from benchmark.records.judgement import DRIVER_NAMES, CtgRow, DriverRun, SceneJudgement, SplitRealism, unsolvable
-from benchmark.records.statistics import SplitJudgement
-from benchmark.report.table import Table, table_of
+from benchmark.records.judgement import (
+    DRIVER_NAMES,
+    CtgRow,
+    ReferenceDriverRun,
+    SceneAssessment,
+    SplitRealism,
+    is_unsolvable,
+)
+from benchmark.records.statistics import SplitAssessment
+from benchmark.report.table import Table, build_table
 
 _NOTHING: Final = "-"
 _SHOWN: Final = DRIVER_NAMES[1:]
 """The recorded ego is left out of the scenes' table, where it passes; its rung has it."""
 
 
-def split_tables(judged: SplitJudgement) -> list[Table]:
+def build_split_tables(judged: SplitAssessment) -> list[Table]:
     """All tables of a split.
 
     The ladder scene by scene and in sum, severity, validity and realism, as far as there are any.
     """
-    tables = [_scene_table(judged), _ladder_table(judged)]
+    tables = [_build_scene_table(judged), _build_reference_driver_table(judged)]
     if any(row.of for row in judged.severity):
-        tables.append(_severity_table(judged))
+        tables.append(_build_severity_table(judged))
     if judged.realism.adversaries:
-        tables += [_validity_table(judged.realism), *_realism_tables(judged.realism)]
+        tables += [_build_validity_table(judged.realism), *_build_realism_tables(judged.realism)]
     return tables
 
 
-def judgement_text(judged: SplitJudgement) -> str:
+def format_assessment(judged: SplitAssessment) -> str:
     """The tables for a terminal, with what else there is to say."""
-    blocks = [table.plain() for table in split_tables(judged)]
+    blocks = [table.plain() for table in build_split_tables(judged)]
     if judged.realism.not_compared is not None:
         blocks.append(f"Realism: not compared; {judged.realism.not_compared}.\n")
     return "\n".join(blocks)
 
 
-def _scene_table(judged: SplitJudgement) -> Table:
-    rows = [_scene_row(name, assessments) for name, assessments in judged.scenes.items() if assessments]
+def _build_scene_table(judged: SplitAssessment) -> Table:
+    rows = [_build_scene_row(name, assessments) for name, assessments in judged.scenes.items() if assessments]
     missing = sum(not assessments for assessments in judged.scenes.values())
     tracks = {assessment.tracks for assessments in judged.scenes.values() for assessment in assessments}
     maps = {assessment.has_map for assessments in judged.scenes.values() for assessment in assessments}
@@ -56,10 +63,10 @@ def _scene_table(judged: SplitJudgement) -> Table:
     if missing:
         notes.append(f"{missing} scenes of a single frame are not judged.")
     columns = ("scene", *_SHOWN, "margin", "gap", "TTC", "PET", "BTN", "faults")
-    return table_of("", "Who survives which scene", columns, rows, notes=notes)
+    return build_table("", "Who survives which scene", columns, rows, notes=notes)
 
 
-def _scene_row(name: str, assessments: Sequence[SceneJudgement]) -> tuple[str, ...]:
+def _build_scene_row(name: str, assessments: Sequence[SceneAssessment]) -> tuple[str, ...]:
     first, encounters = (
         assessments[0],
         [assessment.encounter for assessment in assessments if assessment.encounter is not None],
@@ -70,7 +77,7 @@ def _scene_row(name: str, assessments: Sequence[SceneJudgement]) -> tuple[str, .
     return (
         name,
         *(_run_cell(first.drivers[driver]) for driver in _SHOWN),
-        f"{margin}, unsolvable" if unsolvable(assessments) else margin,
+        f"{margin}, unsolvable" if is_unsolvable(assessments) else margin,
         _least([assessment.least_gap_m for assessment in encounters], 2),
         _least([assessment.least_ttc_s for assessment in encounters], 1),
         _least([assessment.pet_s for assessment in encounters], 1),
@@ -81,14 +88,14 @@ def _scene_row(name: str, assessments: Sequence[SceneJudgement]) -> tuple[str, .
     )
 
 
-def _run_cell(run: DriverRun) -> str:
+def _run_cell(run: ReferenceDriverRun) -> str:
     beyond = " >" if run.beyond_end else ""
     if run.contact is None:
         return f"ok{beyond}"
     return f"{run.contact.kind}{'' if run.contact.party == 'other' else '*'} {run.contact.time_s:.1f}{beyond}"
 
 
-def _ladder_table(judged: SplitJudgement) -> Table:
+def _build_reference_driver_table(judged: SplitAssessment) -> Table:
     ordinary = {row.driver: row for row in judged.ladder_of_recordings}
     rows = [
         (
@@ -112,20 +119,20 @@ def _ladder_table(judged: SplitJudgement) -> Table:
     ]
     if ordinary:
         notes.append("Drivers take over where an adversary begins to act, and in the recordings at the first frame.")
-    return table_of("", "The ladder", columns, rows, notes=notes)
+    return build_table("", "The ladder", columns, rows, notes=notes)
 
 
-def _severity_table(judged: SplitJudgement) -> Table:
+def _build_severity_table(judged: SplitAssessment) -> Table:
     rows = []
     for row in judged.severity:
         values = [] if row.quantiles is None else list(row.quantiles.model_dump().values())
         rows.append((row.name, str(row.of), *(f"{value:.2f}" for value in values), *[_NOTHING] * (5 - len(values))))
     columns = ("recorded ego and adversary", "of", "least", "tenth", "median", "ninetieth", "most")
     notes = [f"Contact in {judged.contacts}; times to contact, TET and TIT of the others."] if judged.contacts else []
-    return table_of("", "Severity", columns, rows, notes=notes)
+    return build_table("", "Severity", columns, rows, notes=notes)
 
 
-def _validity_table(realism: SplitRealism) -> Table:
+def _build_validity_table(realism: SplitRealism) -> Table:
     rows = [
         (
             row.fault,
@@ -136,10 +143,10 @@ def _validity_table(realism: SplitRealism) -> Table:
         for row in realism.validity
     ]
     columns = ("fault", "adversaries", "share", "not asked of the others because")
-    return table_of("", "Validity of the adversaries' tracks", columns, rows)
+    return build_table("", "Validity of the adversaries' tracks", columns, rows)
 
 
-def _realism_tables(realism: SplitRealism) -> list[Table]:
+def _build_realism_tables(realism: SplitRealism) -> list[Table]:
     worst = realism.headline
     if worst is None or realism.samples is None:
         return []
@@ -162,16 +169,16 @@ def _realism_tables(realism: SplitRealism) -> list[Table]:
     ]
     times = f"{_number(worst.w1_in_halves, 1)} times the W1 of halves"
     title = f"Realism, worst feature {worst.name}: {worst.realism:.3f}, {times}"
-    return [table_of("", title, columns, rows, notes=notes), *_ctg_tables(realism.ctg)]
+    return [build_table("", title, columns, rows, notes=notes), *_build_ctg_tables(realism.ctg)]
 
 
-def _ctg_tables(ctg: CtgRow | None) -> list[Table]:
+def _build_ctg_tables(ctg: CtgRow | None) -> list[Table]:
     if ctg is None:
         return []
     title = f"ctg-realism@code, version {ctg.version}, normalisation {ctg.normalisation}, mask {ctg.mask}"
     rows = [("ctg-realism@code", _number(ctg.mean_real_dev, 3), _number(ctg.mean_real_dev_int, 3))]
     notes = ["For comparison with the literature; it ranks nothing (docs/realism.md)."]
-    return [table_of("", title, ("", "mean_real_dev", "mean_real_dev_int"), rows, notes=notes)]
+    return [build_table("", title, ("", "mean_real_dev", "mean_real_dev_int"), rows, notes=notes)]
 
 
 def _least(values: Sequence[float | None], digits: int) -> str:

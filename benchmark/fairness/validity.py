@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 import shapely
 
-from benchmark.dynamics.bicycle import DriverLimits, broken_limit
+from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
 from benchmark.geometry import Bools, Floats, box_corners, box_gap, boxes_overlap, wrap_angle
-from benchmark.interactions.tracks import Integers, Tracks
-from benchmark.records.judgement import FAULT_NAMES, TrackFaults
+from benchmark.interactions.tracks import ContinuousTracks, Integers
+from benchmark.records.judgement import TRACK_DEFECT_NAMES, StoredTrackDefects
 from benchmark.road_map import RoadMap
 
 OFF_ROAD_M: Final = 0.3
@@ -29,15 +29,15 @@ NO_TRACK: Final = "the generated 12 Hz track is not in the data set"
 _NEEDS_MAP: Final = ("off_road", "against_traffic")
 
 
-def faults_of(
-    tracks: Tracks,
+def find_track_defects(
+    tracks: ContinuousTracks,
     agent: int,
     frames: slice | Integers,
     road_map: RoadMap | None = None,
     *,
     at_keyframes: bool = False,
     rounded_m: float = 0.0,
-) -> TrackFaults:
+) -> StoredTrackDefects:
     """Look for faults of an adversary.
 
     Args:
@@ -46,27 +46,31 @@ def faults_of(
         frames: Its adversarial stretch; frames at which it is not there do not count.
         at_keyframes: Whether the frames are keyframes, between which nothing is known: then limits and jumps are not
             asked, and of the others only what the keyframes show is found.
-        rounded_m: How far each position may be from where it was generated (`broken_limit`).
+        rounded_m: How far each position may be from where it was generated (`find_broken_limit`).
     """
     there = np.arange(len(tracks.seconds))[frames]
     there = there[tracks.valid[agent, there]]
     seconds, boxes = tracks.seconds[there], tracks.agents[agent, there]
-    others, present = _others(tracks, agent, there)
-    touching, near = _nearness(boxes, others, present)
+    others, present = _collect_others(tracks, agent, there)
+    touching, near = _find_near(boxes, others, present)
     ego = len(others) - 1
     values = {
-        "beyond_limits": None if at_keyframes else broken_limit(boxes, DriverLimits(), rounded_m=rounded_m) is not None,
-        "off_road": None if road_map is None else bool(_off_road(boxes, road_map).any()),
+        "beyond_limits": None
+        if at_keyframes
+        else find_broken_limit(boxes, DriverLimits(), rounded_m=rounded_m) is not None,
+        "off_road": None if road_map is None else bool(_find_off_road(boxes, road_map).any()),
         "contact": bool(np.delete(touching, ego, axis=0).any()),
-        "against_traffic": None if road_map is None else _lasts(_against(boxes, road_map)[None], seconds, AGAINST_S),
-        "hovering": _lasts(near, seconds, HOVERING_S),
-        "teleport": None if at_keyframes else bool(teleports(seconds, boxes).any()),
+        "against_traffic": None
+        if road_map is None
+        else _lasts_longer_than(_find_against_traffic(boxes, road_map)[None], seconds, AGAINST_S),
+        "hovering": _lasts_longer_than(near, seconds, HOVERING_S),
+        "teleport": None if at_keyframes else bool(find_teleports(seconds, boxes).any()),
     }
-    unknown = {name: NO_MAP if name in _NEEDS_MAP else NO_TRACK for name in FAULT_NAMES if values[name] is None}
-    return TrackFaults(**values, unknown=unknown)
+    unknown = {name: NO_MAP if name in _NEEDS_MAP else NO_TRACK for name in TRACK_DEFECT_NAMES if values[name] is None}
+    return StoredTrackDefects(**values, unknown=unknown)
 
 
-def teleports(seconds: Floats, boxes: Floats) -> Bools:
+def find_teleports(seconds: Floats, boxes: Floats) -> Bools:
     """(F - 1,) steps between frames that no car could make.
 
     It moves further than at the speed before and 10 m/s^2 more, and 0.2 m, or turns by more than 30 degrees.
@@ -77,14 +81,14 @@ def teleports(seconds: Floats, boxes: Floats) -> Bools:
     return np.asarray(far | (np.abs(wrap_angle(np.diff(boxes[:, 4]))) > TELEPORT_RAD))
 
 
-def _others(tracks: Tracks, agent: int, frames: Integers) -> tuple[Floats, Bools]:
+def _collect_others(tracks: ContinuousTracks, agent: int, frames: Integers) -> tuple[Floats, Bools]:
     """All others, the recorded ego as the last one."""
     others = np.concatenate([np.delete(tracks.agents, agent, axis=0)[:, frames], tracks.ego[frames][None]])
     present = np.delete(tracks.valid, agent, axis=0)[:, frames]
     return others, np.concatenate([present, np.ones((1, present.shape[1]), np.bool_)])
 
 
-def _nearness(boxes: Floats, others: Floats, present: Bools) -> tuple[Bools, Bools]:
+def _find_near(boxes: Floats, others: Floats, present: Bools) -> tuple[Bools, Bools]:
     """(M, F) whether each touches the boxes, and whether it is within 0.5 m of them."""
     away = np.hypot(others[..., 0] - boxes[:, 0], others[..., 1] - boxes[:, 1])
     outer = 0.5 * (np.hypot(others[..., 2], others[..., 3]) + np.hypot(boxes[:, 2], boxes[:, 3]))
@@ -95,7 +99,7 @@ def _nearness(boxes: Floats, others: Floats, present: Bools) -> tuple[Bools, Boo
     return touching, near
 
 
-def _lasts(flags: Bools, seconds: Floats, longer_than: float) -> bool:
+def _lasts_longer_than(flags: Bools, seconds: Floats, longer_than: float) -> bool:
     """Whether any row of (M, F) flags stays up for longer than so many seconds."""
     for row in flags[flags.any(axis=1)]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8))).reshape(-1, 2)
@@ -104,14 +108,14 @@ def _lasts(flags: Bools, seconds: Floats, longer_than: float) -> bool:
     return False
 
 
-def _off_road(boxes: Floats, road_map: RoadMap) -> Bools:
+def _find_off_road(boxes: Floats, road_map: RoadMap) -> Bools:
     corners = shapely.points(box_corners(boxes))
     area = road_map.drivable_area
     shapely.prepare(area)
     return np.asarray(~shapely.dwithin(area, corners, OFF_ROAD_M).all(axis=-1))
 
 
-def _against(boxes: Floats, road_map: RoadMap) -> Bools:
+def _find_against_traffic(boxes: Floats, road_map: RoadMap) -> Bools:
     """(F,) whether the heading is against every lane below the centre; where there is none, or one goes along, not."""
     below, along = np.zeros(len(boxes), np.bool_), np.zeros(len(boxes), np.bool_)
     for lane in road_map.lanes.values():
@@ -121,12 +125,12 @@ def _against(boxes: Floats, road_map: RoadMap) -> Bools:
         if not len(inside):
             continue
         below[inside] = True
-        turn = np.abs(wrap_angle(boxes[inside, 4] - _direction(lane.centerline, boxes[inside, :2])))
+        turn = np.abs(wrap_angle(boxes[inside, 4] - _compute_directions(lane.centerline, boxes[inside, :2])))
         along[inside[turn <= AGAINST_RAD]] = True
     return np.asarray(below & ~along)
 
 
-def _direction(line: Floats, points: Floats) -> Floats:
+def _compute_directions(line: Floats, points: Floats) -> Floats:
     """(P,) heading of the segment of a polyline that is nearest to each point."""
     start, step = line[:-1], np.diff(line, axis=0)
     squared = np.maximum((step**2).sum(axis=1), 1e-12)

@@ -19,13 +19,13 @@ from benchmark.interactions.reaction import (
     rss_distance_across,
     rss_distance_along,
 )
-from benchmark.interactions.relations import Around
+from benchmark.interactions.relations import RelativeAgents
 
 
-def unsafe_agents(driver: Driver, around: Around, speed: Floats) -> Bools:
+def find_unsafe_agents(driver: Driver, around: RelativeAgents, speed: Floats) -> Bools:
     """(R, N) which of N agents a driver of R egos finds unsafe; whether it sees them is another question.
 
-    The driver is the careful human, that of the regulation, or RSS; FSM's question is `fuzzy_targets`. Speeds are
+    The driver is the careful human, that of the regulation, or RSS; FSM's question is `compute_fuzzy_targets`. Speeds are
     (R, 1) m/s.
     """
     closing = speed - around.along
@@ -41,7 +41,7 @@ def unsafe_agents(driver: Driver, around: Around, speed: Floats) -> Bools:
     return np.asarray(verdict & around.ahead)
 
 
-def fuzzy_targets(around: Around, speed: Floats, acceleration: Floats, length: float) -> Floats:
+def compute_fuzzy_targets(around: RelativeAgents, speed: Floats, acceleration: Floats, length: float) -> Floats:
     """(R, N) braking that FSM asks for because of each agent, m/s^2; 0 where it is at ease or does not look.
 
     Speed, m/s, and acceleration over the step before, m/s^2, are (R, 1) of the egos, whose length is in metres.

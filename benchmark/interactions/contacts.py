@@ -52,12 +52,12 @@ class ContactKind(StrEnum):
 KINDS: Final = tuple(ContactKind)
 STOPPED_EGO, STOPPED_TRACK, FRONT, REAR, LATERAL = range(len(KINDS))
 """Kinds as numbers."""
-BLAMELESS: Final = (STOPPED_EGO, REAR)
+NOT_AT_FAULT_KINDS: Final = (STOPPED_EGO, REAR)
 """Kinds that are never the ego's fault; another may be."""
 
 
 @dataclass(frozen=True, slots=True)
-class Pairs:
+class ContactPairs:
     """P pairs of an ego and another, each at one instant.
 
     Attributes:
@@ -103,12 +103,12 @@ class Pairs:
     @property
     def kinds(self) -> Integers:
         """(P,) indices into `KINDS`."""
-        return contact_kinds(self.ego, self.ego_speed, self.other, self.other_speed, self.is_agent)
+        return classify_contacts(self.ego, self.ego_speed, self.other, self.other_speed, self.is_agent)
 
     @property
     def time_to_contact(self) -> Floats:
         """(P,) seconds until the rectangles touch if both keep velocity and heading; infinite if they never do."""
-        return time_to_contact(self.ego, self.ego_velocity, self.other, self.moving)
+        return compute_time_to_contact(self.ego, self.ego_velocity, self.other, self.moving)
 
     @property
     def time_to_contact_nuplan(self) -> Floats:
@@ -129,7 +129,7 @@ class Pairs:
         return np.asarray(0.5 * np.sqrt(np.maximum(squared, 0.0)))
 
 
-def is_agent(category: str) -> bool:
+def is_agent_category(category: str) -> bool:
     """Whether objects of a category move by themselves."""
     return not category.startswith(_NOT_AGENTS)
 
@@ -139,18 +139,18 @@ def mass_kg(category: str) -> float:
     return _PERSON_KG if category.startswith("human.") else _MASSES_KG.get(category, _OTHER_KG)
 
 
-def delta_v(impact_speed: Floats, other_kg: Floats) -> tuple[Floats, Floats]:
+def compute_delta_v(impact_speed: Floats, other_kg: Floats) -> tuple[Floats, Floats]:
     """Changes of velocity of the ego and of the other, of ``other_kg``, in a plastic impact, m/s."""
     total = other_kg + EGO_MASS_KG
     return np.asarray(other_kg / total * impact_speed), np.asarray(EGO_MASS_KG / total * impact_speed)
 
 
-def fatal_probability(delta_v_m_s: Floats) -> Floats:
+def compute_fatal_probability(delta_v_m_s: Floats) -> Floats:
     """Probability that an occupant dies, by the fourth power of the change of velocity (Joksch 1993)."""
     return np.minimum((delta_v_m_s / FATAL_M_S) ** 4, 1.0)
 
 
-def contact_kinds(ego: Floats, ego_speed: Floats, other: Floats, other_speed: Floats, agents: Bools) -> Integers:
+def classify_contacts(ego: Floats, ego_speed: Floats, other: Floats, other_speed: Floats, agents: Bools) -> Integers:
     """Indices into `KINDS`, whether the rectangles touch or not; ``agents`` are others that move by themselves."""
     front = ego.copy()
     front[..., 0] += 0.5 * ego[..., 2] * np.cos(ego[..., 4])
@@ -159,13 +159,13 @@ def contact_kinds(ego: Floats, ego_speed: Floats, other: Floats, other_speed: Fl
     conditions = [
         ego_speed <= STOPPED_M_S,
         ~agents | (other_speed <= STOPPED_M_S),
-        bearing(ego, other) > BEHIND_RAD,
+        compute_bearing(ego, other) > BEHIND_RAD,
         boxes_overlap(front, other),
     ]
     return np.select(conditions, [STOPPED_EGO, STOPPED_TRACK, REAR, FRONT], LATERAL)
 
 
-def bearing(ego: Floats, other: Floats) -> Floats:
+def compute_bearing(ego: Floats, other: Floats) -> Floats:
     """Angle between the ego's heading and the direction from its rear axle to the centre of another.
 
     Radians, 0 straight ahead to pi straight behind.
@@ -177,7 +177,7 @@ def bearing(ego: Floats, other: Floats) -> Floats:
     return np.asarray(np.arctan2(np.abs(across), along))
 
 
-def at_fault(kind: ContactKind, unsure: bool) -> bool:
+def is_at_fault(kind: ContactKind, unsure: bool) -> bool:
     """Whether the ego is to blame for a first contact.
 
     ``unsure`` is the ego in several lanes or off the drivable area: then a lateral contact is its fault too.
@@ -185,7 +185,7 @@ def at_fault(kind: ContactKind, unsure: bool) -> bool:
     return kind in (ContactKind.FRONT, ContactKind.STOPPED_TRACK) or (kind is ContactKind.LATERAL and unsure)
 
 
-def time_to_contact(first: Floats, first_velocity: Floats, second: Floats, second_velocity: Floats) -> Floats:
+def compute_time_to_contact(first: Floats, first_velocity: Floats, second: Floats, second_velocity: Floats) -> Floats:
     """Seconds until (..., 5) boxes first touch if both keep velocity and heading, infinite if they never do.
 
     Along each of the four edge normals their projections overlap for a while; they touch while all four do.
@@ -204,12 +204,12 @@ def time_to_contact(first: Floats, first_velocity: Floats, second: Floats, secon
             x, y = (axis_cos, axis_sin) if axis == 0 else (-axis_sin, axis_cos)
             away = offset[..., 0] * x + offset[..., 1] * y
             rate = velocity[..., 0] * x + velocity[..., 1] * y
-            low, high = _interval(away, rate, reach)
+            low, high = _solve_interval(away, rate, reach)
             enter, leave = np.maximum(enter, low), np.minimum(leave, high)
     return np.where(enter <= leave, enter, np.inf)
 
 
-def _interval(away: Floats, rate: Floats, reach: Floats) -> tuple[Floats, Floats]:
+def _solve_interval(away: Floats, rate: Floats, reach: Floats) -> tuple[Floats, Floats]:
     """When ``abs(away + rate t) <= reach``: from and to; an empty interval ends at minus infinity."""
     still = rate == 0.0
     safe = np.where(still, 1.0, rate)

@@ -13,19 +13,19 @@ from typing import Final
 import numpy as np
 
 from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, directions_of
-from benchmark.interactions.checks import fuzzy_targets, unsafe_agents
+from benchmark.interactions.checks import compute_fuzzy_targets, find_unsafe_agents
 from benchmark.interactions.ego_path import EgoPath
-from benchmark.interactions.keeping_distance import idm_acceleration
-from benchmark.interactions.reaction import REACTING, Driver, Reactions
-from benchmark.interactions.relations import Around, Relations
-from benchmark.interactions.tracks import STEP_S, Integers, Tracks
+from benchmark.interactions.keeping_distance import compute_idm_acceleration
+from benchmark.interactions.reaction import REACTING, Driver, ReactionState
+from benchmark.interactions.relations import PathRelations, RelativeAgents
+from benchmark.interactions.tracks import STEP_S, ContinuousTracks, Integers
 
 SIGHT_M: Final = 80.0
 HIDING_M: Final = 90.0
 """Vehicles further from the eye hide no other."""
 
 
-def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides: Bools) -> Bools:
+def find_visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides: Bools) -> Bools:
     """(Q,) whether agents are seen from (Q, 2) places, among all (N, 5) boxes that are there at that time.
 
     ``hides`` says which of them can hide a car.
@@ -38,7 +38,7 @@ def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides
     if not len(rows):
         return is_visible
     points = np.concatenate([target[rows, None, :2], box_corners(target[rows])], axis=1)
-    lines = _lines(eyes[rows, None], points)
+    lines = _build_sight_lines(eyes[rows, None], points)
     block = boxes[blockers]
     offset = block[None, :, :2] - eyes[rows, None]
     eye_boxes = np.concatenate([eyes[rows], np.zeros((len(rows), 3))], axis=1)
@@ -52,18 +52,18 @@ def visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides
     return is_visible
 
 
-def first_visible(tracks: Tracks, agent: int, times: Floats) -> float | None:
+def find_first_visible_time(tracks: ContinuousTracks, agent: int, times: Floats) -> float | None:
     """First of the rising instants asked at which the recorded ego sees an agent, or ``None``."""
     boxes, present = tracks.agents_at(times)
     eyes, hides = tracks.ego_at(times)[:, :2], tracks.hides
     for instant in np.flatnonzero(present[agent]).tolist():
-        is_visible = visible(eyes[instant, None], np.array([agent]), boxes[:, instant], present[:, instant], hides)
+        is_visible = find_visible(eyes[instant, None], np.array([agent]), boxes[:, instant], present[:, instant], hides)
         if is_visible[0]:
             return float(times[instant])
     return None
 
 
-def _lines(first: Floats, second: Floats) -> Floats:
+def _build_sight_lines(first: Floats, second: Floats) -> Floats:
     """Segments between points as boxes without width."""
     step = second - first
     zero = np.zeros(step.shape[:-1])
@@ -73,7 +73,7 @@ def _lines(first: Floats, second: Floats) -> Floats:
 
 SLOWEST_REACTING_M_S: Final = 0.5
 """A driver that has not reacted yet and all but stands has nothing to brake."""
-LADDER: Final = (
+REFERENCE_DRIVER_KINDS: Final = (
     Driver.RECORDED,
     Driver.CONSTANT,
     Driver.IDM,
@@ -86,18 +86,18 @@ LADDER: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Rung:
+class ReferenceDriver:
     """A driver, and whether it reacts to the adversary alone (it can still hit others)."""
 
     driver: Driver
     adversary_only: bool = False
 
 
-RUNGS: Final = tuple(map(Rung, LADDER))
+REFERENCE_DRIVERS: Final = tuple(map(ReferenceDriver, REFERENCE_DRIVER_KINDS))
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class DriverMotion:
     """Motion of one driver to the end of the scene, as if it hit nothing.
 
     Attributes:
@@ -108,7 +108,7 @@ class Motion:
             the first.
     """
 
-    rung: Rung
+    reference_driver: ReferenceDriver
     times: Floats
     station: Floats
     speed: Floats
@@ -118,7 +118,7 @@ class Motion:
 
 
 @dataclass(slots=True)
-class Situation:
+class DrivingSituation:
     """Scene as drivers need it, at K instants of decision.
 
     Attributes:
@@ -128,36 +128,40 @@ class Situation:
         adversary: Its index, for rungs that react to it alone.
     """
 
-    tracks: Tracks
+    tracks: ContinuousTracks
     times: Floats
     adversary: int | None = None
     path: EgoPath = field(init=False)
-    relations: Relations = field(init=False)
+    relations: PathRelations = field(init=False)
     ignored: Bools = field(init=False)
     station: Floats = field(init=False)
     speed: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         self.path = EgoPath.of(self.tracks)
-        self.relations = Relations.of(self.path, self.tracks, self.times)
+        self.relations = PathRelations.of(self.path, self.tracks, self.times)
         self.ignored = self.tracks.touching_at(float(self.times[0]))
         self.station = self.path.recorded_station(self.times)
         self.speed = self.path.recorded_speed(self.times)
 
     @classmethod
-    def of(cls, tracks: Tracks, start: float | None = None, adversary: int | None = None) -> "Situation":
+    def of(
+        cls, tracks: ContinuousTracks, start: float | None = None, adversary: int | None = None
+    ) -> "DrivingSituation":
         """The situation of a scene from ``start`` on, seconds; by default from the first frame."""
         return cls(tracks, tracks.grid(start), adversary)
 
 
-def drive(situation: Situation, rungs: Sequence[Rung] = RUNGS) -> list[Motion]:
+def simulate_drivers(
+    situation: DrivingSituation, rungs: Sequence[ReferenceDriver] = REFERENCE_DRIVERS
+) -> list[DriverMotion]:
     """Let drivers drive to the end of the scene."""
     simulated = [rung for rung in rungs if rung.driver in (Driver.IDM, *REACTING)]
     moved = dict(zip(simulated, _simulate(situation, simulated)))
-    return [moved[rung] if rung in moved else given(situation, rung) for rung in rungs]
+    return [moved[rung] if rung in moved else compute_unreactive_motion(situation, rung) for rung in rungs]
 
 
-def given(situation: Situation, rung: Rung) -> Motion:
+def compute_unreactive_motion(situation: DrivingSituation, rung: ReferenceDriver) -> DriverMotion:
     """The motion of a driver that looks at no agent: the recording, or the speed of the start kept."""
     times, station, speed = situation.times, situation.station, situation.speed
     last = len(times) - 1
@@ -165,50 +169,50 @@ def given(situation: Situation, rung: Rung) -> Motion:
     if rung.driver is Driver.CONSTANT:
         free_from, speed = 0, np.full(len(times), speed[0])
         station = station[0] + np.concatenate([[0.0], np.cumsum(STEP_S * speed[1:])])
-    return Motion(rung, times, station, speed, np.zeros(last, np.bool_), free_from, None)
+    return DriverMotion(rung, times, station, speed, np.zeros(last, np.bool_), free_from, None)
 
 
-def _simulate(situation: Situation, rungs: Sequence[Rung]) -> list[Motion]:
+def _simulate(situation: DrivingSituation, rungs: Sequence[ReferenceDriver]) -> list[DriverMotion]:
     if not rungs:
         return []
-    advancing = Advancing(situation, rungs)
+    advancing = DriverSimulation(situation, rungs)
     for step in range(len(situation.times) - 1):
         advancing.step(step, situation, step)
-    return advancing.motions()
+    return advancing.collect_motions()
 
 
-class Advancing:
+class DriverSimulation:
     """Drivers under way: each step needs to know all agents at its beginning, and nothing of later.
 
     The situation is the recording that they follow until they react, and its path; all rungs decide by themselves
     (`REACTING`, and those that keep distance).
     """
 
-    def __init__(self, situation: Situation, rungs: Sequence[Rung]) -> None:
+    def __init__(self, situation: DrivingSituation, rungs: Sequence[ReferenceDriver]) -> None:
         count, instants = len(rungs), len(situation.times)
         self._situation, self._rungs = situation, tuple(rungs)
         self._idm = np.array([rung.driver is Driver.IDM for rung in rungs])
         self.free_from = np.where(self._idm, 0, instants - 1)
-        """(R,) as in `Motion`; the last step while a driver follows the recording."""
+        """(R,) as in `DriverMotion`; the last step while a driver follows the recording."""
         self.station = np.broadcast_to(situation.station, (count, instants)).copy()
         """(R, K) metres along the path: driven up to now, recorded from then on."""
         self.speed = np.broadcast_to(situation.speed, (count, instants)).copy()
         """(R, K) m/s, likewise."""
         self._unsafe = np.zeros((count, instants - 1), np.bool_)
         self._reasons: list[int | None] = [None] * count
-        self._memory = Reactions.fresh([rung.driver for rung in rungs])
+        self._memory = ReactionState.fresh([rung.driver for rung in rungs])
         self._free_speed = max(SLOWEST_REACTING_M_S, float(situation.speed.max()))
 
-    def step(self, step: int, seen: Situation, instant: int) -> None:
+    def step(self, step: int, seen: DrivingSituation, instant: int) -> None:
         """Decide and drive 0.1 s; at the beginning of the step all agents are as ``seen`` at the instant."""
         rungs, idm = self._rungs, self._idm
         station, speed = self.station, self.speed
         around = seen.relations.around(instant, station[:, step])
         now, before = speed[:, step], speed[:, max(step - 1, 0)]
-        watched = _Watched(seen, around, instant, station[:, step], now, (now - before) / STEP_S)
+        watched = _DriverView(seen, around, instant, station[:, step], now, (now - before) / STEP_S)
         latched = self.free_from <= step
-        unsafe, targets = watched.reactions(rungs, latched | (now >= SLOWEST_REACTING_M_S))
-        visible_ones = watched.seen(unsafe | watched.in_the_way(idm))
+        unsafe, targets = watched.find_reactions(rungs, latched | (now >= SLOWEST_REACTING_M_S))
+        visible_ones = watched.seen(unsafe | watched.find_in_the_way(idm))
         unsafe &= visible_ones
         verdict = unsafe.any(axis=1)
         self._unsafe[:, step] = verdict
@@ -219,16 +223,18 @@ class Advancing:
         latched |= verdict
         target = np.where(unsafe, targets, 0.0).max(axis=1, initial=0.0)
         reacted = self._memory.react(verdict[:, None], now[:, None], target[:, None])[:, 0]
-        acceleration = idm_acceleration(now, self._free_speed, *watched.leaders(visible_ones & idm[:, None]))
+        acceleration = compute_idm_acceleration(
+            now, self._free_speed, *watched.find_leaders(visible_ones & idm[:, None])
+        )
         following = now + STEP_S * acceleration
         after = np.maximum(np.where(idm, following, np.where(verdict, reacted, now)), 0.0)
         speed[:, step + 1] = np.where(latched, after, speed[:, step + 1])
         station[:, step + 1] = np.where(latched, station[:, step] + STEP_S * after, station[:, step + 1])
 
-    def motions(self) -> list[Motion]:
+    def collect_motions(self) -> list[DriverMotion]:
         """What they have done."""
         return [
-            Motion(
+            DriverMotion(
                 rung,
                 self._situation.times,
                 self.station[row],
@@ -242,17 +248,17 @@ class Advancing:
 
 
 @dataclass(frozen=True, slots=True)
-class _Watched:
+class _DriverView:
     """What R drivers see at one step; sight is asked for only where something follows from it."""
 
-    situation: Situation
-    around: Around
+    situation: DrivingSituation
+    around: RelativeAgents
     step: int
     station: Floats
     speed: Floats
     acceleration: Floats
 
-    def reactions(self, rungs: Sequence[Rung], looks: Bools) -> tuple[Bools, Floats]:
+    def find_reactions(self, rungs: Sequence[ReferenceDriver], looks: Bools) -> tuple[Bools, Floats]:
         """(R, N) agents that each driver would find unsafe if it saw them, and (R, N) what braking FSM asks for."""
         shape = self.around.gap.shape
         unsafe, targets = np.zeros(shape, np.bool_), np.zeros(shape)
@@ -263,19 +269,19 @@ class _Watched:
             around = self.around.row(row)
             dynamics = (self.speed[row : row + 1, None], self.acceleration[row : row + 1, None], length)
             if rung.driver is Driver.FSM:
-                targets[row] = fuzzy_targets(around, *dynamics)[0]
+                targets[row] = compute_fuzzy_targets(around, *dynamics)[0]
                 unsafe[row] = targets[row] > 0
             else:
-                unsafe[row] = unsafe_agents(rung.driver, around, dynamics[0])[0]
+                unsafe[row] = find_unsafe_agents(rung.driver, around, dynamics[0])[0]
             if rung.adversary_only:
                 unsafe[row] &= np.arange(shape[1]) == self.situation.adversary
         return unsafe & ~self.situation.ignored, targets
 
-    def in_the_way(self, idm: Bools) -> Bools:
+    def find_in_the_way(self, idm: Bools) -> Bools:
         """(R, N) agents that those who keep distance might follow."""
         return np.asarray(self.around.ahead & (self.around.side <= 0) & ~self.situation.ignored & idm[:, None])
 
-    def leaders(self, followed: Bools) -> tuple[Floats, Floats]:
+    def find_leaders(self, followed: Bools) -> tuple[Floats, Floats]:
         """(R,) gap to and speed of the nearest of the (R, N) agents that may be followed."""
         gap = np.where(followed, self.around.gap, np.inf)
         if not gap.shape[1]:
@@ -292,5 +298,5 @@ class _Watched:
         relations = self.situation.relations
         eyes = self.situation.path.position(self.station[row])
         boxes, present = relations.boxes[:, self.step], relations.present[:, self.step]
-        candidates[row, agent] = visible(eyes, agent, boxes, present, relations.hides)
+        candidates[row, agent] = find_visible(eyes, agent, boxes, present, relations.hides)
         return candidates

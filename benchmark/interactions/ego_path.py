@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.geometry import Floats, wrap_angle
-from benchmark.interactions.tracks import Integers, Tracks, between
+from benchmark.interactions.tracks import ContinuousTracks, Integers, locate_frames
 
 VERTEX_SPACING_M: Final = 0.5
 BEFORE_M: Final = 100.0
@@ -39,15 +39,15 @@ class EgoPath:
     yaw: Floats
     station: Floats
     size: Floats
-    tracks: Tracks
+    tracks: ContinuousTracks
     vertex_seconds: Floats
     length: Floats
     direction: Floats
 
     @classmethod
-    def of(cls, tracks: Tracks) -> "EgoPath":
+    def of(cls, tracks: ContinuousTracks) -> "EgoPath":
         """The path of a recorded ego."""
-        spaced_frames = _spaced(tracks.ego[:, :2])
+        spaced_frames = _find_spaced_frames(tracks.ego[:, :2])
         boxes = tracks.ego[spaced_frames]
         ends = boxes[[0, -1]]
         heading = np.column_stack([np.cos(ends[:, 4]), np.sin(ends[:, 4])])
@@ -96,10 +96,10 @@ class EgoPath:
         times = np.asarray(times, np.float64)
         last = np.searchsorted(self.vertex_seconds, times + 1e-9, side="right") - 1
         segment = np.maximum(last, 0) + 1
-        frame, fraction = between(self.tracks.seconds, times)
+        frame, fraction = locate_frames(self.tracks.seconds, times)
         first, second = self.tracks.ego[frame, :2], self.tracks.ego[frame + 1, :2]
         centre = first + fraction[..., None] * (second - first)
-        station, _ = self._onto(centre, segment, self.station[segment], self.station[segment + 1])
+        station, _ = self._project_on_segments(centre, segment, self.station[segment], self.station[segment + 1])
         return station
 
     def recorded_speed(self, times: Floats) -> Floats:
@@ -139,7 +139,7 @@ class EgoPath:
         for start in range(0, count, batch):
             rows = slice(start, start + batch)
             segment = np.minimum(first[rows, None] + np.arange(width), last[rows, None])
-            along, distance = self._onto(points[rows, None], segment, low[rows, None], high[rows, None])
+            along, distance = self._project_on_segments(points[rows, None], segment, low[rows, None], high[rows, None])
             nearest = np.argmin(distance, axis=1)[:, None]
             station[rows] = np.take_along_axis(along, nearest, axis=1)[:, 0]
             squared[rows] = np.take_along_axis(distance, nearest, axis=1)[:, 0]
@@ -147,7 +147,9 @@ class EgoPath:
         left = tangent[:, 0] * offset[:, 1] - tangent[:, 1] * offset[:, 0]
         return station, np.copysign(np.sqrt(squared), left)
 
-    def _onto(self, points: Floats, segment: Integers, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    def _project_on_segments(
+        self, points: Floats, segment: Integers, low: Floats, high: Floats
+    ) -> tuple[Floats, Floats]:
         """Feet of points on segments between two stations: station, and distance squared."""
         base = self.station[segment]
         x, y = (points[..., axis] - self.points[:, axis][segment] for axis in range(2))
@@ -163,7 +165,7 @@ class EgoPath:
         return base, x
 
 
-def _spaced(centres: Floats) -> Integers:
+def _find_spaced_frames(centres: Floats) -> Integers:
     """Frames of the first centre and of each that is half a metre or more from the last one kept."""
     spaced_frames = [0]
     x, y = centres[0].tolist()

@@ -6,24 +6,24 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.interactions.tracks import STEP_S, Tracks
+from benchmark.interactions.tracks import STEP_S, ContinuousTracks
 from benchmark.verification.golden import GoldenArrays
 
 SAME_TIME_S: Final = 1e-9
 
 
-def encounter(stored: GoldenArrays, facts: Mapping[str, Any]) -> Tracks:
+def read_interaction(stored: GoldenArrays, facts: Mapping[str, Any]) -> ContinuousTracks:
     """The two tracks of an encounter, 10 Hz, which facts name."""
     name = facts["name"]
     ego = stored.floats(f"{name}/ego", None, 5)
     other, valid = stored.floats(f"{name}/other", len(ego), 5), stored.verdicts(f"{name}/valid", len(ego))
-    return Tracks(STEP_S * np.arange(len(ego)), ego, other[None], valid[None], (facts["category"],))
+    return ContinuousTracks(STEP_S * np.arange(len(ego)), ego, other[None], valid[None], (facts["category"],))
 
 
-def fragile(facts: Mapping[str, Any], *names: str) -> bool:
+def is_fragile(facts: Mapping[str, Any], *names: str) -> bool:
     """Whether a value is marked as one that changes when its inputs move a little, and so is to be left out.
 
-    ``fragile`` of the facts is true, or a list that has one of the names in it, alone or at the end of a path; no
+    ``is_fragile`` of the facts is true, or a list that has one of the names in it, alone or at the end of a path; no
     names ask for all of the facts.
     """
     marked = facts.get("fragile", False)

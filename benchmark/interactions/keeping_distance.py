@@ -20,19 +20,19 @@ SMALLEST_GAP_M: Final = 1.0
 _EXPONENT: Final = 4
 
 
-def idm_acceleration(speed: Floats, free_speed: float | Floats, gap: Floats, leader_speed: Floats) -> Floats:
+def compute_idm_acceleration(speed: Floats, free_speed: float | Floats, gap: Floats, leader_speed: Floats) -> Floats:
     """Acceleration of a car that keeps distance, m/s^2.
 
     Speeds are m/s, the leader's along the path; the gap is infinite without a leader.
     """
     near = np.maximum(gap, SMALLEST_GAP_M)
-    closing = _wanted_while_closing(speed, leader_speed, TIME_GAP_S, ACCELERATION, COMFORTABLE_BRAKING)
+    closing = _compute_wanted_gap(speed, leader_speed, TIME_GAP_S, ACCELERATION, COMFORTABLE_BRAKING)
     wanted = STANDSTILL_GAP_M + np.maximum(closing, 0.0)
     raw = ACCELERATION * (1 - (speed / free_speed) ** _EXPONENT - (wanted / near) ** 2)
     return np.asarray(np.clip(raw, -HARDEST_BRAKING, ACCELERATION))
 
 
-def raw_acceleration(
+def compute_nuplan_acceleration(
     speed: Floats,
     gap: Floats,
     leader_speed: Floats,
@@ -46,12 +46,12 @@ def raw_acceleration(
 
     Metres, seconds, m/s and m/s^2; ``braking`` is the comfortable one.
     """
-    wanted = standstill_gap + _wanted_while_closing(speed, leader_speed, time_gap, acceleration, braking)
+    wanted = standstill_gap + _compute_wanted_gap(speed, leader_speed, time_gap, acceleration, braking)
     near = np.maximum(gap, standstill_gap)
     return np.asarray(acceleration * (1 - (speed / free_speed) ** _EXPONENT - (wanted / near) ** 2))
 
 
-def _wanted_while_closing(
+def _compute_wanted_gap(
     speed: Floats, leader_speed: Floats, time_gap: float, acceleration: float, braking: float
 ) -> Floats:
     closing = speed * (speed - leader_speed) / (2 * np.sqrt(acceleration * braking))

@@ -14,13 +14,13 @@ import shapely
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_WHEELBASE_M
 from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, wrap_angle
-from benchmark.interactions.contacts import BLAMELESS, KINDS, contact_kinds, is_agent
-from benchmark.interactions.driving import Rung, Situation, drive
+from benchmark.interactions.contacts import KINDS, NOT_AT_FAULT_KINDS, classify_contacts, is_agent_category
+from benchmark.interactions.driving import DrivingSituation, ReferenceDriver, simulate_drivers
 from benchmark.interactions.ego_path import EgoPath
-from benchmark.interactions.outcomes import Contact, Surroundings
+from benchmark.interactions.outcomes import CollisionChecker, EgoCollision
 from benchmark.interactions.reaction import HARDEST_BRAKING, Driver
 from benchmark.interactions.tracks import STEP_S as GRID_S
-from benchmark.interactions.tracks import Integers, Tracks
+from benchmark.interactions.tracks import ContinuousTracks, Integers
 
 BRAKING: Final = (0.0, 2.0, 4.0, 6.0, HARDEST_BRAKING)
 OFFSETS_M: Final = (0.0, 1.75, -1.75, 3.5, -3.5)
@@ -41,7 +41,7 @@ X, Y, HEADING, SPEED, STEERING = range(STATE_COLUMNS)
 
 
 @dataclass(frozen=True, slots=True)
-class Starts:
+class ManoeuvreStarts:
     """O moments at which manoeuvres start.
 
     Poses are (O, 3) box centre x, y and heading of the ego; the station is metres along the path.
@@ -52,7 +52,7 @@ class Starts:
     station: Floats
 
 
-def manoeuvres(path: EgoPath, starts: Starts, steps: int) -> Floats:
+def simulate_manoeuvres(path: EgoPath, starts: ManoeuvreStarts, steps: int) -> Floats:
     """Drive all manoeuvres from all moments, as if the ego were alone.
 
     (O, 25, steps + 1, 5) states, the start included; steps are of 0.05 s.
@@ -61,7 +61,7 @@ def manoeuvres(path: EgoPath, starts: Starts, steps: int) -> Floats:
     braking = np.broadcast_to([value for value, _ in MANOEUVRES], shape).ravel()
     offset = np.broadcast_to([value for _, value in MANOEUVRES], shape).ravel()
     x, y, heading, speed, steering, station = (
-        np.broadcast_to(column[:, None], shape).ravel() for column in _start(path, starts)
+        np.broadcast_to(column[:, None], shape).ravel() for column in _read_start(path, starts)
     )
     states = np.empty((len(braking), steps + 1, STATE_COLUMNS))
     states[:, 0] = np.column_stack([x, y, heading, speed, steering])
@@ -70,7 +70,7 @@ def manoeuvres(path: EgoPath, starts: Starts, steps: int) -> Floats:
         built_up = np.minimum(braking, built_up + _BUILD_UP)
         position = np.column_stack([x, y])
         station, _ = path.project(position, station - _BACK_M, station + _AHEAD_M)
-        wanted = _steering_to(path, position, heading, speed, station, offset)
+        wanted = _compute_steering(path, position, heading, speed, station, offset)
         left = np.sqrt(np.maximum(HARDEST_BRAKING**2 - built_up**2, 0.0))
         largest = np.minimum(_LARGEST_STEERING_RAD, np.arctan(left * EGO_WHEELBASE_M / np.maximum(speed, 0.1) ** 2))
         change = np.clip(np.clip(wanted, -largest, largest) - steering, -_STEERING_STEP_RAD, _STEERING_STEP_RAD)
@@ -84,7 +84,7 @@ def manoeuvres(path: EgoPath, starts: Starts, steps: int) -> Floats:
     return states.reshape(*shape, steps + 1, STATE_COLUMNS)
 
 
-def boxes_of(states: Floats, size: Floats) -> Floats:
+def compute_boxes(states: Floats, size: Floats) -> Floats:
     """(..., 5) rectangles of (..., 5) states, for a car of (2,) length and width."""
     heading = states[..., HEADING]
     ahead = EGO_CENTER_FROM_REAR_AXLE_M * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -92,7 +92,7 @@ def boxes_of(states: Floats, size: Floats) -> Floats:
     return np.concatenate([states[..., :2] + ahead, sizes, heading[..., None]], axis=-1)
 
 
-def _start(path: EgoPath, starts: Starts) -> tuple[Floats, ...]:
+def _read_start(path: EgoPath, starts: ManoeuvreStarts) -> tuple[Floats, ...]:
     heading = starts.pose[:, 2]
     x = starts.pose[:, 0] - EGO_CENTER_FROM_REAR_AXLE_M * np.cos(heading)
     y = starts.pose[:, 1] - EGO_CENTER_FROM_REAR_AXLE_M * np.sin(heading)
@@ -101,7 +101,7 @@ def _start(path: EgoPath, starts: Starts) -> tuple[Floats, ...]:
     return x, y, heading, starts.speed, steering, starts.station - EGO_CENTER_FROM_REAR_AXLE_M
 
 
-def _steering_to(
+def _compute_steering(
     path: EgoPath, position: Floats, heading: Floats, speed: Floats, station: Floats, offset: Floats
 ) -> Floats:
     """Pure pursuit of a point ahead on the shifted path."""
@@ -120,7 +120,7 @@ OFF_ROAD_M: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class ManoeuvreTrial:
     """Manoeuvres from one moment.
 
     Attributes:
@@ -145,7 +145,7 @@ class Tried:
 
 
 @dataclass(frozen=True, slots=True)
-class LastChance:
+class LastAvoidableTime:
     """Last moment at which a contact could be avoided.
 
     Attributes:
@@ -155,7 +155,7 @@ class LastChance:
         evaluated: Index of the first manoeuvre that succeeds, by the tenth of a second that was looked at.
     """
 
-    contact: Contact | None
+    contact: EgoCollision | None
     time: float | None
     evaluated: dict[int, int]
 
@@ -165,7 +165,7 @@ class LastChance:
         return self.evaluated.get(0) == -1
 
 
-class Base:
+class BaselineEgo:
     """Ego whose first contact is to be avoided.
 
     Attributes:
@@ -175,10 +175,10 @@ class Base:
 
     def __init__(
         self,
-        situation: Situation,
+        situation: DrivingSituation,
         driver: Driver = Driver.RECORDED,
         drivable: shapely.MultiPolygon | None = None,
-        surroundings: Surroundings | None = None,
+        surroundings: CollisionChecker | None = None,
     ) -> None:
         if driver not in (Driver.RECORDED, Driver.CONSTANT):
             raise ValueError(f"{driver} is no base; drive it and pass its track as the ego of the scene")
@@ -186,50 +186,52 @@ class Base:
         self.drivable = None if drivable is None else drivable.buffer(OFF_ROAD_M)
         if self.drivable is not None:
             shapely.prepare(self.drivable)
-        (motion,) = drive(situation, [Rung(driver)])
-        self.contact = (surroundings or Surroundings.of(situation)).outcome(motion).contact
+        (motion,) = simulate_drivers(situation, [ReferenceDriver(driver)])
+        self.contact = (surroundings or CollisionChecker.of(situation)).find_outcome(motion).contact
 
-    def try_from(self, time: float) -> Tried:
+    def try_from(self, time: float) -> ManoeuvreTrial:
         """Try all manoeuvres from one moment inside the recording, seconds."""
         tracks, path = self.situation.tracks, self.situation.path
         steps = min(LONGEST_STEPS, max(0, int(np.floor((tracks.seconds[-1] - time) / STEP_S + 1e-9))))
         at = np.array([time])
         start = self._boxes(at)
-        states = manoeuvres(path, Starts(start[:, [0, 1, 4]], self._speed(at), self._station(at)), steps)[0]
+        states = simulate_manoeuvres(
+            path, ManoeuvreStarts(start[:, [0, 1, 4]], self._speed(at), self._station(at)), steps
+        )[0]
         times = time + STEP_S * np.arange(1, steps + 1)
-        failed = self._first_contact(states[:, 1:], times, start)
+        failed = self._find_first_contacts(states[:, 1:], times, start)
         if self.drivable is not None and steps:
-            corners = box_corners(boxes_of(states[:, 1:], path.size))
+            corners = box_corners(compute_boxes(states[:, 1:], path.size))
             inside = shapely.contains_xy(self.drivable, corners[..., 0], corners[..., 1]).all(axis=-1)
             failed = np.minimum(failed, np.where(inside, steps + 1, np.arange(1, steps + 1)).min(axis=1))
-        return Tried(time, states, np.where(failed > steps, -1, failed))
+        return ManoeuvreTrial(time, states, np.where(failed > steps, -1, failed))
 
-    def last_chance(self) -> LastChance:
+    def last_chance(self) -> LastAvoidableTime:
         """Search the last moment from which a manoeuvre succeeds, by bisection over tenths of a second.
 
         It is exact if what succeeds late succeeds earlier too.
         """
         contact, start = self.contact, float(self.situation.times[0])
-        if contact is None or KINDS.index(contact.kind) in BLAMELESS:
-            return LastChance(contact, None, {})
+        if contact is None or KINDS.index(contact.kind) in NOT_AT_FAULT_KINDS:
+            return LastAvoidableTime(contact, None, {})
         evaluated = {0: self.try_from(start).first}
         if evaluated[0] < 0:
-            return LastChance(contact, None, evaluated)
+            return LastAvoidableTime(contact, None, evaluated)
         low, high = 0, int(np.ceil((contact.time - start) / GRID_S - 1e-9))
         while high - low > 1:
             middle = (low + high) // 2
             evaluated[middle] = self.try_from(start + GRID_S * middle).first
             low, high = (middle, high) if evaluated[middle] >= 0 else (low, middle)
-        return LastChance(contact, start + GRID_S * low, evaluated)
+        return LastAvoidableTime(contact, start + GRID_S * low, evaluated)
 
-    def avoidable_after(self, first_visible: float | None) -> bool:
+    def is_avoidable_after(self, first_visible: float | None) -> bool:
         """Whether a manoeuvre succeeds once a driver has had time to react to the adversary.
 
         ``first_visible`` is ``None`` for never. The verdict at the first tenth of a second that is 0.75 s later; true
         where the base is not threatened or not to blame, false where it is over by then.
         """
         contact = self.contact
-        if contact is None or KINDS.index(contact.kind) in BLAMELESS:
+        if contact is None or KINDS.index(contact.kind) in NOT_AT_FAULT_KINDS:
             return True
         if first_visible is None:
             return False
@@ -253,7 +255,7 @@ class Base:
             return self.situation.tracks.ego_at(times)
         return self.situation.path.boxes(self._station(times))
 
-    def _first_contact(self, states: Floats, times: Floats, start: Floats) -> Integers:
+    def _find_first_contacts(self, states: Floats, times: Floats, start: Floats) -> Integers:
         """(25,) first step, counted from 1, of a contact that is the ego's to avoid; S + 1 for none.
 
         An agent that runs into the ego from behind, or into a standing one, counts no more afterwards: so what matters
@@ -261,11 +263,11 @@ class Base:
         """
         steps = len(times)
         failed = np.full(len(states), steps + 1)
-        tracks = self._counted(states, times, start) if steps else None
+        tracks = self._select_counted_agents(states, times, start) if steps else None
         if tracks is None or not len(tracks):
             return failed
         boxes, present = tracks.agents_at(times)
-        ego = boxes_of(states, self.situation.path.size)
+        ego = compute_boxes(states, self.situation.path.size)
         offset = boxes[None, ..., :2] - ego[:, None, :, :2]
         reach = 0.5 * (np.hypot(boxes[..., 2], boxes[..., 3]) + np.hypot(*self.situation.path.size)) + 1e-6
         near = present & (offset[..., 0] ** 2 + offset[..., 1] ** 2 <= reach**2)
@@ -275,13 +277,13 @@ class Base:
         row, agent = np.nonzero(touching.any(axis=-1))
         step = np.argmax(touching[row, agent], axis=-1)
         speed = np.hypot(*np.moveaxis(tracks.velocities_at(times), -1, 0))[agent, step]
-        agents = np.array([is_agent(name) for name in tracks.categories], np.bool_)[agent]
-        kind = contact_kinds(ego[row, step], states[row, step, SPEED], boxes[agent, step], speed, agents)
-        counts = ~np.isin(kind, BLAMELESS)
+        agents = np.array([is_agent_category(name) for name in tracks.categories], np.bool_)[agent]
+        kind = classify_contacts(ego[row, step], states[row, step, SPEED], boxes[agent, step], speed, agents)
+        counts = ~np.isin(kind, NOT_AT_FAULT_KINDS)
         np.minimum.at(failed, row[counts], step[counts] + 1)
         return failed
 
-    def _counted(self, states: Floats, times: Floats, start: Floats) -> Tracks:
+    def _select_counted_agents(self, states: Floats, times: Floats, start: Floats) -> ContinuousTracks:
         """Agents that a manoeuvre could touch; not those that overlap the ego at its start or that of the scene."""
         tracks = self.situation.tracks
         first = np.searchsorted(tracks.seconds, times[0] - STEP_S, side="right") - 1

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmark.geometry import Bools, Floats, boxes_overlap
-from benchmark.interactions.contacts import KINDS, ContactKind, Pairs, is_agent
-from benchmark.interactions.driving import Motion, Situation
+from benchmark.interactions.contacts import KINDS, ContactKind, ContactPairs, is_agent_category
+from benchmark.interactions.driving import DriverMotion, DrivingSituation
 from benchmark.interactions.tracks import STEP_S, SUB_STEPS
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class EgoCollision:
     """First contact of a run, in seconds and m/s; boxes are (5,).
 
     Attributes:
@@ -35,7 +35,7 @@ class Contact:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class DriverOutcome:
     """End of a run; ``motion`` is as if nothing had been hit.
 
     Attributes:
@@ -44,8 +44,8 @@ class Outcome:
         beyond_end: Whether it left the recorded path, where no road is known.
     """
 
-    motion: Motion
-    contact: Contact | None
+    motion: DriverMotion
+    contact: EgoCollision | None
     instants: int
     beyond_end: bool
 
@@ -81,44 +81,44 @@ class Outcome:
         return self.motion.reason if self.reacted is not None else None
 
 
-def sub_times(times: Floats) -> Floats:
+def compute_check_times(times: Floats) -> Floats:
     """(5 (K - 1),) instants at which contact is looked for, those after each of (K,) times."""
     return np.asarray((times[:-1, None] + STEP_S / SUB_STEPS * np.arange(1, SUB_STEPS + 1)).ravel())
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class CollisionChecker:
     """All agents, (N, T, 5), and the recorded ego, (T, 5), at the T instants at which contact is looked for.
 
     ``counts``, (N, T), are those that are there and not ignored.
     """
 
-    situation: Situation
+    situation: DrivingSituation
     times: Floats
     boxes: Floats
     counts: Bools
     ego: Floats
 
     @classmethod
-    def of(cls, situation: Situation) -> "Surroundings":
+    def of(cls, situation: DrivingSituation) -> "CollisionChecker":
         """Those of a scene."""
-        times = sub_times(situation.times)
+        times = compute_check_times(situation.times)
         boxes, present = situation.tracks.agents_at(times)
         counts = present & ~situation.ignored[:, None]
         return cls(situation, times, boxes, counts, situation.tracks.ego_at(times))
 
-    def outcome(self, motion: Motion) -> Outcome:
+    def find_outcome(self, motion: DriverMotion) -> DriverOutcome:
         """Outcome of one driver's motion in this scene."""
         ego = self.ego_boxes(motion)
-        hit = self._first_hit(ego)
-        contact = None if hit is None else self._contact(motion, ego, *hit)
+        hit = self._find_first_hit(ego)
+        contact = None if hit is None else self._build_collision(motion, ego, *hit)
         instants = len(motion.times) if contact is None else contact.step + 2
         # The recording itself may end a little after the last vertex.
         driven = motion.station[motion.free_from + 1 : instants]
         beyond = bool((driven > self.situation.path.end_m).any())
-        return Outcome(motion, contact, instants, beyond)
+        return DriverOutcome(motion, contact, instants, beyond)
 
-    def ego_boxes(self, motion: Motion) -> Floats:
+    def ego_boxes(self, motion: DriverMotion) -> Floats:
         """(T, 5) the rectangle of a driver."""
         share = np.arange(1, SUB_STEPS + 1) / SUB_STEPS
         first, last = motion.station[:-1, None], motion.station[1:, None]
@@ -128,7 +128,7 @@ class Surroundings:
         station = (first + share * (last - first)).ravel()
         return np.where(free[:, None], self.situation.path.boxes(station), self.ego)
 
-    def _first_hit(self, ego: Floats) -> tuple[int, int] | None:
+    def _find_first_hit(self, ego: Floats) -> tuple[int, int] | None:
         """First instant of contact, then the lowest agent."""
         offset = self.boxes[..., :2] - ego[:, :2]
         # Two boxes can only touch if the circles around them do.
@@ -138,17 +138,17 @@ class Surroundings:
         hits = np.flatnonzero(boxes_overlap(ego[instant], self.boxes[agent, instant]))
         return (int(instant[hits[0]]), int(agent[hits[0]])) if len(hits) else None
 
-    def _contact(self, motion: Motion, ego: Floats, instant: int, agent: int) -> Contact:
+    def _build_collision(self, motion: DriverMotion, ego: Floats, instant: int, agent: int) -> EgoCollision:
         tracks, step = self.situation.tracks, instant // SUB_STEPS
         time = float(self.times[instant])
-        pair = Pairs(
+        pair = ContactPairs(
             ego=ego[instant, None],
             ego_speed=motion.speed[step + 1, None],
             other=self.boxes[agent, instant, None],
             other_velocity=tracks.velocities_at(np.array([time]), np.array([agent]))[0],
-            is_agent=np.array([is_agent(tracks.categories[agent])]),
+            is_agent=np.array([is_agent_category(tracks.categories[agent])]),
         )
-        return Contact(
+        return EgoCollision(
             time=time,
             step=step,
             agent=agent,

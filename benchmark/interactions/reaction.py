@@ -58,7 +58,7 @@ def proactive_score(gap: Floats, speed: Floats, leader_speed: Floats) -> Floats:
     reacting, leader = speed * REACTION_S, leader_speed**2 / (2 * _FSM_LEADER)
     safe = reacting + speed**2 / (2 * _FSM_COMFORTABLE) - leader + _FSM_MARGIN_M
     unsafe = reacting + speed**2 / (2 * _FSM_HARD) - leader
-    return _between(gap - _FSM_MARGIN_M, safe, unsafe)
+    return _grade_gap(gap - _FSM_MARGIN_M, safe, unsafe)
 
 
 def critical_score(gap: Floats, speed: Floats, leader_speed: Floats, acceleration: Floats) -> Floats:
@@ -74,7 +74,7 @@ def critical_score(gap: Floats, speed: Floats, leader_speed: Floats, acceleratio
     with np.errstate(divide="ignore", invalid="ignore"):
         needed = (speed - leader_speed) ** 2 / np.abs(2 * acceleration)
     braked = np.where(gap < needed, 1.0, 0.0)
-    score = np.where(later < leader_speed, braked, _between(gap, safe, unsafe))
+    score = np.where(later < leader_speed, braked, _grade_gap(gap, safe, unsafe))
     return np.where(speed <= leader_speed, 0.0, score)
 
 
@@ -89,14 +89,14 @@ def regulation_time(closing: Floats) -> Floats:
     return closing / (2 * REGULATION_BRAKING) + (REGULATION_REACTION_S + STEP_S)
 
 
-def _between(gap: Floats, safe: Floats, unsafe: Floats) -> Floats:
+def _grade_gap(gap: Floats, safe: Floats, unsafe: Floats) -> Floats:
     """0 beyond the safe gap, 1 below the unsafe one, linear between."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (gap - safe) / (unsafe - safe)
     return np.where(gap > safe, 0.0, np.where(gap < unsafe, 1.0, share))
 
 
-def at_most(quantity: Floats, limit: Floats | float) -> Bools:
+def is_at_most(quantity: Floats, limit: Floats | float) -> Bools:
     """Whether a quantity does not exceed a limit; NaN, as of 0/0, does not."""
     return np.asarray(~(quantity > limit))
 
@@ -128,7 +128,7 @@ _BUILD_UP: Final = 12.65 * STEP_S
 
 
 @dataclass(slots=True)
-class Reactions:
+class ReactionState:
     """Memory of R drivers of `REACTING`.
 
     ``delay``, unsafe steps of reaction left, and ``braking``, m/s^2, are (R, 1), or (R, C) for C situations each.
@@ -139,7 +139,7 @@ class Reactions:
     braking: Floats
 
     @classmethod
-    def fresh(cls, drivers: Sequence[Driver], situations: int = 1) -> "Reactions":
+    def fresh(cls, drivers: Sequence[Driver], situations: int = 1) -> "ReactionState":
         """Drivers who have not reacted to anything yet."""
         delay = np.array([_DELAY_STEPS.get(driver, 0) for driver in drivers], np.float64)
         shape = (len(drivers), situations)

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.interactions.ego_path import EgoPath
-from benchmark.interactions.tracks import Integers, Tracks
+from benchmark.interactions.tracks import ContinuousTracks, Integers
 
 LOOK_BACK_M: Final = 50.0
 LOOK_AHEAD_M: Final = 100.0
@@ -22,7 +22,7 @@ OUTLINE_REACH_M: Final = 15.0
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class PathPlacements:
     """Boxes in the frame of the path; all arrays (Q,) and metres.
 
     ``station`` and ``offset``, positive on the left, are of the centre, the others of the outline: its lowest and
@@ -38,7 +38,7 @@ class Places:
 
 
 @dataclass(frozen=True, slots=True)
-class Relations:
+class PathRelations:
     """N agents at K instants, seen from a path.
 
     Attributes:
@@ -55,12 +55,12 @@ class Relations:
     present: Bools
     velocity: Floats
     hides: Bools
-    places: Places
+    places: PathPlacements
     along: Floats
     across: Floats
 
     @classmethod
-    def of(cls, path: EgoPath, tracks: Tracks, times: Floats) -> "Relations":
+    def of(cls, path: EgoPath, tracks: ContinuousTracks, times: Floats) -> "PathRelations":
         """Relate all agents to the ego's path at instants of the recording."""
         boxes, present = tracks.agents_at(times)
         velocity = tracks.velocities_at(times)
@@ -70,47 +70,47 @@ class Relations:
         moved[:, 1:] = (boxes[:, 1:] != boxes[:, :-1]).any(axis=-1) | ~present[:, :-1]
         needs_placing = moved & present
         # Nobody drives backwards: what is behind all of the recording is behind everybody, whatever its outline.
-        placements = placed(path, boxes[needs_placing], outlines_from=float(path.recorded_station(times).min()))
+        placements = place_on_path(path, boxes[needs_placing], outlines_from=float(path.recorded_station(times).min()))
         owner = np.cumsum(needs_placing.ravel()).reshape(shape) - 1
         owner = np.where(present, owner, 0)
         filled = {
             name: getattr(placements, name)[owner] if needs_placing.any() else np.zeros(shape)
-            for name in Places.__dataclass_fields__
+            for name in PathPlacements.__dataclass_fields__
         }
-        places = Places(**filled)
-        along, across = _components(path, places.station, velocity)
+        places = PathPlacements(**filled)
+        along, across = _split_velocity(path, places.station, velocity)
         return cls(path, times, boxes, present, velocity, tracks.hides, places, along, across)
 
     @classmethod
     def now(
         cls, path: EgoPath, time: float, boxes: Floats, present: Bools, velocity: Floats, hides: Bools, behind_m: float
-    ) -> "Relations":
+    ) -> "PathRelations":
         """Relate (N, 5) agents to a path at the only instant of which anything is known.
 
         ``hides`` says which can hide a car. No agent behind the station ``behind_m`` matters.
         """
-        placements = placed(path, boxes[present], outlines_from=behind_m)
-        filled = {name: np.zeros((len(boxes), 1)) for name in Places.__dataclass_fields__}
+        placements = place_on_path(path, boxes[present], outlines_from=behind_m)
+        filled = {name: np.zeros((len(boxes), 1)) for name in PathPlacements.__dataclass_fields__}
         for name, array in filled.items():
             array[present, 0] = getattr(placements, name)
-        places = Places(**filled)
-        along, across = _components(path, places.station, velocity[:, None])
+        places = PathPlacements(**filled)
+        along, across = _split_velocity(path, places.station, velocity[:, None])
         return cls(
             path, np.array([time]), boxes[:, None], present[:, None], velocity[:, None], hides, places, along, across
         )
 
-    def around(self, instant: int, stations: Floats) -> "Around":
+    def around(self, instant: int, stations: Floats) -> "RelativeAgents":
         """(R, N) agents as seen at an instant by each of R egos at stations on the path."""
         return self.seen(np.arange(len(self.boxes)), np.array(instant), stations[:, None])
 
-    def seen(self, agents: Integers, instants: Integers, stations: Floats) -> "Around":
+    def seen(self, agents: Integers, instants: Integers, stations: Floats) -> "RelativeAgents":
         """Some agents at some instants, as seen by egos at stations on the path, metres.
 
         Indices of agents and instants and the stations broadcast against one another.
         """
         eyes = self.path.position(stations)
         agents, instants, stations = np.broadcast_arrays(agents, instants, stations)
-        places = {name: getattr(self.places, name)[agents, instants] for name in Places.__dataclass_fields__}
+        places = {name: getattr(self.places, name)[agents, instants] for name in PathPlacements.__dataclass_fields__}
         along, across = self.along[agents, instants], self.across[agents, instants]
         offset = self.boxes[agents, instants, :2] - eyes
         near = self.present[agents, instants] & (np.hypot(offset[..., 0], offset[..., 1]) <= HORIZON_M)
@@ -125,14 +125,14 @@ class Relations:
             needs_placing &= places["station"] >= stations
         if needs_placing.any():
             agent, instant = agents[needs_placing], instants[needs_placing]
-            placements = placed(self.path, self.boxes[agent, instant], low[needs_placing], high[needs_placing])
+            placements = place_on_path(self.path, self.boxes[agent, instant], low[needs_placing], high[needs_placing])
             for name, array in places.items():
                 array[needs_placing] = getattr(placements, name)
-            along[needs_placing], across[needs_placing] = _components(
+            along[needs_placing], across[needs_placing] = _split_velocity(
                 self.path, placements.station, self.velocity[agent, instant]
             )
         length, width = self.path.size
-        return Around(
+        return RelativeAgents(
             ahead=near & (places["station"] >= stations),
             gap=places["rear"] - (stations + 0.5 * length),
             extent=places["front"] - places["rear"],
@@ -144,7 +144,7 @@ class Relations:
 
 
 @dataclass(frozen=True, slots=True)
-class Around:
+class RelativeAgents:
     """Agents as seen by egos, usually (R, N); metres and m/s.
 
     Attributes:
@@ -165,14 +165,16 @@ class Around:
     across: Floats
     towards: Floats
 
-    def row(self, ego: int) -> "Around":
+    def row(self, ego: int) -> "RelativeAgents":
         """The same for one of the egos, (1, N)."""
-        return Around(**{name: getattr(self, name)[ego : ego + 1] for name in Around.__dataclass_fields__})
+        return RelativeAgents(
+            **{name: getattr(self, name)[ego : ego + 1] for name in RelativeAgents.__dataclass_fields__}
+        )
 
 
-def placed(
+def place_on_path(
     path: EgoPath, boxes: Floats, low: Floats | None = None, high: Floats | None = None, outlines_from: float = -np.inf
-) -> Places:
+) -> PathPlacements:
     """Put (Q, 5) boxes into the frame of a path.
 
     Args:
@@ -193,10 +195,10 @@ def placed(
     stations, offsets = stations.reshape(outline.shape[:2]), offsets.reshape(outline.shape[:2])
     rear[rows], front[rows] = stations.min(axis=1), stations.max(axis=1)
     right[rows], left[rows] = offsets.min(axis=1), offsets.max(axis=1)
-    return Places(station, offset, rear, front, right, left)
+    return PathPlacements(station, offset, rear, front, right, left)
 
 
-def _components(path: EgoPath, station: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+def _split_velocity(path: EgoPath, station: Floats, velocity: Floats) -> tuple[Floats, Floats]:
     tangent = path.tangent(station)
     along = velocity[..., 0] * tangent[..., 0] + velocity[..., 1] * tangent[..., 1]
     across = velocity[..., 1] * tangent[..., 0] - velocity[..., 0] * tangent[..., 1]

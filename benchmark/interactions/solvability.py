@@ -10,15 +10,15 @@ from typing import Self
 
 import shapely
 
-from benchmark.interactions.driving import Situation, drive, first_visible
-from benchmark.interactions.last_chance import REACTION_S, Base, LastChance
-from benchmark.interactions.outcomes import Outcome, Surroundings
+from benchmark.interactions.driving import DrivingSituation, find_first_visible_time, simulate_drivers
+from benchmark.interactions.last_chance import REACTION_S, BaselineEgo, LastAvoidableTime
+from benchmark.interactions.outcomes import CollisionChecker, DriverOutcome
 from benchmark.interactions.reaction import Driver
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.tracks import ContinuousTracks
 
 
 @dataclass(frozen=True)
-class SceneLadder:
+class SceneReferenceDrivers:
     """Reference drivers in a scene.
 
     Attributes:
@@ -27,36 +27,38 @@ class SceneLadder:
         drivable: Where manoeuvres may go; ``None`` without a map, which a report must say.
     """
 
-    situation: Situation
-    outcomes: dict[Driver, Outcome]
+    situation: DrivingSituation
+    outcomes: dict[Driver, DriverOutcome]
     first_visible: float | None
     drivable: shapely.MultiPolygon | None
 
     @classmethod
     def of(
         cls,
-        tracks: Tracks,
+        tracks: ContinuousTracks,
         adversary: int | None,
         start: float | None = None,
         drivable: shapely.MultiPolygon | None = None,
-    ) -> "SceneLadder":
+    ) -> "SceneReferenceDrivers":
         """Let all drivers drive a scene from ``start`` on, by default from its first frame.
 
         Manoeuvres may go anywhere by default. Where no adversary is known, it is never visible.
         """
-        situation = Situation.of(tracks, start, adversary)
-        surroundings = Surroundings.of(situation)
-        outcomes = {motion.rung.driver: surroundings.outcome(motion) for motion in drive(situation)}
-        visible_from = None if adversary is None else first_visible(tracks, adversary, situation.times)
+        situation = DrivingSituation.of(tracks, start, adversary)
+        surroundings = CollisionChecker.of(situation)
+        outcomes = {
+            motion.reference_driver.driver: surroundings.find_outcome(motion) for motion in simulate_drivers(situation)
+        }
+        visible_from = None if adversary is None else find_first_visible_time(tracks, adversary, situation.times)
         return cls(situation, outcomes, visible_from, drivable)
 
-    def about(self, adversary: int) -> Self:
+    def for_adversary(self, adversary: int) -> Self:
         """The same scene with another one as the adversary: drivers and last chance do not depend on who that is.
 
         All that was found already is kept.
         """
         situation = self.situation
-        visible_from = first_visible(situation.tracks, adversary, situation.times)
+        visible_from = find_first_visible_time(situation.tracks, adversary, situation.times)
         other = type(self)(situation, self.outcomes, visible_from, self.drivable)
         other.__dict__.update({name: getattr(self, name) for name in ("base", "last_chance")})
         return other
@@ -66,12 +68,12 @@ class SceneLadder:
         return self.outcomes[driver].survives
 
     @cached_property
-    def base(self) -> Base:
+    def base(self) -> BaselineEgo:
         """The ego at constant speed, whose contact is to be avoided."""
-        return Base(self.situation, Driver.CONSTANT, self.drivable)
+        return BaselineEgo(self.situation, Driver.CONSTANT, self.drivable)
 
     @cached_property
-    def last_chance(self) -> LastChance:
+    def last_chance(self) -> LastAvoidableTime:
         """Of the ego at constant speed."""
         return self.base.last_chance()
 
@@ -91,4 +93,4 @@ class SceneLadder:
         """
         if self.survives(Driver.CC) or self.survives(Driver.FSM):
             return False
-        return not self.base.avoidable_after(self.first_visible)
+        return not self.base.is_avoidable_after(self.first_visible)

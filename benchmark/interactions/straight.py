@@ -16,10 +16,10 @@ from benchmark.interactions.reaction import (
     REGULATION_SIDE_M,
     STEP_S,
     Driver,
-    Reactions,
-    at_most,
+    ReactionState,
     critical_score,
     fuzzy_target,
+    is_at_most,
     proactive_score,
     regulation_time,
     rss_distance_across,
@@ -77,7 +77,7 @@ class StraightRuns:
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
+class StraightSituation:
     """Places of the cars at one step: all (R, C) or (C,), metres and m/s.
 
     Attributes:
@@ -122,10 +122,10 @@ def drive_straight(
     unsafe, braking = np.zeros((count, cases, steps - 1), np.bool_), np.zeros((count, cases, steps - 1))
     scores = np.zeros((2, cases, steps - 1))
     speeds[..., 0], positions[..., 0] = speed, start.T
-    memory, latched = Reactions.fresh(drivers, cases), np.zeros((count, cases), np.bool_)
+    memory, latched = ReactionState.fresh(drivers, cases), np.zeros((count, cases), np.bool_)
     for step in range(steps - 1):
-        now = _situation(positions[..., step], speeds, step, other)
-        verdict, scored = _unsafe(now, drivers, always_careful)
+        now = _build_situation(positions[..., step], speeds, step, other)
+        verdict, scored = _find_unsafe(now, drivers, always_careful)
         unsafe[..., step], scores[..., step] = verdict, scored
         latched |= verdict
         u = speeds[..., step]
@@ -134,7 +134,7 @@ def drive_straight(
         speeds[..., step + 1] = np.where(verdict, reacted, np.where(latched, u, eased))
         positions[..., step + 1] = positions[..., step] + STEP_S * speeds[..., step + 1]
         braking[..., step] = memory.braking
-    crash_step, crash_kind = _crashes(positions, other)
+    crash_step, crash_kind = _find_crashes(positions, other)
     return StraightRuns(
         speed=speeds.transpose(1, 0, 2),
         position=positions.transpose(1, 0, 2),
@@ -144,15 +144,15 @@ def drive_straight(
         proactive=scores[1],
         crash_step=crash_step.T,
         crash_kind=crash_kind.T,
-        abandoned=_abandoned(positions, speeds, other, drivers),
+        abandoned=_find_abandoned(positions, speeds, other, drivers),
     )
 
 
-def _situation(position: Floats, speeds: Floats, step: int, other: OtherCar) -> Situation:
+def _build_situation(position: Floats, speeds: Floats, step: int, other: OtherCar) -> StraightSituation:
     x, y, leader = other.x[:, step], other.y[:, step], other.speed[:, step]
     speed = speeds[..., step]
     before = speeds[..., max(step - 1, 0)]
-    return Situation(
+    return StraightSituation(
         gap=np.abs(x - position) - LENGTH_M,
         ahead=x - position - LENGTH_M,
         side=np.broadcast_to(np.abs(y) - WIDTH_M, speed.shape),
@@ -165,22 +165,22 @@ def _situation(position: Floats, speeds: Floats, step: int, other: OtherCar) -> 
     )
 
 
-def _unsafe(now: Situation, drivers: tuple[Driver, ...], always_careful: bool) -> tuple[Bools, Floats]:
+def _find_unsafe(now: StraightSituation, drivers: tuple[Driver, ...], always_careful: bool) -> tuple[Bools, Floats]:
     """(R, C) verdicts, and (2, C) the two scores of FSM."""
     verdict, scored = np.zeros(now.speed.shape, np.bool_), np.zeros((2, now.speed.shape[1]))
     with np.errstate(divide="ignore", invalid="ignore"):
         for row, driver in enumerate(drivers):
             side, closing, gap = now.side[row], now.closing[row], now.gap[row]
             if driver is Driver.CC:
-                near = at_most(np.abs(now.ahead[row]) / np.abs(closing), CAREFUL_TIME_S)
+                near = is_at_most(np.abs(now.ahead[row]) / np.abs(closing), CAREFUL_TIME_S)
                 verdict[row] = always_careful | ((side <= 0) & near)
             elif driver is Driver.R157:
-                verdict[row] = (side <= REGULATION_SIDE_M) & at_most(np.abs(gap / closing), regulation_time(closing))
+                verdict[row] = (side <= REGULATION_SIDE_M) & is_at_most(np.abs(gap / closing), regulation_time(closing))
             elif driver is Driver.RSS:
                 along = rss_distance_along(now.speed[row], now.leader_speed[row])
                 verdict[row] = (gap < along) & (side < rss_distance_across(np.abs(now.towards[row])))
             else:
-                looked = now.behind[row] & _fuzzy_looks(now, row)
+                looked = now.behind[row] & _must_consider(now, row)
                 arguments = (gap, now.speed[row], now.leader_speed[row])
                 scored[0] = np.where(looked, critical_score(*arguments, now.acceleration[row]), 0.0)
                 scored[1] = np.where(looked, proactive_score(*arguments), 0.0)
@@ -188,14 +188,14 @@ def _unsafe(now: Situation, drivers: tuple[Driver, ...], always_careful: bool) -
     return verdict & now.behind, scored
 
 
-def _fuzzy_looks(now: Situation, row: int) -> Bools:
+def _must_consider(now: StraightSituation, row: int) -> Bools:
     """Whether the other is in the way, or will be before the ego is past it."""
     side, towards = now.side[row], now.towards[row]
     passing = (now.gap[row] + 2 * LENGTH_M) / now.closing[row] + STEP_S
-    return np.asarray((side <= 0) | ((towards > 0) & at_most(side / towards, passing)))
+    return np.asarray((side <= 0) | ((towards > 0) & is_at_most(side / towards, passing)))
 
 
-def _crashes(positions: Floats, other: OtherCar) -> tuple[Integers, Integers]:
+def _find_crashes(positions: Floats, other: OtherCar) -> tuple[Integers, Integers]:
     gap, side = np.abs(other.x - positions) - LENGTH_M, np.abs(other.y) - WIDTH_M
     touching = (gap < 0) & (side < 0)
     step = np.where(touching.any(axis=-1), np.argmax(touching, axis=-1), -1)
@@ -204,7 +204,7 @@ def _crashes(positions: Floats, other: OtherCar) -> tuple[Integers, Integers]:
     return step, np.where(step < 0, 0, np.where(ahead, EGO_AHEAD, EGO_BEHIND))
 
 
-def _abandoned(positions: Floats, speeds: Floats, other: OtherCar, drivers: tuple[Driver, ...]) -> Integers:
+def _find_abandoned(positions: Floats, speeds: Floats, other: OtherCar, drivers: tuple[Driver, ...]) -> Integers:
     """The official tables take a run of the careful human for safe at its first overlap more than 2 s from contact."""
     if Driver.CC not in drivers:
         return np.full(len(other.x), -1)

@@ -31,7 +31,7 @@ Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Tracks:
+class ContinuousTracks:
     """One ego and N agents over F frames at rising seconds.
 
     Attributes:
@@ -49,7 +49,7 @@ class Tracks:
     _runs: tuple[Floats, Floats] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_runs", _runs_of(self.seconds, self.valid))
+        object.__setattr__(self, "_runs", _find_run_limits(self.seconds, self.valid))
 
     @classmethod
     def of_scene(cls, scene: Scene) -> Self:
@@ -80,21 +80,21 @@ class Tracks:
 
     def ego_at(self, times: Floats) -> Floats:
         """(..., 5) boxes of the ego at any times of the recording, seconds."""
-        frame, fraction = between(self.seconds, times)
-        return _boxes_between(self.ego[frame], self.ego[frame + 1], fraction)
+        frame, fraction = locate_frames(self.seconds, times)
+        return _interpolate_boxes(self.ego[frame], self.ego[frame + 1], fraction)
 
     def agents_at(self, times: Floats) -> tuple[Floats, Bools]:
         """All agents at any times of the recording, seconds.
 
         (N, T, 5) boxes and (N, T) presence: at both frames around the time, or at the one frame it is.
         """
-        frame, fraction = between(self.seconds, times)
-        boxes = _boxes_between(self.agents[:, frame], self.agents[:, frame + 1], fraction)
+        frame, fraction = locate_frames(self.seconds, times)
+        boxes = _interpolate_boxes(self.agents[:, frame], self.agents[:, frame + 1], fraction)
         return boxes, self.present_at(times)
 
     def present_at(self, times: Floats) -> Bools:
         """(N, T) who is there at (T,) times; the second answer of `agents_at`."""
-        frame, fraction = between(self.seconds, times)
+        frame, fraction = locate_frames(self.seconds, times)
         return np.asarray((self.valid[:, frame] | (fraction == 1.0)) & (self.valid[:, frame + 1] | (fraction == 0.0)))
 
     def touching_at(self, time: float) -> Bools:
@@ -112,7 +112,7 @@ class Tracks:
             agents: Indices of the agents asked for, all by default.
         """
         rows = np.arange(len(self)) if agents is None else agents
-        frame, fraction = between(self.seconds, times)
+        frame, fraction = locate_frames(self.seconds, times)
         at = np.where(fraction == 1.0, frame + 1, frame)
         run_start, run_end = (times_of[rows][:, at] for times_of in self._runs)
         times = np.broadcast_to(times, run_start.shape)
@@ -121,7 +121,7 @@ class Tracks:
         first = np.where(forward, times, earlier)
         last = np.where(forward, np.minimum(times + _FORESIGHT_S, run_end), times)
         span = last - first
-        moved = self._centres(rows, last) - self._centres(rows, first)
+        moved = self._interpolate_centres(rows, last) - self._interpolate_centres(rows, first)
         lasting = span >= _SHORTEST_S
         return np.asarray(np.where(lasting[..., None], moved / np.where(lasting, span, 1.0)[..., None], 0.0))
 
@@ -132,21 +132,21 @@ class Tracks:
 
     def run_limits_at(self, times: Floats) -> tuple[Floats, Floats]:
         """(N, T) when each agent's run of valid frames around each of (T,) times starts, and when it ends."""
-        frame, fraction = between(self.seconds, times)
+        frame, fraction = locate_frames(self.seconds, times)
         at = np.where(fraction == 1.0, frame + 1, frame)
         return self._runs[0][:, at], self._runs[1][:, at]
 
     def centres_at(self, times: Floats) -> Floats:
         """(N, T, 2) centres at (N, T) times of each agent's own."""
-        return self._centres(np.arange(len(self)), times)
+        return self._interpolate_centres(np.arange(len(self)), times)
 
-    def _centres(self, rows: Integers, times: Floats) -> Floats:
-        frame, fraction = between(self.seconds, times)
+    def _interpolate_centres(self, rows: Integers, times: Floats) -> Floats:
+        frame, fraction = locate_frames(self.seconds, times)
         first, second = self.agents[rows[:, None], frame, :2], self.agents[rows[:, None], frame + 1, :2]
         return np.asarray(first + fraction[..., None] * (second - first))
 
 
-def between(seconds: Floats, times: Floats) -> tuple[Integers, Floats]:
+def locate_frames(seconds: Floats, times: Floats) -> tuple[Integers, Floats]:
     """The earlier frame beside each time, at most F - 2, and the fraction of the way to the next.
 
     Outside the recording, the nearest end counts.
@@ -160,13 +160,13 @@ def between(seconds: Floats, times: Floats) -> tuple[Integers, Floats]:
     return frame, fraction
 
 
-def _boxes_between(first: Floats, second: Floats, fraction: Floats) -> Floats:
+def _interpolate_boxes(first: Floats, second: Floats, fraction: Floats) -> Floats:
     step = second - first
     step[..., 4] = wrap_angle(step[..., 4])
     return np.asarray(first + np.asarray(fraction)[..., None] * step)
 
 
-def _runs_of(seconds: Floats, valid: Bools) -> tuple[Floats, Floats]:
+def _find_run_limits(seconds: Floats, valid: Bools) -> tuple[Floats, Floats]:
     """(N, F) times at which the run of valid frames that each frame is in starts and ends."""
     valid = np.asarray(valid, np.bool_)
     limits = []

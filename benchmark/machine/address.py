@@ -6,7 +6,7 @@ from typing import Any, Final, Self
 from urllib.parse import urlsplit
 
 from benchmark.errors import InputError
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 
 _ADDRESS: Final = re.compile(r"([^=]*=)?https?:/", re.IGNORECASE)
 _LONGEST_NAME: Final = 60
@@ -35,12 +35,12 @@ class Address:
             InputError: If it is none, or has anything beside host and port.
         """
         name, equals, url = text.rpartition("=") if "=" in text.partition("://")[0] else ("", "", text)
-        form = f"{option} {one_line(text, 80)!r} is no address; write http://HOST:PORT or NAME=http://HOST:PORT"
+        form = f"{option} {to_one_line(text, 80)!r} is no address; write http://HOST:PORT or NAME=http://HOST:PORT"
         try:
             parts = urlsplit(url)
             host, port = parts.hostname, parts.port
         except ValueError as error:
-            raise InputError(f"{form} ({one_line(error)})") from error
+            raise InputError(f"{form} ({to_one_line(error)})") from error
         if parts.scheme.lower() == "https":
             raise InputError(f"{form}: the protocol is plain HTTP, without a certificate")
         extra_parts = parts.username or parts.password or parts.query or parts.fragment or parts.path.strip("/")

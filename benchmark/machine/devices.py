@@ -12,7 +12,7 @@ Precision = Literal["float32", "bfloat16"]
 PRECISIONS: Final = get_args(Precision)
 
 
-def device_of(name: str) -> torch.device:
+def select_device(name: str) -> torch.device:
     """Device by name: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -25,12 +25,12 @@ def device_of(name: str) -> torch.device:
     return device
 
 
-def device_of_worker(name: str, number: int) -> torch.device:
+def select_worker_device(name: str, number: int) -> torch.device:
     """The device of one of several workers: a GPU is for one after the other where the name says no number.
 
     Workers are numbered from 0; ``cuda`` stands for all GPUs of the machine.
     """
-    device = device_of(name)
+    device = select_device(name)
     if device.type != "cuda" or device.index is not None:
         return device
     return torch.device("cuda", number % torch.cuda.device_count())

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 PACKAGES = (
     "challenger-bench",
@@ -40,7 +40,7 @@ class MachineCheck:
     sentence: str
 
 
-def package_versions() -> dict[str, str | None]:
+def read_package_versions() -> dict[str, str | None]:
     """Versions of the packages that numbers depend on, and of Python; ``None`` where one is not installed."""
     versions: dict[str, str | None] = {"python": platform.python_version()}
     for name in PACKAGES:
@@ -62,7 +62,7 @@ def _cpu_model() -> str:
 
 
 @cache
-def device_name(gpu: bool) -> str:
+def read_device_name(gpu: bool) -> str:
     """Name of what networks run on: this process' GPU, or the machine's processor."""
     if gpu:
         import torch
@@ -72,7 +72,7 @@ def device_name(gpu: bool) -> str:
 
 
 @cache
-def source_state() -> dict[str, Any]:
+def read_source_state() -> dict[str, Any]:
     """Commit of this project's source and whether it was changed since; both ``None`` outside a git checkout."""
     root = Path(__file__).resolve().parents[2]
     unknown: dict[str, Any] = {"commit": None, "dirty": None}
@@ -86,9 +86,9 @@ def source_state() -> dict[str, Any]:
     return {"commit": commit.stdout.strip(), "dirty": bool(status.stdout.strip())}
 
 
-def facts() -> dict[str, Any]:
+def read_machine_metadata() -> dict[str, Any]:
     """What a run record says about where it ran; nothing that changes between two runs on the same machine."""
-    return {"packages": package_versions(), "hardware": {"cpu": _cpu_model()}, "source": source_state()}
+    return {"packages": read_package_versions(), "hardware": {"cpu": _cpu_model()}, "source": read_source_state()}
 
 
 def checks(folder: Path) -> list[MachineCheck]:
@@ -158,7 +158,7 @@ def _threads() -> MachineCheck:
     import torch
 
     return MachineCheck(
-        "torch", True, f"PyTorch {torch.__version__}, {counted(torch.get_num_threads(), 'thread')} until work starts"
+        "torch", True, f"PyTorch {torch.__version__}, {pluralise(torch.get_num_threads(), 'thread')} until work starts"
     )
 
 

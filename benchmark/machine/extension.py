@@ -29,29 +29,29 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     # From the engine's name and its scenarios to a `closed_loop.riding.RideMaker`.
     "engine": {
-        "neuroncap@code": "benchmark.extensions.neuroncap.riding:neuroncap_rides",
-        "neuroncap@paper": "benchmark.extensions.neuroncap.riding:neuroncap_rides",
+        "neuroncap@code": "benchmark.extensions.neuroncap.riding:build_neuroncap_backend",
+        "neuroncap@paper": "benchmark.extensions.neuroncap.riding:build_neuroncap_backend",
     },
     # From settings to a `closed_loop.adversary.AdversaryMaker`.
-    "agents": {"adversary": "generation.extensions.reactive_adversary.making:adversary_that_answers"},
+    "agents": {"adversary": "generation.extensions.reactive_adversary.making:build_reactive_adversary_maker"},
     # From an address to a planner, and to a `closed_loop.sensors.Sensor`; by scheme.
     "planner": {"http": "benchmark.extensions.http.model:http_planner"},
     "sensor": {"http": "benchmark.extensions.http.sensor:HttpSensor"},
     # From the options of ``generate`` to what checks them and makes a `generation.render.contract.Renderer`.
-    "renderer": {"magicdrive": "generation.extensions.magicdrive.cli:Photorealistic"},
+    "renderer": {"magicdrive": "generation.extensions.magicdrive.cli:PhotorealisticOptions"},
     # Pictures of scenes for ``data show``.
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
     # From records of a kind to `leaderboard.page.sections.Section`, in the order of the page.
     "section": {
-        "challenges": "leaderboard.extensions.challenge.tables:sections",
-        "quality": "leaderboard.extensions.quality.tables:sections",
+        "challenges": "leaderboard.extensions.challenge.tables:build_sections",
+        "quality": "leaderboard.extensions.quality.tables:build_sections",
     },
     # From run records to pictures of where judges part.
     "judge": {"explanation": "benchmark.extensions.explain.pictures:explain"},
     # From a folder to what of it should not be published.
     "check": {"publishing": "leaderboard.extensions.publishing.checking:check_publishable"},
     # From the bytes of a member of a package of splits to the same bytes, or `InputError`.
-    "package": {"rules": "benchmark.extensions.challenge.rules:checked_rules"},
+    "package": {"rules": "benchmark.extensions.challenge.rules:validate_rules"},
     # `GoldenSet`, but for ``model``: from a model and a folder of golden numbers to checks.
     "golden set": {
         "physics": "generation.extensions.golden_sets.physics:GOLDEN",
@@ -78,23 +78,23 @@ class AbsentExtensionError(InputError):
     """An extension is not installed."""
 
 
-def extension_of(reference: str) -> str:
+def parse_extension_name(reference: str) -> str:
     """Name of the extension that a reference leads to."""
     return reference.split(".")[2]
 
 
-def absent_extension(error: ModuleNotFoundError) -> str | None:
+def find_absent_extension(error: ModuleNotFoundError) -> str | None:
     """Name of the extension that is not installed, if that is why an import failed."""
     parts = (error.name or "").split(".")
     return parts[2] if len(parts) > 2 and parts[1] == "extensions" else None
 
 
-def not_installed(name: str) -> AbsentExtensionError:
+def make_absent_error(name: str) -> AbsentExtensionError:
     """The error where an extension is missing."""
     return AbsentExtensionError(f"this needs the extension {name}, which is not installed here; install it")
 
 
-def from_extension(kind: str, name: str) -> Any:
+def import_from_extension(kind: str, name: str) -> Any:
     """Import an object of a kind of `OFFERS` that an extension offers.
 
     The table says what it is.
@@ -102,10 +102,10 @@ def from_extension(kind: str, name: str) -> Any:
     Raises:
         AbsentExtensionError: If the extension is not installed.
     """
-    return imported(OFFERS[kind][name])
+    return import_reference(OFFERS[kind][name])
 
 
-def imported(reference: str) -> Any:
+def import_reference(reference: str) -> Any:
     """Import what a reference, ``module:attribute``, leads to, in the core or an extension.
 
     Raises:
@@ -115,9 +115,9 @@ def imported(reference: str) -> Any:
     try:
         return getattr(importlib.import_module(module), attribute)
     except ModuleNotFoundError as error:
-        if (name := absent_extension(error)) is None:
+        if (name := find_absent_extension(error)) is None:
             raise
-        raise not_installed(name) from None
+        raise make_absent_error(name) from None
 
 
 def require_package(module: str, sentence: str) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, content_key, parse_json, write_parts
 from benchmark.machine.user_cache import cache_root
-from benchmark.untrusted.files import KEPT_ARRAYS, open_file
+from benchmark.untrusted.files import CACHED_ARRAYS, open_file
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -27,7 +27,7 @@ _ALIGNED: Final = 64
 _LONGEST_HEAD: Final = 1 << 20
 
 
-def kept_place(folder: str, source: Path) -> Path | None:
+def find_cache_file(folder: str, source: Path) -> Path | None:
     """File in which a batch that is made of a file or folder is kept; none where the user has no home.
 
     ``folder`` is that of the user's cache for batches of one kind.
@@ -43,7 +43,7 @@ def write_batch(path: Path, source: Path, made_of: str, batch: "pa.RecordBatch")
     """Keep a batch, unless there is no room or right to. Of two who write at once one writes last, each a whole file.
 
     What is kept of sources that are gone, and what lies beside it under its name, is removed. ``made_of`` is the
-    state of the source, and all else that the batch depends on. The folder of the file (`kept_place`) holds such
+    state of the source, and all else that the batch depends on. The folder of the file (`find_cache_file`) holds such
     files alone.
     """
     import pyarrow as pa
@@ -54,7 +54,7 @@ def write_batch(path: Path, source: Path, made_of: str, batch: "pa.RecordBatch")
     body = memoryview(stream.getvalue())
     head_values = {"source": str(source.resolve()), "made_of": made_of, "sha256": hashlib.sha256(body).hexdigest()}
     head = canonical_json(head_values).encode()
-    _forget_what_is_gone(path.parent)
+    _remove_orphans(path.parent)
     try:
         write_parts(path, (head, b" " * (-(len(head) + 1) % _ALIGNED), b"\n", body))
     except InputError:
@@ -63,10 +63,10 @@ def write_batch(path: Path, source: Path, made_of: str, batch: "pa.RecordBatch")
     return True
 
 
-def is_made_of(path: Path, made_of: str) -> bool:
+def is_batch_of(path: Path, made_of: str) -> bool:
     """Whether a file says that it holds a batch that depends on that; whether it is sound shows when it is read."""
     try:
-        with open_file(path, KEPT_ARRAYS) as stream:
+        with open_file(path, CACHED_ARRAYS) as stream:
             return bool(_head(stream).get("made_of") == made_of)
     except (InputError, OSError):
         return False
@@ -77,7 +77,7 @@ def read_batch(path: Path, made_of: str) -> "pa.RecordBatch | None":
     import pyarrow as pa
 
     try:
-        with open_file(path, KEPT_ARRAYS) as stream:
+        with open_file(path, CACHED_ARRAYS) as stream:
             head, start = _head(stream), stream.tell()
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
             if (head.get("made_of"), head.get("sha256")) != (made_of, digest):
@@ -92,7 +92,7 @@ def read_batch(path: Path, made_of: str) -> "pa.RecordBatch | None":
     return batch
 
 
-def arrow_of(values: NDArray[Any]) -> "pa.Array":
+def to_arrow(values: NDArray[Any]) -> "pa.Array":
     """Numbers or truth values, in the order in which they lie, as a column."""
     import pyarrow as pa
 
@@ -101,7 +101,7 @@ def arrow_of(values: NDArray[Any]) -> "pa.Array":
     return pa.Array.from_buffers(pa.from_numpy_dtype(flat.dtype), len(flat), [None, pa.py_buffer(data)])
 
 
-def numpy_of(column: "pa.Array") -> NDArray[Any]:
+def to_numpy_array(column: "pa.Array") -> NDArray[Any]:
     """The values of a whole column of them, whatever it has in its gaps; they are read-only."""
     kind, data = np.dtype(str(column.type)), column.buffers()[1]
     if kind == np.bool_:
@@ -121,10 +121,10 @@ def _head(stream: BinaryIO) -> dict[str, Any]:
     return head if isinstance(head, dict) else {}
 
 
-def _forget_what_is_gone(folder: Path) -> None:
+def _remove_orphans(folder: Path) -> None:
     for path in folder.glob("*.arrays"):
         with contextlib.suppress(InputError, OSError):
-            with open_file(path, KEPT_ARRAYS) as stream:
+            with open_file(path, CACHED_ARRAYS) as stream:
                 source = _head(stream).get("source")
             if not (isinstance(source, str) and Path(source).exists()):
                 for orphan in folder.glob(f"{path.stem}.*"):

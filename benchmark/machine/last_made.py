@@ -7,7 +7,7 @@ Source = TypeVar("Source")
 Made = TypeVar("Made")
 
 
-class LastMade(Generic[Source, Made]):
+class IdentityCache(Generic[Source, Made]):
     """Makes something of an object and of plain values, and remembers the last few.
 
     Two objects are the same if they are one, even if others are equal. Neither they nor what was made may change.

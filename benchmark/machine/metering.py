@@ -16,16 +16,16 @@ _TRIM_THRESHOLD, _MMAP_MAX = -1, -4
 _NEVER: Final = 2**31 - 1
 
 
-def keep_pages_of(*weights_sha256: str | None) -> None:
-    """`keep_pages` of a process in which a planner with weights is going to run; without one nothing changes.
+def disable_malloc_trim_for(*weights_sha256: str | None) -> None:
+    """`disable_malloc_trim` of a process in which a planner with weights is going to run; without one nothing changes.
 
     ``None`` stands for a planner that has none.
     """
     if any(sha256 is not None for sha256 in weights_sha256):
-        keep_pages()
+        disable_malloc_trim()
 
 
-def keep_pages() -> bool:
+def disable_malloc_trim() -> bool:
     """Let this process keep what it frees, to use it again; what it computes does not change.
 
     False where the C library has no such switch: glibc does, others manage without.

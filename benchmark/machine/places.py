@@ -70,11 +70,11 @@ def require_room(folder: Path, needed: int, what: str, option: str) -> None:
     free = shutil.disk_usage(nearest).free
     if free < needed:
         raise InputError(
-            f"{what} needs about {gigabytes(needed)} in {folder} and {gigabytes(free)} are free; free some space or "
+            f"{what} needs about {format_gigabytes(needed)} in {folder} and {format_gigabytes(free)} are free; free some space or "
             f"name another place with {option}"
         )
 
 
-def gigabytes(count: int) -> str:
+def format_gigabytes(count: int) -> str:
     """A number of bytes for people."""
     return f"{count / 1e9:.2g} GB" if count < 1e10 else f"{count / 1e9:.0f} GB"

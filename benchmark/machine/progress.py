@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, TextIO, TypeVar
 
-from benchmark.report.terminal import terminal_width
-from benchmark.report.words import counted
+from benchmark.report.terminal import find_terminal_width
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -38,7 +38,7 @@ def _none(_: Any) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Count:
+class CountedUnits:
     """Things that are counted of some work.
 
     Attributes:
@@ -56,10 +56,10 @@ class Count:
     kept: Callable[[Any], bool] = _none
 
 
-class Work:
+class WorkProgress:
     """Progress of one piece of work; ``begun_s`` is on the clock of its watch."""
 
-    def __init__(self, label: str, units: int, count: Count, begun_s: float) -> None:
+    def __init__(self, label: str, units: int, count: CountedUnits, begun_s: float) -> None:
         self.label, self.noun, self.begun_s = label, count.noun, begun_s
         self.total = count.before + units if count.total is None else count.total
         self._count = count
@@ -74,7 +74,7 @@ class Work:
             self._done += amount
             self._made += 0 if is_cached else amount
 
-    def sentence(self, now_s: float, unit: "Work | None" = None) -> str:
+    def sentence(self, now_s: float, unit: "WorkProgress | None" = None) -> str:
         """How far it is: for example ``rendering: 3 of 10 scenes (9 of 40 frames), 0:30, about 1:04 left``.
 
         Without the time left before anything was made. The time is on the clock of its watch; ``unit`` is the
@@ -82,7 +82,7 @@ class Work:
         """
         return f"{self.label}: {self.state(now_s, unit)}"
 
-    def state(self, now_s: float, unit: "Work | None" = None) -> str:
+    def state(self, now_s: float, unit: "WorkProgress | None" = None) -> str:
         """The `sentence` without what is done."""
         with self._lock:
             done, fresh = self._done, float(self._made)
@@ -91,12 +91,12 @@ class Work:
             share = unit.share()
             fresh, left = fresh + share, left - share
             within = f" ({unit.counts()})"
-        text = f"{self.counts()}{within}, {clock_time(gone_s)}"
-        return f"{text}, about {clock_time(gone_s * left / fresh)} left" if fresh and left > 0 else text
+        text = f"{self.counts()}{within}, {format_duration(gone_s)}"
+        return f"{text}, about {format_duration(gone_s * left / fresh)} left" if fresh and left > 0 else text
 
     def counts(self) -> str:
         """How many there are of how many."""
-        return f"{self._done:,} of {counted(self.total, self.noun)}"
+        return f"{self._done:,} of {pluralise(self.total, self.noun)}"
 
     def share(self) -> float:
         """Which part of it is done, 0..1."""
@@ -104,7 +104,7 @@ class Work:
 
 
 @dataclass(slots=True)
-class Watch:
+class ProgressReporter:
     """Watch that tells how far work is.
 
     Attributes:
@@ -116,7 +116,7 @@ class Watch:
     stream: TextIO | None = None
     clock: Callable[[], float] = time.monotonic
     beat: bool = True
-    _works: list[Work] = field(default_factory=list)
+    _works: list[WorkProgress] = field(default_factory=list)
     _lock: threading.RLock = field(default_factory=threading.RLock)
     _line_s: float | None = None
     _bar: "Progress | None" = None
@@ -127,11 +127,11 @@ class Watch:
         self._silent = True
 
     @contextlib.contextmanager
-    def work(self, label: str, units: int, count: Count) -> Iterator[Work]:
+    def work(self, label: str, units: int, count: CountedUnits) -> Iterator[WorkProgress]:
         """Watch a piece of work, of which finished units are to be told."""
         now_s = self.clock()
         self._line_s = now_s if self._line_s is None else self._line_s
-        work, over = Work(label, units, count, now_s), threading.Event()
+        work, over = WorkProgress(label, units, count, now_s), threading.Event()
         self._works.append(work)
         beats = self.beat and not self._silent and len(self._works) == 1
         if beats:
@@ -172,12 +172,12 @@ class Watch:
             with contextlib.suppress(OSError, ValueError):
                 self.tick()
 
-    def _new_bar(self, stream: TextIO, work: Work) -> "Progress | None":
+    def _new_bar(self, stream: TextIO, work: WorkProgress) -> "Progress | None":
         """Begin a bar; none on a terminal that cannot move its cursor."""
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn
 
-        console = Console(file=stream, width=terminal_width() - 1, highlight=False)
+        console = Console(file=stream, width=find_terminal_width() - 1, highlight=False)
         if console.is_dumb_terminal:
             return None
         label, state = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[state]}", markup=False)
@@ -195,21 +195,26 @@ class Watch:
                 bar.stop()
 
 
-WATCH: Final = Watch()
+PROGRESS_REPORTER: Final = ProgressReporter()
 """The one of this process."""
 
 
-def progress(
-    results: Iterable[Result], *, total: int, label: str, count: Count | None = None, watch: Watch = WATCH
+def track_progress(
+    results: Iterable[Result],
+    *,
+    total: int,
+    label: str,
+    count: CountedUnits | None = None,
+    watch: ProgressReporter = PROGRESS_REPORTER,
 ) -> Iterator[Result]:
     """Pass results through and tell how far the work is; scenes are counted by default."""
-    with watch.work(label, total, count or Count()) as work:
+    with watch.work(label, total, count or CountedUnits()) as work:
         for result in results:
             work.add(result)
             yield result
 
 
-def clock_time(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """A duration as minutes and seconds, or hours, minutes and seconds: ``0:41``, ``12:05``, ``1:02:03``."""
     minutes, rest = divmod(round(max(seconds, 0.0)), 60)
     hours, minutes = divmod(minutes, 60)

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from benchmark.errors import InputError
-from benchmark.machine.environment import package_versions
-from benchmark.machine.progress import WATCH, Count, Work
+from benchmark.machine.environment import read_package_versions
+from benchmark.machine.progress import PROGRESS_REPORTER, CountedUnits, WorkProgress
 from benchmark.machine.storage import content_key, file_sha256
-from benchmark.machine.workers import results_in_order, single_threaded, told
+from benchmark.machine.workers import report_when_done, results_in_order, single_threaded
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -63,7 +63,7 @@ class RayCluster:
         *,
         total: int,
         label: str,
-        count: Count | None = None,
+        count: CountedUnits | None = None,
     ) -> Iterator[Result]:
         """Apply a function to items and give the results in the order of the items.
 
@@ -74,13 +74,13 @@ class RayCluster:
         # Ray says on stdout which workers were lost, where a command may print JSON.
         with (
             contextlib.redirect_stdout(sys.stderr),
-            _joined(self.address) as ray,
-            WATCH.work(label, total, count or Count()) as work,
+            _connected(self.address) as ray,
+            PROGRESS_REPORTER.work(label, total, count or CountedUnits()) as work,
         ):
             yield from self._results(ray, function, items, label, work)
 
     def _results(
-        self, ray: Any, function: Callable[[Item], Result], items: Iterable[Item], label: str, work: Work
+        self, ray: Any, function: Callable[[Item], Result], items: Iterable[Item], label: str, work: WorkProgress
     ) -> Iterator[Result]:
         unit = ray.remote(num_cpus=1, num_gpus=self.gpus, max_retries=self.retries)(_unit)
         shared, expected = ray.put(function), _code_fingerprint()
@@ -91,10 +91,10 @@ class RayCluster:
             running.add(reference)
             future: Future[Result] = reference.future()
             future.add_done_callback(lambda _: running.discard(reference))
-            return told(future, work)
+            return report_when_done(future, work)
 
         try:
-            yield from results_in_order(submit, items, _places(ray, self.address, self.gpus))
+            yield from results_in_order(submit, items, _count_slots(ray, self.address, self.gpus))
         except ray.exceptions.RayTaskError as error:
             raise error.cause from error
         except ray.exceptions.RayError as error:
@@ -124,12 +124,12 @@ def _code_fingerprint() -> str:
     files = (path for package in _PACKAGES for path in sorted((root / package).rglob("*")))
     sources = [path for path in files if path.is_file() and path.parent.name != "__pycache__"]
     # The build of a package for CPU or CUDA is no other version.
-    versions = {name: version and version.partition("+")[0] for name, version in package_versions().items()}
+    versions = {name: version and version.partition("+")[0] for name, version in read_package_versions().items()}
     return content_key(versions, {str(path.relative_to(root)): file_sha256(path) for path in sources})
 
 
 @contextlib.contextmanager
-def _joined(address: str | None) -> Iterator[Any]:
+def _connected(address: str | None) -> Iterator[Any]:
     """The ray module, connected; a connection that was there before is used and stays."""
     try:
         import ray
@@ -192,7 +192,7 @@ def _is_healthy(address: str) -> bool:
         return False
 
 
-def _places(ray: Any, address: str | None, gpus: int) -> int:
+def _count_slots(ray: Any, address: str | None, gpus: int) -> int:
     """How many units can work at the same time."""
     resources = ray.cluster_resources()
     for resource, needed, resource_name in (("CPU", 1, "processors"), ("GPU", gpus, "GPUs")):

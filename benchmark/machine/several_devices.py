@@ -4,7 +4,7 @@ from benchmark.errors import InputError
 from benchmark.machine.workers import worker_number
 
 
-def device_names(text: str) -> tuple[str, ...]:
+def parse_device_names(text: str) -> tuple[str, ...]:
     """Devices by name, at least one, as ``--device`` takes them: for example ``cuda:0,cuda:1``.
 
     Raises:
@@ -19,24 +19,24 @@ def device_names(text: str) -> tuple[str, ...]:
     return names
 
 
-def device_here(text: str | None) -> str | None:
+def find_own_device(text: str | None) -> str | None:
     """The device of this process: workers take them in turns, and the command itself the first."""
-    return None if text is None else device_in_turn(text)
+    return None if text is None else find_device_in_turn(text)
 
 
-def device_in_turn(text: str) -> str:
-    """`device_here` where a device is always named."""
-    names = device_names(text)
+def find_device_in_turn(text: str) -> str:
+    """`find_own_device` where a device is always named."""
+    names = parse_device_names(text)
     return names[worker_number() % len(names)]
 
 
-def workers_for(workers: int, device: str | None) -> int:
+def count_workers(workers: int, device: str | None) -> int:
     """How many processes a command asks for: with several devices, one each unless ``--workers`` says how many.
 
     Raises:
         InputError: If there are fewer processes than devices, of which some would do nothing.
     """
-    count = 1 if device is None else len(device_names(device))
+    count = 1 if device is None else len(parse_device_names(device))
     if count == 1:
         return workers
     if 0 < workers < count:
@@ -51,5 +51,5 @@ def require_one_device(text: str | None, why: str) -> None:
 
     ``why`` names what needs one process, as the beginning of a sentence.
     """
-    if text is not None and len(device_names(text)) > 1:
+    if text is not None and len(parse_device_names(text)) > 1:
         raise InputError(f"{why}; name one device instead of --device {text}")

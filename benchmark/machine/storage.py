@@ -39,7 +39,7 @@ def content_key(*parts: Any) -> str:
     return hashlib.sha256(canonical_json(parts).encode()).hexdigest()
 
 
-def token(*parts: Any) -> str:
+def make_token(*parts: Any) -> str:
     """A nuScenes-style token, 32 hexadecimal digits, made of content and never of chance."""
     return content_key(*parts)[:32]
 
@@ -49,7 +49,7 @@ def content_seed(*parts: Any) -> int:
     return int(content_key(*parts)[:16], 16) >> 1
 
 
-def file_name(name: str) -> str:
+def sanitise_file_name(name: str) -> str:
     """A name from a stranger's data as the name of one file or folder: no separators, never ``.`` or ``..``.
 
     Percent-encoded where needed; ordinary names stay as they are.
@@ -83,7 +83,7 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def only_writer(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Keep two commands from writing to one folder, which is made, at the same time; a killed command locks none out.
 
     Raises:
@@ -202,12 +202,12 @@ def write_json_lines(path: Path, rows: list[Any]) -> None:
     write_bytes(path, "".join(canonical_json(row) + "\n" for row in rows).encode())
 
 
-def is_left_over(path: Path) -> bool:
+def is_leftover(path: Path) -> bool:
     """Whether a file is one that a process was killed over (`write_bytes`)."""
     return path.name.startswith(".") and path.suffix == ".part"
 
 
-def read_kept_json(path: Path) -> Any | None:
+def read_cached_json(path: Path) -> Any | None:
     """Read a JSON file that work resumes from; ``None`` if it is absent or damaged, so that it is made again."""
     try:
         return read_json(path)

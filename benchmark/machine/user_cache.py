@@ -19,7 +19,7 @@ def cache_root() -> Path:
     return (Path(general) if general else Path.home() / ".cache") / "challenger-bench"
 
 
-def stamp_of(status: os.stat_result) -> Stamp:
+def make_stamp(status: os.stat_result) -> Stamp:
     """Five numbers that tell whether a file is still the same: device, inode, bytes, times of content and of inode.
 
     A process that puts the time of the content back changes that of the inode.

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from benchmark.errors import InputError
-from benchmark.machine.progress import WATCH, Count, Work, progress
+from benchmark.machine.progress import PROGRESS_REPORTER, CountedUnits, WorkProgress, track_progress
 
 if TYPE_CHECKING:
     from multiprocessing.sharedctypes import Synchronized
@@ -59,7 +59,7 @@ class Executor(Protocol):
         *,
         total: int,
         label: str,
-        count: Count | None = None,
+        count: CountedUnits | None = None,
     ) -> Iterator[Result]:
         """Apply a function to items and give the results in the order of the items.
 
@@ -112,15 +112,15 @@ class LocalProcesses:
         *,
         total: int,
         label: str,
-        count: Count | None = None,
+        count: CountedUnits | None = None,
     ) -> Iterator[Result]:
         """Apply a function to items and give the results in the order of the items."""
         if self.workers < 1:
             raise InputError(f"--workers must be at least 1, got {self.workers}")
         if self.workers == 1 or total < 2:
             single_threaded()
-            return progress(map(function, items), total=total, label=label, count=count)
-        return self._in_processes(function, items, total=total, label=label, count=count or Count())
+            return track_progress(map(function, items), total=total, label=label, count=count)
+        return self._in_processes(function, items, total=total, label=label, count=count or CountedUnits())
 
     def _in_processes(
         self,
@@ -129,24 +129,24 @@ class LocalProcesses:
         *,
         total: int,
         label: str,
-        count: Count,
+        count: CountedUnits,
     ) -> Iterator[Result]:
         global _started
         workers, before = min(self.workers, total), set(multiprocessing.active_children())
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(_imported_before_the_first(function))
+        context.set_forkserver_preload(_list_preloads(function))
         needs_script = _needs_script(function)
         begun = context.Value("i", 0)
         _started = True
         with (
             ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(begun,)) as pool,
-            WATCH.work(label, total, count) as work,
+            PROGRESS_REPORTER.work(label, total, count) as work,
         ):
             try:
 
                 def submit(item: Item) -> "Future[Result]":
-                    with nullcontext() if needs_script else _script_not_run_again():
-                        return told(pool.submit(function, item), work)
+                    with nullcontext() if needs_script else _without_main_script():
+                        return report_when_done(pool.submit(function, item), work)
 
                 yield from results_in_order(submit, items, workers)
             except BrokenProcessPool as error:
@@ -169,13 +169,13 @@ def map_ordered(
     *,
     workers: int,
     label: str,
-    count: Count | None = None,
+    count: CountedUnits | None = None,
 ) -> Iterator[Result]:
     """`LocalProcesses.map` for items that are all there already."""
     return LocalProcesses(workers).map(function, items, total=len(items), label=label, count=count)
 
 
-def told(future: "Future[Result]", work: Work) -> "Future[Result]":
+def report_when_done(future: "Future[Result]", work: WorkProgress) -> "Future[Result]":
     """The same future; once it has a result, the work is told, whatever the order in which results are taken."""
 
     def finished(done: "Future[Result]") -> None:
@@ -228,7 +228,7 @@ def _needs_script(function: Callable[..., Any]) -> bool:
 
 
 @contextmanager
-def _script_not_run_again() -> Iterator[None]:
+def _without_main_script() -> Iterator[None]:
     """Processes that begin in here do not run the script that this process runs, with or without a guard.
 
     Python's own way for notebooks and ``python -c``: a main module without a file is none to run.
@@ -251,7 +251,7 @@ def _module_of(function: Callable[..., Any]) -> tuple[str, ...]:
     return () if module == "__main__" else (module,)
 
 
-def _imported_before_the_first(function: Callable[..., Any]) -> list[str]:
+def _list_preloads(function: Callable[..., Any]) -> list[str]:
     """What the process that workers are copied from imports, so that none has to."""
     module = _module_of(function)
     # The process is started once; work that builds data is followed by work that plans with a network.
@@ -259,7 +259,7 @@ def _imported_before_the_first(function: Callable[..., Any]) -> list[str]:
     return [*(["torch"] if needs_torch else []), *_SLOW_TO_IMPORT, *module]
 
 
-def workers_at_hand() -> bool:
+def has_forkserver() -> bool:
     """Whether this process had workers before: what they are copied from is there, and the next ones begin at once."""
     return _started
 
@@ -276,7 +276,7 @@ def _begin_worker(begun: "Synchronized[int]") -> None:
     with begun.get_lock():
         _number = begun.value
         begun.value += 1
-    WATCH.silence()
+    PROGRESS_REPORTER.silence()
     collect_rarely()
     threading.Thread(target=end_with_parent, daemon=True).start()
     single_threaded()

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmark.datasets.roots import DataSet, open_data
-from benchmark.datasets.split_names import NoSuchSplit
+from benchmark.datasets.split_names import NoSuchSplitError
 from benchmark.errors import InputError
 from benchmark.machine.user_cache import cache_root as cache_root
-from benchmark.records.attempts import seed_of
+from benchmark.records.attempts import parse_seed
 
 GENERATED_SPLITS = ("val-r", "adv")
 """Splits that `generate` builds, beside the source's own."""
@@ -22,14 +22,14 @@ EMBEDDED_NAMES = (EMBEDDED, DEMONSTRATED)
 TIMINGS_FOLDER = "timings"
 
 
-def timings_beside(made: Path) -> Path:
+def find_timings_folder(made: Path) -> Path:
     """Folder of notes on how long it took to make something that lies in no ``--out`` folder: beside it."""
     return made.with_name(f"{made.name}.{TIMINGS_FOLDER}")
 
 
-def how_generated(split: str) -> str:
+def format_generate_options(split: str) -> str:
     """Options of ``generate`` that make a split; of a split of one seed, with another seed beside it."""
-    seed = seed_of(split)
+    seed = parse_seed(split)
     return f"--split {split}" if seed is None else f"--seeds {seed},{seed + 1}"
 
 
@@ -89,10 +89,10 @@ class Workspace:
     def timings_of(self, made: Path) -> Path:
         """Folder of notes on how long it took to make something: outside of it, whose bytes are not the clock's.
 
-        It is below ``<out>/timings``; `timings_beside` of all that is not below the folder.
+        It is below ``<out>/timings``; `find_timings_folder` of all that is not below the folder.
         """
         is_inside = made.is_relative_to(self.out)
-        return self.out / TIMINGS_FOLDER / made.relative_to(self.out) if is_inside else timings_beside(made)
+        return self.out / TIMINGS_FOLDER / made.relative_to(self.out) if is_inside else find_timings_folder(made)
 
     def rendering_root(self) -> Path:
         """Folder of what takes long to draw, kept between the stages of photorealistic rendering."""
@@ -122,14 +122,14 @@ class Workspace:
             data = "" if source.name == EMBEDDED else f"--data {source.root} "
             raise InputError(
                 f"split {split!r} of {source.name} is not at {root}; make it with: "
-                f"challenger-bench generate {data}{how_generated(split)} --out {self.out}"
+                f"challenger-bench generate {data}{format_generate_options(split)} --out {self.out}"
             )
         generated = open_data(root, name=source.name)
         made_from = (generated.provenance() or {}).get("source") or {}
         if made_from.get("fingerprint") != source.fingerprint():
             raise InputError(
                 f"{root} was generated from another version of {source.name} (its fingerprint differs); "
-                f"run challenger-bench generate --data {source.root} {how_generated(split)} again or choose "
+                f"run challenger-bench generate --data {source.root} {format_generate_options(split)} again or choose "
                 "another --out"
             )
         return generated
@@ -137,7 +137,7 @@ class Workspace:
 
 def is_generated(split: str) -> bool:
     """Whether `generate` builds splits of a name."""
-    return split in GENERATED_SPLITS or seed_of(split) is not None
+    return split in GENERATED_SPLITS or parse_seed(split) is not None
 
 
 def is_finished(root: Path) -> bool:
@@ -148,5 +148,5 @@ def is_finished(root: Path) -> bool:
 def _has_split(source: DataSet, split: str) -> bool:
     try:
         return bool(source.scene_names(split))
-    except NoSuchSplit:
+    except NoSuchSplitError:
         return False

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.fairness.attack import READINGS, Attack, Reading, any_known
-from benchmark.metrics.rates import Rate, ratios_over_scenes
-from benchmark.metrics.scores import source_of_scenes
+from benchmark.fairness.attack import READINGS, Attack, Reading, any_or_unknown
+from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
+from benchmark.metrics.scores import map_scenes_to_sources
 from benchmark.records.attempts import is_adversarial
 from benchmark.records.row_schema import BriefRow
 from benchmark.records.run import RunRecord
@@ -23,14 +23,14 @@ __all__ = [
     "AttackRates",
     "Reading",
     "SceneAttack",
-    "attack_facts",
-    "attack_rates",
-    "counted_rows",
-    "counts_attacks",
+    "attack_rates_to_json",
+    "can_count_attacks",
+    "collect_scene_attacks",
+    "compute_attack_rates",
     "has_adversaries",
+    "has_severity",
     "knows_adversaries",
-    "says_severity",
-    "scene_attacks",
+    "select_counted_rows",
 ]
 # The leaderboard reads records: what it says of attacks, it has from here.
 
@@ -71,7 +71,7 @@ class AttackRates:
     scenes: dict[Reading, Rate]
     judged: int
     spared: int
-    unknown_blame: int
+    unknown_fault: int
     bystander_samples: Rate
     bystander_scenes: Rate
 
@@ -82,7 +82,7 @@ def has_adversaries(record: RunRecord) -> bool:
     return is_adversarial(record.run.split) or any(fact.adversaries for fact in facts)
 
 
-def says_severity(record: RunRecord) -> bool:
+def has_severity(record: RunRecord) -> bool:
     """Whether a record says of its plans how severe they are; older ones do not."""
     severities = record.columns.values("severity")
     return any(severities[place] is not None for place in record.columns.planned.tolist())
@@ -94,15 +94,15 @@ def knows_adversaries(record: RunRecord) -> bool:
     return all(fact is not None and fact.adversaries is not None for fact in facts)
 
 
-def counts_attacks(record: RunRecord) -> bool:
+def can_count_attacks(record: RunRecord) -> bool:
     """Whether attack success can be told: who the adversaries are, and how severe plans are, is known.
 
     Where the adversary is not known, every contact would be a bystander's, and success 0 %.
     """
-    return has_adversaries(record) and knows_adversaries(record) and says_severity(record)
+    return has_adversaries(record) and knows_adversaries(record) and has_severity(record)
 
 
-def counted_rows(record: RunRecord) -> list[BriefRow]:
+def select_counted_rows(record: RunRecord) -> list[BriefRow]:
     """Samples that have a plan, whose recording goes on for 3 s, and whose surroundings are annotated."""
     return [row for row in record.columns.brief if row.status == "ok" and row.complete and row.severity is not None]
 
@@ -113,16 +113,16 @@ def careful_survives(record: RunRecord, scene: str) -> bool | None:
     return None if facts is None or facts.judgement is None else facts.judgement.survives.get("cc")
 
 
-def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
+def collect_scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
     """Attack success by scene, in the record's order.
 
-    The record must say how severe its plans are (`says_severity`).
+    The record must say how severe its plans are (`has_severity`).
     """
     by_scene: dict[str, list[Attack]] = {scene: [] for scene in record.run.scenes}
     bystanders: dict[str, list[bool]] = {scene: [] for scene in by_scene}
     survivors = {scene: careful_survives(record, scene) for scene in by_scene}
-    for row in counted_rows(record):
-        by_scene[row.scene].append(_attack(row, survivors[row.scene]))
+    for row in select_counted_rows(record):
+        by_scene[row.scene].append(_to_attack(row, survivors[row.scene]))
         contact = None if row.severity is None else row.severity.contact
         bystanders[row.scene].append(contact is not None and not contact.adversary)
     columns = record.columns
@@ -131,42 +131,44 @@ def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
     return {
         scene: SceneAttack(
             tuple(attacks),
-            {reading: _of_scene(attacks, reading, scene in missing, survivors[scene]) for reading in READINGS},
+            {reading: _combine_scene(attacks, reading, scene in missing, survivors[scene]) for reading in READINGS},
             tuple(bystanders[scene]),
         )
         for scene, attacks in by_scene.items()
     }
 
 
-def attack_rates(record: RunRecord) -> AttackRates:
+def compute_attack_rates(record: RunRecord) -> AttackRates:
     """Attack success on the planner of a record, with intervals over recorded scenes.
 
-    The record must say how severe its plans are (`says_severity`).
+    The record must say how severe its plans are (`has_severity`).
     """
-    attacks = scene_attacks(record)
+    attacks = collect_scene_attacks(record)
     samples = [(scene, sample) for scene, attack in attacks.items() for sample in attack.samples]
     known = [survives for scene in attacks if (survives := careful_survives(record, scene)) is not None]
     others = [(scene, sample) for scene, attack in attacks.items() for sample in attack.bystanders]
     return AttackRates(
-        bystander_samples=_rate(record, others),
-        bystander_scenes=_rate(record, [(scene, attack.bystander) for scene, attack in attacks.items()]),
-        samples=_rates(record, [(scene, [getattr(sample, name) for name in READINGS]) for scene, sample in samples]),
-        scenes=_rates(record, [(scene, list(attack.verdicts.values())) for scene, attack in attacks.items()]),
+        bystander_samples=_compute_rate(record, others),
+        bystander_scenes=_compute_rate(record, [(scene, attack.bystander) for scene, attack in attacks.items()]),
+        samples=_compute_rates(
+            record, [(scene, [getattr(sample, name) for name in READINGS]) for scene, sample in samples]
+        ),
+        scenes=_compute_rates(record, [(scene, list(attack.verdicts.values())) for scene, attack in attacks.items()]),
         judged=len(known),
         spared=sum(known),
-        unknown_blame=sum(attack.contact and attack.at_fault is None for _, attack in samples),
+        unknown_fault=sum(attack.contact and attack.at_fault is None for _, attack in samples),
     )
 
 
-def attack_facts(record: RunRecord) -> dict[str, Any]:
+def attack_rates_to_json(record: RunRecord) -> dict[str, Any]:
     """Attack success as JSON values, for machines that read what a command prints.
 
     ``attack_success``: rates by reading and of first contacts with bystanders, of ``samples`` and of ``scenes``;
-    nothing where that cannot be told (`counts_attacks`).
+    nothing where that cannot be told (`can_count_attacks`).
     """
-    if not counts_attacks(record):
+    if not can_count_attacks(record):
         return {}
-    success = attack_rates(record)
+    success = compute_attack_rates(record)
     of_samples: dict[str, Rate] = {name: success.samples[name] for name in READINGS}
     of_scenes: dict[str, Rate] = {name: success.scenes[name] for name in READINGS}
     parts = {
@@ -178,38 +180,40 @@ def attack_facts(record: RunRecord) -> dict[str, Any]:
     }
 
 
-def _attack(row: BriefRow, survives: bool | None) -> Attack:
+def _to_attack(row: BriefRow, survives: bool | None) -> Attack:
     contact = None if row.severity is None else row.severity.contact
     if contact is None or not contact.adversary:
         return Attack.of(False, None, survives)
     return Attack.of(True, contact.at_fault, survives)
 
 
-def _of_scene(attacks: Iterable[Attack], reading: Reading, missing: bool, survives: bool | None) -> bool | None:
+def _combine_scene(attacks: Iterable[Attack], reading: Reading, missing: bool, survives: bool | None) -> bool | None:
     verdicts = [getattr(attack, reading) for attack in attacks]
     if reading == "attributable" and survives is False:
         # Whatever a failed sample would have shown, nothing of this scene is attributed to anybody.
         return False if verdicts else None
     # A sample on which the planner failed could have shown anything.
-    return any_known([*verdicts, *([None] if missing or not verdicts else [])])
+    return any_or_unknown([*verdicts, *([None] if missing or not verdicts else [])])
 
 
-def _rate(record: RunRecord, verdicts: Sequence[tuple[str, bool | None]]) -> Rate:
+def _compute_rate(record: RunRecord, verdicts: Sequence[tuple[str, bool | None]]) -> Rate:
     """Rate of verdicts on samples or scenes, with its interval over recorded scenes."""
-    sources = source_of_scenes(record)
+    sources = map_scenes_to_sources(record)
     known_verdicts = [(sources[scene], float(verdict)) for scene, verdict in verdicts if verdict is not None]
     values = np.array([value for _, value in known_verdicts]).reshape(-1, 1)
-    (rate,) = ratios_over_scenes(
+    (rate,) = compute_ratios_over_scenes(
         values, np.ones_like(values), [name for name, _ in known_verdicts], seed=record.run.seed
     )
     return rate
 
 
-def _rates(record: RunRecord, verdicts: Sequence[tuple[str, Sequence[bool | None]]]) -> dict[Reading, Rate]:
-    sources = source_of_scenes(record)
+def _compute_rates(record: RunRecord, verdicts: Sequence[tuple[str, Sequence[bool | None]]]) -> dict[Reading, Rate]:
+    sources = map_scenes_to_sources(record)
     values = np.array([[np.nan if one is None else one for one in readings] for _, readings in verdicts], np.float64)
     values = values.reshape(-1, len(READINGS))
     names = [sources[scene] for scene, _ in verdicts]
     known = ~np.isnan(values)
-    rates = ratios_over_scenes(np.where(known, values, 0.0), known.astype(np.float64), names, seed=record.run.seed)
+    rates = compute_ratios_over_scenes(
+        np.where(known, values, 0.0), known.astype(np.float64), names, seed=record.run.seed
+    )
     return dict(zip(READINGS, rates, strict=True))

@@ -18,8 +18,8 @@ import numpy as np
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.steps import is_step
 from benchmark.geometry import Floats, to_global
-from benchmark.metrics.rates import Rate, ratios_over_scenes
-from benchmark.metrics.scores import source_of_scenes
+from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
+from benchmark.metrics.scores import map_scenes_to_sources
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
 from benchmark.waypoints import waypoints_in_lidar
@@ -46,12 +46,12 @@ class Consistency:
     without: int
 
 
-def consistency(record: RunRecord) -> Consistency:
+def measure_consistency(record: RunRecord) -> Consistency:
     """Compare each plan of a record with the next one.
 
     Only plans and the recorded motion in the rows are used, so old records have it too.
     """
-    sources, columns = source_of_scenes(record), record.columns
+    sources, columns = map_scenes_to_sources(record), record.columns
     scenes, place_of = columns.values("scene"), {row: place for place, row in enumerate(columns.planned.tolist())}
     pairs = [
         (at, at + 1)
@@ -67,9 +67,9 @@ def consistency(record: RunRecord) -> Consistency:
         if first in place_of and second in place_of and not still[place_of[first]]
     ]
     first, second = [one for one, _, _ in compared_pairs], [other for _, other, _ in compared_pairs]
-    values = plans_apart(columns.in_lidar[first], columns.moved[first], columns.in_lidar[second])
+    values = measure_plan_distances(columns.in_lidar[first], columns.moved[first], columns.in_lidar[second])
     with_mean = np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
-    rates = ratios_over_scenes(
+    rates = compute_ratios_over_scenes(
         with_mean, np.ones_like(with_mean), [scene for *_, scene in compared_pairs], seed=record.run.seed
     )
     return Consistency(
@@ -77,8 +77,8 @@ def consistency(record: RunRecord) -> Consistency:
     )
 
 
-def plans_apart(first: Floats, moved: Floats, second: Floats) -> Floats:
-    """`apart` for P pairs at once.
+def measure_plan_distances(first: Floats, moved: Floats, second: Floats) -> Floats:
+    """`measure_plan_distance` for P pairs at once.
 
     Args:
         first: (P, 6, 2) waypoints planned at a sample, of the lidar origin in its frame.
@@ -95,7 +95,7 @@ def plans_apart(first: Floats, moved: Floats, second: Floats) -> Floats:
     return np.asarray(np.hypot(offset[..., 0], offset[..., 1]).reshape(-1, COMMON_STEPS))
 
 
-def apart(first: SampleRow, second: SampleRow) -> Floats:
+def measure_plan_distance(first: SampleRow, second: SampleRow) -> Floats:
     """Distances between the plans at a sample and at the next one: (5,) metres at 0.5 to 2.5 s after the second."""
     moved = first.recorded_future[0]
     assert moved is not None

@@ -28,8 +28,8 @@ import numpy as np
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.planning import Forecasts, Plan, PlanFrame
-from benchmark.protocols.contract import Outcomes
-from benchmark.protocols.exact import ego_boxes, object_boxes
+from benchmark.protocols.contract import ProtocolOutcomes
+from benchmark.protocols.exact import compute_plan_boxes, interpolate_object_boxes
 from benchmark.records import row_schema
 from benchmark.records.row_schema import Cause, DiagnosisRow
 from benchmark.truth import SampleTruth
@@ -45,7 +45,7 @@ HOLD_BELOW_M: Final = 1.0
 """Shortest chord (over a second) that turns a forecast box: forecasts of parked cars drift, and to any side."""
 
 
-class Reason(StrEnum):
+class DiagnosisReason(StrEnum):
     """Which case of the rule a collision is."""
 
     CLEAR = "plan clear of forecast"
@@ -60,16 +60,18 @@ class Reason(StrEnum):
         return _CAUSE_OF[self]
 
 
-_CAUSE_OF: Final[dict[Reason, Cause]] = {
-    Reason.CLEAR: "misforecast",
-    Reason.CLEAR_OF_LIKELIEST: "misforecast",
-    Reason.HITS: "misplanned",
-    Reason.NOT_NEAR: "unseen",
-    Reason.NONE: "not attributable",
+_CAUSE_OF: Final[dict[DiagnosisReason, Cause]] = {
+    DiagnosisReason.CLEAR: "misforecast",
+    DiagnosisReason.CLEAR_OF_LIKELIEST: "misforecast",
+    DiagnosisReason.HITS: "misplanned",
+    DiagnosisReason.NOT_NEAR: "unseen",
+    DiagnosisReason.NONE: "not attributable",
 }
 
 
-def diagnose(truths: Sequence[SampleTruth], plans: Sequence[Plan], exact: Outcomes) -> list[DiagnosisRow | None]:
+def diagnose(
+    truths: Sequence[SampleTruth], plans: Sequence[Plan], exact: ProtocolOutcomes
+) -> list[DiagnosisRow | None]:
     """Say of each colliding sample why it collides; ``None`` where nothing is touched.
 
     Plans are as the planner gave them, in their own frame, with its forecasts. Samples whose recording ends early
@@ -78,10 +80,12 @@ def diagnose(truths: Sequence[SampleTruth], plans: Sequence[Plan], exact: Outcom
     if not len(exact):
         return []
     contacts = zip(truths, plans, exact.facts["hit"], exact.facts["first_contact_s"], strict=True)
-    return [None if hit is None else _diagnosis(truth, plan, hit, seconds) for truth, plan, hit, seconds in contacts]
+    return [
+        None if hit is None else _diagnose_plan(truth, plan, hit, seconds) for truth, plan, hit, seconds in contacts
+    ]
 
 
-def forecasts_in_lidar(forecasts: Forecasts, frame: PlanFrame, lidar_ahead_m: float) -> Forecasts:
+def to_lidar_frame(forecasts: Forecasts, frame: PlanFrame, lidar_ahead_m: float) -> Forecasts:
     """Forecasts in the lidar frame of the sample, x right, y forward.
 
     That is a rigid motion, unlike that of a plan, which moves its own point. ``lidar_ahead_m`` is the lidar origin
@@ -96,7 +100,7 @@ def forecasts_in_lidar(forecasts: Forecasts, frame: PlanFrame, lidar_ahead_m: fl
     return Forecasts(boxes, trajectories, forecasts.scores)
 
 
-def forecast_boxes(box: Floats, trajectories: Floats) -> Floats:
+def build_forecast_boxes(box: Floats, trajectories: Floats) -> Floats:
     """(M, 30, 5) boxes of a forecast at 0.1, 0.2, ... 3.0 s, of the present size, turned along the path.
 
     ``trajectories`` are (M, 6, 2) centres at the plan's steps.
@@ -108,10 +112,10 @@ def forecast_boxes(box: Floats, trajectories: Floats) -> Floats:
     keyframes[:, 1:, :2] = trajectories
     # Half a turn leaves a rectangle as it is, and a car that backs up must not be swung round.
     keyframes[:, 1:, 4] += np.cumsum(turns - np.pi * np.round(turns / np.pi), axis=-1)
-    return object_boxes(keyframes, np.ones(keyframes.shape[:2], dtype=np.bool_))[0]
+    return interpolate_object_boxes(keyframes, np.ones(keyframes.shape[:2], dtype=np.bool_))[0]
 
 
-def matched_forecasts(truth: SampleTruth, forecasts: Forecasts) -> dict[str, int]:
+def match_forecasts(truth: SampleTruth, forecasts: Forecasts) -> dict[str, int]:
     """Which forecast, in the lidar frame, is of which object, by step 2 of the rule.
 
     Row of the forecast by instance; objects without a forecast are left out.
@@ -123,7 +127,7 @@ def matched_forecasts(truth: SampleTruth, forecasts: Forecasts) -> dict[str, int
     present, likeliest = forecasts.boxes[:, None, :2], np.argmax(forecasts.scores, axis=1)
     centres = np.concatenate([present, forecasts.trajectories[np.arange(len(likeliest)), likeliest]], axis=1)
     offset = np.swapaxes(centres[:, first_step], 0, 1) - objects[:, None, :2]
-    pairs = np.argwhere(_near(offset, objects) & _alike(objects, forecasts.boxes))
+    pairs = np.argwhere(_are_near(offset, objects) & _are_alike(objects, forecasts.boxes))
     distance = np.hypot(offset[..., 0], offset[..., 1])
     ranked = sorted(
         (int(first_step[row]), float(distance[row, column]), truth.instances[row], int(column)) for row, column in pairs
@@ -137,27 +141,29 @@ def matched_forecasts(truth: SampleTruth, forecasts: Forecasts) -> dict[str, int
     return matched
 
 
-def _diagnosis(truth: SampleTruth, plan: Plan, hit: str, first_contact_s: float) -> DiagnosisRow:
-    reason = _reason(truth, plan, hit)
+def _diagnose_plan(truth: SampleTruth, plan: Plan, hit: str, first_contact_s: float) -> DiagnosisRow:
+    reason = _find_reason(truth, plan, hit)
     return DiagnosisRow(cause=reason.cause, reason=reason.value, hit=hit, first_contact_s=first_contact_s)
 
 
-def _reason(truth: SampleTruth, plan: Plan, hit: str) -> Reason:
+def _find_reason(truth: SampleTruth, plan: Plan, hit: str) -> DiagnosisReason:
     if plan.forecasts is None:
-        return Reason.NONE
-    forecasts = forecasts_in_lidar(plan.forecasts, plan.frame, truth.lidar_ahead_m)
-    row = matched_forecasts(truth, forecasts).get(hit)
+        return DiagnosisReason.NONE
+    forecasts = to_lidar_frame(plan.forecasts, plan.frame, truth.lidar_ahead_m)
+    row = match_forecasts(truth, forecasts).get(hit)
     if row is None:
-        return Reason.NOT_NEAR
-    ego = ego_boxes(plan.waypoints_in_lidar(truth.lidar_ahead_m))
-    hits: Bools = boxes_overlap(ego, forecast_boxes(forecasts.boxes[row], forecasts.trajectories[row])).any(axis=-1)
+        return DiagnosisReason.NOT_NEAR
+    ego = compute_plan_boxes(plan.waypoints_in_lidar(truth.lidar_ahead_m))
+    hits: Bools = boxes_overlap(ego, build_forecast_boxes(forecasts.boxes[row], forecasts.trajectories[row])).any(
+        axis=-1
+    )
     scores = forecasts.scores[row]
     if hits[np.argmax(scores)]:
-        return Reason.HITS
-    return Reason.CLEAR_OF_LIKELIEST if (hits & (scores >= LIKELY)).any() else Reason.CLEAR
+        return DiagnosisReason.HITS
+    return DiagnosisReason.CLEAR_OF_LIKELIEST if (hits & (scores >= LIKELY)).any() else DiagnosisReason.CLEAR
 
 
-def _near(offset: Floats, objects: Floats) -> Bools:
+def _are_near(offset: Floats, objects: Floats) -> Bools:
     """(M, A) whether offsets (M, A, 2) from the objects' centres are small enough."""
     cos, sin = np.cos(objects[:, None, 4]), np.sin(objects[:, None, 4])
     along = np.abs(offset[..., 0] * cos + offset[..., 1] * sin)
@@ -166,7 +172,7 @@ def _near(offset: Floats, objects: Floats) -> Bools:
     return np.asarray(np.hypot(np.maximum(along - half_axis, 0.0), across) <= MATCH_WITHIN_M)
 
 
-def _alike(objects: Floats, boxes: Floats) -> Bools:
+def _are_alike(objects: Floats, boxes: Floats) -> Bools:
     """(M, A) whether boxes may be of the same kind of thing."""
     area, other = (objects[:, 2] * objects[:, 3])[:, None], boxes[:, 2] * boxes[:, 3]
     return np.asarray((area <= LARGEST_AREA_RATIO * other) & (other <= LARGEST_AREA_RATIO * area))

@@ -31,14 +31,14 @@ from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols import PROTOCOLS, CollisionProtocol, Outcomes
-from benchmark.protocols.sparsedrive import waypoint_contacts
+from benchmark.protocols import PROTOCOLS, CollisionProtocol, ProtocolOutcomes
+from benchmark.protocols.sparsedrive import find_waypoint_contacts
 from benchmark.protocols.stacked import StackedTruths, stack
-from benchmark.records.run import RunRecord, outcomes_of
+from benchmark.records.run import RunRecord, collect_outcomes
 from benchmark.truth import SampleTruth
 
 EXACT = "exact"
-RUNGS = (
+COUNTERFACTUALS = (
     "between waypoints",
     "class not counted",
     "not annotated now or since",
@@ -51,18 +51,18 @@ RUNGS = (
 MISS, FALSE_ALARM = "miss", "false alarm"
 OTHER_INSTANTS = "other instants"
 CAUSES = (
-    *(f"{MISS}: {rung}" for rung in RUNGS),
-    *(f"{FALSE_ALARM}: {rung}" for rung in RUNGS[5:7]),
+    *(f"{MISS}: {rung}" for rung in COUNTERFACTUALS),
+    *(f"{FALSE_ALARM}: {rung}" for rung in COUNTERFACTUALS[5:7]),
     *(f"{kind}: {OTHER_INSTANTS}" for kind in (MISS, FALSE_ALARM)),
 )
 """Every cause there is. Whatever only takes contacts away can cause misses only."""
 
 
 @dataclass(frozen=True, slots=True)
-class Ladder:
+class CounterfactualVerdicts:
     """Verdicts of one protocol on S samples, from the exact to the official one.
 
-    (9, S, 6) contact at each step: ``exact``, then after each of `RUNGS`.
+    (9, S, 6) contact at each step: ``exact``, then after each of `COUNTERFACTUALS`.
     """
 
     verdicts: Bools
@@ -70,9 +70,9 @@ class Ladder:
     def causes(self) -> list[str | None]:
         """Why the two ends differ within 3 s: of each sample one of `CAUSES`, or ``None`` where they agree."""
         within = self.verdicts.any(axis=-1)
-        rung = _last_change(self._followed().any(axis=-1))
+        rung = _find_last_change(self._followed().any(axis=-1))
         return [
-            f"{FALSE_ALARM if official else MISS}: {RUNGS[at]}" if official != exact else None
+            f"{FALSE_ALARM if official else MISS}: {COUNTERFACTUALS[at]}" if official != exact else None
             for exact, official, at in zip(within[0].tolist(), within[-1].tolist(), rung.tolist())
         ]
 
@@ -83,7 +83,7 @@ class Ladder:
         both ends agree.
         """
         within, followed = self.verdicts.any(axis=-1), self._followed()
-        samples, rung = np.arange(within.shape[1]), _last_change(followed.any(axis=-1))
+        samples, rung = np.arange(within.shape[1]), _find_last_change(followed.any(axis=-1))
         lost, gained = followed[rung, samples], followed[rung + 1, samples]
         steps = np.where(within[-1][:, None], gained, lost)
         return np.asarray(steps & (within[0] != within[-1])[:, None])
@@ -94,39 +94,43 @@ class Ladder:
         return np.asarray(self.verdicts & np.where(official[:, None], self.verdicts[-1], self.verdicts[0]))
 
 
-def _last_change(within: Bools) -> NDArray[np.int64]:
+def _find_last_change(within: Bools) -> NDArray[np.int64]:
     """(S,) index of the last rung that changes the verdicts (9, S); 0 where none does."""
     changes = within[1:] != within[:-1]
     last = len(changes) - 1 - np.argmax(changes[::-1], axis=0)
     return np.where(changes.any(axis=0), last, 0)
 
 
-def ladder(
-    definition: CollisionProtocol, truths: StackedTruths, plans_lidar: Floats, exact: Outcomes, official: Outcomes
-) -> Ladder:
+def compute_counterfactuals(
+    definition: CollisionProtocol,
+    truths: StackedTruths,
+    plans_lidar: Floats,
+    exact: ProtocolOutcomes,
+    official: ProtocolOutcomes,
+) -> CounterfactualVerdicts:
     """Every rung from the exact to the official verdict on S samples.
 
     ``plans_lidar`` are (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
     """
     heading = PROTOCOLS[EXACT].headings(plans_lidar)
-    objects = objects_by_filter(definition, truths)
-    contacts = [waypoint_contacts(truths, counted, plans_lidar, heading) for counted in objects]
-    turned = waypoint_contacts(truths, objects[-1], plans_lidar, definition.headings(plans_lidar))
-    return Ladder(
+    objects = filter_objects(definition, truths)
+    contacts = [find_waypoint_contacts(truths, counted, plans_lidar, heading) for counted in objects]
+    turned = find_waypoint_contacts(truths, objects[-1], plans_lidar, definition.headings(plans_lidar))
+    return CounterfactualVerdicts(
         np.stack(
             [
                 exact.collision,
                 exact.step("waypoint_collision"),
                 *contacts,
                 turned,
-                before_mask(official),
+                find_contacts_before_mask(official),
                 official.collision,
             ]
         )
     )
 
 
-def objects_by_filter(definition: CollisionProtocol, truths: StackedTruths) -> list[Bools]:
+def filter_objects(definition: CollisionProtocol, truths: StackedTruths) -> list[Bools]:
     """Which objects are left after each of a protocol's four reasons to leave one out.
 
     Four times (M, 6): counted by class; also annotated; also in range; also with sensor points, which is what the
@@ -145,7 +149,7 @@ def objects_by_filter(definition: CollisionProtocol, truths: StackedTruths) -> l
     return [np.logical_and.reduce(filters[: count + 1]) for count in range(len(filters))]
 
 
-def before_mask(outcomes: Outcomes) -> Bools:
+def find_contacts_before_mask(outcomes: ProtocolOutcomes) -> Bools:
     """(S, 6) contacts of a protocol before it leaves out what the recorded ego does.
 
     Its verdicts where it has no such mask.
@@ -153,8 +157,8 @@ def before_mask(outcomes: Outcomes) -> Bools:
     return np.asarray(outcomes.steps.get("before_mask", outcomes.collision), np.bool_).reshape(-1, PLAN_STEPS)
 
 
-def disagreements(
-    truths: Sequence[SampleTruth], plans_lidar: Floats, outcomes: Mapping[str, Outcomes]
+def explain_disagreements(
+    truths: Sequence[SampleTruth], plans_lidar: Floats, outcomes: Mapping[str, ProtocolOutcomes]
 ) -> list[dict[str, str]]:
     """Why protocols disagree with ``exact`` on "any collision within 3 s".
 
@@ -175,7 +179,7 @@ def disagreements(
         return causes
     exact = outcomes[EXACT]
     for name, official in outcomes.items():
-        differ = np.flatnonzero(compared(exact, official) & (any_contact(exact) != any_contact(official)))
+        differ = np.flatnonzero(are_comparable(exact, official) & (has_any_contact(exact) != has_any_contact(official)))
         if name == EXACT:
             continue
         apart = np.array([truths[index].timed is not None for index in differ], np.bool_)
@@ -184,12 +188,12 @@ def disagreements(
         differ = differ[~apart]
         if not len(differ):
             continue
-        rungs = ladder(
+        rungs = compute_counterfactuals(
             PROTOCOLS[name],
             stack([truths[index] for index in differ]),
             plans[differ],
-            _some_of(exact, differ),
-            _some_of(official, differ),
+            _select_samples(exact, differ),
+            _select_samples(official, differ),
         )
         for index, cause in zip(differ.tolist(), rungs.causes()):
             assert cause is not None
@@ -197,8 +201,8 @@ def disagreements(
     return causes
 
 
-def _some_of(outcomes: Outcomes, samples: NDArray[np.int64]) -> Outcomes:
-    return Outcomes(
+def _select_samples(outcomes: ProtocolOutcomes, samples: NDArray[np.int64]) -> ProtocolOutcomes:
+    return ProtocolOutcomes(
         collision=outcomes.collision[samples],
         l2=outcomes.l2[samples],
         valid=outcomes.valid[samples],
@@ -208,12 +212,12 @@ def _some_of(outcomes: Outcomes, samples: NDArray[np.int64]) -> Outcomes:
     )
 
 
-def any_contact(outcomes: Outcomes) -> Bools:
+def has_any_contact(outcomes: ProtocolOutcomes) -> Bools:
     """Whether a protocol reports a collision at any step, after its mask."""
     return np.asarray(outcomes.collision.any(axis=-1))
 
 
-def compared(exact: Outcomes, official: Outcomes) -> Bools:
+def are_comparable(exact: ProtocolOutcomes, official: ProtocolOutcomes) -> Bools:
     """Samples on which two protocols can be compared: both count them, and all their contacts are known."""
     return np.logical_and(exact.decided & exact.valid.all(axis=-1), official.decided)
 
@@ -242,7 +246,7 @@ class Confusion:
         return self.false_alarms / self.official if self.official else None
 
 
-def confusion(exact: Bools, official: Bools) -> Confusion:
+def count_confusion(exact: Bools, official: Bools) -> Confusion:
     """Count verdicts against each other; both arrays have the same shape."""
     return Confusion(
         compared=exact.size,
@@ -253,26 +257,26 @@ def confusion(exact: Bools, official: Bools) -> Confusion:
     )
 
 
-def sample_confusion(exact: Outcomes, official: Outcomes, *, masked: bool = True) -> Confusion:
+def count_sample_confusion(exact: ProtocolOutcomes, official: ProtocolOutcomes, *, masked: bool = True) -> Confusion:
     """Count "any collision within 3 s" over the samples that both protocols count.
 
     ``masked`` applies the protocol's mask, as in its published numbers; of ``exact`` any contact at any time
     counts.
     """
-    both = compared(exact, official)
-    reported = official.collision if masked else before_mask(official)
-    return confusion(any_contact(exact)[both], reported.any(axis=-1)[both])
+    both = are_comparable(exact, official)
+    reported = official.collision if masked else find_contacts_before_mask(official)
+    return count_confusion(has_any_contact(exact)[both], reported.any(axis=-1)[both])
 
 
-def step_confusion(exact: Outcomes, official: Outcomes, *, masked: bool = True) -> Confusion:
+def count_step_confusion(exact: ProtocolOutcomes, official: ProtocolOutcomes, *, masked: bool = True) -> Confusion:
     """Count contacts at the same waypoint over the steps of the samples that both protocols count.
 
     ``masked`` applies the protocol's mask, as in its published numbers; of ``exact`` only contacts at the waypoints
     count.
     """
-    both = compared(exact, official)
-    reported = official.collision if masked else before_mask(official)
-    return confusion(exact.step("waypoint_collision").astype(np.bool_)[both], reported[both])
+    both = are_comparable(exact, official)
+    reported = official.collision if masked else find_contacts_before_mask(official)
+    return count_confusion(exact.step("waypoint_collision").astype(np.bool_)[both], reported[both])
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +297,7 @@ class ProtocolComparison:
     causes: Counter[str] | None
 
 
-def comparisons(record: RunRecord) -> dict[str, ProtocolComparison]:
+def compare_protocols(record: RunRecord) -> dict[str, ProtocolComparison]:
     """Misses and false alarms of protocols on a run judged by ``exact``, from its rows alone.
 
     By name, in the order of the names, of each other protocol that judged it; over the samples that have a plan and
@@ -302,22 +306,22 @@ def comparisons(record: RunRecord) -> dict[str, ProtocolComparison]:
     names = tuple(sorted(record.run.protocols))
     cache = record.columns.kept
     if (key := ("comparisons", names)) not in cache:
-        exact = outcomes_of(record.rows, EXACT)
-        cache[key] = {name: _compared(record, name, exact) for name in names if name != EXACT}
+        exact = collect_outcomes(record.rows, EXACT)
+        cache[key] = {name: _compare_protocol(record, name, exact) for name in names if name != EXACT}
     return dict(cache[key])
 
 
-def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> ProtocolComparison:
-    official = outcomes_of(record.rows, protocol)
-    both = compared(exact, official)
-    removed = (before_mask(official) & ~official.collision)[both]
-    wrong = both & (any_contact(exact) != any_contact(official))
+def _compare_protocol(record: RunRecord, protocol: str, exact: ProtocolOutcomes) -> ProtocolComparison:
+    official = collect_outcomes(record.rows, protocol)
+    both = are_comparable(exact, official)
+    removed = (find_contacts_before_mask(official) & ~official.collision)[both]
+    wrong = both & (has_any_contact(exact) != has_any_contact(official))
     disagreements = record.columns.values("disagreements")
     differing = [disagreements[place] for place in record.columns.planned[wrong].tolist()]
     known = all(protocol in causes for causes in differing)
     return ProtocolComparison(
-        samples=sample_confusion(exact, official),
-        steps=step_confusion(exact, official),
+        samples=count_sample_confusion(exact, official),
+        steps=count_step_confusion(exact, official),
         mask_removed_steps=int(removed.sum()),
         samples_with_removed_steps=int(removed.any(axis=1).sum()),
         causes=Counter(causes[protocol] for causes in differing) if known else None,

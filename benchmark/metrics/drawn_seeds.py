@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.geometry import Floats
-from benchmark.metrics.rates import INTERVAL, Rate, SceneSums, resampled
+from benchmark.metrics.rates import INTERVAL, Rate, SceneSums, resample_totals
 
 STUDENT_975: Final = (
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120,
@@ -32,7 +32,7 @@ class SeedRate:
 
 
 @dataclass(frozen=True, slots=True)
-class DrawnSeeds:
+class SeedSpread:
     """One planner on the splits of several seeds.
 
     Attributes:
@@ -49,26 +49,26 @@ class DrawnSeeds:
     recordings: int
 
 
-def over_seeds(sums: dict[int, SceneSums], *, seed: int = 0) -> DrawnSeeds:
+def combine_seeds(sums: dict[int, SceneSums], *, seed: int = 0) -> SeedSpread:
     """Put the rates of several seeds of the search together, given as (N, 1) sums by recording."""
     order = sorted(sums)
     names = tuple(sorted({name for one in sums.values() for name in one.names}))
     sides = [sums[seed_rates].over(names) for seed_rates in order]
     above = np.hstack([side.numerators for side in sides])
     below = np.hstack([side.denominators for side in sides])
-    drawn = _ratios(resampled(above, names, seed=seed), resampled(below, names, seed=seed))
+    drawn = _ratios(resample_totals(above, names, seed=seed), resample_totals(below, names, seed=seed))
     values = _ratios(above.sum(axis=0), below.sum(axis=0))
     seed_rates = tuple(
-        SeedRate(which, _rate(values[place], above[:, place], below[:, place], drawn[:, place]))
+        SeedRate(which, _build_rate(values[place], above[:, place], below[:, place], drawn[:, place]))
         for place, which in enumerate(order)
     )
     known = values[np.isfinite(values)]
     mean = float(known.mean()) if len(known) else float("nan")
     deviation = float(known.std(ddof=1)) if len(known) > 1 else None
     half = None if deviation is None else student_975(len(known) - 1) * deviation / len(known) ** 0.5
-    return DrawnSeeds(
+    return SeedSpread(
         seeds=seed_rates,
-        mean=_rate(mean, above, below, _means(drawn)),
+        mean=_build_rate(mean, above, below, _average_seeds(drawn)),
         deviation=deviation,
         low=None if half is None else max(mean - half, 0.0),
         high=None if half is None else min(mean + half, 1.0),
@@ -81,7 +81,7 @@ def student_975(freedom: int) -> float:
     return STUDENT_975[freedom - 1] if freedom <= len(STUDENT_975) else _NORMAL_975
 
 
-def _rate(value: Floats | float, above: Floats, below: Floats, drawn: Floats) -> Rate:
+def _build_rate(value: Floats | float, above: Floats, below: Floats, drawn: Floats) -> Rate:
     """A rate with its interval over the recordings that have counted samples, if there are two of them."""
     known = drawn[np.isfinite(drawn)]
     with_samples = np.count_nonzero(np.atleast_2d(below.T).sum(axis=0))
@@ -100,13 +100,13 @@ def _ratios(above: Floats, below: Floats) -> Floats:
         return np.asarray(above / below)
 
 
-def _means(drawn: Floats) -> Floats:
+def _average_seeds(drawn: Floats) -> Floats:
     """(R,) mean over the seeds that have samples in a resample."""
     there = np.isfinite(drawn)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.where(there, drawn, 0.0).sum(axis=1) / there.sum(axis=1))
 
 
-def seeds_in_words(seeds: Sequence[int]) -> str:
+def format_seeds(seeds: Sequence[int]) -> str:
     """Seeds for a sentence: ``0, 1, 2``."""
     return ", ".join(map(str, sorted(seeds)))

@@ -16,11 +16,11 @@ from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.attacks import has_adversaries, knows_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.rates import HORIZONS, PairedDifference, paired_difference, with_average
-from benchmark.metrics.scores import Scored, require_current, scored, source_of_scenes
-from benchmark.protocols import PROTOCOLS, published_values
+from benchmark.metrics.rates import HORIZONS, PairedDifference, append_average, compute_paired_difference
+from benchmark.metrics.scores import ScoredSamples, map_scenes_to_sources, require_current, score_record
+from benchmark.protocols import PROTOCOLS, compute_published_values
 from benchmark.protocols.raster import HIT_ADVERSARY, TOUCHED_ADVERSARY, touches_adversary
-from benchmark.records.rows import scene_failures, scenes_with
+from benchmark.records.rows import find_scene_failures, find_scenes_with
 from benchmark.records.run import RunRecord
 
 HORIZON_S: Final = (1.0, 2.0, 3.0)
@@ -105,7 +105,7 @@ class AdversaryEffect:
 
 
 @dataclass(frozen=True, slots=True)
-class FirstTouches:
+class FirstContactFlags:
     """Samples of a record that count and collide, by whom their plans touch first; each sample is in one at most.
 
     Attributes:
@@ -119,12 +119,12 @@ class FirstTouches:
     unsaid: Bools
 
 
-def says_whom(record: RunRecord, protocol: str = EXACT) -> bool:
+def knows_contact_partners(record: RunRecord, protocol: str = EXACT) -> bool:
     """Whether a record says of its contacts whether they are with an adversary; older ones do not until rescored."""
-    return knows_adversaries(record) and _judges_whom(record, protocol)
+    return knows_adversaries(record) and _knows_contact_partners_now(record, protocol)
 
 
-def attributes(record: RunRecord) -> bool:
+def attributes_contacts(record: RunRecord) -> bool:
     """Whether contacts are counted by whom they are with: with adversaries, unless it is known that there are none."""
     known_to_have_none = knows_adversaries(record) and not any(
         facts.adversaries for facts in record.run.scene_facts.values()
@@ -132,40 +132,40 @@ def attributes(record: RunRecord) -> bool:
     return has_adversaries(record) and not known_to_have_none
 
 
-def _judges_whom(record: RunRecord, protocol: str = EXACT) -> bool:
+def _knows_contact_partners_now(record: RunRecord, protocol: str = EXACT) -> bool:
     if protocol not in record.run.protocols:
         return False
     facts = record.columns.outcomes(protocol).facts
     return HIT_ADVERSARY in facts or TOUCHED_ADVERSARY in facts
 
 
-def effect_of(record: RunRecord, unchanged: RunRecord | None) -> AdversaryEffect | None:
+def compute_effect(record: RunRecord, unchanged: RunRecord | None) -> AdversaryEffect | None:
     """Effect of the adversaries of a split on a planner.
 
     ``None`` of a split without adversaries, and of older records until they are rescored.
     """
-    if not (has_adversaries(record) and _judges_whom(record)):
+    if not (has_adversaries(record) and _knows_contact_partners_now(record)):
         return None
-    contacts, known = sample_contacts(record), knows_adversaries(record)
+    contacts, known = collect_sample_contacts(record), knows_adversaries(record)
     rows = np.flatnonzero(contacts.counted)
     weights = contacts.weights[rows]
     total = float(weights.sum())
     return AdversaryEffect(
         record=record,
-        touched=_weighted(contacts.adversary[rows], weights) if total and known else None,
-        at_fault=_weighted(contacts.at_fault[rows], weights) if total and known else None,
+        touched=_average_weighted(contacts.adversary[rows], weights) if total and known else None,
+        at_fault=_average_weighted(contacts.at_fault[rows], weights) if total and known else None,
         unknown_fault=int(contacts.unknown_fault[rows].sum()),
         samples=len(rows),
         recordings=len({contacts.keys[row][0] for row in rows.tolist()}),
         unchanged=unchanged,
-        paired=None if unchanged is None else _paired(contacts, record, unchanged, known=known),
+        paired=None if unchanged is None else _pair_samples(contacts, record, unchanged, known=known),
     )
 
 
-def effect_facts(record: RunRecord, unchanged: RunRecord | None) -> dict[str, Any]:
-    """`effect_of` as JSON values under ``effect``; empty where there is none, or a sentence why it cannot be told."""
+def effect_to_json(record: RunRecord, unchanged: RunRecord | None) -> dict[str, Any]:
+    """`compute_effect` as JSON values under ``effect``; empty where there is none, or a sentence why it cannot be told."""
     try:
-        effect = effect_of(record, unchanged)
+        effect = compute_effect(record, unchanged)
     except InputError as refusal:
         return {"effect": {"refused": str(refusal)}}
     if effect is None:
@@ -180,18 +180,18 @@ def effect_facts(record: RunRecord, unchanged: RunRecord | None) -> dict[str, An
     return {"effect": {**rates, **counts, "unchanged": partner, "paired": pairs}}
 
 
-def sample_contacts(record: RunRecord) -> SampleContacts:
+def collect_sample_contacts(record: RunRecord) -> SampleContacts:
     """Contacts of each sample of a record that has a plan, by whom they are with."""
     require_current(record, EXACT)
     columns = record.columns
     outcomes, planned = columns.outcomes(EXACT), columns.planned.tolist()
-    sources = source_of_scenes(record)
+    sources = map_scenes_to_sources(record)
     variants: dict[str, int] = {}
     for source in sources.values():
         variants[source] = variants.get(source, 0) + 1
     recordings = [sources[scene] for scene in columns.planned_scenes]
     index = columns.values("index")
-    any_contact = with_average(published_values(PROTOCOLS[EXACT], outcomes)["collision"]).reshape(-1, 4)
+    any_contact = append_average(compute_published_values(PROTOCOLS[EXACT], outcomes)["collision"]).reshape(-1, 4)
     facts, severity = outcomes.facts, columns.values("severity")
     hit, first_s, adversary = (facts.get(name, (None,) * len(planned)) for name in _FIRST)
     contacts = [None if (own := severity[place]) is None else own.contact for place in planned]
@@ -205,64 +205,64 @@ def sample_contacts(record: RunRecord) -> SampleContacts:
         counted=outcomes.decided & ~np.isnan(any_contact).any(axis=1),
         weights=np.array([1.0 / variants[recording] for recording in recordings]),
         any_contact=np.nan_to_num(any_contact),
-        adversary=with_average(touched.astype(np.float64)),
-        at_fault=with_average((touched & np.array([bool(fault) for fault in faults])[:, None]).astype(np.float64)),
+        adversary=append_average(touched.astype(np.float64)),
+        at_fault=append_average((touched & np.array([bool(fault) for fault in faults])[:, None]).astype(np.float64)),
         unknown_fault=with_adversary & np.array([fault is None for fault in faults], np.bool_),
     )
 
 
-def first_touches(record: RunRecord, protocol: str = EXACT) -> FirstTouches:
+def find_first_contacts(record: RunRecord, protocol: str = EXACT) -> FirstContactFlags:
     """Whom the colliding samples of a record touch first; all its rows must be judged by the protocol."""
     columns = record.columns
     hits, none = columns.collides(protocol), np.zeros(len(columns), np.bool_)
-    if not attributes(record):
-        return FirstTouches(hits, none, none)
-    if not says_whom(record, protocol):
-        return FirstTouches(none, none, hits)
+    if not attributes_contacts(record):
+        return FirstContactFlags(hits, none, none)
+    if not knows_contact_partners(record, protocol):
+        return FirstContactFlags(none, none, hits)
     outcomes = columns.outcomes(protocol)
     adversary = none.copy()
     for row in np.flatnonzero(hits[columns.planned]).tolist():
         facts = {name: column[row] for name, column in outcomes.facts.items()}
         adversary[columns.planned[row]] = touches_adversary(outcomes.collision[row].tolist(), facts) is True
-    return FirstTouches(adversary, hits & ~adversary, none)
+    return FirstContactFlags(adversary, hits & ~adversary, none)
 
 
-def touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool | None]:
+def find_touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool | None]:
     """Which scenes a planner fails by touching the adversary first; on a split without adversaries, any object.
 
     Verdicts as `benchmark.records.run.scene_failures` has them; ``None`` also where a plan collides and the record
     does not say with whom.
     """
-    any_failures = scene_failures(record.rows, protocol)
-    if not attributes(record):
+    any_failures = find_scene_failures(record.rows, protocol)
+    if not attributes_contacts(record):
         return any_failures
-    first_contacts = first_touches(record, protocol)
+    first_contacts = find_first_contacts(record, protocol)
     undecided_scenes = {
         scene for scene, places in record.columns.places_of_scenes.items() if first_contacts.unsaid[places].any()
     }
-    verdicts = scenes_with(record.columns, protocol, first_contacts.adversary)
+    verdicts = find_scenes_with(record.columns, protocol, first_contacts.adversary)
     return {scene: None if scene in undecided_scenes else failed for scene, failed in verdicts.items()}
 
 
-def attributed_collisions(record: RunRecord) -> Bools:
+def find_attributed_collisions(record: RunRecord) -> Bools:
     """(R,) samples that count under ``exact`` and whose collision is the adversary's doing.
 
     On a split with adversaries those whose first contact is with one; of recordings, and where the record does not
     say whom contacts are with, any collision.
     """
-    first_contacts = first_touches(record)
+    first_contacts = find_first_contacts(record)
     return first_contacts.adversary | first_contacts.unsaid
 
 
-def touching_adversary(record: RunRecord) -> Scored:
+def score_adversary_contacts(record: RunRecord) -> ScoredSamples:
     """What the samples of a record add to its rate of first contacts with an adversary.
 
-    The record must say whom contacts are with (`says_whom`).
+    The record must say whom contacts are with (`knows_contact_partners`).
     """
-    own, cache = scored(record, protocol=EXACT), record.columns.kept
+    own, cache = score_record(record, protocol=EXACT), record.columns.kept
     if _TOUCHING not in cache:
         # Slices of every kind ask for it.
-        cache[_TOUCHING] = np.where(np.isnan(own.values), np.nan, sample_contacts(record).adversary)
+        cache[_TOUCHING] = np.where(np.isnan(own.values), np.nan, collect_sample_contacts(record).adversary)
     return replace(own, values=cache[_TOUCHING], kept={})
 
 
@@ -270,14 +270,14 @@ _TOUCHING: Final = "touching an adversary"
 _FIRST: Final = ("hit", "first_contact_s", HIT_ADVERSARY)
 
 
-def _weighted(values: Floats, weights: Floats) -> tuple[float, ...]:
+def _average_weighted(values: Floats, weights: Floats) -> tuple[float, ...]:
     return tuple((values * weights[:, None]).sum(axis=0) / weights.sum())
 
 
-def _paired(contacts: SampleContacts, record: RunRecord, unchanged: RunRecord, *, known: bool) -> PairedEffect:
+def _pair_samples(contacts: SampleContacts, record: RunRecord, unchanged: RunRecord, *, known: bool) -> PairedEffect:
     """Pairs by recording and key-frame index."""
-    base = sample_contacts(unchanged)
-    partner = _partners(base)
+    base = collect_sample_contacts(unchanged)
+    partner = _find_partners(base)
     rows = np.array(
         [row for row in np.flatnonzero(contacts.counted).tolist() if contacts.keys[row] in partner], np.int64
     )
@@ -296,16 +296,18 @@ def _paired(contacts: SampleContacts, record: RunRecord, unchanged: RunRecord, *
     return PairedEffect(
         adversarial=share(adversarial),
         unchanged=share(before),
-        difference=paired_difference(_by(own, (adversarial - before) * weights, names), _by(own, weights, names)),
+        difference=compute_paired_difference(
+            _sum_by_place(own, (adversarial - before) * weights, names), _sum_by_place(own, weights, names)
+        ),
         new_others=share(others * (1.0 - before)) if known else None,
         lost_others=share(before * (1.0 - others)) if known else None,
         pairs=len(rows),
-        unpaired_scenes=_without_partner(record, unchanged),
+        unpaired_scenes=_find_unpaired_scenes(record, unchanged),
         unpaired=int(contacts.counted.sum()) - len(rows),
     )
 
 
-def _partners(base: SampleContacts) -> Mapping[tuple[str, int], float]:
+def _find_partners(base: SampleContacts) -> Mapping[tuple[str, int], float]:
     """Contact up to 3 s of each sample that counts on the unchanged side; the mean where a recording is there twice."""
     sums: dict[tuple[str, int], list[float]] = {}
     for row in np.flatnonzero(base.counted).tolist():
@@ -313,12 +315,12 @@ def _partners(base: SampleContacts) -> Mapping[tuple[str, int], float]:
     return {key: sum(values) / len(values) for key, values in sums.items()}
 
 
-def _by(places: NDArray[np.int64], values: Floats, names: list[str]) -> Floats:
+def _sum_by_place(places: NDArray[np.int64], values: Floats, names: list[str]) -> Floats:
     return np.asarray(np.bincount(places, weights=values, minlength=len(names)), np.float64)
 
 
-def _without_partner(record: RunRecord, unchanged: RunRecord) -> tuple[str, ...]:
+def _find_unpaired_scenes(record: RunRecord, unchanged: RunRecord) -> tuple[str, ...]:
     """Scenes whose recording the other side does not have."""
-    mine, theirs = source_of_scenes(record), source_of_scenes(unchanged)
+    mine, theirs = map_scenes_to_sources(record), map_scenes_to_sources(unchanged)
     lonely = [scene for scene, source in mine.items() if source not in set(theirs.values())]
     return tuple(sorted(lonely))

@@ -6,8 +6,8 @@ import pandas as pd
 from benchmark.constants import HORIZON_STEPS
 from benchmark.geometry import Floats
 from benchmark.metrics.scores import require_current
-from benchmark.protocols import PROTOCOLS, published_values
-from benchmark.records.run import RunRecord, outcomes_of
+from benchmark.protocols import PROTOCOLS, compute_published_values
+from benchmark.records.run import RunRecord, collect_outcomes
 
 _COLUMNS = ("collision", "l2")
 
@@ -36,8 +36,8 @@ def samples_frame(record: RunRecord) -> pd.DataFrame:
         if name not in record.run.protocols:
             continue
         require_current(record, name)
-        outcomes = outcomes_of(record.rows, name)
-        values = published_values(PROTOCOLS[name], outcomes)
+        outcomes = collect_outcomes(record.rows, name)
+        values = compute_published_values(PROTOCOLS[name], outcomes)
         for column in _COLUMNS:
             table = np.full((len(frame), len(HORIZON_STEPS)), np.nan)
             table[planned] = np.where(outcomes.counted[:, None], values[column], np.nan)

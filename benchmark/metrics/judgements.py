@@ -10,11 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.metrics.attacks import counted_rows
-from benchmark.metrics.rates import Rate, ratios_over_scenes
-from benchmark.metrics.scores import source_of_scenes
-from benchmark.records.judgement import DEFINITION, DRIVER_NAMES, DriverName, JudgementSummary, KindName
-from benchmark.records.row_schema import PlanContactRow, PlanNearRow
+from benchmark.metrics.attacks import select_counted_rows
+from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
+from benchmark.metrics.scores import map_scenes_to_sources
+from benchmark.records.judgement import DEFINITION, DRIVER_NAMES, AssessmentSummary, DriverName, KindName
+from benchmark.records.row_schema import PlanCollision, PlanNearRow
 from benchmark.records.run import RunRecord
 
 CRITICAL_BTN: Final = 1.0
@@ -35,7 +35,7 @@ class Spread:
 
 
 @dataclass(frozen=True, slots=True)
-class Contacts:
+class ContactSeverities:
     """Samples whose first contact is with an adversary, or of those with a bystander; speeds in m/s.
 
     ``mean_fatal`` and ``most_fatal`` are of the probability that an occupant of the ego dies.
@@ -52,7 +52,7 @@ class Contacts:
 
 
 @dataclass(frozen=True, slots=True)
-class NearPasses:
+class NearPassSeverities:
     """Samples without a contact at which an adversary is there.
 
     Attributes:
@@ -75,16 +75,16 @@ class NearPasses:
     critical: int
 
 
-def contacts_of(record: RunRecord, *, bystanders: bool = False) -> Contacts:
+def summarise_contacts(record: RunRecord, *, bystanders: bool = False) -> ContactSeverities:
     """The first contacts of a record's plans with an adversary, or those with a bystander instead."""
-    rows = [row.severity.contact for row in counted_rows(record) if row.severity is not None]
+    rows = [row.severity.contact for row in select_counted_rows(record) if row.severity is not None]
     contacts = [contact for contact in rows if contact is not None and contact.adversary is not bystanders]
     fatal = [contact.fatal_probability for contact in contacts]
 
-    def spread(value: Callable[[PlanContactRow], float]) -> Spread:
-        return spread_of([value(contact) for contact in contacts])
+    def spread(value: Callable[[PlanCollision], float]) -> Spread:
+        return compute_spread([value(contact) for contact in contacts])
 
-    return Contacts(
+    return ContactSeverities(
         samples=len(contacts),
         at_fault=sum(contact.at_fault is True for contact in contacts),
         kinds=dict(Counter(contact.kind for contact in contacts)),
@@ -96,16 +96,16 @@ def contacts_of(record: RunRecord, *, bystanders: bool = False) -> Contacts:
     )
 
 
-def near_passes_of(record: RunRecord) -> NearPasses:
+def summarise_near_passes(record: RunRecord) -> NearPassSeverities:
     """How near a record's plans without contact come to the adversaries."""
-    rows = [row.severity.near for row in counted_rows(record) if row.severity is not None]
+    rows = [row.severity.near for row in select_counted_rows(record) if row.severity is not None]
     passes = [near for near in rows if near is not None]
 
     def spread(value: Callable[[PlanNearRow], float | None], *, less_is_worse: bool = False) -> Spread:
         known = [one for one in map(value, passes) if one is not None]
-        return spread_of(known, less_is_worse=less_is_worse)
+        return compute_spread(known, less_is_worse=less_is_worse)
 
-    return NearPasses(
+    return NearPassSeverities(
         samples=len(passes),
         gap=spread(lambda near: near.least_gap_m, less_is_worse=True),
         ttc=spread(lambda near: near.least_ttc_s, less_is_worse=True),
@@ -117,7 +117,7 @@ def near_passes_of(record: RunRecord) -> NearPasses:
     )
 
 
-def spread_of(values: Sequence[float], *, less_is_worse: bool = False) -> Spread:
+def compute_spread(values: Sequence[float], *, less_is_worse: bool = False) -> Spread:
     """Median and worst tenth: values among those given, the worse of two where a middle lies between them."""
     if not values:
         return Spread(0, None, None)
@@ -126,7 +126,7 @@ def spread_of(values: Sequence[float], *, less_is_worse: bool = False) -> Spread
 
 
 @dataclass(frozen=True, slots=True)
-class SplitLadder:
+class SplitReferenceDrivers:
     """Judgement ladder over the scenes of a split that were judged.
 
     Attributes:
@@ -159,7 +159,7 @@ class SplitLadder:
     without_fault: Rate
 
 
-def judged_scenes(record: RunRecord) -> dict[str, JudgementSummary]:
+def read_scene_assessments(record: RunRecord) -> dict[str, AssessmentSummary]:
     """What a record says of its scenes, by scene; only of those that were judged."""
     facts_of_scene = {scene: record.run.scene_facts.get(scene) for scene in record.run.scenes}
     return {
@@ -169,21 +169,21 @@ def judged_scenes(record: RunRecord) -> dict[str, JudgementSummary]:
     }
 
 
-def split_ladders(records: Sequence[RunRecord]) -> dict[str, SplitLadder]:
+def collect_split_reference_drivers(records: Sequence[RunRecord]) -> dict[str, SplitReferenceDrivers]:
     """The ladder of every split that was judged, from records of one data set, at most one a planner and split.
 
     By split: from the record with most scenes that were judged, the first of equals.
     """
     best: dict[str, RunRecord] = {}
     for record in records:
-        judged, before = judged_scenes(record), best.get(record.run.split)
-        if judged and (before is None or len(judged) > len(judged_scenes(before))):
+        judged, before = read_scene_assessments(record), best.get(record.run.split)
+        if judged and (before is None or len(judged) > len(read_scene_assessments(before))):
             best[record.run.split] = record
-    return {split: _ladder(record) for split, record in best.items()}
+    return {split: _summarise_split(record) for split, record in best.items()}
 
 
-def _ladder(record: RunRecord) -> SplitLadder:
-    judged = judged_scenes(record)
+def _summarise_split(record: RunRecord) -> SplitReferenceDrivers:
+    judged = read_scene_assessments(record)
     summaries = list(judged.values())
     survived = np.array(
         [[summary.survives.get(name, np.nan) for name in DRIVER_NAMES] for summary in summaries], np.float64
@@ -194,19 +194,21 @@ def _ladder(record: RunRecord) -> SplitLadder:
         np.float64
     )
     weights = np.column_stack([~np.isnan(survived), answerable]).astype(np.float64)
-    sources = source_of_scenes(record)
-    rates = ratios_over_scenes(values * weights, weights, [sources[name] for name in judged], seed=record.run.seed)
+    sources = map_scenes_to_sources(record)
+    rates = compute_ratios_over_scenes(
+        values * weights, weights, [sources[name] for name in judged], seed=record.run.seed
+    )
     margins = [summary.margin_s for summary in summaries if summary.margin_s is not None]
-    return SplitLadder(
+    return SplitReferenceDrivers(
         record=record,
         scenes=len(summaries),
         survives=dict(zip(DRIVER_NAMES, rates[:-1], strict=True)),
         unsolvable=sum(summary.unsolvable is True for summary in summaries),
-        margin=spread_of(margins, less_is_worse=True),
+        margin=compute_spread(margins, less_is_worse=True),
         too_late=sum(margin < 0 for margin in margins),
         gap=_least([summary.least_gap_m for summary in summaries]),
         ttc=_least([summary.least_ttc_s for summary in summaries]),
-        btn=spread_of([summary.max_btn for summary in summaries if summary.max_btn is not None]),
+        btn=compute_spread([summary.max_btn for summary in summaries if summary.max_btn is not None]),
         without_map=sum(not summary.has_map for summary in summaries),
         annotated=sum(summary.tracks == "annotated" for summary in summaries),
         outdated=sum(summary.definition != DEFINITION for summary in summaries),
@@ -215,4 +217,4 @@ def _ladder(record: RunRecord) -> SplitLadder:
 
 
 def _least(values: Sequence[float | None]) -> Spread:
-    return spread_of([value for value in values if value is not None], less_is_worse=True)
+    return compute_spread([value for value in values if value is not None], less_is_worse=True)

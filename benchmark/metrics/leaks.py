@@ -44,7 +44,7 @@ FEWEST_HITS: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class LeakSample:
     """Plan at a sample whose recording goes on for 3 s, beside the recorded future.
 
     Attributes:
@@ -136,11 +136,11 @@ class LeakFigures:
         return tuple(sentences)
 
 
-def leak_figures(moments: Sequence[Moment]) -> LeakFigures:
+def compute_leak_figures(moments: Sequence[LeakSample]) -> LeakFigures:
     """Figures of the samples that have a plan and a recorded future of 3 s, and a second before it."""
     errors = np.array([_distances(moment.planned, moment.recorded) for moment in moments]).reshape(-1, PLAN_STEPS)
     error = np.sqrt((errors**2).mean(axis=1))
-    surprise = np.array([surprise_m(moment) for moment in moments])
+    surprise = np.array([measure_surprise_m(moment) for moment in moments])
     recorded_reach_m = np.array([np.hypot(*moment.recorded.T).max() for moment in moments])
     danger = np.array([moment.dangerous for moment in moments], bool)
     braking = np.array([_brakes_later(moment) for moment in moments], bool)
@@ -165,25 +165,29 @@ def leak_figures(moments: Sequence[Moment]) -> LeakFigures:
     )
 
 
-def surprise_m(moment: Moment) -> float:
+def measure_surprise_m(moment: LeakSample) -> float:
     """How far the recorded future is from the nearest simple continuation: root mean square over the steps, metres."""
     before, now = moment.speeds
     acceleration = (now - before) / PLAN_STEP_S
     times = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
-    travels = [np.zeros(PLAN_STEPS), *(_way(now, share * acceleration, times) for share in (0.0, 0.5, 1.0))]
+    travels = [np.zeros(PLAN_STEPS), *(_compute_travel(now, share * acceleration, times) for share in (0.0, 0.5, 1.0))]
     continued = np.array(
-        [path for travel in travels for path in (travel[:, None] * moment.ahead, _along(moment.recorded, travel))]
+        [
+            path
+            for travel in travels
+            for path in (travel[:, None] * moment.ahead, _find_points_along(moment.recorded, travel))
+        ]
     )
     return float(np.sqrt(((continued - moment.recorded) ** 2).sum(axis=2).mean(axis=1)).min())
 
 
-def _way(speed: float, acceleration: float, times: Floats) -> Floats:
+def _compute_travel(speed: float, acceleration: float, times: Floats) -> Floats:
     """Distances covered at a constant acceleration, which ends where the car stands."""
     driven = times if acceleration >= 0 else np.minimum(times, speed / -acceleration)
     return speed * driven + acceleration * driven**2 / 2
 
 
-def _along(recorded: Floats, way: Floats) -> Floats:
+def _find_points_along(recorded: Floats, way: Floats) -> Floats:
     """Points at distances along a recorded path, which goes on straight beyond its end."""
     path = np.vstack([np.zeros(2), recorded])
     steps = np.diff(path, axis=0)
@@ -199,7 +203,7 @@ def _along(recorded: Floats, way: Floats) -> Floats:
     return within + beyond
 
 
-def _brakes_later(moment: Moment) -> bool:
+def _brakes_later(moment: LeakSample) -> bool:
     before, now = moment.speeds
     last = np.hypot(*(moment.recorded[-1] - moment.recorded[-2])) / PLAN_STEP_S
     return bool((now - before) / PLAN_STEP_S > NOT_YET_BRAKING_M_S2 and last < now - BRAKES_BY_M_S)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmark.constants import LONGER_HORIZON_STEPS
-from benchmark.metrics.rates import Rate, ratios_over_scenes
-from benchmark.metrics.scores import source_of_scenes
+from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
+from benchmark.metrics.scores import map_scenes_to_sources
 from benchmark.records.run import RunRecord
 
 HORIZONS = tuple(LONGER_HORIZON_STEPS)
@@ -24,9 +24,9 @@ class LongerRates:
     l2: dict[str, Rate]
 
 
-def longer_rates(record: RunRecord) -> LongerRates | None:
+def compute_longer_rates(record: RunRecord) -> LongerRates | None:
     """Rates at 4, 5 and 6 s; ``None`` where no plan reaches 4 s."""
-    sources = source_of_scenes(record)
+    sources = map_scenes_to_sources(record)
     nearest = min(LONGER_HORIZON_STEPS.values())
     all_of = zip(record.columns.values("scene"), record.columns.values("longer"))
     rows = [(scene, longer) for scene, longer in all_of if longer is not None and len(longer.l2) >= nearest]
@@ -44,7 +44,7 @@ def longer_rates(record: RunRecord) -> LongerRates | None:
             values[:, place, column] = any((longer.collision or [])[:steps]), last
     scenes = [sources[scene] for scene, _ in rows]
     collision, l2 = (
-        dict(zip(HORIZONS, ratios_over_scenes(part, weights, scenes, seed=record.run.seed), strict=True))
+        dict(zip(HORIZONS, compute_ratios_over_scenes(part, weights, scenes, seed=record.run.seed), strict=True))
         for part, weights in zip(values, counted)
     )
     return LongerRates(collision, l2)

@@ -14,12 +14,12 @@ import numpy as np
 from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
 from benchmark.metrics.scores import require_current
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord
-from benchmark.records.planner_versions import version_of
-from benchmark.records.rows import scene_failures
+from benchmark.records.planner_versions import describe_version
+from benchmark.records.rows import find_scene_failures
 from benchmark.records.run import RunRecord
 
 OPEN_LOOP: Final = "exact"
@@ -29,7 +29,7 @@ FEWEST_RANKED: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class SceneLoops:
+class SceneLoopComparison:
     """Open and closed loop of one planner on one scene.
 
     Attributes:
@@ -45,7 +45,7 @@ class SceneLoops:
     open_fails: bool
     contact: float
     at_fault: float
-    first: DriveRow | None
+    first: EpisodeRow | None
 
     @property
     def closed_fails(self) -> bool:
@@ -59,7 +59,7 @@ class SceneLoops:
 
 
 @dataclass(frozen=True, slots=True)
-class PlannerLoops:
+class PlannerLoopComparison:
     """One planner in both loops.
 
     Attributes:
@@ -72,7 +72,7 @@ class PlannerLoops:
 
     drives: DriveRecord
     run: RunRecord
-    scenes: tuple[SceneLoops, ...]
+    scenes: tuple[SceneLoopComparison, ...]
     without: tuple[str, ...]
     open_rate: Rate
     contact: Rate
@@ -96,40 +96,40 @@ def is_stale(record: DriveRecord) -> bool:
     return record.facts.scoring != VERSION
 
 
-def run_of(drives: DriveRecord, runs: Sequence[RunRecord]) -> RunRecord | None:
+def find_run(drives: DriveRecord, runs: Sequence[RunRecord]) -> RunRecord | None:
     """The run record of what drove: same version of the planner, same data, same verdicts of inspectors.
 
     The one with most of the driven scenes, or ``None`` where none has any, or was judged by the present ``exact``.
     """
-    same_planner_runs = [run for run in runs if _same_planner(drives, run) and _judged(run)]
+    same_planner_runs = [run for run in runs if _same_planner(drives, run) and _is_judged(run)]
     driven = set(drives.facts.scenes)
     shared = [(len(driven & set(run.run.scenes)), run.content_id, run) for run in same_planner_runs]
     best = max((candidate for candidate in shared if candidate[0]), key=lambda each: each[:2], default=None)
     return None if best is None else best[2]
 
 
-def planner_loops(drives: DriveRecord, run: RunRecord) -> PlannerLoops:
+def compare_loops(drives: DriveRecord, run: RunRecord) -> PlannerLoopComparison:
     """Both loops of one planner.
 
     A failed drive or sample that could have shown a contact leaves its scene out, unless another of its drives or
     samples has one; so do labels that are missing.
     """
-    verdicts = scene_failures(run.rows, OPEN_LOOP)
-    rows: dict[str, list[DriveRow]] = {}
+    verdicts = find_scene_failures(run.rows, OPEN_LOOP)
+    rows: dict[str, list[EpisodeRow]] = {}
     for row in drives.rows:
         rows.setdefault(row.scene, []).append(row)
     scenes, without = [], []
     for scene in sorted(verdicts.keys() & rows.keys()):
-        scene_loops = _scene_loops(scene, drives, verdicts[scene], rows[scene])
+        scene_loops = _compare_scene(scene, drives, verdicts[scene], rows[scene])
         if scene_loops is None:
             without.append(scene)
         else:
             scenes.append(scene_loops)
-    rates = _rates(scenes, drives.facts.seed)
-    return PlannerLoops(drives, run, tuple(scenes), tuple(without), *rates)
+    rates = _compute_rates(scenes, drives.facts.seed)
+    return PlannerLoopComparison(drives, run, tuple(scenes), tuple(without), *rates)
 
 
-def rank_correlation(found: Sequence[PlannerLoops], *, at_fault: bool = False) -> RankCorrelation:
+def compute_rank_correlation(found: Sequence[PlannerLoopComparison], *, at_fault: bool = False) -> RankCorrelation:
     """Whether closed loop ranks planners of one world as open loop does; miniatures are not ranked.
 
     Kendall's tau-b between shares of failed scenes and of drives with a contact (``at_fault``: of the ego's fault
@@ -139,7 +139,7 @@ def rank_correlation(found: Sequence[PlannerLoops], *, at_fault: bool = False) -
     common = set.intersection(*({item.scene for item in one.scenes} for one in ranked)) if ranked else set()
     if len(ranked) < FEWEST_RANKED or not common:
         return RankCorrelation(None, len(ranked), len(common))
-    shares = np.array([_shares(one.scenes, common, at_fault=at_fault) for one in ranked])
+    shares = np.array([_compute_shares(one.scenes, common, at_fault=at_fault) for one in ranked])
     return RankCorrelation(kendall_tau(shares[:, 0], shares[:, 1]), len(ranked), len(common))
 
 
@@ -160,11 +160,11 @@ def _same_planner(drives: DriveRecord, run: RunRecord) -> bool:
     if (facts.planner.name, facts.data.name, facts.split) != (ran.planner.name, ran.data.name, ran.split):
         return False
     review = None if facts.review is None else facts.review.content
-    same_version = version_of(facts.planner) == version_of(ran.planner)
+    same_version = describe_version(facts.planner) == describe_version(ran.planner)
     return same_version and (facts.data.fingerprint, review) == run.judged_content
 
 
-def _judged(run: RunRecord) -> bool:
+def _is_judged(run: RunRecord) -> bool:
     try:
         require_current(run, OPEN_LOOP)
     except InputError:
@@ -172,16 +172,16 @@ def _judged(run: RunRecord) -> bool:
     return True
 
 
-def _scene_loops(
-    scene: str, drives: DriveRecord, open_fails: bool | None, rows: Sequence[DriveRow]
-) -> SceneLoops | None:
+def _compare_scene(
+    scene: str, drives: DriveRecord, open_fails: bool | None, rows: Sequence[EpisodeRow]
+) -> SceneLoopComparison | None:
     driven = [row for row in rows if row.status == "ok" and not row.unlabelled]
     hits = [row for row in driven if row.first_contact is not None]
     if open_fails is None or not driven or (len(driven) < len(rows) and not hits):
         return None
     facts = drives.facts.scene_facts
     at_fault_count = sum(row.contact is not None and row.contact.at_fault for row in hits)
-    return SceneLoops(
+    return SceneLoopComparison(
         scene=scene,
         source=facts[scene].source if scene in facts else scene,
         open_fails=open_fails,
@@ -191,14 +191,16 @@ def _scene_loops(
     )
 
 
-def _rates(scenes: Sequence[SceneLoops], seed: int) -> list[Rate]:
+def _compute_rates(scenes: Sequence[SceneLoopComparison], seed: int) -> list[Rate]:
     values = np.array(
         [[scene_loops.open_fails, scene_loops.contact, scene_loops.at_fault] for scene_loops in scenes], np.float64
     ).reshape(-1, 3)
-    return ratios_over_scenes(values, np.ones_like(values), [scene_loops.source for scene_loops in scenes], seed=seed)
+    return compute_ratios_over_scenes(
+        values, np.ones_like(values), [scene_loops.source for scene_loops in scenes], seed=seed
+    )
 
 
-def _shares(scenes: Sequence[SceneLoops], common: set[str], *, at_fault: bool) -> tuple[float, float]:
+def _compute_shares(scenes: Sequence[SceneLoopComparison], common: set[str], *, at_fault: bool) -> tuple[float, float]:
     common_scenes = [scene_loops for scene_loops in scenes if scene_loops.scene in common]
     closed = [scene_loops.at_fault if at_fault else scene_loops.contact for scene_loops in common_scenes]
     return float(np.mean([scene_loops.open_fails for scene_loops in common_scenes])), float(np.mean(closed))

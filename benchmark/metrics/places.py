@@ -18,7 +18,7 @@ from shapely.geometry import LineString, Point, Polygon
 
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.pdm.definition import SIDE_SPEED, SPEED
-from benchmark.pdm.recording import recorded_motion
+from benchmark.pdm.recording import estimate_motion
 from benchmark.road_map import Lane, RoadMap
 from benchmark.scene import Scene
 
@@ -50,7 +50,7 @@ BEND_RAD = np.deg2rad(10.0)
 """Change of direction over both windows together; a bend's radius is below about 115 m."""
 
 
-class Place(StrEnum):
+class PlaceKind(StrEnum):
     """Kinds of place, the first that applies."""
 
     ROUNDABOUT = "roundabout"
@@ -61,13 +61,13 @@ class Place(StrEnum):
     UNKNOWN = "unknown"
 
 
-def place_of(road_map: RoadMap, ego: Floats, other: Floats) -> Place:
+def classify_place(road_map: RoadMap, ego: Floats, other: Floats) -> PlaceKind:
     """Where two bodies, (5,) boxes, meet: the ego's lane tells bend from straight, either centre the rest."""
     x, y = ego[:2]
-    return Places(road_map.near((x - NEAR_M, y - NEAR_M, x + NEAR_M, y + NEAR_M))).of(ego, other)
+    return PlaceClassifier(road_map.near((x - NEAR_M, y - NEAR_M, x + NEAR_M, y + NEAR_M))).of(ego, other)
 
 
-class Places:
+class PlaceClassifier:
     """Kinds of places on one map; what all answers share is made once.
 
     The map should be no larger than what is asked about: roundabouts are looked for everywhere on it.
@@ -76,7 +76,7 @@ class Places:
     def __init__(self, road_map: RoadMap) -> None:
         self._lanes = road_map.lanes
         self._names = sorted(road_map.lanes)
-        self._lines = [LineString(_distinct(road_map.lanes[name].centerline)) for name in self._names]
+        self._lines = [LineString(_drop_repeated(road_map.lanes[name].centerline)) for name in self._names]
         self._near = shapely.STRtree(self._lines)
         self._segmented = bool(road_map.road_segments)
         self._roads = list(road_map.road_segments.values())
@@ -84,19 +84,19 @@ class Places:
         self._carparks = list(road_map.carparks.values())
         for surfaces in (self._roads, self._carparks):
             shapely.prepare(surfaces)
-        self._rings = tuple(rings(road_map.lanes))
+        self._rings = tuple(find_rings(road_map.lanes))
 
-    def of(self, ego: Floats, other: Floats) -> Place:
+    def of(self, ego: Floats, other: Floats) -> PlaceKind:
         """Where two bodies, (5,) boxes, meet: the ego's lane tells bend from straight, either centre the rest."""
         centers = [Point(*ego[:2]), Point(*other[:2])]
         if self._on_roundabout(centers):
-            return Place.ROUNDABOUT
+            return PlaceKind.ROUNDABOUT
         parked = [center for center in centers if any(area.covers(center) for area in self._carparks)]
         if any(not any(road.covers(center) for road in self._roads) for center in parked):
-            return Place.CAR_PARK
+            return PlaceKind.CAR_PARK
         if self._in_junction(centers):
-            return Place.JUNCTION
-        return self._course(ego)
+            return PlaceKind.JUNCTION
+        return self._classify_lane(ego)
 
     def _on_roundabout(self, centers: list[Point]) -> bool:
         """Whether a place is on a ring of lanes, or on the junction surface that most of the ring is on."""
@@ -116,9 +116,9 @@ class Places:
             return any(surface.covers(center) for surface in self._junctions for center in centers)
         reach = shapely.union_all([center.buffer(CROSSING_M) for center in centers])
         near = [self._lines[place] for place in sorted(self._near.query(reach, "intersects").tolist())]
-        return any(_cross(first, second, reach) for index, first in enumerate(near) for second in near[index + 1 :])
+        return any(_do_cross(first, second, reach) for index, first in enumerate(near) for second in near[index + 1 :])
 
-    def _course(self, ego: Floats) -> Place:
+    def _classify_lane(self, ego: Floats) -> PlaceKind:
         """Bend or straight, from the lane that the ego is on."""
         best: tuple[float, str, float] | None = None
         center = Point(*ego[:2])
@@ -127,34 +127,34 @@ class Places:
             distance, at = line.distance(center), line.project(center)
             if distance > LANE_REACH_M or (best is not None and distance >= best[0]):
                 continue
-            if _between(_heading_at(line, at), ego[4]) <= LANE_TURN_RAD:
+            if _angle_between(_compute_heading_at(line, at), ego[4]) <= LANE_TURN_RAD:
                 best = (distance, name, at)
         if best is None:
-            return Place.UNKNOWN
-        line, at = _extended(self._lanes, best[1], best[2])
+            return PlaceKind.UNKNOWN
+        line, at = _extend_lane(self._lanes, best[1], best[2])
         begin, end = max(at - BEND_WINDOW_M, 0.0), min(at + BEND_WINDOW_M, line.length)
-        change = _between(_heading_at(line, begin), _heading_at(line, end))
+        change = _angle_between(_compute_heading_at(line, begin), _compute_heading_at(line, end))
         # The same change over a shorter piece of lane is a tighter bend; a very short piece has no direction.
         wanted = BEND_RAD * max(end - begin, BEND_WINDOW_M) / (2 * BEND_WINDOW_M)
-        return Place.BEND if change >= wanted else Place.STRAIGHT
+        return PlaceKind.BEND if change >= wanted else PlaceKind.STRAIGHT
 
 
-def rings(lanes: Mapping[str, Lane]) -> Iterator[Polygon]:
+def find_rings(lanes: Mapping[str, Lane]) -> Iterator[Polygon]:
     """Roundabouts: closed chains of lanes that turn steadily in one direction.
 
     Yields the area inside each chain of lane centres; the same roundabout may come several times.
     """
-    courses = {name: _Course.of(lane) for name, lane in lanes.items()}
+    courses = {name: _LaneCurvature.of(lane) for name, lane in lanes.items()}
     for name in sorted(lanes):
         for sign in (1.0, -1.0):
-            chain = _shortest_way_round(lanes, courses, name, sign)
-            ring = None if chain is None else _ring(np.concatenate([lanes[part].centerline for part in chain]))
+            chain = _find_shortest_ring(lanes, courses, name, sign)
+            ring = None if chain is None else _build_ring(np.concatenate([lanes[part].centerline for part in chain]))
             if ring is not None:
                 yield ring
 
 
 @dataclass(frozen=True, slots=True)
-class _Course:
+class _LaneCurvature:
     """Length of a lane in metres and its turning to either side in radians."""
 
     length: float
@@ -163,13 +163,13 @@ class _Course:
 
     @classmethod
     def of(cls, lane: Lane) -> Self:
-        turn = _turns(_resampled(lane.centerline, RING_STEP_M))
+        turn = _compute_turns(_resample(lane.centerline, RING_STEP_M))
         length = float(np.hypot(*np.diff(lane.centerline, axis=0).T).sum())
         return cls(length, float(turn[turn > 0].sum()), float(-turn[turn < 0].sum()))
 
 
-def _shortest_way_round(
-    lanes: Mapping[str, Lane], courses: Mapping[str, _Course], first: str, sign: float
+def _find_shortest_ring(
+    lanes: Mapping[str, Lane], courses: Mapping[str, _LaneCurvature], first: str, sign: float
 ) -> tuple[str, ...] | None:
     """The shortest chain of lanes from one back to itself that turns one way.
 
@@ -195,13 +195,13 @@ def _shortest_way_round(
     return None
 
 
-def _ring(points: Floats) -> Polygon | None:
+def _build_ring(points: Floats) -> Polygon | None:
     """The area of a closed chain if it is round, else ``None``."""
-    line = _resampled(np.concatenate([points, points[:1]]), RING_STEP_M)
+    line = _resample(np.concatenate([points, points[:1]]), RING_STEP_M)
     length = float(np.hypot(*np.diff(line, axis=0).T).sum())
     if not SMALLEST_RING_M <= length <= LARGEST_RING_M:
         return None
-    turn = _turns(np.concatenate([line, line[1:2]]))
+    turn = _compute_turns(np.concatenate([line, line[1:2]]))
     if abs(abs(float(turn.sum())) - 2 * np.pi) > COUNTER_TURN_RAD:
         return None
     # Over three steps, because centre lines made of short pieces turn in jumps.
@@ -212,7 +212,7 @@ def _ring(points: Floats) -> Polygon | None:
     return ring if steady and float(distance.std() / distance.mean()) <= ROUND_SPREAD else None
 
 
-def _cross(first: LineString, second: LineString, reach: Polygon) -> bool:
+def _do_cross(first: LineString, second: LineString, reach: Polygon) -> bool:
     """Whether two lines cross in their middles at an angle; lanes that part or merge share ends."""
     for point in shapely.get_parts(first.intersection(second)):
         if not isinstance(point, Point) or not reach.covers(point):
@@ -220,63 +220,63 @@ def _cross(first: LineString, second: LineString, reach: Polygon) -> bool:
         along = [(line, line.project(point)) for line in (first, second)]
         if any(min(at, line.length - at) < SHARED_END_M for line, at in along):
             continue
-        headings = [_heading_at(line, at) for line, at in along]
-        if CROSSING_RAD <= _between(*headings) <= np.pi - CROSSING_RAD:
+        headings = [_compute_heading_at(line, at) for line, at in along]
+        if CROSSING_RAD <= _angle_between(*headings) <= np.pi - CROSSING_RAD:
             return True
     return False
 
 
-def _between(first: float, second: float) -> float:
+def _angle_between(first: float, second: float) -> float:
     """Angle between two directions, 0 to pi."""
     return abs(float(wrap_angle(np.array(first - second))))
 
 
-def _heading_at(line: LineString, at: float) -> float:
+def _compute_heading_at(line: LineString, at: float) -> float:
     """Direction of a line over the metre around a place along it."""
     ends = [line.interpolate(float(np.clip(at + step, 0.0, line.length))) for step in (-0.5, 0.5)]
     return float(np.arctan2(ends[1].y - ends[0].y, ends[1].x - ends[0].x))
 
 
-def _extended(lanes: Mapping[str, Lane], name: str, at: float) -> tuple[LineString, float]:
+def _extend_lane(lanes: Mapping[str, Lane], name: str, at: float) -> tuple[LineString, float]:
     """A lane with the straightest lanes before and after it, and the same place along the whole.
 
     Connectors are left out: what turns in a junction is not a bend of the road that leads there.
     """
     parts = [lanes[name].centerline]
     left = LineString(parts[0]).length - at
-    if at < BEND_WINDOW_M and (before := _straightest(lanes, name, lanes[name].predecessors)) is not None:
+    if at < BEND_WINDOW_M and (before := _find_straightest(lanes, name, lanes[name].predecessors)) is not None:
         parts.insert(0, before)
         at += LineString(np.concatenate([before, parts[1][:1]])).length
     if left < BEND_WINDOW_M:
-        after = _straightest(lanes, name, lanes[name].successors)
+        after = _find_straightest(lanes, name, lanes[name].successors)
         parts += [] if after is None else [after]
-    return LineString(_distinct(np.concatenate(parts))), at
+    return LineString(_drop_repeated(np.concatenate(parts))), at
 
 
-def _straightest(lanes: Mapping[str, Lane], name: str, linked: tuple[str, ...]) -> Floats | None:
+def _find_straightest(lanes: Mapping[str, Lane], name: str, linked: tuple[str, ...]) -> Floats | None:
     turning = {
-        other: _Course.of(lanes[other]).left + _Course.of(lanes[other]).right
+        other: _LaneCurvature.of(lanes[other]).left + _LaneCurvature.of(lanes[other]).right
         for other in linked
         if other in lanes and other != name and not lanes[other].is_connector
     }
     return lanes[min(turning, key=lambda other: (turning[other], other))].centerline if turning else None
 
 
-def _resampled(points: Floats, step_m: float) -> Floats:
+def _resample(points: Floats, step_m: float) -> Floats:
     """(M, 2) points about ``step_m`` apart on a polyline; always its two ends."""
-    points = _distinct(points)
+    points = _drop_repeated(points)
     station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     wanted = np.linspace(0.0, station[-1], max(round(station[-1] / step_m), 1) + 1)
     return np.column_stack([np.interp(wanted, station, points[:, axis]) for axis in (0, 1)])
 
 
-def _distinct(points: Floats) -> Floats:
+def _drop_repeated(points: Floats) -> Floats:
     """A polyline without repeated points, which have no direction."""
     moved = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
     return points if moved.sum() < 2 else points[moved]
 
 
-def _turns(points: Floats) -> Floats:
+def _compute_turns(points: Floats) -> Floats:
     """Changes of direction between the steps of a polyline, radians."""
     step = np.diff(points, axis=0)
     return wrap_angle(np.diff(np.arctan2(step[:, 1], step[:, 0])))
@@ -287,22 +287,22 @@ SPEED_DECIMALS: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Circumstances:
+class SampleContext:
     """Place and speed of the recorded car at one sample.
 
     The place is that of its middle; the speed is that of the parabola through eleven recorded poses, as for driving
     scores.
     """
 
-    place: Place
+    place: PlaceKind
     speed_m_s: float
 
 
-def circumstances_of(scene: Scene) -> tuple[Circumstances, ...]:
+def read_sample_contexts(scene: Scene) -> tuple[SampleContext, ...]:
     """Place and speed of the recorded car at every sample, in time order; without a map every place is unknown."""
-    places, boxes = Places(scene.road_map), scene.ego.boxes[scene.keyframes]
-    motion = recorded_motion(scene.ego.pose, scene.seconds)[scene.keyframes]
+    places, boxes = PlaceClassifier(scene.road_map), scene.ego.boxes[scene.keyframes]
+    motion = estimate_motion(scene.ego.pose, scene.seconds)[scene.keyframes]
     speeds = np.hypot(motion[:, SPEED], motion[:, SIDE_SPEED])
     return tuple(
-        Circumstances(places.of(box, box), round(float(speed), SPEED_DECIMALS)) for box, speed in zip(boxes, speeds)
+        SampleContext(places.of(box, box), round(float(speed), SPEED_DECIMALS)) for box, speed in zip(boxes, speeds)
     )

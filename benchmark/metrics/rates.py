@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from benchmark.constants import HORIZON_STEPS
 from benchmark.geometry import Bools, Floats
 from benchmark.machine.storage import content_seed
-from benchmark.protocols import CollisionProtocol, Outcomes, published_values
+from benchmark.protocols import CollisionProtocol, ProtocolOutcomes, compute_published_values
 
 FEWEST_RECORDINGS: Final = 5
 FEWEST_DIFFERING: Final = 4
@@ -50,7 +50,7 @@ class PairedDifference:
     enough: int | None
 
 
-def paired_difference(differences: Floats, weights: Floats) -> PairedDifference:
+def compute_paired_difference(differences: Floats, weights: Floats) -> PairedDifference:
     """The ratio of both sums, and its interval.
 
     Args:
@@ -63,7 +63,7 @@ def paired_difference(differences: Floats, weights: Floats) -> PairedDifference:
     total = float(weights.sum())
     value = float(differences.sum()) / total
     if count < FEWEST_RECORDINGS or differing < fewest_differing(count):
-        return PairedDifference(value, None, None, count, differing, _enough(count, differing))
+        return PairedDifference(value, None, None, count, differing, _count_enough_recordings(count, differing))
     # scipy takes a second to import, and whoever only plans needs none of it.
     from scipy import stats
 
@@ -78,7 +78,7 @@ def fewest_differing(recordings: int) -> int:
     return FEWEST_DIFFERING if recordings < 10 else FEWEST_DIFFERING_OF_TEN
 
 
-def _enough(count: int, differing: int) -> int | None:
+def _count_enough_recordings(count: int, differing: int) -> int | None:
     """The least number of recordings above ``count`` that gives an interval if the same share of them differs."""
     if not differing:
         return None
@@ -92,7 +92,7 @@ def _enough(count: int, differing: int) -> int | None:
 RESAMPLES = 2000
 INTERVAL = (2.5, 97.5)
 """Percentiles of the interval."""
-_MOST_KEPT = 20_000
+_MAX_CACHED = 20_000
 """Intervals that are remembered of scenes that are drawn together."""
 HORIZONS = (*HORIZON_STEPS, "avg")
 """Columns of every table; ``avg`` is the mean of the three."""
@@ -147,7 +147,7 @@ class SceneSums:
 
 
 def rates(
-    definition: CollisionProtocol, outcomes: Outcomes, scenes: Sequence[str], *, seed: int = 0
+    definition: CollisionProtocol, outcomes: ProtocolOutcomes, scenes: Sequence[str], *, seed: int = 0
 ) -> dict[str, dict[str, Rate]]:
     """Every published number of a protocol, from its verdicts on S samples.
 
@@ -156,8 +156,8 @@ def rates(
     Samples of one scene are resampled together.
     """
     columns: dict[str, dict[str, Rate]] = {}
-    for column, by_horizon in published_values(definition, outcomes).items():
-        values = with_average(by_horizon)
+    for column, by_horizon in compute_published_values(definition, outcomes).items():
+        values = append_average(by_horizon)
         is_known = ~np.isnan(values)
         weights = np.where(is_known, outcomes.counted[:, None], False).astype(np.float64)
         values, own = np.where(is_known, values, 0.0) * weights, scenes
@@ -165,29 +165,29 @@ def rates(
             # A scene whose surroundings are not annotated is not drawn either.
             rows = np.flatnonzero(is_known.any(axis=1)).tolist()
             values, weights, own = values[rows], weights[rows], [scenes[row] for row in rows]
-        column_rates = ratios_over_scenes(values, weights, own, seed=seed)
+        column_rates = compute_ratios_over_scenes(values, weights, own, seed=seed)
         columns[column] = dict(zip(HORIZONS, column_rates))
     return columns
 
 
-def with_average(values: Floats) -> Floats:
+def append_average(values: Floats) -> Floats:
     """(S, 3) values at 1, 2 and 3 s and their mean: (S, 4) in the order of ``HORIZONS``."""
     return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
 
 
-def ratios_over_scenes(values: Floats, weights: Floats, scenes: Sequence[str], *, seed: int) -> list[Rate]:
+def compute_ratios_over_scenes(values: Floats, weights: Floats, scenes: Sequence[str], *, seed: int) -> list[Rate]:
     """Ratios of sums over samples, with intervals over scenes.
 
     ``values`` and ``weights`` are (S, C): what each sample adds to each numerator and denominator. The same seed
     and scenes draw the same resamples for every column and planner, so that differences between planners can be
     paired. The order of the samples does not matter.
     """
-    return ratios_of_sums(sums_by_scene(values, weights, scenes), seed=seed)
+    return compute_ratios_of_sums(sum_by_scene(values, weights, scenes), seed=seed)
 
 
-def ratios_of_sums(sums: SceneSums, *, seed: int) -> list[Rate]:
-    """`ratios_over_scenes` of what was added up by scene."""
-    low, high = _interval(sums, seed)
+def compute_ratios_of_sums(sums: SceneSums, *, seed: int) -> list[Rate]:
+    """`compute_ratios_over_scenes` of what was added up by scene."""
+    low, high = _compute_intervals(sums, seed)
     return [
         Rate(
             value=float(total / count) if count > 0 else None,
@@ -200,7 +200,7 @@ def ratios_of_sums(sums: SceneSums, *, seed: int) -> list[Rate]:
     ]
 
 
-def sums_by_scene(values: Floats, weights: Floats, scenes: Sequence[str]) -> SceneSums:
+def sum_by_scene(values: Floats, weights: Floats, scenes: Sequence[str]) -> SceneSums:
     """Add (S, C) numerators and (S, C) denominators up by scene; the order of the samples does not matter."""
     names = sorted(set(scenes))
     row_of = {name: row for row, name in enumerate(names)}
@@ -208,10 +208,10 @@ def sums_by_scene(values: Floats, weights: Floats, scenes: Sequence[str]) -> Sce
     # Sums of floats depend on their order; within a scene the order is that of the values themselves.
     order = np.lexsort((*values.T[::-1], rows)) if len(rows) else rows
     counts = np.bincount(rows, minlength=len(names))
-    return SceneSums(tuple(names), _added(values[order], counts), _added(weights[order], counts))
+    return SceneSums(tuple(names), _add_runs(values[order], counts), _add_runs(weights[order], counts))
 
 
-def _added(values: Floats, counts: NDArray[np.int64]) -> Floats:
+def _add_runs(values: Floats, counts: NDArray[np.int64]) -> Floats:
     """(N, C) sums of runs of the (S, C) rows, ``counts`` rows each, every run from its first row to its last."""
     totals = np.zeros((len(counts), values.shape[1]))
     starts = np.cumsum(counts) - counts
@@ -221,16 +221,19 @@ def _added(values: Floats, counts: NDArray[np.int64]) -> Floats:
     return totals
 
 
-def resampled(sums: Floats, names: tuple[str, ...], *, seed: int) -> Floats:
+def resample_totals(sums: Floats, names: tuple[str, ...], *, seed: int) -> Floats:
     """(2000, C) totals over resampled scenes; the same names and seed draw the same scenes."""
-    drawn = _times_drawn(names, seed)
+    drawn = _draw_scene_counts(names, seed)
     exact = _adds_exactly(sums, len(names))
     if exact.all():
         return np.asarray(drawn @ sums)
     if sums.shape[1] == 1 or not exact.any():
-        return _in_order(drawn, sums)
+        return _multiply_in_order(drawn, sums)
     totals = np.empty((len(drawn), sums.shape[1]))
-    totals[:, exact], totals[:, ~exact] = drawn @ sums[:, exact], _in_order(drawn, sums[:, ~exact], alone=False)
+    totals[:, exact], totals[:, ~exact] = (
+        drawn @ sums[:, exact],
+        _multiply_in_order(drawn, sums[:, ~exact], alone=False),
+    )
     return totals
 
 
@@ -241,7 +244,7 @@ def _adds_exactly(sums: Floats, scenes: int) -> Bools:
         return np.asarray(is_integer & (np.abs(sums).max(axis=0, initial=0.0) * scenes < 2**53))
 
 
-def _in_order(drawn: Floats, sums: Floats, *, alone: bool = True) -> Floats:
+def _multiply_in_order(drawn: Floats, sums: Floats, *, alone: bool = True) -> Floats:
     """The product, added in a fixed order: a BLAS product would depend on its threads.
 
     einsum without optimisation adds one scene after the other, but for a column that is ``alone``.
@@ -252,7 +255,7 @@ def _in_order(drawn: Floats, sums: Floats, *, alone: bool = True) -> Floats:
     return np.asarray(np.einsum("rs,sc->rc", drawn, np.ascontiguousarray(sums)))
 
 
-def ends(draws: Floats, bounds: tuple[float, float]) -> tuple[float, float]:
+def find_interval(draws: Floats, bounds: tuple[float, float]) -> tuple[float, float]:
     """The 95 % interval of a number that need not exist in every resample; both ends are drawn numbers, or bounds.
 
     Args:
@@ -260,12 +263,12 @@ def ends(draws: Floats, bounds: tuple[float, float]) -> tuple[float, float]:
         bounds: Between what it lies. A resample in which it does not exist could have been anything, so that it
             counts as the lower bound for the lower end and as the upper bound for the upper one.
     """
-    low, high = all_ends(draws[None], bounds)
+    low, high = find_intervals(draws[None], bounds)
     return float(low[0]), float(high[0])
 
 
-def all_ends(draws: Floats, bounds: tuple[float, float]) -> tuple[Floats, Floats]:
-    """`ends` of C numbers, drawn as (C, R): (C,) lower and (C,) upper ends."""
+def find_intervals(draws: Floats, bounds: tuple[float, float]) -> tuple[Floats, Floats]:
+    """`find_interval` of C numbers, drawn as (C, R): (C,) lower and (C,) upper ends."""
     last = (draws.shape[1] - 1) / 100
     ranks = math.floor(INTERVAL[0] * last), math.ceil(INTERVAL[1] * last)
     unknown = np.isnan(draws)
@@ -277,15 +280,15 @@ def all_ends(draws: Floats, bounds: tuple[float, float]) -> tuple[Floats, Floats
 
 
 @functools.lru_cache(maxsize=8)
-def _times_drawn(names: tuple[str, ...], seed: int) -> Floats:
+def _draw_scene_counts(names: tuple[str, ...], seed: int) -> Floats:
     """(2000, N) how often each scene is in each resample."""
-    drawn = _counts_drawn(names, seed).astype(np.float64)
+    drawn = _draw_compact_counts(names, seed).astype(np.float64)
     drawn.setflags(write=False)
     return drawn
 
 
 @functools.lru_cache(maxsize=128)
-def _counts_drawn(names: tuple[str, ...], seed: int) -> NDArray[Any]:
+def _draw_compact_counts(names: tuple[str, ...], seed: int) -> NDArray[Any]:
     """The same in an eighth of the memory: drawing takes ten times as long as turning them into numbers to multiply.
 
     Scenes that a planner collides in are other ones for each planner.
@@ -296,7 +299,7 @@ def _counts_drawn(names: tuple[str, ...], seed: int) -> NDArray[Any]:
     return small if np.array_equal(small, drawn) else drawn
 
 
-def _interval(sums: SceneSums, seed: int) -> tuple[Floats, Floats]:
+def _compute_intervals(sums: SceneSums, seed: int) -> tuple[Floats, Floats]:
     """Percentiles over resampled scenes for each column; NaN where fewer than two scenes have a denominator.
 
     Columns that are alike, as displacements under several protocols are, are resampled once.
@@ -305,37 +308,39 @@ def _interval(sums: SceneSums, seed: int) -> tuple[Floats, Floats]:
     if len(sums.names) < 2:
         return np.full(columns, np.nan), np.full(columns, np.nan)
     both = np.ascontiguousarray(np.stack([sums.numerators, sums.denominators]).transpose(2, 0, 1))
-    where = _known_intervals(sums.names, seed, columns == 1)
+    where = _get_cached_intervals(sums.names, seed, columns == 1)
     keys = [hashlib.sha256(column).digest() for column in both]
     wanted = {key: column for column, key in enumerate(keys) if key not in where}
     if wanted:
         chosen = list(wanted.values())
         # The first column stands beside a single one: what is alone is added in another order.
         beside = chosen if len(chosen) > 1 or columns == 1 else [*chosen, *chosen]
-        bounds = _percentiles(sums.numerators[:, beside], sums.denominators[:, beside], sums.names, seed)
+        bounds = _compute_percentiles(sums.numerators[:, beside], sums.denominators[:, beside], sums.names, seed)
         where |= dict(zip(wanted, zip(*(part.tolist() for part in bounds))))
     low, high = zip(*(where[key] for key in keys))
-    if len(where) > _MOST_KEPT:
+    if len(where) > _MAX_CACHED:
         where.clear()
     return np.array(low), np.array(high)
 
 
 @functools.lru_cache(maxsize=64)
-def _known_intervals(names: tuple[str, ...], seed: int, alone: bool) -> dict[bytes, tuple[float, float]]:
+def _get_cached_intervals(names: tuple[str, ...], seed: int, alone: bool) -> dict[bytes, tuple[float, float]]:
     """Intervals of columns that were asked for, by the hash of what scenes add to them."""
     return {}
 
 
-def _percentiles(numerators: Floats, denominators: Floats, names: tuple[str, ...], seed: int) -> tuple[Floats, Floats]:
-    """`_interval` of columns none of which was asked for before."""
+def _compute_percentiles(
+    numerators: Floats, denominators: Floats, names: tuple[str, ...], seed: int
+) -> tuple[Floats, Floats]:
+    """`_compute_intervals` of columns none of which was asked for before."""
     columns = numerators.shape[1]
     low, high = np.full(columns, np.nan), np.full(columns, np.nan)
     different, which = np.unique(denominators, axis=1, return_inverse=True)
     if different.shape[1] == 1 and columns > 1:
         different = np.repeat(different, 2, axis=1)
     # A resample in a row: percentiles of what lies together take half the time.
-    above = np.ascontiguousarray(resampled(numerators, names, seed=seed).T)
-    below = np.ascontiguousarray(resampled(different, names, seed=seed).T)[which.ravel()]
+    above = np.ascontiguousarray(resample_totals(numerators, names, seed=seed).T)
+    below = np.ascontiguousarray(resample_totals(different, names, seed=seed).T)[which.ravel()]
     known = np.count_nonzero(denominators, axis=0) >= 2
     always = known & (below > 0).all(axis=1)
     if always.any():

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.metrics.rates import HORIZONS, SceneSums, sums_by_scene, with_average
-from benchmark.protocols import LEAVING_OUT, MAXIMA, PROTOCOLS, published_values
-from benchmark.records.run import RunRecord, outcomes_of, protocol_of
+from benchmark.metrics.rates import HORIZONS, SceneSums, append_average, sum_by_scene
+from benchmark.protocols import LEAVING_OUT, MAXIMA, PROTOCOLS, compute_published_values
+from benchmark.records.run import RunRecord, collect_outcomes, resolve_protocol
 
 _SOURCES: Final = "sources of scenes"
-_MOST_KEPT: Final = 16
+_MAX_CACHED: Final = 16
 """Sums that are remembered of one record: planners that fail on samples share other samples with each other one."""
 
 
 @dataclass(frozen=True, slots=True)
-class Scored:
+class ScoredSamples:
     """What each sample of a record adds to its collision rates under one protocol, never ``native``.
 
     Attributes:
@@ -47,7 +47,7 @@ class Scored:
         # A planner is compared with all others, mostly on the same samples.
         key = hashlib.sha256(rows.tobytes()).digest()
         if key not in self.kept or self.kept[key][0] != unit_of:
-            if len(self.kept) >= _MOST_KEPT:
+            if len(self.kept) >= _MAX_CACHED:
                 self.kept.clear()
             self.kept[key] = unit_of, self._sums(unit_of, rows)
         return self.kept[key][1]
@@ -59,10 +59,10 @@ class Scored:
         is_known = ~np.isnan(values)
         weights = (is_known & self.counted[rows, None]).astype(np.float64)
         values = np.where(is_known, values, 0.0) * weights
-        return sums_by_scene(values, weights, [unit_of[self.scenes[row]] for row in rows])
+        return sum_by_scene(values, weights, [unit_of[self.scenes[row]] for row in rows])
 
 
-def registered_version(protocol: str) -> int | None:
+def find_protocol_version(protocol: str) -> int | None:
     """Version of a protocol as it is now, ``None`` if there is none of this name."""
     return PROTOCOLS[protocol].version if protocol in PROTOCOLS else None
 
@@ -77,18 +77,20 @@ def leaves_out_samples(protocol: str) -> bool:
     return protocol in LEAVING_OUT
 
 
-def scored(record: RunRecord, *, protocol: str = "exact") -> Scored:
+def score_record(record: RunRecord, *, protocol: str = "exact") -> ScoredSamples:
     """Read a record's verdicts under one protocol; ``native`` is that of the planner's own repository."""
-    name = protocol_of(record, protocol)
+    name = resolve_protocol(record, protocol)
     require_current(record, name)
     columns = record.columns
-    outcomes = outcomes_of(record.rows, name)
-    return Scored(
+    outcomes = collect_outcomes(record.rows, name)
+    return ScoredSamples(
         record=record,
         protocol=name,
         tokens=columns.planned_tokens,
         scenes=columns.planned_scenes,
-        values=with_average(published_values(PROTOCOLS[name], outcomes)["collision"]).reshape(-1, len(HORIZONS)),
+        values=append_average(compute_published_values(PROTOCOLS[name], outcomes)["collision"]).reshape(
+            -1, len(HORIZONS)
+        ),
         counted=outcomes.decided,
         failed=columns.failed_tokens,
     )
@@ -100,8 +102,8 @@ def require_current(record: RunRecord, protocol: str) -> None:
     Raises:
         InputError: If the record has no verdicts of it, or those of another version.
     """
-    judged, now = record.run.protocols.get(protocol), registered_version(protocol)
-    where = named(record)
+    judged, now = record.run.protocols.get(protocol), find_protocol_version(protocol)
+    where = describe_record(record)
     if judged is None:
         raise InputError(f"{where} was not judged by protocol {protocol!r}; run challenger-bench rescore")
     if now is None:
@@ -114,7 +116,7 @@ def require_current(record: RunRecord, protocol: str) -> None:
         )
 
 
-def source_of_scenes(record: RunRecord) -> Mapping[str, str]:
+def map_scenes_to_sources(record: RunRecord) -> Mapping[str, str]:
     """The recording that each scene of a record was made from; the scene itself where the record does not say.
 
     The mapping is shared and must not be changed.
@@ -128,6 +130,6 @@ def source_of_scenes(record: RunRecord) -> Mapping[str, str]:
     return sources
 
 
-def named(record: RunRecord) -> str:
+def describe_record(record: RunRecord) -> str:
     """A record in words; its path would make tables differ from machine to machine."""
     return f"{record.planner} on {record.run.split} of {record.run.data.name}"

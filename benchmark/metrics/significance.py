@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.metrics.rates import HORIZONS, Estimate, SceneSums, all_ends, resampled
-from benchmark.metrics.scores import Scored, named, source_of_scenes
+from benchmark.metrics.rates import HORIZONS, Estimate, SceneSums, find_intervals, resample_totals
+from benchmark.metrics.scores import ScoredSamples, describe_record, map_scenes_to_sources
 
-Rows = NDArray[np.int64]
-Ends = tuple[float | None, float | None]
+RowIndices = NDArray[np.int64]
+IntervalBounds = tuple[float | None, float | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class PlannerComparison:
 
 
 def compare_splits(
-    baseline: Scored, other: Scored, *, seed: int = 0, horizons: Sequence[str] = HORIZONS
+    baseline: ScoredSamples, other: ScoredSamples, *, seed: int = 0, horizons: Sequence[str] = HORIZONS
 ) -> SplitComparison:
     """Compare a planner with itself on another split: same planner, weights, data set and protocol.
 
@@ -95,9 +95,9 @@ def compare_splits(
     """
     first, second = baseline.record, other.record
     _require_one_planner(baseline, other)
-    own = source_of_scenes(first)
+    own = map_scenes_to_sources(first)
     known = set(own.values())
-    source_of = {scene: _resolved(source, known) for scene, source in source_of_scenes(second).items()}
+    source_of = {scene: _resolve_source(source, known) for scene, source in map_scenes_to_sources(second).items()}
     sums = baseline.sums(own), other.sums(source_of)
     shared = known & set(source_of.values())
     return SplitComparison(
@@ -107,8 +107,8 @@ def compare_splits(
         protocol=baseline.protocol,
         baseline_split=first.run.split,
         split=second.run.split,
-        everything=_compared(*sums, sorted(known | set(source_of.values())), seed, horizons),
-        paired=_compared(*sums, sorted(shared), seed, horizons),
+        everything=_compare_rates(*sums, sorted(known | set(source_of.values())), seed, horizons),
+        paired=_compare_rates(*sums, sorted(shared), seed, horizons),
         sources=tuple(sorted(shared)),
         only_baseline=tuple(sorted(scene for scene, source in own.items() if source not in shared)),
         only_split=tuple(sorted(scene for scene, source in source_of.items() if source not in shared)),
@@ -117,7 +117,7 @@ def compare_splits(
 
 
 def compare_planners(
-    first: Scored, second: Scored, *, seed: int = 0, horizons: Sequence[str] = HORIZONS
+    first: ScoredSamples, second: ScoredSamples, *, seed: int = 0, horizons: Sequence[str] = HORIZONS
 ) -> PlannerComparison:
     """Compare two planners on the samples that both planned, on the same split."""
     runs = first.record.run, second.record.run
@@ -127,14 +127,14 @@ def compare_planners(
         second.protocol,
     ):
         raise InputError(
-            f"{named(first.record)} and {named(second.record)} are not of the same data, split and protocol; "
+            f"{describe_record(first.record)} and {describe_record(second.record)} are not of the same data, split and protocol; "
             "planners are compared on the same samples only"
         )
-    mine, theirs = _both_planned(first, second)
-    unit_of = source_of_scenes(first.record)
+    mine, theirs = _find_common_rows(first, second)
+    unit_of = map_scenes_to_sources(first.record)
     sums = (
         first.sums(unit_of, mine),
-        second.sums({**source_of_scenes(second.record), **unit_of}, theirs),
+        second.sums({**map_scenes_to_sources(second.record), **unit_of}, theirs),
     )
     return PlannerComparison(
         planners=(first.record.planner, second.record.planner),
@@ -142,14 +142,14 @@ def compare_planners(
         miniatures=(runs[0].planner.miniature, runs[1].planner.miniature),
         protocol=first.protocol,
         split=runs[0].split,
-        by_horizon=_compared(*sums, list(sums[0].names), seed, horizons),
+        by_horizon=_compare_rates(*sums, list(sums[0].names), seed, horizons),
         samples=len(mine),
-        failed=_failed_of_both(first, second),
+        failed=_count_common_failures(first, second),
         unshared=tuple(sorted(set(runs[0].scenes) ^ set(runs[1].scenes))),
     )
 
 
-def _both_planned(first: Scored, second: Scored) -> tuple[Rows, Rows]:
+def _find_common_rows(first: ScoredSamples, second: ScoredSamples) -> tuple[RowIndices, RowIndices]:
     """Rows of the samples that count for both, of the first and of the second."""
     if first.tokens == second.tokens:
         rows = np.flatnonzero(first.counted & second.counted)
@@ -161,7 +161,7 @@ def _both_planned(first: Scored, second: Scored) -> tuple[Rows, Rows]:
     return rows[:, 0], rows[:, 1]
 
 
-def _failed_of_both(first: Scored, second: Scored) -> int:
+def _count_common_failures(first: ScoredSamples, second: ScoredSamples) -> int:
     """How many samples that both ran on one of them failed on."""
     failed = first.failed | second.failed
     if not failed:
@@ -170,9 +170,9 @@ def _failed_of_both(first: Scored, second: Scored) -> int:
     return len(failed & ran[0] & ran[1])
 
 
-def _require_one_planner(baseline: Scored, other: Scored) -> None:
+def _require_one_planner(baseline: ScoredSamples, other: ScoredSamples) -> None:
     first, second = baseline.record.run, other.record.run
-    places = f"{named(baseline.record)} and {named(other.record)}"
+    places = f"{describe_record(baseline.record)} and {describe_record(other.record)}"
     if first.planner.name != second.planner.name or first.data.name != second.data.name:
         raise InputError(f"{places} are not of the same planner and data set; splits are compared for one planner")
     if first.planner.weights_sha256 != second.planner.weights_sha256:
@@ -183,7 +183,7 @@ def _require_one_planner(baseline: Scored, other: Scored) -> None:
         raise InputError(f"{places} are judged by {baseline.protocol} and {other.protocol}, which do not compare")
 
 
-def _resolved(source: str, known: set[str]) -> str:
+def _resolve_source(source: str, known: set[str]) -> str:
     """The known name that a name is, or that it begins with up to a hyphen; else the name."""
     shorter = source
     while shorter not in known and "-" in shorter:
@@ -191,7 +191,7 @@ def _resolved(source: str, known: set[str]) -> str:
     return shorter if shorter in known else source
 
 
-def _compared(
+def _compare_rates(
     first: SceneSums, second: SceneSums, names: Sequence[str], seed: int, horizons: Sequence[str]
 ) -> dict[str, RateComparison]:
     """Comparison at each of H horizons over the named recordings."""
@@ -201,49 +201,51 @@ def _compared(
     columns = [HORIZONS.index(horizon) for horizon in horizons]
     rates = [_ratio(side.numerators.sum(axis=0), side.denominators.sum(axis=0))[columns] for side in sides]
     difference = rates[1] - rates[0]
-    differences: list[Ends] = [(None, None)] * len(columns)
+    differences: list[IntervalBounds] = [(None, None)] * len(columns)
     if enough:
         draws_of_sides = [
-            _draws(side.names, seed, *map(_frozen, (side.numerators, side.denominators))) for side in sides
+            _draw_rates(side.names, seed, *map(_freeze, (side.numerators, side.denominators))) for side in sides
         ]
         drawn = [draws[columns] for draws in draws_of_sides]
         apart = drawn[1] - drawn[0]
-        differences = _intervals(apart, (-1.0, 1.0))
+        differences = _find_intervals(apart, (-1.0, 1.0))
     return {
         horizon: RateComparison(
             first=_number(rates[0][column]),
             second=_number(rates[1][column]),
-            difference=_estimate(difference[column], differences[column]),
+            difference=_build_estimate(difference[column], differences[column]),
         )
         for column, horizon in enumerate(horizons)
     }
 
 
-def _frozen(values: Floats) -> tuple[bytes, int]:
+def _freeze(values: Floats) -> tuple[bytes, int]:
     """An array of two dimensions that something may be remembered by."""
     return values.tobytes(), values.shape[1]
 
 
 @functools.lru_cache(maxsize=256)
-def _draws(names: tuple[str, ...], seed: int, numerators: tuple[bytes, int], denominators: tuple[bytes, int]) -> Floats:
+def _draw_rates(
+    names: tuple[str, ...], seed: int, numerators: tuple[bytes, int], denominators: tuple[bytes, int]
+) -> Floats:
     """(4, 2000) rates over resampled recordings; every horizon has the same denominator.
 
     A planner is compared with all others, mostly on the same samples: it is resampled once.
     """
     above, below = (np.frombuffer(data).reshape(-1, width) for data, width in (numerators, denominators))
-    drawn = _ratio(resampled(above, names, seed=seed), resampled(below[:, :1], names, seed=seed)).T
+    drawn = _ratio(resample_totals(above, names, seed=seed), resample_totals(below[:, :1], names, seed=seed)).T
     drawn = np.ascontiguousarray(drawn)
     drawn.setflags(write=False)
     return drawn
 
 
-def _intervals(draws: Floats, bounds: tuple[float, float]) -> list[Ends]:
+def _find_intervals(draws: Floats, bounds: tuple[float, float]) -> list[IntervalBounds]:
     """An interval for each of (H, 2000) draws."""
-    low, high = all_ends(draws, bounds)
+    low, high = find_intervals(draws, bounds)
     return list(zip(low.tolist(), high.tolist(), strict=True))
 
 
-def _estimate(value: Floats, interval: Ends) -> Estimate:
+def _build_estimate(value: Floats, interval: IntervalBounds) -> Estimate:
     """An estimate; empty where the value does not exist."""
     number = _number(value)
     return Estimate(None, None, None) if number is None else Estimate(number, *interval)

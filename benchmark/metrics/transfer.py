@@ -18,13 +18,13 @@ import numpy as np
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import says_whom, touched_scenes
-from benchmark.metrics.rates import Estimate, Rate, all_ends, resampled
-from benchmark.metrics.scores import named, require_current, source_of_scenes
-from benchmark.protocols import protocol as definition_of
-from benchmark.records.planner_versions import file_notes
-from benchmark.records.rows import scene_failures
-from benchmark.records.run import NATIVE, RunRecord, protocol_of
+from benchmark.metrics.effect import find_touched_scenes, knows_contact_partners
+from benchmark.metrics.rates import Estimate, Rate, find_intervals, resample_totals
+from benchmark.metrics.scores import describe_record, map_scenes_to_sources, require_current
+from benchmark.protocols import find_protocol as definition_of
+from benchmark.records.planner_versions import list_file_notes
+from benchmark.records.rows import find_scene_failures
+from benchmark.records.run import NATIVE, RunRecord, resolve_protocol
 
 Verdicts = Mapping[str, bool | None]
 """Whether a planner fails, by scene; ``None`` where that cannot be said."""
@@ -115,11 +115,11 @@ def transfer(
             record was not judged by the protocol or by another version of it, or does not say whom contacts are with,
             or no scene has a verdict.
     """
-    judges = _judges(records, protocol)
+    judges = _find_judges(records, protocol)
     if adversary_only and protocol != EXACT:
         raise InputError(f"only {EXACT} says of a scene whether the adversary is touched first, not {protocol}")
     verdicts = [
-        adversary_failures(record) if adversary_only else scene_failures(record.rows, judge)
+        find_adversary_failures(record) if adversary_only else find_scene_failures(record.rows, judge)
         for record, judge in zip(records, judges)
     ]
     if all(failed is None for verdict in verdicts for failed in verdict.values()):
@@ -128,8 +128,8 @@ def transfer(
             "sample is complete and has its surroundings annotated; choose another split or protocol"
         )
     every_scene = sorted({scene for verdict in verdicts for scene in verdict})
-    sources = {scene: source for record in records for scene, source in source_of_scenes(record).items()}
-    failures = Failures.of(verdicts, sources)
+    sources = {scene: source for record in records for scene, source in map_scenes_to_sources(record).items()}
+    failures = FailureMatrix.of(verdicts, sources)
     return TransferMatrix(
         protocol=protocol,
         adversary_only=adversary_only,
@@ -139,7 +139,7 @@ def transfer(
         privileged=tuple(record.run.planner.privileged for record in records),
         miniatures=tuple(record.run.planner.miniature for record in records),
         judges=judges,
-        cells=tuple(failures.transferred(surrogate, seed) for surrogate in range(len(records))),
+        cells=tuple(failures.compute_transfer(surrogate, seed) for surrogate in range(len(records))),
         base_rates=tuple(failures.base_rates(seed)),
         undecided=tuple(tuple(scene for scene in every_scene if verdict.get(scene) is None) for verdict in verdicts),
         agreements=tuple(
@@ -148,12 +148,12 @@ def transfer(
             for agreement in failures.agreements(first, [record.planner for record in records], seed)
         ),
         records=tuple(record.content_id for record in records),
-        file_notes=tuple(file_notes(records)),
+        file_notes=tuple(list_file_notes(records)),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class Failures:
+class FailureMatrix:
     """Which of S scenes P planners fail.
 
     Attributes:
@@ -169,7 +169,7 @@ class Failures:
     unit_of: Floats
 
     @classmethod
-    def of(cls, verdicts: Sequence[Verdicts], sources: Mapping[str, str]) -> "Failures":
+    def of(cls, verdicts: Sequence[Verdicts], sources: Mapping[str, str]) -> "FailureMatrix":
         """Verdicts of P planners as arrays; scenes without a source stand for themselves."""
         scenes = sorted({scene for verdict in verdicts for scene in verdict})
         units = sorted({sources.get(scene, scene) for scene in scenes})
@@ -178,35 +178,35 @@ class Failures:
         unit_of = np.array([[sources.get(scene, scene) == unit for unit in units] for scene in scenes], np.float64)
         return cls(fails, known, tuple(units), unit_of.reshape(len(scenes), len(units)))
 
-    def transferred(self, surrogate: int, seed: int) -> tuple[Rate, ...]:
+    def compute_transfer(self, surrogate: int, seed: int) -> tuple[Rate, ...]:
         """How many of a surrogate's failed scenes each of P victims fails too."""
-        failed = self._by_unit(self.fails[surrogate] * self.known)
-        both = self._by_unit(self.fails[surrogate] * self.fails)
+        failed = self._sum_by_unit(self.fails[surrogate] * self.known)
+        both = self._sum_by_unit(self.fails[surrogate] * self.fails)
         return tuple(self._rates(both, failed, self._shared(surrogate), seed))
 
     def base_rates(self, seed: int) -> list[Rate]:
         """How many of all scenes that a planner was judged on each of P planners fails."""
-        known = self._by_unit(self.known)
-        return self._rates(self._by_unit(self.fails), known, known > 0, seed)
+        known = self._sum_by_unit(self.known)
+        return self._rates(self._sum_by_unit(self.fails), known, known > 0, seed)
 
     def agreements(self, first: int, names: Sequence[str], seed: int) -> list[Agreement]:
         """Agreement of a planner with each that follows it."""
         others = slice(first + 1, None)
         fails, known, shared = self.fails[others], self.known[others], self._shared(first)[others]
-        both = self._by_unit(self.fails[first] * fails)
-        only_first = self._by_unit(self.fails[first] * known) - both
-        only_second = self._by_unit(self.known[first] * fails) - both
-        neither = self._by_unit(self.known[first] * known) - both - only_first - only_second
+        both = self._sum_by_unit(self.fails[first] * fails)
+        only_first = self._sum_by_unit(self.fails[first] * known) - both
+        only_second = self._sum_by_unit(self.known[first] * fails) - both
+        neither = self._sum_by_unit(self.known[first] * known) - both - only_first - only_second
         tables = np.stack([both, only_first, only_second, neither])
         totals = tables.sum(axis=2)
         values = _phi(totals.T)
         estimable = ~np.isnan(values) & (np.count_nonzero(shared, axis=1) > 1)
-        intervals = self._ends(tables, shared, estimable, (-1.0, 1.0), lambda drawn: _phi_of(*drawn), seed)
+        intervals = self._find_intervals(tables, shared, estimable, (-1.0, 1.0), lambda drawn: _phi_of(*drawn), seed)
         lifts = _lift_of(*totals)
         estimable = ~np.isnan(lifts) & (np.count_nonzero(shared, axis=1) > 1)
         # The most there can be: both fail one scene, the same one.
         most = float(self.fails.shape[1])
-        of_lift = self._ends(tables, shared, estimable, (0.0, most), lambda drawn: _lift_of(*drawn), seed)
+        of_lift = self._find_intervals(tables, shared, estimable, (0.0, most), lambda drawn: _lift_of(*drawn), seed)
         return [
             Agreement(
                 (names[first], names[first + 1 + place]),
@@ -221,18 +221,18 @@ class Failures:
             )
         ]
 
-    def _by_unit(self, scenes: Floats) -> Floats:
+    def _sum_by_unit(self, scenes: Floats) -> Floats:
         """(P, U) sums over the scenes of each unit."""
         return np.asarray(scenes @ self.unit_of)
 
     def _shared(self, planner: int) -> Bools:
         """(P, U) whether a planner and each other one were judged on a scene of a unit."""
-        return self._by_unit(self.known[planner] * self.known) > 0
+        return self._sum_by_unit(self.known[planner] * self.known) > 0
 
     def _rates(self, both: Floats, failed: Floats, shared: Bools, seed: int) -> list[Rate]:
         """Rates of (P, U) counts, and intervals where more than one unit has something below the line."""
         estimable = np.count_nonzero(failed, axis=1) > 1
-        intervals = self._ends(
+        intervals = self._find_intervals(
             np.stack([both, failed]), shared, estimable, (0.0, 1.0), lambda drawn: _quotient(drawn[0], drawn[1]), seed
         )
         return [
@@ -242,7 +242,7 @@ class Failures:
             )
         ]
 
-    def _ends(
+    def _find_intervals(
         self,
         counts: Floats,
         shared: Bools,
@@ -261,11 +261,11 @@ class Failures:
             names = tuple(name for name, there in zip(self.units, units.tolist()) if there)
             # Whole numbers: their totals are the same in any order.
             chosen = counts[:, planners][:, :, units].reshape(-1, len(names))
-            drawn = resampled(np.ascontiguousarray(chosen.T), names, seed=seed).T.reshape(
+            drawn = resample_totals(np.ascontiguousarray(chosen.T), names, seed=seed).T.reshape(
                 len(counts), len(planners), -1
             )
             for place, low, high in zip(
-                planners.tolist(), *(part.tolist() for part in all_ends(number(drawn), bounds))
+                planners.tolist(), *(part.tolist() for part in find_intervals(number(drawn), bounds))
             ):
                 intervals[place] = low, high
         return intervals
@@ -291,20 +291,20 @@ def _quotient(above: Floats, below: Floats) -> Floats:
     return np.divide(above, below, out=np.full_like(above, np.nan), where=below > 0)
 
 
-def adversary_failures(record: RunRecord) -> dict[str, bool | None]:
+def find_adversary_failures(record: RunRecord) -> dict[str, bool | None]:
     """Scenes that a planner fails by touching the adversary first.
 
     Verdicts as `benchmark.records.run.scene_failures` has them; the record must say whom contacts are with.
     """
-    if not says_whom(record):
+    if not knows_contact_partners(record):
         raise InputError(
-            f"{named(record)} does not say whom contacts are with, or who is an adversary; run challenger-bench rescore"
+            f"{describe_record(record)} does not say whom contacts are with, or who is an adversary; run challenger-bench rescore"
         )
-    failures = touched_scenes(record)
+    failures = find_touched_scenes(record)
     return {scene: failures.get(scene) for scene in record.run.scenes}
 
 
-def _judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:
+def _find_judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:
     """Who judged each record; refuses what cannot be compared."""
     if not records:
         raise InputError("a transfer matrix needs run records and there are none; run challenger-bench eval first")
@@ -318,7 +318,7 @@ def _judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:
             f"more than one record of {', '.join(repeated)} on this split; name single runs with --records"
         )
     first = records[0].run
-    judges = tuple(protocol_of(record, protocol) for record in records)
+    judges = tuple(resolve_protocol(record, protocol) for record in records)
     for record, judge in zip(records, judges):
         run = record.run
         if (record.judged_content, run.split) != (records[0].judged_content, first.split):

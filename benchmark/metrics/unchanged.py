@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import file_name
+from benchmark.machine.storage import sanitise_file_name
 from benchmark.metrics.attacks import has_adversaries
-from benchmark.metrics.scores import source_of_scenes
+from benchmark.metrics.scores import map_scenes_to_sources
 from benchmark.records.attempts import is_adversarial
-from benchmark.records.planner_versions import PLANS_SHA256, version_of
+from benchmark.records.planner_versions import PLANS_SHA256, describe_version
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.records.store import RUN_FILE
@@ -25,7 +25,7 @@ def sees_images(planner: PlannerFacts) -> bool:
     return "images" in planner.wants or planner.native_protocol is not None or planner.miniature
 
 
-def unchanged_record(
+def find_unchanged_record(
     record: RunRecord, candidates: Iterable[RunRecord], elsewhere: str | None = None
 ) -> RunRecord | None:
     """The record of the same planner on the unchanged recordings of an adversarial split.
@@ -40,11 +40,11 @@ def unchanged_record(
         last that has most of the recordings. Of other data sets only those count that
         ``elsewhere`` or the record itself names. ``None`` where no candidate has any of the recordings.
     """
-    sources, data_names = set(source_of_scenes(record).values()), _data_names(record, elsewhere)
+    sources, data_names = set(map_scenes_to_sources(record).values()), _find_data_names(record, elsewhere)
     order = UNCHANGED_SPLITS if sees_images(record.run.planner) else UNCHANGED_SPLITS[::-1]
     best: tuple[tuple[int, int], RunRecord] | None = None
     for candidate in candidates:
-        shared = len(sources & set(source_of_scenes(candidate).values()))
+        shared = len(sources & set(map_scenes_to_sources(candidate).values()))
         split = candidate.run.split
         if not shared or is_adversarial(split) or candidate.run.data.name not in data_names:
             continue
@@ -56,7 +56,9 @@ def unchanged_record(
     return None if best is None else best[1]
 
 
-def unchanged_candidates(root: Path, records: Iterable[RunRecord], elsewhere: str | None = None) -> list[RunRecord]:
+def find_unchanged_candidates(
+    root: Path, records: Iterable[RunRecord], elsewhere: str | None = None
+) -> list[RunRecord]:
     """Records below a folder that runs on adversarial splits may be compared with.
 
     Of the same planners on val-r and val, the newest last; damaged ones are left out.
@@ -65,19 +67,19 @@ def unchanged_candidates(root: Path, records: Iterable[RunRecord], elsewhere: st
         (data_name, record.run.planner.name)
         for record in records
         if has_adversaries(record)
-        for data_name in _data_names(record, elsewhere)
+        for data_name in _find_data_names(record, elsewhere)
     }
     candidates: list[RunRecord] = []
     for data_name, planner in sorted(wanted):
         for split in UNCHANGED_SPLITS:
-            folder = root / file_name(data_name) / file_name(split)
-            for head in folder.glob(f"{glob.escape(file_name(planner))}*/{RUN_FILE}"):
+            folder = root / sanitise_file_name(data_name) / sanitise_file_name(split)
+            for head in folder.glob(f"{glob.escape(sanitise_file_name(planner))}*/{RUN_FILE}"):
                 with suppress(InputError):
                     candidates.append(load_record(head.parent))
     return sorted(candidates, key=lambda record: ((record.directory / RUN_FILE).stat().st_mtime_ns, record.directory))
 
 
-def _data_names(record: RunRecord, elsewhere: str | None) -> set[str]:
+def _find_data_names(record: RunRecord, elsewhere: str | None) -> set[str]:
     """Data sets that may hold the unchanged recordings of a record."""
     named = record.run.unchanged
     return {elsewhere} if elsewhere else {record.run.data.name, *([] if named is None else [named.data.name])}
@@ -86,7 +88,7 @@ def _data_names(record: RunRecord, elsewhere: str | None) -> set[str]:
 def _same_planner(first: RunRecord, second: RunRecord) -> bool:
     """The same weights, code, settings and seed; plan files hold one split each."""
     one, other = first.run.planner, second.run.planner
-    settings = [{k: v for k, v in version_of(planner).items() if k != PLANS_SHA256} for planner in (one, other)]
+    settings = [{k: v for k, v in describe_version(planner).items() if k != PLANS_SHA256} for planner in (one, other)]
     return (one.name, one.code_sha256, settings[0]) == (
         other.name,
         other.code_sha256,

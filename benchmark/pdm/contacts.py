@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats, boxes_overlap
-from benchmark.interactions.contacts import AHEAD_RAD, BEHIND_RAD, FRONT, LATERAL, STOPPED_TRACK, contact_kinds
+from benchmark.interactions.contacts import AHEAD_RAD, BEHIND_RAD, FRONT, LATERAL, STOPPED_TRACK, classify_contacts
 from benchmark.pdm.definition import HEADING, LENGTH_M, SIDE_SPEED, SPEED, STATES, WIDTH_M
-from benchmark.pdm.layers import Whereabouts, footprints
-from benchmark.pdm.traffic import Traffic
+from benchmark.pdm.layers import RoadPositions, compute_footprints
+from benchmark.pdm.traffic import SampleTraffic
 
 STANDING_M_S: Final = 0.005
 """Below this speed nothing is projected ahead."""
@@ -27,7 +27,7 @@ Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Collisions:
+class NoCollisionScores:
     """NC of B plans.
 
     Attributes:
@@ -42,7 +42,7 @@ class Collisions:
 
 
 @dataclass(frozen=True, slots=True)
-class NearMisses:
+class TimeToCollisionScores:
     """TTC of B plans.
 
     Attributes:
@@ -57,21 +57,23 @@ class NearMisses:
 
 
 @dataclass(frozen=True, slots=True)
-class _Pairs:
+class _PlanObjectPairs:
     """Plans and objects of the same sample that may come near each other."""
 
     plan: Integers
     other: Integers
 
 
-def collisions(states: Floats, samples: Integers, traffic: Traffic, where: Whereabouts) -> Collisions:
+def score_no_collision(
+    states: Floats, samples: Integers, traffic: SampleTraffic, where: RoadPositions
+) -> NoCollisionScores:
     """Judge contacts of the car, in (B, 31, 11) motions of the samples named, with objects.
 
     ``traffic`` is without those that touch the car at the start.
     """
-    boxes = footprints(states)
-    pairs = _pairs(boxes, samples, traffic)
-    near = traffic.present[pairs.other] & _circles_meet(boxes[pairs.plan], traffic.box[pairs.other])
+    boxes = compute_footprints(states)
+    pairs = _find_pairs(boxes, samples, traffic)
+    near = traffic.present[pairs.other] & _do_circles_meet(boxes[pairs.plan], traffic.box[pairs.other])
     pair, state = np.nonzero(near)
     hit = boxes_overlap(boxes[pairs.plan[pair], state], traffic.box[pairs.other[pair], state])
     pair, state = pair[hit], state[hit]
@@ -79,9 +81,9 @@ def collisions(states: Floats, samples: Integers, traffic: Traffic, where: Where
     mine, theirs = boxes[plan, state], traffic.box[other, state]
     unsure = (where.multiple_lanes | where.non_drivable)[plan, state]
     speed = np.hypot(states[plan, state, SPEED], states[plan, state, SIDE_SPEED])
-    kind = contact_kinds(mine, speed, theirs, traffic.speed[other], traffic.is_agent[other])
+    kind = classify_contacts(mine, speed, theirs, traffic.speed[other], traffic.is_agent[other])
     at_fault = (kind == STOPPED_TRACK) | (kind == FRONT) | ((kind == LATERAL) & unsure)
-    up_to_first = _up_to_first(pair, state, ~at_fault, len(pairs.plan))
+    up_to_first = _select_up_to_first(pair, state, ~at_fault, len(pairs.plan))
     plan, state, other, kind, at_fault = (
         plan[up_to_first],
         state[up_to_first],
@@ -94,17 +96,19 @@ def collisions(states: Floats, samples: Integers, traffic: Traffic, where: Where
     np.minimum.at(step, plan[at_fault], state[at_fault])
     order = np.lexsort((other, state, plan))
     events = np.column_stack([plan, state, other, kind, at_fault]).astype(np.int64)[order]
-    return Collisions(score, np.where(step == STATES, -1, step), events)
+    return NoCollisionScores(score, np.where(step == STATES, -1, step), events)
 
 
-def near_misses(states: Floats, samples: Integers, traffic: Traffic, where: Whereabouts) -> NearMisses:
+def score_time_to_collision(
+    states: Floats, samples: Integers, traffic: SampleTraffic, where: RoadPositions
+) -> TimeToCollisionScores:
     """Judge where the car would be 0, 0.3, 0.6 and 0.9 s after each state if it went on straight at its speed.
 
     ``traffic`` is without those that touch the car at the start.
     """
     scored_states = states[:, :TTC_STATES]
     speed = np.hypot(scored_states[..., SPEED], scored_states[..., SIDE_SPEED])
-    boxes = np.repeat(footprints(scored_states)[:, :, None], len(AHEAD_STATES), axis=2)
+    boxes = np.repeat(compute_footprints(scored_states)[:, :, None], len(AHEAD_STATES), axis=2)
     ahead_m = speed[..., None] * (np.array(AHEAD_STATES) * 0.1)
     boxes[..., 0] += ahead_m * np.cos(scored_states[..., None, HEADING])
     boxes[..., 1] += ahead_m * np.sin(scored_states[..., None, HEADING])
@@ -112,19 +116,19 @@ def near_misses(states: Floats, samples: Integers, traffic: Traffic, where: Wher
     # An instant is a state and a projection of it, in the order in which the official loops visit them.
     state_of, ahead_of = np.divmod(np.arange(boxes.shape[1]), len(AHEAD_STATES))
     seen_at = state_of + np.array(AHEAD_STATES)[ahead_of]
-    pairs = _pairs(boxes, samples, traffic)
+    pairs = _find_pairs(boxes, samples, traffic)
     near = traffic.present[pairs.other][:, seen_at] & (speed >= STANDING_M_S)[pairs.plan][:, state_of]
-    near &= _circles_meet(boxes[pairs.plan], traffic.box[pairs.other][:, seen_at])
+    near &= _do_circles_meet(boxes[pairs.plan], traffic.box[pairs.other][:, seen_at])
     pair, instant = np.nonzero(near)
     theirs = traffic.box[pairs.other[pair], seen_at[instant]]
     hit = boxes_overlap(boxes[pairs.plan[pair], instant], theirs)
     pair, instant, theirs = pair[hit], instant[hit], theirs[hit]
     plan, other, state = pairs.plan[pair], pairs.other[pair], state_of[instant]
-    angle = _angle_to(states[plan, state], theirs)
+    angle = _compute_angle(states[plan, state], theirs)
     unsure = (where.multiple_lanes | where.non_drivable | where.axle_in_intersection)[plan, state]
     ahead, behind = angle < AHEAD_RAD, angle > BEHIND_RAD
     counts = ahead | (unsure & ~behind)
-    up_to_first = _up_to_first(pair, instant, ~counts, len(pairs.plan))
+    up_to_first = _select_up_to_first(pair, instant, ~counts, len(pairs.plan))
     behind_flag = np.where(~ahead & unsure, behind, -1)
     columns = (plan, state, ahead_of[instant], other, ahead, behind_flag, counts)
     events = np.column_stack(columns).astype(np.int64)[up_to_first]
@@ -132,10 +136,10 @@ def near_misses(states: Floats, samples: Integers, traffic: Traffic, where: Wher
     counted = events[events[:, 6] == 1]
     np.minimum.at(step, counted[:, 0], counted[:, 1])
     order = np.lexsort((events[:, 3], events[:, 2], events[:, 1], events[:, 0]))
-    return NearMisses((step == STATES).astype(np.float64), np.where(step == STATES, -1, step), events[order])
+    return TimeToCollisionScores((step == STATES).astype(np.float64), np.where(step == STATES, -1, step), events[order])
 
 
-def _pairs(boxes: Floats, samples: Integers, traffic: Traffic) -> _Pairs:
+def _find_pairs(boxes: Floats, samples: Integers, traffic: SampleTraffic) -> _PlanObjectPairs:
     """Pairs of one sample whose boxes at (B, T) instants and (N, 31) states keep to ground that they share."""
     count = np.diff(traffic.offsets)[samples]
     plan = np.repeat(np.arange(len(samples)), count)
@@ -147,17 +151,17 @@ def _pairs(boxes: Floats, samples: Integers, traffic: Traffic) -> _Pairs:
     their_low = np.where(there, traffic.box[..., :2], np.inf).min(axis=1) - reach[:, None]
     their_high = np.where(there, traffic.box[..., :2], -np.inf).max(axis=1) + reach[:, None]
     meet = ((low[plan] <= their_high[other]) & (their_low[other] <= high[plan])).all(axis=-1)
-    return _Pairs(plan[meet], other[meet])
+    return _PlanObjectPairs(plan[meet], other[meet])
 
 
-def _circles_meet(first: Floats, second: Floats) -> Bools:
+def _do_circles_meet(first: Floats, second: Floats) -> Bools:
     """Whether the circles around boxes meet: what any contact needs."""
     offset = second[..., :2] - first[..., :2]
     reach = 0.5 * (np.hypot(LENGTH_M, WIDTH_M) + np.hypot(second[..., 2], second[..., 3])) + 1e-6
     return np.asarray(offset[..., 0] ** 2 + offset[..., 1] ** 2 <= reach**2)
 
 
-def _angle_to(states: Floats, boxes: Floats) -> Floats:
+def _compute_angle(states: Floats, boxes: Floats) -> Floats:
     """Angle between the car's heading and the direction from its rear axle to the centre of a box; 0 to pi."""
     offset = boxes[..., :2] - states[..., :2]
     along = offset[..., 0] * np.cos(states[..., HEADING]) + offset[..., 1] * np.sin(states[..., HEADING])
@@ -165,7 +169,7 @@ def _angle_to(states: Floats, boxes: Floats) -> Floats:
     return np.asarray(np.arctan2(np.abs(across), along))
 
 
-def _up_to_first(pair: Integers, instant: Integers, excused: Bools, pairs: int) -> Bools:
+def _select_up_to_first(pair: Integers, instant: Integers, excused: Bools, pairs: int) -> Bools:
     """Touches up to the first excused one of each pair, that one included."""
     first = np.full(pairs, np.iinfo(np.int64).max)
     np.minimum.at(first, pair[excused], instant[excused])

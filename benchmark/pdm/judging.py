@@ -9,9 +9,21 @@ from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
 from benchmark.pdm.definition import DT_S
-from benchmark.pdm.motion import all_headed, disagreement, extended_comfort, states_between, tracked
+from benchmark.pdm.motion import (
+    compute_disagreement,
+    count_states_between,
+    plans_to_poses,
+    score_extended_comfort,
+    track_plans,
+)
 from benchmark.pdm.recording import RecordedScene
-from benchmark.pdm.scoring import Judged, Surroundings, beside, human_scores, judged
+from benchmark.pdm.scoring import (
+    ScoredMotions,
+    ScoringContext,
+    score_against_references,
+    score_motions,
+    score_recorded_motions,
+)
 from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan
 from benchmark.scene import Scene
@@ -23,7 +35,7 @@ DECIMALS: Final = 6
 """Of stored numbers: far below them, processors differ in the last bits of a motion."""
 
 
-def judge_scene(
+def score_scene_plans(
     scene: Scene, plans: Sequence[Plan | None], recorded: RecordedScene | None = None
 ) -> list[DrivenPlan | None]:
     """Judge the plans of a scene.
@@ -37,13 +49,13 @@ def judge_scene(
         K verdicts; ``None`` where there is no plan, the recording ends within 3 s, or the map there has no
         road or no lanes.
     """
-    return judge_planners(scene, [plans], recorded)[0]
+    return score_planners(scene, [plans], recorded)[0]
 
 
-def judge_planners(
+def score_planners(
     scene: Scene, plans: Sequence[Sequence[Plan | None]], recorded: RecordedScene | None = None
 ) -> list[list[DrivenPlan | None]]:
-    """`judge_scene` of several planners together: of each planner K verdicts, the same as one by one."""
+    """`score_scene_plans` of several planners together: of each planner K verdicts, the same as one by one."""
     scores: list[list[DrivenPlan | None]] = [[None] * len(own) for own in plans]
     recorded = recorded or RecordedScene(scene)
     chosen = [
@@ -57,28 +69,28 @@ def judge_planners(
         return scores
     ahead_m = float(scene.lidar.translation[0])
     samples = np.array([sample for _, sample in chosen], np.int64)
-    poses = all_headed([_known(plans[planner][sample]) for planner, sample in chosen], ahead_m)
+    poses = plans_to_poses([_require_known(plans[planner][sample]) for planner, sample in chosen], ahead_m)
     states: list[Floats] = []
     for start in range(0, len(samples), AT_ONCE):
         batch = slice(start, start + AT_ONCE)
-        motions, verdicts = _batch(recorded, samples[batch], poses[batch])
+        motions, verdicts = _score_batch(recorded, samples[batch], poses[batch])
         states.append(motions)
         for (planner, sample), verdict in zip(chosen[batch], verdicts, strict=True):
             scores[planner][sample] = verdict
-    for row, comfort in _between_plans(chosen, recorded.seconds, np.concatenate(states)).items():
+    for row, comfort in _score_consecutive_plans(chosen, recorded.seconds, np.concatenate(states)).items():
         planner, sample = chosen[row]
-        scores[planner][sample] = replace(_known(scores[planner][sample]), ec=comfort)
+        scores[planner][sample] = replace(_require_known(scores[planner][sample]), ec=comfort)
     return scores
 
 
-def _batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -> tuple[Floats, list[DrivenPlan]]:
+def _score_batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -> tuple[Floats, list[DrivenPlan]]:
     """Motions and verdicts of some plans, less what needs the plan before; a sample may have several plans."""
     at, own = np.unique(samples, return_inverse=True)
-    around, references = _references(recorded, at)
-    plans = judged(tracked(poses, around.now[own]), own, around)
-    scores = beside(plans, references.course.progress_m[own], references.scores.multiplier[own])
-    forgiven = human_scores(references).zeros()
-    touches = _touches(plans.collisions.events, around.traffic.number, recorded, len(own))
+    around, references = _score_references(recorded, at)
+    plans = score_motions(track_plans(poses, around.now[own]), own, around)
+    scores = score_against_references(plans, references.course.progress_m[own], references.scores.multiplier[own])
+    forgiven = score_recorded_motions(references).zeros()
+    touches = _find_touched_objects(plans.collisions.events, around.traffic.number, recorded, len(own))
     verdicts = [
         DrivenPlan(
             nc=float(scores.nc[row]),
@@ -101,7 +113,7 @@ def _batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -
     return plans.states, verdicts
 
 
-def _touches(
+def _find_touched_objects(
     events: NDArray[np.int64], number: NDArray[np.int64], recorded: RecordedScene, plans: int
 ) -> list[dict[str, Any]]:
     """Whom each of some plans touches; contacts in order of time within each plan, `number` as of `Traffic`."""
@@ -119,34 +131,34 @@ def _touches(
     return touched
 
 
-def _references(recorded: RecordedScene, samples: NDArray[np.int64]) -> tuple[Surroundings, Judged]:
+def _score_references(recorded: RecordedScene, samples: NDArray[np.int64]) -> tuple[ScoringContext, ScoredMotions]:
     """Surroundings and the recorded futures as they are judged: the same for all planners that planned the samples."""
     key = samples.tobytes()
     if key not in recorded.references:
-        around = recorded.surroundings(samples)
-        plans = tracked(recorded.recorded_plans(samples), around.now)
-        recorded.references[key] = around, judged(plans, np.arange(len(samples)), around)
-    references: tuple[Surroundings, Judged] = recorded.references[key]
+        around = recorded.build_context(samples)
+        plans = track_plans(recorded.build_recorded_plans(samples), around.now)
+        recorded.references[key] = around, score_motions(plans, np.arange(len(samples)), around)
+    references: tuple[ScoringContext, ScoredMotions] = recorded.references[key]
     return references
 
 
-def _between_plans(chosen: Sequence[tuple[int, int]], seconds: Floats, states: Floats) -> dict[int, float]:
+def _score_consecutive_plans(chosen: Sequence[tuple[int, int]], seconds: Floats, states: Floats) -> dict[int, float]:
     """EC of each row whose plan follows another one of the same planner closely enough."""
     rows_apart: dict[int, list[int]] = {}
     for row in range(1, len(chosen)):
         (before, earlier), (planner, later) = chosen[row - 1 : row + 1]
-        apart = states_between(float(seconds[later] - seconds[earlier])) if planner == before else None
+        apart = count_states_between(float(seconds[later] - seconds[earlier])) if planner == before else None
         if apart is not None:
             rows_apart.setdefault(apart, []).append(row)
     comfort_of_row: dict[int, float] = {}
     for apart, rows in rows_apart.items():
         here = np.array(rows)
-        comfort = extended_comfort(disagreement(states[here - 1], states[here], apart))
+        comfort = score_extended_comfort(compute_disagreement(states[here - 1], states[here], apart))
         comfort_of_row |= dict(zip(rows, comfort.tolist(), strict=True))
     return comfort_of_row
 
 
-def _known(there: There | None) -> There:
+def _require_known(there: There | None) -> There:
     assert there is not None
     return there
 

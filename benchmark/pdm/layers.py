@@ -18,7 +18,7 @@ from benchmark.pdm.definition import CENTER_AHEAD_M, HEADING, LENGTH_M, WIDTH_M
 from benchmark.road_map import Lane, RoadMap, as_multipolygon
 
 
-class Layer(StrEnum):
+class SurfaceKind(StrEnum):
     """Kinds of surface."""
 
     LANE = "lane"
@@ -30,8 +30,8 @@ class Layer(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Road:
-    """Surfaces around a scene; ``lanes`` are lanes and connectors, ``on_route`` says which of them are on the route.
+class RoadPolygons:
+    """Surfaces around a scene; ``lanes`` are lanes and connectors, ``find_lanes_on_route`` says which of them are on the route.
 
     ``drivable`` are road blocks, intersections, drivable areas and car parks.
     """
@@ -42,14 +42,16 @@ class Road:
     intersections: tuple[Polygon, ...]
 
     @classmethod
-    def of(cls, surfaces: "list[tuple[Layer, Polygon, bool]]") -> Self:
+    def of(cls, surfaces: "list[tuple[SurfaceKind, Polygon, bool]]") -> Self:
         """Sort surfaces by what they decide.
 
         Each is a layer, a shape and whether it is on the route (of lanes and connectors).
         """
-        lanes = [(shape, routed) for layer, shape, routed in surfaces if layer in (Layer.LANE, Layer.CONNECTOR)]
-        drivable = [shape for layer, shape, _ in surfaces if layer not in (Layer.LANE, Layer.CONNECTOR)]
-        crossings = [shape for layer, shape, _ in surfaces if layer is Layer.INTERSECTION]
+        lanes = [
+            (shape, routed) for layer, shape, routed in surfaces if layer in (SurfaceKind.LANE, SurfaceKind.CONNECTOR)
+        ]
+        drivable = [shape for layer, shape, _ in surfaces if layer not in (SurfaceKind.LANE, SurfaceKind.CONNECTOR)]
+        crossings = [shape for layer, shape, _ in surfaces if layer is SurfaceKind.INTERSECTION]
         for shape in (*(shape for shape, _ in lanes), *drivable):
             shapely.prepare(shape)
         return cls(
@@ -64,10 +66,10 @@ class Road:
 
         They are in several lanes or off the drivable surfaces.
         """
-        corners = _Points(box_corners(boxes))
-        return self.straddled(corners, (len(boxes),)) | self.left(corners, (len(boxes),))
+        corners = _PointIndex(box_corners(boxes))
+        return self.find_straddling(corners, (len(boxes),)) | self.left(corners, (len(boxes),))
 
-    def straddled(self, corners: "_Points", shape: tuple[int, ...]) -> Bools:
+    def find_straddling(self, corners: "_PointIndex", shape: tuple[int, ...]) -> Bools:
         """Whether cars (four corners each) are on more than one lane or connector and none holds them whole."""
         touched, contained = np.zeros(shape, np.int64), np.zeros(shape, np.bool_)
         for surface in self.lanes:
@@ -79,7 +81,7 @@ class Road:
                 contained |= held.all(axis=-1)
         return np.asarray((touched > 1) & ~contained)
 
-    def left(self, corners: "_Points", shape: tuple[int, ...]) -> Bools:
+    def left(self, corners: "_PointIndex", shape: tuple[int, ...]) -> Bools:
         """Whether a corner of cars is on no drivable surface."""
         drivable = np.zeros((*shape, 4), np.bool_)
         for surface in self.drivable:
@@ -88,7 +90,7 @@ class Road:
 
 
 @dataclass(frozen=True, slots=True)
-class Whereabouts:
+class RoadPositions:
     """Places of B cars on the road at T states.
 
     Attributes:
@@ -106,7 +108,7 @@ class Whereabouts:
     axle_in_intersection: Bools
 
 
-def footprints(states: Floats) -> Floats:
+def compute_footprints(states: Floats) -> Floats:
     """(..., 5) boxes of the car at (..., 11) states."""
     heading = states[..., HEADING]
     center = states[..., :2] + CENTER_AHEAD_M * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -114,12 +116,12 @@ def footprints(states: Floats) -> Floats:
     return np.concatenate([center, size, heading[..., None]], axis=-1)
 
 
-def whereabouts(road: Road, states: Floats) -> Whereabouts:
+def locate_on_road(road: RoadPolygons, states: Floats) -> RoadPositions:
     """Where cars are on the road at (B, T, 11) states; a point on the border of a surface is outside it."""
-    boxes = footprints(states)
+    boxes = compute_footprints(states)
     shape = states.shape[:-1]
-    corners = _Points(box_corners(boxes))
-    center, axle = _Points(boxes[..., :2]), _Points(states[..., :2])
+    corners = _PointIndex(box_corners(boxes))
+    center, axle = _PointIndex(boxes[..., :2]), _PointIndex(states[..., :2])
     routed = np.zeros(shape, np.bool_)
     for surface, on_route in zip(road.lanes, road.on_route, strict=True):
         if on_route:
@@ -128,11 +130,11 @@ def whereabouts(road: Road, states: Floats) -> Whereabouts:
     for surface in road.intersections:
         center.mark(crossing, surface)
         axle.mark(axle_crossing, surface)
-    straddled, left = road.straddled(corners, shape), road.left(corners, shape)
-    return Whereabouts(straddled, left, ~routed, crossing, axle_crossing)
+    straddled, left = road.find_straddling(corners, shape), road.left(corners, shape)
+    return RoadPositions(straddled, left, ~routed, crossing, axle_crossing)
 
 
-class _Points:
+class _PointIndex:
     """Points that are asked for many surfaces."""
 
     def __init__(self, points: Floats) -> None:
@@ -182,71 +184,71 @@ CROSSING_RAD: Final = np.deg2rad(30.0)
 """Lanes that turn away from each other by more make an intersection."""
 
 
-def route_of(poses: Floats) -> Floats:
+def build_route(poses: Floats) -> Floats:
     """The path of the recorded rear axle through a whole scene, and a straight extension.
 
     (M, 2) points 0.5 m apart, then 100 points 1 m apart straight ahead of the last of the (T, 3) global poses.
     """
-    path = _resampled(poses[:, :2], ROUTE_STEP_M)
+    path = _resample(poses[:, :2], ROUTE_STEP_M)
     ahead = np.arange(1, EXTENSION_M + 1)[:, None] * np.array([np.cos(poses[-1, 2]), np.sin(poses[-1, 2])])
     return np.concatenate([path, poses[-1, :2] + ahead])
 
 
-def road_of(road_map: RoadMap, route: Floats) -> Road:
-    """The surfaces that plans are judged by; the route is as `route_of` makes it.
+def build_road_polygons(road_map: RoadMap, route: Floats) -> RoadPolygons:
+    """The surfaces that plans are judged by; the route is as `build_route` makes it.
 
     Lanes and connectors (a strip of 3.5 m where the map has no surface), road blocks, intersections, car parks and
     the drivable area. Maps without road segments (imported recordings) get intersections from their lanes.
     """
     lanes = [road_map.lanes[name] for name in sorted(road_map.lanes)]
-    shapes = [_surface(lane) for lane in lanes]
-    routed = on_route(lanes, route)
+    shapes = [_build_surface(lane) for lane in lanes]
+    routed = find_lanes_on_route(lanes, route)
     surfaces = [
-        (Layer.CONNECTOR if lane.is_connector else Layer.LANE, shape, bool(is_routed))
+        (SurfaceKind.CONNECTOR if lane.is_connector else SurfaceKind.LANE, shape, bool(is_routed))
         for lane, shape, is_routed in zip(lanes, shapes, routed, strict=True)
         if not shape.is_empty
     ]
     crossings = (
         [road_map.road_segments[name] for name in sorted(road_map.intersections)]
         if road_map.road_segments
-        else derived_intersections(road_map, lanes, shapes)
+        else derive_intersections(road_map, lanes, shapes)
     )
-    layers: tuple[tuple[Layer, Sequence[Polygon]], ...] = (
-        (Layer.ROAD_BLOCK, [road_map.road_blocks[name] for name in sorted(road_map.road_blocks)]),
-        (Layer.INTERSECTION, crossings),
-        (Layer.CAR_PARK, [road_map.carparks[name] for name in sorted(road_map.carparks)]),
-        (Layer.DRIVABLE_AREA, list(road_map.drivable_area.geoms)),
+    layers: tuple[tuple[SurfaceKind, Sequence[Polygon]], ...] = (
+        (SurfaceKind.ROAD_BLOCK, [road_map.road_blocks[name] for name in sorted(road_map.road_blocks)]),
+        (SurfaceKind.INTERSECTION, crossings),
+        (SurfaceKind.CAR_PARK, [road_map.carparks[name] for name in sorted(road_map.carparks)]),
+        (SurfaceKind.DRIVABLE_AREA, list(road_map.drivable_area.geoms)),
     )
-    return Road.of([*surfaces, *((layer, shape, False) for layer, polygons in layers for shape in polygons)])
+    return RoadPolygons.of([*surfaces, *((layer, shape, False) for layer, polygons in layers for shape in polygons)])
 
 
-def on_route(lanes: Sequence[Lane], route: Floats) -> Bools:
-    """(N,) which of N lanes and connectors a route, as `route_of` makes it, follows.
+def find_lanes_on_route(lanes: Sequence[Lane], route: Floats) -> Bools:
+    """(N,) which of N lanes and connectors a route, as `build_route` makes it, follows.
 
     True where the centre line passes within 2 m and 45 degrees of the path or the first 30 m of its extension, and
     for lanes beside such lanes in the same direction.
     """
-    lines = [_headed(lane.centerline) for lane in lanes]
-    path = _headed(route[: len(route) - EXTENSION_M + ROUTED_EXTENSION_M])
-    routed = np.array([_passes(line, path) for line in lines], dtype=np.bool_)
+    lines = [_add_headings(lane.centerline) for lane in lanes]
+    path = _add_headings(route[: len(route) - EXTENSION_M + ROUTED_EXTENSION_M])
+    routed = np.array([_follows_path(line, path) for line in lines], dtype=np.bool_)
     plain = np.array([not lane.is_connector for lane in lanes], dtype=np.bool_)
     waiting = list(np.flatnonzero(routed & plain))
     while waiting:
         here = lines[waiting.pop()]
         for other in np.flatnonzero(plain & ~routed):
-            if _beside(here, lines[other]):
+            if _runs_beside(here, lines[other]):
                 routed[other] = True
                 waiting.append(other)
     return routed
 
 
-def derived_intersections(road_map: RoadMap, lanes: Sequence[Lane], shapes: Sequence[Polygon]) -> list[Polygon]:
+def derive_intersections(road_map: RoadMap, lanes: Sequence[Lane], shapes: Sequence[Polygon]) -> list[Polygon]:
     """Intersections of a map that names none: what plain lanes leave of the drivable area around connectors that turn.
 
     Each part with two or more connectors of different direction, as far as it lies in their hull. A map whose lanes
     are all alike takes those that cross others for connectors. Shapes are the surfaces of the lanes.
     """
-    inside = {number for number, lane in enumerate(lanes) if lane.is_connector} or _crossing(lanes)
+    inside = {number for number, lane in enumerate(lanes) if lane.is_connector} or _find_crossing_lanes(lanes)
     plain = shapely.union_all([shape for number, shape in enumerate(shapes) if number not in inside])
     rest = as_multipolygon(road_map.drivable_area.difference(plain.buffer(SLIT_M)))
     lines = {number: LineString(lanes[number].centerline) for number in sorted(inside)}
@@ -255,50 +257,53 @@ def derived_intersections(road_map: RoadMap, lanes: Sequence[Lane], shapes: Sequ
         shapely.prepare(part)
         near = [number for number, line in lines.items() if part.intersects(line)]
         members = [number for number in near if lines[number].intersection(part).length >= TOUCH_M]
-        headings = [_mean_heading(lanes[member]) for member in members]
-        if members and max(_between(headings[0], heading) for heading in headings) > CROSSING_RAD:
+        headings = [_compute_mean_heading(lanes[member]) for member in members]
+        if members and max(_angle_between(headings[0], heading) for heading in headings) > CROSSING_RAD:
             hull = shapely.union_all([shapes[member] for member in members]).convex_hull
             intersections += as_multipolygon(part.intersection(hull)).geoms
     return intersections
 
 
-def _surface(lane: Lane) -> Polygon:
+def _build_surface(lane: Lane) -> Polygon:
     if lane.polygon is not None and not lane.polygon.is_empty:
         return lane.polygon
     strip = LineString(lane.centerline).buffer(CONNECTOR_WIDTH_M / 2, cap_style="flat")
     return max(as_multipolygon(strip).geoms, key=lambda part: part.area, default=Polygon())
 
 
-def _crossing(lanes: Sequence[Lane]) -> set[int]:
+def _find_crossing_lanes(lanes: Sequence[Lane]) -> set[int]:
     """Lanes whose centre lines cross another's at an angle."""
     if not lanes:
         return set()
     lines = [LineString(lane.centerline) for lane in lanes]
     first, second = shapely.STRtree(lines).query(lines, predicate="crosses")
     pairs = zip(first.tolist(), second.tolist(), strict=True)
-    turned = [(one, _between(_mean_heading(lanes[one]), _mean_heading(lanes[other]))) for one, other in pairs]
+    turned = [
+        (one, _angle_between(_compute_mean_heading(lanes[one]), _compute_mean_heading(lanes[other])))
+        for one, other in pairs
+    ]
     return {one for one, turn in turned if CROSSING_RAD < turn < np.pi - CROSSING_RAD}
 
 
-def _mean_heading(lane: Lane) -> float:
+def _compute_mean_heading(lane: Lane) -> float:
     """Direction from the start to the end of a lane."""
     return float(np.arctan2(*(lane.centerline[-1] - lane.centerline[0])[::-1]))
 
 
-def _between(first: float, second: float) -> float:
+def _angle_between(first: float, second: float) -> float:
     """Angle between two directions, 0 to pi."""
     return abs(float(wrap_angle(np.array(first - second))))
 
 
-def _headed(points: Floats) -> Floats:
+def _add_headings(points: Floats) -> Floats:
     """(M, 3) points of a polyline at most a metre apart, each with the direction of its piece."""
-    line = _resampled(points, LINE_STEP_M)
+    line = _resample(points, LINE_STEP_M)
     step = np.diff(line, axis=0)
     heading = directions_of(step)
     return np.column_stack([line, np.concatenate([heading, heading[-1:]])])
 
 
-def _resampled(points: Floats, step_m: float) -> Floats:
+def _resample(points: Floats, step_m: float) -> Floats:
     """(M, 2) points every ``step_m`` along a polyline, and its end."""
     moved = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
     points = points[moved]
@@ -309,28 +314,28 @@ def _resampled(points: Floats, step_m: float) -> Floats:
     return np.column_stack([np.interp(wanted, station, points[:, axis]) for axis in (0, 1)])
 
 
-def _passes(line: Floats, path: Floats) -> bool:
-    return bool(_near(line, path).any())
+def _follows_path(line: Floats, path: Floats) -> bool:
+    return bool(_are_near(line, path).any())
 
 
-def _near(line: Floats, path: Floats) -> Bools:
+def _are_near(line: Floats, path: Floats) -> Bools:
     """(M, K) where points of two headed lines are near each other and point the same way."""
-    if _apart(line, path, ON_ROUTE_M):
+    if _are_apart(line, path, ON_ROUTE_M):
         return np.zeros((1, 1), np.bool_)
     distance = np.hypot(line[:, None, 0] - path[:, 0], line[:, None, 1] - path[:, 1])
     turn = np.abs(wrap_angle(line[:, None, 2] - path[:, 2]))
     return np.asarray((distance <= ON_ROUTE_M) & (turn <= ON_ROUTE_RAD))
 
 
-def _apart(line: Floats, other: Floats, reach_m: float) -> bool:
+def _are_apart(line: Floats, other: Floats, reach_m: float) -> bool:
     """Whether the rectangles around two lines are farther than this from each other in x or in y."""
     after = line[:, :2].min(axis=0) > other[:, :2].max(axis=0) + reach_m
     return bool(after.any() or (line[:, :2].max(axis=0) < other[:, :2].min(axis=0) - reach_m).any())
 
 
-def _beside(here: Floats, other: Floats) -> bool:
+def _runs_beside(here: Floats, other: Floats) -> bool:
     """Whether a line runs beside another, seen from the points of the first."""
-    if _apart(here, other, BESIDE_M[1] + BESIDE_ALONG_M):
+    if _are_apart(here, other, BESIDE_M[1] + BESIDE_ALONG_M):
         return False
     dx, dy = other[:, None, 0] - here[:, 0], other[:, None, 1] - here[:, 1]
     cos, sin = np.cos(here[:, 2]), np.sin(here[:, 2])

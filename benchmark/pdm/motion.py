@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.dynamics.bicycle import Drive, MotionModel, drive_along
-from benchmark.dynamics.reference_path import ReferencePath, fitted_path
+from benchmark.dynamics.bicycle import BicycleMotion, MotionModel, follow_path
+from benchmark.dynamics.reference_path import ReferencePath, fit_path
 from benchmark.geometry import Bools, Floats, to_global, wrap_angle
 from benchmark.pdm.definition import (
     ACCELERATION,
@@ -47,7 +47,7 @@ HISTORY_KEY_FRAMES: Final = 4
 """-1.5, -1.0, -0.5 and 0 s."""
 
 
-def history_rows(key_frames: Floats) -> Floats:
+def build_history_rows(key_frames: Floats) -> Floats:
     """(B, 14, 11) states at -1.5 .. -0.2 s before a motion: linear, headings by the shortest turn, rates zero.
 
     They are made of (B, 4, 8) pose, velocity and acceleration (the first columns of a state) at -1.5, -1, -0.5 and
@@ -63,7 +63,7 @@ def history_rows(key_frames: Floats) -> Floats:
     return rows
 
 
-def comfort_series(states: Floats, history: Floats) -> Floats:
+def compute_comfort_series(states: Floats, history: Floats) -> Floats:
     """(B, 6, 45) series that comfort is judged by, in the order of ``BOUNDS``.
 
     Motions are (B, 31, 11), the states before them (B, 14, 11).
@@ -83,7 +83,7 @@ def comfort_series(states: Floats, history: Floats) -> Floats:
     return np.stack(series, axis=1)
 
 
-def comfort_checks(extremes: Floats) -> Bools:
+def check_comfort(extremes: Floats) -> Bools:
     """HC, test by test: (..., 6) whether each series stays inside its bounds; all six make HC 1.
 
     ``extremes`` are (..., 6, 2), the lowest and highest value of each series.
@@ -92,17 +92,17 @@ def comfort_checks(extremes: Floats) -> Bools:
     return np.asarray((extremes[..., 0] > low) & (extremes[..., 1] < high))
 
 
-def extremes_of(series: Floats) -> Floats:
+def compute_extremes(series: Floats) -> Floats:
     """(..., 2) lowest and highest value of (..., T) series."""
     return np.stack([series.min(axis=-1), series.max(axis=-1)], axis=-1)
 
 
-def states_between(seconds: float) -> int | None:
+def count_states_between(seconds: float) -> int | None:
     """By how many states two consecutive samples are apart; ``None`` where they are too far apart to be compared."""
     return round(seconds / DT_S) if 0.0 < seconds < LONGEST_BETWEEN_S and round(seconds / DT_S) > 0 else None
 
 
-def disagreement(earlier: Floats, later: Floats, apart: int) -> Floats:
+def compute_disagreement(earlier: Floats, later: Floats, apart: int) -> Floats:
     """(B, 4) root mean square differences of two plans where both say something, in the order of ``AGREEMENT``.
 
     Motions are (B, 31, 11); ``apart`` are the states between the starts of the two.
@@ -111,7 +111,7 @@ def disagreement(earlier: Floats, later: Floats, apart: int) -> Floats:
     return np.asarray(np.sqrt(np.mean(differences**2, axis=-1)))
 
 
-def extended_comfort(differences: Floats) -> Floats:
+def score_extended_comfort(differences: Floats) -> Floats:
     """EC, 0 or 1, of (..., 4) root mean squares."""
     return np.asarray((differences <= np.array(AGREEMENT)).all(axis=-1), np.float64)
 
@@ -177,7 +177,7 @@ _STEERING_LAG_SHARE: Final = 2.0 / 3.0
 """Of a steering rate that is asked for, what the wheels do within one step: 0.1 / (0.1 + 0.05)."""
 
 
-def headed(plan: Plan, lidar_ahead_m: float) -> Floats:
+def plan_to_poses(plan: Plan, lidar_ahead_m: float) -> Floats:
     """A plan as poses of the rear axle.
 
     The heading at a waypoint is the direction of the chord between its neighbours, held where that is shorter than
@@ -187,12 +187,12 @@ def headed(plan: Plan, lidar_ahead_m: float) -> Floats:
     Returns:
         (6, 3) x forward, y left of the rear axle now, metres; heading, radians.
     """
-    poses: Floats = all_headed([plan], lidar_ahead_m)[0]
+    poses: Floats = plans_to_poses([plan], lidar_ahead_m)[0]
     return poses
 
 
-def all_headed(plans: Sequence[Plan], lidar_ahead_m: float) -> Floats:
-    """`headed` of B plans, those of a frame at once: (B, 6, 3)."""
+def plans_to_poses(plans: Sequence[Plan], lidar_ahead_m: float) -> Floats:
+    """`plan_to_poses` of B plans, those of a frame at once: (B, 6, 3)."""
     poses = np.zeros((len(plans), PLAN_STEPS, 3))
     for frame in dict.fromkeys(plan.frame for plan in plans):
         rows = [place for place, plan in enumerate(plans) if plan.frame is frame]
@@ -206,7 +206,7 @@ def all_headed(plans: Sequence[Plan], lidar_ahead_m: float) -> Floats:
     return poses
 
 
-def interpolated(plans: Floats) -> Floats:
+def interpolate_poses(plans: Floats) -> Floats:
     """(B, 31, 3) poses at every state of a motion, the pose now before those of the plan.
 
     Linear in the frame of the rear axle now, headings by the shortest turn and not wrapped. Plans are (B, 6, 3).
@@ -222,20 +222,20 @@ def interpolated(plans: Floats) -> Floats:
     return np.asarray((1.0 - fraction) * knots[:, before] + fraction * knots[:, before + 1])
 
 
-def reference_of(plans: Floats) -> ReferencePath:
+def fit_reference_path(plans: Floats) -> ReferencePath:
     """Path that the tracker follows: the plan's poses, and speeds and curvatures fitted to them.
 
     Plans are (B, 6, 3) x, y, heading in the frame of the rear axle now; the path is in that frame too, B
     candidates.
     """
-    poses = interpolated(plans).transpose(1, 2, 0)
+    poses = interpolate_poses(plans).transpose(1, 2, 0)
     direction = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
-    return fitted_path(
+    return fit_path(
         np.ascontiguousarray(poses[:, :2]), np.ascontiguousarray(poses[:, 2]), direction, dt=DT_S, smooth=False
     )
 
 
-def tracked(plans: Floats, now: Floats, *, wheelbase_m: float = WHEELBASE_M) -> Floats:
+def track_plans(plans: Floats, now: Floats, *, wheelbase_m: float = WHEELBASE_M) -> Floats:
     """The motion of a car that follows plans.
 
     Args:
@@ -250,12 +250,12 @@ def tracked(plans: Floats, now: Floats, *, wheelbase_m: float = WHEELBASE_M) -> 
     if not len(plans):
         return states
     start = now[:, [SPEED, ACCELERATION, STEERING]].T
-    drive = drive_along(reference_of(plans), start, wheelbase_m=wheelbase_m, steps=STATES - 1, model=MODEL)
-    _fill(states, drive, now, wheelbase_m)
+    drive = follow_path(fit_reference_path(plans), start, wheelbase_m=wheelbase_m, steps=STATES - 1, model=MODEL)
+    _fill_states(states, drive, now, wheelbase_m)
     return states
 
 
-def _fill(states: Floats, drive: Drive, now: Floats, wheelbase_m: float) -> None:
+def _fill_states(states: Floats, drive: BicycleMotion, now: Floats, wheelbase_m: float) -> None:
     """Put a motion in the frame of its start into the columns of global states."""
     x_y, heading, rest = drive.states[:, :2], drive.states[:, 2], drive.states[:, 3:]
     states[..., :2] = to_global(x_y.transpose(2, 0, 1), now[:, None, :3])

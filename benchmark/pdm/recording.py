@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.datasets.steps import KeyFrameSteps, TimedSteps, values_at
+from benchmark.datasets.steps import KeyFrameSteps, TimedSteps, interpolate_values
 from benchmark.geometry import Bools, Floats, poses_between, to_local, wrap_angle, yaw_of_quaternion
 from benchmark.pdm.definition import ACCELERATION, SIDE_SPEED, SPEED, STATE_COLUMNS
-from benchmark.pdm.layers import road_of, route_of
-from benchmark.pdm.motion import HISTORY_KEY_FRAMES, history_rows
-from benchmark.pdm.scoring import Surroundings, log_replay
-from benchmark.pdm.traffic import AGENT_CATEGORIES, KeyFrames, at_states
+from benchmark.pdm.layers import build_road_polygons, build_route
+from benchmark.pdm.motion import HISTORY_KEY_FRAMES, build_history_rows
+from benchmark.pdm.scoring import ScoringContext, remove_touching_objects
+from benchmark.pdm.traffic import AGENT_CATEGORIES, KeyFrameObjects, interpolate_traffic
 from benchmark.scene import Scene
 
 MOTION_FRAMES: Final = 11
@@ -42,39 +42,39 @@ class RecordedScene:
         self.instances = scene.agents.ids
         self.adversaries = np.isin(np.array(self.instances, dtype=object), scene.adversaries)
         self.seconds = scene.seconds[scene.keyframes]
-        self._times_us, self._frames = scene.timestamps_us, recorded_motion(scene.ego.pose, scene.seconds)
+        self._times_us, self._frames = scene.timestamps_us, estimate_motion(scene.ego.pose, scene.seconds)
         self.motion = self._frames[scene.keyframes]
         self._clock = KeyFrameSteps.of(scene)
         self.complete = np.arange(len(scene.keyframes)) + PLAN_STEPS < len(scene.keyframes)
-        self._ahead = self._timed(np.arange(PLAN_STEPS + 1))
-        self._past = self._timed(np.arange(1 - HISTORY_KEY_FRAMES, 1))
+        self._ahead = self._find_timed_steps(np.arange(PLAN_STEPS + 1))
+        self._past = self._find_timed_steps(np.arange(1 - HISTORY_KEY_FRAMES, 1))
         for index, steps in self._ahead.items():
             self.complete[index] = steps.known.all()
-        self.route = route_of(scene.ego.pose)
-        self.road = road_of(scene.road_map, self.route)
+        self.route = build_route(scene.ego.pose)
+        self.road = build_road_polygons(scene.road_map, self.route)
         known = self._annotations
         yaw = yaw_of_quaternion(known.rotation)
         self._poses = np.concatenate([known.position[..., :2], yaw[..., None]], axis=-1)
-        self._velocity = recorded_velocity(known.position[..., :2], known.valid, self.seconds)
+        self._velocity = estimate_object_velocity(known.position[..., :2], known.valid, self.seconds)
 
-    def surroundings(self, samples: NDArray[np.int64]) -> Surroundings:
+    def build_context(self, samples: NDArray[np.int64]) -> ScoringContext:
         """Surroundings that plans of some complete samples are judged by."""
         now = np.zeros((len(samples), STATE_COLUMNS))
         now[:, :8] = self.motion[samples]
         before = samples[:, None] + np.arange(1 - HISTORY_KEY_FRAMES, 1)
         past, has_history = self.motion[np.maximum(before, 0)], before[:, 0] >= 0
         for row, steps in _rows_in(samples, self._past):
-            past[row], has_history[row] = self._motion_at(steps), steps.known.all()
-        return Surroundings(
+            past[row], has_history[row] = self._interpolate_motion(steps), steps.known.all()
+        return ScoringContext(
             now=now,
-            history=history_rows(past),
+            history=build_history_rows(past),
             has_history=has_history,
-            traffic=log_replay(at_states(self.key_frames(samples)), now),
+            traffic=remove_touching_objects(interpolate_traffic(self.key_frames(samples)), now),
             road=self.road,
             route=self.route,
         )
 
-    def recorded_plans(self, samples: NDArray[np.int64]) -> Floats:
+    def build_recorded_plans(self, samples: NDArray[np.int64]) -> Floats:
         """The recorded futures of complete samples as plans.
 
         (S, 6, 3) poses of the rear axle in its frame at the sample.
@@ -82,11 +82,11 @@ class RecordedScene:
         now, last = self.motion[samples, None, :3], len(self.motion) - 1
         future = self.motion[np.minimum(samples[:, None] + np.arange(1, PLAN_STEPS + 1), last), :3]
         for row, steps in _rows_in(samples, self._ahead):
-            future[row] = self._motion_at(steps)[1:, :3]
+            future[row] = self._interpolate_motion(steps)[1:, :3]
         heading = wrap_angle(future[..., 2] - now[..., 2])
         return np.concatenate([to_local(future[..., :2], now), heading[..., None]], axis=-1)
 
-    def key_frames(self, samples: NDArray[np.int64]) -> KeyFrames:
+    def key_frames(self, samples: NDArray[np.int64]) -> KeyFrameObjects:
         """Objects that are annotated at any step from now to 3 s later, of complete samples."""
         known, last = self._annotations, len(self.motion) - 1
         before = np.minimum(samples[:, None] + np.arange(PLAN_STEPS + 1), last)
@@ -103,7 +103,7 @@ class RecordedScene:
         if fraction.any():
             box = poses_between(box, self._poses[rows, after], fraction)
             velocity = velocity + fraction[..., None] * (self._velocity[rows, after] - velocity)
-        return KeyFrames(
+        return KeyFrameObjects(
             offsets=np.concatenate([[0], np.cumsum(np.bincount(sample, minlength=len(samples)))]),
             box=box,
             size=known.size[agent, nearer, :2],
@@ -113,15 +113,15 @@ class RecordedScene:
             number=agent,
         )
 
-    def _timed(self, steps: NDArray[np.int64]) -> dict[int, TimedSteps]:
+    def _find_timed_steps(self, steps: NDArray[np.int64]) -> dict[int, TimedSteps]:
         """Steps of the samples whose steps are no key frames, by number of the sample."""
         farthest = int(steps[np.abs(steps).argmax()])
         irregular = (at for at in range(len(self.motion)) if not self._clock.are_key_frames(at, farthest))
         return {index: self._clock.at(index, steps) for index in irregular}
 
-    def _motion_at(self, steps: TimedSteps) -> Floats:
+    def _interpolate_motion(self, steps: TimedSteps) -> Floats:
         """(N, 8) motion at the times of steps."""
-        return values_at(self._frames, self._times_us, steps.times_us)
+        return interpolate_values(self._frames, self._times_us, steps.times_us)
 
 
 def _rows_in(samples: NDArray[np.int64], timed: Mapping[int, TimedSteps]) -> Iterator[tuple[int, TimedSteps]]:
@@ -130,7 +130,7 @@ def _rows_in(samples: NDArray[np.int64], timed: Mapping[int, TimedSteps]) -> Ite
         yield from ((row, timed[index]) for row, index in enumerate(samples.tolist()) if index in timed)
 
 
-def recorded_motion(poses: Floats, seconds: Floats) -> Floats:
+def estimate_motion(poses: Floats, seconds: Floats) -> Floats:
     """Velocity and acceleration of recorded poses, (T, 3) of the rear axle, global.
 
     (T, 8) pose, then velocity and acceleration along and across the body, then zero: those of the parabola through
@@ -154,7 +154,7 @@ def recorded_motion(poses: Floats, seconds: Floats) -> Floats:
     return motion
 
 
-def recorded_velocity(position: Floats, valid: Bools, seconds: Floats) -> Floats:
+def estimate_object_velocity(position: Floats, valid: Bools, seconds: Floats) -> Floats:
     """(N, K, 2) velocities of annotated objects, m/s.
 
     Central differences over the neighbouring key frames, one-sided where one of them lacks the object, zero where

@@ -14,11 +14,11 @@ import shapely
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
-from benchmark.pdm.contacts import Collisions, NearMisses, collisions, near_misses
-from benchmark.pdm.layers import Road, Whereabouts, footprints, whereabouts
-from benchmark.pdm.motion import comfort_checks, comfort_series, extremes_of
+from benchmark.pdm.contacts import NoCollisionScores, TimeToCollisionScores, score_no_collision, score_time_to_collision
+from benchmark.pdm.layers import RoadPolygons, RoadPositions, compute_footprints, locate_on_road
+from benchmark.pdm.motion import check_comfort, compute_comfort_series, compute_extremes
 from benchmark.pdm.totals import SubScores
-from benchmark.pdm.traffic import Traffic, touching_at_start, without
+from benchmark.pdm.traffic import SampleTraffic, find_touching_at_start, remove_objects
 
 WRONG_WAY_STATES: Final = 11
 """Displacements that are added up: 1.1 s, as the official code slices them."""
@@ -30,7 +30,7 @@ SHORTEST_PROGRESS_M: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class RouteMeasures:
     """B motions along a route.
 
     Attributes:
@@ -44,7 +44,7 @@ class Course:
     beside: Bools
 
 
-def course(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bools) -> Course:
+def measure_along_route(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bools) -> RouteMeasures:
     """Measure motions along a route.
 
     Args:
@@ -53,7 +53,7 @@ def course(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bool
         oncoming: (B, 31) where the car's centre is on no lane of the route.
         in_intersection: (B, 31) where its centre is in an intersection.
     """
-    center = footprints(states)[..., :2]
+    center = compute_footprints(states)[..., :2]
     moved = np.zeros(states.shape[:2])
     moved[:, 1:] = np.hypot(*np.moveaxis(np.diff(center, axis=1), -1, 0))
     moved[~oncoming | in_intersection] = 0.0
@@ -64,33 +64,33 @@ def course(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bool
     # On the route of a car that stands, which has no length, every place is its beginning.
     with np.errstate(invalid="ignore"):
         ends = shapely.line_locate_point(line, points[:, [0, -1]])
-    return Course(
+    return RouteMeasures(
         wrong_way_m=within.max(axis=1),
         progress_m=np.maximum(ends[:, 1] - ends[:, 0], 0.0),
-        beside=_beside(route, points),
+        beside=_find_off_lane(route, points),
     )
 
 
-def offsets(states: Floats, route: Floats) -> Floats:
-    """(B, 31) distance of the car's centre from the route, metres; arguments are those of `course`."""
-    points = shapely.points(footprints(states)[..., :2])
+def measure_offsets(states: Floats, route: Floats) -> Floats:
+    """(B, 31) distance of the car's centre from the route, metres; arguments are those of `measure_along_route`."""
+    points = shapely.points(compute_footprints(states)[..., :2])
     return np.asarray(shapely.distance(shapely.linestrings(route), points), np.float64)
 
 
-def _beside(route: Floats, points: NDArray[Any]) -> Bools:
-    """Whether points are off the lane: `offsets` from it, asked only of the pieces of the route that are near."""
+def _find_off_lane(route: Floats, points: NDArray[Any]) -> Bools:
+    """Whether points are off the lane: `measure_offsets` from it, asked only of the pieces of the route that are near."""
     pieces = shapely.STRtree(shapely.linestrings(np.stack([route[:-1], route[1:]], axis=1)))
     off_lane = np.ones(points.shape, np.bool_)
     off_lane.reshape(-1)[pieces.query(points.reshape(-1), predicate="dwithin", distance=OFF_LANE_M)[0]] = False
     return off_lane
 
 
-def direction_compliance(wrong_way_m: Floats) -> Floats:
+def score_direction_compliance(wrong_way_m: Floats) -> Floats:
     """DDC: 0, 1/2 or 1."""
     return np.select([wrong_way_m < WRONG_WAY_M[0], wrong_way_m < WRONG_WAY_M[1]], [1.0, 0.5], 0.0)
 
 
-def lane_keeping(off_lane: Bools, in_intersection: Bools) -> Floats:
+def score_lane_keeping(off_lane: Bools, in_intersection: Bools) -> Floats:
     """LK, (B,) 0 or 1: not more than 19 states in a row beside the route.
 
     ``off_lane``, (B, 31), is a centre more than 0.5 m from the route. States in an intersection are skipped, not
@@ -105,7 +105,9 @@ def lane_keeping(off_lane: Bools, in_intersection: Bools) -> Floats:
     return (longest < OFF_LANE_STATES).astype(np.float64)
 
 
-def ego_progress(progress_m: Floats, reference_m: Floats, multiplier: Floats, reference_multiplier: Floats) -> Floats:
+def score_ego_progress(
+    progress_m: Floats, reference_m: Floats, multiplier: Floats, reference_multiplier: Floats
+) -> Floats:
     """EP, 0 to 1: progress beside that of a reference; what fails a multiplier cannot be the measure of others.
 
     Multipliers are NC DAC DDC. EP is 1 where the better of the two goes no farther than 5 m.
@@ -116,12 +118,12 @@ def ego_progress(progress_m: Floats, reference_m: Floats, multiplier: Floats, re
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class ScoringContext:
     """Everything that S samples of one place are judged by, beside the plans.
 
     Attributes:
         now: (S, 11) states of the car.
-        history: (S, 14, 11) states before (`benchmark.pdm.motion.history_rows`).
+        history: (S, 14, 11) states before (`benchmark.pdm.motion.build_history_rows`).
         has_history: (S,) False where the recording had not begun; HC is 1 there, as officially.
         traffic: Objects, without those that touch the car now.
         route: (M, 2) polyline.
@@ -130,13 +132,13 @@ class Surroundings:
     now: Floats
     history: Floats
     has_history: Bools
-    traffic: Traffic
-    road: Road
+    traffic: SampleTraffic
+    road: RoadPolygons
     route: Floats
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class ScoredMotions:
     """B motions, (B, 31, 11), and all that is said of them but what needs a second one.
 
     ``extremes`` are (B, 6, 2), lowest and highest value of each series of comfort. Sub-scores are as if each were
@@ -144,46 +146,46 @@ class Judged:
     """
 
     states: Floats
-    where: Whereabouts
-    collisions: Collisions
-    near_misses: NearMisses
-    course: Course
+    where: RoadPositions
+    collisions: NoCollisionScores
+    near_misses: TimeToCollisionScores
+    course: RouteMeasures
     extremes: Floats
     scores: SubScores
 
 
-def log_replay(traffic: Traffic, now: Floats) -> Traffic:
+def remove_touching_objects(traffic: SampleTraffic, now: Floats) -> SampleTraffic:
     """Objects without those whose rectangles touch the car's at the start, an (S, 11) state of each sample."""
-    return without(traffic, touching_at_start(traffic, footprints(now)))
+    return remove_objects(traffic, find_touching_at_start(traffic, compute_footprints(now)))
 
 
-def judged(states: Floats, samples: NDArray[np.int64], around: Surroundings) -> Judged:
+def score_motions(states: Floats, samples: NDArray[np.int64], around: ScoringContext) -> ScoredMotions:
     """Judge (B, 31, 11) motions; ``samples`` are (B,), the sample of each."""
-    where = whereabouts(around.road, states)
-    contacts = collisions(states, samples, around.traffic, where)
-    misses = near_misses(states, samples, around.traffic, where)
-    along = course(states, around.route, where.oncoming, where.center_in_intersection)
-    extremes = extremes_of(comfort_series(states, around.history[samples]))
-    comfortable = comfort_checks(extremes).all(axis=-1) | ~around.has_history[samples]
+    where = locate_on_road(around.road, states)
+    contacts = score_no_collision(states, samples, around.traffic, where)
+    misses = score_time_to_collision(states, samples, around.traffic, where)
+    along = measure_along_route(states, around.route, where.oncoming, where.center_in_intersection)
+    extremes = compute_extremes(compute_comfort_series(states, around.history[samples]))
+    comfortable = check_comfort(extremes).all(axis=-1) | ~around.has_history[samples]
     scores = SubScores(
         nc=contacts.score,
         dac=(~where.non_drivable.any(axis=1)).astype(np.float64),
-        ddc=direction_compliance(along.wrong_way_m),
+        ddc=score_direction_compliance(along.wrong_way_m),
         ep=np.ones(len(states)),
         ttc=misses.score,
-        lk=lane_keeping(along.beside, where.center_in_intersection),
+        lk=score_lane_keeping(along.beside, where.center_in_intersection),
         hc=comfortable.astype(np.float64),
     )
-    return Judged(states, where, contacts, misses, along, extremes, scores)
+    return ScoredMotions(states, where, contacts, misses, along, extremes, scores)
 
 
-def beside(plans: Judged, reference_m: Floats, reference_multiplier: Floats) -> SubScores:
+def score_against_references(plans: ScoredMotions, reference_m: Floats, reference_multiplier: Floats) -> SubScores:
     """Sub-scores of plans with EP measured by references: the progress of each and its NC DAC DDC, both (B,)."""
     own, multiplier = plans.course.progress_m, plans.scores.multiplier
-    return replace(plans.scores, ep=ego_progress(own, reference_m, multiplier, reference_multiplier))
+    return replace(plans.scores, ep=score_ego_progress(own, reference_m, multiplier, reference_multiplier))
 
 
-def human_scores(references: Judged) -> SubScores:
+def score_recorded_motions(references: ScoredMotions) -> SubScores:
     """Sub-scores that the filter goes by: the recorded future scored alone and without a history; EP and HC are 1."""
     ones = np.ones(len(references.states))
     return replace(references.scores, ep=ones, hc=ones)

@@ -100,7 +100,7 @@ class SubScores:
         """Where each sub-score is zero: what the filter forgives if these are the recorded driver's."""
         return {name: np.asarray(getattr(self, name) == 0.0) for name in FILTERED}
 
-    def forgiving(self, forgiven: Mapping[str, Bools]) -> Self:
+    def forgive(self, forgiven: Mapping[str, Bools]) -> Self:
         """The same with some sub-scores set to 1.
 
         They are forgiven, by sub-score, where the recorded driver, scored alone and without a history, has 0

@@ -15,7 +15,7 @@ AGENT_CATEGORIES: Final = ("vehicle.", "human.")
 
 
 @dataclass(frozen=True, slots=True)
-class KeyFrames:
+class KeyFrameObjects:
     """Objects of S samples at the seven steps 0, 0.5 .. 3 s, sample after sample.
 
     Attributes:
@@ -38,7 +38,7 @@ class KeyFrames:
 
 
 @dataclass(frozen=True, slots=True)
-class Traffic:
+class SampleTraffic:
     """Objects of S samples at the 31 states of a motion.
 
     Attributes:
@@ -64,7 +64,7 @@ class Traffic:
         return np.repeat(np.arange(len(self.offsets) - 1), np.diff(self.offsets))
 
 
-def at_states(key_frames: KeyFrames) -> Traffic:
+def interpolate_traffic(key_frames: KeyFrameObjects) -> SampleTraffic:
     """Objects between their key frames: linear, headings by the shortest turn.
 
     An object is there from its first to its last annotation, across key frames in between that lack it; one that is
@@ -97,7 +97,7 @@ def at_states(key_frames: KeyFrames) -> Traffic:
     velocity = slow + fraction[..., None] * (fast - slow)
     velocity = np.where((present & key_frames.is_agent[:, None])[..., None], velocity, 0.0)
     at_first = velocity[np.arange(count), present.argmax(axis=1)]
-    return Traffic(
+    return SampleTraffic(
         offsets=key_frames.offsets,
         box=np.where(present[..., None], box, 0.0),
         present=present,
@@ -108,7 +108,7 @@ def at_states(key_frames: KeyFrames) -> Traffic:
     )
 
 
-def touching_at_start(traffic: Traffic, footprints: Floats) -> Bools:
+def find_touching_at_start(traffic: SampleTraffic, footprints: Floats) -> Bools:
     """Objects that touch the car now: log replay takes them out of all states.
 
     ``footprints`` are (S, 5), the car's rectangle in each sample now.
@@ -116,6 +116,6 @@ def touching_at_start(traffic: Traffic, footprints: Floats) -> Bools:
     return traffic.present[:, 0] & boxes_overlap(footprints[traffic.sample_of()], traffic.box[:, 0])
 
 
-def without(traffic: Traffic, objects: Bools) -> Traffic:
+def remove_objects(traffic: SampleTraffic, objects: Bools) -> SampleTraffic:
     """The same objects with their numbers unchanged, some of them never there."""
     return replace(traffic, present=traffic.present & ~objects[:, None])

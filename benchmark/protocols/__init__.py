@@ -4,23 +4,23 @@ from collections.abc import Iterable
 from typing import Final
 
 from benchmark.errors import InputError, did_you_mean
-from benchmark.protocols.agent_driver import AgentDriver, RasterOfVAD
-from benchmark.protocols.bev_planner import BEVPlanner
+from benchmark.protocols.agent_driver import AgentDriverProtocol, AgentDriverSTP3Protocol
+from benchmark.protocols.bev_planner import BEVPlannerProtocol
 from benchmark.protocols.contract import (
     CollisionProtocol,
     GroundTruthMask,
-    Outcomes,
-    published_values,
-    says_all,
+    ProtocolOutcomes,
+    compute_published_values,
+    counts_at_all_horizons,
 )
-from benchmark.protocols.exact import Exact
-from benchmark.protocols.omnidrive import OmniDrive
-from benchmark.protocols.opendrivevla import OpenDriveVLA, OpenDriveVLAWithRasterOfVAD
-from benchmark.protocols.safemvdrive import SafeMVDrive, SafeMVDriveBox
-from benchmark.protocols.sparsedrive import DiffusionDrive, SparseDrive
-from benchmark.protocols.stp3 import STP3
-from benchmark.protocols.uniad import UniAD
-from benchmark.protocols.vad import COUNTED_23, COUNTED_32, VAD
+from benchmark.protocols.exact import ExactProtocol
+from benchmark.protocols.omnidrive import OmniDriveProtocol
+from benchmark.protocols.opendrivevla import OpenDriveVLAProtocol, OpenDriveVLASTP3Protocol
+from benchmark.protocols.safemvdrive import SafeMVDriveBoxProtocol, SafeMVDriveProtocol
+from benchmark.protocols.sparsedrive import DiffusionDriveProtocol, SparseDriveProtocol
+from benchmark.protocols.stp3 import STP3Protocol
+from benchmark.protocols.uniad import UniADProtocol
+from benchmark.protocols.vad import COUNTED_23, COUNTED_32, VADProtocol
 
 __all__ = [
     "LEAVING_OUT",
@@ -30,13 +30,13 @@ __all__ = [
     "STANDARD",
     "CollisionProtocol",
     "GroundTruthMask",
-    "Outcomes",
-    "masking_protocols",
-    "protocol",
-    "published_values",
+    "ProtocolOutcomes",
+    "compute_published_values",
+    "counts_at_all_horizons",
+    "find_category_protocols",
+    "find_masking_protocols",
+    "find_protocol",
     "register",
-    "says_all",
-    "using_categories",
 ]
 
 PROTOCOLS: dict[str, CollisionProtocol] = {}
@@ -68,7 +68,7 @@ def register(definition: CollisionProtocol) -> None:
     PROTOCOLS[definition.name] = definition
 
 
-def protocol(name: str) -> CollisionProtocol:
+def find_protocol(name: str) -> CollisionProtocol:
     """Look a protocol up.
 
     Args:
@@ -85,33 +85,33 @@ def protocol(name: str) -> CollisionProtocol:
     return PROTOCOLS[name]
 
 
-def using_categories(names: Iterable[str]) -> tuple[str, ...]:
+def find_category_protocols(names: Iterable[str]) -> tuple[str, ...]:
     """Those of some known protocols for which it depends on an object's category whether it can be hit."""
     # Protocols of other packages may be older than the question.
     return tuple(name for name in names if getattr(PROTOCOLS[name], "uses_categories", True))
 
 
-def masking_protocols() -> dict[str, GroundTruthMask]:
+def find_masking_protocols() -> dict[str, GroundTruthMask]:
     """Protocols that take back collisions at steps at which the recorded ego collides, in the order of `PROTOCOLS`."""
     return {name: definition for name, definition in PROTOCOLS.items() if isinstance(definition, GroundTruthMask)}
 
 
 for definition in (
-    Exact(),
-    UniAD(),
-    VAD("vad", COUNTED_32),
-    VAD("vad-23", COUNTED_23),
-    SparseDrive(),
-    DiffusionDrive(),
-    STP3(),
-    BEVPlanner(),
-    OmniDrive(),
-    SafeMVDrive(),
-    SafeMVDriveBox("safemvdrive-box", needs_points=True),
-    SafeMVDriveBox("safemvdrive-box-all", needs_points=False),
-    OpenDriveVLA(),
-    OpenDriveVLAWithRasterOfVAD(),
-    AgentDriver(),
-    RasterOfVAD(),
+    ExactProtocol(),
+    UniADProtocol(),
+    VADProtocol("vad", COUNTED_32),
+    VADProtocol("vad-23", COUNTED_23),
+    SparseDriveProtocol(),
+    DiffusionDriveProtocol(),
+    STP3Protocol(),
+    BEVPlannerProtocol(),
+    OmniDriveProtocol(),
+    SafeMVDriveProtocol(),
+    SafeMVDriveBoxProtocol("safemvdrive-box", needs_points=True),
+    SafeMVDriveBoxProtocol("safemvdrive-box-all", needs_points=False),
+    OpenDriveVLAProtocol(),
+    OpenDriveVLASTP3Protocol(),
+    AgentDriverProtocol(),
+    AgentDriverSTP3Protocol(),
 ):
     register(definition)

@@ -21,20 +21,20 @@ other times (scenes at another rate are not counted, `benchmark.datasets.steps`)
 import numpy as np
 
 from benchmark.geometry import Floats
-from benchmark.protocols.contract import Outcomes, masked_columns, means_up_to
-from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells, ego_cells, truncated
-from benchmark.protocols.uniad import UniAD
-from benchmark.protocols.vad import COUNTED_32, VAD
+from benchmark.protocols.contract import ProtocolOutcomes, average_masked_columns, average_up_to
+from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells, compute_ego_cells, truncate_cells
+from benchmark.protocols.uniad import UniADProtocol
+from benchmark.protocols.vad import COUNTED_32, VADProtocol
 
 
-class AgentDriver(UniAD):
+class AgentDriverProtocol(UniADProtocol):
     """UniAD under another name; the module's docstring says why."""
 
     name = "agent-driver"
     version = 1
 
 
-class RasterOfVAD(VAD):
+class AgentDriverSTP3Protocol(VADProtocol):
     """VAD's objects under UniAD's block, x mirrored; every sample counts, with means over the steps.
 
     The name is ``agent-driver-stp3``, or that of a protocol that is the same.
@@ -48,26 +48,26 @@ class RasterOfVAD(VAD):
 
     def ego_block(self, waypoints_lidar: Floats) -> Cells:
         """The block on the turned raster, as cells of the raster that is drawn, (..., 32, 2)."""
-        return CELLS - 1 - mirrored_block(waypoints_lidar)
+        return CELLS - 1 - compute_mirrored_block(waypoints_lidar)
 
     def point_cells(self, waypoints_lidar: Floats) -> Floats:
         """The cell below each waypoint, as a cell of the raster that is drawn, (S, 6, 2)."""
-        return CELLS - 1 - mirrored_point(waypoints_lidar)
+        return CELLS - 1 - compute_mirrored_point(waypoints_lidar)
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.
 
         Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
         """
-        return masked_columns(outcomes, means_up_to)
+        return average_masked_columns(outcomes, average_up_to)
 
 
-def mirrored_block(waypoints_lidar: Floats) -> Cells:
+def compute_mirrored_block(waypoints_lidar: Floats) -> Cells:
     """UniAD's block where x is to the left: (..., 32, 2) rows from behind and columns from the right."""
-    return truncated(ego_cells(waypoints_lidar * [-1.0, 1.0]))
+    return truncate_cells(compute_ego_cells(waypoints_lidar * [-1.0, 1.0]))
 
 
-def mirrored_point(waypoints_lidar: Floats) -> Floats:
+def compute_mirrored_point(waypoints_lidar: Floats) -> Floats:
     """The cell below each waypoint there, rounded towards zero, (..., 2)."""
     forward_left = waypoints_lidar[..., ::-1] * [1.0, -1.0]
     return np.asarray(np.trunc((forward_left + (EXTENT_M - 0.5 * CELL_M)) / CELL_M))

@@ -35,20 +35,20 @@ from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols.contract import Outcomes, any_up_to, means_up_to
+from benchmark.protocols.contract import ProtocolOutcomes, any_up_to, average_up_to
 from benchmark.protocols.fine_grid import (
     CELL_M,
     CELLS,
     FIRST_CELL_M,
     MOVING_M,
-    Points,
-    TurnedFootprint,
+    FootprintCells,
+    PointCells,
+    compute_step_headings,
     fill,
+    find_touched,
     outline,
-    step_headings,
-    touched,
 )
-from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
 from benchmark.protocols.uniad import VEHICLES
 from benchmark.truth import Roads, SampleTruth
 
@@ -56,7 +56,7 @@ _SAMPLES_AT_ONCE = 64
 """Samples whose kerbs are held at the same time."""
 
 
-class BEVPlanner:
+class BEVPlannerProtocol:
     """Vehicles and kerbs on a fine grid, with maxima over the steps; the module's docstring says all."""
 
     name = "bev-planner"
@@ -72,9 +72,9 @@ class BEVPlanner:
 
     def headings(self, plans_lidar: Floats) -> Floats:
         """Direction of each step of at least a metre, else straight ahead."""
-        return step_headings(forward_left(plans_lidar), moving_m=MOVING_M) + np.pi / 2
+        return compute_step_headings(to_forward_left(plans_lidar), moving_m=MOVING_M) + np.pi / 2
 
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
         """Judge plans.
 
         Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary``, ``obj_col``,
@@ -83,14 +83,18 @@ class BEVPlanner:
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
-        paths = [forward_left(path) for path in (plans, stacked.ego_future[..., :2])]
-        plan, recorded, below = footprint(paths[0]), footprint(paths[1]), Points(paths[0].reshape(-1, 2), np.float32)
-        contacts = touched((plan, recorded, below), *drawn_polygons(self, stacked), fill)
+        paths = [to_forward_left(path) for path in (plans, stacked.ego_future[..., :2])]
+        plan, recorded, below = (
+            build_footprint(paths[0]),
+            build_footprint(paths[1]),
+            PointCells(paths[0].reshape(-1, 2), np.float32),
+        )
+        contacts = find_touched((plan, recorded, below), *draw_polygons(self, stacked), fill)
         on_plan, on_recorded, at_point = (hit.reshape(-1, PLAN_STEPS) for hit in contacts)
-        kerb, kerb_recorded, kerb_point = at_kerbs(stacked, *paths)
-        return Outcomes(
+        kerb, kerb_recorded, kerb_point = find_kerb_contacts(stacked, *paths)
+        return ProtocolOutcomes(
             collision=on_plan & ~on_recorded,
-            l2=displacement(plans, stacked),
+            l2=compute_displacement(plans, stacked),
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1),
             steps={
@@ -113,10 +117,10 @@ class BEVPlanner:
         """
         if not among.any():
             return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
-        cover = footprint(forward_left(truths.ego_future[..., :2]))
-        return touched((cover,), *drawn_polygons(self, truths, among), fill)[0].reshape(-1, PLAN_STEPS)
+        cover = build_footprint(to_forward_left(truths.ego_future[..., :2]))
+        return find_touched((cover,), *draw_polygons(self, truths, among), fill)[0].reshape(-1, PLAN_STEPS)
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """Maxima over the steps up to each horizon, means of L2 and of ``kerb_point``.
 
         ``collision``, ``collision_before_mask``, ``obj_col``, ``l2``, ``kerb``, ``kerb_before_mask`` and
@@ -127,26 +131,26 @@ class BEVPlanner:
             "collision": any_up_to(outcomes.collision),
             "collision_before_mask": any_up_to(outcomes.step("before_mask")),
             "obj_col": any_up_to(outcomes.step("obj_col")),
-            "l2": means_up_to(outcomes.l2),
+            "l2": average_up_to(outcomes.l2),
             "kerb": np.where(mapped, any_up_to(outcomes.step("kerb")), np.nan),
             "kerb_before_mask": np.where(mapped, any_up_to(outcomes.step("kerb_before_mask")), np.nan),
-            "kerb_point": np.where(mapped, means_up_to(outcomes.step("kerb_point")), np.nan),
+            "kerb_point": np.where(mapped, average_up_to(outcomes.step("kerb_point")), np.nan),
         }
 
 
-def forward_left(waypoints_lidar: Floats) -> Floats:
+def to_forward_left(waypoints_lidar: Floats) -> Floats:
     """(..., 2) x right, y forward as x forward, y left: the axes are turned, the point is not moved."""
     return np.stack([waypoints_lidar[..., 1], -waypoints_lidar[..., 0]], axis=-1)
 
 
-def footprint(path: Floats) -> TurnedFootprint:
+def build_footprint(path: Floats) -> FootprintCells:
     """The ego along (S, 6, 2) waypoints, x forward, y left, in single precision."""
-    heading = step_headings(path, moving_m=MOVING_M)
-    return TurnedFootprint(path.reshape(-1, 2), heading.reshape(-1), np.float32)
+    heading = compute_step_headings(path, moving_m=MOVING_M)
+    return FootprintCells(path.reshape(-1, 2), heading.reshape(-1), np.float32)
 
 
-def drawn_polygons(
-    definition: BEVPlanner, truths: StackedTruths, among: Bools | None = None
+def draw_polygons(
+    definition: BEVPlannerProtocol, truths: StackedTruths, among: Bools | None = None
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Corners of counted objects on the grid, in single precision throughout.
 
@@ -165,7 +169,7 @@ def drawn_polygons(
     return cells, truths.sample_of[objects] * PLAN_STEPS + steps
 
 
-def at_kerbs(truths: StackedTruths, plans: Floats, recorded: Floats) -> list[Bools]:
+def find_kerb_contacts(truths: StackedTruths, plans: Floats, recorded: Floats) -> list[Bools]:
     """Contacts with the kerb, some samples at a time, so that never all lines are held.
 
     Args:
@@ -180,15 +184,19 @@ def at_kerbs(truths: StackedTruths, plans: Floats, recorded: Floats) -> list[Boo
     for start in range(0, len(plans), _SAMPLES_AT_ONCE):
         some = slice(start, start + _SAMPLES_AT_ONCE)
         path = plans[some]
-        looked_at = (footprint(path), footprint(recorded[some]), Points(path.reshape(-1, 2), np.float32))
-        lines, place_of = _kerbs_of(truths.roads[some], looked_at)
-        for verdicts, hit in zip(contacts, touched(looked_at, lines, place_of, outline)):
+        looked_at = (
+            build_footprint(path),
+            build_footprint(recorded[some]),
+            PointCells(path.reshape(-1, 2), np.float32),
+        )
+        lines, place_of = _collect_kerbs(truths.roads[some], looked_at)
+        for verdicts, hit in zip(contacts, find_touched(looked_at, lines, place_of, outline)):
             verdicts[some] = hit.reshape(-1, PLAN_STEPS)
     return contacts
 
 
-def _kerbs_of(
-    roads: Sequence[Roads | None], looked_at: Sequence[TurnedFootprint | Points]
+def _collect_kerbs(
+    roads: Sequence[Roads | None], looked_at: Sequence[FootprintCells | PointCells]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Lines of the kerbs around samples at each of the six steps, (N, 2, 2), and (N,) the place of each.
 
@@ -198,7 +206,7 @@ def _kerbs_of(
     low = np.min([first.min(axis=1) for first, _ in bounds], axis=0) - 1
     high = np.max([last.max(axis=1) for _, last in bounds], axis=0) + 1
     none = np.zeros((0, 2, 2), np.int32)
-    parts = [none if around is None or not around.has_kerbs else kerb_cells(around) for around in roads]
+    parts = [none if around is None or not around.has_kerbs else compute_kerb_cells(around) for around in roads]
     lines, sample_of = np.concatenate(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     first, last = (turn(lines[:, 0], lines[:, 1])[:, ::-1] for turn in (np.minimum, np.maximum))
     near = ((first <= high[sample_of]) & (last >= low[sample_of])).all(axis=-1)
@@ -206,7 +214,7 @@ def _kerbs_of(
     return np.tile(lines[near], (PLAN_STEPS, 1, 1)), places.reshape(-1)
 
 
-def kerb_cells(roads: Roads) -> NDArray[np.int32]:
+def compute_kerb_cells(roads: Roads) -> NDArray[np.int32]:
     """(N, 2, 2) column and row of both ends of every line of the kerb; what is off the grid is squeezed onto it."""
     points = roads.kerb_lines().astype(np.float32)
     cells = (points - np.float32(FIRST_CELL_M)) / np.float32(CELL_M)

@@ -17,7 +17,7 @@ from benchmark.truth import SampleTruth
 
 
 @dataclass(frozen=True, slots=True)
-class Outcomes:
+class ProtocolOutcomes:
     """The verdicts of one protocol on S samples.
 
     Attributes:
@@ -69,7 +69,7 @@ class Outcomes:
         ]
 
     @classmethod
-    def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> "Outcomes":
+    def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> "ProtocolOutcomes":
         """The inverse of `as_rows`."""
         shape = (len(rows), PLAN_STEPS)
         # Null becomes NaN, which no displacement is.
@@ -141,7 +141,7 @@ class CollisionProtocol(Protocol):
             (S, 6) radians.
         """
 
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
         """Judge plans against what really happened.
 
         The verdict on a sample must not depend on the other samples.
@@ -154,7 +154,7 @@ class CollisionProtocol(Protocol):
             The verdicts.
         """
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """How much each sample adds to each published number.
 
         The rate at a horizon is the sum of these values over the counted samples divided by their number, so
@@ -169,7 +169,7 @@ class CollisionProtocol(Protocol):
         """
 
 
-def says_all(definition: CollisionProtocol, outcomes: Outcomes) -> Bools:
+def counts_at_all_horizons(definition: CollisionProtocol, outcomes: ProtocolOutcomes) -> Bools:
     """(S,) which samples count at all three horizons.
 
     False where a sample counts but a gap in the recording leaves some of its steps unknown, or the data do not say
@@ -178,7 +178,7 @@ def says_all(definition: CollisionProtocol, outcomes: Outcomes) -> Bools:
     return np.logical_and(outcomes.decided, outcomes.valid.all(axis=-1) | definition.counts_incomplete)
 
 
-def published_values(definition: CollisionProtocol, outcomes: Outcomes) -> dict[str, Floats]:
+def compute_published_values(definition: CollisionProtocol, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
     """`CollisionProtocol.sample_values`, less all of which nothing is known.
 
     Columns by name, each (S, 3); those of contacts are NaN where ``outcomes.known`` is False.
@@ -217,24 +217,24 @@ class GroundTruthMask(CollisionProtocol, Protocol):
         """
 
 
-def at_steps(values: NDArray[Any]) -> Floats:
+def select_horizons(values: NDArray[Any]) -> Floats:
     """(S, 6) values at the steps: those at 1, 2 and 3 s themselves, (S, 3)."""
     return np.asarray(values[:, [count - 1 for count in HORIZON_STEPS.values()]], np.float64)
 
 
-def means_up_to(values: NDArray[Any]) -> Floats:
-    """Mean over the steps up to each horizon; arguments as in `at_steps`."""
+def average_up_to(values: NDArray[Any]) -> Floats:
+    """Mean over the steps up to each horizon; arguments as in `select_horizons`."""
     means = [values[:, :count].mean(axis=1) for count in HORIZON_STEPS.values()]
     return np.asarray(np.stack(means, axis=1), np.float64)
 
 
 def any_up_to(verdicts: Bools) -> Floats:
-    """1 if any step up to the horizon is positive, else 0; arguments as in `at_steps`."""
+    """1 if any step up to the horizon is positive, else 0; arguments as in `select_horizons`."""
     any_so_far = [verdicts[:, :count].any(axis=1) for count in HORIZON_STEPS.values()]
     return np.asarray(np.stack(any_so_far, axis=1), np.float64)
 
 
-def masked_columns(outcomes: Outcomes, average: Callable[[NDArray[Any]], Floats]) -> dict[str, Floats]:
+def average_masked_columns(outcomes: ProtocolOutcomes, average: Callable[[NDArray[Any]], Floats]) -> dict[str, Floats]:
     """The columns of a protocol with a mask and a test of the point below, all averaged in the same way.
 
     ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3), of verdicts with the steps

@@ -29,9 +29,9 @@ import numpy as np
 
 from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, poses_between, wrap_angle
-from benchmark.protocols.contract import Outcomes, any_up_to, at_steps, means_up_to
+from benchmark.protocols.contract import ProtocolOutcomes, any_up_to, average_up_to, select_horizons
 from benchmark.protocols.raster import ADVERSARY_S, HIT_ADVERSARY
-from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings
 
@@ -58,7 +58,7 @@ class FirstContact:
     adversary_s: float | None = None
 
 
-class Exact:
+class ExactProtocol:
     """See the module's docstring."""
 
     name = "exact"
@@ -75,7 +75,7 @@ class Exact:
         """Chords between the neighbouring waypoints, held where the car hardly moves."""
         return chord_headings(plans_lidar, start_heading_rad=np.pi / 2)
 
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
         """Judge plans.
 
         Returns:
@@ -87,19 +87,19 @@ class Exact:
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         truths = [truth.by_clock for truth in truths]
         stacked = stack(truths)
-        ego = ego_boxes(plans)
+        ego = compute_plan_boxes(plans)
         contact = np.zeros(ego.shape[:2], dtype=np.bool_)
         first: list[FirstContact] = []
         for start in range(0, len(truths), _SAMPLES_AT_ONCE):
             batch = slice(start, start + _SAMPLES_AT_ONCE)
-            contact[batch], first_of_batch = contacts(ego[batch], truths[batch])
+            contact[batch], first_of_batch = find_contacts(ego[batch], truths[batch])
             first.extend(first_of_batch)
         by_step = contact.reshape(-1, PLAN_STEPS, INSTANTS_PER_STEP)
-        return Outcomes(
+        return ProtocolOutcomes(
             collision=by_step.any(axis=-1),
-            l2=displacement(plans, stacked),
+            l2=compute_displacement(plans, stacked),
             valid=stacked.ego_future_valid,
-            counted=stacked.ego_future_valid.all(axis=-1) | _cut_short(truths),
+            counted=stacked.ego_future_valid.all(axis=-1) | _are_cut_short(truths),
             steps={"waypoint_collision": by_step[..., -1]},
             facts={
                 "first_contact_s": tuple(first_contact.time_s for first_contact in first),
@@ -109,15 +109,15 @@ class Exact:
             },
         )
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """Any contact up to the horizon; displacement at the horizon; mean displacement up to it.
 
         ``collision``, ``l2`` and ``ade``; NaN where a counted sample has unknown steps up to there.
         """
         columns = {
             "collision": any_up_to(outcomes.collision),
-            "l2": at_steps(outcomes.l2),
-            "ade": means_up_to(outcomes.l2),
+            "l2": select_horizons(outcomes.l2),
+            "ade": average_up_to(outcomes.l2),
         }
         unknown = any_up_to(np.logical_and(~outcomes.valid, outcomes.counted[:, None])) > 0
         return (
@@ -125,31 +125,31 @@ class Exact:
         )
 
 
-def _cut_short(truths: Sequence[SampleTruth]) -> Bools:
+def _are_cut_short(truths: Sequence[SampleTruth]) -> Bools:
     """(S,) whether a sample's recording goes on for 3 s, and its first second is known, but not all of the rest is."""
     first = HORIZON_STEPS["1s"]
     return np.array([truth.cut_short and bool(truth.ego_future_valid[:first].all()) for truth in truths], np.bool_)
 
 
-def judged_longer(truths: Sequence[SampleTruth], plans_lidar: Floats) -> tuple[Bools, Floats]:
+def evaluate_longer_plans(truths: Sequence[SampleTruth], plans_lidar: Floats) -> tuple[Bools, Floats]:
     """Plans of any number of steps, by the same definition.
 
     Args:
-        truths: S samples with as many steps (`benchmark.datasets.sample_truth.truth_of_scene`).
+        truths: S samples with as many steps (`benchmark.datasets.sample_truth.compute_truth`).
         plans_lidar: (S, N, 2) waypoints of the lidar origin, x right, y forward, metres.
 
     Returns:
         (S, N) contact at each step and (S, N) displacement, NaN where the recorded ego does not exist.
     """
     truths = [truth.by_clock for truth in truths]
-    contact, _ = contacts(ego_boxes(plans_lidar), truths)
+    contact, _ = find_contacts(compute_plan_boxes(plans_lidar), truths)
     offset = plans_lidar - np.array([truth.ego_future for truth in truths])[..., :2]
     valid = np.array([truth.ego_future_valid for truth in truths])
     l2 = np.where(valid, np.hypot(offset[..., 0], offset[..., 1]), np.nan)
     return contact.reshape(*plans_lidar.shape[:2], INSTANTS_PER_STEP).any(axis=-1), l2
 
 
-def ego_boxes(plans_lidar: Floats) -> Floats:
+def compute_plan_boxes(plans_lidar: Floats) -> Floats:
     """(..., 5 N, 5) boxes of the ego at the instants 0.1, 0.2, ... s of a plan: 30 of them for 3 s.
 
     The (..., N, 2) waypoints are of the lidar origin, x right, y forward, metres.
@@ -159,11 +159,11 @@ def ego_boxes(plans_lidar: Floats) -> Floats:
     poses = np.concatenate([plans, heading[..., None]], axis=-1)
     start = np.broadcast_to([0.0, 0.0, np.pi / 2], (*poses.shape[:-2], 1, 3))
     before = np.concatenate([start, poses[..., :-1, :]], axis=-2)
-    boxes = footprints_between(before, poses)
+    boxes = interpolate_footprints(before, poses)
     return boxes.reshape(*poses.shape[:-2], poses.shape[-2] * INSTANTS_PER_STEP, 5)
 
 
-def footprints_between(first: Floats, second: Floats) -> Floats:
+def interpolate_footprints(first: Floats, second: Floats) -> Floats:
     """The ego's rectangle at the five instants of each interval between two poses, the first pose left out.
 
     (..., 5, 5) instants, then x, y, length, width, yaw. Poses are of the lidar, (..., 3), half a second apart, in
@@ -172,7 +172,7 @@ def footprints_between(first: Floats, second: Floats) -> Floats:
     return ego_footprints(poses_between(first[..., None, :], second[..., None, :], _fractions()))
 
 
-def object_boxes(boxes: Floats, annotated: Bools) -> tuple[Floats, Bools]:
+def interpolate_object_boxes(boxes: Floats, annotated: Bools) -> tuple[Floats, Bools]:
     """Objects at the five instants after each keyframe but the last, and whether they are there.
 
     Args:
@@ -197,7 +197,7 @@ def _fractions() -> Floats:
     return np.arange(1, INSTANTS_PER_STEP + 1) / INSTANTS_PER_STEP
 
 
-def contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[FirstContact]]:
+def find_contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[FirstContact]]:
     """Contacts of any rectangle with the annotated objects: (S, 30) verdicts, and the first contact of each sample.
 
     ``ego`` are (S, 30, 5) boxes at the instants 0.1, 0.2, ... 3.0 s.
@@ -205,7 +205,7 @@ def contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[Fi
     boxes = np.concatenate([truth.boxes for truth in truths])
     annotated = np.concatenate([truth.annotated for truth in truths])
     sample_of = np.repeat(np.arange(len(truths)), [len(truth.instances) for truth in truths])
-    objects, present = object_boxes(boxes, annotated)
+    objects, present = interpolate_object_boxes(boxes, annotated)
     mine = ego[sample_of]
     # Two boxes can only touch if the circles around them do.
     offset = objects[..., :2] - mine[..., :2]

@@ -44,7 +44,7 @@ def _footprint() -> Cells:
 FOOTPRINT: Final = _footprint()
 
 
-def step_headings(waypoints: Floats, *, moving_m: float) -> Floats:
+def compute_step_headings(waypoints: Floats, *, moving_m: float) -> Floats:
     """(..., 6) radians of the step that ends at each waypoint, straight ahead where the step is short.
 
     Waypoints are x forward, y left, metres; ``moving_m`` is the shortest step that turns the car.
@@ -54,7 +54,7 @@ def step_headings(waypoints: Floats, *, moving_m: float) -> Floats:
     return np.where(np.hypot(step[..., 0], step[..., 1]) < moving_m, 0.0, heading)
 
 
-class TurnedFootprint:
+class FootprintCells:
     """Cells of the ego at P places.
 
     Attributes:
@@ -91,7 +91,7 @@ class TurnedFootprint:
         return np.clip(low, 0, CELLS - 1), np.clip(high, 0, CELLS - 1)
 
 
-class Points:
+class PointCells:
     """The single cell below each of P places; none where that lies off the grid.
 
     Attributes:
@@ -113,8 +113,8 @@ class Points:
         return self.cell.astype(np.float64), self.cell.astype(np.float64)
 
 
-def touched(
-    looked_at: Sequence[TurnedFootprint | Points],
+def find_touched(
+    looked_at: Sequence[FootprintCells | PointCells],
     polygons: NDArray[np.int32],
     place_of: NDArray[np.int64],
     draw: Callable[[NDArray[np.uint8], NDArray[np.int32]], None],

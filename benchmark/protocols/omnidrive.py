@@ -36,16 +36,16 @@ from numpy.typing import NDArray
 
 from benchmark.constants import EGO_WIDTH_M, PLAN_STEPS, VEHICLE_CATEGORIES
 from benchmark.geometry import Bools, Floats, box_corners
-from benchmark.protocols.contract import Outcomes, any_up_to, means_up_to
+from benchmark.protocols.contract import ProtocolOutcomes, any_up_to, average_up_to
 from benchmark.protocols.fine_grid import (
     CELL_M,
     CELLS,
     CENTER_AHEAD_M,
     MOVING_M,
-    TurnedFootprint,
+    FootprintCells,
+    compute_step_headings,
     fill,
-    step_headings,
-    touched,
+    find_touched,
 )
 from benchmark.protocols.stacked import StackedTruths, stack
 from benchmark.truth import Roads, SampleTruth
@@ -59,7 +59,7 @@ _SILENT: Final = 0.01
 """Numbers of the text that are no larger are written as zero."""
 
 
-class OmniDrive:
+class OmniDriveProtocol:
     """Vehicles of now on a fine grid and the drivable area, with maxima; the module's docstring says all."""
 
     name = "omnidrive"
@@ -74,10 +74,10 @@ class OmniDrive:
 
     def headings(self, plans_lidar: Floats) -> Floats:
         """Direction of each step of at least a metre, else straight ahead; of the written plan."""
-        path = written(axle_path(np.asarray(plans_lidar, np.float64), np.zeros(len(plans_lidar))))
-        return step_headings(path, moving_m=MOVING_M) + np.pi / 2
+        path = round_to_text(to_axle_path(np.asarray(plans_lidar, np.float64), np.zeros(len(plans_lidar))))
+        return compute_step_headings(path, moving_m=MOVING_M) + np.pi / 2
 
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
         """Judge plans.
 
         Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``off_road``, and the
@@ -85,9 +85,9 @@ class OmniDrive:
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
-        return self.judged(stacked, written(axle_path(plans, stacked.ahead_m)), stacked.axle_future)
+        return self.judged(stacked, round_to_text(to_axle_path(plans, stacked.ahead_m)), stacked.axle_future)
 
-    def judged(self, truths: StackedTruths, path: Floats, recorded: Floats) -> Outcomes:
+    def judged(self, truths: StackedTruths, path: Floats, recorded: Floats) -> ProtocolOutcomes:
         """Judge plans of the rear axle as they are, as `evaluate` does.
 
         Args:
@@ -95,12 +95,12 @@ class OmniDrive:
             path: (S, 6, 2) waypoints of the rear axle, x forward, y left, metres.
             recorded: (S, 6, 2) those of the recorded ego.
         """
-        covers = [footprint(path), footprint(recorded)]
-        contacts = touched(covers, *drawn_polygons(self, truths), fill)
+        covers = [build_footprint(path), build_footprint(recorded)]
+        contacts = find_touched(covers, *draw_polygons(self, truths), fill)
         on_plan, on_recorded = (hit.reshape(-1, PLAN_STEPS) for hit in contacts)
         offset, valid = path - recorded, truths.ego_future_valid
-        off_road, now = leaving(truths, path)
-        return Outcomes(
+        off_road, now = find_road_departures(truths, path)
+        return ProtocolOutcomes(
             collision=on_plan & ~on_recorded,
             l2=np.where(valid, np.hypot(offset[..., 0], offset[..., 1]), 0.0),
             valid=valid,
@@ -125,10 +125,10 @@ class OmniDrive:
         """Where (S, 6, 2) waypoints of the rear axle put the ego on some of M objects."""
         if not among.any():
             return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
-        polygons, place_of = drawn_polygons(self, truths, among)
-        return touched((footprint(path),), polygons, place_of, fill)[0].reshape(-1, PLAN_STEPS)
+        polygons, place_of = draw_polygons(self, truths, among)
+        return find_touched((build_footprint(path),), polygons, place_of, fill)[0].reshape(-1, PLAN_STEPS)
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """Maxima over the steps up to each horizon, means of L2.
 
         Columns are ``collision``, ``collision_before_mask``, ``l2`` and ``off_road``; the last is NaN for samples
@@ -138,7 +138,7 @@ class OmniDrive:
         return {
             "collision": any_up_to(outcomes.collision),
             "collision_before_mask": any_up_to(outcomes.step("before_mask")),
-            "l2": means_up_to(outcomes.l2),
+            "l2": average_up_to(outcomes.l2),
             "off_road": any_up_to(outcomes.step("off_road")) * on_road,
         }
 
@@ -146,7 +146,7 @@ class OmniDrive:
 _VEHICLES: Final = frozenset(VEHICLE_CATEGORIES)
 
 
-def axle_path(plans_lidar: Floats, ahead_m: Floats) -> Floats:
+def to_axle_path(plans_lidar: Floats, ahead_m: Floats) -> Floats:
     """Plans of the lidar, x right, y forward, as plans of the rear axle, x forward, y left; all in metres.
 
     Moved along the heading of each step by the distance of the lidar origin ahead of the rear axle.
@@ -158,20 +158,20 @@ def axle_path(plans_lidar: Floats, ahead_m: Floats) -> Floats:
     return np.stack([x, y], axis=-1)
 
 
-def written(path: Floats) -> Floats:
+def round_to_text(path: Floats) -> Floats:
     """Waypoints as the text has them: metres in whole hundredths."""
     rounded = np.round(path, 2)
     return np.where(np.abs(rounded) <= _SILENT, 0.0, rounded)
 
 
-def footprint(path: Floats) -> TurnedFootprint:
+def build_footprint(path: Floats) -> FootprintCells:
     """The ego along (S, 6, 2) waypoints, x forward, y left."""
-    heading = step_headings(path, moving_m=MOVING_M)
-    return TurnedFootprint(path.reshape(-1, 2), heading.reshape(-1), np.float64)
+    heading = compute_step_headings(path, moving_m=MOVING_M)
+    return FootprintCells(path.reshape(-1, 2), heading.reshape(-1), np.float64)
 
 
-def drawn_polygons(
-    definition: OmniDrive, truths: StackedTruths, among: Bools | None = None
+def draw_polygons(
+    definition: OmniDriveProtocol, truths: StackedTruths, among: Bools | None = None
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Corners of counted objects on the grid.
 
@@ -181,10 +181,10 @@ def drawn_polygons(
     objects, steps = np.nonzero(definition.counted_objects(truths) & selected)
     boxes = truths.boxes_in_ego(objects, steps + 1)
     boxes[:, 2:4] = truths.boxes[objects, 0, 2:4]
-    return _nodes(boxes), truths.sample_of[objects] * PLAN_STEPS + steps
+    return _round_to_nodes(boxes), truths.sample_of[objects] * PLAN_STEPS + steps
 
 
-def leaving(truths: StackedTruths, path: Floats) -> tuple[Bools, tuple[float | None, ...]]:
+def find_road_departures(truths: StackedTruths, path: Floats) -> tuple[Bools, tuple[float | None, ...]]:
     """Whether the ego's rectangle has a cell that is not drivable, sample by sample: one raster exists at a time.
 
     Args:
@@ -194,7 +194,7 @@ def leaving(truths: StackedTruths, path: Floats) -> tuple[Bools, tuple[float | N
     Returns:
         (S, 6) verdicts, and for each sample 1 if the rectangle is on the road now, 0 if not, ``None`` without a map.
     """
-    heading = step_headings(path, moving_m=0.0)
+    heading = compute_step_headings(path, moving_m=0.0)
     start = np.zeros((len(path), 1, 3))
     poses = np.concatenate([start, np.concatenate([path, heading[..., None]], axis=-1)], axis=1)
     center = poses[..., :2] + [CENTER_AHEAD_M, 0.0]
@@ -207,13 +207,13 @@ def leaving(truths: StackedTruths, path: Floats) -> tuple[Bools, tuple[float | N
         if roads is None:
             now.append(None)
             continue
-        off = _off_road(roads, boxes[sample], grid)
+        off = _find_off_road(roads, boxes[sample], grid)
         off_road[sample] = off[1:]
         now.append(float(not off[0]))
     return off_road, tuple(now)
 
 
-def _off_road(roads: Roads, boxes: Floats, grid: NDArray[np.uint8]) -> Bools:
+def _find_off_road(roads: Roads, boxes: Floats, grid: NDArray[np.uint8]) -> Bools:
     """(K,) whether boxes in the ego frame have a cell that is not drivable; drawn only where that is in doubt.
 
     ``grid`` is empty, and is so again afterwards.
@@ -223,7 +223,7 @@ def _off_road(roads: Roads, boxes: Floats, grid: NDArray[np.uint8]) -> Bools:
     if not len(doubt):
         return off
     drivable = roads.drivable_cells()
-    for place, corners in zip(doubt.tolist(), _nodes(boxes[doubt])):
+    for place, corners in zip(doubt.tolist(), _round_to_nodes(boxes[doubt])):
         cv2.fillPoly(grid, [corners], (1,))
         (left, top), (right, bottom) = np.maximum(corners.min(axis=0), 0), np.maximum(corners.max(axis=0) + 1, 0)
         window = (slice(top, bottom), slice(left, right))
@@ -232,6 +232,6 @@ def _off_road(roads: Roads, boxes: Floats, grid: NDArray[np.uint8]) -> Bools:
     return off
 
 
-def _nodes(boxes: Floats) -> NDArray[np.int32]:
+def _round_to_nodes(boxes: Floats) -> NDArray[np.int32]:
     """(N, 4, 2) column and row of the corners, rounded to the nearest node."""
     return np.asarray(np.round((box_corners(boxes) + HALF_M) / CELL_M), np.int32)

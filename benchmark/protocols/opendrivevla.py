@@ -19,13 +19,13 @@ other times (scenes at another rate are not counted, `benchmark.datasets.steps`)
 """
 
 from benchmark.geometry import Floats
-from benchmark.protocols.agent_driver import RasterOfVAD, mirrored_block, mirrored_point
-from benchmark.protocols.contract import Outcomes, means_up_to
+from benchmark.protocols.agent_driver import AgentDriverSTP3Protocol, compute_mirrored_block, compute_mirrored_point
+from benchmark.protocols.contract import ProtocolOutcomes, average_up_to
 from benchmark.protocols.raster import CELLS, Cells
-from benchmark.protocols.uniad import UniAD
+from benchmark.protocols.uniad import UniADProtocol
 
 
-class OpenDriveVLA(UniAD):
+class OpenDriveVLAProtocol(UniADProtocol):
     """UniAD on mirrored rasters; the module's docstring says all."""
 
     name = "opendrivevla"
@@ -33,27 +33,27 @@ class OpenDriveVLA(UniAD):
 
     def ego_block(self, waypoints_lidar: Floats) -> Cells:
         """The block on the mirrored raster, as cells of the raster that is drawn, (..., 32, 2)."""
-        cells = mirrored_block(waypoints_lidar)
+        cells = compute_mirrored_block(waypoints_lidar)
         cells[..., 1] = CELLS - 1 - cells[..., 1]
         return cells
 
     def point_cells(self, waypoints_lidar: Floats) -> Floats:
         """The cell below each waypoint, as a cell of the raster that is drawn, (S, 6, 2)."""
-        cells = mirrored_point(waypoints_lidar)
+        cells = compute_mirrored_point(waypoints_lidar)
         cells[..., 1] = CELLS - 1 - cells[..., 1]
         return cells
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """The value at each horizon, and the means up to it.
 
         ``collision``, ``collision_before_mask``, ``obj_col``, ``l2``, and as means ``collision_mean`` and
         ``l2_mean``.
         """
-        means = {"collision_mean": means_up_to(outcomes.collision), "l2_mean": means_up_to(outcomes.l2)}
+        means = {"collision_mean": average_up_to(outcomes.collision), "l2_mean": average_up_to(outcomes.l2)}
         return super().sample_values(outcomes) | means
 
 
-class OpenDriveVLAWithRasterOfVAD(RasterOfVAD):
+class OpenDriveVLASTP3Protocol(AgentDriverSTP3Protocol):
     """``agent-driver-stp3`` under another name."""
 
     def __init__(self) -> None:

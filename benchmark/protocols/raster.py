@@ -5,7 +5,7 @@ cell on each side. The ego is a block of 8 x 4 cells that is never turned. Both 
 roundings; each says in its own module where it puts them. `RasterProtocol` is what the two share.
 
 Only polygons near the cells that are asked for are drawn, one at a time into a grid of the full size: the clipping at
-the grid's border decides some cells inside it, so a smaller grid would not do. `full_rasters` draws everything, for
+the grid's border decides some cells inside it, so a smaller grid would not do. `draw_full_rasters` draws everything, for
 comparison with stored rasters and for pictures.
 
 Which road user a verdict is about: who is touched at each colliding step, and whether it is an adversary.
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols.contract import Outcomes
-from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.contract import ProtocolOutcomes
+from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
 from benchmark.truth import SampleTruth
 
 TOUCHED, TOUCHED_ADVERSARY = "touched", "touched_adversary"
@@ -44,7 +44,7 @@ def touches_adversary(collision: Sequence[bool], facts: Mapping[str, Any]) -> bo
     return None if first is None else bool(first)
 
 
-def touched_facts(
+def describe_touched(
     truths: StackedTruths, collision: Bools, objects: NDArray[np.int64], steps: NDArray[np.int64]
 ) -> dict[str, tuple[Any, ...]]:
     """Facts on which objects are touched at each colliding step.
@@ -87,7 +87,7 @@ EGO_BLOCK: Cells = np.stack(np.meshgrid(np.arange(97, 105), np.arange(98, 102), 
 """(32, 2) rows and columns that the ego covers at the origin: what drawing its 4.084 m x 1.85 m rectangle gives."""
 
 
-def ego_cells(waypoints_lidar: Floats) -> Floats:
+def compute_ego_cells(waypoints_lidar: Floats) -> Floats:
     """Row and column of the ego's block before rounding: cell counts from the grid's left and rear edge.
 
     (..., 32, 2) row (forward) and column (right) for (..., 2) waypoints, x right, y forward, metres. The official
@@ -97,7 +97,7 @@ def ego_cells(waypoints_lidar: Floats) -> Floats:
     return np.asarray(single.astype(np.float64)[..., None, :] + EGO_BLOCK)
 
 
-def truncated(cells: Floats) -> Cells:
+def truncate_cells(cells: Floats) -> Cells:
     """Cell indices rounded towards zero and squeezed into the grid, as both official codes do it.
 
     Whole numbers from 0 to 199: a block that leaves the grid is squashed on its border.
@@ -105,13 +105,13 @@ def truncated(cells: Floats) -> Cells:
     return np.clip(np.trunc(cells), 0, CELLS - 1).astype(np.int64)
 
 
-def bounds_of(cells: Cells) -> tuple[Cells, Cells]:
+def compute_bounds(cells: Cells) -> tuple[Cells, Cells]:
     """First and last row and column, (P, 2) each, of (P, C, 2) cells: C at a time, not two."""
     apart = np.ascontiguousarray(np.moveaxis(cells, 1, 0))
     return apart.min(axis=0), apart.max(axis=0)
 
 
-def occupied(
+def find_occupied_cells(
     polygons: NDArray[np.int32],
     place_of: NDArray[np.int64],
     cells: Sequence[Cells],
@@ -123,12 +123,12 @@ def occupied(
         polygons: (N, 4, 2) corners, column first.
         place_of: (N,) which of P places (a sample at a step) a polygon belongs to.
         cells: Groups of cells to look at, each (P, C, 2), row first.
-        bounds: `bounds_of` each group, where they are at hand.
+        bounds: `compute_bounds` each group, where they are at hand.
     """
     covered = [np.zeros(group.shape[:2], dtype=np.bool_) for group in cells]
     low, high = polygons.min(axis=1)[:, ::-1], polygons.max(axis=1)[:, ::-1]
     near = np.zeros(len(polygons), dtype=np.bool_)
-    for first, last in map(bounds_of, cells) if bounds is None else bounds:
+    for first, last in map(compute_bounds, cells) if bounds is None else bounds:
         near |= ((low <= last[place_of]) & (high >= first[place_of])).all(axis=-1)
     grid = np.zeros((CELLS, CELLS), np.uint8)
     for index in np.flatnonzero(near).tolist():
@@ -142,10 +142,10 @@ def occupied(
     return covered
 
 
-def covering(
+def find_covering_polygons(
     polygons: NDArray[np.int32], place_of: NDArray[np.int64], cells: Cells, counts: Bools | None = None
 ) -> Bools:
-    """(N,) which polygons cover a cell of their place: `occupied`, asked of each polygon.
+    """(N,) which polygons cover a cell of their place: `find_occupied_cells`, asked of each polygon.
 
     Args:
         polygons: (N, 4, 2) corners, column first.
@@ -168,8 +168,8 @@ def _may_reach(
 ) -> Bools:
     """A cheap test that leaves few polygons to compute: whether each of (N, 5) boxes could cover any of the cells.
 
-    ``bounds`` are those of the cells (`bounds_of`), ``rows`` are those on which the boxes' centres lie, not rounded.
-    The rest is as for `occupied`. True too often, but never False where `occupied` finds a cell.
+    ``bounds`` are those of the cells (`compute_bounds`), ``rows`` are those on which the boxes' centres lie, not rounded.
+    The rest is as for `find_occupied_cells`. True too often, but never False where `find_occupied_cells` finds a cell.
     """
     # Half the diagonal, and a cell for the roundings of corner and outline.
     reach = 0.5 * np.hypot(boxes[:, 2], boxes[:, 3]) / CELL_M + 1.0
@@ -182,7 +182,7 @@ def _may_reach(
     return near
 
 
-def full_rasters(polygons: NDArray[np.int32], place_of: NDArray[np.int64], places: int) -> NDArray[np.uint8]:
+def draw_full_rasters(polygons: NDArray[np.int32], place_of: NDArray[np.int64], places: int) -> NDArray[np.uint8]:
     """(places, 200, 200) ones where polygons, (N, 4, 2) corners with the column first, are drawn."""
     grids = np.zeros((places, CELLS, CELLS), np.uint8)
     for polygon, place in zip(list(polygons), place_of.tolist()):
@@ -235,12 +235,12 @@ class RasterProtocol(ABC):
 
     def ego_block(self, waypoints_lidar: Floats) -> Cells:
         """(..., 32, 2) rows and columns that the ego covers at each waypoint (x right, y forward, metres)."""
-        cells = ego_cells(waypoints_lidar)
+        cells = compute_ego_cells(waypoints_lidar)
         if self.first_row_ahead:
             cells[..., 0] = CELLS - cells[..., 0]
-        return truncated(cells)
+        return truncate_cells(cells)
 
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
         """Judge plans.
 
         Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``.
@@ -250,12 +250,12 @@ class RasterProtocol(ABC):
         plan, recorded = self.ego_block(plans), self.ego_block(stacked.ego_future[..., :2])
         point = self.point_cells(plans)
         inside = ((point >= 0) & (point < CELLS)).all(axis=-1)
-        groups = (plan, recorded, truncated(point)[..., None, :])
-        on_plan, on_recorded, at_point = self._covered(stacked, self.counted_objects(stacked), groups)
+        groups = (plan, recorded, truncate_cells(point)[..., None, :])
+        on_plan, on_recorded, at_point = self._find_covered(stacked, self.counted_objects(stacked), groups)
         collision = on_plan & ~on_recorded
-        return Outcomes(
+        return ProtocolOutcomes(
             collision=collision,
-            l2=displacement(plans, stacked),
+            l2=compute_displacement(plans, stacked),
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1) | self.counts_incomplete,
             steps={
@@ -272,8 +272,8 @@ class RasterProtocol(ABC):
         objects, steps = np.nonzero(self.counted_objects(truths) & collision[truths.sample_of])
         places = truths.sample_of[objects] * PLAN_STEPS + steps
         flat = cells.reshape(-1, cells.shape[-2], 2)
-        hit = covering(self.drawn_polygons(self.drawn_boxes(truths, objects, steps)), places, flat)
-        return touched_facts(truths, collision, objects[hit], steps[hit])
+        hit = find_covering_polygons(self.drawn_polygons(self.drawn_boxes(truths, objects, steps)), places, flat)
+        return describe_touched(truths, collision, objects[hit], steps[hit])
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: whether the recorded ego's block covers a cell of some objects.
@@ -281,16 +281,16 @@ class RasterProtocol(ABC):
         Of the objects asked about, the counted ones are drawn.
         """
         block = self.ego_block(truths.ego_future[..., :2])
-        return self._covered(truths, self.counted_objects(truths) & among[:, None], (block,))[0]
+        return self._find_covered(truths, self.counted_objects(truths) & among[:, None], (block,))[0]
 
-    def _covered(self, truths: StackedTruths, drawn: Bools, groups: Sequence[Cells]) -> list[Bools]:
+    def _find_covered(self, truths: StackedTruths, drawn: Bools, groups: Sequence[Cells]) -> list[Bools]:
         """For each group of (S, 6, C, 2) cells whether (S, 6) any is covered by those of M objects that are drawn."""
         objects, steps = np.nonzero(drawn)
         place_of = truths.sample_of[objects] * PLAN_STEPS + steps
         boxes = self.drawn_boxes(truths, objects, steps)
         flat = [cells.reshape(-1, cells.shape[-2], 2) for cells in groups]
         rows = (EXTENT_M - boxes[:, 1] if self.first_row_ahead else boxes[:, 1] + EXTENT_M) / CELL_M
-        bounds = [bounds_of(cells) for cells in flat]
+        bounds = [compute_bounds(cells) for cells in flat]
         near = _may_reach(boxes, place_of, bounds, rows)
-        covered = occupied(self.drawn_polygons(boxes[near]), place_of[near], flat, bounds)
+        covered = find_occupied_cells(self.drawn_polygons(boxes[near]), place_of[near], flat, bounds)
         return [hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in covered]

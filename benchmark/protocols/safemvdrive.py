@@ -32,14 +32,14 @@ import numpy as np
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints
-from benchmark.protocols.contract import Outcomes, at_steps
-from benchmark.protocols.sparsedrive import SparseDrive, waypoint_contacts
-from benchmark.protocols.stacked import StackedTruths, displacement, stack
-from benchmark.protocols.uniad import UniAD
+from benchmark.protocols.contract import ProtocolOutcomes, select_horizons
+from benchmark.protocols.sparsedrive import SparseDriveProtocol, find_waypoint_contacts
+from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
+from benchmark.protocols.uniad import UniADProtocol
 from benchmark.truth import SampleTruth
 
 
-class SafeMVDrive:
+class SafeMVDriveProtocol:
     """UniAD's flags, latched; the module's docstring says all. Rasters and flags are those of ``uniad``."""
 
     name = "safemvdrive"
@@ -48,7 +48,7 @@ class SafeMVDrive:
     uses_categories = True
 
     def __init__(self) -> None:
-        self.uniad = UniAD()
+        self.uniad = UniADProtocol()
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Those of ``uniad``."""
@@ -58,13 +58,13 @@ class SafeMVDrive:
         """Straight ahead at every step."""
         return self.uniad.headings(plans_lidar)
 
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
-        """Judge plans. Verdicts with the columns ``at_step``, ``obj_col`` and those of a mask (`_latched`)."""
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
+        """Judge plans. Verdicts with the columns ``at_step``, ``obj_col`` and those of a mask (`_latch_outcomes`)."""
         judged = self.uniad.evaluate(truths, plans_lidar)
         columns = {"at_step": judged.step("before_mask"), "obj_col": judged.step("obj_col")}
         recorded = (judged.step("recorded"), judged.step("recorded_adversary"))
         out, for_adversary = (hit.reshape(-1, PLAN_STEPS)[:, 0] for hit in recorded)
-        return _latched(columns, judged.l2, judged.valid, judged.valid[:, 0], out, for_adversary)
+        return _latch_outcomes(columns, judged.l2, judged.valid, judged.valid[:, 0], out, for_adversary)
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: all steps of samples whose recorded ego collides at the first.
@@ -74,16 +74,16 @@ class SafeMVDrive:
         first = self.uniad.recorded_contacts(truths, among)[:, :1]
         return np.asarray(first & truths.ego_future_valid)
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """The latched flag at each horizon. Columns are ``collision``, ``obj_col`` and ``l2``."""
         return {
-            "collision": at_steps(outcomes.collision),
-            "obj_col": at_steps(outcomes.step("obj_col")),
-            "l2": at_steps(outcomes.l2),
+            "collision": select_horizons(outcomes.collision),
+            "obj_col": select_horizons(outcomes.step("obj_col")),
+            "l2": select_horizons(outcomes.l2),
         }
 
 
-class SafeMVDriveBox:
+class SafeMVDriveBoxProtocol:
     """SparseDrive's polygons without an exclusion, latched; the module's docstring says all.
 
     ``safemvdrive-box`` leaves out boxes without lidar points, ``safemvdrive-box-all`` does not.
@@ -95,55 +95,57 @@ class SafeMVDriveBox:
 
     def __init__(self, name: str, *, needs_points: bool) -> None:
         self.name, self.needs_points = name, needs_points
-        self._sparsedrive = SparseDrive()
+        self._sparsedrive = SparseDriveProtocol()
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Everything that is annotated at the step, with a lidar point on it where those are asked for."""
-        return self._there(truths)[:, 1:]
+        return self._find_present(truths)[:, 1:]
 
     def headings(self, plans_lidar: Floats) -> Floats:
         """Those of ``sparsedrive``."""
         return self._sparsedrive.headings(plans_lidar)
 
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
-        """Judge plans. Verdicts with the column ``at_step`` and those of a mask (`_latched`)."""
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
+        """Judge plans. Verdicts with the column ``at_step`` and those of a mask (`_latch_outcomes`)."""
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
-        flags = waypoint_contacts(stacked, self.counted_objects(stacked), plans, self.headings(plans))
+        flags = find_waypoint_contacts(stacked, self.counted_objects(stacked), plans, self.headings(plans))
         valid = stacked.ego_future_valid
         out, for_adversary = (
-            self._touched_now(stacked, among) for among in (np.ones_like(stacked.adversarial), stacked.adversarial)
+            self._find_touched_now(stacked, among) for among in (np.ones_like(stacked.adversarial), stacked.adversarial)
         )
         columns = {"at_step": flags & valid}
-        return _latched(columns, displacement(plans, stacked), valid, valid.all(axis=-1), out, for_adversary)
+        return _latch_outcomes(
+            columns, compute_displacement(plans, stacked), valid, valid.all(axis=-1), out, for_adversary
+        )
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: all steps of samples whose ego touches a box now.
 
         Of the objects asked about, the counted ones can be touched.
         """
-        return np.asarray(self._touched_now(truths, among)[:, None] & truths.ego_future_valid)
+        return np.asarray(self._find_touched_now(truths, among)[:, None] & truths.ego_future_valid)
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """The latched flag at each horizon. Columns are ``collision`` and ``l2``."""
-        return {"collision": at_steps(outcomes.collision), "l2": at_steps(outcomes.l2)}
+        return {"collision": select_horizons(outcomes.collision), "l2": select_horizons(outcomes.l2)}
 
-    def _there(self, truths: StackedTruths) -> Bools:
+    def _find_present(self, truths: StackedTruths) -> Bools:
         """(M, 7) which objects are there now and at the steps."""
         return truths.annotated & truths.has_lidar_points if self.needs_points else truths.annotated
 
-    def _touched_now(self, truths: StackedTruths, among: Bools) -> Bools:
+    def _find_touched_now(self, truths: StackedTruths, among: Bools) -> Bools:
         """(S,) whether the ego touches a box of some of M objects now, straight ahead at the origin."""
         ego = ego_footprints(np.array([0.0, 0.0, np.pi / 2]))
-        there = np.flatnonzero(self._there(truths)[:, 0] & among)
+        there = np.flatnonzero(self._find_present(truths)[:, 0] & among)
         touched = np.zeros(len(truths.ego_future), dtype=np.bool_)
         touched[truths.sample_of[there[boxes_overlap(ego, truths.boxes[there, 0])]]] = True
         return touched
 
 
-def _latched(
+def _latch_outcomes(
     columns: dict[str, Bools], l2: Floats, valid: Bools, fit: Bools, out: Bools, for_adversary: Bools
-) -> Outcomes:
+) -> ProtocolOutcomes:
     """Verdicts in which every step after the first flag collides; samples that do not count have none.
 
     What is masked here are whole samples: ``before_mask`` are the latched flags of all, ``recorded`` and
@@ -158,7 +160,7 @@ def _latched(
     """
     latched = np.logical_or.accumulate(columns["at_step"].reshape(-1, PLAN_STEPS), axis=1)
     counted = fit & ~out
-    return Outcomes(
+    return ProtocolOutcomes(
         collision=latched & counted[:, None],
         l2=l2,
         valid=valid,

@@ -30,16 +30,16 @@ from numpy.typing import NDArray
 
 from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, directions_of, ego_footprints
-from benchmark.protocols.contract import Outcomes, means_up_to
-from benchmark.protocols.raster import touched_facts
-from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.contract import ProtocolOutcomes, average_up_to
+from benchmark.protocols.raster import describe_touched
+from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
 from benchmark.truth import SampleTruth
 
 STANDING_M = 0.5
 """First and last waypoint closer than this: the heading is taken as straight ahead."""
 
 
-class SparseDrive:
+class SparseDriveProtocol:
     """SparseDrive's protocol, ``sparsedrive`` or the name of one that is the same: see the module's docstring."""
 
     version = 1
@@ -63,18 +63,18 @@ class SparseDrive:
         step = ahead - path[:, :-1]
         return np.where(standing[:, None], np.pi / 2, directions_of(step))
 
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
         """Judge plans. Verdicts with the columns ``before_mask``, ``recorded`` and ``recorded_adversary``."""
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
         objects = self.counted_objects(stacked)
-        pairs = contact_pairs(stacked, objects, plans, self.headings(plans))
-        on_plan = _at_steps(stacked, pairs) & stacked.ego_future_valid
+        pairs = find_contact_pairs(stacked, objects, plans, self.headings(plans))
+        on_plan = _mark_steps(stacked, pairs) & stacked.ego_future_valid
         on_recorded = self.recorded_contacts(stacked, np.ones_like(stacked.adversarial))
         collision = on_plan & ~on_recorded
-        return Outcomes(
+        return ProtocolOutcomes(
             collision=collision,
-            l2=displacement(plans, stacked),
+            l2=compute_displacement(plans, stacked),
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1),
             steps={
@@ -82,7 +82,7 @@ class SparseDrive:
                 "recorded": on_recorded,
                 "recorded_adversary": self.recorded_contacts(stacked, stacked.adversarial),
             },
-            facts=touched_facts(stacked, collision, *pairs),
+            facts=describe_touched(stacked, collision, *pairs),
         )
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
@@ -91,21 +91,21 @@ class SparseDrive:
         Of the objects asked about, the counted ones can be touched.
         """
         objects, waypoints = self.counted_objects(truths) & among[:, None], truths.ego_future[..., :2]
-        return waypoint_contacts(truths, objects, waypoints, self.headings(waypoints)) & truths.ego_future_valid
+        return find_waypoint_contacts(truths, objects, waypoints, self.headings(waypoints)) & truths.ego_future_valid
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.
 
         Columns are ``collision``, ``collision_before_mask`` and ``l2``.
         """
         return {
-            "collision": means_up_to(outcomes.collision),
-            "collision_before_mask": means_up_to(outcomes.step("before_mask")),
-            "l2": means_up_to(outcomes.l2),
+            "collision": average_up_to(outcomes.collision),
+            "collision_before_mask": average_up_to(outcomes.step("before_mask")),
+            "l2": average_up_to(outcomes.l2),
         }
 
 
-def waypoint_contacts(truths: StackedTruths, objects: Bools, plans_lidar: Floats, heading_rad: Floats) -> Bools:
+def find_waypoint_contacts(truths: StackedTruths, objects: Bools, plans_lidar: Floats, heading_rad: Floats) -> Bools:
     """(S, 6) whether the ego's rectangle touches a counted object at each waypoint.
 
     Args:
@@ -114,13 +114,13 @@ def waypoint_contacts(truths: StackedTruths, objects: Bools, plans_lidar: Floats
         plans_lidar: (S, 6, 2) waypoints, metres.
         heading_rad: (S, 6) heading at each.
     """
-    return _at_steps(truths, contact_pairs(truths, objects, plans_lidar, heading_rad))
+    return _mark_steps(truths, find_contact_pairs(truths, objects, plans_lidar, heading_rad))
 
 
-def contact_pairs(
+def find_contact_pairs(
     truths: StackedTruths, objects: Bools, plans_lidar: Floats, heading_rad: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(N,) objects and (N,) steps of the contacts in `waypoint_contacts`, whose arguments it takes."""
+    """(N,) objects and (N,) steps of the contacts in `find_waypoint_contacts`, whose arguments it takes."""
     ego = ego_footprints(np.concatenate([plans_lidar, heading_rad[..., None]], axis=-1))
     which, step = np.nonzero(objects)
     mine, theirs = ego[truths.sample_of[which], step], truths.boxes[which, step + 1]
@@ -132,14 +132,14 @@ def contact_pairs(
     return which[near][hit], step[near][hit]
 
 
-def _at_steps(truths: StackedTruths, pairs: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Bools:
+def _mark_steps(truths: StackedTruths, pairs: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Bools:
     """(S, 6) steps at which any object is touched."""
     contact = np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
     contact[truths.sample_of[pairs[0]], pairs[1]] = True
     return contact
 
 
-class DiffusionDrive(SparseDrive):
+class DiffusionDriveProtocol(SparseDriveProtocol):
     """See the module's docstring."""
 
     def __init__(self) -> None:

@@ -83,7 +83,7 @@ def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
     for known, stacked in _LAST:
         if len(known) == len(truths) and all(map(is_, known, truths)):
             return stacked
-    stacked = _stacked(truths)
+    stacked = _stack_truths(truths)
     for column in fields(stacked):
         values = getattr(stacked, column.name)
         if isinstance(values, np.ndarray):
@@ -95,7 +95,7 @@ def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
 _LAST: Final[deque[tuple[tuple[SampleTruth, ...], StackedTruths]]] = deque(maxlen=1)
 
 
-def _stacked(truths: Sequence[SampleTruth]) -> StackedTruths:
+def _stack_truths(truths: Sequence[SampleTruth]) -> StackedTruths:
     counts = [len(truth.instances) for truth in truths]
     empty = np.zeros((0, _KEYFRAMES), dtype=np.bool_)
     return StackedTruths(
@@ -131,7 +131,7 @@ def _axle_poses(truth: SampleTruth) -> Floats:
     return np.concatenate([axle, yaw[:, None]], axis=-1)
 
 
-def displacement(plans_lidar: Floats, truths: StackedTruths) -> Floats:
+def compute_displacement(plans_lidar: Floats, truths: StackedTruths) -> Floats:
     """(S, 6) metres from the recorded ego at each step, 0 where that does not exist."""
     offset = plans_lidar - truths.ego_future[..., :2]
     return np.where(truths.ego_future_valid, np.hypot(offset[..., 0], offset[..., 1]), 0.0)

@@ -33,19 +33,19 @@ from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, box_corners, to_global, to_local
-from benchmark.protocols.contract import Outcomes, masked_columns, means_up_to
+from benchmark.protocols.contract import ProtocolOutcomes, average_masked_columns, average_up_to
 from benchmark.protocols.raster import (
     CELL_M,
     CELLS,
     EXTENT_M,
     Cells,
-    covering,
-    ego_cells,
-    occupied,
-    touched_facts,
-    truncated,
+    compute_ego_cells,
+    describe_touched,
+    find_covering_polygons,
+    find_occupied_cells,
+    truncate_cells,
 )
-from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
 from benchmark.truth import SampleTruth
 
 KEYFRAMES_BEFORE: Final = 2
@@ -53,7 +53,7 @@ KEYFRAMES_BEFORE: Final = 2
 Singles = NDArray[np.float32]
 
 
-class STP3:
+class STP3Protocol:
     """People and vehicles that were seen before, drawn in their own frames and warped; the module's docstring."""
 
     name = "stp3"
@@ -72,21 +72,25 @@ class STP3:
         """Straight ahead at every step."""
         return np.full(plans_lidar.shape[:-1], np.pi / 2)
 
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
         """Judge plans.
 
         Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``.
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
-        point = _point_cells(plans)
+        point = _compute_point_cells(plans)
         inside = ((point >= 0) & (point < CELLS)).all(axis=-1)
-        blocks = [ego_block(plans), ego_block(stacked.ego_future[..., :2]), truncated(point)[..., None, :]]
-        on_plan, on_recorded, at_point = _covered(stacked, blocks, *drawn_polygons(self, stacked))
+        blocks = [
+            compute_ego_block(plans),
+            compute_ego_block(stacked.ego_future[..., :2]),
+            truncate_cells(point)[..., None, :],
+        ]
+        on_plan, on_recorded, at_point = _find_covered(stacked, blocks, *draw_polygons(self, stacked))
         collision = on_plan & ~on_recorded
-        return Outcomes(
+        return ProtocolOutcomes(
             collision=collision,
-            l2=displacement(plans, stacked),
+            l2=compute_displacement(plans, stacked),
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1) & (stacked.keyframes_before >= KEYFRAMES_BEFORE),
             steps={
@@ -101,10 +105,12 @@ class STP3:
     def _touched(self, truths: StackedTruths, collision: Bools, block: Cells) -> dict[str, tuple[Any, ...]]:
         """Whose warped polygons cover (S, 6, C, 2) cells at (S, 6) colliding steps."""
         objects, steps = np.nonzero(self.counted_objects(truths) & collision[truths.sample_of])
-        polygons, places = _polygons_of(truths, objects, steps)
+        polygons, places = _draw_objects(truths, objects, steps)
         cells, on_grid = _cells_before_warp(truths, block)
-        hit = covering(polygons, places, cells.reshape(-1, cells.shape[-2], 2), on_grid.reshape(-1, cells.shape[-2]))
-        return touched_facts(truths, collision, objects[hit], steps[hit])
+        hit = find_covering_polygons(
+            polygons, places, cells.reshape(-1, cells.shape[-2], 2), on_grid.reshape(-1, cells.shape[-2])
+        )
+        return describe_touched(truths, collision, objects[hit], steps[hit])
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
         """The ground-truth check: whether the block touches some objects on the recorded way.
@@ -113,32 +119,32 @@ class STP3:
         """
         if not among.any():
             return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
-        block = ego_block(truths.ego_future[..., :2])
-        return _covered(truths, [block], *drawn_polygons(self, truths, among))[0]
+        block = compute_ego_block(truths.ego_future[..., :2])
+        return _find_covered(truths, [block], *draw_polygons(self, truths, among))[0]
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.
 
         Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
         """
-        return masked_columns(outcomes, means_up_to)
+        return average_masked_columns(outcomes, average_up_to)
 
 
-def drawn_polygons(
-    definition: STP3, truths: StackedTruths, among: Bools | None = None
+def draw_polygons(
+    definition: STP3Protocol, truths: StackedTruths, among: Bools | None = None
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Corners of counted objects on the grids of their own frames.
 
     (N, 4, 2) column (left) and row (forward) of each corner, and (N,) the place of each: sample times 6 plus step.
     """
     selected = np.True_ if among is None else among[:, None]
-    return _polygons_of(truths, *np.nonzero(definition.counted_objects(truths) & selected))
+    return _draw_objects(truths, *np.nonzero(definition.counted_objects(truths) & selected))
 
 
-def _polygons_of(
+def _draw_objects(
     truths: StackedTruths, objects: NDArray[np.int64], steps: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """`drawn_polygons` of (N,) objects at (N,) steps."""
+    """`draw_polygons` of (N,) objects at (N,) steps."""
     samples = truths.sample_of[objects]
     boxes = truths.boxes_in_ego(objects, steps + 1)
     now, then = truths.axle_poses[samples, 0], truths.axle_poses[samples, steps + 1]
@@ -148,7 +154,7 @@ def _polygons_of(
     return np.ascontiguousarray(nodes, np.int32), samples * PLAN_STEPS + steps
 
 
-def warps(axle_poses: Floats) -> tuple[Singles, Singles, Singles]:
+def compute_warps(axle_poses: Floats) -> tuple[Singles, Singles, Singles]:
     """The motion that warps each future picture into the present, in single precision as the official code has it.
 
     Each step between neighbouring keyframes is a motion backwards, made of two single-precision poses, reduced to
@@ -171,7 +177,9 @@ def warps(axle_poses: Floats) -> tuple[Singles, Singles, Singles]:
     return motions[0], motions[1], motions[2]
 
 
-def before_warp(rows: Cells, columns: Cells, tx: Singles, ty: Singles, angle: Singles) -> tuple[Cells, Cells]:
+def find_cells_before_warp(
+    rows: Cells, columns: Cells, tx: Singles, ty: Singles, angle: Singles
+) -> tuple[Cells, Cells]:
     """Cell of the picture in its own frame that a cell of the warped one is taken from, possibly outside the grid.
 
     Rows are forward, columns left; metres forward and left and radians broadcast against them.
@@ -187,24 +195,24 @@ def before_warp(rows: Cells, columns: Cells, tx: Singles, ty: Singles, angle: Si
     return np.rint(row).astype(np.int64), np.rint(column).astype(np.int64)
 
 
-def _covered(
+def _find_covered(
     truths: StackedTruths, blocks: Sequence[Cells], polygons: NDArray[np.int32], place_of: NDArray[np.int64]
 ) -> list[Bools]:
     """For each of some (S, 6, C, 2) cells of the warped picture whether (S, 6) any is covered by polygons."""
     groups, on_grid = zip(*(_cells_before_warp(truths, cells) for cells in blocks))
-    covered = occupied(polygons, place_of, [cells.reshape(-1, cells.shape[-2], 2) for cells in groups])
+    covered = find_occupied_cells(polygons, place_of, [cells.reshape(-1, cells.shape[-2], 2) for cells in groups])
     return [(hit.reshape(there.shape) & there).any(axis=-1) for hit, there in zip(covered, on_grid)]
 
 
 def _cells_before_warp(truths: StackedTruths, cells: Cells) -> tuple[Cells, Bools]:
     """Where (S, 6, C, 2) cells of the warped picture are taken from, squeezed into the grid, and whether they are."""
-    source = _before_warp(cells, *warps(truths.axle_poses))
+    source = _unwarp_cells(cells, *compute_warps(truths.axle_poses))
     return np.clip(source, 0, CELLS - 1), ((source >= 0) & (source < CELLS)).all(axis=-1)
 
 
-def _before_warp(cells: Cells, tx: Singles, ty: Singles, angle: Singles) -> Cells:
-    """`before_warp` of (S, 6, C, 2) cells by (S, 6) motions."""
-    rows, columns = before_warp(cells[..., 0], cells[..., 1], tx[..., None], ty[..., None], angle[..., None])
+def _unwarp_cells(cells: Cells, tx: Singles, ty: Singles, angle: Singles) -> Cells:
+    """`find_cells_before_warp` of (S, 6, C, 2) cells by (S, 6) motions."""
+    rows, columns = find_cells_before_warp(cells[..., 0], cells[..., 1], tx[..., None], ty[..., None], angle[..., None])
     return np.stack([rows, columns], axis=-1)
 
 
@@ -260,12 +268,12 @@ def _angle(motions: Singles) -> Singles:
     return np.arctan2(-motions[..., 0, 1].astype(np.float64), motions[..., 0, 0].astype(np.float64)).astype(np.float32)
 
 
-def ego_block(waypoints_lidar: Floats) -> Cells:
+def compute_ego_block(waypoints_lidar: Floats) -> Cells:
     """(..., 32, 2) rows (forward) and columns (left) of the ego's block."""
-    return truncated(ego_cells(waypoints_lidar * [-1.0, 1.0]))
+    return truncate_cells(compute_ego_cells(waypoints_lidar * [-1.0, 1.0]))
 
 
-def _point_cells(waypoints_lidar: Floats) -> Floats:
+def _compute_point_cells(waypoints_lidar: Floats) -> Floats:
     """The cell below each waypoint, rounded towards zero."""
     forward_left = waypoints_lidar[..., ::-1] * [1.0, -1.0]
     return np.asarray(np.trunc((forward_left + (EXTENT_M - 0.5 * CELL_M)) / CELL_M))

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols.contract import Outcomes, at_steps, masked_columns
+from benchmark.protocols.contract import ProtocolOutcomes, average_masked_columns, select_horizons
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
 from benchmark.protocols.stacked import StackedTruths
 
@@ -44,7 +44,7 @@ VEHICLES = frozenset(
 """Categories that become one of the seven vehicle classes among the ten detection classes (`only_vehicle=True`)."""
 
 
-class UniAD(RasterProtocol):
+class UniADProtocol(RasterProtocol):
     """Vehicles alone, with the values at the very steps; the module's docstring says all."""
 
     name = "uniad"
@@ -64,21 +64,21 @@ class UniAD(RasterProtocol):
 
     def drawn_polygons(self, boxes: Floats) -> NDArray[np.int32]:
         """Corners of (N, 5) boxes on the grid, (N, 4, 2)."""
-        return polygons(boxes)
+        return round_polygons(boxes)
 
     def point_cells(self, waypoints_lidar: Floats) -> Floats:
         """The cell below each waypoint, (S, 6, 2)."""
         return np.asarray(np.trunc((waypoints_lidar[..., ::-1] + (EXTENT_M - 0.5 * CELL_M)) / CELL_M))
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """The value at each horizon.
 
         Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
         """
-        return masked_columns(outcomes, at_steps)
+        return average_masked_columns(outcomes, select_horizons)
 
 
-def polygons(boxes: Floats) -> NDArray[np.int32]:
+def round_polygons(boxes: Floats) -> NDArray[np.int32]:
     """Corners on the grid as the label generation rounds them: in single precision, halves to the even node.
 
     (N, 4, 2) column and row of each corner.

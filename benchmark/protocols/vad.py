@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import CATEGORIES, HORIZON_STEPS
 from benchmark.geometry import Bools, Floats, box_corners
-from benchmark.protocols.contract import Outcomes, means_up_to
+from benchmark.protocols.contract import ProtocolOutcomes, average_up_to
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
 from benchmark.protocols.stacked import StackedTruths
 from benchmark.protocols.uniad import VEHICLES
@@ -70,7 +70,7 @@ COUNTED_23: Final = frozenset(
 assert set(CATEGORIES) >= DETECTED >= COUNTED_23
 
 
-class VAD(RasterProtocol):
+class VADProtocol(RasterProtocol):
     """VAD's protocol, ``vad`` or ``vad-23``: objects near now and followed from there, with means over the steps.
 
     The module's docstring says all.
@@ -99,7 +99,7 @@ class VAD(RasterProtocol):
 
     def drawn_polygons(self, boxes: Floats) -> NDArray[np.int32]:
         """Corners of (N, 5) boxes on the grid, (N, 4, 2)."""
-        return polygons(boxes)
+        return round_polygons(boxes)
 
     def point_cells(self, waypoints_lidar: Floats) -> Floats:
         """The cell that ``obj_col`` looks at by mistake, (S, 6, 2)."""
@@ -108,7 +108,7 @@ class VAD(RasterProtocol):
         turned = np.stack([-waypoints_lidar[..., 1], waypoints_lidar[..., 0]], axis=-1)
         return np.asarray(np.trunc((offset + turned) / CELL_M))
 
-    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+    def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.
 
         Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
@@ -117,11 +117,11 @@ class VAD(RasterProtocol):
             "collision": _means(outcomes.collision),
             "collision_before_mask": _means(outcomes.step("before_mask")),
             "obj_col": _means(outcomes.step("obj_col")),
-            "l2": means_up_to(outcomes.l2),
+            "l2": average_up_to(outcomes.l2),
         }
 
 
-def polygons(boxes: Floats) -> NDArray[np.int32]:
+def round_polygons(boxes: Floats) -> NDArray[np.int32]:
     """(N, 4, 2) column and row of each box's corners on the grid, row 0 far ahead, halves to the even node."""
     nodes = np.round((box_corners(boxes) * [1.0, -1.0] + EXTENT_M) / CELL_M)
     return np.asarray(nodes, np.int32)

@@ -15,18 +15,18 @@ from benchmark.machine.storage import content_key, read_json
 from benchmark.metrics.rates import Rate
 from benchmark.published import ABLATION
 from benchmark.records.run_schema import DataFacts, PlannerFacts
-from benchmark.records.store import read_each, validated
+from benchmark.records.store import read_records, validate_stored
 from benchmark.records.stored import Stored
 from benchmark.report.cells import RANKS_NOTHING
-from benchmark.report.table import Brief, Table, table_of
-from benchmark.report.words import counted
+from benchmark.report.table import Table, TableExcerpt, build_table
+from benchmark.report.words import pluralise
 
 SCHEMA: Final = 1
 RECORD: Final = "ablation.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Variant:
+class AblationVariant:
     """One row of the ablation study; ``label`` is the paper's name of it."""
 
     name: str
@@ -41,10 +41,10 @@ class Variant:
 
 
 VARIANTS: Final = (
-    Variant("full", "Challenger", True, True),
-    Variant("no-mtr", "- MTR", False, True),
-    Variant("no-ts", "- TS", True, False),
-    Variant("no-mtr-no-ts", "- MTR - TS", False, False),
+    AblationVariant("full", "Challenger", True, True),
+    AblationVariant("no-mtr", "- MTR", False, True),
+    AblationVariant("no-ts", "- TS", True, False),
+    AblationVariant("no-mtr-no-ts", "- MTR - TS", False, False),
 )
 
 
@@ -112,7 +112,7 @@ class AblationReport(Stored):
     def table(self) -> Table:
         """The study for a terminal."""
         title = (
-            f"{self.planner.name} on {counted(len(self.scenes), 'scene')} of {self.data.name}, protocol "
+            f"{self.planner.name} on {pluralise(len(self.scenes), 'scene')} of {self.data.name}, protocol "
             f"{self.protocol[0]}, 95 % intervals over scenes"
         )
         notes = (
@@ -121,13 +121,13 @@ class AblationReport(Stored):
             "MagicDriveDiT; MTR: multi-round refinement, TS: scoring.",
             *([f"{self.planner.name} is a miniature: it {RANKS_NOTHING}."] if self.planner.miniature else []),
         )
-        return table_of(
+        return build_table(
             "ablation",
             title,
             ("search", "tried", "kept", "discarded", "collisions", "of tried, %", "of kept, %", "gap, m", "paper, %"),
             [_cells(row) for row in self.rows],
             notes=notes,
-            brief=Brief(title, (0, 2, 5, 6, 8), notes, text_columns=1),
+            brief=TableExcerpt(title, (0, 2, 5, 6, 8), notes, text_columns=1),
         )
 
 
@@ -137,7 +137,7 @@ def read_ablation(path: Path) -> AblationReport:
     schema = value.get("schema") if isinstance(value, dict) else None
     if isinstance(schema, int) and schema > SCHEMA:
         raise InputError(f"{path} has schema {schema}, this version reads up to {SCHEMA}; upgrade challenger-bench")
-    return validated(
+    return validate_stored(
         AblationReport.model_validate,
         value,
         lambda where, why: f"{path} is not an ablation record ({where}: {why}); run ablate again",
@@ -146,7 +146,7 @@ def read_ablation(path: Path) -> AblationReport:
 
 def find_ablations(folder: Path) -> list[AblationReport]:
     """Every study below a folder, which need not exist, in the order of their paths."""
-    return read_each(sorted(folder.rglob(RECORD)), read_ablation)
+    return read_records(sorted(folder.rglob(RECORD)), read_ablation)
 
 
 def _cells(row: AblationRow) -> tuple[str, ...]:

@@ -11,14 +11,14 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, Field
 
 from benchmark.machine.storage import read_json_lines
-from benchmark.records.judgement import SceneJudgement
+from benchmark.records.judgement import SceneAssessment
 from benchmark.records.run_schema import GeneratedFacts
-from benchmark.records.store import validated
+from benchmark.records.store import validate_stored
 
 ATTEMPTS_FILE: Final = "attempts.jsonl"
 
 
-class _Stored(BaseModel):
+class _AttemptModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     def as_json(self) -> dict[str, Any]:
@@ -26,7 +26,7 @@ class _Stored(BaseModel):
         return self.model_dump(mode="json", exclude_unset=True)
 
 
-class Approach(_Stored):
+class Approach(_AttemptModel):
     """Closest approach of two bodies, when (seconds since the scene's first frame), and on which side of the ego.
 
     Attributes:
@@ -44,7 +44,7 @@ class ClosestApproach(Approach):
     frame: int
 
 
-class Occurrence(_Stored):
+class ManoeuvreOccurrence(_AttemptModel):
     """One kind of manoeuvre in a scene.
 
     Attributes:
@@ -60,7 +60,7 @@ class Occurrence(_Stored):
     least_gap_m: float
 
 
-class Encroachment(_Stored):
+class Encroachment(_AttemptModel):
     """Closest succession of the two bodies on one and the same piece of the ego's path (post-encroachment time).
 
     Attributes:
@@ -73,32 +73,32 @@ class Encroachment(_Stored):
     time_s: float
 
 
-class TimeToCollision(_Stored):
+class TimeToCollision(_AttemptModel):
     """The smallest time to collision of a scene, and when it was that small first, seconds since the first frame."""
 
     seconds: float
     time_s: float
 
 
-class Labels(_Stored):
+class ManoeuvreLabels(_AttemptModel):
     """Manoeuvres of one adversary towards the ego, and their place; ``docs/manoeuvres.md`` defines every word.
 
     Attributes:
         occurred: Every kind that occurred, the primary one first.
         time_to_collision: ``None`` if it was never within 5 s.
         encroachment: Closest succession on the same piece of the ego's path, ``None`` if there was none.
-        place: Where the closest approach happened (`benchmark.metrics.places.Place`).
+        place: Where the closest approach happened (`benchmark.metrics.places.PlaceKind`).
     """
 
     manoeuvre: str
-    occurred: tuple[Occurrence, ...]
+    occurred: tuple[ManoeuvreOccurrence, ...]
     closest_approach: ClosestApproach
     time_to_collision: TimeToCollision | None
     encroachment: Encroachment | None
     place: str
 
 
-class PlanningFrame(_Stored):
+class PlanningFrame(_AttemptModel):
     """Trace of one planning frame of the search.
 
     Attributes:
@@ -115,7 +115,7 @@ class PlanningFrame(_Stored):
     collision_free: tuple[int, ...]
 
 
-class MaskedSteps(_Stored):
+class MaskedSteps(_AttemptModel):
     """Steps that the ground-truth check of a protocol takes from every planner, regardless of the plan.
 
     Attributes:
@@ -127,21 +127,21 @@ class MaskedSteps(_Stored):
     others: int
 
 
-class Attempt(_Stored):
+class Attempt(_AttemptModel):
     """One vehicle of one recorded scene that was tried as an adversary.
 
     Attributes:
-        discard: Why not (`generation.search.verify.Discard`).
-        because: Evidence of that (`generation.search.verify.Finding`).
+        discard: Why not (`generation.search.verify.DiscardReason`).
+        because: Evidence of that (`generation.search.verify.VerificationFailure`).
         tries: Searches that were made; everything else is about the last one.
-        challenge: Ranking score, see `generation.search.ranking.challenge_score`; 0 where discarded.
+        challenge: Ranking score, see `generation.search.ranking.compute_challenge_score`; 0 where discarded.
         closest_approach: Closest approach, where the track is complete.
         least_time_to_collision_s: Smallest time to collision, ``None`` if never within 5 s.
         masked_steps: By protocol, if kept: steps of all samples that are masked for any plan.
         judgements: If verification passed: judgements of each adversary that the scene has by then, its own last; empty
             in older files.
         earlier: Adversaries that the scene had already.
-        dropped: Why an attempt that passed verification is not written (`generation.search.chains.Dropped`).
+        dropped: Why an attempt that passed verification is not written (`generation.search.chains.DropReason`).
         written: Name of the scene that it became.
         asked: Kind of manoeuvre that was asked for (``generate --manoeuvre``), if one was.
     """
@@ -157,9 +157,9 @@ class Attempt(_Stored):
     challenge: float
     closest_approach: Approach | None
     least_time_to_collision_s: float | None
-    labels: Labels | None = None
+    labels: ManoeuvreLabels | None = None
     masked_steps: dict[str, MaskedSteps] = Field(default_factory=dict)
-    judgements: tuple[SceneJudgement, ...] = ()
+    judgements: tuple[SceneAssessment, ...] = ()
     plans: tuple[PlanningFrame, ...] = ()
     earlier: tuple[str, ...] = ()
     dropped: str | None = None
@@ -171,7 +171,7 @@ def read_attempts(path: Path) -> tuple[Attempt, ...]:
     """Attempts of an ``attempts.jsonl`` of this version or an older one, in their order."""
 
     def attempt(number: int, row: Any) -> Attempt:
-        return validated(
+        return validate_stored(
             Attempt.model_validate,
             row,
             lambda where, _: f"{path} line {number} lacks a proper {where or 'object'}; generate the split again",
@@ -180,21 +180,21 @@ def read_attempts(path: Path) -> tuple[Attempt, ...]:
     return tuple(attempt(number, row) for number, row in enumerate(read_json_lines(path), start=1))
 
 
-def reports_of(report: Any) -> list[dict[str, Any]]:
+def list_adversary_reports(report: Any) -> list[dict[str, Any]]:
     """Reports on each adversary of a scene: the report itself, or those below its ``adversaries``; any JSON value."""
     several = report.get("adversaries") if isinstance(report, dict) else None
     reports = several if isinstance(several, list) else [report]
     return [entry for entry in reports if isinstance(entry, dict)]
 
 
-def stored_labels(report: Any) -> list[Any]:
-    """Labels of each adversary that has any, as ``challenger.json`` has them, not checked (`Labels`).
+def list_stored_labels(report: Any) -> list[Any]:
+    """Labels of each adversary that has any, as ``challenger.json`` has them, not checked (`ManoeuvreLabels`).
 
     Args:
         report: Report on a scene: on its adversary, or on each of several below ``adversaries``; any JSON value, as it
             comes from a stranger's data set.
     """
-    labels = (entry.get("labels") for entry in reports_of(report))
+    labels = (entry.get("labels") for entry in list_adversary_reports(report))
     return [stored for stored in labels if stored is not None]
 
 
@@ -203,12 +203,12 @@ SEARCH: Final = "search"
 """In ``challenger.json`` of such a split: hash of everything but the seed that decided its search."""
 
 
-def seed_split(seed: int) -> str:
+def format_seed_split(seed: int) -> str:
     """Name of the split that is searched with a seed."""
     return f"adv-seed-{seed}"
 
 
-def seed_of(split: str) -> int | None:
+def parse_seed(split: str) -> int | None:
     """Seed of a split that is called after one, else ``None``."""
     named = _NAMED.fullmatch(split)
     return int(named[1]) if named else None
@@ -216,10 +216,10 @@ def seed_of(split: str) -> int | None:
 
 def is_adversarial(split: str) -> bool:
     """Whether a split is ``adv``, or one of those of several seeds."""
-    return split == "adv" or seed_of(split) is not None
+    return split == "adv" or parse_seed(split) is not None
 
 
-def generated_facts(made: Mapping[str, Any] | None) -> GeneratedFacts | None:
+def read_generated_facts(made: Mapping[str, Any] | None) -> GeneratedFacts | None:
     """Which search a data set's scenes come from; ``None`` where they say no seed, or several.
 
     Args:
@@ -228,7 +228,7 @@ def generated_facts(made: Mapping[str, Any] | None) -> GeneratedFacts | None:
     scenes = made.get("scenes") if isinstance(made, Mapping) else None
     seeds = set()
     for entry in scenes.values() if isinstance(scenes, dict) else ():
-        for report in reports_of(entry.get("report")):
+        for report in list_adversary_reports(entry.get("report")):
             seeds.add(report.get("seed"))
     if len(seeds) != 1 or type(seed := next(iter(seeds))) is not int or not 0 <= seed < 1 << 63:
         return None

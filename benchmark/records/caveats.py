@@ -40,7 +40,7 @@ class Caveat(Stored):
     sentence: Annotated[str, Field(max_length=1000)]
 
 
-def in_order(caveats: Iterable[Caveat]) -> list[Caveat]:
+def sort_caveats(caveats: Iterable[Caveat]) -> list[Caveat]:
     """Caveats in the order of their kinds, each once."""
     each_once = dict.fromkeys((caveat.kind, caveat.sentence) for caveat in caveats)
     ordered = sorted(each_once, key=lambda pair: KINDS.index(pair[0]))

@@ -8,16 +8,16 @@ from typing import Final, Literal
 
 from pydantic import Field
 
-from benchmark.machine.storage import file_name, read_json, write_json
+from benchmark.machine.storage import read_json, sanitise_file_name, write_json
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.records.store import read_each, validated
+from benchmark.records.store import read_records, validate_stored
 from benchmark.records.stored import Stored
 
 VERDICT_FILE: Final = "verdict.json"
 VERDICT_FORMAT: Final = "challenger-bench challenge verdict"
 
 
-class Reason(Stored):
+class RefusalReason(Stored):
     """Why a scene, or a whole entry, is refused.
 
     Attributes:
@@ -61,7 +61,7 @@ class SceneVerdict(Stored):
 
     scene: str
     recording: str
-    reasons: tuple[Reason, ...] = ()
+    reasons: tuple[RefusalReason, ...] = ()
     notes: tuple[str, ...] = ()
     changed: tuple[ChangedVehicle, ...] = ()
     images: int = 0
@@ -94,7 +94,7 @@ class EntryVerdict(Stored):
     base: ComparedData
     challenge: str
     rules: str
-    reasons: tuple[Reason, ...] = ()
+    reasons: tuple[RefusalReason, ...] = ()
     scenes: tuple[SceneVerdict, ...]
 
     @property
@@ -117,7 +117,7 @@ def write_verdict(folder: Path, verdict: EntryVerdict) -> Path:
 
 def read_verdict(path: Path) -> EntryVerdict:
     """Read a verdict on an entry."""
-    return validated(
+    return validate_stored(
         EntryVerdict.model_validate,
         read_json(path),
         lambda where, why: f"{path} is damaged at {where or 'its top'}: {why}; run challenge check again",
@@ -130,7 +130,7 @@ Rank = Literal["adversary", "collision"]
 """Which of its rates an entry is ranked by."""
 
 
-class Measured(Stored):
+class ScoredQuantity(Stored):
     """A number with its 95 % interval over recordings.
 
     Attributes:
@@ -145,7 +145,7 @@ class Measured(Stored):
     denominator: int = 0
 
 
-class PlannerOnEntry(Stored):
+class PlannerEntryScore(Stored):
     """One planner on one entry; refused scenes count as scenes on which it collides nowhere.
 
     Attributes:
@@ -156,9 +156,9 @@ class PlannerOnEntry(Stored):
         failed: Samples without a plan; they are in no rate.
     """
 
-    adversary: Measured = Measured()
-    collision: Measured
-    attributable: Measured
+    adversary: ScoredQuantity = ScoredQuantity()
+    collision: ScoredQuantity
+    attributable: ScoredQuantity
     failed: int
 
 
@@ -183,24 +183,24 @@ class EntryScore(Stored):
     entry: ComparedData
     scenes: int
     refused: tuple[str, ...] = ()
-    reasons: tuple[Reason, ...] = ()
+    reasons: tuple[RefusalReason, ...] = ()
     best_place: int | None = None
     worst_place: int | None = None
-    adversary: Measured = Measured()
-    collision: Measured
-    attributable: Measured
-    planners: dict[str, PlannerOnEntry] = Field(default_factory=dict)
-    careful_survives: Measured
-    least_gap_m: Measured
-    critical: Measured
-    delta_v_m_s: Measured
-    without_fault: Measured
+    adversary: ScoredQuantity = ScoredQuantity()
+    collision: ScoredQuantity
+    attributable: ScoredQuantity
+    planners: dict[str, PlannerEntryScore] = Field(default_factory=dict)
+    careful_survives: ScoredQuantity
+    least_gap_m: ScoredQuantity
+    critical: ScoredQuantity
+    delta_v_m_s: ScoredQuantity
+    without_fault: ScoredQuantity
     realism_feature: str | None = None
-    realism: Measured
+    realism: ScoredQuantity
     not_compared: str | None = None
 
 
-class Pair(Stored):
+class EntryPair(Stored):
     """Two ranked entries, the one with the higher score first.
 
     Attributes:
@@ -210,7 +210,7 @@ class Pair(Stored):
 
     first: str
     second: str
-    difference: Measured
+    difference: ScoredQuantity
     told_apart: bool
 
 
@@ -236,19 +236,19 @@ class ChallengeScores(Stored):
     ranks: Rank = "collision"
     planners: tuple[PlannerFacts, ...]
     entries: tuple[EntryScore, ...]
-    pairs: tuple[Pair, ...] = ()
+    pairs: tuple[EntryPair, ...] = ()
 
 
 def write_scores(folder: Path, scores: ChallengeScores) -> Path:
     """Write the scores of a challenge; a challenge of the same name is replaced."""
-    path = folder / f"scores-{file_name(scores.challenge)}.json"
+    path = folder / f"scores-{sanitise_file_name(scores.challenge)}.json"
     write_json(path, scores.model_dump(mode="json", by_alias=True))
     return path
 
 
 def read_scores(path: Path) -> ChallengeScores:
     """Read the scores of a challenge."""
-    return validated(
+    return validate_stored(
         ChallengeScores.model_validate,
         read_json(path),
         lambda where, why: f"{path} is damaged at {where or 'its top'}: {why}; run challenge score again",
@@ -257,4 +257,4 @@ def read_scores(path: Path) -> ChallengeScores:
 
 def find_scores(folder: Path) -> list[ChallengeScores]:
     """Scores of every challenge in a folder, which need not exist, in the order of their files."""
-    return read_each(sorted(folder.glob(_PATTERN)), read_scores)
+    return read_records(sorted(folder.glob(_PATTERN)), read_scores)

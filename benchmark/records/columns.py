@@ -20,16 +20,16 @@ from pydantic import TypeAdapter
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
-from benchmark.machine.kept_arrays import arrow_of, numpy_of
-from benchmark.protocols import PROTOCOLS, Outcomes, says_all
-from benchmark.records.row_schema import BriefRow, DiagnosisRow, LongerRow, PlanSeverityRow, SampleRow, Waypoints
+from benchmark.machine.kept_arrays import to_arrow, to_numpy_array
+from benchmark.protocols import PROTOCOLS, ProtocolOutcomes, counts_at_all_horizons
+from benchmark.records.row_schema import BriefRow, DiagnosisRow, LongerPlanRow, PlanSeverityRow, SampleRow, Waypoints
 from benchmark.untrusted.files import RECORD
 from benchmark.untrusted.text_files import parse_json
 from benchmark.waypoints import waypoints_in_lidar
 
 LINES: Final = "lines"
-"""The column of what `benchmark.records.rows.Rows` keeps beside columns."""
-_REMEMBERED: Final = 64
+"""The column of what `benchmark.records.rows.SampleRows` keeps beside columns."""
+_CACHED_COLUMNS: Final = 64
 """Columns whose values are remembered: all of four planners."""
 _ROWS_AT_ONCE: Final = 512
 _VERDICTS: Final = ("outcomes", "steps", "facts")
@@ -47,7 +47,7 @@ _MAKES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "sample_token": sys.intern,
     "judged": frozenset,
     "diagnosis": DiagnosisRow.model_validate,
-    "longer": LongerRow.model_validate,
+    "longer": LongerPlanRow.model_validate,
     "severity": PlanSeverityRow.model_validate,
 }
 """Fields that are not as JSON has them."""
@@ -65,7 +65,7 @@ class RowColumns:
 
     def __init__(self, rows: Sequence[SampleRow], batch: pa.RecordBatch | None = None) -> None:
         self._rows = rows
-        built = batch_of(rows) if batch is None else batch
+        built = build_batch(rows) if batch is None else batch
         self.batch = _piece(list(rows)) if built is None else built
         self.kept: dict[Any, Any] = {}
 
@@ -93,7 +93,7 @@ class RowColumns:
     @cached_property
     def planned(self) -> NDArray[np.int64]:
         """(S,) places of the rows with a plan."""
-        return numpy_of(arrow_of(np.flatnonzero(~self.failed)))
+        return to_numpy_array(to_arrow(np.flatnonzero(~self.failed)))
 
     @property
     def in_lidar(self) -> Floats:
@@ -110,10 +110,12 @@ class RowColumns:
         """(S, 3) x, y, yaw of the recorded lidar origin half a second later; NaN past the end."""
         return self._numbers(_MOVED, ~self.failed)
 
-    def outcomes(self, protocol: str) -> Outcomes:
+    def outcomes(self, protocol: str) -> ProtocolOutcomes:
         """Verdicts of a protocol, which judged all of them (else KeyError), on the rows in `planned`; read-only."""
-        if _named("outcomes", protocol, "counted") not in self.batch.schema.names:
-            return Outcomes.from_rows([vars(row.outcomes[protocol]) for row in self._rows if row.status == "ok"])
+        if _format_column_name("outcomes", protocol, "counted") not in self.batch.schema.names:
+            return ProtocolOutcomes.from_rows(
+                [vars(row.outcomes[protocol]) for row in self._rows if row.status == "ok"]
+            )
         return _outcomes(self, protocol)
 
     def collides(self, protocol: str) -> Bools:
@@ -123,7 +125,7 @@ class RowColumns:
 
     def counted(self, protocol: str) -> Bools:
         """(R,) whether a row counts under a known protocol, at all three horizons, and its collisions are known."""
-        return self._of_planned(says_all(PROTOCOLS[protocol], self.outcomes(protocol)))
+        return self._of_planned(counts_at_all_horizons(PROTOCOLS[protocol], self.outcomes(protocol)))
 
     def _of_planned(self, flags: Bools) -> Bools:
         row_flags = np.zeros(len(self), np.bool_)
@@ -132,7 +134,7 @@ class RowColumns:
 
     @property
     def driving(self) -> tuple[Floats, Bools] | None:
-        """`benchmark.records.driving.sample_scores` of the rows that have driving scores, if any has."""
+        """`benchmark.records.driving.read_sample_scores` of the rows that have driving scores, if any has."""
         if _SCORES not in self.batch.schema.names:
             return None
         driven = self.flags("driven")
@@ -169,7 +171,7 @@ class RowColumns:
     def _numbers(self, name: str, rows: Bools) -> NDArray[Any]:
         """Numeric column of some rows."""
         column = self.batch.column(name)
-        values = numpy_of(column.values).reshape(len(self), -1)
+        values = to_numpy_array(column.values).reshape(len(self), -1)
         values = values[:, 0] if column.type.list_size == 1 else values
         if not rows.all():
             values = values[rows]
@@ -185,41 +187,41 @@ class RowColumns:
         """Different values of JSON in the order in which they appear, and the number of each row's."""
         column = self.batch.column(name)
         texts = ",".join(column.dictionary.to_pylist())
-        return parse_json(f"[{texts}]".encode(), RECORD), numpy_of(column.indices)
+        return parse_json(f"[{texts}]".encode(), RECORD), to_numpy_array(column.indices)
 
 
-@lru_cache(maxsize=_REMEMBERED)
+@lru_cache(maxsize=_CACHED_COLUMNS)
 def _values(columns: RowColumns, name: str) -> tuple[Any, ...]:
     different, codes = columns._coded(name)
     make = _MAKES.get(name, lambda value: value)
     return tuple(map([None if value is None else make(value) for value in different].__getitem__, codes.tolist()))
 
 
-@lru_cache(maxsize=_REMEMBERED)
-def _outcomes(columns: RowColumns, protocol: str) -> Outcomes:
+@lru_cache(maxsize=_CACHED_COLUMNS)
+def _outcomes(columns: RowColumns, protocol: str) -> ProtocolOutcomes:
     planned = ~columns.failed
 
     def those(kind: str, read: Callable[[str, Bools], Any]) -> dict[str, Any]:
-        above = _named(kind, protocol)
+        above = _format_column_name(kind, protocol)
         names = (name for name in columns.batch.schema.names if name.startswith(above))
         return {unquote(name.removeprefix(above)): read(name, planned) for name in names}
 
     arrays, steps, facts = map(those, _VERDICTS, (columns._numbers, columns._numbers, columns._json))
     arrays["l2"] = arrays["l2"] if "l2" in arrays else columns._numbers(_SHARED_L2, planned)
     known = arrays.pop("known")
-    return Outcomes(**arrays, steps=steps, facts=facts, known=None if known.all() else known)
+    return ProtocolOutcomes(**arrays, steps=steps, facts=facts, known=None if known.all() else known)
 
 
-def _named(kind: str, protocol: str, part: str = "") -> str:
+def _format_column_name(kind: str, protocol: str, part: str = "") -> str:
     return f"{kind}/{quote(protocol, safe='')}/{quote(part, safe='')}"
 
 
-def batch_of(rows: Iterable[SampleRow]) -> pa.RecordBatch | None:
+def build_batch(rows: Iterable[SampleRow]) -> pa.RecordBatch | None:
     """Columns of R rows, of which few are in memory at a time.
 
     Returns:
         Every field of `BriefRow`, as JSON; plans and recorded motion as in `RowColumns`; driving scores, where a row
-        has some; what `Outcomes` has of each protocol whose verdicts go together, under names as `_named` makes them.
+        has some; what `ProtocolOutcomes` has of each protocol whose verdicts go together, under names as `_format_column_name` makes them.
         ``None`` where only all rows together show what goes together.
     """
     waiting, pieces, unjudged = iter(rows), list[pa.Table](), 0
@@ -250,15 +252,15 @@ def _piece(rows: Sequence[SampleRow]) -> pa.RecordBatch:
         if all(name in row.outcomes for row in planned):
             numbers |= _verdicts(name, planned)
     has_plan = np.array([row.status == "ok" for row in rows], np.bool_)
-    columns |= {name: _placed(values, has_plan) for name, values in numbers.items()}
+    columns |= {name: _scatter_column(values, has_plan) for name, values in numbers.items()}
     scored = np.array([row.driving is not None for row in rows], np.bool_)
-    columns |= {name: _placed(values, scored) for name, values in _scores(rows).items()}
+    columns |= {name: _scatter_column(values, scored) for name, values in _scores(rows).items()}
     return pa.RecordBatch.from_arrays(list(columns.values()), names=list(columns))
 
 
-def is_made_of_columns(batch: pa.RecordBatch) -> bool:
+def is_column_batch(batch: pa.RecordBatch) -> bool:
     """Whether a batch has what every record has, its lines too, and types of columns alone."""
-    needed = _piece([]).append_column(LINES, joined(pa.binary(), [])).schema
+    needed = _piece([]).append_column(LINES, concatenate_bytes(pa.binary(), [])).schema
     flat = {kind.value_type if pa.types.is_fixed_size_list(kind) else kind for kind in batch.schema.types}
     return flat <= _TYPES and set(needed) <= set(batch.schema)
 
@@ -275,7 +277,7 @@ def _brief(rows: Sequence[SampleRow]) -> dict[str, pa.Array]:
 def _verdicts(protocol: str, planned: Sequence[SampleRow]) -> dict[str, Any]:
     """Verdicts of a protocol on rows with a plan; none where they do not go together."""
     try:
-        outcomes = Outcomes.from_rows([vars(row.outcomes[protocol]) for row in planned])
+        outcomes = ProtocolOutcomes.from_rows([vars(row.outcomes[protocol]) for row in planned])
     except (KeyError, ValueError):
         # Whoever asks for them gets the error that they deserve.
         return {}
@@ -284,7 +286,9 @@ def _verdicts(protocol: str, planned: Sequence[SampleRow]) -> dict[str, Any]:
     arrays = {name: getattr(outcomes, name) for name in ("collision", "l2", "valid", "counted")}
     arrays["known"] = np.ones(len(outcomes), np.bool_) if outcomes.known is None else outcomes.known
     kinds = zip(_VERDICTS, (arrays, outcomes.steps, outcomes.facts))
-    return {_named(kind, protocol, part): values for kind, parts in kinds for part, values in parts.items()}
+    return {
+        _format_column_name(kind, protocol, part): values for kind, parts in kinds for part, values in parts.items()
+    }
 
 
 def _motion(rows: Sequence[SampleRow]) -> dict[str, Any]:
@@ -307,28 +311,28 @@ def _motion(rows: Sequence[SampleRow]) -> dict[str, Any]:
 
 
 def _scores(rows: Sequence[SampleRow]) -> dict[str, NDArray[Any]]:
-    from benchmark.records.driving import sample_scores
+    from benchmark.records.driving import read_sample_scores
 
     driven = [row.driving for row in rows if row.driving is not None]
-    return dict(zip((_SCORES, _SCORED), sample_scores(driven))) if driven else {}
+    return dict(zip((_SCORES, _SCORED), read_sample_scores(driven))) if driven else {}
 
 
-def _placed(values: NDArray[Any] | tuple[Any, ...], there: Bools) -> pa.Array:
+def _scatter_column(values: NDArray[Any] | tuple[Any, ...], there: Bools) -> pa.Array:
     """Values of the rows that are there as a column of all rows."""
     if isinstance(values, tuple):
         waiting = iter(values)
         return _texts(next(waiting) if is_there else None for is_there in there.tolist())
     filled = np.zeros((len(there), math.prod(values.shape[1:])), values.dtype)
     filled[there] = values.reshape(-1, filled.shape[1])
-    return pa.FixedSizeListArray.from_arrays(arrow_of(filled), filled.shape[1])
+    return pa.FixedSizeListArray.from_arrays(to_arrow(filled), filled.shape[1])
 
 
 def _texts(values: Iterable[Any]) -> pa.DictionaryArray:
     """Values of JSON as a column."""
-    return joined(pa.string(), list(map(_TO_JSON, values))).dictionary_encode()
+    return concatenate_bytes(pa.string(), list(map(_TO_JSON, values))).dictionary_encode()
 
 
-def joined(kind: pa.DataType, pieces: Sequence[bytes | memoryview]) -> pa.Array:
+def concatenate_bytes(kind: pa.DataType, pieces: Sequence[bytes | memoryview]) -> pa.Array:
     """Bytes, or text as bytes, as a column."""
     ends = np.cumsum([0, *map(len, pieces)], dtype=np.int32)
     return pa.Array.from_buffers(kind, len(pieces), [None, pa.py_buffer(ends), pa.py_buffer(b"".join(pieces))])

@@ -9,18 +9,18 @@ from typing import Any, Final, Literal, Self
 
 from pydantic import model_validator
 
-from benchmark.machine.storage import content_key, file_name, read_kept_json, write_json
-from benchmark.records.drive_schema import AdversaryRow, DriveRow
+from benchmark.machine.storage import content_key, read_cached_json, sanitise_file_name, write_json
+from benchmark.records.drive_schema import AdversaryRow, EpisodeRow
 from benchmark.records.scenes import Ring
 from benchmark.records.stored import Stored
 
 SCHEMA: Final = 1
 FOLDER: Final = "considered"
 """In the directory of a record of drives."""
-Did = Literal["track", "searched", "slowed"]
+FrameAction = Literal["track", "searched", "slowed"]
 
 
-class ConsideredFrame(Stored):
+class SearchTraceFrame(Stored):
     """Candidates and choice of an adversary in one planning frame.
 
     Attributes:
@@ -33,7 +33,7 @@ class ConsideredFrame(Stored):
 
     frame: int
     time_us: int
-    did: Did
+    did: FrameAction
     candidates: tuple[Ring, ...] = ()
     scores: tuple[float | None, ...] = ()
     chosen: int | None = None
@@ -49,33 +49,33 @@ class ConsideredFrame(Stored):
         return self
 
 
-class _ConsideredFile(Stored):
+class _SearchTraceFile(Stored):
     """The file of one drive; ``adversary`` is a key of the track that these frames led to."""
 
     schema_version: Literal[1]
     adversary: str
-    frames: tuple[ConsideredFrame, ...]
+    frames: tuple[SearchTraceFrame, ...]
 
 
-def considered_path(directory: Path, scene: str, run: int) -> Path:
+def search_trace_path(directory: Path, scene: str, run: int) -> Path:
     """File of a record with the candidates of the adversary of a drive."""
-    return directory / FOLDER / f"{file_name(scene)}-{run}.json"
+    return directory / FOLDER / f"{sanitise_file_name(scene)}-{run}.json"
 
 
-def write_considered(directory: Path, row: DriveRow, frames: tuple[ConsideredFrame, ...]) -> None:
+def write_search_trace(directory: Path, row: EpisodeRow, frames: tuple[SearchTraceFrame, ...]) -> None:
     """Keep the candidates of a drive's adversary, one entry for each of its planning frames."""
     assert row.adversary is not None
-    file = _ConsideredFile(schema_version=SCHEMA, adversary=_key(row.adversary), frames=frames)
-    write_json(considered_path(directory, row.scene, row.run), file.model_dump(mode="json"), indent=None)
+    file = _SearchTraceFile(schema_version=SCHEMA, adversary=_key(row.adversary), frames=frames)
+    write_json(search_trace_path(directory, row.scene, row.run), file.model_dump(mode="json"), indent=None)
 
 
-def read_considered(directory: Path, row: DriveRow) -> tuple[ConsideredFrame, ...] | None:
+def read_search_trace(directory: Path, row: EpisodeRow) -> tuple[SearchTraceFrame, ...] | None:
     """Planning frames of a drive's adversary; ``None`` where they were not kept, or were of another drive."""
     if row.adversary is None:
         return None
-    stored: Any = read_kept_json(considered_path(directory, row.scene, row.run))
+    stored: Any = read_cached_json(search_trace_path(directory, row.scene, row.run))
     try:
-        file = _ConsideredFile.model_validate(stored)
+        file = _SearchTraceFile.model_validate(stored)
     except ValueError:
         # What is absent or damaged is made again by whoever asks for it.
         return None

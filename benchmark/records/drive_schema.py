@@ -15,7 +15,7 @@ SCHEMA: Final = 1
 MOST_RUNS: Final = 10_000
 REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
 EngineName = Literal["default", "neuroncap@code", "neuroncap@paper"]
-UntilName = Literal["contact", "fault"]
+StopCondition = Literal["contact", "fault"]
 """What ends a drive before its time: any contact, or one that is the ego's fault."""
 ScenariosName = Literal["recorded", "own", "official"]
 """What scenes are driven with in NeuroNCAP's engine: as they are, ours, or NeuroNCAP's own."""
@@ -25,7 +25,7 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Fraction = Share | None
 
 
-class Measured(Stored):
+class ClosedLoopDefinition(Stored):
     """Settings of a measurement, apart from the planner: two records that differ in it never share a table.
 
     Attributes:
@@ -45,7 +45,7 @@ class Measured(Stored):
     latency_ms: Annotated[int, Field(ge=0, le=600_000)] = 0
     scenarios: ScenariosName = "recorded"
     agents_facts: dict[str, Any] = Field(default_factory=dict)
-    until: UntilName = "contact"
+    until: StopCondition = "contact"
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -75,13 +75,13 @@ class DriveFacts(RecordFacts):
         rescored: The environment of the last `challenger-bench rescore`, if the drives were scored anew since.
     """
 
-    measured: Measured
+    measured: ClosedLoopDefinition
     runs: Annotated[int, Field(strict=True, ge=1, le=MOST_RUNS)]
     scoring: Version
     rescored: dict[str, Any] | None = None
 
 
-class DrivePlan(Stored):
+class EpisodePlan(Stored):
     """A plan as the planner gave it, in its own frame; of what else it said, nothing is driven or kept."""
 
     frame: Literal["lidar", "ego"]
@@ -246,7 +246,7 @@ CAREFUL: Final = "cc"
 """The careful and competent human: whom an encounter is fair to."""
 
 
-class DriveRow(Stored):
+class EpisodeRow(Stored):
     """One line of ``drives.jsonl``: one scene, one run.
 
     Attributes:
@@ -270,7 +270,7 @@ class DriveRow(Stored):
     end: Literal["contact", "end", "failed"]
     primed: Annotated[int, Field(ge=1, le=100)]
     ticks: TickRows
-    plans: list[DrivePlan]
+    plans: list[EpisodePlan]
     contact: ScoredContact | None
     scores: ScoreRow | None
     failure: FailureRow | None

@@ -19,7 +19,7 @@ from benchmark.geometry import Bools, Floats
 from benchmark.planning import Command
 
 
-def reported(provenance: Mapping[str, Any] | None, scene: str, name: str, otherwise: object = None) -> object:
+def read_scene_report(provenance: Mapping[str, Any] | None, scene: str, name: str, otherwise: object = None) -> object:
     """One part of the report of a scene in ``challenger.json``, unchecked.
 
     Args:
@@ -37,7 +37,7 @@ _AGAIN: Final = "build the data again"
 
 
 @dataclass(frozen=True, slots=True)
-class DrivenEgo:
+class DrivenEgoTargets:
     """Targets for learning from a scene that a planner drove.
 
     Attributes:
@@ -75,10 +75,10 @@ class DrivenEgo:
         known = {int(item) for item in Command}
         if any(type(item) is not int or item not in known for item in commands):
             raise InputError(f"the commands of a driven scene must be 0, 1 or 2; {_AGAIN}")
-        return cls(value["planner"], tuple(map(Command, commands)), np.array([_way(item) for item in wanted]))
+        return cls(value["planner"], tuple(map(Command, commands)), np.array([_read_path(item) for item in wanted]))
 
 
-def _way(places: object) -> Floats:
+def _read_path(places: object) -> Floats:
     if not isinstance(places, Sequence) or len(places) != PLAN_STEPS:
         raise InputError(f"each way of a driven scene must have {PLAN_STEPS} places; {_AGAIN}")
     path = np.full((PLAN_STEPS, 2), np.nan)
@@ -95,11 +95,11 @@ def _is_place(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _FURTHEST_M
 
 
-def driven_ego(provenance: Mapping[str, Any] | None, scene: str) -> DrivenEgo | None:
+def read_driven_ego_targets(provenance: Mapping[str, Any] | None, scene: str) -> DrivenEgoTargets | None:
     """Targets for learning from a scene; ``None`` where the ego was not driven by a planner.
 
     Args:
         provenance: What a data set says of how it was made (``challenger.json``), if it does.
     """
-    stored = reported(provenance, scene, DRIVEN)
-    return None if stored is None else DrivenEgo.from_json(stored)
+    stored = read_scene_report(provenance, scene, DRIVEN)
+    return None if stored is None else DrivenEgoTargets.from_json(stored)

@@ -17,15 +17,22 @@ import numpy as np
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, read_json
-from benchmark.metrics.rates import Rate, ratios_over_scenes
-from benchmark.records.drive_schema import SCHEMA, DriveFacts, DriveRow, DriveSummary, Measured, PublishedTable
-from benchmark.records.neuroncap_aggregate import Metrics, Switches, aggregated
+from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
+from benchmark.records.drive_schema import (
+    SCHEMA,
+    ClosedLoopDefinition,
+    DriveFacts,
+    DriveSummary,
+    EpisodeRow,
+    PublishedTable,
+)
+from benchmark.records.neuroncap_aggregate import Metrics, NeuroncapSwitches, aggregate_runs
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.run_schema import SceneFacts
-from benchmark.records.store import FileNames, read_each, read_own, replace_files, validated
+from benchmark.records.store import RecordFileNames, read_records, read_rows_and_summary, replace_files, validate_stored
 from benchmark.records.stored import Stored
 from benchmark.report.terminal import html_table
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from benchmark.untrusted.files import RECORD
 
 ENGINE: Final = "neuroncap@code"
@@ -34,7 +41,7 @@ _SCORE, _COLLISION = "ncap_score", "any_collide@0.0s"
 """Names of the published files."""
 
 
-def published_table(engine: str, rows: Sequence[DriveRow]) -> PublishedTable | None:
+def compute_published_table(engine: str, rows: Sequence[EpisodeRow]) -> PublishedTable | None:
     """NeuroNCAP's published table of a record, from its drives.
 
     ``None`` of another engine, and of scenes that were driven as they are: the published table is of scenarios.
@@ -44,18 +51,20 @@ def published_table(engine: str, rows: Sequence[DriveRow]) -> PublishedTable | N
     runs: dict[str, dict[str, dict[str, Metrics | None]]] = {}
     for row in rows:
         runs.setdefault(row.family, {}).setdefault(row.scene, {})[f"run_{row.run}"] = _metrics(row)
-    aggregate = aggregated(runs, Switches.named(engine))
+    aggregate = aggregate_runs(runs, NeuroncapSwitches.named(engine))
     return PublishedTable(
-        nns=_known(aggregate.overall, _SCORE),
-        collision=_known(aggregate.overall, _COLLISION),
-        nns_by_family={family: _known(family_metrics, _SCORE) for family, family_metrics in aggregate.per_type.items()},
+        nns=_read_metric(aggregate.overall, _SCORE),
+        collision=_read_metric(aggregate.overall, _COLLISION),
+        nns_by_family={
+            family: _read_metric(family_metrics, _SCORE) for family, family_metrics in aggregate.per_type.items()
+        },
         collision_by_family={
-            family: _known(family_metrics, _COLLISION) for family, family_metrics in aggregate.per_type.items()
+            family: _read_metric(family_metrics, _COLLISION) for family, family_metrics in aggregate.per_type.items()
         },
     )
 
 
-def _metrics(row: DriveRow) -> Metrics | None:
+def _metrics(row: EpisodeRow) -> Metrics | None:
     """Metrics of a run in the published code; a failed run left none, and without labels there are none."""
     if row.scores is None or row.scores.neuroncap is None or row.unlabelled:
         return None
@@ -63,13 +72,13 @@ def _metrics(row: DriveRow) -> Metrics | None:
     return {_SCORE: float("nan") if score is None else score, _COLLISION: row.contact is not None}
 
 
-def _known(level: dict[str, float], name: str) -> float | None:
+def _read_metric(level: dict[str, float], name: str) -> float | None:
     value = level.get(name, float("nan"))
     return None if np.isnan(value) else value
 
 
 DRIVE_FILE, ROWS_FILE, SUMMARY_FILE = "drive.json", "drives.jsonl", "summary.json"
-DRIVE_FILES: Final = FileNames(DRIVE_FILE, ROWS_FILE, SUMMARY_FILE)
+DRIVE_FILES: Final = RecordFileNames(DRIVE_FILE, ROWS_FILE, SUMMARY_FILE)
 NNS, COLLISION_RATE = "nns", "collision"
 ATTRIBUTABLE, BYSTANDER = "attributable", "bystander"
 """Contacts at fault where a careful human survives: with the adversary, and with anybody else."""
@@ -90,7 +99,7 @@ class DriveRecord:
 
     directory: Path
     facts: DriveFacts
-    rows: tuple[DriveRow, ...]
+    rows: tuple[EpisodeRow, ...]
     summary: DriveSummary
     cost: PlannerCost | None = field(default=None, compare=False)
 
@@ -107,7 +116,7 @@ class DriveRecord:
     @property
     def _what(self) -> str:
         facts = self.facts
-        drives = counted(self.summary.drives, "drive")
+        drives = pluralise(self.summary.drives, "drive")
         return f"{self.planner} on {facts.data.name} {facts.split}, {drives}, {facts.measured.world}"
 
     @property
@@ -136,19 +145,19 @@ _WITHOUT_OTHERS: Final = ("route", "progress_m", "comfortable", "off_road", "nup
 """Columns for which it does not matter who is around."""
 
 
-def values_of(row: DriveRow) -> dict[str, float | None]:
+def compute_column_values(row: EpisodeRow) -> dict[str, float | None]:
     """Values that a drive that did not fail adds to each column; ``None`` where it says nothing there.
 
     Columns of NeuroNCAP's engine and of the default one have different names and are never both there. Of a scene that
     is not labelled throughout nothing is said that depends on others.
     """
-    values = _values(row)
+    values = _compute_values(row)
     if not row.unlabelled:
         return values
     return {name: value if name in _WITHOUT_OTHERS else None for name, value in values.items()}
 
 
-def _values(row: DriveRow) -> dict[str, float | None]:
+def _compute_values(row: EpisodeRow) -> dict[str, float | None]:
     scores, contact, first = row.scores, row.contact, row.first_contact
     assert scores is not None, "a failed drive adds to no column"
     common: dict[str, float | None] = {
@@ -189,8 +198,8 @@ def _values(row: DriveRow) -> dict[str, float | None]:
     return values
 
 
-def summarise(
-    rows: Sequence[DriveRow], scene_facts: Mapping[str, SceneFacts], *, seed: int, engine: str = "default"
+def summarise_episodes(
+    rows: Sequence[EpisodeRow], scene_facts: Mapping[str, SceneFacts], *, seed: int, engine: str = "default"
 ) -> DriveSummary:
     """Summary of drives; failed ones are counted and in no column.
 
@@ -201,13 +210,13 @@ def summarise(
     driven = [row for row in rows if row.status == "ok"]
     columns: dict[str, Rate] = {}
     if driven:
-        values = [values_of(row) for row in driven]
+        values = [compute_column_values(row) for row in driven]
         names = list(dict.fromkeys(name for row_values in values for name in row_values))
         table = np.array([[row_values.get(name) for name in names] for row_values in values], np.float64)
         known = ~np.isnan(table)
-        weights: Floats = np.where(known, _weights(driven)[:, None], 0.0)
+        weights: Floats = np.where(known, _compute_family_weights(driven)[:, None], 0.0)
         scenes = [scene_facts[row.scene].source if row.scene in scene_facts else row.scene for row in driven]
-        ratios = ratios_over_scenes(np.where(known, table, 0.0) * weights, weights, scenes, seed=seed)
+        ratios = compute_ratios_over_scenes(np.where(known, table, 0.0) * weights, weights, scenes, seed=seed)
         columns = dict(zip(names, ratios, strict=True))
     reasons = Counter(row.failure.reason for row in rows if row.failure is not None)
     return DriveSummary(
@@ -217,11 +226,11 @@ def summarise(
         reasons=dict(sorted(reasons.items())),
         coverage=len(driven) / len(rows) if rows else 0.0,
         columns=columns,
-        published=published_table(engine, rows),
+        published=compute_published_table(engine, rows),
     )
 
 
-def columns_of(record: DriveRecord) -> Mapping[str, Rate]:
+def compute_columns(record: DriveRecord) -> Mapping[str, Rate]:
     """The columns of a record's summary as they are defined now.
 
     Older summaries count contacts with bystanders as attributable; the rows say whom each contact is with.
@@ -229,21 +238,21 @@ def columns_of(record: DriveRecord) -> Mapping[str, Rate]:
     stored, facts = record.summary.columns, record.facts
     if BYSTANDER in stored or ATTRIBUTABLE not in stored:
         return stored
-    columns = summarise(record.rows, facts.scene_facts, seed=facts.seed, engine=facts.measured.engine).columns
+    columns = summarise_episodes(record.rows, facts.scene_facts, seed=facts.seed, engine=facts.measured.engine).columns
     return {**stored, **{name: columns[name] for name in (ATTRIBUTABLE, BYSTANDER)}}
 
 
-def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[DriveRow], *, seed: int) -> DriveRecord:
+def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[EpisodeRow], *, seed: int) -> DriveRecord:
     """Write a record in place of the one that is there, if any, and read it back.
 
     Args:
-        directory: Its directory; no other process may write to it (`benchmark.machine.storage.only_writer`).
+        directory: Its directory; no other process may write to it (`benchmark.machine.storage.lock_folder`).
         facts: `DriveFacts` less schema, status, seed and files.
     """
     if not rows:
         raise InputError(f"there are no drives to write to {directory}: no scene was chosen")
-    measured = Measured.model_validate(facts["measured"])
-    summary = summarise(rows, facts.get("scene_facts") or {}, seed=seed, engine=measured.engine)
+    measured = ClosedLoopDefinition.model_validate(facts["measured"])
+    summary = summarise_episodes(rows, facts.get("scene_facts") or {}, seed=seed, engine=measured.engine)
     status: Literal["complete", "partial"] = "complete" if summary.failed == 0 else "partial"
     run = DriveFacts(schema=SCHEMA, status=status, seed=seed, files={}, **facts)
 
@@ -280,9 +289,9 @@ def load_drives(directory: Path) -> DriveRecord:
             f"{directory} has schema {head['schema']} of drives, this version reads {SCHEMA}; upgrade challenger-bench "
             "or run the same drive command again"
         )
-    rows, summary = read_own(directory, head, DRIVE_FILES, "drive")
+    rows, summary = read_rows_and_summary(directory, head, DRIVE_FILES, "drive")
     facts = _checked(DriveFacts, head, directory / DRIVE_FILE)
-    read = tuple(_checked(DriveRow, row, directory / ROWS_FILE) for row in rows)
+    read = tuple(_checked(EpisodeRow, row, directory / ROWS_FILE) for row in rows)
     return DriveRecord(directory, facts, read, _checked(DriveSummary, summary, directory / SUMMARY_FILE))
 
 
@@ -297,25 +306,25 @@ def find_drives(*roots: Path) -> list[DriveRecord]:
         if not root.is_dir():
             raise InputError(f"there is no folder {root}; run challenger-bench drive first, or name the right --out")
         places = (path.parent for path in sorted(root.rglob(DRIVE_FILE)))
-        records += read_each(places, load_drives, instead=" to do without this record")
+        records += read_records(places, load_drives, instead=" to do without this record")
     return records
 
 
-def _weights(rows: Sequence[DriveRow]) -> Floats:
+def _compute_family_weights(rows: Sequence[EpisodeRow]) -> Floats:
     """(S,) weights with which families of scenarios count alike, however many drives each has; they sum to S."""
     drives = Counter(row.family for row in rows)
     return np.array([len(rows) / (len(drives) * drives[row.family]) for row in rows])
 
 
 def _checked(model: type[_Read], stored: Any, path: Path) -> _Read:
-    return validated(
+    return validate_stored(
         model.model_validate,
         stored,
         lambda where, wrong: f"{path} is damaged ({where or 'as a whole'}: {wrong}); run the same drive command again",
     )
 
 
-def _seconds(row: DriveRow) -> float | None:
+def _seconds(row: EpisodeRow) -> float | None:
     """Time that the ego drove, to the contact where one ended it."""
     if row.contact is not None:
         return row.contact.seconds

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.geometry import Bools, Floats
-from benchmark.metrics.rates import ratios_over_scenes
+from benchmark.metrics.rates import compute_ratios_over_scenes
 from benchmark.pdm.definition import DEFINITION, NOTE, PDM, VERSION
 from benchmark.pdm.totals import FILTERED, DrivenPlan, SubScores
 from benchmark.records.row_schema import SampleRow
@@ -20,8 +20,8 @@ __all__ = [
     "SUB_SCORES",
     "TOTALS",
     "VERSION",
-    "sample_scores",
-    "summarise_driving",
+    "read_sample_scores",
+    "summarise_driving_scores",
 ]
 # The leaderboard reads records: what it says of the definition, it has from here.
 
@@ -35,7 +35,7 @@ COLUMNS: Final = (
 """Columns of a summary; EC is not filtered."""
 
 
-def summarise_driving(rows: Sequence[SampleRow], scenes: Sequence[str], *, seed: int) -> DrivingSummary | None:
+def summarise_driving_scores(rows: Sequence[SampleRow], scenes: Sequence[str], *, seed: int) -> DrivingSummary | None:
     """Means and shares over the samples that have driving scores.
 
     A sample without a predecessor has no EC and no ``score``, one without a history no HC; both are in
@@ -47,13 +47,15 @@ def summarise_driving(rows: Sequence[SampleRow], scenes: Sequence[str], *, seed:
     counted = [(row.driving, scene) for row, scene in zip(rows, scenes, strict=True) if row.driving is not None]
     if not counted:
         return None
-    return driving_summary(
-        sample_scores([driving for driving, _ in counted]), [scene for _, scene in counted], len(rows), seed=seed
+    return summarise_score_columns(
+        read_sample_scores([driving for driving, _ in counted]), [scene for _, scene in counted], len(rows), seed=seed
     )
 
 
-def driving_summary(scores: tuple[Floats, Bools], scenes: Sequence[str], planned: int, *, seed: int) -> DrivingSummary:
-    """Means and shares from the columns of `sample_scores`.
+def summarise_score_columns(
+    scores: tuple[Floats, Bools], scenes: Sequence[str], planned: int, *, seed: int
+) -> DrivingSummary:
+    """Means and shares from the columns of `read_sample_scores`.
 
     Args:
         scenes: S names of the recorded scenes that are drawn together.
@@ -62,7 +64,7 @@ def driving_summary(scores: tuple[Floats, Bools], scenes: Sequence[str], planned
     values, known = scores
     weights = np.concatenate([known, known], axis=1).astype(np.float64)
     both = np.concatenate([values, values == 1.0], axis=1) * weights
-    rates = ratios_over_scenes(both, weights, scenes, seed=seed)
+    rates = compute_ratios_over_scenes(both, weights, scenes, seed=seed)
     columns = {
         name: {"mean": mean, "ones": ones}
         for name, mean, ones in zip(COLUMNS, rates[: len(COLUMNS)], rates[len(COLUMNS) :], strict=True)
@@ -70,14 +72,14 @@ def driving_summary(scores: tuple[Floats, Bools], scenes: Sequence[str], planned
     return DrivingSummary(version=VERSION, columns=columns, counted=len(scenes), incomplete=planned - len(scenes))
 
 
-def sample_scores(rows: Sequence[DrivenPlan]) -> tuple[Floats, Bools]:
+def read_sample_scores(rows: Sequence[DrivenPlan]) -> tuple[Floats, Bools]:
     """Driving scores of S samples: (S, C) values in the order of ``COLUMNS`` and (S, C) whether each exists."""
     always = {name: np.array([getattr(row, name) for row in rows], np.float64) for name in SUB_SCORES[:6]}
     # What does not exist is null and becomes NaN, which no score is.
     hc, ec = (np.array([getattr(row, name) for row in rows], np.float64) for name in ("hc", "ec"))
     scores = SubScores(**always, hc=np.where(np.isnan(hc), 1.0, hc))
     forgiven = {name: np.array([name in row.forgiven for row in rows], np.bool_) for name in FILTERED}
-    filtered = scores.forgiving(forgiven)
+    filtered = scores.forgive(forgiven)
     columns = {
         "score": scores.score(ec),
         "score_without_ec": scores.score_without_ec,

@@ -1,7 +1,7 @@
 """What is said of an adversarial scene: who could have avoided it, how severe it is, what is wrong with its adversary.
 
-``docs/severity.md`` and ``docs/realism.md`` define every word. A `SceneJudgement` is about one adversary of one scene,
-`JudgementSummary` about a scene as tables, cards and filters need it, `SplitRealism` about the adversaries of a split.
+``docs/severity.md`` and ``docs/realism.md`` define every word. A `SceneAssessment` is about one adversary of one scene,
+`AssessmentSummary` about a scene as tables, cards and filters need it, `SplitRealism` about the adversaries of a split.
 Times are seconds since the scene's first frame.
 """
 
@@ -22,15 +22,15 @@ DRIVER_NAMES: Final[tuple[DriverName, ...]] = get_args(DriverName)
 Party = Literal["adversary", "another_adversary", "other"]
 """Whom something is about: the adversary that is judged, another one of the scene, or anybody else."""
 KindName = Literal["stopped_ego", "stopped_track", "front", "rear", "lateral"]
-FaultName = Literal["beyond_limits", "off_road", "contact", "against_traffic", "hovering", "teleport"]
-FAULT_NAMES: Final[tuple[FaultName, ...]] = get_args(FaultName)
-Chance = Literal["not_threatened", "not_to_blame", "never", "until"]
+TrackDefectName = Literal["beyond_limits", "off_road", "contact", "against_traffic", "hovering", "teleport"]
+TRACK_DEFECT_NAMES: Final[tuple[TrackDefectName, ...]] = get_args(TrackDefectName)
+Avoidability = Literal["not_threatened", "not_to_blame", "never", "until"]
 Text = Annotated[str, Field(max_length=500)]
 NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
-class DriverContact(Stored):
+class ReferenceDriverCollision(Stored):
     """First contact of a reference driver.
 
     Attributes:
@@ -47,7 +47,7 @@ class DriverContact(Stored):
     impact_speed_m_s: NotNegative
 
 
-class DriverRun(Stored):
+class ReferenceDriverRun(Stored):
     """Fate of one reference driver.
 
     Attributes:
@@ -58,7 +58,7 @@ class DriverRun(Stored):
     """
 
     survives: bool
-    contact: DriverContact | None = None
+    contact: ReferenceDriverCollision | None = None
     reacted_s: float | None = None
     reacted_to: Party | None = None
     reacted_to_instance: Text | None = None
@@ -75,7 +75,7 @@ class DriverRun(Stored):
         return self
 
 
-class Impact(Stored):
+class CollisionSeverity(Stored):
     """A contact in numbers (`benchmark.fairness.scenes`).
 
     Attributes:
@@ -93,7 +93,7 @@ class Impact(Stored):
     fatal_probability: Share
 
 
-class EncounterSeverity(Stored):
+class InteractionSeverity(Stored):
     """Nearness of the recorded ego, or one that follows plans, and one other to a contact.
 
     Attributes:
@@ -113,10 +113,10 @@ class EncounterSeverity(Stored):
     pet_s: NotNegative | None
     pet_first: Literal["ego", "other", "none"] | None
     max_btn: NotNegative | None
-    contact: Impact | None = None
+    contact: CollisionSeverity | None = None
 
 
-class TrackFaults(Stored):
+class StoredTrackDefects(Stored):
     """Faults of one adversary's track; null where it cannot be told: without a map, or a 12 Hz track.
 
     Attributes:
@@ -135,21 +135,21 @@ class TrackFaults(Stored):
     against_traffic: bool | None = None
     hovering: bool | None = None
     teleport: bool | None = None
-    unknown: dict[FaultName, Text] = Field(default_factory=dict)
+    unknown: dict[TrackDefectName, Text] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
-        if set(self.unknown) != {name for name in FAULT_NAMES if getattr(self, name) is None}:
+        if set(self.unknown) != {name for name in TRACK_DEFECT_NAMES if getattr(self, name) is None}:
             raise ValueError("exactly the faults that nobody could tell have a reason")
         return self
 
     @property
-    def found(self) -> tuple[FaultName, ...]:
+    def found(self) -> tuple[TrackDefectName, ...]:
         """Names of those that it has."""
-        return tuple(name for name in FAULT_NAMES if getattr(self, name))
+        return tuple(name for name in TRACK_DEFECT_NAMES if getattr(self, name))
 
 
-class SceneJudgement(Stored):
+class SceneAssessment(Stored):
     """Judgement of one adversary of one scene, or of a scene without a known adversary.
 
     Attributes:
@@ -177,14 +177,14 @@ class SceneJudgement(Stored):
     tracks: Literal["generated", "annotated"]
     has_map: bool
     acts_s: float | None = None
-    drivers: dict[DriverName, DriverRun]
+    drivers: dict[DriverName, ReferenceDriverRun]
     first_visible_s: float | None
-    chance: Chance
+    chance: Avoidability
     last_chance_s: float | None
     margin_s: float | None
     unsolvable: bool | None
-    encounter: EncounterSeverity | None
-    faults: TrackFaults | None
+    encounter: InteractionSeverity | None
+    faults: StoredTrackDefects | None
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
@@ -200,11 +200,11 @@ class SceneJudgement(Stored):
         return self
 
 
-class JudgementSummary(Stored):
+class AssessmentSummary(Stored):
     """Part of a scene's judgements for tables, cards and filters; of several adversaries the most severe values.
 
     Attributes:
-        unsolvable: Whether no driver could have avoided it (`unsolvable`); null where no adversary is known, as are the
+        unsolvable: Whether no driver could have avoided it (`is_unsolvable`); null where no adversary is known, as are the
             numbers after it.
         margin_s: Least time from 0.75 s after an adversary is first visible to the last chance.
         contact: The recorded ego's first contact with an adversary, if it has one.
@@ -223,12 +223,12 @@ class JudgementSummary(Stored):
     tit_s2: NotNegative | None
     pet_s: NotNegative | None
     max_btn: NotNegative | None
-    contact: Impact | None = None
-    faults: list[FaultName] = Field(default_factory=list)
-    unknown_faults: list[FaultName] = Field(default_factory=list)
+    contact: CollisionSeverity | None = None
+    faults: list[TrackDefectName] = Field(default_factory=list)
+    unknown_faults: list[TrackDefectName] = Field(default_factory=list)
 
     @classmethod
-    def of(cls, judgements: Sequence[SceneJudgement]) -> Self:
+    def of(cls, judgements: Sequence[SceneAssessment]) -> Self:
         """Sum a scene up from the judgements of its adversaries, at least one."""
         first = judgements[0]
         met = [item.encounter for item in judgements if item.encounter is not None]
@@ -241,7 +241,7 @@ class JudgementSummary(Stored):
             tracks=first.tracks,
             has_map=first.has_map,
             survives={name: first.drivers[name].survives for name in DRIVER_NAMES},
-            unsolvable=unsolvable(judgements) if met else None,
+            unsolvable=is_unsolvable(judgements) if met else None,
             margin_s=_least([item.margin_s for item in judgements]),
             least_gap_m=_least([item.least_gap_m for item in met]),
             least_ttc_s=_least([item.least_ttc_s for item in met]),
@@ -250,12 +250,12 @@ class JudgementSummary(Stored):
             pet_s=_least([item.pet_s for item in met]),
             max_btn=max((item.max_btn for item in met if item.max_btn is not None), default=None),
             contact=min(contacts, key=lambda contact: contact.time_s, default=None),
-            faults=[name for name in FAULT_NAMES if name in defects],
-            unknown_faults=[name for name in FAULT_NAMES if name in unknown],
+            faults=[name for name in TRACK_DEFECT_NAMES if name in defects],
+            unknown_faults=[name for name in TRACK_DEFECT_NAMES if name in unknown],
         )
 
 
-def unsolvable(judgements: Sequence[SceneJudgement]) -> bool:
+def is_unsolvable(judgements: Sequence[SceneAssessment]) -> bool:
     """Whether no driver could have avoided a scene, given the judgement of each adversary.
 
     The verdict on the adversary that the ego at constant speed hits; where it hits another, or none, whether all
@@ -310,7 +310,7 @@ class CtgRow(Stored):
 class ValidityRow(Stored):
     """One kind of fault over all adversaries: how many have it, of how many could be asked, why not of the others."""
 
-    fault: FaultName
+    fault: TrackDefectName
     count: Annotated[int, Field(ge=0)]
     of: Annotated[int, Field(ge=0)]
     unknown: tuple[Text, ...] = ()

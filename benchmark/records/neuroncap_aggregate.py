@@ -16,7 +16,7 @@ _ENGINE: Final = "neuroncap@"
 
 
 @dataclass(frozen=True, slots=True)
-class Switches:
+class NeuroncapSwitches:
     """Reading of each quirk.
 
     Attributes:
@@ -109,8 +109,8 @@ class Switches:
         return _ENGINE + preset + "".join(departures)
 
 
-CODE: Final = Switches.named("neuroncap@code")
-PAPER: Final = Switches.named("neuroncap@paper")
+CODE: Final = NeuroncapSwitches.named("neuroncap@code")
+PAPER: Final = NeuroncapSwitches.named("neuroncap@paper")
 
 
 Metrics = Mapping[str, bool | float | None]
@@ -123,7 +123,7 @@ _NO_METRIC: Final = "info"
 
 
 @dataclass(frozen=True, slots=True)
-class Aggregate:
+class NeuroncapAggregate:
     """The table, by type, sequence and metric; NaN where there was nothing to average."""
 
     per_sequence: dict[str, dict[str, dict[str, float]]]
@@ -131,7 +131,7 @@ class Aggregate:
     overall: dict[str, float]
 
 
-def aggregated(runs: Runs, switches: Switches) -> Aggregate:
+def aggregate_runs(runs: Runs, switches: NeuroncapSwitches) -> NeuroncapAggregate:
     """Average runs; ``switches`` say whether every level is rounded.
 
     A run without metrics is left out, and a sequence without runs is NaN. A NaN in a run makes its sequence NaN, and
@@ -160,10 +160,10 @@ def aggregated(runs: Runs, switches: Switches) -> Aggregate:
         for family, sequences in runs.items()
     }
     per_type = {family: _over(sequences.values(), digits) for family, sequences in per_sequence.items()}
-    return Aggregate(per_sequence, per_type, _over(per_type.values(), digits))
+    return NeuroncapAggregate(per_sequence, per_type, _over(per_type.values(), digits))
 
 
-def why_invalid(runs: Runs) -> str | None:
+def find_invalid_reason(runs: Runs) -> str | None:
     """Reason why runs are no complete result, in a sentence, or ``None``.
 
     Every sequence needs as many runs as the first one, and each run its metrics.

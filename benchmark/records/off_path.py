@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.records.driven import reported
+from benchmark.records.driven import read_scene_report
 
 OFF_PATH: Final = "off_path"
 """Where the report of a scene (``challenger.json``) names its excursions."""
@@ -63,19 +63,19 @@ class Excursion:
         return excursion
 
 
-def excursions_of(provenance: Mapping[str, Any] | None, scene: str) -> tuple[Excursion, ...]:
+def read_excursions(provenance: Mapping[str, Any] | None, scene: str) -> tuple[Excursion, ...]:
     """Excursions of the ego of a scene in order of time; none where it was not driven off its path.
 
     Args:
         provenance: What a data set says of how it was made (``challenger.json``), if it does.
     """
-    entries = reported(provenance, scene, OFF_PATH, [])
+    entries = read_scene_report(provenance, scene, OFF_PATH, [])
     if not isinstance(entries, list):
         raise InputError(f"{OFF_PATH} of scene {scene} must be a list of excursions; build the data again")
     return tuple(Excursion.from_json(entry) for entry in entries)
 
 
-def worth_following(excursions: Sequence[Excursion], now_s: Floats, later_s: Floats) -> Bools:
+def find_followable_positions(excursions: Sequence[Excursion], now_s: Floats, later_s: Floats) -> Bools:
     """Which recorded positions show what a driver should do: none of those that departing led to.
 
     Args:

@@ -16,7 +16,7 @@ from pydantic import Field
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json, write_json, writing_to
 from benchmark.records.run_schema import LABELS, PlannerFacts
-from benchmark.records.store import validated
+from benchmark.records.store import validate_stored
 from benchmark.records.stored import Stored
 from benchmark.untrusted.files import RECORD
 
@@ -84,7 +84,7 @@ class CostSummary:
     workers: int
 
 
-def summary_of(cost: PlannerCost) -> CostSummary:
+def summarise_cost(cost: PlannerCost) -> CostSummary:
     """Put a cost of at least one scene into numbers."""
     warm, scenes = np.array(cost.warm_s()), list(cost.scenes.values())
     return CostSummary(
@@ -128,7 +128,7 @@ def gather_costs(whole: Path, facts: PlannerFacts) -> None:
     parts = sorted(whole.parent.glob(f"{stem}.shard-*-of-*.timing.json"))
     for part in parts:
         try:
-            known = cost_of(part, facts)
+            known = read_matching_cost(part, facts)
         except InputError:
             # Costs are a convenience; what is damaged is missing.
             continue
@@ -146,7 +146,7 @@ def note_cost(path: Path, facts: PlannerFacts, scenes: Mapping[str, SceneCost | 
     Args:
         scenes: By scene, of those that were planned now, else ``None``: the notes of those stay.
     """
-    who = _who(facts)
+    who = _identify_version(facts)
     try:
         known = read_cost(path)
     except InputError:
@@ -166,19 +166,19 @@ def read_cost(path: Path) -> PlannerCost | None:
     stored = read_json(path, RECORD)
     if isinstance(stored, dict) and set(stored) == {"planning_s"}:
         return None
-    return validated(PlannerCost.model_validate, stored, partial(_fault, path))
+    return validate_stored(PlannerCost.model_validate, stored, partial(_format_damage, path))
 
 
-def cost_of(path: Path, facts: PlannerFacts) -> PlannerCost | None:
+def read_matching_cost(path: Path, facts: PlannerFacts) -> PlannerCost | None:
     """`read_cost` of a run; ``None`` also where it is that of another version of the planner, or of no scene."""
     cost = read_cost(path)
-    return cost if cost is not None and cost.scenes and cost.planner == _who(facts) else None
+    return cost if cost is not None and cost.scenes and cost.planner == _identify_version(facts) else None
 
 
-def _who(facts: PlannerFacts) -> str:
+def _identify_version(facts: PlannerFacts) -> str:
     # What a planner is called elsewhere makes it no slower.
     return content_key(facts.model_dump(mode="json", exclude=LABELS))
 
 
-def _fault(path: Path, where: str, why: str) -> str:
+def _format_damage(path: Path, where: str, why: str) -> str:
     return f"{path} is not what eval notes of the cost of a planner: {where or 'the whole'}: {why}; delete it"

@@ -8,19 +8,19 @@ from dataclasses import replace
 from typing import Any
 
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import AS_PUBLISHED, PlannerFacts, PlansFrom
+from benchmark.records.run_schema import AS_PUBLISHED, PlanFileFacts, PlannerFacts
 
 
-def file_notes(records: Iterable[RunRecord]) -> list[str]:
+def list_file_notes(records: Iterable[RunRecord]) -> list[str]:
     """One sentence for each run whose plans come from a file: how it is known which sample each belongs to."""
     return [
-        f"{record.planner} on {record.run.split}: plans from a file ({plans_from.format}), samples {order_words(plans_from)}."
+        f"{record.planner} on {record.run.split}: plans from a file ({plans_from.format}), samples {describe_sample_order(plans_from)}."
         for record in records
         if (plans_from := record.run.plans_from) is not None
     ]
 
 
-def order_words(plans_from: PlansFrom) -> str:
+def describe_sample_order(plans_from: PlanFileFacts) -> str:
     """Words on how the samples of a file are known, to stand behind "samples"."""
     known = "named by the file" if plans_from.order == "tokens" else f"in an order that is {plans_from.order}"
     return f"{known} ({plans_from.shown_by})"
@@ -31,23 +31,25 @@ PLANS_SHA256 = "plans_sha256"
 _OF_ONE_SPLIT = frozenset({PLANS_SHA256})
 """What differs between splits without making another version: a plan file holds one split."""
 _HASH_CHARACTERS = 8
-Ran = tuple[PlannerFacts, str, str]
+PlannerOnSplit = tuple[PlannerFacts, str, str]
 """Who ran, on which data set, on which split."""
 
 
-def labelled(records: Sequence[RunRecord]) -> list[RunRecord]:
+def label_versions(records: Sequence[RunRecord]) -> list[RunRecord]:
     """Records whose `RunRecord.planner` is unlike that of every other version of the planner among them.
 
     A planner that ran in one version keeps its name. Otherwise what differs is added: ``vad-base (seed 1)``,
     ``vad-base (weights 3fa2b1c0)``. Versions that differ in their code alone are told apart by nothing: the same
     planner at two commits is not two planners. Plan files tell versions apart only where two of them are of one split.
     """
-    version_labels = labels([(record.run.planner, record.run.data.name, record.run.split) for record in records])
+    version_labels = compute_version_labels(
+        [(record.run.planner, record.run.data.name, record.run.split) for record in records]
+    )
     return [replace(record, label=label) for record, label in zip(records, version_labels, strict=True)]
 
 
-def labels(ran: Sequence[Ran]) -> list[str | None]:
-    """Names that tell versions of planners apart, as `labelled`, of planners that ran anywhere.
+def compute_version_labels(ran: Sequence[PlannerOnSplit]) -> list[str | None]:
+    """Names that tell versions of planners apart, as `label_versions`, of planners that ran anywhere.
 
     Args:
         ran: Planner, name of the data set, split.
@@ -55,28 +57,28 @@ def labels(ran: Sequence[Ran]) -> list[str | None]:
     Returns:
         The name of each that tells its version from the others, or ``None`` where there are no others.
     """
-    versions_by_name: dict[str, list[Ran]] = {}
+    versions_by_name: dict[str, list[PlannerOnSplit]] = {}
     for version in ran:
         versions_by_name.setdefault(version[0].name, []).append(version)
-    telling = {name: _telling(versions) for name, versions in versions_by_name.items()}
+    telling = {name: _find_distinguishing_facts(versions) for name, versions in versions_by_name.items()}
     return [_label(planner, telling[planner.name]) for planner, _, _ in ran]
 
 
-def _telling(ran: Sequence[Ran]) -> list[str]:
+def _find_distinguishing_facts(ran: Sequence[PlannerOnSplit]) -> list[str]:
     """Names of the facts that tell versions of one planner apart."""
-    versions = [version_of(planner) for planner, _, _ in ran]
+    versions = [describe_version(planner) for planner, _, _ in ran]
     names = sorted({name for version in versions for name in version})
     return [name for name in names if _differs(name, ran, [version.get(name) for version in versions])]
 
 
-def _differs(name: str, ran: Sequence[Ran], values: Sequence[str | None]) -> bool:
+def _differs(name: str, ran: Sequence[PlannerOnSplit], values: Sequence[str | None]) -> bool:
     if name not in _OF_ONE_SPLIT:
         return len(set(values)) > 1
     places = [(data, split) for _, data, split in ran]
     return len(set(zip(places, values))) > len(set(places))
 
 
-def version_of(planner: PlannerFacts) -> dict[str, str]:
+def describe_version(planner: PlannerFacts) -> dict[str, str]:
     """Differences between versions of planners, as text by their kind."""
     # Records of before name the code of native planners in their settings too (shared_code_sha256).
     settings = {name: value for name, value in planner.settings.items() if not name.endswith("code_sha256")}
@@ -89,10 +91,10 @@ def version_of(planner: PlannerFacts) -> dict[str, str]:
         # The hash says all that the name of the file they came from would.
         facts = {name: value for name, value in facts.items() if not name.startswith("checkpoint")}
         facts["weights"] = planner.weights_sha256
-    return {name: _shown(name, value) for name, value in facts.items()}
+    return {name: _format_fact(name, value) for name, value in facts.items()}
 
 
-def _shown(name: str, value: Any) -> str:
+def _format_fact(name: str, value: Any) -> str:
     is_hash = isinstance(value, str) and (name == "weights" or name.endswith("sha256"))
     return value[:_HASH_CHARACTERS] if is_hash else str(value)
 
@@ -100,6 +102,6 @@ def _shown(name: str, value: Any) -> str:
 def _label(planner: PlannerFacts, telling: Sequence[str]) -> str | None:
     if not telling:
         return None
-    version = version_of(planner)
+    version = describe_version(planner)
     differences = ", ".join(f"{name} {version.get(name, 'none')}" for name in telling)
     return f"{planner.name} ({differences})"

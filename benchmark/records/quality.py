@@ -17,18 +17,18 @@ from pydantic import Field, field_validator
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256, read_json, read_json_lines, write_json, write_json_lines
-from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
 from benchmark.records.caveats import Caveat
 from benchmark.records.run_schema import DataFacts, ReviewFacts, SceneFacts
-from benchmark.records.store import read_each, validated
+from benchmark.records.store import read_records, validate_stored
 from benchmark.records.stored import Stored
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 QUALITY_SCHEMA: Final = 1
 """Version of the format and of the numbers: raised whenever either changes."""
 
 
-class Sum(Stored):
+class ExactSum(Stored):
     """Values added up, exactly rounded once, so that the order does not matter."""
 
     total: float
@@ -61,8 +61,8 @@ class SubjectRow(Stored):
     first_us: int
     last_us: int
     mean_area_px: float
-    consistency: Sum
-    imaging: Sum
+    consistency: ExactSum
+    imaging: ExactSum
 
 
 class VideoRow(Stored):
@@ -80,10 +80,10 @@ class VideoRow(Stored):
     width: int
     height: int
     formats: dict[str, int]
-    imaging: Sum
+    imaging: ExactSum
 
 
-class SceneRows(Stored):
+class SceneQualityRows(Stored):
     """What one unit of work gives."""
 
     scene: str
@@ -95,7 +95,7 @@ class WeightsFacts(Stored):
     """Weights that were used, by repository and revision.
 
     Attributes:
-        content: Hash of the files that were used (`benchmark.weights.folders.content_hash`).
+        content: Hash of the files that were used (`benchmark.weights.folders.compute_content_hash`).
     """
 
     repository: str
@@ -216,7 +216,7 @@ class QualityRecord:
         return tuple(
             Caveat(
                 kind="masks",
-                sentence=f"{count} of {counted(total, 'scene')} have no mask of {subject} from {self.masks}: they are in "
+                sentence=f"{count} of {pluralise(total, 'scene')} have no mask of {subject} from {self.masks}: they are in "
                 "none of its numbers",
             )
             for count, total, subject in missing
@@ -224,7 +224,7 @@ class QualityRecord:
         )
 
 
-def summarise_quality(scenes: Sequence[SceneRows], facts: Mapping[str, SceneFacts]) -> QualitySummary:
+def summarise_quality(scenes: Sequence[SceneQualityRows], facts: Mapping[str, SceneFacts]) -> QualitySummary:
     """Add rows up: every number is a sum over appearances (or frames) divided by their number.
 
     VBench divides subject consistency likewise: each appearance of any subject after its first counts once. Intervals
@@ -263,7 +263,7 @@ def summarise_quality(scenes: Sequence[SceneRows], facts: Mapping[str, SceneFact
     )
 
 
-def write_quality(directory: Path, described: Mapping[str, Any], scenes: Sequence[SceneRows]) -> QualityRecord:
+def write_quality(directory: Path, described: Mapping[str, Any], scenes: Sequence[SceneQualityRows]) -> QualityRecord:
     """Write a quality record.
 
     Args:
@@ -299,7 +299,7 @@ def load_quality(directory: Path) -> QualityRecord:
     damaged = f"the quality record in {directory} is damaged"
 
     def read(model: type[_Read], value: Any) -> _Read:
-        return validated(
+        return validate_stored(
             model.model_validate,
             value,
             lambda where, why: f"{damaged} ({model.__name__} {where}: {why}); {again}",
@@ -323,15 +323,15 @@ def load_quality(directory: Path) -> QualityRecord:
 def find_quality(folder: Path) -> list[QualityRecord]:
     """Every quality record below a folder, in the order of their paths; none if the folder does not exist."""
     places = (path.parent for path in sorted(folder.rglob(QUALITY_FILE)))
-    return read_each(places, load_quality, instead=" to do without this record")
+    return read_records(places, load_quality, instead=" to do without this record")
 
 
-def _ratio(sums: Sequence[tuple[str, Sum]]) -> Rate:
+def _ratio(sums: Sequence[tuple[str, ExactSum]]) -> Rate:
     values = np.array([[of.total] for _, of in sums], dtype=np.float64).reshape(-1, 1)
     weights = np.array([[of.count] for _, of in sums], dtype=np.float64).reshape(-1, 1)
-    return ratios_over_scenes(values, weights, [source for source, _ in sums], seed=0)[0]
+    return compute_ratios_over_scenes(values, weights, [source for source, _ in sums], seed=0)[0]
 
 
-def _mean(sums: Sequence[Sum]) -> float | None:
+def _mean(sums: Sequence[ExactSum]) -> float | None:
     count = sum(of.count for of in sums)
     return sum(of.total for of in sums) / count if count else None

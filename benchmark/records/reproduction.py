@@ -14,7 +14,7 @@ from pydantic import Field
 from benchmark.machine.storage import content_key, read_json, write_json
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DataFacts, PlannerFacts
-from benchmark.records.store import validated
+from benchmark.records.store import validate_stored
 from benchmark.records.stored import Stored
 
 REPRODUCTION_FILE: Final = "reproduction.json"
@@ -109,7 +109,7 @@ def with_reproductions(records: Sequence[RunRecord], found: Iterable[Reproductio
 
 
 def _read(path: Path) -> Reproduction:
-    return validated(
+    return validate_stored(
         Reproduction.model_validate,
         read_json(path),
         lambda where, why: (

@@ -15,9 +15,9 @@ from pydantic import AfterValidator, Field, model_validator
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
 from benchmark.records.run_schema import ReviewFacts
-from benchmark.records.store import validated
+from benchmark.records.store import validate_stored
 from benchmark.records.stored import Stored
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from benchmark.untrusted.files import VERDICTS
 from benchmark.untrusted.text_files import read_json
 
@@ -37,7 +37,7 @@ def _one_line(text: str) -> str:
 
 
 Decision = Literal["accepted", "rejected"]
-Line = Annotated[str, Field(max_length=LONGEST_REASON), AfterValidator(_one_line)]
+OneLineText = Annotated[str, Field(max_length=LONGEST_REASON), AfterValidator(_one_line)]
 
 
 class Verdict(Stored):
@@ -51,8 +51,8 @@ class Verdict(Stored):
     """
 
     verdict: Decision
-    reason: Line = ""
-    inspector: Line = ""
+    reason: OneLineText = ""
+    inspector: OneLineText = ""
     token: Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_one_line)]
 
     @model_validator(mode="after")
@@ -71,7 +71,7 @@ class ReviewFile(Stored):
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Judged:
+class StandingVerdict:
     """A verdict that stands.
 
     Attributes:
@@ -97,7 +97,7 @@ class SplitReview:
         outdated: Scenes whose verdict was on another scene of the same name.
     """
 
-    judged: tuple[Judged, ...] = ()
+    judged: tuple[StandingVerdict, ...] = ()
     waiting: tuple[str, ...] = ()
     outdated: tuple[str, ...] = ()
 
@@ -133,8 +133,8 @@ class SplitReview:
 
     def sentence(self) -> str:
         """The review in words, without the split's name."""
-        outdated = f"; {counted(len(self.outdated), 'older verdict')} on other content" if self.outdated else ""
-        return f"{review_words(self.facts)}{outdated}"
+        outdated = f"; {pluralise(len(self.outdated), 'older verdict')} on other content" if self.outdated else ""
+        return f"{describe_review(self.facts)}{outdated}"
 
     def kept(self, names: Sequence[str]) -> tuple[str, ...]:
         """Those of some scenes that are not rejected."""
@@ -151,12 +151,12 @@ class SplitReview:
 NOT_REVIEWED: Final = "not reviewed"
 
 
-def review_words(facts: ReviewFacts | None) -> str:
+def describe_review(facts: ReviewFacts | None) -> str:
     """Verdicts of inspectors in words: ``not reviewed``, or how many scenes they rejected and accepted."""
     if facts is None:
         return NOT_REVIEWED
     return (
-        f"{counted(facts.rejected, 'scene')} rejected by hand, {facts.accepted} accepted, "
+        f"{pluralise(facts.rejected, 'scene')} rejected by hand, {facts.accepted} accepted, "
         f"{facts.not_reviewed} {NOT_REVIEWED} (review {facts.content[:12]})"
     )
 
@@ -181,17 +181,17 @@ def read_review(root: Path) -> dict[str, Verdict]:
     path = root / REVIEW_FILE
     if not path.exists():
         return {}
-    return dict(checked_review(read_json(path, VERDICTS), path).verdicts)
+    return dict(check_review(read_json(path, VERDICTS), path).verdicts)
 
 
-def checked_review(stored: Any, path: Path) -> ReviewFile:
+def check_review(stored: Any, path: Path) -> ReviewFile:
     """Check the JSON value of a file of verdicts; ``path`` is for the message."""
     if isinstance(stored, dict) and stored.get("format") == FORMAT and stored.get("schema") != SCHEMA:
         raise InputError(
             f"{path} has version {str(stored.get('schema'))[:20]} of the format, this version reads {SCHEMA}; upgrade "
             "challenger-bench"
         )
-    return validated(
+    return validate_stored(
         ReviewFile.model_validate,
         stored,
         lambda where, why: (
@@ -201,9 +201,9 @@ def checked_review(stored: Any, path: Path) -> ReviewFile:
     )
 
 
-def checked_verdict(stored: Any, what: str) -> Verdict:
+def check_verdict(stored: Any, what: str) -> Verdict:
     """Check the JSON value of one verdict; ``what`` names it in the message."""
-    return validated(
+    return validate_stored(
         Verdict.model_validate,
         stored,
         lambda where, why: (
@@ -213,8 +213,8 @@ def checked_verdict(stored: Any, what: str) -> Verdict:
     )
 
 
-def standing(
-    verdicts: Mapping[str, Verdict], tokens: Mapping[str, str], left_out: Mapping[str, Judged] | None = None
+def resolve_verdicts(
+    verdicts: Mapping[str, Verdict], tokens: Mapping[str, str], left_out: Mapping[str, StandingVerdict] | None = None
 ) -> SplitReview:
     """Verdicts that stand, and scenes that have none.
 
@@ -228,7 +228,7 @@ def standing(
     for name, token in tokens.items():
         verdict = verdicts.get(name)
         if verdict is not None and verdict.token == token:
-            judged[name] = Judged(name, token, verdict.verdict, verdict.reason)
+            judged[name] = StandingVerdict(name, token, verdict.verdict, verdict.reason)
         else:
             waiting.append(name)
             outdated += [] if verdict is None else [name]

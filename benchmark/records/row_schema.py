@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from benchmark.pdm.totals import DrivenPlan
 from benchmark.protocols.raster import touches_adversary
-from benchmark.records.judgement import Impact, NotNegative, Text
+from benchmark.records.judgement import CollisionSeverity, NotNegative, Text
 from benchmark.records.stored import Stored
 
 Waypoints = list[list[float]]
@@ -91,7 +91,7 @@ class DiagnosisRow(Stored):
         return {**stored, "cause": "unseen" if stored.get("reason") == NOT_NEAR else "misplanned"}
 
 
-class LongerRow(Stored):
+class LongerPlanRow(Stored):
     """Verdict of ``exact`` on a plan that goes on beyond 3 s: all its steps up to 6 s, judged as one plan.
 
     Attributes:
@@ -103,7 +103,7 @@ class LongerRow(Stored):
     l2: list[float | None]
 
 
-class PlanContactRow(Impact):
+class PlanCollision(CollisionSeverity):
     """The first contact of a plan in open loop (`benchmark.fairness.plan_severity`); its time is since the sample.
 
     Attributes:
@@ -141,7 +141,7 @@ class PlanSeverityRow(Stored):
         near: How near it comes to the adversaries; null with a contact, and where no adversary is there.
     """
 
-    contact: PlanContactRow | None = None
+    contact: PlanCollision | None = None
     near: PlanNearRow | None = None
 
 
@@ -182,7 +182,7 @@ class SampleRow(Stored):
     diagnosis: DiagnosisRow | None = None
     disagreements: dict[str, str] = Field(default_factory=dict)
     driving: DrivenPlan | None = None
-    longer: LongerRow | None = None
+    longer: LongerPlanRow | None = None
     place: PlaceName | None = None
     speed_m_s: float | None = Field(default=None, ge=0)
     severity: PlanSeverityRow | None = None
@@ -210,5 +210,5 @@ class BriefRow:
     diagnosis: DiagnosisRow | None
     disagreements: Mapping[str, str]
     driven: bool
-    longer: LongerRow | None
+    longer: LongerPlanRow | None
     severity: PlanSeverityRow | None

@@ -23,11 +23,11 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools
-from benchmark.machine.kept_arrays import is_made_of, kept_place, read_batch, write_batch
-from benchmark.machine.progress import Count
+from benchmark.machine.kept_arrays import find_cache_file, is_batch_of, read_batch, write_batch
+from benchmark.machine.progress import CountedUnits
 from benchmark.machine.storage import canonical_json, content_key, file_sha256
 from benchmark.machine.workers import default_workers, map_ordered
-from benchmark.protocols import protocol as definition_of
+from benchmark.protocols import find_protocol as definition_of
 from benchmark.records.row_schema import SampleRow
 from benchmark.untrusted.files import RECORD, open_file
 from benchmark.untrusted.text_files import read_lines
@@ -53,7 +53,7 @@ _QUICK: Final = 1
 """Level of compression: lines of a scene repeat each other, so that more effort gains little."""
 
 
-class Rows(Sequence[SampleRow]):
+class SampleRows(Sequence[SampleRow]):
     """Rows in compressed form; every access makes new `SampleRow` objects, which are equal.
 
     Args:
@@ -64,7 +64,7 @@ class Rows(Sequence[SampleRow]):
         self._blocks = list(blocks)
 
     @classmethod
-    def of(cls, rows: Sequence[SampleRow]) -> "Rows":
+    def of(cls, rows: Sequence[SampleRow]) -> "SampleRows":
         """Checked rows in compressed form, which they may be in already."""
         if isinstance(rows, cls):
             return rows
@@ -75,19 +75,19 @@ class Rows(Sequence[SampleRow]):
     def add(self, rows: Sequence[SampleRow]) -> None:
         """Add rows, scene after scene, at the end, before columns are asked for."""
         for scene, scene_rows in groupby(rows, key=lambda row: row.scene):
-            self._add(scene, list(map(line_of, scene_rows)))
+            self._add(scene, list(map(format_line, scene_rows)))
 
     def _add(self, scene: str, lines: Sequence[str]) -> None:
         self._blocks.append((scene, len(lines), zlib.compress("\n".join(lines).encode(), _QUICK)))
 
     @classmethod
-    def read(cls, path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]) -> "Rows":
+    def read(cls, path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]) -> "SampleRows":
         """Read a file of rows, with their columns.
 
         Args:
             parse: Checks some lines, each given with its number.
         """
-        from benchmark.records.columns import RowColumns, batch_of
+        from benchmark.records.columns import RowColumns, build_batch
 
         compressed, waiting = cls(), read_lines(path, RECORD)
         chunks = iter(lambda: list(islice(waiting, _LINES_AT_ONCE)), [])
@@ -101,13 +101,13 @@ class Rows(Sequence[SampleRow]):
                     yield row
                 compressed._add(scene, lines)
 
-        batch = batch_of(added())
+        batch = build_batch(added())
         # Of rows of their own: what refers to itself stays in memory until Python looks for it.
         compressed.columns = RowColumns(cls(compressed._blocks), batch)
         return compressed
 
     @classmethod
-    def of_batch(cls, batch: "pa.RecordBatch") -> "Rows":
+    def of_batch(cls, batch: "pa.RecordBatch") -> "SampleRows":
         """Rows as `batch` gives them, which stay where they are, in a file perhaps."""
         from benchmark.records.columns import LINES, RowColumns
 
@@ -124,18 +124,18 @@ class Rows(Sequence[SampleRow]):
         """All of them: their columns, and their lines, compressed, beside the first row of each scene."""
         import pyarrow as pa
 
-        from benchmark.records.columns import LINES, joined
+        from benchmark.records.columns import LINES, concatenate_bytes
 
         batch = self.columns.batch
         if LINES in batch.schema.names:
             return batch
         lines = [part for _, count, packed in self._blocks for part in (packed, *[b""] * (count - 1))]
-        return batch.append_column(LINES, joined(pa.binary(), lines))
+        return batch.append_column(LINES, concatenate_bytes(pa.binary(), lines))
 
-    def in_order_of(self, scenes: Sequence[str]) -> "Rows":
+    def in_order_of(self, scenes: Sequence[str]) -> "SampleRows":
         """The same rows with their scenes, all of which are named, in another order."""
         place = {name: number for number, name in enumerate(scenes)}
-        return Rows(sorted(self._blocks, key=lambda block: place[block[0]]))
+        return SampleRows(sorted(self._blocks, key=lambda block: place[block[0]]))
 
     def lines(self) -> Iterator[str]:
         """One JSON text a row, as files have them."""
@@ -162,11 +162,11 @@ class Rows(Sequence[SampleRow]):
         """Columns of the rows, which tables read."""
         from benchmark.records.columns import RowColumns
 
-        return RowColumns(Rows(self._blocks))
+        return RowColumns(SampleRows(self._blocks))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Columns are made again, and nobody else can read what lies in a file of ours.
-        return Rows, ([(scene, count, bytes(packed)) for scene, count, packed in self._blocks],)
+        return SampleRows, ([(scene, count, bytes(packed)) for scene, count, packed in self._blocks],)
 
     def __len__(self) -> int:
         return sum(count for _, count, _ in self._blocks)
@@ -188,7 +188,7 @@ class Rows(Sequence[SampleRow]):
         return SampleRow.model_validate_json(lines[wanted - ends[block]])
 
     def __eq__(self, other: object) -> bool:
-        if isinstance(other, Rows) and self._blocks == other._blocks:
+        if isinstance(other, SampleRows) and self._blocks == other._blocks:
             return True
         return isinstance(other, Sequence) and len(self) == len(other) and all(map(operator.eq, self, other))
 
@@ -198,70 +198,72 @@ class Rows(Sequence[SampleRow]):
         return f"<{len(self)} rows of {len(self._blocks)} scenes>"
 
 
-def columns_of(rows: "Sequence[SampleRow] | RowColumns") -> "RowColumns":
+def get_columns(rows: "Sequence[SampleRow] | RowColumns") -> "RowColumns":
     """Columns of rows, made once where they are a record's."""
     from benchmark.records.columns import RowColumns
 
     if isinstance(rows, RowColumns):
         return rows
-    return rows.columns if isinstance(rows, Rows) else RowColumns(rows)
+    return rows.columns if isinstance(rows, SampleRows) else RowColumns(rows)
 
 
-def kept_rows(rows: Path, sha256: str) -> Rows | None:
+def read_cached_rows(rows: Path, sha256: str) -> SampleRows | None:
     """Rows with their columns that were read before from a file with that hash, where they are kept in the cache."""
-    from benchmark.records.columns import is_made_of_columns
+    from benchmark.records.columns import is_column_batch
 
-    place = kept_place(_FOLDER, rows)
-    batch = None if place is None else read_batch(place, content_key(_checks(), sha256))
-    if batch is None or not is_made_of_columns(batch):
+    place = find_cache_file(_FOLDER, rows)
+    batch = None if place is None else read_batch(place, content_key(_checks_key(), sha256))
+    if batch is None or not is_column_batch(batch):
         return None
     with open_file(rows, RECORD) as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    return Rows.of_batch(batch) if digest == sha256 else None
+    return SampleRows.of_batch(batch) if digest == sha256 else None
 
 
-def keep_rows(path: Path, sha256: str, rows: Rows) -> Rows:
+def cache_rows(path: Path, sha256: str, rows: SampleRows) -> SampleRows:
     """The same rows, kept for the next who reads the file, and so in no memory, if that is worth it and possible."""
-    place = kept_place(_FOLDER, path)
+    place = find_cache_file(_FOLDER, path)
     if place is None or path.stat().st_size < WORTH_BYTES:
         return rows
-    return (write_batch(place, path, content_key(_checks(), sha256), rows.batch()) and kept_rows(path, sha256)) or rows
+    return (
+        write_batch(place, path, content_key(_checks_key(), sha256), rows.batch()) and read_cached_rows(path, sha256)
+    ) or rows
 
 
-def keep_together(files: Mapping[Path, str], read: Callable[[Path], object]) -> None:
+def cache_in_parallel(files: Mapping[Path, str], read: Callable[[Path], object]) -> None:
     """Let workers read files of which nothing is kept, so that all of them are, where that takes less time.
 
     Args:
         files: SHA-256 of each.
         read: Importable; reads the record in a folder and keeps its rows.
     """
-    new = {path: sha256 for path, sha256 in files.items() if path.is_file() and not _is_kept((path, sha256))}
+    new = {path: sha256 for path, sha256 in files.items() if path.is_file() and not _is_cached((path, sha256))}
     sizes = [path.stat().st_size for path in new]
     workers = min(default_workers(), sum(size >= WORTH_BYTES for size in sizes))
     if workers > 1 and sum(sizes) >= WORTH_WORKERS_BYTES:
         # What is damaged is said by who reads it next, and where the first cannot be kept, no other is tried.
         with contextlib.suppress(InputError):
-            keep, count = functools.partial(_keeps, read), Count("record")
+            keep, count = functools.partial(_cache_file, read), CountedUnits("record")
             all(map_ordered(keep, list(new.items()), workers=workers, label="reading records", count=count))
 
 
-def _keeps(read: Callable[[Path], object], file: tuple[Path, str]) -> bool:
+def _cache_file(read: Callable[[Path], object], file: tuple[Path, str]) -> bool:
     read(file[0].parent)
-    return file[0].stat().st_size < WORTH_BYTES or _is_kept(file)
+    return file[0].stat().st_size < WORTH_BYTES or _is_cached(file)
 
 
-def _is_kept(file: tuple[Path, str]) -> bool:
-    place = kept_place(_FOLDER, file[0])
-    return place is not None and is_made_of(place, content_key(_checks(), file[1]))
+def _is_cached(file: tuple[Path, str]) -> bool:
+    place = find_cache_file(_FOLDER, file[0])
+    return place is not None and is_batch_of(place, content_key(_checks_key(), file[1]))
 
 
-def line_of(row: SampleRow) -> str:
+def format_line(row: SampleRow) -> str:
     """A row as files have it."""
     return canonical_json(row.model_dump(mode="json"))
 
 
 @functools.cache
-def _checks() -> str:
+def _checks_key() -> str:
     """Content key of all that decides which rows are refused and what their columns hold: code, and its checkers."""
     import pydantic
 
@@ -276,7 +278,7 @@ def _parsed(packed: bytes | memoryview) -> list[SampleRow]:
 _FAILURES: Final = "failures of scenes"
 
 
-def scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> dict[str, bool | None]:
+def find_scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> dict[str, bool | None]:
     """Which scenes a planner fails: those with a counted sample that collides at any step.
 
     Returns:
@@ -284,7 +286,7 @@ def scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> d
         known, or no contact but the planner raised on a sample that could have shown one.
     """
     definition_of(protocol)
-    columns = columns_of(rows)
+    columns = get_columns(rows)
     if (_FAILURES, protocol) not in columns.kept:
         judged = columns.values("judged")
         unjudged = next((place for place in columns.planned.tolist() if protocol not in judged[place]), None)
@@ -293,12 +295,12 @@ def scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> d
                 f"scene {columns.values('scene')[unjudged]} was not judged by protocol {protocol!r}; run "
                 "challenger-bench rescore"
             )
-        columns.kept[_FAILURES, protocol] = scenes_with(columns, protocol, columns.collides(protocol))
+        columns.kept[_FAILURES, protocol] = find_scenes_with(columns, protocol, columns.collides(protocol))
     return dict(columns.kept[_FAILURES, protocol])
 
 
-def scenes_with(columns: "RowColumns", protocol: str, hits: Bools) -> dict[str, bool | None]:
-    """Which scenes have one of some colliding samples; verdicts as of `scene_failures`.
+def find_scenes_with(columns: "RowColumns", protocol: str, hits: Bools) -> dict[str, bool | None]:
+    """Which scenes have one of some colliding samples; verdicts as of `find_scene_failures`.
 
     Args:
         columns: Of R rows, all of them judged by the protocol.

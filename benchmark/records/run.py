@@ -20,26 +20,33 @@ from pydantic import ValidationError
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json, write_json
 from benchmark.metrics.rates import rates
-from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes, says_all
-from benchmark.records.driving import driving_summary
+from benchmark.protocols import PROTOCOLS, STANDARD, ProtocolOutcomes, counts_at_all_horizons
+from benchmark.records.driving import summarise_score_columns
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.rows import Rows, columns_of, keep_rows, keep_together, kept_rows, scene_failures
-from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RunFacts, SceneFacts, Summary
+from benchmark.records.rows import (
+    SampleRows,
+    cache_in_parallel,
+    cache_rows,
+    find_scene_failures,
+    get_columns,
+    read_cached_rows,
+)
+from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RunFacts, RunSummary, SceneFacts
 from benchmark.records.store import (
     ROWS_FILE,
     RUN_FILE,
     SUMMARY_FILE,
-    read_each,
     read_files,
+    read_records,
     replace_files,
-    require_own,
+    require_matching_hashes,
     stored_head,
-    validated,
+    validate_stored,
 )
 from benchmark.records.stored import Stored
 from benchmark.report.terminal import html_table, percent
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from benchmark.untrusted.files import RECORD
 from benchmark.untrusted.text_files import is_plain, parse_line
 
@@ -75,14 +82,14 @@ class RunRecord:
     directory: Path
     run: RunFacts
     rows: Sequence[SampleRow]
-    summary: Summary
+    summary: RunSummary
     label: str | None = None
     reproduced: str | None = None
     cost: PlannerCost | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         """Keep the rows compressed, also where they are given as a list."""
-        object.__setattr__(self, "rows", Rows.of(self.rows))
+        object.__setattr__(self, "rows", SampleRows.of(self.rows))
 
     def __repr__(self) -> str:
         return f"<RunRecord: {self._what}>"
@@ -102,8 +109,8 @@ class RunRecord:
     @property
     def _what(self) -> str:
         run, summary = self.run, self.summary
-        failed = f", {counted(summary.failed, 'failed sample')}" if summary.failed else ""
-        return f"{self.planner} on {run.data.name} {run.split}, {counted(summary.samples, 'sample')}{failed}"
+        failed = f", {pluralise(summary.failed, 'failed sample')}" if summary.failed else ""
+        return f"{self.planner} on {run.data.name} {run.split}, {pluralise(summary.samples, 'sample')}{failed}"
 
     @property
     def planner(self) -> str:
@@ -113,11 +120,11 @@ class RunRecord:
     @property
     def columns(self) -> "RowColumns":
         """Columns of the rows, which tables read."""
-        return columns_of(self.rows)
+        return get_columns(self.rows)
 
     def rows_of(self, scene: str) -> list[SampleRow]:
         """Rows of one scene."""
-        return Rows.of(self.rows).of_scene(scene)
+        return SampleRows.of(self.rows).of_scene(scene)
 
     @property
     def content_id(self) -> str:
@@ -170,23 +177,23 @@ class RunRecord:
         return tuple(name for name in STANDARD if name not in self.run.protocols)
 
 
-def protocol_of(record: RunRecord, name: str) -> str:
+def resolve_protocol(record: RunRecord, name: str) -> str:
     """Name of a protocol, ``native`` replaced by the record's own."""
     return record.native_protocol if name == NATIVE else name
 
 
-def outcomes_of(rows: Sequence[SampleRow], protocol: str) -> Outcomes:
+def collect_outcomes(rows: Sequence[SampleRow], protocol: str) -> ProtocolOutcomes:
     """Verdicts of a protocol that judged the rows, on the samples that have a plan, in their order."""
-    return columns_of(rows).outcomes(protocol)
+    return get_columns(rows).outcomes(protocol)
 
 
-def summarise(
+def summarise_rows(
     rows: Sequence[SampleRow],
     versions: Mapping[str, int],
     *,
     seed: int,
     scene_facts: Mapping[str, SceneFacts] | None = None,
-) -> Summary:
+) -> RunSummary:
     """Rates of every protocol from the rows.
 
     Args:
@@ -194,7 +201,7 @@ def summarise(
         scene_facts: What each scene was made from: intervals draw recorded scenes with all that was made from them,
             because ten variants of one recording are not ten recordings. Scenes without facts stand for themselves.
     """
-    columns = columns_of(rows)
+    columns = get_columns(rows)
     planned, known = columns.planned_scenes, scene_facts or {}
     scenes = [known[scene].source if scene in known else scene for scene in planned]
     driven = [scene for scene, scored in zip(scenes, columns.flags("driven")[columns.planned].tolist()) if scored]
@@ -203,28 +210,30 @@ def summarise(
     for name, version in versions.items():
         outcomes = columns.outcomes(name)
         rates_of_columns = rates(PROTOCOLS[name], outcomes, scenes, seed=seed)
-        decided = [failed for failed in scene_failures(columns, name).values() if failed is not None]
+        decided = [failed for failed in find_scene_failures(columns, name).values() if failed is not None]
         protocols[name] = ProtocolSummary(
             version=version,
             columns=rates_of_columns,
-            counted=(counted := int(says_all(PROTOCOLS[name], outcomes).sum())),
+            counted=(counted := int(counts_at_all_horizons(PROTOCOLS[name], outcomes).sum())),
             incomplete=len(outcomes) - counted,
             scenes_failed=sum(decided),
             scenes_decided=len(decided),
             mask_removed_steps=_removed_by_mask(outcomes),
             mask_removed_for_adversary=_removed_by_mask(outcomes, "recorded_adversary") if adversaries_known else None,
         )
-    return Summary(
+    return RunSummary(
         schema=SCHEMA,
         samples=len(rows),
         failed=len(rows) - len(planned),
         coverage=len(planned) / len(rows) if rows else 0.0,
         protocols=protocols,
-        driving=None if columns.driving is None else driving_summary(columns.driving, driven, len(planned), seed=seed),
+        driving=None
+        if columns.driving is None
+        else summarise_score_columns(columns.driving, driven, len(planned), seed=seed),
     )
 
 
-def _removed_by_mask(outcomes: Outcomes, touching: str = "recorded") -> int | None:
+def _removed_by_mask(outcomes: ProtocolOutcomes, touching: str = "recorded") -> int | None:
     """Steps that collide before the exclusion and not after it, among those that enter the rates or would without it.
 
     ``touching`` is the column of what the recorded ego touches there.
@@ -247,13 +256,13 @@ def write_record(
     """Write a record in place of the one that is there, if any, and read it back.
 
     Args:
-        directory: Run directory; no other process may write to it (`benchmark.machine.storage.only_writer`).
+        directory: Run directory; no other process may write to it (`benchmark.machine.storage.lock_folder`).
         facts: `RunFacts` less status, protocols, seed and files.
     """
     if not rows:
         raise InputError(f"there are no samples to write to {directory}: the chosen scenes have none")
-    rows = Rows.of(rows)
-    summary = summarise(rows, versions, seed=seed, scene_facts=facts.get("scene_facts"))
+    rows = SampleRows.of(rows)
+    summary = summarise_rows(rows, versions, seed=seed, scene_facts=facts.get("scene_facts"))
     run = RunFacts(
         schema=SCHEMA,
         status="complete" if summary.failed == 0 else "partial",
@@ -273,14 +282,14 @@ def write_record(
         summary.model_dump(mode="json", by_alias=True),
     )
     # Whoever reads the record next, the leaderboard above all, need not parse what is at hand here.
-    rows = keep_rows(directory / ROWS_FILE, written[ROWS_FILE], rows)
+    rows = cache_rows(directory / ROWS_FILE, written[ROWS_FILE], rows)
     return RunRecord(directory, run.model_copy(update={"files": written}), rows, summary)
 
 
 def with_facts(record: RunRecord, **facts: Any) -> RunRecord:
     """Write other facts, fields of `RunFacts`, of a record; its rows and its summary stay.
 
-    No other process may write to its directory (`benchmark.machine.storage.only_writer`).
+    No other process may write to its directory (`benchmark.machine.storage.lock_folder`).
     """
     run = record.run.model_copy(update=facts)
     if run != record.run:
@@ -302,23 +311,23 @@ def load_record(directory: Path) -> RunRecord:
     """
 
     def read(model: type[_Read], file: str, stored: Any) -> _Read:
-        return validated(model.model_validate, stored, partial(_fault, directory / file))
+        return validate_stored(model.model_validate, stored, partial(_format_damage, directory / file))
 
     head = stored_head(directory)
     if head["schema"] == SCHEMA:
-        cached = kept_rows(directory / ROWS_FILE, str(head["files"].get(ROWS_FILE)))
-        rows = Rows.read(directory / ROWS_FILE, partial(_rows, directory, head)) if cached is None else cached
+        cached = read_cached_rows(directory / ROWS_FILE, str(head["files"].get(ROWS_FILE)))
+        rows = SampleRows.read(directory / ROWS_FILE, partial(_rows, directory, head)) if cached is None else cached
         raw_run, raw_summary = head, read_json(directory / SUMMARY_FILE, RECORD)
-        require_own(directory, head, known=() if cached is None else (ROWS_FILE,))
+        require_matching_hashes(directory, head, known=() if cached is None else (ROWS_FILE,))
     else:
         raw_run, raw_rows, raw_summary = read_files(directory)
-        cached = rows = Rows.of([read(SampleRow, ROWS_FILE, row) for row in raw_rows])
+        cached = rows = SampleRows.of([read(SampleRow, ROWS_FILE, row) for row in raw_rows])
     run = read(RunFacts, RUN_FILE, raw_run)
     if list(rows.columns.places_of_scenes) != run.scenes:
         raise InputError(f"{directory / RUN_FILE} names other scenes than {ROWS_FILE} has rows of")
-    summary = read(Summary, SUMMARY_FILE, raw_summary)
+    summary = read(RunSummary, SUMMARY_FILE, raw_summary)
     if cached is None:
-        rows = keep_rows(directory / ROWS_FILE, run.files[ROWS_FILE], rows)
+        rows = cache_rows(directory / ROWS_FILE, run.files[ROWS_FILE], rows)
     return RunRecord(directory, run, rows, summary)
 
 
@@ -338,12 +347,12 @@ def _row(directory: Path, head: dict[str, Any], number: int, line: str, *, plain
             pass
     path = directory / ROWS_FILE
     value = parse_line(path, number, line, RECORD)
-    require_own(directory, head)
-    validated(RunFacts.model_validate, head, partial(_fault, directory / RUN_FILE))
-    return validated(SampleRow.model_validate, value, partial(_fault, path))
+    require_matching_hashes(directory, head)
+    validate_stored(RunFacts.model_validate, head, partial(_format_damage, directory / RUN_FILE))
+    return validate_stored(SampleRow.model_validate, value, partial(_format_damage, path))
 
 
-def _fault(path: Path, where: str, why: str) -> str:
+def _format_damage(path: Path, where: str, why: str) -> str:
     return f"{path} is not that of a valid run record: {where or 'the whole'}: {why}"
 
 
@@ -375,7 +384,7 @@ def find_records(*roots: Path) -> list[RunRecord]:
                 f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
             )
         places = [path.parent for path in sorted(root.rglob(RUN_FILE))]
-        keep_together(dict(filter(None, map(_named_rows, places))), load_record)
-        for record in read_each(places, load_record, instead=" to do without this record"):
+        cache_in_parallel(dict(filter(None, map(_named_rows, places))), load_record)
+        for record in read_records(places, load_record, instead=" to do without this record"):
             records[record.directory.resolve()] = record
     return list(records.values())

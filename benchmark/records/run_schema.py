@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from benchmark.constants import LARGEST_SEED
 from benchmark.metrics.rates import Rate
 from benchmark.records.caveats import Caveat
-from benchmark.records.judgement import JudgementSummary, SplitRealism
+from benchmark.records.judgement import AssessmentSummary, SplitRealism
 from benchmark.records.stored import Stored
 
 SCHEMA = 6
@@ -20,7 +20,7 @@ MOST_ADVERSARIES: Final = 1000
 """Of one scene; a larger number in a record is damage, as are larger ones of the next."""
 Seed = Annotated[int, Field(strict=True, ge=0, le=LARGEST_SEED)]
 Version = Annotated[int, Field(strict=True, ge=0, le=1000)]
-Told = str | int | float | bool | None
+MachineValue = str | int | float | bool | None
 """What is said of a machine: a record with anything else there is damaged."""
 Name = Annotated[str, Field(max_length=200)]
 """Of something that files are named after, and text wherever it is shown."""
@@ -29,7 +29,7 @@ BoxCount = Annotated[int, Field(strict=True, ge=0)]
 LightName = Literal["day", "dusk", "night", "rain"]
 
 
-Want = Literal["map", "motion", "images"]
+PlannerInput = Literal["map", "motion", "images"]
 """What a planner goes without where a data set lacks it: lanes of the map, measured motion (CAN bus), cameras."""
 
 
@@ -54,7 +54,7 @@ class PlannerFacts(Stored):
     native_protocol: str | None = None
     published_as: str | None = None
     miniature: bool = False
-    wants: list[Want] = Field(default_factory=list)
+    wants: list[PlannerInput] = Field(default_factory=list)
 
 
 LABELS: Final = {"native_protocol", "published_as", "miniature", "wants"}
@@ -129,7 +129,7 @@ class SceneFacts(Stored):
     manoeuvre: str | None = None
     adversaries: int | None = Field(default=None, ge=0, le=MOST_ADVERSARIES)
     light: list[LightName] | None = None
-    judgement: JudgementSummary | None = None
+    judgement: AssessmentSummary | None = None
     truth: TruthFacts | None = None
 
 
@@ -171,7 +171,7 @@ SampleOrder = Literal["tokens", "proven", "consistent", "assumed"]
 """How it is known which sample a plan of a file belongs to."""
 
 
-class PlansFrom(Stored):
+class PlanFileFacts(Stored):
     """Plans that were not made here: what the files say, and what they do not (docs/your-results.md).
 
     Attributes:
@@ -228,7 +228,7 @@ class RecordFacts(Stored):
     status: Literal["complete", "partial"]
     seed: Seed
     config: dict[str, Any]
-    environment: dict[str, Told | dict[str, Told]]
+    environment: dict[str, MachineValue | dict[str, MachineValue]]
     files: dict[str, str]
 
     @property
@@ -272,7 +272,7 @@ class RunFacts(RecordFacts):
 
     unchanged: UnchangedFacts | None = None
     realism: SplitRealism | None = None
-    plans_from: PlansFrom | None = None
+    plans_from: PlanFileFacts | None = None
     protocols: dict[str, Version]
     rescored: dict[str, Any] | None = None
 
@@ -325,7 +325,7 @@ class DrivingSummary(Stored):
     incomplete: int
 
 
-class Summary(Stored):
+class RunSummary(Stored):
     """``summary.json``: derived from the rows alone.
 
     Attributes:

@@ -1,7 +1,7 @@
 """Scene sheets on disk: their schema, and how they are read. Everything that is shown of a scene comes from here.
 
-``<sheets>/<data set>/<split>/split.json`` is a `SplitSheet`; ``.../<split>/scenes/<scene>/`` holds ``sheet.json`` (a
-`Sheet`), pictures below ``cameras/`` and, where the search kept its rounds, ``rounds.json`` (a `RefinementTrace`).
+``<sheets>/<data set>/<split>/split.json`` is a `SplitPage`; ``.../<split>/scenes/<scene>/`` holds ``sheet.json`` (a
+`ScenePage`), pictures below ``cameras/`` and, where the search kept its rounds, ``rounds.json`` (a `RefinementTrace`).
 """
 
 from collections.abc import Mapping
@@ -13,11 +13,11 @@ from typing import Any, Final, TypeVar
 from pydantic import Field
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import file_name, file_sha256, read_json
+from benchmark.machine.storage import file_sha256, read_json, sanitise_file_name
 from benchmark.records.attempts import Attempt
 from benchmark.records.run_schema import DataFacts, ReviewFacts
-from benchmark.records.statistics import Runtime, SplitStatistics
-from benchmark.records.store import validated
+from benchmark.records.statistics import BuildRuntime, SplitStatistics
+from benchmark.records.store import validate_stored
 from benchmark.records.stored import Stored
 
 SCHEMA: Final = 1
@@ -38,7 +38,7 @@ Polygon = tuple[Ring, ...]
 Segment = tuple[float, float, float, float]
 
 
-class SheetEgo(Stored):
+class PageEgo(Stored):
     """Recorded motion of the ego's rear axle, one value a frame, relative to the sheet's origin.
 
     Attributes:
@@ -53,7 +53,7 @@ class SheetEgo(Stored):
     centre_ahead_m: float
 
 
-class SheetAgent(Stored):
+class PageAgent(Stored):
     """One annotated object: its box centres relative to the sheet's origin, and headings.
 
     Attributes:
@@ -72,24 +72,24 @@ class SheetAgent(Stored):
     yaw_rad: tuple[float | None, ...]
 
 
-class SheetLine(Stored):
+class PageDivider(Stored):
     """A divider; ``paint`` is a `benchmark.road_map.DividerKind`."""
 
     points: Ring
     paint: str
 
 
-class SheetMap(Stored):
+class PageMap(Stored):
     """The road around the ego's way."""
 
     drivable: tuple[Polygon, ...] = ()
     crossings: tuple[Polygon, ...] = ()
     walkways: tuple[Polygon, ...] = ()
     carparks: tuple[Polygon, ...] = ()
-    dividers: tuple[SheetLine, ...] = ()
+    dividers: tuple[PageDivider, ...] = ()
 
 
-class SheetCamera(Stored):
+class PageCamera(Stored):
     """Cell of one camera in the pictures, pixels of the picture."""
 
     name: str
@@ -99,7 +99,7 @@ class SheetCamera(Stored):
     height: int
 
 
-class Sheet(Stored):
+class ScenePage(Stored):
     """Content of the page of one scene.
 
     Attributes:
@@ -128,10 +128,10 @@ class Sheet(Stored):
     timestamps_us: tuple[int, ...]
     keyframes: tuple[int, ...]
     sample_tokens: tuple[str, ...]
-    ego: SheetEgo
-    agents: tuple[SheetAgent, ...]
-    road: SheetMap
-    cameras: tuple[SheetCamera, ...]
+    ego: PageEgo
+    agents: tuple[PageAgent, ...]
+    road: PageMap
+    cameras: tuple[PageCamera, ...]
     pictures: tuple[int, ...]
     adversary_edges: dict[str, dict[str, tuple[Segment, ...]]]
     files: dict[str, str]
@@ -208,7 +208,7 @@ class AttemptFacts(Stored):
         )
 
 
-class SplitSheet(Stored):
+class SplitPage(Stored):
     """Content of the page of one split.
 
     Attributes:
@@ -224,20 +224,20 @@ class SplitSheet(Stored):
     scenes: tuple[str, ...]
     statistics: SplitStatistics
     attempts: tuple[AttemptFacts, ...] = ()
-    runtime: Runtime | None = None
+    runtime: BuildRuntime | None = None
     review: ReviewFacts | None = None
     hyper: dict[str, Any] = Field(default_factory=dict)
 
 
-_Read = TypeVar("_Read", Sheet, SplitSheet, RefinementTrace)
+_Read = TypeVar("_Read", ScenePage, SplitPage, RefinementTrace)
 
 
 @dataclass(frozen=True, slots=True)
-class StoredSheet:
+class StoredScenePage:
     """A sheet, the folder of its ``sheet.json``, and the search for its adversary, if its rounds were kept."""
 
     directory: Path
-    sheet: Sheet
+    sheet: ScenePage
     rounds: RefinementTrace | None
 
     def picture_path(self, frame: int) -> Path:
@@ -246,14 +246,14 @@ class StoredSheet:
 
 
 @dataclass(frozen=True, slots=True)
-class Sheets:
+class ScenePages:
     """All sheets below a folder, by data set's name, split and scene."""
 
-    splits: Mapping[tuple[str, str], SplitSheet]
-    scenes: Mapping[tuple[str, str, str], StoredSheet]
+    splits: Mapping[tuple[str, str], SplitPage]
+    scenes: Mapping[tuple[str, str, str], StoredScenePage]
 
 
-NO_SHEETS: Final = Sheets({}, {})
+NO_SCENE_PAGES: Final = ScenePages({}, {})
 
 
 def picture_name(frame: int) -> str:
@@ -263,41 +263,41 @@ def picture_name(frame: int) -> str:
 
 def split_folder(root: Path, data_name: str, split: str) -> Path:
     """Folder of a split's sheets below the folder of all sheets."""
-    return root / file_name(data_name) / file_name(split)
+    return root / sanitise_file_name(data_name) / sanitise_file_name(split)
 
 
 def scene_folder(root: Path, data_name: str, split: str, scene: str) -> Path:
     """Folder of a scene's sheet below the folder of all sheets."""
-    return split_folder(root, data_name, split) / SCENES_FOLDER / file_name(scene)
+    return split_folder(root, data_name, split) / SCENES_FOLDER / sanitise_file_name(scene)
 
 
 def kept_rounds_path(root: Path, scene: str) -> Path:
     """File of a generated root with the rounds of the search for a scene's adversary, if they were kept."""
-    return root / KEPT_ROUNDS_FOLDER / f"{file_name(scene)}.json"
+    return root / KEPT_ROUNDS_FOLDER / f"{sanitise_file_name(scene)}.json"
 
 
-def find_sheets(root: Path) -> Sheets:
+def find_scene_pages(root: Path) -> ScenePages:
     """Read all sheets below a folder, which need not exist.
 
     Raises:
         InputError: If one is damaged, of another version, or a picture is missing or not the one that was written.
     """
-    splits = [_read(path, SplitSheet) for path in sorted(root.glob(f"*/*/{SPLIT_FILE}"))]
+    splits = [_read(path, SplitPage) for path in sorted(root.glob(f"*/*/{SPLIT_FILE}"))]
     paths = sorted(root.glob(f"*/*/{SCENES_FOLDER}/*/{SHEET_FILE}"))
-    scenes = sorted((read_sheet(path.parent) for path in paths), key=lambda found: found.sheet.scene)
-    return Sheets(
+    scenes = sorted((read_scene_page(path.parent) for path in paths), key=lambda found: found.sheet.scene)
+    return ScenePages(
         {(page.data.name, page.split): page for page in splits},
         {(stored.sheet.data.name, stored.sheet.split, stored.sheet.scene): stored for stored in scenes},
     )
 
 
-def read_sheet(directory: Path) -> StoredSheet:
+def read_scene_page(directory: Path) -> StoredScenePage:
     """Read one scene's sheet.
 
     Raises:
         InputError: If it is missing, damaged, of another version, or a picture is not the one that was written.
     """
-    sheet = _read(directory / SHEET_FILE, Sheet)
+    sheet = _read(directory / SHEET_FILE, ScenePage)
     count = len(sheet.timestamps_us)
     if not count or {len(sheet.ego.x_m), len(sheet.ego.y_m), len(sheet.ego.yaw_rad)} != {count}:
         raise InputError(
@@ -315,7 +315,7 @@ def read_sheet(directory: Path) -> StoredSheet:
         if not path.is_file() or file_sha256(path) != expected:
             raise InputError(f"{path} is not the picture that its sheet names; run challenger-bench sheets again")
     rounds = directory / ROUNDS_FILE
-    return StoredSheet(directory, sheet, _read(rounds, RefinementTrace) if rounds.is_file() else None)
+    return StoredScenePage(directory, sheet, _read(rounds, RefinementTrace) if rounds.is_file() else None)
 
 
 def _read(path: Path, model: type[_Read]) -> _Read:
@@ -324,4 +324,6 @@ def _read(path: Path, model: type[_Read]) -> _Read:
     version = content.get("schema") if isinstance(content, dict) else None
     if version != SCHEMA:
         raise InputError(f"{path} has schema {version!r}, this version reads {SCHEMA}; {again}")
-    return validated(model.model_validate, content, lambda where, why: f"{path} is damaged at {where}: {why}; {again}")
+    return validate_stored(
+        model.model_validate, content, lambda where, why: f"{path} is damaged at {where}: {why}; {again}"
+    )

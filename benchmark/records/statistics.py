@@ -8,18 +8,18 @@ from typing import Annotated, Any, Final
 from pydantic import BaseModel, ConfigDict, Field, field_serializer, field_validator
 
 from benchmark.published import ADV_NUSC
-from benchmark.records.judgement import DriverName, SceneJudgement, SplitRealism, Text
+from benchmark.records.judgement import DriverName, SceneAssessment, SplitRealism, Text
 from benchmark.records.stored import Stored
 
 RENDERING: Final = "rendering"
 """The one stage of generation that is timed by scene; the others are by attempt."""
 
 
-class _Stored(BaseModel):
+class _StatisticsModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class TableCounts(_Stored):
+class TableCounts(_StatisticsModel):
     """Numbers of table rows that belong to some scenes: the paper's table "Overview of the Adv-nuSc Dataset".
 
     Attributes:
@@ -35,7 +35,7 @@ class TableCounts(_Stored):
     annotations: int
 
 
-class Quantiles(_Stored):
+class Quantiles(_StatisticsModel):
     """Quantiles of a distribution that has values."""
 
     least: float
@@ -45,7 +45,7 @@ class Quantiles(_Stored):
     most: float
 
 
-class ManoeuvreRow(_Stored):
+class ManoeuvreRow(_StatisticsModel):
     """One kind of manoeuvre in a data set.
 
     Attributes:
@@ -62,7 +62,7 @@ class ManoeuvreRow(_Stored):
     median_gap_m: float | None
 
 
-class SplitStatistics(_Stored):
+class SplitStatistics(_StatisticsModel):
     """A split, or a whole data set, in numbers.
 
     Attributes:
@@ -97,7 +97,7 @@ class SplitStatistics(_Stored):
         return {} if quantiles is None else quantiles.model_dump()
 
 
-class Runtime(_Stored):
+class BuildRuntime(_StatisticsModel):
     """Processor seconds of a build, by stage, and how many attempts and rendered scenes are timed."""
 
     attempts: int
@@ -113,7 +113,7 @@ class Runtime(_Stored):
 Count = Annotated[int, Field(ge=0)]
 
 
-class LadderRow(Stored):
+class ReferenceDriverSurvival(Stored):
     """One rung of the ladder: how many of the scenes one reference driver survives.
 
     Attributes:
@@ -143,7 +143,7 @@ class SeverityRow(Stored):
     quantiles: Quantiles | None
 
 
-class SplitJudgement(Stored):
+class SplitAssessment(Stored):
     """Judgements of a split's scenes, by name, and their summary.
 
     Attributes:
@@ -154,9 +154,9 @@ class SplitJudgement(Stored):
         contacts: Encounters in which the recorded ego touches an adversary.
     """
 
-    scenes: dict[str, tuple[SceneJudgement, ...]]
-    ladder: tuple[LadderRow, ...]
-    ladder_of_recordings: tuple[LadderRow, ...] = ()
+    scenes: dict[str, tuple[SceneAssessment, ...]]
+    ladder: tuple[ReferenceDriverSurvival, ...]
+    ladder_of_recordings: tuple[ReferenceDriverSurvival, ...] = ()
     unsolvable: tuple[Text, ...]
     severity: tuple[SeverityRow, ...]
     contacts: Count

@@ -2,7 +2,7 @@
 
 New files are first written under pending names, ``run.json`` last; from then on the record is decided and the three are
 renamed, ``run.json`` last again. A command that is killed before leaves the old record as it was; one that is killed
-between the renames leaves a pending ``run.json``, and `settle` finishes the renames.
+between the renames leaves a pending ``run.json``, and `finish_replacement` finishes the renames.
 
 Which run records there are, from their ``run.json`` alone: for sentences that say what there is instead.
 """
@@ -17,9 +17,9 @@ from pydantic import ValidationError
 from benchmark.errors import InputError
 from benchmark.machine.storage import (
     file_sha256,
+    read_cached_json,
     read_json,
     read_json_lines,
-    read_kept_json,
     write_bytes,
     write_json,
     write_json_lines,
@@ -32,7 +32,7 @@ RUN_FILE, ROWS_FILE, SUMMARY_FILE = "run.json", "samples.jsonl", "summary.json"
 
 
 @dataclass(frozen=True, slots=True)
-class FileNames:
+class RecordFileNames:
     """Names of the three files of a record: what ran, which names the hashes of the other two, rows, and summary."""
 
     head: str
@@ -40,7 +40,7 @@ class FileNames:
     summary: str
 
 
-RUN_FILES = FileNames(RUN_FILE, ROWS_FILE, SUMMARY_FILE)
+RUN_FILES = RecordFileNames(RUN_FILE, ROWS_FILE, SUMMARY_FILE)
 
 RecordFiles = tuple[dict[str, Any], list[Any], dict[str, Any]]
 """Contents of ``run.json``, ``samples.jsonl`` and ``summary.json``."""
@@ -55,7 +55,7 @@ Value = TypeVar("Value")
 Record = TypeVar("Record")
 
 
-def validated(validate: Callable[[Any], Value], stored: Any, sentence: Callable[[str, str], str]) -> Value:
+def validate_stored(validate: Callable[[Any], Value], stored: Any, sentence: Callable[[str, str], str]) -> Value:
     """Check a value read from a file, at the edge.
 
     Args:
@@ -72,7 +72,7 @@ def validated(validate: Callable[[Any], Value], stored: Any, sentence: Callable[
         raise InputError(sentence(where, said.removeprefix("Value error, "))) from error
 
 
-def read_each(places: Iterable[Path], read: Callable[[Path], Record], *, instead: str = "") -> list[Record]:
+def read_records(places: Iterable[Path], read: Callable[[Path], Record], *, instead: str = "") -> list[Record]:
     """Read every record that was found, in the order of the places.
 
     Args:
@@ -87,7 +87,7 @@ def read_each(places: Iterable[Path], read: Callable[[Path], Record], *, instead
     return records
 
 
-def pending(directory: Path, name: str) -> Path:
+def pending_path(directory: Path, name: str) -> Path:
     """Path of a file of a record until all three are written."""
     return directory / f".{name}.pending"
 
@@ -97,29 +97,29 @@ def replace_files(
     run: Callable[[dict[str, str]], dict[str, Any]],
     rows: list[Any] | bytes,
     summary: dict[str, Any],
-    names: FileNames = RUN_FILES,
+    names: RecordFileNames = RUN_FILES,
 ) -> dict[str, str]:
     """Write the files of a record in place of those that are there, and return their SHA-256 by name.
 
-    No other process may write to the directory (`benchmark.machine.storage.only_writer`).
+    No other process may write to the directory (`benchmark.machine.storage.lock_folder`).
 
     Args:
         run: Contents of ``run.json``, given the SHA-256 of the other files by name.
         rows: Contents of ``samples.jsonl``, as values or as they are written.
     """
-    settle(directory, names)
+    finish_replacement(directory, names)
     if isinstance(rows, bytes):
-        write_bytes(pending(directory, names.rows), rows)
+        write_bytes(pending_path(directory, names.rows), rows)
     else:
-        write_json_lines(pending(directory, names.rows), rows)
-    write_json(pending(directory, names.summary), summary)
-    hashes = {name: file_sha256(pending(directory, name)) for name in (names.rows, names.summary)}
-    write_json(pending(directory, names.head), run(hashes))
+        write_json_lines(pending_path(directory, names.rows), rows)
+    write_json(pending_path(directory, names.summary), summary)
+    hashes = {name: file_sha256(pending_path(directory, name)) for name in (names.rows, names.summary)}
+    write_json(pending_path(directory, names.head), run(hashes))
     _rename(directory, names)
     return hashes
 
 
-def settle(directory: Path, names: FileNames = RUN_FILES) -> None:
+def finish_replacement(directory: Path, names: RecordFileNames = RUN_FILES) -> None:
     """Finish a replacement that was decided when its command was killed, and drop one that was not.
 
     Args:
@@ -132,24 +132,24 @@ def settle(directory: Path, names: FileNames = RUN_FILES) -> None:
             path.unlink()
 
 
-def _is_decided(directory: Path, names: FileNames) -> bool:
+def _is_decided(directory: Path, names: RecordFileNames) -> bool:
     """Whether a pending ``run.json`` and the files that it names are all there, renamed already or not."""
-    run = read_kept_json(pending(directory, names.head))
+    run = read_cached_json(pending_path(directory, names.head))
     hashes = run.get("files") if isinstance(run, dict) else None
     if not isinstance(hashes, dict):
         return False
     newest = {
-        name: next((path for path in (pending(directory, name), directory / name) if path.is_file()), None)
+        name: next((path for path in (pending_path(directory, name), directory / name) if path.is_file()), None)
         for name in (names.rows, names.summary)
     }
     return all(path is not None and file_sha256(path) == hashes.get(name) for name, path in newest.items())
 
 
-def _rename(directory: Path, names: FileNames) -> None:
+def _rename(directory: Path, names: RecordFileNames) -> None:
     with writing_to(directory):
         for name in (names.rows, names.summary, names.head):
-            if pending(directory, name).exists():
-                pending(directory, name).replace(directory / name)
+            if pending_path(directory, name).exists():
+                pending_path(directory, name).replace(directory / name)
 
 
 def stored_schema(directory: Path) -> int:
@@ -161,7 +161,9 @@ def stored_schema(directory: Path) -> int:
     return int(stored_head(directory)["schema"])
 
 
-def read_own(directory: Path, head: dict[str, Any], names: FileNames, again: str) -> tuple[list[Any], Any]:
+def read_rows_and_summary(
+    directory: Path, head: dict[str, Any], names: RecordFileNames, again: str
+) -> tuple[list[Any], Any]:
     """Read the rows and the summary that the head of a record names.
 
     Nothing but the hashes and the form of JSON is checked.
@@ -171,14 +173,14 @@ def read_own(directory: Path, head: dict[str, Any], names: FileNames, again: str
         again: The command that makes such records.
     """
     rows, summary = read_json_lines(directory / names.rows, RECORD), read_json(directory / names.summary, RECORD)
-    require_own(directory, head, names, again)
+    require_matching_hashes(directory, head, names, again)
     return rows, summary
 
 
-def require_own(
+def require_matching_hashes(
     directory: Path,
     head: dict[str, Any],
-    names: FileNames = RUN_FILES,
+    names: RecordFileNames = RUN_FILES,
     again: str = "eval",
     known: Collection[str] = (),
 ) -> None:
@@ -199,7 +201,7 @@ def read_files(directory: Path) -> RecordFiles:
     Nothing but the schema, the hashes and the form of JSON is checked.
     """
     run = stored_head(directory)
-    rows, summary = read_own(directory, run, RUN_FILES, "eval")
+    rows, summary = read_rows_and_summary(directory, run, RUN_FILES, "eval")
     for schema in range(run["schema"], SCHEMA):
         run, rows, summary = UPGRADES[schema](run, rows, summary)
     return run, rows, summary
@@ -223,8 +225,8 @@ def stored_head(directory: Path) -> dict[str, Any]:
     return run
 
 
-def _does_not_belong(directory: Path, name: str, names: FileNames, again: str) -> str:
-    if pending(directory, names.head).is_file():
+def _does_not_belong(directory: Path, name: str, names: RecordFileNames, again: str) -> str:
+    if pending_path(directory, names.head).is_file():
         command = "challenger-bench rescore" if names is RUN_FILES else f"the same {again} command"
         return f"{directory} was being replaced when its command was stopped; run {command} again"
     return (
@@ -272,7 +274,7 @@ UPGRADES: dict[int, Upgrade] = {
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Recorded:
+class RecordIdentity:
     """Data set, split and planner of one record."""
 
     data: str
@@ -280,7 +282,7 @@ class Recorded:
     planner: str
 
 
-def recorded(folders: Iterable[Path]) -> tuple[Recorded, ...]:
+def list_recorded(folders: Iterable[Path]) -> tuple[RecordIdentity, ...]:
     """Data, split and planner of each record below folders, sorted, each once; the folders need not exist.
 
     A damaged record is left out: reading it says so.
@@ -288,15 +290,15 @@ def recorded(folders: Iterable[Path]) -> tuple[Recorded, ...]:
     identities = set()
     for folder in folders:
         for path in folder.rglob(RUN_FILE):
-            stored: Any = read_kept_json(path)
+            stored: Any = read_cached_json(path)
             try:
-                identities.add(Recorded(stored["data"]["name"], stored["split"], stored["planner"]["name"]))
+                identities.add(RecordIdentity(stored["data"]["name"], stored["split"], stored["planner"]["name"]))
             except (KeyError, TypeError):
                 continue
     return tuple(sorted(identities))
 
 
-def where_planned(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -> Recorded | None:
+def find_record_with_samples(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -> RecordIdentity | None:
     """The first record that has some samples: what a plan file of other data seems to be for.
 
     Args:
@@ -306,11 +308,11 @@ def where_planned(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -
         for path in sorted(folder.rglob(ROWS_FILE)):
             with path.open(encoding="utf-8", errors="replace") as lines:
                 if any(all(part in line for part in sample) for line in lines for sample in samples):
-                    return next(iter(recorded([path.parent])), None)
+                    return next(iter(list_recorded([path.parent])), None)
     return None
 
 
-def said_of(found: Iterable[Recorded]) -> str:
+def describe_recorded(found: Iterable[RecordIdentity]) -> str:
     """Records in words: ``there are records of demo (adv: idm; val: idm)``, or that there are none."""
     places: dict[str, dict[str, list[str]]] = {}
     for record in found:

@@ -13,24 +13,31 @@ from numpy.typing import NDArray
 from benchmark.constants import VEHICLE_CATEGORIES
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_corners
-from benchmark.records.scenes import Sheet, SheetAgent
+from benchmark.records.scenes import PageAgent, ScenePage
 from benchmark.report.canvas import (
     SHIFT,
     GroundView,
     Picture,
+    draw_translucent,
     fill_box,
+    make_view,
     mark_at,
     outline_box,
     stroke,
     stroke_all,
     text_width,
-    through,
-    view_around,
     write_text,
 )
 from benchmark.report.captions import draw_captions
-from benchmark.report.ground import SheetGround, draw_ground, ground_of
-from benchmark.report.overlays import CandidatesOverlay, Contact, Overlay, PathOverlay, PlanOverlay, Whom
+from benchmark.report.ground import PageGround, build_ground, draw_ground
+from benchmark.report.overlays import (
+    CandidatesOverlay,
+    CollisionMark,
+    CollisionParty,
+    Overlay,
+    PathOverlay,
+    PlanOverlay,
+)
 from benchmark.report.palette import (
     ADVERSARY,
     BEST,
@@ -45,7 +52,7 @@ from benchmark.report.palette import (
     WORST,
     GroundColours,
     Rgb,
-    mixed,
+    mix_colours,
 )
 from benchmark.report.placing import agent_box, ego_box, frame_seconds
 
@@ -60,9 +67,9 @@ def draw_candidates(image: Picture, view: GroundView, overlay: CandidatesOverlay
 
     def lines() -> None:
         for path, share in zip(overlay.paths, overlay.shares):
-            stroke(image, view, path, mixed(BEST, WORST, float(share)), 1)
+            stroke(image, view, path, mix_colours(BEST, WORST, float(share)), 1)
 
-    through(image, view, overlay.paths.reshape(-1, 2), 0.55, lines)
+    draw_translucent(image, view, overlay.paths.reshape(-1, 2), 0.55, lines)
     if overlay.chosen is None:
         return
     stroke(image, view, overlay.chosen, BEST, 2)
@@ -82,7 +89,7 @@ def draw_expectations(image: Picture, view: GroundView, overlay: PlanOverlay) ->
         stroke_all(image, view, ways, colour, 1)
 
     if ways:
-        through(image, view, np.concatenate(ways), 0.35 * overlay.opacity, modes)
+        draw_translucent(image, view, np.concatenate(ways), 0.35 * overlay.opacity, modes)
     if plan.forecasts is None:
         return
     expected = [np.concatenate([box[None, :2], path]) for box, path in zip(plan.forecasts.boxes, plan.forecasts.paths)]
@@ -90,12 +97,12 @@ def draw_expectations(image: Picture, view: GroundView, overlay: PlanOverlay) ->
 
     def forecasts() -> None:
         for way in moving:
-            stroke(image, view, way, mixed(colour, PAPER, 0.15), 1, dash=(3.0, 3.0))
+            stroke(image, view, way, mix_colours(colour, PAPER, 0.15), 1, dash=(3.0, 3.0))
             for point in view.pixels(way[1:]):
                 mark_at(image, point, "circle", 2.6, PAPER, colour)
 
     if moving:
-        through(image, view, np.concatenate(moving), 0.7 * overlay.opacity, forecasts)
+        draw_translucent(image, view, np.concatenate(moving), 0.7 * overlay.opacity, forecasts)
 
 
 def draw_plan(image: Picture, view: GroundView, overlay: PlanOverlay) -> None:
@@ -116,8 +123,8 @@ def draw_plan(image: Picture, view: GroundView, overlay: PlanOverlay) -> None:
         for point in view.pixels(plan.at_waypoints[:, :2]):
             mark_at(image, point, style.mark, 4.0, style.colour, PAPER)
 
-    through(image, view, box_corners(plan.at_waypoints).reshape(-1, 2), 0.6 * overlay.opacity, outlines)
-    through(image, view, way, overlay.opacity, line)
+    draw_translucent(image, view, box_corners(plan.at_waypoints).reshape(-1, 2), 0.6 * overlay.opacity, outlines)
+    draw_translucent(image, view, way, overlay.opacity, line)
 
 
 def draw_contacts(image: Picture, view: GroundView, overlays: Sequence[PlanOverlay]) -> None:
@@ -125,7 +132,7 @@ def draw_contacts(image: Picture, view: GroundView, overlays: Sequence[PlanOverl
 
     The star is hollow if it is with another than the adversary, or with whom is not said.
     """
-    marks: list[tuple[float, float, PlanOverlay, Contact]] = []
+    marks: list[tuple[float, float, PlanOverlay, CollisionMark]] = []
     for overlay in reversed(overlays):
         if overlay.contact is not None:
             at = _draw_contact(image, view, overlay.contact, overlay.style.colour, hollow=not overlay.verdict.alarms)
@@ -134,7 +141,7 @@ def draw_contacts(image: Picture, view: GroundView, overlays: Sequence[PlanOverl
     row = {False: -np.inf, True: -np.inf}
     for y, x, overlay, contact in sorted(marks, key=lambda mark: mark[:2]):
         left = contact.seconds - overlay.age_s
-        party = "another" if overlay.verdict.whom is Whom.OTHER else "contact"
+        party = "another" if overlay.verdict.whom is CollisionParty.OTHER else "contact"
         when = f"{party} in {left:.1f} s" if left >= 0.05 else f"{party} now"
         colour = CONTACT if overlay.verdict.alarms else BYSTANDER
         # At the edge of the picture, so that they cover neither cars nor each other.
@@ -148,10 +155,10 @@ def draw_contacts(image: Picture, view: GroundView, overlays: Sequence[PlanOverl
         mark_at(image, np.array([start - 9.0, row[on_left]]), overlay.style.mark, 4.5, overlay.style.colour, PAPER)
 
 
-def _draw_contact(image: Picture, view: GroundView, contact: Contact, colour: Rgb, *, hollow: bool) -> Floats:
+def _draw_contact(image: Picture, view: GroundView, contact: CollisionMark, colour: Rgb, *, hollow: bool) -> Floats:
     """Rectangles and star; where the star is, pixels."""
     corners = box_corners(contact.ego)
-    through(image, view, corners, 0.35, lambda: fill_box(image, view, contact.ego, colour))
+    draw_translucent(image, view, corners, 0.35, lambda: fill_box(image, view, contact.ego, colour))
     outline_box(image, view, contact.ego, colour, 2)
     if contact.other is not None:
         outline_box(image, view, contact.other, INK, 2, dash=(4.0, 3.0))
@@ -173,10 +180,10 @@ _FINE_PX_M: Final = 4.0
 """Below so many pixels a metre, outlines and noses of boxes are left out."""
 
 
-class SceneFromAbove:
+class BirdseyeScene:
     """Draws frames of one sheet; what does not change is made ready once."""
 
-    def __init__(self, sheet: Sheet, colours: GroundColours = ON_LIGHT) -> None:
+    def __init__(self, sheet: ScenePage, colours: GroundColours = ON_LIGHT) -> None:
         """Make the map ready; a sheet without frames, or without an ego pose for each, is refused.
 
         Args:
@@ -191,7 +198,7 @@ class SceneFromAbove:
         self.sheet = sheet
         self.seconds: Floats = frame_seconds(sheet)
         self._colours = colours
-        self._ground: SheetGround = ground_of(sheet, colours)
+        self._ground: PageGround = build_ground(sheet, colours)
         self._ego: list[Floats] = [ego_box(sheet, frame) for frame in range(len(self.seconds))]
 
     def draw(
@@ -225,7 +232,7 @@ class SceneFromAbove:
                 f"a picture from above needs a positive size and extent, got {width_px}x{height_px} px and {extent_m} m"
             )
         pose = np.array([sheet.ego.x_m[frame], sheet.ego.y_m[frame], sheet.ego.yaw_rad[frame]])
-        view = view_around(
+        view = make_view(
             pose,
             width_px=width_px,
             height_px=height_px,
@@ -273,8 +280,8 @@ class SceneFromAbove:
         centre = {int(frame_index): box[:2] for frame_index, box in zip(frames, boxes) if box is not None}
         behind = [centre[frame_index] for frame_index in sorted(centre) if frame_index <= frame]
         ahead = [centre[frame_index] for frame_index in sorted(centre) if frame_index >= frame]
-        stroke(image, view, np.array(behind).reshape(-1, 2), mixed(colour, self._colours.paper, 0.45), 1)
-        stroke(image, view, np.array(ahead).reshape(-1, 2), mixed(colour, self._colours.paper, 0.25), 2)
+        stroke(image, view, np.array(behind).reshape(-1, 2), mix_colours(colour, self._colours.paper, 0.45), 1)
+        stroke(image, view, np.array(ahead).reshape(-1, 2), mix_colours(colour, self._colours.paper, 0.25), 2)
         for dot in np.arange(1, round(2 * FUTURE_S) + 1) / 2:
             nearest = int(np.argmin(np.abs(self.seconds - self.seconds[frame] - dot)))
             if nearest in centre and abs(self.seconds[nearest] - self.seconds[frame] - dot) < 0.05:
@@ -289,7 +296,7 @@ class SceneFromAbove:
 
 
 def draw_birdseye(
-    sheet: Sheet,
+    sheet: ScenePage,
     frame: int,
     overlays: Sequence[Overlay] = (),
     *,
@@ -308,7 +315,7 @@ def draw_birdseye(
     Returns:
         (size_px, size_px, 3) RGB.
     """
-    drawer = SceneFromAbove(sheet)
+    drawer = BirdseyeScene(sheet)
     image, view = drawer.draw(
         frame, overlays, width_px=size_px, height_px=size_px, extent_m=extent_m, heading_up=heading_up
     )
@@ -317,7 +324,7 @@ def draw_birdseye(
     return image
 
 
-def colour_of(agent: SheetAgent, colours: GroundColours = ON_LIGHT) -> Rgb:
+def choose_colour(agent: PageAgent, colours: GroundColours = ON_LIGHT) -> Rgb:
     """Colour of an object by what it is."""
     if agent.adversary:
         return ADVERSARY
@@ -328,8 +335,8 @@ def colour_of(agent: SheetAgent, colours: GroundColours = ON_LIGHT) -> Rgb:
     return colours.person if agent.category.startswith(("human", "animal")) else colours.thing
 
 
-def _draw_agent(image: Picture, view: GroundView, agent: SheetAgent, box: Floats, colours: GroundColours) -> None:
-    colour = colour_of(agent, colours)
+def _draw_agent(image: Picture, view: GroundView, agent: PageAgent, box: Floats, colours: GroundColours) -> None:
+    colour = choose_colour(agent, colours)
     if colour is colours.person and float(box[2]) * view.scale_px_m < 2.0 * _SMALLEST_PERSON_PX:
         mark_at(image, view.pixels(box[:2]), "circle", _SMALLEST_PERSON_PX, colour)
     elif colour in (colours.vehicle, ADVERSARY, colours.cycle):
@@ -345,7 +352,7 @@ def _draw_car(
     fill_box(image, view, box, colour)
     if view.scale_px_m < _FINE_PX_M:
         return
-    outline_box(image, view, box, colours.ink if edge_px > 1 else mixed(colour, colours.ink, 0.6), edge_px)
+    outline_box(image, view, box, colours.ink if edge_px > 1 else mix_colours(colour, colours.ink, 0.6), edge_px)
     ahead = np.array([np.cos(box[4]), np.sin(box[4])])
     left = np.array([-ahead[1], ahead[0]])
     tip, base = box[:2] + 0.42 * box[2] * ahead, box[:2] + 0.2 * box[2] * ahead

@@ -62,7 +62,7 @@ def text_width(text: str, *, size_px: int = 14, bold: bool = False) -> int:
     return int(_mask(text, size_px, bold).shape[1])
 
 
-def fitted(text: str, width_px: int, *, size_px: int = 14, bold: bool = False) -> str:
+def truncate_to_width(text: str, width_px: int, *, size_px: int = 14, bold: bool = False) -> str:
     """A line that is cut, with an ellipsis, to be no wider than asked."""
     if text_width(text, size_px=size_px, bold=bold) <= width_px:
         return text
@@ -72,7 +72,7 @@ def fitted(text: str, width_px: int, *, size_px: int = 14, bold: bool = False) -
     return ""
 
 
-def drawable(name: str) -> str:
+def sanitise_name(name: str) -> str:
     """A stranger's name on one line, cut, without characters that cannot be drawn or written into an SVG."""
     text = "".join(character if character.isprintable() else " " for character in name)
     text = " ".join(text.split())
@@ -148,7 +148,7 @@ class GroundView:
         return bool((high >= 0).all() and low[0] <= self.width_px and low[1] <= self.height_px)
 
 
-def view_around(
+def make_view(
     pose: Floats,
     *,
     width_px: int,
@@ -202,7 +202,7 @@ def stroke(
     if len(points) < 2 or not view.sees(points):
         return
     pixels = view.pixels(np.concatenate([points, points[:1]]) if closed else points)
-    lines = dashes(pixels, dash) if dash else [pixels]
+    lines = split_into_dashes(pixels, dash) if dash else [pixels]
     fixed = [np.round(line * (1 << SHIFT)).astype(np.int32) for line in lines]
     cv2.polylines(image, fixed, False, colour, width_px, cv2.LINE_AA, SHIFT)
 
@@ -245,7 +245,9 @@ def mark_at(image: Picture, pixel: Floats, shape: str, radius_px: float, colour:
         cv2.polylines(image, [corners], True, edge, 1, cv2.LINE_AA, SHIFT)
 
 
-def through(image: Picture, view: GroundView, points: Floats, opacity: float, draw: Callable[[], None]) -> None:
+def draw_translucent(
+    image: Picture, view: GroundView, points: Floats, opacity: float, draw: Callable[[], None]
+) -> None:
     """Draw something that can be seen through.
 
     Args:
@@ -264,14 +266,14 @@ def through(image: Picture, view: GroundView, points: Floats, opacity: float, dr
         area[:] = cv2.addWeighted(area, opacity, before, 1.0 - opacity, 0.0)
 
 
-def png(image: Picture) -> bytes:
+def encode_png(image: Picture) -> bytes:
     """A picture as a file without loss."""
     done, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
     assert done
     return bytes(data)
 
 
-def dashes(line: Floats, pattern: Dash) -> list[Floats]:
+def split_into_dashes(line: Floats, pattern: Dash) -> list[Floats]:
     """Strokes of a dashed line, each (K, 2).
 
     Args:

@@ -7,8 +7,17 @@ from typing import Final
 import cv2
 import numpy as np
 
-from benchmark.records.scenes import Sheet
-from benchmark.report.canvas import SHIFT, GroundView, Picture, dashes, drawable, mark_at, text_width, write_text
+from benchmark.records.scenes import ScenePage
+from benchmark.report.canvas import (
+    SHIFT,
+    GroundView,
+    Picture,
+    mark_at,
+    sanitise_name,
+    split_into_dashes,
+    text_width,
+    write_text,
+)
 from benchmark.report.overlays import CandidatesOverlay, Overlay, PlanOverlay
 from benchmark.report.palette import (
     ADVERSARY,
@@ -22,7 +31,7 @@ from benchmark.report.palette import (
     PATH_DASH,
     PlannerStyle,
     Rgb,
-    mixed,
+    mix_colours,
 )
 
 _SCALES_M: Final = (1, 2, 5, 10, 20, 50, 100)
@@ -41,7 +50,7 @@ class LegendEntry:
     words: str
 
 
-def legend_of(sheet: Sheet, overlays: Sequence[Overlay]) -> list[LegendEntry]:
+def build_legend(sheet: ScenePage, overlays: Sequence[Overlay]) -> list[LegendEntry]:
     """Entries of the legend beside those of planners, for things in the picture only."""
     adversaries = sum(agent.adversary for agent in sheet.agents)
     plans = [
@@ -75,7 +84,7 @@ def draw_entry(image: Picture, entry: LegendEntry, at: tuple[float, float], *, s
         cv2.rectangle(image, (left + 1, row - 4), (right - 2, row + 4), INK, 1)
     elif entry.kind == "candidates":
         for number, share in enumerate((1.0, 0.6, 0.3, 0.0)):
-            shade = mixed(BEST, (190, 214, 90), share)
+            shade = mix_colours(BEST, (190, 214, 90), share)
             cv2.line(image, (left, row + 4), (right, row - 6 + 4 * number), shade, 1, cv2.LINE_AA)
     elif entry.kind == "path":
         line_pixels(image, (left, row), (right, row), entry.colour, 2, PATH_DASH)
@@ -104,7 +113,7 @@ def line_pixels(
 ) -> None:
     """A line between two pixels, in a pattern."""
     line = np.array([first, second], np.float64)
-    parts = dashes(line, dash) if dash else [line]
+    parts = split_into_dashes(line, dash) if dash else [line]
     fixed = [np.round(part * (1 << SHIFT)).astype(np.int32) for part in parts]
     cv2.polylines(image, fixed, False, colour, width_px, cv2.LINE_AA, SHIFT)
 
@@ -127,13 +136,15 @@ def draw_time(image: Picture, seconds: float) -> None:
     write_text(image, f"t = {seconds:.1f} s", (10.0, 14.0), size_px=13, bold=True, plate=PAPER)
 
 
-def draw_captions(image: Picture, view: GroundView, sheet: Sheet, seconds: float, overlays: Sequence[Overlay]) -> None:
+def draw_captions(
+    image: Picture, view: GroundView, sheet: ScenePage, seconds: float, overlays: Sequence[Overlay]
+) -> None:
     """Time above on the left, scale below on the right, the legend and the verdicts below on the left."""
     draw_time(image, seconds)
     draw_scale_bar(image, view)
-    entries = legend_of(sheet, overlays)
+    entries = build_legend(sheet, overlays)
     plans = [overlay for overlay in overlays if isinstance(overlay, PlanOverlay)]
-    words = [f"{drawable(plan.name)}: {plan.verdict.words}" for plan in plans]
+    words = [f"{sanitise_name(plan.name)}: {plan.verdict.words}" for plan in plans]
     widths = [26 + text_width(entry.words, size_px=12) for entry in entries]
     widths += [38 + text_width(text, size_px=12, bold=True) for text in words]
     height = 18 * (len(entries) + len(words)) + 8

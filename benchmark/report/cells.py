@@ -41,7 +41,7 @@ class AnyRate(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class TableCell:
     """One cell of a table, with the facts behind a number.
 
     Attributes:
@@ -49,12 +49,12 @@ class Shown:
     """
 
     text: str
-    cell: "Cell | None" = None
+    cell: "CellSource | None" = None
     miniature: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class CellSource:
     """Facts behind a number.
 
     Attributes:
@@ -79,7 +79,7 @@ class Cell:
     record: str | None = None
     source: str | None = None
 
-    def shown(self, digits: int = 0, *, signed: bool = False, after: str = "") -> Shown:
+    def shown(self, digits: int = 0, *, signed: bool = False, after: str = "") -> TableCell:
         """The number as it is shown, or a dash.
 
         Args:
@@ -87,26 +87,28 @@ class Cell:
             signed: Whether positive numbers have a sign.
             after: Text behind a number that exists.
         """
-        text = number(self.value, digits, signed=signed)
-        return Shown(text if self.value is None else f"{text}{after}", self)
+        text = format_number(self.value, digits, signed=signed)
+        return TableCell(text if self.value is None else f"{text}{after}", self)
 
-    def interval(self, digits: int = 1) -> Shown:
+    def interval(self, digits: int = 1) -> TableCell:
         """The interval as it is shown, for a column beside the number."""
-        return Shown(interval(self.low, self.high, digits=digits), self)
+        return TableCell(format_interval(self.low, self.high, digits=digits), self)
 
     def as_json(self) -> dict[str, Any]:
         """The facts that there are as JSON values; an end that is infinite is the text ``∞``."""
         facts = ((name, getattr(self, name)) for name in _FACTS)
         return {
-            name: _stored(value) if isinstance(value, float) else value for name, value in facts if value is not None
+            name: _to_json_number(value) if isinstance(value, float) else value
+            for name, value in facts
+            if value is not None
         }
 
 
-_FACTS: Final = tuple(each.name for each in fields(Cell))
+_FACTS: Final = tuple(each.name for each in fields(CellSource))
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class ValueSource:
     """Origin of numbers; makes their cells.
 
     Attributes:
@@ -129,7 +131,7 @@ class Origin:
         low: float | None = None,
         high: float | None = None,
         scale: float = 1.0,
-    ) -> Cell:
+    ) -> CellSource:
         """A number from here.
 
         Args:
@@ -139,17 +141,17 @@ class Origin:
             scale: What number and ends are multiplied with, for example 100 for a percentage.
         """
         scaled = [None if number is None else scale * number for number in (value, low, high)]
-        return Cell(scaled[0], unit, n, of, scaled[1], scaled[2], self.protocol, self.record, self.source)
+        return CellSource(scaled[0], unit, n, of, scaled[1], scaled[2], self.protocol, self.record, self.source)
 
-    def percent(self, rate: AnyRate, of: str = "samples") -> Cell:
+    def percent(self, rate: AnyRate, of: str = "samples") -> CellSource:
         """A rate as a percentage."""
         return self.cell(rate.value, PERCENT, rate.denominator, of, low=rate.low, high=rate.high, scale=100.0)
 
-    def amount(self, rate: AnyRate, unit: str, of: str = "samples") -> Cell:
+    def amount(self, rate: AnyRate, unit: str, of: str = "samples") -> CellSource:
         """A rate in its own unit."""
         return self.cell(rate.value, unit, rate.denominator, of, low=rate.low, high=rate.high)
 
-    def count(self, count: int | None, of: str, among: int | None = None) -> Cell:
+    def count(self, count: int | None, of: str, among: int | None = None) -> CellSource:
         """Cell of a count.
 
         Args:
@@ -158,22 +160,22 @@ class Origin:
         return self.cell(count, of, count if among is None else among, of)
 
 
-def origin_of(record: RunRecord, protocol: str | None) -> Origin:
+def make_value_source(record: RunRecord, protocol: str | None) -> ValueSource:
     """Origin of the numbers of a run under a protocol."""
-    return Origin(protocol, record_name(record))
+    return ValueSource(protocol, join_record_names(record))
 
 
-def record_name(*records: RunRecord) -> str:
+def join_record_names(*records: RunRecord) -> str:
     """Content id, planner and split of each record, as cells name them."""
-    return "; ".join(named_record(record.content_id, record.planner, record.run.split) for record in records)
+    return "; ".join(format_record_name(record.content_id, record.planner, record.run.split) for record in records)
 
 
-def named_record(content_id: str, planner: str, split: str) -> str:
+def format_record_name(content_id: str, planner: str, split: str) -> str:
     """A record in a cell: its content id is the first word."""
     return f"{content_id} {planner} on {split}"
 
 
-def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str:
+def format_number(value: float | None, digits: int = 2, *, signed: bool = False) -> str:
     """A number, or a dash where it does not exist; never "-0.0"."""
     if value is None:
         return UNDEFINED
@@ -185,7 +187,7 @@ def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str
     return f"+{text}" if signed and value > 0 else text
 
 
-def interval(low: float | None, high: float | None, *, digits: int = 1) -> str:
+def format_interval(low: float | None, high: float | None, *, digits: int = 1) -> str:
     """An interval as ``[low, high]``, or a dash where there is none to speak of; ``high`` may be infinite.
 
     An interval without width is a dash too: where all scenes agree there is nothing to draw, and "[0.0, 0.0]" would
@@ -193,11 +195,11 @@ def interval(low: float | None, high: float | None, *, digits: int = 1) -> str:
     """
     if low is None or high is None or low == high:
         return UNDEFINED
-    return f"[{number(low, digits)}, {number(high, digits)}]"
+    return f"[{format_number(low, digits)}, {format_number(high, digits)}]"
 
 
-def _stored(value: float) -> float | str:
+def _to_json_number(value: float) -> float | str:
     if math.isinf(value):
-        return number(value)
+        return format_number(value)
     rounded = float(f"{value:.{_STORED_DIGITS}g}")
     return int(rounded) if rounded.is_integer() else rounded

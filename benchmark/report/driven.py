@@ -6,26 +6,26 @@ from typing import Final
 import numpy as np
 
 from benchmark.geometry import Floats
-from benchmark.records.considered import ConsideredFrame
-from benchmark.records.drive_schema import DriveRow
-from benchmark.records.scenes import StoredSheet
+from benchmark.records.considered import SearchTraceFrame
+from benchmark.records.drive_schema import EpisodeRow
+from benchmark.records.scenes import StoredScenePage
 from benchmark.report.overlays import (
     CandidatesOverlay,
-    Contact,
+    CollisionMark,
     PathOverlay,
     PlanOverlay,
-    Verdict,
-    candidates_by_score,
+    PlanVerdict,
+    rank_candidates,
 )
 from benchmark.report.palette import PlannerStyle
 from benchmark.report.placing import PlacedPlan, frame_seconds
 
-PLAN_SEEN_S: Final = 3.0
+PLAN_VISIBLE_S: Final = 3.0
 """A contact is announced so long before."""
 
 
 @dataclass(frozen=True, slots=True)
-class DrivenSheet:
+class EpisodePage:
     """Everything that is shown of one drive.
 
     Attributes:
@@ -40,16 +40,16 @@ class DrivenSheet:
         considered: What an adversary considered at its planning frames, where that was kept.
     """
 
-    stored: StoredSheet
-    row: DriveRow
+    stored: StoredScenePage
+    row: EpisodeRow
     begins: int
     plans: dict[int, PlacedPlan | None]
     recorded: Floats
     recorded_speed: Floats
     recorded_seconds: Floats
     speed: Floats
-    contact: Contact | None
-    considered: tuple[ConsideredFrame, ...] = ()
+    contact: CollisionMark | None
+    considered: tuple[SearchTraceFrame, ...] = ()
 
     @property
     def seconds(self) -> Floats:
@@ -68,7 +68,7 @@ class DrivenSheet:
         """The recorded path."""
         return PathOverlay(self.recorded)
 
-    def considered_at(self, frame: int) -> ConsideredFrame | None:
+    def search_trace_at(self, frame: int) -> SearchTraceFrame | None:
         """The planning frame of the adversary that is in force at a frame of the sheet, where it was kept."""
         now_us = self.stored.sheet.timestamps_us[frame]
         past = [trace_frame for trace_frame in self.considered if trace_frame.time_us <= now_us]
@@ -76,11 +76,11 @@ class DrivenSheet:
 
     def candidates_at(self, frame: int) -> CandidatesOverlay | None:
         """Candidates of the adversary at the planning frame in force; ``None`` where it did not search."""
-        trace_frame = self.considered_at(frame)
+        trace_frame = self.search_trace_at(frame)
         if trace_frame is None or not trace_frame.candidates:
             return None
         paths = np.array(trace_frame.candidates, np.float64) - np.array(self.stored.sheet.origin_m)
-        return candidates_by_score(paths, trace_frame.scores, trace_frame.chosen)
+        return rank_candidates(paths, trace_frame.scores, trace_frame.chosen)
 
     def plan_at(self, frame: int, name: str, style: PlannerStyle) -> PlanOverlay | None:
         """The last plan that was made, or ``None`` before the first, and the contact that comes, if it comes soon."""
@@ -89,13 +89,13 @@ class DrivenSheet:
             return None
         time_s, plan_time_s = float(self.seconds[frame]), float(self.seconds[planned_at])
         contact, soon = None, self.contact
-        if soon is not None and soon.seconds - time_s <= PLAN_SEEN_S:
+        if soon is not None and soon.seconds - time_s <= PLAN_VISIBLE_S:
             contact = replace(soon, seconds=soon.seconds - plan_time_s)
-        verdict = Verdict(contact is not None, "", "", counted=False)
+        verdict = PlanVerdict(contact is not None, "", "", counted=False)
         return PlanOverlay(name, style, self.plans[planned_at], contact, verdict, age_s=time_s - plan_time_s)
 
 
-def speeds_along(points: Floats, seconds: Floats) -> Floats:
+def compute_speeds(points: Floats, seconds: Floats) -> Floats:
     """(T,) speeds in m/s of something that is at (T, 2) points in metres at (T,) rising times."""
     if len(points) < 2:
         return np.zeros(len(points))

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from benchmark.geometry import Floats
-from benchmark.records.scenes import Point, Polygon, Sheet, SheetLine
-from benchmark.report.canvas import GroundView, Picture, dashes, fill_rings, stroke, stroke_all
+from benchmark.records.scenes import PageDivider, Point, Polygon, ScenePage
+from benchmark.report.canvas import GroundView, Picture, fill_rings, split_into_dashes, stroke, stroke_all
 from benchmark.report.palette import ON_LIGHT, GroundColours, Rgb
 
 _STRIPE_M: Final = 0.55
@@ -23,7 +23,7 @@ Area = tuple[Floats, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Layer:
+class GroundLayer:
     """Areas or lines of one colour.
 
     Attributes:
@@ -37,7 +37,7 @@ class Layer:
     colour: Rgb
 
     @classmethod
-    def of(cls, areas: Iterable[Area], colour: Rgb) -> "Layer":
+    def of(cls, areas: Iterable[Area], colour: Rgb) -> "GroundLayer":
         """A layer of areas; those without points are left out."""
         visible_areas = tuple(area for area in areas if area and len(area[0]))
         points = [np.concatenate(area) for area in visible_areas]
@@ -51,7 +51,7 @@ class Layer:
 
 
 @dataclass(frozen=True, slots=True)
-class SheetGround:
+class PageGround:
     """The map of one sheet.
 
     Attributes:
@@ -61,35 +61,35 @@ class SheetGround:
         paint: Strokes of painted lines.
     """
 
-    below: Layer
-    drivable: Layer
-    above: tuple[Layer, ...]
-    stripes: Layer
-    paint: tuple[Layer, ...]
+    below: GroundLayer
+    drivable: GroundLayer
+    above: tuple[GroundLayer, ...]
+    stripes: GroundLayer
+    paint: tuple[GroundLayer, ...]
     colours: GroundColours
 
 
-def ground_of(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> SheetGround:
+def build_ground(sheet: ScenePage, colours: GroundColours = ON_LIGHT) -> PageGround:
     """Make a sheet's map ready; it is empty where the sheet has none."""
     road = sheet.road
     crossings = [area for area in _areas(road.crossings) if area]
     strokes = {
         name: [_strokes(line) for line in road.dividers if line.paint.endswith(f"-{name}")] for name in colours.paint
     }
-    return SheetGround(
-        below=Layer.of(_areas(road.walkways), colours.walkway),
-        drivable=Layer.of(_areas(road.drivable), colours.road),
-        above=(Layer.of(_areas(road.carparks), colours.car_park), Layer.of(crossings, colours.crossing)),
-        stripes=Layer.of((_stripes(area[0]) for area in crossings), colours.stripe),
+    return PageGround(
+        below=GroundLayer.of(_areas(road.walkways), colours.walkway),
+        drivable=GroundLayer.of(_areas(road.drivable), colours.road),
+        above=(GroundLayer.of(_areas(road.carparks), colours.car_park), GroundLayer.of(crossings, colours.crossing)),
+        stripes=GroundLayer.of((_stripes(area[0]) for area in crossings), colours.stripe),
         paint=tuple(
-            Layer.of(((stroke,) for line in lines for stroke in line), colours.paint[name])
+            GroundLayer.of(((stroke,) for line in lines for stroke in line), colours.paint[name])
             for name, lines in strokes.items()
         ),
         colours=colours,
     )
 
 
-def draw_ground(image: Picture, view: GroundView, ground: SheetGround) -> None:
+def draw_ground(image: Picture, view: GroundView, ground: PageGround) -> None:
     """Fill a picture with the map."""
     cv2.rectangle(image, (0, 0), (view.width_px, view.height_px), ground.colours.land, -1)
     _fill(image, view, ground.below)
@@ -105,7 +105,7 @@ def draw_ground(image: Picture, view: GroundView, ground: SheetGround) -> None:
         stroke_all(image, view, [line for (line,) in layer.near(view)], layer.colour, 1)
 
 
-def _fill(image: Picture, view: GroundView, layer: Layer) -> None:
+def _fill(image: Picture, view: GroundView, layer: GroundLayer) -> None:
     for area in layer.near(view):
         fill_rings(image, view, area, layer.colour)
 
@@ -114,11 +114,11 @@ def _areas(polygons: Iterable[Polygon]) -> list[Area]:
     return [tuple(_points(ring) for ring in polygon if len(ring) > 2) for polygon in polygons]
 
 
-def _strokes(line: SheetLine) -> list[Floats]:
+def _strokes(line: PageDivider) -> list[Floats]:
     points = _points(line.points)
     if len(points) < 2:
         return []
-    return dashes(points, (_DASH_M, _DASH_M)) if line.paint.startswith("dashed") else [points]
+    return split_into_dashes(points, (_DASH_M, _DASH_M)) if line.paint.startswith("dashed") else [points]
 
 
 def _points(points: Iterable[Point]) -> Floats:

@@ -12,15 +12,15 @@ from benchmark.constants import PLAN_STEP_S
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_corners
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.scenes import RefinementTrace, Sheet, TraceRound
+from benchmark.records.scenes import RefinementTrace, ScenePage, TraceRound
 from benchmark.report.palette import PlannerStyle
 from benchmark.report.placing import (
     PlacedPlan,
     agent_box_at,
     ego_pose,
+    find_plan_instant,
     frame_seconds,
-    placed_plan,
-    plan_instant,
+    place_plan,
 )
 
 EXACT: Final = "exact"
@@ -31,7 +31,7 @@ CANDIDATES_SHOWN: Final = 64
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class CollisionMark:
     """Place and time at which a plan, or a drive, first touches something.
 
     Attributes:
@@ -47,17 +47,17 @@ class Contact:
     point: Floats
 
 
-class Whom(Enum):
+class CollisionParty(Enum):
     """Party that a plan touches first."""
 
     ANYBODY = "anybody, in a scene without adversaries"
     ADVERSARY = "the adversary"
     OTHER = "another than the adversary"
-    UNSAID = "the record does not say"
+    UNKNOWN = "the record does not say"
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class PlanVerdict:
     """Verdict of one protocol on one sample, in words and in few words.
 
     Attributes:
@@ -70,12 +70,12 @@ class Verdict:
     words: str
     brief: str
     counted: bool
-    whom: Whom = Whom.ANYBODY
+    whom: CollisionParty = CollisionParty.ANYBODY
 
     @property
     def alarms(self) -> bool:
         """Whether it shows the contact that is counted: with the adversary, where there is one."""
-        return self.collides is True and self.whom in (Whom.ANYBODY, Whom.ADVERSARY)
+        return self.collides is True and self.whom in (CollisionParty.ANYBODY, CollisionParty.ADVERSARY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +91,8 @@ class PlanOverlay:
     name: str
     style: PlannerStyle
     plan: PlacedPlan | None
-    contact: Contact | None
-    verdict: Verdict
+    contact: CollisionMark | None
+    verdict: PlanVerdict
     age_s: float = 0.0
     details: bool = True
 
@@ -127,42 +127,44 @@ class PathOverlay:
 Overlay = PlanOverlay | CandidatesOverlay | PathOverlay
 
 
-def verdict_of(row: SampleRow, protocol: str, *, adversaries: bool = False) -> Verdict:
+def describe_verdict(row: SampleRow, protocol: str, *, adversaries: bool = False) -> PlanVerdict:
     """Verdict of a protocol on a sample, in words; ``adversaries`` says whether the scene has any."""
     if row.status == "failed":
-        return Verdict(None, "the planner failed", "failed", counted=False)
-    seconds = _contact_seconds(row, protocol)
+        return PlanVerdict(None, "the planner failed", "failed", counted=False)
+    seconds = _find_collision_time(row, protocol)
     if row.outcomes[protocol].collision is None:
-        return Verdict(None, "its surroundings are not annotated", "no truth", counted=False)
+        return PlanVerdict(None, "its surroundings are not annotated", "no truth", counted=False)
     counted = row.outcomes[protocol].counted
     tail = "" if counted else ", not counted"
     if seconds is None and protocol == EXACT and row.outcomes[protocol].cut_short:
         known_s = PLAN_STEP_S * row.outcomes[protocol].l2.index(None)
-        return Verdict(False, f"no contact within {known_s:g} s, unknown beyond", "unknown", counted=False)
+        return PlanVerdict(False, f"no contact within {known_s:g} s, unknown beyond", "unknown", counted=False)
     if seconds is None:
-        return Verdict(False, f"no contact{tail}", "no contact", counted)
+        return PlanVerdict(False, f"no contact{tail}", "no contact", counted)
     cause = f" ({row.diagnosis.cause})" if protocol == EXACT and row.diagnosis is not None else ""
     exactly = row.outcomes[protocol].facts.get("first_contact_s") is not None
     when = f"{seconds:.1f} s ahead" if exactly else f"within {seconds:.1f} s"
-    whom = _whom(row.outcomes[protocol].touches_adversary) if adversaries else Whom.ANYBODY
+    whom = _find_party(row.outcomes[protocol].touches_adversary) if adversaries else CollisionParty.ANYBODY
     verb, noun, rest = _WORDS[whom]
-    return Verdict(True, f"{verb} {when}{cause}{rest}{tail}", f"{noun} {seconds:.1f} s", counted, whom)
+    return PlanVerdict(True, f"{verb} {when}{cause}{rest}{tail}", f"{noun} {seconds:.1f} s", counted, whom)
 
 
 _WORDS: Final = {
-    Whom.ANYBODY: ("collides", "contact", ""),
-    Whom.ADVERSARY: ("hits the adversary", "contact", ""),
-    Whom.OTHER: ("hits another", "another", ""),
-    Whom.UNSAID: ("collides", "whom? in", ", whom is not said"),
+    CollisionParty.ANYBODY: ("collides", "contact", ""),
+    CollisionParty.ADVERSARY: ("hits the adversary", "contact", ""),
+    CollisionParty.OTHER: ("hits another", "another", ""),
+    CollisionParty.UNKNOWN: ("collides", "whom? in", ", whom is not said"),
 }
 """Of each: what the plan does, in a word, and what follows."""
 
 
-def _whom(adversary: bool | None) -> Whom:
-    return Whom.UNSAID if adversary is None else Whom.ADVERSARY if adversary else Whom.OTHER
+def _find_party(adversary: bool | None) -> CollisionParty:
+    return (
+        CollisionParty.UNKNOWN if adversary is None else CollisionParty.ADVERSARY if adversary else CollisionParty.OTHER
+    )
 
 
-def _contact_seconds(row: SampleRow, protocol: str) -> float | None:
+def _find_collision_time(row: SampleRow, protocol: str) -> float | None:
     """Time at which a plan first touches something: to a tenth of a second under ``exact``, else the step's end."""
     if protocol not in row.outcomes:
         raise InputError(f"scene {row.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore")
@@ -173,26 +175,26 @@ def _contact_seconds(row: SampleRow, protocol: str) -> float | None:
     return float(first) if isinstance(first, int | float) else PLAN_STEP_S * (outcome.collision.index(True) + 1)
 
 
-def plan_overlay(
-    sheet: Sheet, keyframe: int, row: SampleRow, protocol: str, name: str, style: PlannerStyle
+def build_plan_overlay(
+    sheet: ScenePage, keyframe: int, row: SampleRow, protocol: str, name: str, style: PlannerStyle
 ) -> PlanOverlay:
     """A stored plan with its verdict, as it is at the sample.
 
     Args:
         keyframe: Frame of the sample.
     """
-    verdict = verdict_of(row, protocol, adversaries=any(agent.adversary for agent in sheet.agents))
-    plan = placed_plan(row, ego_pose(sheet, keyframe))
+    verdict = describe_verdict(row, protocol, adversaries=any(agent.adversary for agent in sheet.agents))
+    plan = place_plan(row, ego_pose(sheet, keyframe))
     contact = None
     if plan is not None and verdict.collides:
-        seconds = _contact_seconds(row, protocol)
+        seconds = _find_collision_time(row, protocol)
         assert seconds is not None
         hit = row.outcomes[protocol].facts.get("hit")
-        contact = _contact(sheet, keyframe, plan, seconds, hit if isinstance(hit, str) else None)
+        contact = _find_collision_mark(sheet, keyframe, plan, seconds, hit if isinstance(hit, str) else None)
     return PlanOverlay(name, style, plan, contact, verdict)
 
 
-def candidates_overlay(sheet: Sheet, trace: RefinementTrace, frame: int) -> CandidatesOverlay | None:
+def build_candidates_overlay(sheet: ScenePage, trace: RefinementTrace, frame: int) -> CandidatesOverlay | None:
     """The candidates of the planning frame in force, of the round that the executed one is from.
 
     Returns:
@@ -213,10 +215,10 @@ def candidates_overlay(sheet: Sheet, trace: RefinementTrace, frame: int) -> Cand
         )
     chosen_round = current.rounds[current.chosen_round]
     paths = np.array(chosen_round.candidates, np.float64).reshape(len(chosen_round.candidates), -1, 2)
-    return candidates_by_score(paths, chosen_round.scores, current.chosen)
+    return rank_candidates(paths, chosen_round.scores, current.chosen)
 
 
-def candidates_by_score(paths: Floats, scores: Sequence[float | None], chosen: int | None) -> CandidatesOverlay:
+def rank_candidates(paths: Floats, scores: Sequence[float | None], chosen: int | None) -> CandidatesOverlay:
     """The best `CANDIDATES_SHOWN` candidates in the order in which they are drawn.
 
     Args:
@@ -240,15 +242,17 @@ def _is_whole(trace_round: TraceRound, chosen: int) -> bool:
     return is_consistent and 0 <= chosen < len(trace_round.candidates)
 
 
-def _contact(sheet: Sheet, keyframe: int, plan: PlacedPlan, seconds: float, hit: str | None) -> Contact:
-    ego = plan.footprints[plan_instant(seconds)]
+def _find_collision_mark(
+    sheet: ScenePage, keyframe: int, plan: PlacedPlan, seconds: float, hit: str | None
+) -> CollisionMark:
+    ego = plan.footprints[find_plan_instant(seconds)]
     agent = next((candidate for candidate in sheet.agents if candidate.id == hit), None)
     at = float(frame_seconds(sheet)[keyframe]) + seconds
     other = None if agent is None else agent_box_at(sheet, agent, at)
-    return Contact(seconds, ego, other, ego[:2] if other is None else shared_point(ego, other))
+    return CollisionMark(seconds, ego, other, ego[:2] if other is None else find_shared_point(ego, other))
 
 
-def shared_point(first: Floats, second: Floats) -> Floats:
+def find_shared_point(first: Floats, second: Floats) -> Floats:
     """Middle of the overlap of two boxes (5,), or of their centres where rounding pulls them apart."""
     origin = first[:2]
     first_corners, second_corners = ((box_corners(box) - origin).astype(np.float32) for box in (first, second))

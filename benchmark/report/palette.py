@@ -135,14 +135,14 @@ _DASHES: Final[tuple[Dash, ...]] = ((), (9.0, 4.0), (3.0, 4.0), (11.0, 4.0, 3.0,
 _MARKS: Final = ("circle", "square", "triangle", "diamond")
 
 
-def planner_style(index: int) -> PlannerStyle:
+def choose_planner_style(index: int) -> PlannerStyle:
     """Style of the planner at a place of a list, from 0; they repeat after twelve."""
     return PlannerStyle(
         PLANNERS_ON_LIGHT[index % len(PLANNERS_ON_LIGHT)], _DASHES[index % len(_DASHES)], _MARKS[index % len(_MARKS)]
     )
 
 
-def mixed(first: Rgb, second: Rgb, share: float) -> Rgb:
+def mix_colours(first: Rgb, second: Rgb, share: float) -> Rgb:
     """A colour between two: the first at share 0, the second at share 1."""
     return (
         round(first[0] + share * (second[0] - first[0])),
@@ -151,7 +151,7 @@ def mixed(first: Rgb, second: Rgb, share: float) -> Rgb:
     )
 
 
-def hexadecimal(colour: Rgb) -> str:
+def format_hexadecimal(colour: Rgb) -> str:
     """A colour as plots and pages take it, for example ``#d54a00``."""
     red, green, blue = colour
     return f"#{red:02x}{green:02x}{blue:02x}"

@@ -7,9 +7,9 @@ import numpy as np
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, ego_footprints, to_global, wrap_angle
-from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes
+from benchmark.protocols.exact import INSTANTS_PER_STEP, compute_plan_boxes
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.scenes import Sheet, SheetAgent
+from benchmark.records.scenes import PageAgent, ScenePage
 from benchmark.waypoints import points_in_lidar, waypoints_in_lidar
 
 
@@ -49,19 +49,19 @@ class PlacedPlan:
         return self.footprints[INSTANTS_PER_STEP - 1 :: INSTANTS_PER_STEP]
 
 
-def ego_pose(sheet: Sheet, frame: int) -> Floats:
+def ego_pose(sheet: ScenePage, frame: int) -> Floats:
     """(3,) x, y, yaw of the recorded rear axle."""
     return np.array([sheet.ego.x_m[frame], sheet.ego.y_m[frame], sheet.ego.yaw_rad[frame]])
 
 
-def ego_box(sheet: Sheet, frame: int) -> Floats:
+def ego_box(sheet: ScenePage, frame: int) -> Floats:
     """(5,) the recorded body of the ego."""
     x, y, yaw = ego_pose(sheet, frame)
     ahead = sheet.ego.centre_ahead_m
     return np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), sheet.ego.length_m, sheet.ego.width_m, yaw])
 
 
-def agent_box(agent: SheetAgent, frame: int) -> Floats | None:
+def agent_box(agent: PageAgent, frame: int) -> Floats | None:
     """(5,) the box of an object, or ``None`` where it is not there."""
     place = frame - agent.first
     if not 0 <= place < len(agent.x_m):
@@ -72,7 +72,7 @@ def agent_box(agent: SheetAgent, frame: int) -> Floats | None:
     return np.array([x, y, agent.size_m[0], agent.size_m[1], yaw])
 
 
-def agent_box_at(sheet: Sheet, agent: SheetAgent, seconds: float) -> Floats | None:
+def agent_box_at(sheet: ScenePage, agent: PageAgent, seconds: float) -> Floats | None:
     """(5,) box of an object between frames, ``None`` where it is not there at the frames before and after.
 
     Args:
@@ -92,12 +92,12 @@ def agent_box_at(sheet: Sheet, agent: SheetAgent, seconds: float) -> Floats | No
     return np.asarray(first + share * step)
 
 
-def frame_seconds(sheet: Sheet) -> Floats:
+def frame_seconds(sheet: ScenePage) -> Floats:
     """(T,) time of each frame since the first, seconds."""
     return (np.array(sheet.timestamps_us, np.int64) - sheet.timestamps_us[0]) / 1e6
 
 
-def placed_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
+def place_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
     """Put a stored plan where it was planned, ``None`` where the planner failed.
 
     Args:
@@ -121,14 +121,14 @@ def placed_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
     other = np.abs(modes - waypoints).max(axis=(1, 2)) > 0.05
     return PlacedPlan(
         waypoints=to_global(waypoints, lidar),
-        footprints=_boxes_of(ego_boxes(waypoints), lidar),
+        footprints=_boxes_of(compute_plan_boxes(waypoints), lidar),
         start=_boxes_of(ego_footprints(np.array([0.0, 0.0, np.pi / 2])), lidar),
         modes=to_global(modes[other], lidar),
         forecasts=forecasts,
     )
 
 
-def placed_waypoints(waypoints: Floats, frame: str, ahead_m: float, axle: Floats) -> PlacedPlan | None:
+def place_waypoints(waypoints: Floats, frame: str, ahead_m: float, axle: Floats) -> PlacedPlan | None:
     """Put waypoints where they were planned, to 3 s, without modes and forecasts; ``None`` where they are shorter.
 
     Args:
@@ -143,7 +143,7 @@ def placed_waypoints(waypoints: Floats, frame: str, ahead_m: float, axle: Floats
     judged = waypoints_in_lidar(np.asarray(waypoints[:PLAN_STEPS], np.float64), frame, ahead_m)
     return PlacedPlan(
         waypoints=to_global(judged, lidar),
-        footprints=_boxes_of(ego_boxes(judged), lidar),
+        footprints=_boxes_of(compute_plan_boxes(judged), lidar),
         start=_boxes_of(ego_footprints(np.array([0.0, 0.0, np.pi / 2])), lidar),
         modes=np.empty((0, PLAN_STEPS, 2)),
         forecasts=None,
@@ -177,7 +177,7 @@ def _boxes_of(boxes: Floats, frame_pose: Floats) -> Floats:
     )
 
 
-def plan_instant(seconds: float) -> int:
+def find_plan_instant(seconds: float) -> int:
     """Which footprint of a `PlacedPlan` is that of a time after the sample; the nearest one."""
     last = PLAN_STEPS * INSTANTS_PER_STEP
     return min(max(round(seconds * INSTANTS_PER_STEP / PLAN_STEP_S), 1), last) - 1

@@ -20,7 +20,7 @@ from benchmark.report.palette import (
     PLANNERS_ON_LIGHT,
     GroundColours,
     Rgb,
-    hexadecimal,
+    format_hexadecimal,
 )
 
 FORMATS: Final = (".png", ".svg")
@@ -30,7 +30,7 @@ _PAGE_DPI = 96
 
 
 @dataclass(frozen=True, slots=True)
-class Theme:
+class PlotTheme:
     """Colours of a plot on a light or a dark page.
 
     Attributes:
@@ -56,7 +56,7 @@ class Theme:
 
     def planner(self, place: int) -> str:
         """Colour of the planner at a place."""
-        return hexadecimal(self.planners[place % len(self.planners)])
+        return format_hexadecimal(self.planners[place % len(self.planners)])
 
     def settings(self) -> dict[str, Any]:
         """The same as settings of matplotlib."""
@@ -65,30 +65,30 @@ class Theme:
         return dict.fromkeys(inked, self.ink) | dict.fromkeys(plain, self.paper)
 
 
-LIGHT: Final = Theme(
+LIGHT: Final = PlotTheme(
     "#ffffff", "#1b1e21", "#444444", "#dddddd", "#f2f2f2", "#b9d3e8", "#b00020", ON_LIGHT, PLANNERS_ON_LIGHT
 )
-DARK: Final = Theme(
+DARK: Final = PlotTheme(
     "#1a1e22", "#e4e7e9", "#b4bcc4", "#343b41", "#2a3036", "#3f5a72", "#ff5c77", ON_DARK, PLANNERS_ON_DARK, dark=True
 )
 
 
-Sketch = Callable[[Theme], Figure]
+Sketch = Callable[[PlotTheme], Figure]
 """Makes a figure (`new_figure`) in the colours of a page."""
 
 
-def picture(sketch: Sketch, suffix: str, theme: Theme = LIGHT) -> bytes:
+def render_figure(sketch: Sketch, suffix: str, theme: PlotTheme = LIGHT) -> bytes:
     """PNG or SVG of a figure, unaffected by the user's settings of matplotlib; ``suffix`` is one of `FORMATS`."""
     return _saved(sketch, (suffix,), theme)[0]
 
 
-def for_pages(sketch: Sketch) -> tuple[bytes, bytes, Callable[[], bytes]]:
-    """A figure for pages: PNG and SVG for light ones, what draws the SVG for dark ones; bytes as of `picture`."""
+def render_for_pages(sketch: Sketch) -> tuple[bytes, bytes, Callable[[], bytes]]:
+    """A figure for pages: PNG and SVG for light ones, what draws the SVG for dark ones; bytes as of `render_figure`."""
     png, svg = _saved(sketch, (".png", ".svg"), LIGHT)
-    return png, svg, partial(picture, sketch, ".svg", DARK)
+    return png, svg, partial(render_figure, sketch, ".svg", DARK)
 
 
-def _saved(sketch: Sketch, suffixes: tuple[str, ...], theme: Theme) -> tuple[bytes, ...]:
+def _saved(sketch: Sketch, suffixes: tuple[str, ...], theme: PlotTheme) -> tuple[bytes, ...]:
     """One figure in several formats: making it takes as long as saving it."""
     # Without a fixed salt the identifiers inside an SVG are random; the rest undoes a user's own matplotlibrc.
     settings: Any = {**mpl.rcParamsDefault, "svg.hashsalt": "challenger-bench", "font.family": ["DejaVu Sans"]}
@@ -119,7 +119,7 @@ def figure_png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def png_size(picture: bytes) -> tuple[int, int]:
+def read_png_size(picture: bytes) -> tuple[int, int]:
     """(width, height) of a PNG, pixels; zeros for a file that is no PNG."""
     if not picture.startswith(b"\x89PNG"):
         return 0, 0
@@ -127,9 +127,9 @@ def png_size(picture: bytes) -> tuple[int, int]:
     return width, height
 
 
-def page_size(picture: bytes) -> tuple[int, int]:
-    """(width, height) of a PNG of `picture` on a page, where its letters are as large as they were meant."""
-    width, height = png_size(picture)
+def compute_page_size(picture: bytes) -> tuple[int, int]:
+    """(width, height) of a PNG of `render_figure` on a page, where its letters are as large as they were meant."""
+    width, height = read_png_size(picture)
     return round(width * _PAGE_DPI / _DPI), round(height * _PAGE_DPI / _DPI)
 
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmark.machine.storage import canonical_json
-from benchmark.report.cells import RANKS_NOTHING, UNDEFINED, Cell, Shown
-from benchmark.report.terminal import aligned, terminal_width, wrapped
-from benchmark.report.words import counted
+from benchmark.report.cells import RANKS_NOTHING, UNDEFINED, CellSource, TableCell
+from benchmark.report.terminal import align_columns, find_terminal_width, wrap_text
+from benchmark.report.words import pluralise
 
 Groups = tuple[tuple[str, int], ...]
 """Labels over neighbouring columns, each with how many it stands over; an empty label is no label."""
@@ -72,7 +72,7 @@ class LatexForm:
 
 
 @dataclass(frozen=True, slots=True)
-class Brief:
+class TableExcerpt:
     """Part of a table that a terminal shows unless all of it is asked for.
 
     Attributes:
@@ -109,10 +109,10 @@ class Table:
     notes: tuple[str, ...] = ()
     text_columns: int = 1
     groups: Groups = ()
-    cells: tuple[tuple[Cell | None, ...], ...] | None = None
+    cells: tuple[tuple[CellSource | None, ...], ...] | None = None
     sources: tuple[str, ...] = ()
     miniatures: tuple[bool, ...] = ()
-    brief: Brief | None = None
+    brief: TableExcerpt | None = None
     latex_form: LatexForm | None = None
 
     def __post_init__(self) -> None:
@@ -158,10 +158,10 @@ class Table:
             indent: Before each line but the title.
             least: Characters that each column has at least.
         """
-        width, brief = width or terminal_width(), None if wide else self.brief
+        width, brief = width or find_terminal_width(), None if wide else self.brief
         places = range(len(self.columns)) if brief is None else brief.columns
         rows = [[row[place] for place in places] for row in self.rows]
-        lines = aligned(
+        lines = align_columns(
             [self.columns[place] for place in places],
             rows,
             text_columns=self.text_columns if brief is None else brief.text_columns,
@@ -170,12 +170,12 @@ class Table:
         )
         notes = list(self.remarks if brief is None else brief.notes)
         if brief is not None and len(brief.columns) < len(self.columns):
-            notes.append(f"--wide shows {counted(len(self.columns) - len(brief.columns), 'column')} more.")
+            notes.append(f"--wide shows {pluralise(len(self.columns) - len(brief.columns), 'column')} more.")
         below = [
-            line for note in notes for line in wrapped(note, width, indent=indent, hanging="  ", whole_words=False)
+            line for note in notes for line in wrap_text(note, width, indent=indent, hanging="  ", whole_words=False)
         ]
         full_title = self.title if brief is None else brief.title
-        title = wrapped(full_title, width, whole_words=False) if full_title else []
+        title = wrap_text(full_title, width, whole_words=False) if full_title else []
         return "\n".join([*title, *(f"{indent}{line}" if line else "" for line in lines), *below]) + "\n"
 
     def latex(self) -> str:
@@ -231,17 +231,17 @@ class Table:
         return "{\n" + ",\n".join(_json_members(self.as_json())) + "\n}\n"
 
 
-def table_of(
+def build_table(
     name: str,
     title: str,
     columns: Sequence[str],
-    rows: Sequence[Sequence[str | Shown]],
+    rows: Sequence[Sequence[str | TableCell]],
     *,
     notes: Sequence[str] = (),
     text_columns: int = 1,
     groups: Sequence[tuple[str, int]] = (),
     sources: Sequence[str] = (),
-    brief: Brief | None = None,
+    brief: TableExcerpt | None = None,
     latex_form: LatexForm | None = None,
 ) -> Table:
     """A table of texts and of numbers that bring their facts.
@@ -250,7 +250,7 @@ def table_of(
         rows: Text, or a number as its cell shows it.
         groups: Labels over columns; those over none are left out.
     """
-    cells = [[Shown(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    cells = [[TableCell(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
     miniatures = tuple(any(cell.miniature for cell in row) for row in cells)
     return Table(
         name,

@@ -37,12 +37,12 @@ _BOUND: Final = "\u00a0"
 """Stands between a name and its mark, and a number and its unit, while lines are broken."""
 
 
-def terminal_width() -> int:
+def find_terminal_width() -> int:
     """Columns of the terminal, or of the variable ``COLUMNS``; 80 where there is neither."""
     return max(LEAST_WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
 
 
-def wrapped(
+def wrap_text(
     text: str, width: int | None = None, *, indent: str = "", hanging: str = "", whole_words: bool = True
 ) -> list[str]:
     """A sentence as lines, at least one.
@@ -55,7 +55,7 @@ def wrapped(
     """
     return textwrap.wrap(
         text,
-        width or terminal_width(),
+        width or find_terminal_width(),
         initial_indent=indent,
         subsequent_indent=indent + hanging,
         break_long_words=not whole_words,
@@ -63,7 +63,7 @@ def wrapped(
     ) or [indent]
 
 
-def aligned(
+def align_columns(
     heads: Sequence[str],
     rows: Sequence[Sequence[str]],
     *,

@@ -1,17 +1,17 @@
 """Words of sentences that depend on numbers."""
 
 
-def counted(count: int, one: str, many: str | None = None) -> str:
+def pluralise(count: int, one: str, many: str | None = None) -> str:
     """A number with its noun, singular where it is one: ``1 scene``, ``3 scenes`` or ``1,204 samples``.
 
     Args:
         many: The same for several; by default with an s, or ``ies`` for a ``y`` after a consonant.
     """
-    return f"{count:,} {noun(count, one, many)}"
+    return f"{count:,} {inflect_noun(count, one, many)}"
 
 
-def noun(count: int, one: str, many: str | None = None) -> str:
-    """The noun of `counted` alone, for sentences in which the number stands apart."""
+def inflect_noun(count: int, one: str, many: str | None = None) -> str:
+    """The noun of `pluralise` alone, for sentences in which the number stands apart."""
     if count == 1:
         return one
     if many is not None:
@@ -19,7 +19,7 @@ def noun(count: int, one: str, many: str | None = None) -> str:
     return f"{one[:-1]}ies" if one.endswith("y") and one[-2] not in "aeiou" else f"{one}s"
 
 
-def split_of(split: str, data_name: str) -> str:
+def format_split(split: str, data_name: str) -> str:
     """A split and its data set in a sentence, as ``split adv of mini``.
 
     A data set that is called like its split is named once.
@@ -27,6 +27,6 @@ def split_of(split: str, data_name: str) -> str:
     return f"split {split}" if data_name == split else f"split {split} of {data_name}"
 
 
-def titled(data_name: str, split: str) -> str:
+def format_title(data_name: str, split: str) -> str:
     """The same as the beginning of a title: ``mini, split adv``."""
     return f"split {split}" if data_name == split else f"{data_name}, split {split}"

@@ -12,22 +12,22 @@ from itertools import chain
 from typing import Final
 
 from benchmark.datasets.annotated import AnnotationCount
-from benchmark.datasets.truth_facts import MISFIT_SHARE, lie_across
-from benchmark.records.caveats import OF_THE_DOOR, Caveat, in_order
-from benchmark.records.drive_schema import DriveRow, Measured
-from benchmark.records.rows import Rows
+from benchmark.datasets.truth_facts import MISFIT_SHARE, are_boxes_across
+from benchmark.records.caveats import OF_THE_DOOR, Caveat, sort_caveats
+from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow
+from benchmark.records.rows import SampleRows
 from benchmark.records.run_schema import InputFacts, PlannerFacts, SceneFacts, TruthFacts
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from benchmark.untrusted.plan_plausibility import ComparedPlans
-from benchmark.untrusted.plan_verdicts import plan_caveats
+from benchmark.untrusted.plan_verdicts import list_plan_caveats
 
 _DERIVED, _OFFERED, _WITHOUT = '"ego_motion":"derived"', '"forecasts":{', '"forecasts":null'
 """In the JSON of a row, where text that a planner wrote cannot have them: its quotation marks are escaped."""
 
 
-def data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
+def list_data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
     """Caveats about impossible values of a data set; of older records they are not known."""
-    facts = inputs_of(scenes)
+    facts = collect_inputs(scenes)
     on_maps = [inputs for inputs in facts.values() if inputs.off_road is not None]
     share = sum(inputs.off_road or 0 for inputs in on_maps) / max(sum(inputs.samples for inputs in on_maps), 1)
     if share > MISFIT_SHARE:
@@ -39,53 +39,55 @@ def data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
     if jumps := sum(inputs.jumps for inputs in facts.values()):
         yield Caveat(
             kind="boxes",
-            sentence=f"{counted(jumps, 'annotation')} of objects that jump (over 60 m/s since the one before): "
+            sentence=f"{pluralise(jumps, 'annotation')} of objects that jump (over 60 m/s since the one before): "
             "contacts with them are of no real motion",
         )
     moving, across = (sum(getattr(inputs, name) for inputs in facts.values()) for name in ("moving", "across"))
-    if lie_across(moving, across):
+    if are_boxes_across(moving, across):
         yield Caveat(
             kind="boxes",
-            sentence=f"the boxes of {across} of {counted(moving, 'moving object')} lie across their motion (width and "
+            sentence=f"the boxes of {across} of {pluralise(moving, 'moving object')} lie across their motion (width and "
             "length exchanged, or headings turned by 90 degrees): contacts are not where they would be",
         )
     if turned := [name for name, inputs in facts.items() if inputs.turned_quaternions]:
         yield Caveat(
             kind="pose",
-            sentence=f"rotations in {_of(turned, facts)} make sense only if read as x, y, z, w, and nuScenes has w "
+            sentence=f"rotations in {_format_scenes(turned, facts)} make sense only if read as x, y, z, w, and nuScenes has w "
             "first: headings and all that follows from them are wrong",
         )
     if without := [name for name, inputs in facts.items() if not inputs.lidar]:
         yield Caveat(
             kind="lidar",
-            sentence=f"{_of(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, whose place plans and protocols "
+            sentence=f"{_format_scenes(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, whose place plans and protocols "
             "count from, is taken to sit as on nuScenes' cars",
         )
 
 
-def map_caveats(scenes: Mapping[str, SceneFacts], goes_without: Sequence[str]) -> Iterator[Caveat]:
+def list_map_caveats(scenes: Mapping[str, SceneFacts], goes_without: Sequence[str]) -> Iterator[Caveat]:
     """Caveat about scenes that have no map with lanes, one at most.
 
     Args:
         goes_without: What happens without lanes, in words; nothing is said if nothing does.
     """
-    facts = inputs_of(scenes)
+    facts = collect_inputs(scenes)
     without = [name for name, inputs in facts.items() if not inputs.lanes]
     if without and goes_without:
         yield Caveat(
             kind="map",
-            sentence=f"{_of(without, facts)} {_have(without)} no map with lanes: {', and '.join(goes_without)}",
+            sentence=f"{_format_scenes(without, facts)} {_have(without)} no map with lanes: {', and '.join(goes_without)}",
         )
 
 
-def planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
+def list_planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: SampleRows) -> Iterator[Caveat]:
     """Caveats about inputs that a planner wanted and did not get, and about plans that lack what the others have."""
     lanes = ["it drives straight on where it would follow a lane"] if "map" in planner.wants else []
-    yield from map_caveats(scenes, [*lanes, "there are no driving scores (pdm)"])
-    facts = inputs_of(scenes)
+    yield from list_map_caveats(scenes, [*lanes, "there are no driving scores (pdm)"])
+    facts = collect_inputs(scenes)
     blind = [name for name, inputs in facts.items() if not inputs.cameras]
     if blind and "images" in planner.wants:
-        yield Caveat(kind="images", sentence=f"{_of(blind, facts)} {_have(blind)} no camera, and it plans from images")
+        yield Caveat(
+            kind="images", sentence=f"{_format_scenes(blind, facts)} {_have(blind)} no camera, and it plans from images"
+        )
     derived: list[str] = []
     offered, without = 0, 0
     for scene, lines in rows.texts():
@@ -96,19 +98,19 @@ def planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts], row
     if derived and "motion" in planner.wants:
         yield Caveat(
             kind="motion",
-            sentence=f"{_of(derived, scenes)} {_have(derived)} no CAN bus: the ego motion that it plans from "
+            sentence=f"{_format_scenes(derived, scenes)} {_have(derived)} no CAN bus: the ego motion that it plans from "
             "is derived from poses",
         )
     if offered and without:
         yield Caveat(
             kind="forecasts",
-            sentence=f"{without} of {counted(offered + without, 'plan')} have no forecasts, and the others do: no "
+            sentence=f"{without} of {pluralise(offered + without, 'plan')} have no forecasts, and the others do: no "
             "cause is said of their collisions",
         )
 
 
-def drive_input_caveats(
-    planner: PlannerFacts, scenes: Mapping[str, SceneFacts], measured: Measured
+def list_drive_input_caveats(
+    planner: PlannerFacts, scenes: Mapping[str, SceneFacts], measured: ClosedLoopDefinition
 ) -> Iterator[Caveat]:
     """Caveats about map inputs that a planner, the engine, its agents and the sensor wanted and did not get."""
     goes_without = ["it drives straight on where it would follow a lane"] if "map" in planner.wants else []
@@ -118,10 +120,10 @@ def drive_input_caveats(
         goes_without.append("pictures have no road")
     if measured.engine == "default":
         goes_without.append("there are no terms of nuPlan and no HD-Score")
-    yield from map_caveats(scenes, goes_without)
+    yield from list_map_caveats(scenes, goes_without)
 
 
-def inputs_of(scenes: Mapping[str, SceneFacts]) -> dict[str, InputFacts]:
+def collect_inputs(scenes: Mapping[str, SceneFacts]) -> dict[str, InputFacts]:
     """Inputs that the data set holds of scenes, of those for which it is known."""
     return {
         name: scene_facts.truth.inputs
@@ -130,9 +132,9 @@ def inputs_of(scenes: Mapping[str, SceneFacts]) -> dict[str, InputFacts]:
     }
 
 
-def _of(names: Sequence[str], scenes: Mapping[str, object]) -> str:
+def _format_scenes(names: Sequence[str], scenes: Mapping[str, object]) -> str:
     """Scenes in words; one is named, several are counted."""
-    return names[0] if len(names) == 1 else f"{len(names)} of {counted(len(scenes), 'scene')}"
+    return names[0] if len(names) == 1 else f"{len(names)} of {pluralise(len(scenes), 'scene')}"
 
 
 def _have(names: Sequence[str]) -> str:
@@ -143,13 +145,13 @@ _NAMED: Final = 3
 _DRIVES: Final = "drives there are in no rate of contacts and in no score that counts them"
 
 
-def run_truth(scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
+def list_run_truth_caveats(scenes: Mapping[str, SceneFacts], rows: SampleRows) -> Iterator[Caveat]:
     """Caveats of a run record about the truth of its scenes."""
     known = _known(scenes)
     yield from _labels(known, "collision rates and counts of failed scenes leave them out")
     partly = [name for name, truth in known.items() if truth.annotations and truth.unlabelled]
     if partly:
-        of = counted(sum(len(rows.columns.places_of_scenes[name]) for name in partly), "sample")
+        of = pluralise(sum(len(rows.columns.places_of_scenes[name]) for name in partly), "sample")
         unlabelled = sum(known[name].unlabelled for name in partly)
         yield Caveat(
             kind="truth",
@@ -169,8 +171,8 @@ def run_truth(scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
     yield from _poses(known, len(scenes))
 
 
-def drive_truth(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
-    """Caveats of a record of drives; arguments as of `run_truth`."""
+def list_drive_truth_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
+    """Caveats of a record of drives; arguments as of `list_run_truth_caveats`."""
     known = _known(scenes)
     yield from _labels(known, _DRIVES)
     partly = [name for name, truth in known.items() if truth.annotations and truth.unlabelled]
@@ -199,7 +201,7 @@ def _boxes(known: Mapping[str, TruthFacts]) -> Iterator[Caveat]:
     if without:
         yield Caveat(
             kind="boxes",
-            sentence=f"{counted(sum(without.values()), 'annotation')} of {_names([*without])} without length, width or "
+            sentence=f"{pluralise(sum(without.values()), 'annotation')} of {_names([*without])} without length, width or "
             "height: nothing can touch them",
         )
 
@@ -208,7 +210,7 @@ def _categories(known: Mapping[str, TruthFacts], consequence: str) -> Iterator[C
     total = AnnotationCount.together([AnnotationCount(truth.annotations, truth.unknown) for truth in known.values()])
     if total.unknown:
         few = "protocols that go by categories do not see them"
-        advice = f"{consequence}; say what they mean with --categories" if total.foreign else few
+        advice = f"{consequence}; say what they mean with --categories" if total.is_mostly_unknown else few
         yield Caveat(kind="categories", sentence=f"{total.sentence}: {advice}")
 
 
@@ -223,14 +225,14 @@ def _poses(known: Mapping[str, TruthFacts], scenes: int) -> Iterator[Caveat]:
 
 
 def _scenes(names: Sequence[str], among: int) -> str:
-    return f"{len(names)} of {counted(among, 'scene')} ({_names(names)}) {'has' if len(names) == 1 else 'have'}"
+    return f"{len(names)} of {pluralise(among, 'scene')} ({_names(names)}) {'has' if len(names) == 1 else 'have'}"
 
 
 def _names(names: Sequence[str]) -> str:
     return ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
 
 
-def time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
+def list_time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
     """Caveats about times: one of scenes at another rate, one of gaps in scenes at 2 Hz.
 
     None where key frames are steps.
@@ -242,38 +244,38 @@ def time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
         scene_count = sum(truth.interval_s is not None for truth in truths)
         interval_text = f"{rates_s[0]:.3g} s" if len(rates_s) == 1 else f"{rates_s[0]:.3g} to {rates_s[-1]:.3g} s"
         sentences.append(
-            f"the key frames of {counted(scene_count, 'scene')} are {interval_text} apart, not 0.5 s: exact and driving scores "
+            f"the key frames of {pluralise(scene_count, 'scene')} are {interval_text} apart, not 0.5 s: exact and driving scores "
             "interpolate steps, and official protocols, whose steps are key frames, do not count these samples"
         )
     irregular = [truth for truth in truths if truth.interval_s is None and truth.irregular]
     if irregular:
         samples, cut = (sum(getattr(truth, name) for truth in irregular) for name in ("irregular", "cut_short"))
         sentences.append(
-            f"{counted(samples, 'sample')} of {counted(len(irregular), 'scene')} have key frames ahead that are not "
+            f"{pluralise(samples, 'sample')} of {pluralise(len(irregular), 'scene')} have key frames ahead that are not "
             "half a second apart: exact and driving scores interpolate steps there"
-            + (f" and say nothing beyond a gap over 0.75 s ({counted(cut, 'sample')})" if cut else "")
+            + (f" and say nothing beyond a gap over 0.75 s ({pluralise(cut, 'sample')})" if cut else "")
             + ", and official protocols take the k-th key frame for step k"
         )
     return [Caveat(kind="time", sentence=sentence) for sentence in sentences]
 
 
 _Scenes = Mapping[str, SceneFacts]
-_OF_RUNS: Final[tuple[Callable[[PlannerFacts, _Scenes, Rows], Iterable[Caveat]], ...]] = (
-    lambda _, scenes, rows: run_truth(scenes, rows),
-    lambda _, scenes, __: time_caveats(scenes),
-    lambda _, scenes, __: data_caveats(scenes),
-    planner_caveats,
+_OF_RUNS: Final[tuple[Callable[[PlannerFacts, _Scenes, SampleRows], Iterable[Caveat]], ...]] = (
+    lambda _, scenes, rows: list_run_truth_caveats(scenes, rows),
+    lambda _, scenes, __: list_time_caveats(scenes),
+    lambda _, scenes, __: list_data_caveats(scenes),
+    list_planner_caveats,
 )
-_OF_DRIVES: Final[tuple[Callable[[PlannerFacts, _Scenes, Measured], Iterable[Caveat]], ...]] = (
-    lambda _, scenes, __: drive_truth(scenes),
-    lambda _, scenes, __: time_caveats(scenes),
-    lambda _, scenes, __: data_caveats(scenes),
-    drive_input_caveats,
+_OF_DRIVES: Final[tuple[Callable[[PlannerFacts, _Scenes, ClosedLoopDefinition], Iterable[Caveat]], ...]] = (
+    lambda _, scenes, __: list_drive_truth_caveats(scenes),
+    lambda _, scenes, __: list_time_caveats(scenes),
+    lambda _, scenes, __: list_data_caveats(scenes),
+    list_drive_input_caveats,
 )
 
 
-def run_caveats(
-    planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: Rows, known: Sequence[Caveat] = ()
+def list_run_caveats(
+    planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: SampleRows, known: Sequence[Caveat] = ()
 ) -> list[Caveat]:
     """Caveats of a run, in order: inputs that its numbers needed and did not get.
 
@@ -285,31 +287,31 @@ def run_caveats(
     columns = rows.columns
     compared = ComparedPlans.of(columns.in_lidar, columns.recorded)
     input_caveats = (find(planner, scenes, rows) for find in _OF_RUNS)
-    return in_order(chain(_of_the_door(known), *input_caveats, _of_plans(compared, known)))
+    return sort_caveats(chain(_select_file_caveats(known), *input_caveats, _of_plans(compared, known)))
 
 
-def drive_caveats(
+def list_drive_caveats(
     planner: PlannerFacts,
     scenes: Mapping[str, SceneFacts],
-    rows: Sequence[DriveRow],
-    measured: Measured,
+    rows: Sequence[EpisodeRow],
+    measured: ClosedLoopDefinition,
     compared: ComparedPlans,
     known: Sequence[Caveat] = (),
 ) -> list[Caveat]:
-    """`run_caveats` of a record of drives.
+    """`list_run_caveats` of a record of drives.
 
     Args:
         compared: Its plans of the instants at which the ego was still where it was recorded.
     """
     input_caveats = (find(planner, scenes, measured) for find in _OF_DRIVES)
-    return in_order(chain(_of_the_door(known), *input_caveats, _of_plans(compared, known)))
+    return sort_caveats(chain(_select_file_caveats(known), *input_caveats, _of_plans(compared, known)))
 
 
-def _of_the_door(known: Sequence[Caveat]) -> list[Caveat]:
+def _select_file_caveats(known: Sequence[Caveat]) -> list[Caveat]:
     """Known caveats that are kept, since they cannot be found out again."""
     return [caveat for caveat in known if caveat.kind in OF_THE_DOOR]
 
 
 def _of_plans(compared: ComparedPlans, known: Sequence[Caveat]) -> list[Caveat]:
     """Whether plans fit better otherwise; of those that a file was taken in with, that has been said."""
-    return [] if any(caveat.kind == "as-is" for caveat in known) else plan_caveats(compared)
+    return [] if any(caveat.kind == "as-is" for caveat in known) else list_plan_caveats(compared)

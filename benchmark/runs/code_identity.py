@@ -5,7 +5,7 @@ that the planner does not use. Of other code those modules count that the planne
 others, also inside functions: all that is neither Python's nor an installed library's, and its own package wherever it
 is installed. A module counts as its syntax tree without docstrings, comments and the form of its lines.
 
-What a planner loads under names that it makes up while it plans is known afterwards alone (`loaded_code`, in the
+What a planner loads under names that it makes up while it plans is known afterwards alone (`hash_loaded_code`, in the
 process that it has); it is kept with the plans, which are stale when any of it has changed (`is_current`).
 """
 
@@ -62,10 +62,10 @@ def _identity(made: type, made_by: str | None, parts: frozenset[type]) -> str | 
         return None
     module, _, maker = (made_by or f"{made.__module__}:{made.__qualname__}").partition(":")
     start = {part.__module__ for part in (*made.__mro__, *parts)} | {module}
-    return content_key(project_sha256(), made.__qualname__, maker, sorted(code_of_modules(start, made).items()))
+    return content_key(project_sha256(), made.__qualname__, maker, sorted(hash_modules(start, made).items()))
 
 
-def parts_of(planner: Any) -> frozenset[type]:
+def list_part_classes(planner: Any) -> frozenset[type]:
     """Classes of the values of a planner's attributes, the modules of networks included."""
     values = list(getattr(planner, "__dict__", {}).values())
     torch = sys.modules.get("torch")
@@ -97,7 +97,7 @@ def project_sha256() -> str:
     return sha256
 
 
-def loaded_code() -> dict[str, str]:
+def hash_loaded_code() -> dict[str, str]:
     """Hashes of files that this process has loaded modules from, beside Python's, libraries' and this project's."""
     names = [name for name in list(sys.modules) if name.partition(".")[0] not in _NO_STRANGERS]
     files = {file for file in map(_own_file, names) if file is not None}
@@ -105,11 +105,11 @@ def loaded_code() -> dict[str, str]:
 
 
 def is_current(loaded: Mapping[str, str]) -> bool:
-    """Whether files that `loaded_code` named still say the same."""
+    """Whether files that `hash_loaded_code` named still say the same."""
     return all(Path(file).is_file() and file_code_sha256(Path(file)) == sha256 for file, sha256 in loaded.items())
 
 
-def code_of_modules(start: Iterable[str], made: type | None = None) -> dict[str, str]:
+def hash_modules(start: Iterable[str], made: type | None = None) -> dict[str, str]:
     """Hashes by name of modules and of all that they import, directly and through others, and that counts.
 
     Args:

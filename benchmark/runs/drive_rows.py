@@ -10,13 +10,13 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.closed_loop.adversary import AdversaryTrack, Replanning
-from benchmark.closed_loop.courses import recorded_poses
-from benchmark.closed_loop.driving import Drive, Stage
-from benchmark.closed_loop.scoring import DriveScores
+from benchmark.closed_loop.courses import interpolate_recorded_poses
+from benchmark.closed_loop.driving import Episode, EpisodeSpec
+from benchmark.closed_loop.scoring import EpisodeScores
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import to_global, to_local, wrap_angle
-from benchmark.records.considered import ConsideredFrame
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.considered import SearchTraceFrame
+from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.run_schema import TruthFacts
 from benchmark.scene import Scene
 from benchmark.untrusted.plan_plausibility import ComparedPlans
@@ -29,7 +29,7 @@ _JUST_NOW_US: Final = 100_000
 _STEPS_US: Final = np.arange(PLAN_STEPS + 1, dtype=np.int64) * round(PLAN_STEP_S * 1e6)
 
 
-def compared_drive(scene: Scene, row: DriveRow) -> ComparedPlans:
+def compare_drive(scene: Scene, row: EpisodeRow) -> ComparedPlans:
     """Plans of a drive that were made where the recorded car was, as fast as it was, with 3 s of recording ahead.
 
     The planner sees nothing of this: it is done with rows that are finished.
@@ -38,13 +38,13 @@ def compared_drive(scene: Scene, row: DriveRow) -> ComparedPlans:
     if not count:
         return ComparedPlans.joined([])
     times, ego = np.array(row.ticks.time_us[:count], np.int64), np.array(row.ticks.ego[:count])
-    poses, before = recorded_poses(scene, times), recorded_poses(scene, times - _JUST_NOW_US)
+    poses, before = interpolate_recorded_poses(scene, times), interpolate_recorded_poses(scene, times - _JUST_NOW_US)
     speed = np.hypot(*(poses - before)[:, :2].T) / (_JUST_NOW_US * 1e-6)
     near = np.hypot(*(ego[:, :2] - poses[:, :2]).T) < NEAR_M
     near &= (np.abs(wrap_angle(ego[:, 2] - poses[:, 2])) < NEAR_RAD) & (np.abs(ego[:, 3] - speed) < NEAR_M_S)
     near &= times + _STEPS_US[-1] <= int(scene.timestamps_us[-1])
     ahead = np.array([float(scene.lidar.translation[0]), 0.0])
-    lidar = recorded_poses(scene, times[near, None] + _STEPS_US)
+    lidar = interpolate_recorded_poses(scene, times[near, None] + _STEPS_US)
     lidar[..., :2] = to_global(ahead, lidar)
     forward = to_local(lidar[:, 1:, :2], lidar[:, :1])
     recorded = np.stack([-forward[..., 1], forward[..., 0]], axis=-1)
@@ -60,11 +60,11 @@ DECIMALS: Final = 6
 """Of stored states and scores; plans are stored as they were given."""
 
 
-def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
+def build_episode_row(stage: EpisodeSpec, drive: Episode, scores: EpisodeScores | None) -> EpisodeRow:
     """Row of a drive; a failed one has no scores."""
     motion, failure = drive.motion, drive.failure
     contact = None if scores is None or scores.contact is None else _rounded(asdict(scores.contact))
-    return DriveRow.model_validate(
+    return EpisodeRow.model_validate(
         {
             "scene": stage.scene.name,
             "family": stage.family,
@@ -86,12 +86,12 @@ def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
             "passed": [] if scores is None else [_rounded(asdict(collision)) for collision in scores.passed],
             "scores": None if scores is None else _score_row(drive, scores),
             "failure": None if failure is None else {"reason": failure.reason.value, "text": failure.text},
-            "adversary": None if drive.adversary is None else adversary_row(stage, drive.adversary),
+            "adversary": None if drive.adversary is None else encode_adversary_track(stage, drive.adversary),
         }
     )
 
 
-def with_labels(rows: Sequence[DriveRow], scenes: Mapping[str, TruthFacts]) -> list[DriveRow]:
+def mark_labelled(rows: Sequence[EpisodeRow], scenes: Mapping[str, TruthFacts]) -> list[EpisodeRow]:
     """Rows that say whether their scenes are labelled throughout."""
     missing = {name for name, truth in scenes.items() if truth.unlabelled}
     return [
@@ -100,7 +100,7 @@ def with_labels(rows: Sequence[DriveRow], scenes: Mapping[str, TruthFacts]) -> l
     ]
 
 
-def adversary_row(stage: Stage, track: AdversaryTrack) -> dict[str, Any]:
+def encode_adversary_track(stage: EpisodeSpec, track: AdversaryTrack) -> dict[str, Any]:
     """A track as it is stored in the row of its drive."""
     scores = [None if planning.score is None else round(planning.score, DECIMALS) + 0.0 for planning in track.replanned]
     return {
@@ -113,12 +113,12 @@ def adversary_row(stage: Stage, track: AdversaryTrack) -> dict[str, Any]:
     }
 
 
-def considered_of(track: AdversaryTrack) -> tuple[ConsideredFrame, ...]:
+def build_search_trace(track: AdversaryTrack) -> tuple[SearchTraceFrame, ...]:
     """Candidates of an adversary at each of its planning frames, if it was asked to keep them."""
-    return tuple(ConsideredFrame.model_validate(planning.considered) for planning in track.replanned)
+    return tuple(SearchTraceFrame.model_validate(planning.considered) for planning in track.replanned)
 
 
-def track_of(row: DriveRow) -> AdversaryTrack | None:
+def decode_adversary_track(row: EpisodeRow) -> AdversaryTrack | None:
     """The stored track of a drive's adversary, with nothing of what was considered; ``None`` where there was none."""
     stored = row.adversary
     if stored is None:
@@ -129,7 +129,7 @@ def track_of(row: DriveRow) -> AdversaryTrack | None:
     return AdversaryTrack(stored.agent, stored.start, np.array(stored.poses).reshape(-1, 3), replanned)
 
 
-def _score_row(drive: Drive, scores: DriveScores) -> dict[str, Any]:
+def _score_row(drive: Episode, scores: EpisodeScores) -> dict[str, Any]:
     return _rounded(
         {
             "progress_m": scores.progress.metres,

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from benchmark.closed_loop.adversary import ADVERSARY
 from benchmark.closed_loop.asking import DEFAULT_TIMEOUT_S
-from benchmark.closed_loop.default_engine import agents_facts, until_of
-from benchmark.closed_loop.driving import Stage
+from benchmark.closed_loop.default_engine import describe_agents, read_stop_condition
+from benchmark.closed_loop.driving import EpisodeSpec
 from benchmark.closed_loop.observing import NoSensor, Sensor
-from benchmark.closed_loop.riding import RideMaker
+from benchmark.closed_loop.riding import SimulatorBackend
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
-from benchmark.interactions.driving import LADDER
+from benchmark.interactions.driving import REFERENCE_DRIVER_KINDS
 from benchmark.machine.storage import content_key
 from benchmark.machine.workers import Executor, LocalProcesses
-from benchmark.records.drive_schema import MOST_RUNS, DriveRow, Measured
+from benchmark.records.drive_schema import MOST_RUNS, ClosedLoopDefinition, EpisodeRow
 from benchmark.records.run_schema import LABELS, PlannerFacts
 from benchmark.runs.code_identity import code_sha256, is_current
 from benchmark.runs.plan_rows import PlannerFactory
-from benchmark.runs.redriving import can_of
+from benchmark.runs.redriving import read_recorded_can
 from benchmark.runs.units import ResultStore
 
 if TYPE_CHECKING:
@@ -32,11 +32,11 @@ FORMAT: Final = 1
 """Raised whenever the drives of an unchanged planner in an unchanged engine would change."""
 KEPT: Final = "drives"
 """Folder of kept drives in a record's directory."""
-_LOOP: Final = "benchmark.closed_loop.driving:drive"
+_LOOP: Final = "benchmark.closed_loop.driving:run_episode"
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class EpisodeUnit:
     """One scene, one of its scenarios if it has any, and one run."""
 
     scene: str
@@ -54,17 +54,17 @@ Paths = list[list[list[float]]]
 
 
 @dataclass(frozen=True, slots=True)
-class KeptDrive:
+class CachedEpisode:
     """Stored result of a unit.
 
     Attributes:
         scoring: Version of its scores: drives that were scored by earlier definitions are scored again.
         plan: Its plans of the instants at which the ego was still where it was recorded.
         recorded: What was recorded there.
-        loaded: Code that its planner had loaded (`benchmark.runs.code_identity.loaded_code`).
+        loaded: Code that its planner had loaded (`benchmark.runs.code_identity.hash_loaded_code`).
     """
 
-    row: DriveRow
+    row: EpisodeRow
     scoring: int
     plan: Paths
     recorded: Paths
@@ -72,7 +72,7 @@ class KeptDrive:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class ClosedLoopJob:
     """Settings that every unit of work needs; picklable.
 
     Attributes:
@@ -85,8 +85,8 @@ class Job:
     directory: Path
     fingerprint: str
     planner: PlannerFacts
-    measured: Measured
-    maker: RideMaker
+    measured: ClosedLoopDefinition
+    maker: SimulatorBackend
     sensor: Sensor
     timeout_s: float
     fresh: bool
@@ -95,32 +95,32 @@ class Job:
     keep_considered: bool = False
     costs: Path | None = None
 
-    def key(self, unit: Unit) -> str:
+    def key(self, unit: EpisodeUnit) -> str:
         """Content key of a unit. No score is part of it: kept drives are scored again."""
         who = self.planner.model_dump(mode="json", exclude=LABELS)
-        code = [code_sha256(type(self.maker)), code_sha256(type(self.sensor)), code_sha256(Stage, made_by=_LOOP)]
+        code = [code_sha256(type(self.maker)), code_sha256(type(self.sensor)), code_sha256(EpisodeSpec, made_by=_LOOP)]
         # Nobody else than an adversary is made elsewhere.
         adversary = getattr(self.maker, "adversary", None)
         code += [] if adversary is None else [code_sha256(type(adversary))]
         definition = self.measured.model_dump(mode="json")
         return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, definition, code)
 
-    def kept(self, unit: Unit) -> KeptDrive | None:
+    def kept(self, unit: EpisodeUnit) -> CachedEpisode | None:
         """Stored result of a unit, made by code as it is now."""
         cached = None if self.fresh else self.store.get(self.key(unit), unit.name)
         return cached if cached is not None and is_current(cached.loaded) else None
 
     @property
-    def store(self) -> ResultStore[KeptDrive]:
+    def store(self) -> ResultStore[CachedEpisode]:
         """Where drives are kept."""
-        return ResultStore(self.directory / KEPT, KeptDrive)
+        return ResultStore(self.directory / KEPT, CachedEpisode)
 
 
-class Task(NamedTuple):
+class EpisodeTask(NamedTuple):
     """A unit of a job."""
 
-    job: Job
-    unit: Unit
+    job: ClosedLoopJob
+    unit: EpisodeUnit
 
 
 GROUPS_PER_WORKER: Final = 4
@@ -154,7 +154,7 @@ class DriveSettings:
     """
 
     engine: str
-    maker: RideMaker
+    maker: SimulatorBackend
     agents: str = "replay"
     sensor: Sensor = field(default_factory=NoSensor)
     runs: int = 1
@@ -167,7 +167,7 @@ class DriveSettings:
     seed: int = 0
     fresh: bool = False
     together: int = 1
-    ladder: tuple[str, ...] = tuple(driver.value for driver in LADDER)
+    ladder: tuple[str, ...] = tuple(driver.value for driver in REFERENCE_DRIVER_KINDS)
     keep_considered: bool = False
     timings: Path | None = None
 
@@ -177,9 +177,9 @@ class DriveSettings:
         return self.executor.workers if isinstance(self.executor, LocalProcesses) else 1
 
     @property
-    def measured(self) -> Measured:
+    def measured(self) -> ClosedLoopDefinition:
         """The definition that a record of these drives measures."""
-        return Measured.model_validate(
+        return ClosedLoopDefinition.model_validate(
             {
                 "engine": self.engine,
                 "agents": self.agents,
@@ -187,8 +187,8 @@ class DriveSettings:
                 "sensor_facts": dict(self.sensor.facts),
                 "latency_ms": self.latency_ms,
                 "scenarios": self.scenarios,
-                "until": until_of(self.maker),
-                "agents_facts": agents_facts(self.maker),
+                "until": read_stop_condition(self.maker),
+                "agents_facts": describe_agents(self.maker),
             }
         )
 
@@ -201,23 +201,23 @@ class DriveSettings:
         """The scenes that are driven; raises `InputError` as for an evaluation."""
         return EvalSettings(scenes=self.scenes, limit=self.limit).chosen(data, split)
 
-    def groups(self, tasks: "list[Task]") -> "list[list[Task]]":
+    def groups(self, tasks: "list[EpisodeTask]") -> "list[list[EpisodeTask]]":
         """Tasks that are driven side by side; where there are several processes none waits for one group."""
         workers = self.executor.workers if isinstance(self.executor, LocalProcesses) else 1
         size = self.together if workers == 1 else min(self.together, -(-len(tasks) // (GROUPS_PER_WORKER * workers)))
         return [tasks[first : first + size] for first in range(0, len(tasks), max(size, 1))]
 
-    def units_of(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
+    def units_of(self, data: "DataSet", scenes: tuple[str, ...]) -> list[EpisodeUnit]:
         """Units of some scenes, none perhaps; refuses a number of runs that no record holds."""
         if not 1 <= self.runs <= MOST_RUNS:
             raise InputError(f"--runs must be at least 1 and at most {MOST_RUNS}, got {self.runs}")
         units = []
         for scene in scenes:
-            families = self.maker.families(lambda: (data.scene(scene), can_of(data, scene)))  # noqa: B023 - called at once
-            units += [Unit(scene, run, family) for family in families for run in range(self.runs_made)]
+            families = self.maker.families(lambda: (data.scene(scene), read_recorded_can(data, scene)))  # noqa: B023 - called at once
+            units += [EpisodeUnit(scene, run, family) for family in families for run in range(self.runs_made)]
         return units
 
-    def units(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
+    def units(self, data: "DataSet", scenes: tuple[str, ...]) -> list[EpisodeUnit]:
         """All units, scene after scene.
 
         Raises:

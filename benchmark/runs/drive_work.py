@@ -14,26 +14,26 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from benchmark.closed_loop.adversary import AdversaryTrack
-from benchmark.closed_loop.asking import Reason
-from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.driving import Drive, Stage, drive, drive_together
-from benchmark.closed_loop.ladder import climbed
+from benchmark.closed_loop.asking import FailureReason
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.driving import Episode, EpisodeSpec, run_episode, run_episodes
+from benchmark.closed_loop.ladder import simulate_reference_drivers
 from benchmark.closed_loop.riding import RecordedCan
-from benchmark.closed_loop.scoring import VERSION, score_drive
+from benchmark.closed_loop.scoring import VERSION, score_episode
 from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
 from benchmark.interactions.reaction import Driver
-from benchmark.machine.metering import Meter, keep_pages_of
+from benchmark.machine.metering import Meter, disable_malloc_trim_for
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.planning import Planner, SupervisedPlanner
-from benchmark.records.considered import read_considered, write_considered
-from benchmark.records.drive_schema import DriveRow, LadderOutcome
+from benchmark.records.considered import read_search_trace, write_search_trace
+from benchmark.records.drive_schema import EpisodeRow, LadderOutcome
 from benchmark.records.planner_cost import SceneCost
 from benchmark.runs.code_identity import code_sha256
-from benchmark.runs.drive_rows import compared_drive, considered_of, row_of
-from benchmark.runs.drive_settings import Job, KeptDrive, Task, Unit
-from benchmark.runs.plan_rows import begun_again, code_behind, cost_so_far, seed_everything
-from benchmark.runs.redriving import can_of, considered_again, driven_again
+from benchmark.runs.drive_rows import build_episode_row, build_search_trace, compare_drive
+from benchmark.runs.drive_settings import CachedEpisode, ClosedLoopJob, EpisodeTask, EpisodeUnit
+from benchmark.runs.plan_rows import hash_sandboxed_code, measure_cost, run_with_restarts, seed_everything
+from benchmark.runs.redriving import read_recorded_can, redrive_and_score, repeat_search
 from benchmark.runs.units import ResultStore
 from benchmark.scene import Scene
 from benchmark.untrusted.plan_plausibility import ComparedPlans
@@ -43,10 +43,10 @@ if TYPE_CHECKING:
 
 FOLDER: Final = "ladder"
 """Beside the records of one world."""
-_LOOP: Final = "benchmark.closed_loop.ladder:climbed"
+_LOOP: Final = "benchmark.closed_loop.ladder:simulate_reference_drivers"
 
 
-def ladder_rows(data: "DataSet", job: Job, unit: Unit) -> dict[str, LadderOutcome]:
+def run_reference_drivers(data: "DataSet", job: ClosedLoopJob, unit: EpisodeUnit) -> dict[str, LadderOutcome]:
     """Rows of reference drivers in an encounter, by name."""
     store: ResultStore[dict[str, LadderOutcome]] = ResultStore(job.directory.parent / FOLDER, dict[str, LadderOutcome])
     measured = job.measured.model_dump(mode="json", exclude={"sensor", "sensor_facts"})
@@ -54,21 +54,23 @@ def ladder_rows(data: "DataSet", job: Job, unit: Unit) -> dict[str, LadderOutcom
     key = content_key("ladder", job.fingerprint, unit.scene, unit.run, measured, list(job.ladder), code)
     rows = None if job.fresh else store.get(key, unit.name)
     if rows is None:
-        if not isinstance(job.maker, DefaultRides):
+        if not isinstance(job.maker, DefaultBackend):
             raise InputError(f"reference drivers drive in the default engine alone, not in {job.measured.engine}")
         scene = data.scene(unit.scene)
-        outcomes = climbed(scene, job.maker.course(scene, unit.run), [Driver(name) for name in job.ladder])
+        outcomes = simulate_reference_drivers(
+            scene, job.maker.course(scene, unit.run), [Driver(name) for name in job.ladder]
+        )
         rows = {driver.value: outcome for driver, outcome in outcomes.items()}
         store.put(key, rows, unit.name)
     return rows
 
 
-_TRIED_AGAIN: Final = (Reason.TIMEOUT.value, Reason.DIED.value)
+_TRIED_AGAIN: Final = (FailureReason.TIMEOUT.value, FailureReason.DIED.value)
 """How long a plan takes, and how much memory there is for it, is the machine's matter: the same command tries again."""
 
 
 @dataclass(frozen=True, slots=True)
-class UnitResult:
+class EpisodeResult:
     """Result of a unit.
 
     Attributes:
@@ -77,8 +79,8 @@ class UnitResult:
         compared: Its plans of the instants at which the ego was still where it was recorded.
     """
 
-    unit: Unit
-    row: DriveRow
+    unit: EpisodeUnit
+    row: EpisodeRow
     seconds: float | None
     cost: SceneCost | None
     compared: ComparedPlans
@@ -89,7 +91,7 @@ class UnitResult:
         return self.seconds is None
 
 
-def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> list[UnitResult]:
+def drive_tasks(data: "DataSet", planners: "PlannerPool", tasks: Sequence[EpisodeTask]) -> list[EpisodeResult]:
     """Drive units side by side, or take the drives that are kept.
 
     Args:
@@ -98,7 +100,7 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
     Raises:
         InputError: If the data is broken or a drive cannot be written; the other units are kept then.
     """
-    results_by_place: dict[int, UnitResult] = {}
+    results_by_place: dict[int, EpisodeResult] = {}
     left: dict[int, str] = {}
     for place, task in enumerate(tasks):
         job, unit = task
@@ -109,40 +111,44 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
         row, compared = cached.row, ComparedPlans.from_lists(cached.plan, cached.recorded)
         if cached.scoring != VERSION:
             scene = data.scene(unit.scene)
-            row = driven_again(job.maker, scene, data, row)
-            compared = _keep(task, scene, row, cached.loaded)
-        _keep_considered(data, job, row)
-        results_by_place[place] = UnitResult(unit, row, None, None, compared)
+            row = redrive_and_score(job.maker, scene, data, row)
+            compared = _cache_episode(task, scene, row, cached.loaded)
+        _cache_search_trace(data, job, row)
+        results_by_place[place] = EpisodeResult(unit, row, None, None, compared)
     started = time.perf_counter()
-    driven = _driven(data, planners, {place: tasks[place] for place in left}, [*left.values()]) if left else ()
+    driven = _drive_missing(data, planners, {place: tasks[place] for place in left}, [*left.values()]) if left else ()
     for place, scene, row, track, planner, meter in driven:
         job, unit = tasks[place]
         if job.keep_considered and track is not None:
-            write_considered(job.directory, row, considered_of(track))
+            write_search_trace(job.directory, row, build_search_trace(track))
         lost = row.failure is not None and row.failure.reason in _TRIED_AGAIN
-        compared = compared_drive(scene, row) if lost else _keep(tasks[place], scene, row, code_behind(planner))
+        compared = (
+            compare_drive(scene, row)
+            if lost
+            else _cache_episode(tasks[place], scene, row, hash_sandboxed_code(planner))
+        )
         seconds = time.perf_counter() - started
-        results_by_place[place] = UnitResult(unit, row, seconds, cost_so_far(planner, meter, seconds), compared)
+        results_by_place[place] = EpisodeResult(unit, row, seconds, measure_cost(planner, meter, seconds), compared)
     results = [results_by_place[place] for place in range(len(tasks))]
-    return [with_ladder(data, task, result) for task, result in zip(tasks, results, strict=True)]
+    return [add_reference_drivers(data, task, result) for task, result in zip(tasks, results, strict=True)]
 
 
-def _keep(task: Task, scene: Scene, row: DriveRow, loaded: dict[str, str]) -> ComparedPlans:
+def _cache_episode(task: EpisodeTask, scene: Scene, row: EpisodeRow, loaded: dict[str, str]) -> ComparedPlans:
     """Keep a drive; returns its plans beside what was recorded."""
-    compared = compared_drive(scene, row)
-    episode = KeptDrive(row, VERSION, compared.plan.tolist(), compared.recorded.tolist(), loaded)
+    compared = compare_drive(scene, row)
+    episode = CachedEpisode(row, VERSION, compared.plan.tolist(), compared.recorded.tolist(), loaded)
     task.job.store.put(task.job.key(task.unit), episode, task.unit.name)
     return compared
 
 
-def _keep_considered(data: "DataSet", job: Job, row: DriveRow) -> None:
+def _cache_search_trace(data: "DataSet", job: ClosedLoopJob, row: EpisodeRow) -> None:
     """Search once more in a kept drive whose adversary's candidates are lost."""
-    if job.keep_considered and row.adversary is not None and read_considered(job.directory, row) is None:
-        track = considered_again(job.maker, data.scene(row.scene), data, row)
-        write_considered(job.directory, row, considered_of(track))
+    if job.keep_considered and row.adversary is not None and read_search_trace(job.directory, row) is None:
+        track = repeat_search(job.maker, data.scene(row.scene), data, row)
+        write_search_trace(job.directory, row, build_search_trace(track))
 
 
-def costs_of(job: Job, results: Sequence[UnitResult], workers: int) -> dict[str, SceneCost | None]:
+def collect_costs(job: ClosedLoopJob, results: Sequence[EpisodeResult], workers: int) -> dict[str, SceneCost | None]:
     """Cost of the planner in each drive of a job, by the name of the drive's file.
 
     ``None`` for drives that were kept from before. ``workers`` processes drove at the same time.
@@ -154,23 +160,23 @@ def costs_of(job: Job, results: Sequence[UnitResult], workers: int) -> dict[str,
     }
 
 
-def with_ladder(data: "DataSet", task: Task, result: UnitResult) -> UnitResult:
+def add_reference_drivers(data: "DataSet", task: EpisodeTask, result: EpisodeResult) -> EpisodeResult:
     """The same with what came of reference drivers in the same encounter, found on disk or driven once."""
     job, unit = task
     if not job.ladder:
         return result
-    row = result.row.model_copy(update={"ladder": ladder_rows(data, job, unit)})
+    row = result.row.model_copy(update={"ladder": run_reference_drivers(data, job, unit)})
     return replace(result, row=row)
 
 
-class Planners:
+class PlannerPool:
     """Planners of a process: one for each drive that is under way, built when it is wanted."""
 
     def __init__(self, one: Planner | None = None) -> None:
         self._one = one
         self._built: dict[str, list[Planner]] = {}
 
-    def of(self, jobs: Sequence[Job]) -> list[Planner]:
+    def of(self, jobs: Sequence[ClosedLoopJob]) -> list[Planner]:
         """A planner for each job, no two the same object; one given object serves one job alone."""
         if self._one is not None:
             if len(jobs) != 1:
@@ -183,7 +189,7 @@ class Planners:
             key = content_key(job.fingerprint, job.planner.model_dump(mode="json"))
             built_planners = self._built.setdefault(key, [])
             if len(built_planners) == taken_counts[key]:
-                keep_pages_of(job.planner.weights_sha256)
+                disable_malloc_trim_for(job.planner.weights_sha256)
                 built_planners.append(job.factory())
             planners.append(built_planners[taken_counts[key]])
             taken_counts[key] += 1
@@ -191,33 +197,33 @@ class Planners:
 
 
 _opened: dict[str, "DataSet"] = {}
-_planners = Planners()
+_planners = PlannerPool()
 """Data sets and planners of a worker process, opened and built once."""
 
 
-def work_in_worker(reopen: Callable[[], "DataSet"], tasks: Sequence[Task]) -> list[UnitResult]:
-    """`work_here` in a worker process, which opens the data set and builds planners the first time."""
+def drive_tasks_in_worker(reopen: Callable[[], "DataSet"], tasks: Sequence[EpisodeTask]) -> list[EpisodeResult]:
+    """`drive_tasks` in a worker process, which opens the data set and builds planners the first time."""
     fingerprint = tasks[0].job.fingerprint
     if fingerprint not in _opened:
         _opened[fingerprint] = reopen()
-    return work_here(_opened[fingerprint], _planners, tasks)
+    return drive_tasks(_opened[fingerprint], _planners, tasks)
 
 
-def _driven(
-    data: "DataSet", planners: Planners, tasks: Mapping[int, Task], keys: Sequence[str]
-) -> Iterator[tuple[int, Scene, DriveRow, AdversaryTrack | None, Planner, Meter]]:
+def _drive_missing(
+    data: "DataSet", planners: PlannerPool, tasks: Mapping[int, EpisodeTask], keys: Sequence[str]
+) -> Iterator[tuple[int, Scene, EpisodeRow, AdversaryTrack | None, Planner, Meter]]:
     """Scenes and rows of tasks by their places, as drives end, with adversaries, planners and what these took.
 
     What cannot be driven is raised at last.
     """
     seed = content_seed(*keys)
     seed_everything(seed)
-    stages: dict[int, Stage] = {}
+    stages: dict[int, EpisodeSpec] = {}
     broken: list[InputError] = []
     cans: dict[str, RecordedCan] = {}
     for place, task in tasks.items():
         try:
-            stages[place] = _stage(data, task, cans)
+            stages[place] = _make_episode_spec(data, task, cans)
         except InputError as error:
             broken.append(error)
     ready = planners.of([tasks[place].job for place in stages])
@@ -225,28 +231,35 @@ def _driven(
         if isinstance(planner, SupervisedPlanner):
             planner.seed_generators(seed)
     places = [*stages]
-    for number, episode in _drives([*stages.values()], ready):
+    for number, episode in _run_episodes([*stages.values()], ready):
         stage = stages[places[number]]
-        scores = None if episode.failure is not None else score_drive(stage.scene, episode)
+        scores = None if episode.failure is not None else score_episode(stage.scene, episode)
         assert stage.meter is not None
-        yield places[number], stage.scene, row_of(stage, episode, scores), episode.adversary, ready[number], stage.meter
+        yield (
+            places[number],
+            stage.scene,
+            build_episode_row(stage, episode, scores),
+            episode.adversary,
+            ready[number],
+            stage.meter,
+        )
     if broken:
         raise broken[0]
 
 
-def _drives(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iterable[tuple[int, Drive]]:
+def _run_episodes(stages: Sequence[EpisodeSpec], planners: Sequence[Planner]) -> Iterable[tuple[int, Episode]]:
     """Drives by their places; of a planner elsewhere the only one, begun again where it went away half-way."""
     if len(planners) == 1:
-        return [(0, begun_again(partial(drive, stages[0], planners[0]), planners[0]))]
-    return drive_together(stages, planners)
+        return [(0, run_with_restarts(partial(run_episode, stages[0], planners[0]), planners[0]))]
+    return run_episodes(stages, planners)
 
 
-def _stage(data: "DataSet", task: Task, cans: dict[str, RecordedCan]) -> Stage:
+def _make_episode_spec(data: "DataSet", task: EpisodeTask, cans: dict[str, RecordedCan]) -> EpisodeSpec:
     """Stage of a task; measurements of cars are read once for all tasks of a scene."""
     job, unit = task
     scene = data.scene(unit.scene)
     require_two_hz(scene, "a drive")
     if unit.scene not in cans:
-        cans[unit.scene] = can_of(data, unit.scene)
+        cans[unit.scene] = read_recorded_can(data, unit.scene)
     can = cans[unit.scene]
-    return Stage(scene, can, unit.run, job.maker, job.sensor, job.timeout_s, unit.family, meter=Meter())
+    return EpisodeSpec(scene, can, unit.run, job.maker, job.sensor, job.timeout_s, unit.family, meter=Meter())

@@ -19,30 +19,30 @@ from benchmark.closed_loop.asking import LONGEST_TIMEOUT_S
 from benchmark.closed_loop.observing import RemoteSensor
 from benchmark.closed_loop.scoring import VERSION
 from benchmark.datasets.annotated import require_annotated
-from benchmark.datasets.scene_facts import with_truth
+from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError
-from benchmark.machine.metering import keep_pages_of
-from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
+from benchmark.machine.metering import disable_malloc_trim_for
+from benchmark.machine.storage import content_key, lock_folder, sanitise_file_name, writing_to
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
 from benchmark.records.considered import FOLDER as CONSIDERED
-from benchmark.records.drive_schema import DriveRow, Measured
+from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow
 from benchmark.records.drives import DriveRecord, write_drives
 from benchmark.records.planner_cost import cost_path, gather_costs, note_cost, shard_cost_path
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts, TruthFacts
-from benchmark.report.words import counted
-from benchmark.runs.caveats import drive_caveats
-from benchmark.runs.drive_rows import with_labels
-from benchmark.runs.drive_settings import KEPT, Job, Task, Unit
+from benchmark.report.words import pluralise
+from benchmark.runs.caveats import list_drive_caveats
+from benchmark.runs.drive_rows import mark_labelled
+from benchmark.runs.drive_settings import KEPT, ClosedLoopJob, EpisodeTask, EpisodeUnit
 from benchmark.runs.drive_settings import DriveSettings as DriveSettings
-from benchmark.runs.drive_work import Planners, UnitResult, costs_of, work_here, work_in_worker
-from benchmark.runs.judging import JudgedScenes, described
-from benchmark.runs.plan_rows import PlannerFactory, supervision_said
-from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.drive_work import EpisodeResult, PlannerPool, collect_costs, drive_tasks, drive_tasks_in_worker
+from benchmark.runs.judging import JudgedScenes, describe_data
+from benchmark.runs.plan_rows import PlannerFactory, describe_sandbox_limits
+from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.runs.run_directory import run_directory
-from benchmark.runs.scene_work import reopening, truths_of
-from benchmark.runs.units import FinishedShard, Shard, run_units
+from benchmark.runs.scene_work import collect_truth_facts, make_reopener
+from benchmark.runs.units import Shard, ShardProgress, run_units
 from benchmark.untrusted.plan_plausibility import ComparedPlans
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class JobResults:
+class ClosedLoopResults:
     """All drives of a job.
 
     Attributes:
@@ -67,41 +67,41 @@ class JobResults:
     data: "DataSet"
     split: str
     scenes: tuple[str, ...]
-    job: Job
-    units: Sequence[Unit]
-    results: Sequence[UnitResult]
+    job: ClosedLoopJob
+    units: Sequence[EpisodeUnit]
+    results: Sequence[EpisodeResult]
     settings: DriveSettings
     truths: Mapping[str, TruthFacts]
 
     @cached_property
-    def rows(self) -> list[DriveRow]:
+    def rows(self) -> list[EpisodeRow]:
         """Of the record."""
-        return with_labels([result.row for result in self.results], self.truths)
+        return mark_labelled([result.row for result in self.results], self.truths)
 
     @cached_property
     def of_data(self) -> dict[str, Any]:
         """What the record says of its data."""
         scenes = JudgedScenes(self.data, self.split, self.scenes)
-        description = described(scenes, "scene_facts", "frozen_split", "review", "generated")
-        return {**description, "scene_facts": with_truth(description["scene_facts"], self.truths)}
+        description = describe_data(scenes, "scene_facts", "frozen_split", "review", "generated")
+        return {**description, "scene_facts": add_truth_facts(description["scene_facts"], self.truths)}
 
 
-def _config(of: JobResults) -> dict[str, Any]:
+def _config(of: ClosedLoopResults) -> dict[str, Any]:
     return {
         "seed": of.settings.seed,
         "timeout_s": of.settings.timeout_s,
-        **supervision_said(of.job.factory),
+        **describe_sandbox_limits(of.job.factory),
         **({"categories": dict(of.data.categories)} if of.data.categories else {}),
     }
 
 
-def _caveats(of: JobResults) -> Any:
+def _caveats(of: ClosedLoopResults) -> Any:
     compared = ComparedPlans.joined(result.compared for result in of.results)
     door = getattr(of.job.factory, "caveats", ())
-    return drive_caveats(of.job.planner, of.of_data["scene_facts"], of.rows, of.job.measured, compared, door)
+    return list_drive_caveats(of.job.planner, of.of_data["scene_facts"], of.rows, of.job.measured, compared, door)
 
 
-FIELDS: Final[Mapping[str, Callable[[JobResults], Any]]] = {
+FIELDS: Final[Mapping[str, Callable[[ClosedLoopResults], Any]]] = {
     "planner": lambda of: of.job.planner,
     "measured": lambda of: of.settings.measured,
     "runs": lambda of: of.settings.runs_made,
@@ -112,18 +112,18 @@ FIELDS: Final[Mapping[str, Callable[[JobResults], Any]]] = {
 """What the record says of its drives, by field."""
 
 
-def write_record(of: JobResults) -> DriveRecord:
+def write_record(of: ClosedLoopResults) -> DriveRecord:
     """Write the record of a job, note what its planner took, and remove what is kept of other scenes."""
     facts = of.of_data | {name: make(of) for name, make in FIELDS.items()}
     record = write_drives(of.job.directory, facts, of.rows, seed=of.settings.seed)
     if of.job.costs is not None:
         gather_costs(of.job.costs, of.job.planner)
-        note_cost(of.job.costs, of.job.planner, costs_of(of.job, of.results, of.settings.processes))
+        note_cost(of.job.costs, of.job.planner, collect_costs(of.job, of.results, of.settings.processes))
     _tidy(of.job, of.units)
     return record
 
 
-def _tidy(job: Job, units: Sequence[Unit]) -> None:
+def _tidy(job: ClosedLoopJob, units: Sequence[EpisodeUnit]) -> None:
     """Remove what is kept of scenes that are none of this record's any more; further runs of its own stay."""
     wanted = {_without_run(job.store.path(unit.name)) for unit in units}
     for folder in (job.directory / KEPT, job.directory / CONSIDERED):
@@ -167,12 +167,12 @@ def drive_split(
         (record,) = drive_planners(data, split, [planner], out, settings, reopen=reopen)
         return record
     single_planner = cast("Planner", planner)
-    keep_pages_of(getattr(single_planner, "weights_sha256", None))
+    disable_malloc_trim_for(getattr(single_planner, "weights_sha256", None))
     _require_drivable([single_planner], settings)
     require_annotated(data, split, settings.chosen(data, split))
-    job = job_of(data, split, facts_of(single_planner), out, settings)
+    job = make_job(data, split, build_planner_facts(single_planner), out, settings)
     single_settings = replace(settings, executor=LocalProcesses(1), together=1)
-    (record,) = _records(data, split, [job], single_settings, Planners(single_planner), None)
+    (record,) = _records(data, split, [job], single_settings, PlannerPool(single_planner), None)
     return record
 
 
@@ -203,8 +203,8 @@ def drive_planners(
     Raises:
         InputError: As in `drive_split`.
     """
-    jobs, settings, elsewhere = _ready(data, split, planners, out, settings, reopen)
-    return _records(data, split, jobs, settings, Planners(), elsewhere)
+    jobs, settings, elsewhere = _prepare_jobs(data, split, planners, out, settings, reopen)
+    return _records(data, split, jobs, settings, PlannerPool(), elsewhere)
 
 
 def drive_shard(
@@ -216,68 +216,72 @@ def drive_shard(
     shard: Shard,
     *,
     reopen: Callable[[], "DataSet"] | None = None,
-) -> list[FinishedShard]:
+) -> list[ShardProgress]:
     """Drive the scenes of one shard as `drive_planners` does and keep the drives; no record is written."""
-    jobs, settings, elsewhere = _ready(data, split, planners, out, settings, reopen)
+    jobs, settings, elsewhere = _prepare_jobs(data, split, planners, out, settings, reopen)
     scenes = settings.chosen(data, split)
     shard_scenes = shard.part(scenes)
     units = settings.units_of(data, shard_scenes)
-    tasks = [Task(job, unit) for unit in units for job in jobs]
-    who = jobs[0].planner.name if len(jobs) == 1 else counted(len(jobs), "planner")
+    tasks = [EpisodeTask(job, unit) for unit in units for job in jobs]
+    who = jobs[0].planner.name if len(jobs) == 1 else pluralise(len(jobs), "planner")
     label = f"{who} drive{'s' if len(jobs) == 1 else ''} {split}, shard {shard}"
     groups = settings.groups(tasks)
-    results = list(_results(groups, partial(work_here, data, Planners()), elsewhere, settings, label)) if tasks else []
+    results = (
+        list(_results(groups, partial(drive_tasks, data, PlannerPool()), elsewhere, settings, label)) if tasks else []
+    )
     for place, job in enumerate(jobs):
         if job.costs is not None:
             part = shard_cost_path(job.costs, shard.number, shard.of)
-            note_cost(part, job.planner, costs_of(job, results[place :: len(jobs)], settings.processes))
-    return [FinishedShard(job.directory, len(shard_scenes), len(scenes)) for job in jobs]
+            note_cost(part, job.planner, collect_costs(job, results[place :: len(jobs)], settings.processes))
+    return [ShardProgress(job.directory, len(shard_scenes), len(scenes)) for job in jobs]
 
 
-def _ready(
+def _prepare_jobs(
     data: "DataSet",
     split: str,
     planners: Sequence[PlannerFactory],
     out: Path,
     settings: DriveSettings,
     reopen: Callable[[], "DataSet"] | None,
-) -> tuple[list[Job], DriveSettings, Callable[[Sequence[Task]], list[UnitResult]] | None]:
+) -> tuple[list[ClosedLoopJob], DriveSettings, Callable[[Sequence[EpisodeTask]], list[EpisodeResult]] | None]:
     """Job of every unit, the settings that these planners allow, and how others drive units."""
-    keep_pages_of(*(factory.facts.weights_sha256 for factory in planners))
+    disable_malloc_trim_for(*(factory.facts.weights_sha256 for factory in planners))
     built = [factory() for factory in planners]
     _require_drivable(built, settings)
     require_annotated(data, split, settings.chosen(data, split))
-    jobs = [replace(job_of(data, split, factory.facts, out, settings), factory=factory) for factory in planners]
+    jobs = [replace(make_job(data, split, factory.facts, out, settings), factory=factory) for factory in planners]
     if isinstance(settings.sensor, RemoteSensor) or any(isinstance(planner, RemotePlanner) for planner in built):
         # What is elsewhere holds one scene at a time.
         return jobs, replace(settings, together=1), None
-    open_again = reopen or reopening(data)
-    return jobs, settings, partial(work_in_worker, open_again)
+    open_again = reopen or make_reopener(data)
+    return jobs, settings, partial(drive_tasks_in_worker, open_again)
 
 
 def _records(
     data: "DataSet",
     split: str,
-    jobs: Sequence[Job],
+    jobs: Sequence[ClosedLoopJob],
     settings: DriveSettings,
-    planners: Planners,
-    elsewhere: Callable[[Sequence[Task]], list[UnitResult]] | None,
+    planners: PlannerPool,
+    elsewhere: Callable[[Sequence[EpisodeTask]], list[EpisodeResult]] | None,
 ) -> list[DriveRecord]:
     """Drive all units of all jobs, scene by scene, and write their records."""
     scenes = settings.chosen(data, split)
     units = settings.units(data, scenes)
     scene_names = {unit.scene for unit in units}
     scenes = tuple(scene for scene in scenes if scene in scene_names)
-    tasks = [Task(job, unit) for unit in units for job in jobs]
-    who = jobs[0].planner.name if len(jobs) == 1 else counted(len(jobs), "planner")
+    tasks = [EpisodeTask(job, unit) for unit in units for job in jobs]
+    who = jobs[0].planner.name if len(jobs) == 1 else pluralise(len(jobs), "planner")
     label = f"{who} drive{'s' if len(jobs) == 1 else ''} {split}"
     with ExitStack() as writing:
         for job in jobs:
-            writing.enter_context(only_writer(job.directory))
-        results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
-        truths = truths_of(data, scenes)
+            writing.enter_context(lock_folder(job.directory))
+        results = list(
+            _results(settings.groups(tasks), partial(drive_tasks, data, planners), elsewhere, settings, label)
+        )
+        truths = collect_truth_facts(data, scenes)
         of_jobs = [
-            JobResults(data, split, scenes, job, units, results[place :: len(jobs)], settings, truths)
+            ClosedLoopResults(data, split, scenes, job, units, results[place :: len(jobs)], settings, truths)
             for place, job in enumerate(jobs)
         ]
         return [write_record(job_results) for job_results in of_jobs]
@@ -294,14 +298,14 @@ def _require_drivable(planners: Sequence[Planner], settings: DriveSettings) -> N
         raise InputError(f"drives side by side must be at least 1, got {settings.together}")
 
 
-def job_of(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settings: DriveSettings) -> Job:
+def make_job(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settings: DriveSettings) -> ClosedLoopJob:
     """Job of every unit of a record; arguments as of `drive_split`, ``facts`` being the planner's."""
     scenes = settings.chosen(data, split)
     part = () if len(scenes) == len(data.scene_names(split)) else scenes
     directory = drives_directory(out, data.name, split, facts, settings.measured, part)
     # Looking plans up in a file says nothing of how fast their planner was.
     timings = None if PLANS_SHA256 in facts.settings else settings.timings
-    return Job(
+    return ClosedLoopJob(
         directory=directory,
         fingerprint=data.fingerprint(),
         planner=facts,
@@ -317,7 +321,12 @@ def job_of(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settings
 
 
 def drives_directory(
-    out: Path, data_name: str, split: str, planner: PlannerFacts, measured: Measured, part: tuple[str, ...] = ()
+    out: Path,
+    data_name: str,
+    split: str,
+    planner: PlannerFacts,
+    measured: ClosedLoopDefinition,
+    part: tuple[str, ...] = (),
 ) -> Path:
     """Directory of a record: ``<out>/<data>/<split>/<what was measured>/<planner>``."""
     base = run_directory(out, data_name, split, planner, part)
@@ -326,21 +335,21 @@ def drives_directory(
     parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
     parts += ["until-fault"] if measured.until == "fault" else []
     parts += [content_key(facts)[:8] for facts in (measured.agents_facts, measured.sensor_facts) if facts]
-    return base.parent / file_name("-".join(parts)) / base.name
+    return base.parent / sanitise_file_name("-".join(parts)) / base.name
 
 
-def kept_units(job: Job, units: list[Unit]) -> int:
+def count_cached_units(job: ClosedLoopJob, units: list[EpisodeUnit]) -> int:
     """How many units are kept already."""
     return sum(job.kept(unit) is not None for unit in units)
 
 
 def _results(
-    groups: list[list[Task]],
-    here: Callable[[Sequence[Task]], list[UnitResult]],
-    elsewhere: Callable[[Sequence[Task]], list[UnitResult]] | None,
+    groups: list[list[EpisodeTask]],
+    here: Callable[[Sequence[EpisodeTask]], list[EpisodeResult]],
+    elsewhere: Callable[[Sequence[EpisodeTask]], list[EpisodeResult]] | None,
     settings: DriveSettings,
     label: str,
-) -> Iterator[UnitResult]:
+) -> Iterator[EpisodeResult]:
     """Results in the order of the tasks; those of one process are driven here."""
     executor = settings.executor
     works_here = elsewhere is None or (isinstance(executor, LocalProcesses) and executor.workers == 1)

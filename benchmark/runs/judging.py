@@ -14,23 +14,23 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from benchmark.constants import LONGER_HORIZON_STEPS, PLAN_STEPS
-from benchmark.datasets.judged import stored_realism
-from benchmark.datasets.scene_facts import frozen_split_of
+from benchmark.datasets.judged import collect_realism
+from benchmark.datasets.scene_facts import find_frozen_split
 from benchmark.errors import InputError
-from benchmark.fairness.data_sets import judged_facts
-from benchmark.fairness.plan_severity import plan_severities
+from benchmark.fairness.data_sets import collect_scene_facts
+from benchmark.fairness.plan_severity import measure_plan_severities
 from benchmark.geometry import Floats
-from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.environment import read_machine_metadata as environment_facts
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.metrics.diagnosis import diagnose
-from benchmark.metrics.disagreement import EXACT, disagreements
-from benchmark.metrics.places import Circumstances
+from benchmark.metrics.disagreement import EXACT, explain_disagreements
+from benchmark.metrics.places import SampleContext
 from benchmark.pdm.definition import PDM
-from benchmark.pdm.judging import judge_planners as judge_driving
+from benchmark.pdm.judging import score_planners as judge_driving
 from benchmark.planning import Forecasts, Plan, PlanFrame
-from benchmark.protocols import CollisionProtocol, Outcomes, protocol
-from benchmark.protocols.exact import judged_longer
-from benchmark.records.attempts import generated_facts
+from benchmark.protocols import CollisionProtocol, ProtocolOutcomes, find_protocol
+from benchmark.protocols.exact import evaluate_longer_plans
+from benchmark.records.attempts import read_generated_facts
 from benchmark.records.row_schema import SampleRow
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import waypoints_in_lidar
@@ -60,20 +60,20 @@ def _scene_facts(of: JudgedScenes) -> Any:
     """Facts of the scenes, with whether an encounter could have been survived where judgements are kept."""
     if of.kept is None:
         return of.data.scene_facts(of.scenes)
-    return judged_facts(of.data, of.scenes, of.kept, of.executor)
+    return collect_scene_facts(of.data, of.scenes, of.kept, of.executor)
 
 
 JUDGES: Final[Mapping[str, Callable[[JudgedScenes], Any]]] = {
     "scene_facts": _scene_facts,
-    "realism": lambda of: stored_realism(of.data.root, of.data.version),
-    "frozen_split": lambda of: frozen_split_of(of.data.provenance()),
+    "realism": lambda of: collect_realism(of.data.root, of.data.version),
+    "frozen_split": lambda of: find_frozen_split(of.data.provenance()),
     "review": lambda of: of.data.review(of.split).facts,
-    "generated": lambda of: generated_facts(of.data.provenance()),
+    "generated": lambda of: read_generated_facts(of.data.provenance()),
 }
 """By field of a record: fairness, realism, provenance and review."""
 
 
-def described(of: JudgedScenes, *fields: str) -> dict[str, Any]:
+def describe_data(of: JudgedScenes, *fields: str) -> dict[str, Any]:
     """Fields of a record about its data and the machine, those named of `JUDGES` or all."""
     data = of.data
     return {
@@ -113,7 +113,7 @@ class PlannedSamples:
     plans: Sequence[Plan]
     in_lidar: Floats
     truths: Sequence[SampleTruth]
-    outcomes: Mapping[str, Outcomes]
+    outcomes: Mapping[str, ProtocolOutcomes]
     unjudged: Collection[str]
 
     def by_planner(self, plans: Sequence[Plan]) -> list[dict[int, Plan]]:
@@ -146,7 +146,7 @@ def judge_plans(
     for number, (place, truth) in enumerate(zip(samples.places, samples.truths, strict=True)):
         judges = ROW_JUDGES if truth.labelled else WITHOUT_LABELS
         judged[place] = {name: verdicts[name][number] for name in judges}
-    happened = [_recorded(truth, at) for truth, at in zip(scene.truth, scene.around, strict=True)]
+    happened = [_list_recorded_members(truth, at) for truth, at in zip(scene.truth, scene.around, strict=True)]
     return [
         [
             SampleRow(**row, **recorded, **judged.get((which, at), {"outcomes": {}}))
@@ -173,13 +173,13 @@ def _planned_samples(
     ]
     truths, full_plans = (
         [scene.truth[at] for _, at in places],
-        [plan_of(rows_of[which][at]["plan"]) for which, at in places],
+        [parse_plan(rows_of[which][at]["plan"]) for which, at in places],
     )
     plans = [plan.judged for plan in full_plans]
     in_lidar = _in_lidar(plans, truths)
     outcomes = {
-        name: _where_known(
-            _at_rate(protocol(name), protocol(name).evaluate(truths, in_lidar), truths),
+        name: _mask_unknown(
+            _mask_other_rates(find_protocol(name), find_protocol(name).evaluate(truths, in_lidar), truths),
             truths,
             told=name not in unjudged,
         )
@@ -188,13 +188,13 @@ def _planned_samples(
     return PlannedSamples(scene, len(rows_of), places, full_plans, plans, in_lidar, truths, outcomes, unjudged)
 
 
-def _outcomes(samples: PlannedSamples) -> Sequence[Any]:
+def _judge_collisions(samples: PlannedSamples) -> Sequence[Any]:
     """Verdicts of each protocol."""
     verdicts = {name: outcome.as_rows() for name, outcome in samples.outcomes.items()}
     return [{name: of[place] for name, of in verdicts.items()} for place in range(len(samples.places))]
 
 
-def _driving(samples: PlannedSamples) -> Sequence[Any]:
+def _judge_driving(samples: PlannedSamples) -> Sequence[Any]:
     """Driving scores."""
     scene, count = samples.scene, len(samples.scene.truth)
     if scene.mapped is None or PDM in samples.unjudged:
@@ -207,53 +207,56 @@ def _driving(samples: PlannedSamples) -> Sequence[Any]:
     return [None if verdict is None else asdict(verdict) for verdict in scores]
 
 
-def _diagnosis(samples: PlannedSamples) -> Sequence[Any]:
+def _diagnose_collisions(samples: PlannedSamples) -> Sequence[Any]:
     """Why a plan collides, from the verdicts of ``exact``."""
     if EXACT not in samples.outcomes or not samples.truths:
         return [None] * len(samples.truths)
     return diagnose([truth.by_clock for truth in samples.truths], samples.plans, samples.outcomes[EXACT])
 
 
-def _disagreements(samples: PlannedSamples) -> Sequence[Any]:
+def _find_disagreements(samples: PlannedSamples) -> Sequence[Any]:
     """Where other protocols say something else than ``exact``, and why."""
     if EXACT not in samples.outcomes or not samples.truths:
         return [{} for _ in samples.truths]
-    return disagreements(samples.truths, samples.in_lidar, samples.outcomes)
+    return explain_disagreements(samples.truths, samples.in_lidar, samples.outcomes)
 
 
-def _severity(samples: PlannedSamples) -> Sequence[Any]:
+def _measure_severity(samples: PlannedSamples) -> Sequence[Any]:
     """How hard and at whose fault plans hit, and how near they come."""
     recorded = samples.scene.recorded
     # A map without roads or lanes would blame the ego for every contact at its sides.
     known = recorded is not None and recorded.road.drivable and recorded.road.lanes
     road = recorded.road if recorded is not None and known else None
-    return plan_severities([truth.by_clock for truth in samples.truths], samples.in_lidar, road)
+    return measure_plan_severities([truth.by_clock for truth in samples.truths], samples.in_lidar, road)
 
 
-def _longer(samples: PlannedSamples) -> Sequence[Any]:
-    """Verdicts of ``exact`` on plans that go on beyond 3 s, up to 6 s: `longer_verdicts` of each planner."""
+def _judge_longer(samples: PlannedSamples) -> Sequence[Any]:
+    """Verdicts of ``exact`` on plans that go on beyond 3 s, up to 6 s: `judge_longer_plans` of each planner."""
     if EXACT not in samples.outcomes:
         return [None] * len(samples.places)
     longer = [
-        longer_verdicts(plans_by_sample, samples.scene.longer) for plans_by_sample in samples.by_planner(samples.whole)
+        judge_longer_plans(plans_by_sample, samples.scene.longer)
+        for plans_by_sample in samples.by_planner(samples.whole)
     ]
     return [longer[which].get(at) for which, at in samples.places]
 
 
 ROW_JUDGES: Final[Mapping[str, Callable[[PlannedSamples], Sequence[Any]]]] = {
-    "longer": _longer,
-    "outcomes": _outcomes,
-    "driving": _driving,
-    "diagnosis": _diagnosis,
-    "disagreements": _disagreements,
-    "severity": _severity,
+    "longer": _judge_longer,
+    "outcomes": _judge_collisions,
+    "driving": _judge_driving,
+    "diagnosis": _diagnose_collisions,
+    "disagreements": _find_disagreements,
+    "severity": _measure_severity,
 }
 """By field of a row: what is said of each of P plans."""
 WITHOUT_LABELS: Final = ("longer", "outcomes")
 """The fields that say something where objects were not labelled: L2."""
 
 
-def _at_rate(definition: CollisionProtocol, outcomes: Outcomes, truths: Sequence[SampleTruth]) -> Outcomes:
+def _mask_other_rates(
+    definition: CollisionProtocol, outcomes: ProtocolOutcomes, truths: Sequence[SampleTruth]
+) -> ProtocolOutcomes:
     """Verdicts that count nothing where key frames come at another rate and a protocol takes them for its steps."""
     at_two_hz = np.array([truth.at_two_hz for truth in truths], np.bool_)
     # Protocols of other packages may be older than the question.
@@ -262,7 +265,7 @@ def _at_rate(definition: CollisionProtocol, outcomes: Outcomes, truths: Sequence
     return replace(outcomes, counted=outcomes.counted & at_two_hz)
 
 
-def _where_known(outcomes: Outcomes, truths: Sequence[SampleTruth], *, told: bool) -> Outcomes:
+def _mask_unknown(outcomes: ProtocolOutcomes, truths: Sequence[SampleTruth], *, told: bool) -> ProtocolOutcomes:
     """Verdicts that say of which samples nothing is known of contacts: of all where categories do not tell."""
     known = np.array([truth.labelled and told for truth in truths], np.bool_)
     return outcomes if known.all() else replace(outcomes, known=known)
@@ -280,7 +283,7 @@ def _in_lidar(plans: Sequence[Plan], truths: Sequence[SampleTruth]) -> Floats:
     return waypoints
 
 
-def longer_verdicts(
+def judge_longer_plans(
     plans: Mapping[int, Plan], longer: Callable[[int], Sequence[SampleTruth]]
 ) -> dict[int, dict[str, Any]]:
     """Verdicts of ``exact`` on plans that go on beyond 3 s, up to 6 s, by number of the sample.
@@ -303,7 +306,7 @@ def longer_verdicts(
             )
             for index in chosen
         ]
-        collision, l2 = judged_longer([truths[index] for index in chosen], np.array(waypoints))
+        collision, l2 = evaluate_longer_plans([truths[index] for index in chosen], np.array(waypoints))
         for index, hits, metres in zip(chosen, collision.tolist(), l2.tolist()):
             known_hits = hits if truths[index].labelled else None
             verdicts[index] = {
@@ -313,7 +316,7 @@ def longer_verdicts(
     return verdicts
 
 
-def plan_of(row: Mapping[str, Any]) -> Plan:
+def parse_plan(row: Mapping[str, Any]) -> Plan:
     """The plan that a planner gave, from the JSON object that `benchmark.runs.plan_rows` writes."""
     parts, forecasts = ("modes", "mode_scores"), row["forecasts"]
     try:
@@ -342,7 +345,7 @@ def _forecasts(row: Mapping[str, Any]) -> Forecasts:
     )
 
 
-def _recorded(truth: SampleTruth, at: Circumstances) -> dict[str, Any]:
+def _list_recorded_members(truth: SampleTruth, at: SampleContext) -> dict[str, Any]:
     """Members of a row about the recording."""
     ahead = truth.by_clock
     return {

@@ -3,22 +3,22 @@
 from pathlib import Path
 
 from benchmark.metrics.attacks import has_adversaries
-from benchmark.metrics.unchanged import unchanged_candidates, unchanged_record
+from benchmark.metrics.unchanged import find_unchanged_candidates, find_unchanged_record
 from benchmark.records.run import RunRecord, with_facts
 from benchmark.records.run_schema import UnchangedFacts
 from benchmark.records.store import ROWS_FILE
 
 
-def with_partner(record: RunRecord, out: Path, elsewhere: str | None = None) -> RunRecord:
+def name_partner(record: RunRecord, out: Path, elsewhere: str | None = None) -> RunRecord:
     """Name in a record its partner: the record of the same planner on the unchanged recordings, if there is one.
 
     Records of recordings and those without a partner stay as they are. The caller must be the only writer of the
-    record's directory (`benchmark.machine.storage.only_writer`). ``elsewhere`` names the data set that has the
+    record's directory (`benchmark.machine.storage.lock_folder`). ``elsewhere`` names the data set that has the
     unchanged recordings, if it is another one.
     """
     if not has_adversaries(record):
         return record
-    unchanged = unchanged_record(record, unchanged_candidates(out, [record], elsewhere), elsewhere)
+    unchanged = find_unchanged_record(record, find_unchanged_candidates(out, [record], elsewhere), elsewhere)
     if unchanged is None:
         return record
     partner = UnchangedFacts(data=unchanged.run.data, split=unchanged.run.split, samples=unchanged.run.files[ROWS_FILE])

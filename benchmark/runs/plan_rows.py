@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.machine.environment import device_name
+from benchmark.machine.environment import read_device_name
 from benchmark.machine.metering import Meter, peak_memory_mb
-from benchmark.machine.progress import Count, progress
+from benchmark.machine.progress import CountedUnits, track_progress
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.planning import (
     Forecasts,
@@ -53,7 +53,7 @@ TIMES: Final = 5
 Outcome = TypeVar("Outcome")
 
 
-def begun_again(work: Callable[[], Outcome], planner: Planner) -> Outcome:
+def run_with_restarts(work: Callable[[], Outcome], planner: Planner) -> Outcome:
     """Outcome of work that begins with `Planner.reset`, begun again each time the planner goes away half-way.
 
     Nothing is asked twice in between: what came before is forgotten on both sides. The work of a scene leaves nothing
@@ -97,7 +97,7 @@ class PlannerFactory(Protocol):
         """Build it."""
 
 
-def supervision_said(factory: PlannerFactory | None) -> dict[str, Any]:
+def describe_sandbox_limits(factory: PlannerFactory | None) -> dict[str, Any]:
     """Limits under which a planner is watched over, for a record's configuration; empty if it is not."""
     supervision = getattr(factory, "supervision", None)
     return {} if supervision is None else {"supervision": supervision.said()}
@@ -117,7 +117,7 @@ class BrokenImageError(InputError):
     """An image of the data set cannot be read: the data's fault, not the planner's."""
 
 
-_NOBODYS_FAULT = (BrokenImageError, PlannerGoneError, PlannerLateError)
+_RUN_ENDING_ERRORS = (BrokenImageError, PlannerGoneError, PlannerLateError)
 """What ends a command instead of being recorded: the same one goes on."""
 
 
@@ -137,29 +137,29 @@ def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> 
 
 
 @dataclass(frozen=True, slots=True)
-class KeptPlans:
+class CachedScenePlans:
     """Stored plans of a scene, a JSON object for each sample.
 
     Attributes:
-        loaded: Code that had been loaded when they were made (`benchmark.runs.code_identity.loaded_code`).
+        loaded: Code that had been loaded when they were made (`benchmark.runs.code_identity.hash_loaded_code`).
     """
 
     rows: list[dict[str, Any]]
     loaded: dict[str, str]
 
 
-def plan_store(directory: Path) -> ResultStore[KeptPlans]:
+def open_plan_store(directory: Path) -> ResultStore[CachedScenePlans]:
     """Where plans of the scenes of a run are kept."""
-    return ResultStore(directory / "rows", KeptPlans)
+    return ResultStore(directory / "rows", CachedScenePlans)
 
 
-def kept_rows(directory: Path, name: str, key: str) -> list[dict[str, Any]] | None:
+def read_cached_plan_rows(directory: Path, name: str, key: str) -> list[dict[str, Any]] | None:
     """Rows of a scene that are kept under their content key and made by code as it is now, or ``None``."""
-    cached = plan_store(directory).get(key, name)
+    cached = open_plan_store(directory).get(key, name)
     return cached.rows if cached is not None and is_current(cached.loaded) else None
 
 
-def code_behind(planner: Planner) -> dict[str, str]:
+def hash_sandboxed_code(planner: Planner) -> dict[str, str]:
     """Code that a planner in a process of its own has loaded by now; of others their identity says all there is."""
     return planner.loaded_code() if isinstance(planner, SupervisedPlanner) else {}
 
@@ -180,7 +180,7 @@ def plan_scene(
     Raises:
         InputError: If an image is broken, the rows cannot be written, or a planner elsewhere cannot be asked.
     """
-    cached_rows = None if fresh else kept_rows(directory, name, key)
+    cached_rows = None if fresh else read_cached_plan_rows(directory, name, key)
     if cached_rows is not None:
         return PlannedScene(cached_rows, None)
     seed_everything(content_seed(key), planner)
@@ -188,14 +188,14 @@ def plan_scene(
     meter, started = Meter(), time.perf_counter()
     # Stdout belongs to the command (--json); what a planner prints goes to stderr.
     with contextlib.redirect_stdout(sys.stderr):
-        rows, lost = begun_again(partial(_rows, planner, scene, observations, meter), planner)
-    cost = cost_so_far(planner, meter, time.perf_counter() - started)
+        rows, lost = run_with_restarts(partial(_rows, planner, scene, observations, meter), planner)
+    cost = measure_cost(planner, meter, time.perf_counter() - started)
     if not lost:
-        plan_store(directory).put(key, KeptPlans(rows, code_behind(planner)), name)
+        open_plan_store(directory).put(key, CachedScenePlans(rows, hash_sandboxed_code(planner)), name)
     return PlannedScene(rows, cost)
 
 
-def cost_so_far(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
+def measure_cost(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
     """Cost of a scene as of one process; of a planner elsewhere only the time is known.
 
     Args:
@@ -208,7 +208,7 @@ def cost_so_far(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
         latency_s=[None if latency is None else round(latency, _DIGITS) for latency in meter.latency_s],
         peak_memory_mb=None if elsewhere else peak_memory_mb(pid),
         peak_device_mb=meter.peak_device_mb,
-        device="elsewhere" if elsewhere else device_name(meter.peak_device_mb is not None),
+        device="elsewhere" if elsewhere else read_device_name(meter.peak_device_mb is not None),
     )
 
 
@@ -232,18 +232,20 @@ def _rows(
         planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
         if isinstance(planner, PrivilegedPlanner):
             planner.reveal(scene)
-    except _NOBODYS_FAULT:
+    except _RUN_ENDING_ERRORS:
         raise
     except FAILURES as failure:
-        error = said_of(failure)
+        error = format_failure(failure)
         return [_row(observation, None, error) for observation in observations], isinstance(failure, PlannerLostError)
-    asker = _Asked(planner, meter)
-    planned = progress(map(asker.row, observations), total=len(observations), label=scene.name, count=Count("sample"))
+    asker = _PlannerInScene(planner, meter)
+    planned = track_progress(
+        map(asker.row, observations), total=len(observations), label=scene.name, count=CountedUnits("sample")
+    )
     return list(planned), asker.lost is not None
 
 
 @dataclass(slots=True)
-class _Asked:
+class _PlannerInScene:
     """A planner in a scene; ``lost`` says why it cannot be asked for the rest of the scene."""
 
     planner: Planner
@@ -255,7 +257,7 @@ class _Asked:
         if self.lost is not None:
             return _row(observation, None, self.lost)
         planner = self.planner
-        views = {name: replace(view, load=loud(view.load)) for name, view in observation.views.items()}
+        views = {name: replace(view, load=wrap_image_loader(view.load)) for name, view in observation.views.items()}
         ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
         try:
             observed = replace(observation, views=views, ego=ego)
@@ -265,13 +267,13 @@ class _Asked:
                 raise TypeError(
                     f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan"
                 )
-            return _row(observation, plan_json(plan), None)
-        except _NOBODYS_FAULT:
+            return _row(observation, encode_plan(plan), None)
+        except _RUN_ENDING_ERRORS:
             raise
         except FAILURES as failure:
             if isinstance(failure, PlannerLostError):
                 self.lost = f"not asked: at sample {observation.index} of the scene {failure}"
-            return _row(observation, None, said_of(failure))
+            return _row(observation, None, format_failure(failure))
 
 
 def _row(observation: Observation, plan: dict[str, Any] | None, error: str | None) -> dict[str, Any]:
@@ -287,7 +289,7 @@ def _row(observation: Observation, plan: dict[str, Any] | None, error: str | Non
     }
 
 
-def plan_json(plan: Plan) -> dict[str, Any]:
+def encode_plan(plan: Plan) -> dict[str, Any]:
     """The plan as it was given; refuses shapes that `Plan` does not have and numbers that JSON does not have."""
     modes, scores, forecasts = plan.modes, plan.mode_scores, plan.forecasts
     count = len(scores if modes is None else modes) if scores is not None else 0
@@ -332,7 +334,7 @@ def _numbers(values: Floats, shape: tuple[int, ...], part: str) -> Any:
     return array.tolist()
 
 
-def loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8]]:
+def wrap_image_loader(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8]]:
     """A broken image stops the run; anything else that a planner raises is the planner's failure."""
 
     def loaded() -> NDArray[np.uint8]:
@@ -344,12 +346,12 @@ def loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8
     return loaded
 
 
-def said_of(failure: BaseException) -> str:
+def format_failure(failure: BaseException) -> str:
     """Stored text of a failure that is being handled: its traceback, where it was raised."""
-    return failure.text if isinstance(failure, PlannerFailedError) else traceback_text()
+    return failure.text if isinstance(failure, PlannerFailedError) else format_traceback()
 
 
-def traceback_text() -> str:
+def format_traceback() -> str:
     """The traceback being handled, without what differs between machines and runs: folders and addresses."""
     text = traceback.format_exc()
     text = re.sub(r'File "([^"]*[/\\])?([^"/\\]+)"', r'File "\2"', text)

@@ -9,8 +9,8 @@ from benchmark.machine.storage import canonical_json
 from benchmark.planning import Planner, PrivilegedPlanner, reads_message_after, remembers_across_scenes
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.runs.code_identity import code_sha256, parts_of
-from benchmark.untrusted.files import one_line
+from benchmark.runs.code_identity import code_sha256, list_part_classes
+from benchmark.untrusted.files import to_one_line
 
 _LONGEST_SETTINGS: Final = 64 * 1024
 """Characters of them as JSON; they stand in every record."""
@@ -21,7 +21,7 @@ _LENGTH: Final = 64
 """Hexadecimal digits of a SHA-256."""
 
 
-def facts_of(planner: Planner, made_by: str | None = None) -> PlannerFacts:
+def build_planner_facts(planner: Planner, made_by: str | None = None) -> PlannerFacts:
     """Identity of a planner, with the hash of the code that its plans depend on (`benchmark.runs.code_identity`).
 
     Args:
@@ -30,37 +30,40 @@ def facts_of(planner: Planner, made_by: str | None = None) -> PlannerFacts:
         made_by: The function or class that made it, as ``package.module:name``, if it was not built by hand.
     """
     whose = f"planner {planner.name!r}"
-    settings = _settings(_said(planner, "settings", {}), whose)
+    settings = _settings(_read_attribute(planner, "settings", {}), whose)
     # Of these every record knows, whoever wrote the planner.
     settings |= {"memory_crosses_scenes": True} if remembers_across_scenes(planner) else {}
     settings |= {"reads_message_after": True} if reads_message_after(planner) else {}
-    seed, weights = _seed(_said(planner, "seed", 0), whose), _weights(_said(planner, "weights_sha256", None), whose)
-    native = known_native(_said(planner, "native_protocol", None), whose)
+    seed, weights = (
+        _seed(_read_attribute(planner, "seed", 0), whose),
+        _weights(_read_attribute(planner, "weights_sha256", None), whose),
+    )
+    native = require_known_native(_read_attribute(planner, "native_protocol", None), whose)
     return PlannerFacts(
         name=planner.name,
         privileged=isinstance(planner, PrivilegedPlanner),
         weights_sha256=weights,
-        code_sha256=code_sha256(type(planner), made_by=made_by, parts=parts_of(planner)),
+        code_sha256=code_sha256(type(planner), made_by=made_by, parts=list_part_classes(planner)),
         settings=settings,
         seed=seed,
         native_protocol=native,
     )
 
 
-def known_native(name: str | None, whose: str) -> str | None:
+def require_known_native(name: str | None, whose: str) -> str | None:
     """Name of a planner's native protocol, once it is known to exist."""
     if name is not None and (not isinstance(name, str) or name not in PROTOCOLS):
         raise InputError(f"{whose} has the unknown native protocol {name!r}; known are {', '.join(PROTOCOLS)}")
     return name
 
 
-def _said(planner: Planner, attribute: str, default: Any) -> Any:
+def _read_attribute(planner: Planner, attribute: str, default: Any) -> Any:
     """An attribute of a stranger's object: asking for it runs the stranger's code."""
     try:
         return getattr(planner, attribute, default)
     except Exception as error:
         raise InputError(
-            f"asking planner {planner.name!r} for its {attribute} raised {type(error).__name__}: {one_line(error)}"
+            f"asking planner {planner.name!r} for its {attribute} raised {type(error).__name__}: {to_one_line(error)}"
         ) from error
 
 
@@ -75,7 +78,7 @@ def _settings(value: Any, whose: str) -> dict[str, Any]:
         json.dumps(settings, ensure_ascii=False).encode()
     except (TypeError, ValueError, RecursionError, AttributeError) as error:
         raise InputError(
-            f"the settings of {whose} must be plain JSON values by name ({one_line(error)}); leave the others out"
+            f"the settings of {whose} must be plain JSON values by name ({to_one_line(error)}); leave the others out"
         ) from error
     if len(text) > _LONGEST_SETTINGS:
         raise InputError(
@@ -100,7 +103,9 @@ def _seed(value: Any, whose: str) -> int:
     except TypeError:
         seed = -1
     if not 0 <= seed < _SEEDS:
-        raise InputError(f"the seed of {whose} must be a whole number from 0 below 2^63, it is {one_line(repr(value))}")
+        raise InputError(
+            f"the seed of {whose} must be a whole number from 0 below 2^63, it is {to_one_line(repr(value))}"
+        )
     return seed
 
 
@@ -109,5 +114,5 @@ def _weights(value: Any, whose: str) -> str | None:
         return value
     raise InputError(
         f"the weights_sha256 of {whose} must be the SHA-256 of its weights file, {_LENGTH} hexadecimal digits; it is "
-        f"{one_line(repr(value))}"
+        f"{to_one_line(repr(value))}"
     )

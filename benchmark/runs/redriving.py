@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from benchmark.closed_loop.adversary import AdversaryTrack, GivenTracks
-from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.driving import Drive, Stage, drive
+from benchmark.closed_loop.adversary import AdversaryTrack, ScriptedTracks
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.driving import Episode, EpisodeSpec, run_episode
 from benchmark.closed_loop.observing import NoSensor, Sensor
-from benchmark.closed_loop.riding import RecordedCan, RideMaker
-from benchmark.closed_loop.scoring import score_drive
+from benchmark.closed_loop.riding import RecordedCan, SimulatorBackend
+from benchmark.closed_loop.scoring import score_episode
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
-from benchmark.records.drive_schema import AdversaryRow, DriveRow
-from benchmark.runs.drive_rows import DECIMALS, adversary_row, row_of, track_of
+from benchmark.records.drive_schema import AdversaryRow, EpisodeRow
+from benchmark.runs.drive_rows import DECIMALS, build_episode_row, decode_adversary_track, encode_adversary_track
 from benchmark.scene import Scene
 
 if TYPE_CHECKING:
@@ -24,12 +24,12 @@ _LONG_S: Final = 3600.0
 """Nothing that is stored is late."""
 
 
-def can_of(data: "DataSet", name: str) -> RecordedCan:
+def read_recorded_can(data: "DataSet", name: str) -> RecordedCan:
     """Measurements of the recorded car in a scene."""
     return RecordedCan.of((observation.ego for observation in data.observations(name)), data.root)
 
 
-def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow) -> DriveRow:
+def redrive_and_score(maker: SimulatorBackend, scene: Scene, data: "DataSet", row: EpisodeRow) -> EpisodeRow:
     """Drive the stored plans of a drive and score it anew, without its planner.
 
     A failed one stays as it is: it has no scores.
@@ -39,39 +39,45 @@ def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow)
     """
     if row.status == "failed":
         return row
-    stage = _stage(maker, NoSensor(), scene, data, row)
-    episode = redriven(stage, row, StoredPlans(row))
-    rescored_row = row_of(stage, episode, None if episode.failure is not None else score_drive(scene, episode))
+    stage = _make_episode_spec(maker, NoSensor(), scene, data, row)
+    episode = redrive(stage, row, StoredPlans(row))
+    rescored_row = build_episode_row(
+        stage, episode, None if episode.failure is not None else score_episode(scene, episode)
+    )
     rescored_row = rescored_row.model_copy(update={"ladder": row.ladder})
     if (rescored_row.ticks, rescored_row.contact, rescored_row.passed) != (row.ticks, row.contact, row.passed):
-        raise InputError(_elsewhere(row))
+        raise InputError(_format_mismatch(row))
     return rescored_row
 
 
-def _stage(maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow) -> Stage:
-    return Stage(scene, can_of(data, row.scene), row.run, _with_its_adversary(maker, row), sensor, _LONG_S, row.family)
+def _make_episode_spec(
+    maker: SimulatorBackend, sensor: Sensor, scene: Scene, data: "DataSet", row: EpisodeRow
+) -> EpisodeSpec:
+    return EpisodeSpec(
+        scene, read_recorded_can(data, row.scene), row.run, _with_its_adversary(maker, row), sensor, _LONG_S, row.family
+    )
 
 
-def _with_its_adversary(maker: RideMaker, row: DriveRow) -> RideMaker:
+def _with_its_adversary(maker: SimulatorBackend, row: EpisodeRow) -> SimulatorBackend:
     """A maker whose adversary drives its stored track again, without a search."""
-    track = track_of(row)
-    if track is None or not isinstance(maker, DefaultRides) or maker.adversary is None:
+    track = decode_adversary_track(row)
+    if track is None or not isinstance(maker, DefaultBackend) or maker.adversary is None:
         return maker
-    return replace(maker, adversary=GivenTracks({(row.scene, row.run): track}, maker.adversary.others))
+    return replace(maker, adversary=ScriptedTracks({(row.scene, row.run): track}, maker.adversary.others))
 
 
-def seen_again(
-    maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow, plans: "StoredPlans"
-) -> Drive:
+def redrive_with_sensor(
+    maker: SimulatorBackend, sensor: Sensor, scene: Scene, data: "DataSet", row: EpisodeRow, plans: "StoredPlans"
+) -> Episode:
     """A stored drive with all objects in it, from its plans; one in which the planner failed ends where it did.
 
     Raises:
         InputError: If the plans lead elsewhere than they did.
     """
-    return redriven(_stage(maker, sensor, scene, data, row), row, plans)
+    return redrive(_make_episode_spec(maker, sensor, scene, data, row), row, plans)
 
 
-def considered_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow) -> AdversaryTrack:
+def repeat_search(maker: SimulatorBackend, scene: Scene, data: "DataSet", row: EpisodeRow) -> AdversaryTrack:
     """The adversary's track of a stored drive, with its candidates, searched anew.
 
     The same search finds the same track.
@@ -82,24 +88,24 @@ def considered_again(maker: RideMaker, scene: Scene, data: "DataSet", row: Drive
     Raises:
         InputError: If the plans lead elsewhere than they did, or the adversary goes elsewhere.
     """
-    stage = Stage(scene, can_of(data, row.scene), row.run, maker, NoSensor(), _LONG_S, row.family)
-    track = redriven(stage, row, StoredPlans(row)).adversary
-    if track is None or AdversaryRow.model_validate(adversary_row(stage, track)) != row.adversary:
-        raise InputError(_elsewhere(row))
+    stage = EpisodeSpec(scene, read_recorded_can(data, row.scene), row.run, maker, NoSensor(), _LONG_S, row.family)
+    track = redrive(stage, row, StoredPlans(row)).adversary
+    if track is None or AdversaryRow.model_validate(encode_adversary_track(stage, track)) != row.adversary:
+        raise InputError(_format_mismatch(row))
     return track
 
 
-def redriven(stage: Stage, row: DriveRow, plans: "StoredPlans") -> Drive:
-    """Drive stored plans on a stage; arguments and errors as of `seen_again`."""
-    episode = drive(stage, plans)
+def redrive(stage: EpisodeSpec, row: EpisodeRow, plans: "StoredPlans") -> Episode:
+    """Drive stored plans on a stage; arguments and errors as of `redrive_with_sensor`."""
+    episode = run_episode(stage, plans)
     ticks = episode.motion.ticks
     states = np.round(episode.motion.ego[ticks], DECIMALS).tolist()
     if (episode.motion.times_us[ticks].tolist(), states) != (row.ticks.time_us, row.ticks.ego):
-        raise InputError(_elsewhere(row))
+        raise InputError(_format_mismatch(row))
     return episode
 
 
-def _elsewhere(row: DriveRow) -> str:
+def _format_mismatch(row: EpisodeRow) -> str:
     return (
         f"the stored plans of {row.scene}, run {row.run}, lead elsewhere than they did: the engine or the data set "
         "has changed since; run the same drive command again"
@@ -111,7 +117,7 @@ class StoredPlans:
 
     name = "stored plans"
 
-    def __init__(self, row: DriveRow) -> None:
+    def __init__(self, row: EpisodeRow) -> None:
         self._plans = [Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)) for plan in row.plans]
         self._next = 0
 

@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 from benchmark.datasets.annotated import AnnotationCount
 from benchmark.datasets.categories import CategoryNames
-from benchmark.datasets.scene_facts import with_truth
+from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError
-from benchmark.machine.environment import facts as environment_facts
-from benchmark.machine.storage import only_writer
+from benchmark.machine.environment import read_machine_metadata as environment_facts
+from benchmark.machine.storage import lock_folder
 from benchmark.pdm.definition import PDM
-from benchmark.protocols import PROTOCOLS, protocol, using_categories
-from benchmark.records.review import review_words
+from benchmark.protocols import PROTOCOLS, find_category_protocols, find_protocol
+from benchmark.records.review import describe_review
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.rows import Rows
-from benchmark.records.run import RunRecord, load_record, summarise, write_record
+from benchmark.records.rows import SampleRows
+from benchmark.records.run import RunRecord, load_record, summarise_rows, write_record
 from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts, TruthFacts
-from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
-from benchmark.runs.caveats import run_caveats
+from benchmark.records.store import RUN_FILE, finish_replacement, pending_path, stored_schema
+from benchmark.runs.caveats import list_run_caveats
 from benchmark.runs.judging import judge_plans
 from benchmark.runs.scene_work import SceneReading
 
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
 
-def unjudged(counts: AnnotationCount, protocols: Sequence[str]) -> tuple[str, ...]:
+def find_unjudged(counts: AnnotationCount, protocols: Sequence[str]) -> tuple[str, ...]:
     """Judges that cannot judge contacts here, since too many categories are unknown.
 
     These are ``pdm`` and those of the protocols that go by categories; without unknown ones there are none.
     """
-    return (*using_categories(protocols), PDM) if counts.foreign else ()
+    return (*find_category_protocols(protocols), PDM) if counts.is_mostly_unknown else ()
 
 
 def require_vocabulary(counts: AnnotationCount, asked: Iterable[str], protocols: Sequence[str], where: str) -> None:
     """Refuse judges that were asked for by name, or are the planner's own, and say nothing of contacts."""
-    silent = unjudged(counts, protocols)
+    silent = find_unjudged(counts, protocols)
     wrong = next((name for name in asked if name in silent), None)
     if wrong is not None:
         raise InputError(
@@ -57,7 +57,7 @@ _OF_THE_VERDICTS = {"schema_version", "status", "protocols", "seed", "files"}
 
 
 @dataclass(frozen=True, slots=True)
-class Rescored:
+class RescoringResult:
     """Result of rescoring one record.
 
     Attributes:
@@ -92,13 +92,13 @@ def rescore(record_directory: Path, data: "DataSet", *, protocols: Sequence[str]
         assert not isinstance(opened, str)
         for scene in opened.old.run.scenes:
             reading = SceneReading(data, scene)
-            opened.add(rows_judged_anew(opened.old, reading, tuple(opened.versions), opened.silent), reading)
-        return _replaced(opened)[0]
+            opened.add(rejudge_rows(opened.old, reading, tuple(opened.versions), opened.silent), reading)
+        return _replace_record(opened)[0]
 
 
 def rescore_all(
     root: Path, open_split: Callable[[str], "DataSet"], data_name: str, protocols: Sequence[str] | None = None
-) -> Iterator[Rescored]:
+) -> Iterator[RescoringResult]:
     """Judge all records below a folder anew; one that cannot be does not stop the others.
 
     Args:
@@ -119,40 +119,40 @@ def rescore_all(
         )
     protocols = tuple(PROTOCOLS) if protocols is None else protocols
     for name in protocols:
-        protocol(name)
-    opened: Opened = {}
+        find_protocol(name)
+    opened: OpenedDataSets = {}
 
     def open_for(record: RunRecord) -> "DataSet | None":
-        return None if record.run.data.name != data_name else opened_as(record.run, opened, open_split)
+        return None if record.run.data.name != data_name else open_as_recorded(record.run, opened, open_split)
 
-    results: dict[Path, Rescored] = {}
-    waiting: list[_Opened] = []
+    results: dict[Path, RescoringResult] = {}
+    waiting: list[_OpenedRecord] = []
     with ExitStack() as held:
-        for directory in record_directories(root):
+        for directory in find_record_directories(root):
             try:
                 opened_record = _open(directory, open_for, protocols, held)
             except InputError as error:
-                results[directory] = Rescored(directory, str(error), failed=True)
+                results[directory] = RescoringResult(directory, str(error), failed=True)
                 continue
             if isinstance(opened_record, str):
-                results[directory] = Rescored(directory, opened_record)
+                results[directory] = RescoringResult(directory, opened_record)
             else:
                 waiting.append(opened_record)
-        for result in _rescored(waiting):
+        for result in _rescore_records(waiting):
             results[result.directory] = result
     yield from (results[directory] for directory in sorted(results))
 
 
-Opened = dict[tuple[str, CategoryNames], "DataSet"]
+OpenedDataSets = dict[tuple[str, CategoryNames], "DataSet"]
 """Data sets by split, and by names of categories that are replaced in them."""
 
 
-def opened_as(facts: RecordFacts, opened: Opened, open_split: Callable[[str], "DataSet"]) -> "DataSet":
+def open_as_recorded(facts: RecordFacts, opened: OpenedDataSets, open_split: Callable[[str], "DataSet"]) -> "DataSet":
     """The data set that a record ran on, with the names of categories that were replaced then.
 
     ``opened`` holds the data sets that are open, and gets those that are opened here.
     """
-    names = replaced_categories(facts)
+    names = read_replaced_categories(facts)
     as_it_is = (facts.split, ())
     if as_it_is not in opened:
         opened[as_it_is] = open_split(facts.split)
@@ -161,14 +161,14 @@ def opened_as(facts: RecordFacts, opened: Opened, open_split: Callable[[str], "D
     return opened[facts.split, names]
 
 
-def replaced_categories(facts: RecordFacts) -> CategoryNames:
+def read_replaced_categories(facts: RecordFacts) -> CategoryNames:
     """Names of categories that were replaced when a record was made, and what by."""
     stored = facts.config.get("categories")
     return tuple(sorted((str(name), str(to)) for name, to in stored.items())) if isinstance(stored, dict) else ()
 
 
 @dataclass(slots=True)
-class _Opened:
+class _OpenedRecord:
     """A record that is being judged anew.
 
     Attributes:
@@ -179,7 +179,7 @@ class _Opened:
     data: "DataSet"
     versions: dict[str, int]
     silent: tuple[str, ...]
-    rows: Rows = field(default_factory=Rows)
+    rows: SampleRows = field(default_factory=SampleRows)
     truths: dict[str, TruthFacts] = field(default_factory=dict)
 
     def add(self, rows: Sequence[SampleRow], reading: SceneReading) -> None:
@@ -193,14 +193,14 @@ def _open(
     open_for: Callable[[RunRecord], "DataSet | None"],
     protocols: Sequence[str],
     held: ExitStack,
-) -> _Opened | str:
+) -> _OpenedRecord | str:
     """A record to be judged anew, locked against other writers until ``held`` ends; or why it is left alone."""
-    versions = {name: protocol(name).version for name in protocols}
+    versions = {name: find_protocol(name).version for name in protocols}
     if not directory.is_dir():
         raise InputError(f"there is no run record {directory}; name the folder that holds its {RUN_FILE}")
     with ExitStack() as own:
-        own.enter_context(only_writer(directory))
-        settle(directory)
+        own.enter_context(lock_folder(directory))
+        finish_replacement(directory)
         old = load_record(directory)
         data = open_for(old)
         if data is None:
@@ -208,10 +208,10 @@ def _open(
         require_same_data(directory, old.run, data)
         held.enter_context(own.pop_all())
     counts = AnnotationCount.together(list(data.annotation_counts(old.run.scenes).values()))
-    return _Opened(old, data, versions, unjudged(counts, tuple(versions)))
+    return _OpenedRecord(old, data, versions, find_unjudged(counts, tuple(versions)))
 
 
-def _rescored(waiting: Sequence[_Opened]) -> Iterator[Rescored]:
+def _rescore_records(waiting: Sequence[_OpenedRecord]) -> Iterator[RescoringResult]:
     """Judge records anew, scene by scene, so that each scene is read once for all of them."""
     alive = {opened.old.directory: opened for opened in waiting}
     wanted = dict.fromkeys((id(opened.data), scene) for opened in waiting for scene in opened.old.run.scenes)
@@ -223,28 +223,28 @@ def _rescored(waiting: Sequence[_Opened]) -> Iterator[Rescored]:
             for candidate in alive.values()
             if id(candidate.data) == data_id and scene in candidate.old.run.scenes
         ]
-        for opened, rows in _judged_together(records_of_scene, reading):
+        for opened, rows in _judge_together(records_of_scene, reading):
             if isinstance(rows, InputError):
                 del alive[opened.old.directory]
-                yield Rescored(opened.old.directory, str(rows), failed=True)
+                yield RescoringResult(opened.old.directory, str(rows), failed=True)
             else:
                 opened.add(rows, reading)
     for opened in alive.values():
         try:
-            yield Rescored(opened.old.directory, _replaced(opened)[1])
+            yield RescoringResult(opened.old.directory, _replace_record(opened)[1])
         except InputError as error:
-            yield Rescored(opened.old.directory, str(error), failed=True)
+            yield RescoringResult(opened.old.directory, str(error), failed=True)
 
 
-def _judged_together(
-    records: Sequence[_Opened], reading: SceneReading
-) -> Iterator[tuple[_Opened, list[SampleRow] | InputError]]:
+def _judge_together(
+    records: Sequence[_OpenedRecord], reading: SceneReading
+) -> Iterator[tuple[_OpenedRecord, list[SampleRow] | InputError]]:
     """Rows of a scene of each record, or why it has none: all records in one, those that cannot be apart."""
     plans_of: list[list[dict[str, Any]]] = []
-    readable: list[_Opened] = []
+    readable: list[_OpenedRecord] = []
     for opened in records:
         try:
-            plans_of.append(stored_plans(opened.old, reading))
+            plans_of.append(read_stored_plans(opened.old, reading))
             readable.append(opened)
         except InputError as error:
             yield opened, error
@@ -254,7 +254,7 @@ def _judged_together(
     protocols = tuple(readable[0].versions)
     if len({opened.silent for opened in readable}) > 1:
         for opened in readable:
-            yield from _judged_together([opened], reading)
+            yield from _judge_together([opened], reading)
         return
     try:
         yield from zip(readable, judge_plans(plans_of, reading, protocols, readable[0].silent), strict=True)
@@ -266,29 +266,31 @@ def _judged_together(
                 yield opened, error
 
 
-def record_directories(root: Path) -> list[Path]:
+def find_record_directories(root: Path) -> list[Path]:
     """Folders below a folder that hold a record, or one that was stopped while it was replaced; by path."""
-    return sorted({path.parent for name in (RUN_FILE, pending(Path(), RUN_FILE).name) for path in root.rglob(name)})
+    return sorted(
+        {path.parent for name in (RUN_FILE, pending_path(Path(), RUN_FILE).name) for path in root.rglob(name)}
+    )
 
 
-def _replaced(opened: _Opened) -> tuple[RunRecord, str]:
+def _replace_record(opened: _OpenedRecord) -> tuple[RunRecord, str]:
     """Write a record that was judged anew, unless nothing changes; the record and what became of it."""
     old, directory = opened.old, opened.old.directory
     rows = opened.rows.in_order_of(old.run.scenes)
-    scene_facts = with_truth(scene_facts_now(old.run, opened.data), opened.truths)
+    scene_facts = add_truth_facts(read_current_scene_facts(old.run, opened.data), opened.truths)
     facts = {
         **{name: value for name, value in dict(old.run).items() if name not in _OF_THE_VERDICTS},
         "scene_facts": scene_facts,
-        "caveats": run_caveats(old.run.planner, scene_facts, rows, old.run.caveats),
+        "caveats": list_run_caveats(old.run.planner, scene_facts, rows, old.run.caveats),
         "config": {**old.run.config, "protocols": list(opened.versions)},
     }
-    if stored_schema(directory) == SCHEMA and _nothing_changes(old, facts, rows, opened.versions):
+    if stored_schema(directory) == SCHEMA and _is_unchanged(old, facts, rows, opened.versions):
         return old, "current"
     facts["rescored"] = environment_facts()
     return write_record(directory, facts, rows, opened.versions, seed=old.run.seed), "rescored"
 
 
-def scene_facts_now(facts: RecordFacts, data: "DataSet") -> dict[str, SceneFacts]:
+def read_current_scene_facts(facts: RecordFacts, data: "DataSet") -> dict[str, SceneFacts]:
     """Facts of the data set, and a record's facts of scenes that are not judged here: the tracks are the same."""
     known = facts.scene_facts
     return {
@@ -313,12 +315,12 @@ def require_same_data(directory: Path, facts: RecordFacts, data: "DataSet", *, a
     review = data.review(facts.split).facts
     if (None if facts.review is None else facts.review.content) != (None if review is None else review.content):
         raise InputError(
-            f"{directory} ran under other verdicts of inspectors ({review_words(facts.review)}) than lie "
-            f"beside {data.root} now ({review_words(review)}); run challenger-bench {again} again, kept plans stay"
+            f"{directory} ran under other verdicts of inspectors ({describe_review(facts.review)}) than lie "
+            f"beside {data.root} now ({describe_review(review)}); run challenger-bench {again} again, kept plans stay"
         )
 
 
-def rows_judged_anew(
+def rejudge_rows(
     record: RunRecord, reading: SceneReading, protocols: tuple[str, ...], silent: Collection[str] = ()
 ) -> list[SampleRow]:
     """Rows of one scene, a row for each sample, computed from the stored plans and the data set.
@@ -326,10 +328,10 @@ def rows_judged_anew(
     Args:
         silent: Those of them that say nothing of contacts here (`benchmark.runs.rescoring`).
     """
-    return judge_plans([stored_plans(record, reading)], reading, protocols, silent)[0]
+    return judge_plans([read_stored_plans(record, reading)], reading, protocols, silent)[0]
 
 
-def stored_plans(record: RunRecord, reading: SceneReading) -> list[dict[str, Any]]:
+def read_stored_plans(record: RunRecord, reading: SceneReading) -> list[dict[str, Any]]:
     """A record's plans of a scene, a JSON object for each sample; the record must hold the samples of the scene."""
     plans = [row.model_dump(mode="json", include=_OF_THE_PLAN) for row in record.rows_of(reading.name)]
     if [plan["sample_token"] for plan in plans] != [truth.sample_token for truth in reading.truth]:
@@ -339,10 +341,10 @@ def stored_plans(record: RunRecord, reading: SceneReading) -> list[dict[str, Any
     return plans
 
 
-def _nothing_changes(record: RunRecord, facts: dict[str, Any], rows: Rows, versions: dict[str, int]) -> bool:
+def _is_unchanged(record: RunRecord, facts: dict[str, Any], rows: SampleRows, versions: dict[str, int]) -> bool:
     return (
         record.rows == rows
         and record.run.protocols == versions
         and all(getattr(record.run, name) == value for name, value in facts.items())
-        and record.summary == summarise(rows, versions, seed=record.run.seed, scene_facts=facts["scene_facts"])
+        and record.summary == summarise_rows(rows, versions, seed=record.run.seed, scene_facts=facts["scene_facts"])
     )

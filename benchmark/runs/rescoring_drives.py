@@ -4,20 +4,26 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmark.closed_loop.engines import rides_as
+from benchmark.closed_loop.engines import restore_backend
 from benchmark.closed_loop.scoring import VERSION
-from benchmark.datasets.scene_facts import with_truth
+from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError
-from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.environment import read_machine_metadata as environment_facts
 from benchmark.machine.extension import AbsentExtensionError
-from benchmark.machine.storage import only_writer
-from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise, write_drives
-from benchmark.records.store import pending, settle
-from benchmark.runs.caveats import drive_caveats
-from benchmark.runs.drive_rows import compared_drive, with_labels
-from benchmark.runs.redriving import driven_again
-from benchmark.runs.rescoring import Opened, Rescored, opened_as, require_same_data, scene_facts_now
-from benchmark.runs.scene_work import truths_of
+from benchmark.machine.storage import lock_folder
+from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise_episodes, write_drives
+from benchmark.records.store import finish_replacement, pending_path
+from benchmark.runs.caveats import list_drive_caveats
+from benchmark.runs.drive_rows import compare_drive, mark_labelled
+from benchmark.runs.redriving import redrive_and_score
+from benchmark.runs.rescoring import (
+    OpenedDataSets,
+    RescoringResult,
+    open_as_recorded,
+    read_current_scene_facts,
+    require_same_data,
+)
+from benchmark.runs.scene_work import collect_truth_facts
 from benchmark.untrusted.plan_plausibility import ComparedPlans
 
 if TYPE_CHECKING:
@@ -45,7 +51,7 @@ def rescore_drives(directory: Path, data: "DataSet") -> DriveRecord:
     return _rescore(directory, lambda _: data)[0]
 
 
-def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_name: str) -> Iterator[Rescored]:
+def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_name: str) -> Iterator[RescoringResult]:
     """Score all records of drives below a folder anew; one that cannot be does not stop the others.
 
     Args:
@@ -61,48 +67,50 @@ def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_
     """
     if not root.is_dir():
         raise InputError(f"there is no folder {root}; run challenger-bench drive first, or name the right --out")
-    opened: Opened = {}
+    opened: OpenedDataSets = {}
 
     def open_for(record: DriveRecord) -> "DataSet | None":
         if record.facts.data.name != data_name:
             return None
-        return opened_as(record.facts, opened, open_split)
+        return open_as_recorded(record.facts, opened, open_split)
 
-    names = (DRIVE_FILE, pending(Path(), DRIVE_FILE).name)
+    names = (DRIVE_FILE, pending_path(Path(), DRIVE_FILE).name)
     for directory in sorted({path.parent for name in names for path in root.rglob(name)}):
         try:
-            yield Rescored(directory, _rescore(directory, open_for)[1])
+            yield RescoringResult(directory, _rescore(directory, open_for)[1])
         except AbsentExtensionError as absent:
-            yield Rescored(directory, f"left alone: {absent}")
+            yield RescoringResult(directory, f"left alone: {absent}")
         except InputError as error:
-            yield Rescored(directory, str(error), failed=True)
+            yield RescoringResult(directory, str(error), failed=True)
 
 
 def _rescore(directory: Path, open_for: "Callable[[DriveRecord], DataSet | None]") -> tuple[DriveRecord, str]:
     """The record and what became of it; it is left alone where there is no data set for it."""
     if not directory.is_dir():
         raise InputError(f"there is no record of drives {directory}; name the folder that holds its {DRIVE_FILE}")
-    with only_writer(directory):
-        settle(directory, DRIVE_FILES)
+    with lock_folder(directory):
+        finish_replacement(directory, DRIVE_FILES)
         old = load_drives(directory)
         facts, measured = old.facts, old.facts.measured
         data = open_for(old)
         if data is None:
             return old, f"left alone, it is of the data set {facts.data.name}; choose that one with --data"
         require_same_data(directory, facts, data, again="drive")
-        maker = rides_as(measured)
-        truths = truths_of(data, facts.scenes)
-        rows = with_labels([driven_again(maker, data.scene(row.scene), data, row) for row in old.rows], truths)
-        compared = ComparedPlans.joined(compared_drive(data.scene(row.scene), row) for row in rows)
+        maker = restore_backend(measured)
+        truths = collect_truth_facts(data, facts.scenes)
+        rows = mark_labelled([redrive_and_score(maker, data.scene(row.scene), data, row) for row in old.rows], truths)
+        compared = ComparedPlans.joined(compare_drive(data.scene(row.scene), row) for row in rows)
         described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
-        scene_facts = with_truth(scene_facts_now(facts, data), truths)
+        scene_facts = add_truth_facts(read_current_scene_facts(facts, data), truths)
         described |= {
             "scoring": VERSION,
             "scene_facts": scene_facts,
-            "caveats": drive_caveats(facts.planner, scene_facts, rows, measured, compared, facts.caveats),
+            "caveats": list_drive_caveats(facts.planner, scene_facts, rows, measured, compared, facts.caveats),
         }
         same = list(old.rows) == rows and all(getattr(facts, name) == value for name, value in described.items())
-        if same and old.summary == summarise(rows, described["scene_facts"], seed=facts.seed, engine=measured.engine):
+        if same and old.summary == summarise_episodes(
+            rows, described["scene_facts"], seed=facts.seed, engine=measured.engine
+        ):
             return old, "current"
         described["rescored"] = environment_facts()
         return write_drives(directory, described, rows, seed=facts.seed), "rescored"

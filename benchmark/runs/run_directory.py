@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmark.machine.storage import content_key, file_name
+from benchmark.machine.storage import content_key, sanitise_file_name
 from benchmark.records.run_schema import AS_PUBLISHED, PlannerFacts
 
 
@@ -21,4 +21,4 @@ def run_directory(out: Path, data_name: str, split: str, planner: PlannerFacts, 
     if AS_PUBLISHED in planner.settings:
         special[AS_PUBLISHED] = planner.settings[AS_PUBLISHED]
     suffix = f"-{content_key(special)[:8]}" if any(special.values()) else ""
-    return out / file_name(data_name) / file_name(split) / (file_name(planner.name) + suffix)
+    return out / sanitise_file_name(data_name) / sanitise_file_name(split) / (sanitise_file_name(planner.name) + suffix)

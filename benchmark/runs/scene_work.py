@@ -12,18 +12,18 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmark.datasets.sample_truth import truth_of_scene
-from benchmark.datasets.truth_facts import truth_facts
-from benchmark.machine.metering import keep_pages_of
+from benchmark.datasets.sample_truth import compute_truth
+from benchmark.datasets.truth_facts import compute_truth_facts
+from benchmark.machine.metering import disable_malloc_trim_for
 from benchmark.machine.storage import content_key
-from benchmark.metrics.places import Circumstances, circumstances_of
+from benchmark.metrics.places import SampleContext, read_sample_contexts
 from benchmark.pdm.recording import RecordedScene
 from benchmark.planning import ContinuousPlanner, Observation, Planner
 from benchmark.records.planner_cost import SceneCost
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run_schema import PlannerFacts, TruthFacts
 from benchmark.runs.judging import judge_plans
-from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, kept_rows, plan_scene, scene_key
+from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, read_cached_plan_rows, scene_key
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
@@ -58,19 +58,19 @@ class SceneReading:
     @cached_property
     def truth_facts(self) -> TruthFacts:
         """Facts of the data set about the scene's truth."""
-        return truth_facts(self._data, self.name, self.truth)
+        return compute_truth_facts(self._data, self.name, self.truth)
 
     def longer(self, steps: int) -> tuple[SampleTruth, ...]:
         """The same for more steps than protocols need."""
         if steps not in self._longer:
             tokens = [truth.sample_token for truth in self.truth]
-            self._longer[steps] = truth_of_scene(self._data.scene(self.name), tokens, steps)
+            self._longer[steps] = compute_truth(self._data.scene(self.name), tokens, steps)
         return self._longer[steps]
 
     @cached_property
-    def around(self) -> tuple[Circumstances, ...]:
+    def around(self) -> tuple[SampleContext, ...]:
         """Place and speed of the recorded car at each sample."""
-        return circumstances_of(self._data.scene(self.name))
+        return read_sample_contexts(self._data.scene(self.name))
 
     @cached_property
     def mapped(self) -> Scene | None:
@@ -83,13 +83,13 @@ class SceneReading:
         return None if self.mapped is None else RecordedScene(self.mapped)
 
 
-def truths_of(data: "DataSet", scenes: Iterable[str]) -> dict[str, TruthFacts]:
+def collect_truth_facts(data: "DataSet", scenes: Iterable[str]) -> dict[str, TruthFacts]:
     """Facts of a data set about the truth of scenes, by name, for records whose units do not bring them along."""
     return {name: SceneReading(data, name).truth_facts for name in scenes}
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class EvaluationJob:
     """Settings that every unit of work needs; picklable.
 
     Attributes:
@@ -122,16 +122,20 @@ class SceneResult:
         return self.cost is None
 
 
-def work_here(runs: Sequence[Run], data: "DataSet", planners: Sequence[Planner], scene: str) -> list[SceneResult]:
+def evaluate_scene(
+    runs: Sequence[EvaluationJob], data: "DataSet", planners: Sequence[Planner], scene: str
+) -> list[SceneResult]:
     """Plan a scene with every planner, or take the plans that are kept, and judge them; the scene is read once."""
     reading, planned = SceneReading(data, scene), []
     for run, planner in zip(runs, planners, strict=True):
         key = scene_key(run.fingerprint, run.split, scene, run.planner)
         planned.append(plan_scene(planner, reading, scene, run.directory, key, fresh=run.fresh))
-    return judged_scenes(runs, reading, planned)
+    return judge_scenes(runs, reading, planned)
 
 
-def judged_scenes(runs: Sequence[Run], reading: SceneReading, planned: Sequence[PlannedScene]) -> list[SceneResult]:
+def judge_scenes(
+    runs: Sequence[EvaluationJob], reading: SceneReading, planned: Sequence[PlannedScene]
+) -> list[SceneResult]:
     """Judge the plans of a scene, those of runs with the same protocols together."""
     results: dict[int, SceneResult] = {}
     for protocols in dict.fromkeys(run.protocols for run in runs):
@@ -145,39 +149,39 @@ def judged_scenes(runs: Sequence[Run], reading: SceneReading, planned: Sequence[
     return [results[place] for place in range(len(runs))]
 
 
-def judged_scene(run: Run, reading: SceneReading, planned: PlannedScene) -> SceneResult:
+def judge_scene(run: EvaluationJob, reading: SceneReading, planned: PlannedScene) -> SceneResult:
     """Judge the plans of a scene."""
-    return judged_scenes([run], reading, [planned])[0]
+    return judge_scenes([run], reading, [planned])[0]
 
 
 _in_this_process: dict[str, tuple["DataSet", tuple[Planner, ...]]] = {}
 """Data set and planners of a worker process, opened once."""
 
 
-def work_in_worker(
-    runs: Sequence[Run], reopen: Callable[[], "DataSet"], factories: Sequence[PlannerFactory], scene: str
+def evaluate_scene_in_worker(
+    runs: Sequence[EvaluationJob], reopen: Callable[[], "DataSet"], factories: Sequence[PlannerFactory], scene: str
 ) -> list[SceneResult]:
-    """`work_here` in a worker process, which opens the data set and builds the planners the first time."""
+    """`evaluate_scene` in a worker process, which opens the data set and builds the planners the first time."""
     key = content_key([(run.fingerprint, run.planner.model_dump(mode="json")) for run in runs])
     if key not in _in_this_process:
-        keep_pages_of(*(run.planner.weights_sha256 for run in runs))
+        disable_malloc_trim_for(*(run.planner.weights_sha256 for run in runs))
         _in_this_process[key] = (reopen(), tuple(factory() for factory in factories))
-    return work_here(runs, *_in_this_process[key], scene)
+    return evaluate_scene(runs, *_in_this_process[key], scene)
 
 
-def reopening(data: "DataSet") -> Callable[[], "DataSet"]:
+def make_reopener(data: "DataSet") -> Callable[[], "DataSet"]:
     """Opener of a data set in a worker process."""
-    return partial(_reopened, data.root, data.version, data.name, data.categories)
+    return partial(_reopen, data.root, data.version, data.name, data.categories)
 
 
-def _reopened(root: Path, version: str, name: str, categories: "CategoryNames") -> "DataSet":
+def _reopen(root: Path, version: str, name: str, categories: "CategoryNames") -> "DataSet":
     # The devkit behind it takes seconds to import.
     from benchmark.datasets.roots import open_data
 
     return open_data(root, version=version, name=name, categories=dict(categories))
 
 
-def published_order(data: "DataSet", scenes: Sequence[str]) -> tuple[str, ...]:
+def sort_as_published(data: "DataSet", scenes: Sequence[str]) -> tuple[str, ...]:
     """The order in which official code evaluates scenes: that of their samples' times.
 
     Scenes that were made from one recording share its times; official code would mix their samples, and the authors of
@@ -192,18 +196,22 @@ def published_order(data: "DataSet", scenes: Sequence[str]) -> tuple[str, ...]:
     return tuple(by_time) if are_apart else tuple(sorted(scenes, key=lambda name: (spans[name][2], name)))
 
 
-def work_through(run: Run, data: "DataSet", planner: ContinuousPlanner, scenes: Sequence[str]) -> Iterator[SceneResult]:
+def evaluate_split_in_order(
+    run: EvaluationJob, data: "DataSet", planner: ContinuousPlanner, scenes: Sequence[str]
+) -> Iterator[SceneResult]:
     """Plan and judge all scenes of a split in the published order, with the memory that the one before left.
 
     Plans are taken from before where those of all scenes are kept; where any is not, all are made again, because it is
     not known what was remembered.
     """
-    order = published_order(data, scenes)
+    order = sort_as_published(data, scenes)
     keys = {
         name: content_key(scene_key(run.fingerprint, run.split, name, run.planner), "after", list(order[:place]))
         for place, name in enumerate(order)
     }
-    cached_rows = {name: None if run.fresh else kept_rows(run.directory, name, keys[name]) for name in order}
+    cached_rows = {
+        name: None if run.fresh else read_cached_plan_rows(run.directory, name, keys[name]) for name in order
+    }
     all_cached = all(rows is not None for rows in cached_rows.values())
     if not all_cached:
         planner.begin_run()
@@ -213,4 +221,4 @@ def work_through(run: Run, data: "DataSet", planner: ContinuousPlanner, scenes: 
             planned = PlannedScene(rows, None)
         else:
             planned = plan_scene(planner, data, name, run.directory, keys[name], fresh=True)
-        yield judged_scene(run, SceneReading(data, name), planned)
+        yield judge_scene(run, SceneReading(data, name), planned)

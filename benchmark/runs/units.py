@@ -19,11 +19,11 @@ from typing import Any, Final, Generic, Self, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from benchmark.errors import InputError
-from benchmark.machine.progress import Count
-from benchmark.machine.storage import canonical_json, file_name, write_bytes, write_parts, writing_to
+from benchmark.machine.progress import CountedUnits
+from benchmark.machine.storage import canonical_json, sanitise_file_name, write_bytes, write_parts, writing_to
 from benchmark.machine.workers import Executor
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.rows import Rows
+from benchmark.records.rows import SampleRows
 from benchmark.untrusted.files import JSON, read_file
 from benchmark.untrusted.text_files import parse_json
 
@@ -34,7 +34,7 @@ def write_failures(directory: Path, rows: Sequence[SampleRow]) -> None:
     """Write every traceback below the scene and the sample that it is of; remove the file where there is none."""
     path = directory / FAILURES_FILE
     # Of a compressed record the scenes without a failure are not unpacked.
-    candidate_rows = rows.of_failed_scenes() if isinstance(rows, Rows) else rows
+    candidate_rows = rows.of_failed_scenes() if isinstance(rows, SampleRows) else rows
     failed = [row for row in candidate_rows if row.error is not None]
     if not failed:
         with writing_to(path):
@@ -47,7 +47,7 @@ def write_failures(directory: Path, rows: Sequence[SampleRow]) -> None:
     write_bytes(path, (head + "\n".join(parts)).encode(errors="backslashreplace"))
 
 
-def first_failure(rows: Sequence[SampleRow]) -> str | None:
+def find_first_failure(rows: Sequence[SampleRow]) -> str | None:
     """The last line of the first traceback, which says what was raised; ``None`` if nothing was."""
     error = next((row.error for row in rows if row.error is not None), None)
     if error is None:
@@ -80,7 +80,7 @@ class ResultStore(Generic[Value]):
 
     def path(self, name: str) -> Path:
         """File of a unit; its name may hold slashes."""
-        return self.folder / f"{file_name(name)}.json"
+        return self.folder / f"{sanitise_file_name(name)}.json"
 
     def get(self, key: str, name: str | None = None) -> Value | None:
         """The result that is kept under a content key, in the file of that name or of the key.
@@ -144,20 +144,20 @@ def run_units(
         before: How many were found finished already and are not among the units.
         of: How many there are in all, where ``units`` are several each.
     """
-    count = Count(noun, before, of, each=_units_in, kept=_were_kept)
+    count = CountedUnits(noun, before, of, each=_count_units, kept=_all_cached)
     return executor.map(work, units, total=total, label=label, count=count)
 
 
-def _results_in(result: Any) -> list[Any]:
+def _list_results(result: Any) -> list[Any]:
     return result if isinstance(result, list) else [result]
 
 
-def _units_in(result: Any) -> int:
-    return len(_results_in(result))
+def _count_units(result: Any) -> int:
+    return len(_list_results(result))
 
 
-def _were_kept(result: Any) -> bool:
-    return all(getattr(unit_result, "kept", False) for unit_result in _results_in(result))
+def _all_cached(result: Any) -> bool:
+    return all(getattr(unit_result, "kept", False) for unit_result in _list_results(result))
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +190,7 @@ class Shard:
 
 
 @dataclass(frozen=True, slots=True)
-class FinishedShard:
+class ShardProgress:
     """Number of scenes that a shard did or found done, and of all; where they are kept.
 
     ``directory`` is the folder of the record, or the root of the data set.

@@ -32,14 +32,14 @@ from benchmark.planning import (
     SceneInfo,
     reads_message_after,
 )
-from benchmark.runs.code_identity import loaded_code
-from benchmark.runs.plan_rows import seed_everything, traceback_text
-from benchmark.sandbox.frames import ClosedError, answer, next_question
-from benchmark.sandbox.limits import BEAT_S, on_import_of_torch, one_thread
-from benchmark.sandbox.observed import Unpacking
-from benchmark.sandbox.pictures import Viewer
-from benchmark.untrusted.answers import Unanswerable
-from benchmark.untrusted.files import one_line
+from benchmark.runs.code_identity import hash_loaded_code
+from benchmark.runs.plan_rows import format_traceback, seed_everything
+from benchmark.sandbox.frames import ClosedError, encode_answer, receive_question
+from benchmark.sandbox.limits import BEAT_S, seed_torch_on_import, use_one_thread
+from benchmark.sandbox.observed import ObservationUnpacker
+from benchmark.sandbox.pictures import SharedImageReader
+from benchmark.untrusted.answers import UnencodableValueError
+from benchmark.untrusted.files import to_one_line
 
 _LONGEST_TEXT: Final = 20_000
 """Characters of a traceback; its beginning and its end say what happened."""
@@ -57,14 +57,14 @@ def main(channel: int, pictures: int, memory_bytes: int) -> None:
         pictures: Descriptor of the shared memory.
         memory_bytes: Of data that this process may hold; 0 for as much as there is.
     """
-    _bound(memory_bytes)
+    _apply_memory_limit(memory_bytes)
     stream = socket.socket(fileno=channel)
     # A copy that the planner makes of this process must not answer in its name.
     os.register_at_fork(after_in_child=stream.close)
-    Answering(stream, Viewer(pictures)).go_on()
+    PlannerRequestHandler(stream, SharedImageReader(pictures)).go_on()
 
 
-def _bound(memory_bytes: int) -> None:
+def _apply_memory_limit(memory_bytes: int) -> None:
     limits = [(resource.RLIMIT_CORE, 0)]
     if memory_bytes:
         # What is only reserved does not count there: networks and GPUs reserve far more than they use.
@@ -75,7 +75,7 @@ def _bound(memory_bytes: int) -> None:
 
 
 @dataclass(slots=True)
-class Answering:
+class PlannerRequestHandler:
     """The planner of this process and whoever asks it.
 
     Attributes:
@@ -86,11 +86,11 @@ class Answering:
     """
 
     stream: socket.socket
-    viewer: Viewer
+    viewer: SharedImageReader
     planner: Planner | None = None
     number: int = 0
     _asking: threading.Lock = field(default_factory=threading.Lock)
-    _unpacking: Unpacking = field(default_factory=Unpacking)
+    _unpacking: ObservationUnpacker = field(default_factory=ObservationUnpacker)
     _ready: dict[str, tuple[int, tuple[int, ...], bool]] = field(default_factory=dict)
     _looked: dict[str, None] = field(default_factory=dict)
     _process: int = field(default_factory=os.getpid)
@@ -100,18 +100,18 @@ class Answering:
         threading.Thread(target=self._beat, daemon=True).start()
         while True:
             try:
-                number, kind, parts = next_question(self.stream)
+                number, kind, parts = receive_question(self.stream)
             except (ClosedError, OSError):
                 # Nobody waits for the memory to be given back piece by piece.
                 atexit._run_exitfuncs()
                 os._exit(0)
             self.number = number
             answered = self._answer(kind, parts)
-            self._end_in_a_copy()
+            self._exit_in_forked_copy()
             with self._asking:
                 self.number = 0
                 try:
-                    self.stream.sendall(_bytes(number, [self.viewer.let_go(), answered]))
+                    self.stream.sendall(_encode_or_report(number, [self.viewer.collect_released(), answered]))
                 except OSError:
                     os._exit(1)
 
@@ -121,7 +121,7 @@ class Answering:
             self.viewer.beat()
             pause.wait(BEAT_S)
 
-    def _end_in_a_copy(self) -> None:
+    def _exit_in_forked_copy(self) -> None:
         """A planner that forks and returns twice: the copy has nobody to answer."""
         if os.getpid() != self._process:
             os._exit(0)
@@ -133,19 +133,19 @@ class Answering:
         except PictureError:
             return ["picture missing"]
         except PlannerLateError as error:
-            return ["late", one_line(error)]
+            return ["late", to_one_line(error)]
         except PlannerGoneError as error:
-            return ["gone", one_line(error)]
+            return ["gone", to_one_line(error)]
         except BaseException as error:
-            return ["raised", *_said(error)]
+            return ["raised", *_describe_error(error)]
 
     def build(self, reference: str, given: Mapping[str, Any]) -> list[Any]:
         """Build the planner and say who it is; bad input is a sentence."""
         try:
             module, _, name = reference.partition(":")
             self.planner, facts = getattr(importlib.import_module(module), name)(**given)
-            one_thread()
-            return ["built", facts.model_dump_json(), _traits(self.planner)]
+            use_one_thread()
+            return ["built", facts.model_dump_json(), _list_abilities(self.planner)]
         except InputError as error:
             return ["refused", str(error)]
 
@@ -158,13 +158,13 @@ class Answering:
         """Begin a scene; with a seed, generators of this process begin there."""
         if seed is not None:
             seed_everything(seed)
-            on_import_of_torch(seed)
+            seed_torch_on_import(seed)
         self._planner.reset(scene)
         return ["done"]
 
     def loaded(self) -> list[Any]:
         """What code this process has loaded."""
-        return ["loaded", loaded_code()]
+        return ["loaded", hash_loaded_code()]
 
     def tell(self, method: str, what: Any) -> list[Any]:
         """``reveal`` or ``follow``."""
@@ -174,9 +174,9 @@ class Answering:
     def plan(self, packed: Sequence[Any], ready: dict[str, tuple[int, tuple[int, ...], bool]]) -> list[Any]:
         """Plan; pictures that are not ready are asked for when the planner looks."""
         self._ready, self._looked = ready, {}
-        plan = self._planner.plan(self._unpacking.unpacked(packed, partial(self.picture, self.number)))
+        plan = self._planner.plan(self._unpacking.unpack(packed, partial(self.picture, self.number)))
         left, self._ready = self._ready, {}
-        self.viewer.leave(place for place, _, _ in left.values())
+        self.viewer.release_unread(place for place, _, _ in left.values())
         if not isinstance(plan, Plan):
             return ["no plan", type(plan).__name__]
         return ["plan", _plain_plan(plan), list(self._looked)]
@@ -191,8 +191,8 @@ class Answering:
             self._looked[name] = None
             reply = self._ready.pop(name, None)
             if reply is None:
-                self.stream.sendall(answer(number, [self.viewer.let_go(), ["picture", name]]))
-                _, kind, parts = next_question(self.stream)
+                self.stream.sendall(encode_answer(number, [self.viewer.collect_released(), ["picture", name]]))
+                _, kind, parts = receive_question(self.stream)
                 if kind == "broken":
                     raise PictureError(*parts)
                 reply = parts
@@ -206,16 +206,16 @@ class Answering:
 
 
 _KINDS: Final[dict[str, Callable[..., list[Any]]]] = {
-    "build": Answering.build,
-    "begin_run": Answering.begin_run,
-    "reset": Answering.reset,
-    "loaded": Answering.loaded,
-    "tell": Answering.tell,
-    "plan": Answering.plan,
+    "build": PlannerRequestHandler.build,
+    "begin_run": PlannerRequestHandler.begin_run,
+    "reset": PlannerRequestHandler.reset,
+    "loaded": PlannerRequestHandler.loaded,
+    "tell": PlannerRequestHandler.tell,
+    "plan": PlannerRequestHandler.plan,
 }
 
 
-def _traits(planner: Planner) -> dict[str, bool]:
+def _list_abilities(planner: Planner) -> dict[str, bool]:
     """What a planner can do beside planning."""
     return {
         "reveal": isinstance(planner, PrivilegedPlanner),
@@ -248,28 +248,28 @@ def _plain(value: Any) -> Any:
     return np.asarray(value)
 
 
-def _bytes(number: int, answered: list[Any]) -> bytes:
+def _encode_or_report(number: int, answered: list[Any]) -> bytes:
     try:
-        return answer(number, answered)
-    except (Unanswerable, TypeError, ValueError, RecursionError, MemoryError) as error:
-        why = f"{type(error).__name__}: what was answered cannot be handed on: {one_line(error)}"
-        return answer(number, [answered[0], ["raised", why, why]])
+        return encode_answer(number, answered)
+    except (UnencodableValueError, TypeError, ValueError, RecursionError, MemoryError) as error:
+        why = f"{type(error).__name__}: what was answered cannot be handed on: {to_one_line(error)}"
+        return encode_answer(number, [answered[0], ["raised", why, why]])
 
 
-def _said(error: BaseException) -> tuple[str, str]:
+def _describe_error(error: BaseException) -> tuple[str, str]:
     """What was raised, in a line and as a traceback; its own words may be broken in every way."""
     try:
-        text = _whole(traceback_text())
+        text = _sanitise_text(format_traceback())
     except BaseException:
         text = f"{type(error).__name__}: no traceback can be had of it"
     try:
-        line = _whole(one_line("".join(traceback.format_exception_only(error))))
+        line = _sanitise_text(to_one_line("".join(traceback.format_exception_only(error))))
     except BaseException:
         line = type(error).__name__
     return line, text
 
 
-def _whole(text: str) -> str:
+def _sanitise_text(text: str) -> str:
     """Text that can be written down, of a length that somebody reads."""
     sound = text.encode(errors="backslashreplace").decode()
     half = _LONGEST_TEXT // 2

@@ -33,21 +33,21 @@ class MalformedError(Exception):
     """What the other side says is no message, or not an answer to what was asked."""
 
 
-def question(number: int, kind: str, *parts: Any) -> bytes:
+def encode_question(number: int, kind: str, *parts: Any) -> bytes:
     """The bytes of a question."""
     body = pickle.dumps((kind, parts), protocol=5)
     return _HEAD.pack(number, len(body)) + body
 
 
-def answer(number: int, value: Any) -> bytes:
-    """The bytes of an answer; raises `benchmark.untrusted.answers.Unanswerable` for what is no plain value."""
+def encode_answer(number: int, value: Any) -> bytes:
+    """The bytes of an answer; raises `benchmark.untrusted.answers.UnencodableValueError` for what is no plain value."""
     stream = io.BytesIO()
     write_answer(stream, value, PLANNER_ANSWER)
     body = stream.getbuffer()
     return _HEAD.pack(number, len(body)) + body
 
 
-def next_question(stream: socket.socket) -> tuple[int, str, tuple[Any, ...]]:
+def receive_question(stream: socket.socket) -> tuple[int, str, tuple[Any, ...]]:
     """In the planner's process: wait for a question; raises `ClosedError` when nobody asks any more."""
     # Nobody sends a second question before the first is answered, so that what comes together belongs together.
     begun = b""
@@ -59,12 +59,12 @@ def next_question(stream: socket.socket) -> tuple[int, str, tuple[Any, ...]]:
     number, length = _HEAD.unpack_from(begun)
     body = memoryview(begun)[_HEAD.size :]
     if len(body) < length:
-        body = memoryview(_exactly(stream, length, body))
+        body = memoryview(_receive_exactly(stream, length, body))
     kind, parts = pickle.loads(body)  # noqa: S301 - from the process that started this one
     return number, kind, parts
 
 
-def _exactly(stream: socket.socket, count: int, begun: memoryview) -> bytearray:
+def _receive_exactly(stream: socket.socket, count: int, begun: memoryview) -> bytearray:
     received, place = bytearray(count), len(begun)
     received[:place] = begun
     while place < count:
@@ -75,7 +75,7 @@ def _exactly(stream: socket.socket, count: int, begun: memoryview) -> bytearray:
     return received
 
 
-class Asker:
+class QuestionChannel:
     """The asking side of a connection.
 
     Args:
@@ -93,7 +93,7 @@ class Asker:
         """Send a question.
 
         Args:
-            message: From `question`.
+            message: From `encode_question`.
             deadline: On the monotonic clock.
 
         Raises:
@@ -151,7 +151,7 @@ class Asker:
         """The first bytes of an answer, a whole head at least."""
         received, self._ahead = self._ahead, bytearray()
         while len(received) < _HEAD.size:
-            received += self._some(_AT_ONCE, deadline)
+            received += self._receive_some(_AT_ONCE, deadline)
         return received
 
     def _whole(self, begun: bytearray, length: int, deadline: float) -> bytearray:
@@ -163,12 +163,12 @@ class Asker:
         received, place = bytearray(length), len(begun) - _HEAD.size
         received[:place] = memoryview(begun)[_HEAD.size :]
         while place < length:
-            piece = self._some(min(_PIECE, length - place), deadline)
+            piece = self._receive_some(min(_PIECE, length - place), deadline)
             received[place : place + len(piece)] = piece
             place += len(piece)
         return received
 
-    def _some(self, most: int, deadline: float) -> bytes:
+    def _receive_some(self, most: int, deadline: float) -> bytes:
         """What there is, once there is something."""
         while True:
             try:

@@ -25,7 +25,7 @@ _ADOPT_ORPHANS: Final = 36
 _PAUSE_S: Final = 0.005
 
 
-def live_under_guard(channel: int, lifeline: int, pictures: int, memory_bytes: int) -> None:
+def run_under_reaper(channel: int, lifeline: int, pictures: int, memory_bytes: int) -> None:
     """Live as a guardian and as the planner's process that it guards; the one main function of both.
 
     Args:
@@ -36,14 +36,14 @@ def live_under_guard(channel: int, lifeline: int, pictures: int, memory_bytes: i
     """
     for descriptor in (channel, lifeline, pictures):
         os.set_inheritable(descriptor, False)
-    _fork_under_guard(socket.socket(fileno=lifeline))
+    _fork_under_reaper(socket.socket(fileno=lifeline))
     # The guardian is small because it has nothing of this.
     from benchmark.sandbox.child import main
 
     main(channel, pictures, memory_bytes)
 
 
-def _fork_under_guard(lifeline: socket.socket) -> None:
+def _fork_under_reaper(lifeline: socket.socket) -> None:
     """Go on in a child process; this one guards it and does not return.
 
     Args:
@@ -68,12 +68,12 @@ def _fork_under_guard(lifeline: socket.socket) -> None:
             os._exit(1)
         return
     try:
-        _guard(planner, lifeline, woken, wake)
+        _reap_until_end(planner, lifeline, woken, wake)
     finally:
         os._exit(0)
 
 
-def _guard(planner: int, lifeline: socket.socket, woken: int, wake: int) -> None:
+def _reap_until_end(planner: int, lifeline: socket.socket, woken: int, wake: int) -> None:
     # A pipe without a writer is always ready: waiting for it would take a whole processor.
     _close_all_but(lifeline.fileno(), woken, wake)
     status: int | None = None
@@ -81,7 +81,7 @@ def _guard(planner: int, lifeline: socket.socket, woken: int, wake: int) -> None
         ready, _, _ = select.select([lifeline.fileno(), woken], [], [])
         if woken in ready:
             os.read(woken, 4096)
-        status, _ = _reaped(planner)
+        status, _ = _reap_children(planner)
         if lifeline.fileno() in ready:
             break
     status = _end_all(planner, status)
@@ -99,7 +99,7 @@ def _close_all_but(*kept: int) -> None:
     os.closerange(first, min(highest, 1 << 16))
 
 
-def _reaped(planner: int) -> tuple[int | None, bool]:
+def _reap_children(planner: int) -> tuple[int | None, bool]:
     """Bury the dead: how the planner ended, if it did, and whether anybody is left."""
     planner_status = None
     try:
@@ -114,16 +114,16 @@ def _end_all(planner: int, status: int | None) -> int:
     """Kill whatever descends from this process until nothing is left; how the planner ended."""
     until, has_children = time.monotonic() + REAPING_S, True
     while has_children and time.monotonic() < until:
-        for process in {*_descendants(os.getpid()), *([planner] if status is None else [])}:
+        for process in {*_list_descendants(os.getpid()), *([planner] if status is None else [])}:
             with contextlib.suppress(OSError):
                 os.kill(process, signal.SIGKILL)
-        planner_status, has_children = _reaped(planner)
+        planner_status, has_children = _reap_children(planner)
         status = status if planner_status is None else planner_status
         time.sleep(_PAUSE_S if has_children else 0.0)
     return signal.SIGKILL if status is None else status
 
 
-def _descendants(of: int) -> set[int]:
+def _list_descendants(of: int) -> set[int]:
     """Processes that descend from one, as far as ``/proc`` says."""
     parents: dict[int, int] = {}
     for stat_file in Path("/proc").glob("[0-9]*/stat"):

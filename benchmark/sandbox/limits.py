@@ -22,7 +22,7 @@ ONE_THREAD: Final = dict.fromkeys(
 _TORCH: Final = "torch"
 
 
-def one_thread() -> None:
+def use_one_thread() -> None:
     """Make the libraries that are loaded compute with one thread, whatever the planner told them."""
     if _TORCH in sys.modules:
         sys.modules[_TORCH].set_num_threads(1)
@@ -33,14 +33,14 @@ def one_thread() -> None:
     threadpool_limits(1, user_api="blas")
 
 
-def on_import_of_torch(seed: int) -> None:
+def seed_torch_on_import(seed: int) -> None:
     """Seed PyTorch when it is imported, if it is not there yet; the last seed counts."""
     if _TORCH not in sys.modules:
-        sys.meta_path[:] = [finder for finder in sys.meta_path if not isinstance(finder, _Finder)]
-        sys.meta_path.insert(0, _Finder(seed))
+        sys.meta_path[:] = [finder for finder in sys.meta_path if not isinstance(finder, _SeedingTorchFinder)]
+        sys.meta_path.insert(0, _SeedingTorchFinder(seed))
 
 
-class _Finder:
+class _SeedingTorchFinder:
     """Finds PyTorch as everybody does, and seeds it once it is loaded."""
 
     def __init__(self, seed: int) -> None:
@@ -87,7 +87,7 @@ MOST_MEMORY_GIB: Final = 65_536.0
 
 
 @dataclass(frozen=True, slots=True)
-class Supervision:
+class SandboxLimits:
     """How a planner in a process of its own is watched over.
 
     Attributes:
@@ -103,7 +103,7 @@ class Supervision:
     silence_s: float = SILENCE_S
 
     @classmethod
-    def of(cls, sample_limit: float | None, memory_limit: float | None) -> "Supervision":
+    def of(cls, sample_limit: float | None, memory_limit: float | None) -> "SandboxLimits":
         """The limits that options name.
 
         Args:

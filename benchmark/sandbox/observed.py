@@ -21,7 +21,7 @@ Layout = tuple[tuple[np.dtype[Any], tuple[int, ...]] | None, ...]
 _ALIGNED_BYTES: Final = 8
 
 
-class Packing:
+class ObservationPacker:
     """Packs the observations of one planner; what stays as it was is said once."""
 
     def __init__(self) -> None:
@@ -44,21 +44,21 @@ class Packing:
         known, self._said = layout == self._said, layout
         values = (seen.scene, seen.sample_token, seen.index, seen.timestamp_us, int(seen.command))
         motion = (ego.yaw_rate, ego.steering_angle, ego.source)
-        return values, motion, views, None if known else layout, _bytes(arrays)
+        return values, motion, views, None if known else layout, _join_bytes(arrays)
 
 
-class Unpacking:
+class ObservationUnpacker:
     """The planner's side."""
 
     def __init__(self) -> None:
         self._places: list[tuple[tuple[int, ...], np.dtype[Any], int] | None] = []
         self._folders: dict[str, Path] = {}
 
-    def unpacked(self, packed: Sequence[Any], load: Callable[[str], NDArray[np.uint8]]) -> Observation:
+    def unpack(self, packed: Sequence[Any], load: Callable[[str], NDArray[np.uint8]]) -> Observation:
         """The observation.
 
         Args:
-            packed: What `Packing.packed` gave.
+            packed: What `ObservationPacker.packed` gave.
             load: Reads the picture of a camera.
 
         Returns:
@@ -66,7 +66,7 @@ class Unpacking:
         """
         values, motion, views, layout, data = packed
         if layout is not None:
-            self._places = _places(layout)
+            self._places = _compute_offsets(layout)
         arrays: Iterator[Any] = iter(
             [None if place is None else np.ndarray(place[0], place[1], data, place[2]) for place in self._places]
         )
@@ -117,7 +117,7 @@ class Unpacking:
         return known / name
 
 
-def _bytes(arrays: Sequence[NDArray[Any] | None]) -> bytearray:
+def _join_bytes(arrays: Sequence[NDArray[Any] | None]) -> bytearray:
     """The bytes of arrays one after the other, each beginning where every number may."""
     pieces = []
     for array in arrays:
@@ -129,7 +129,7 @@ def _bytes(arrays: Sequence[NDArray[Any] | None]) -> bytearray:
     return bytearray(b"".join(pieces))
 
 
-def _places(layout: Layout) -> list[tuple[tuple[int, ...], np.dtype[Any], int] | None]:
+def _compute_offsets(layout: Layout) -> list[tuple[tuple[int, ...], np.dtype[Any], int] | None]:
     """Shape, type and first byte of each array."""
     places: list[tuple[tuple[int, ...], np.dtype[Any], int] | None] = []
     place = 0

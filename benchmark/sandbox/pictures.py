@@ -36,7 +36,7 @@ def _file() -> int:
         return os.dup(stream.fileno())
 
 
-class Shelf:
+class SharedImagePool:
     """The side that writes pictures, and sees the heart beat.
 
     Attributes:
@@ -76,7 +76,7 @@ class Shelf:
         np.copyto(block.reshape(picture.shape), picture)
         return place
 
-    def take_back(self, places: Iterable[int]) -> None:
+    def reclaim(self, places: Iterable[int]) -> None:
         """Use blocks again that the planner has let go; raises `KeyError` for what it does not have."""
         for place in places:
             self._taken.remove(place)
@@ -97,7 +97,7 @@ class Shelf:
         return place
 
 
-class Viewer:
+class SharedImageReader:
     """The planner's side.
 
     Args:
@@ -144,11 +144,11 @@ class Viewer:
             known = self._read[place] = mmap.mmap(self._file, count, prot=mmap.PROT_READ, offset=place)
         return known
 
-    def leave(self, places: Iterable[int]) -> None:
+    def release_unread(self, places: Iterable[int]) -> None:
         """Let blocks go that nobody looked at."""
         self._let_go.extend(places)
 
-    def let_go(self) -> list[int]:
+    def collect_released(self) -> list[int]:
         """Blocks that nothing in this process holds any more, each said once."""
         released = self._let_go[:]
         del self._let_go[: len(released)]

@@ -23,8 +23,8 @@ from benchmark.planning import (
 )
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.sandbox.frames import MalformedError
-from benchmark.sandbox.limits import Supervision
-from benchmark.sandbox.observed import Packing
+from benchmark.sandbox.limits import SandboxLimits
+from benchmark.sandbox.observed import ObservationPacker
 from benchmark.sandbox.process import PlannerProcess
 from benchmark.scene import Scene
 
@@ -32,7 +32,7 @@ _LONGEST_TYPE_NAME: Final = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Maker:
+class PlannerSpec:
     """How a planner is made in its process.
 
     Attributes:
@@ -48,7 +48,7 @@ class Maker:
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class PlannerIdentity:
     """Who a planner says that it is.
 
     Attributes:
@@ -68,7 +68,7 @@ class Identity:
     reads_message_after: bool = False
 
 
-def identity_of(maker: Maker, supervision: Supervision) -> Identity:
+def find_identity(maker: PlannerSpec, supervision: SandboxLimits) -> PlannerIdentity:
     """Build a planner in a process of its own, ask who it is, and end it.
 
     Args:
@@ -83,14 +83,16 @@ def identity_of(maker: Maker, supervision: Supervision) -> Identity:
     """
     process = PlannerProcess(supervision)
     try:
-        return _built(process, maker, supervision)
+        return _build_planner(process, maker, supervision)
     except PlannerFailedError as error:
         raise InputError(f"model {maker.called!r} cannot be loaded: {error}") from error
     finally:
         process.end()
 
 
-def supervised(maker: Maker, identity: Identity, supervision: Supervision) -> "Supervised":
+def make_sandboxed_planner(
+    maker: PlannerSpec, identity: PlannerIdentity, supervision: SandboxLimits
+) -> "SandboxedPlanner":
     """A planner in a process of its own, which is started when a scene begins.
 
     Args:
@@ -101,19 +103,19 @@ def supervised(maker: Maker, identity: Identity, supervision: Supervision) -> "S
     Returns:
         It; it has those methods beside `plan` and `reset` that the planner has.
     """
-    return _class_of(identity.reveal, identity.follow, identity.begin_run)(maker, identity, supervision)
+    return _choose_class(identity.reveal, identity.follow, identity.begin_run)(maker, identity, supervision)
 
 
-class Supervised:
+class SandboxedPlanner:
     """A planner in a process of its own (`benchmark.planning.SupervisedPlanner`).
 
     Attributes:
         name: Shown in tables.
-        reads_message_after: See `Identity`.
-        memory_crosses_scenes: See `Identity`.
+        reads_message_after: See `PlannerIdentity`.
+        memory_crosses_scenes: See `PlannerIdentity`.
     """
 
-    def __init__(self, maker: Maker, identity: Identity, supervision: Supervision) -> None:
+    def __init__(self, maker: PlannerSpec, identity: PlannerIdentity, supervision: SandboxLimits) -> None:
         """Nothing is started yet."""
         self.name = identity.facts.name
         self.reads_message_after = identity.reads_message_after
@@ -123,7 +125,7 @@ class Supervised:
         self._supervision = supervision
         self._process: PlannerProcess | None = None
         self._seed: int | None = None
-        self._packing = Packing()
+        self._packing = ObservationPacker()
         self._looked: tuple[str, ...] = ()
 
     @property
@@ -199,12 +201,12 @@ class Supervised:
         ahead: Sequence[str] = (),
     ) -> list[Any]:
         try:
-            process, limit_s = self._started(), self._supervision.sample_s
+            process, limit_s = self._start(), self._supervision.sample_s
             answer = process.ask(kind, *parts, doing=doing, limit_s=limit_s, picture=picture, ahead=ahead)
-            return _understood(answer, ("plan", "no plan") if kind == "plan" else ("done", "loaded"))
+            return _check_answer(answer, ("plan", "no plan") if kind == "plan" else ("done", "loaded"))
         except (PlannerLostError, MalformedError) as error:
             self.close()
-            raise error if isinstance(error, PlannerLostError) else _misunderstood(error) from None
+            raise error if isinstance(error, PlannerLostError) else _make_lost_error(error) from None
         except PlannerFailedError:
             raise
         except BaseException:
@@ -212,15 +214,15 @@ class Supervised:
             self.close()
             raise
 
-    def _started(self) -> PlannerProcess:
+    def _start(self) -> PlannerProcess:
         if self._process is not None:
             return self._process
-        self._process, self._packing, self._looked = PlannerProcess(self._supervision), Packing(), ()
+        self._process, self._packing, self._looked = PlannerProcess(self._supervision), ObservationPacker(), ()
         try:
-            identity = _built(self._process, self._maker, self._supervision)
+            identity = _build_planner(self._process, self._maker, self._supervision)
             if identity.memory_crosses_scenes:
                 doing, limit_s = "begin_run did not return", self._supervision.sample_s
-                _understood(self._process.ask("begin_run", doing=doing, limit_s=limit_s), ("done",))
+                _check_answer(self._process.ask("begin_run", doing=doing, limit_s=limit_s), ("done",))
         except PlannerLostError:
             raise
         except (InputError, PlannerFailedError) as error:
@@ -231,19 +233,19 @@ class Supervised:
         return self._process
 
 
-class _Revealed(Supervised):
+class _SandboxedPrivilegedPlanner(SandboxedPlanner):
     def reveal(self, scene: Scene) -> None:
         """What no car sees; raises as `reset` does."""
         self._asked("tell", "reveal", scene, doing="reveal did not return")
 
 
-class _Following(Supervised):
+class _SandboxedRouteFollower(SandboxedPlanner):
     def follow(self, route: Any) -> None:
         """The route of a drive; raises as `reset` does."""
         self._asked("tell", "follow", route, doing="follow did not return")
 
 
-class _Continuous(Supervised):
+class _SandboxedContinuousPlanner(SandboxedPlanner):
     def begin_run(self) -> None:
         """Forget everything; a process that there is not yet has nothing to forget."""
         if self._process is not None:
@@ -251,14 +253,18 @@ class _Continuous(Supervised):
 
 
 @cache
-def _class_of(reveal: bool, follow: bool, begin_run: bool) -> type[Supervised]:
+def _choose_class(reveal: bool, follow: bool, begin_run: bool) -> type[SandboxedPlanner]:
     """What is asked of a planner goes by which methods it has, so it must not have others."""
-    chosen = ((_Revealed, reveal), (_Following, follow), (_Continuous, begin_run))
+    chosen = (
+        (_SandboxedPrivilegedPlanner, reveal),
+        (_SandboxedRouteFollower, follow),
+        (_SandboxedContinuousPlanner, begin_run),
+    )
     bases = tuple(base for base, wanted in chosen if wanted)
-    return type("Supervised", bases, {}) if bases else Supervised
+    return type("Supervised", bases, {}) if bases else SandboxedPlanner
 
 
-def _built(process: PlannerProcess, maker: Maker, supervision: Supervision) -> Identity:
+def _build_planner(process: PlannerProcess, maker: PlannerSpec, supervision: SandboxLimits) -> PlannerIdentity:
     answer = process.ask(
         "build",
         maker.reference,
@@ -269,14 +275,14 @@ def _built(process: PlannerProcess, maker: Maker, supervision: Supervision) -> I
     if answer[0] == "refused":
         raise InputError(str(answer[1]))
     try:
-        _understood(answer, ("built",))
+        _check_answer(answer, ("built",))
         traits = {name: bool(value) for name, value in answer[2].items()}
-        return Identity(PlannerFacts.model_validate_json(answer[1]), **traits)
+        return PlannerIdentity(PlannerFacts.model_validate_json(answer[1]), **traits)
     except (MalformedError, ValidationError, TypeError, AttributeError, IndexError) as error:
-        raise _misunderstood(error) from error
+        raise _make_lost_error(error) from error
 
 
-def _understood(answer: list[Any], expected: tuple[str, ...]) -> list[Any]:
+def _check_answer(answer: list[Any], expected: tuple[str, ...]) -> list[Any]:
     """An answer that is one to what was asked, or what it raises."""
     kind, *rest = answer
     if kind in expected:
@@ -291,7 +297,7 @@ def _understood(answer: list[Any], expected: tuple[str, ...]) -> list[Any]:
     raise MalformedError("its answer is none to what was asked")
 
 
-def _misunderstood(error: Exception) -> PlannerLostError:
+def _make_lost_error(error: Exception) -> PlannerLostError:
     return PlannerLostError(f"the planner's process broke the connection: {error}")
 
 

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.planning import PlannerLostError
-from benchmark.sandbox.frames import Asker, ClosedError, LateError, MalformedError, question
+from benchmark.sandbox.frames import ClosedError, LateError, MalformedError, QuestionChannel, encode_question
 from benchmark.sandbox.guardian import STATUS
-from benchmark.sandbox.limits import GRACE_S, MOST_PICTURE_BYTES, ONE_THREAD, REAPING_S, Supervision
-from benchmark.sandbox.pictures import Shelf, TooManyPicturesError
-from benchmark.untrusted.files import in_words, one_line
+from benchmark.sandbox.limits import GRACE_S, MOST_PICTURE_BYTES, ONE_THREAD, REAPING_S, SandboxLimits
+from benchmark.sandbox.pictures import SharedImagePool, TooManyPicturesError
+from benchmark.untrusted.files import format_bytes, to_one_line
 
 _PROGRAM: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); numbers = [*map(int, sys.argv[2:])]; del sys.argv[1:]; "
@@ -45,7 +45,7 @@ class PlannerProcess:
         supervision: Its limits.
     """
 
-    def __init__(self, supervision: Supervision) -> None:
+    def __init__(self, supervision: SandboxLimits) -> None:
         """Start the process; nothing of the planner is there yet.
 
         Raises:
@@ -53,7 +53,7 @@ class PlannerProcess:
         """
         self._supervision = supervision
         self._number = 0
-        self._shelf = Shelf()
+        self._shelf = SharedImagePool()
         channel, theirs = socket.socketpair()
         lifeline, guardians = socket.socketpair()
         given = (theirs.fileno(), guardians.fileno(), self._shelf.file)
@@ -75,8 +75,8 @@ class PlannerProcess:
         finally:
             theirs.close()
             guardians.close()
-        self._asker, self._lifeline, self._guardian = Asker(channel), lifeline, process.pid
-        self._end = weakref.finalize(self, _ended, process, channel, lifeline, self._shelf)
+        self._asker, self._lifeline, self._guardian = QuestionChannel(channel), lifeline, process.pid
+        self._end = weakref.finalize(self, _end_process, process, channel, lifeline, self._shelf)
 
     def ask(
         self,
@@ -109,7 +109,7 @@ class PlannerProcess:
         try:
             parts = parts if picture is None else (*parts, self._ready(picture, ahead))
             deadline = time.monotonic() + limit_s
-            self._asker.send(question(self._number, kind, *parts), deadline)
+            self._asker.send(encode_question(self._number, kind, *parts), deadline)
             while True:
                 self._listen(deadline)
                 answer = self._received(deadline)
@@ -130,7 +130,7 @@ class PlannerProcess:
             raise PlannerLostError(f"{silence}; it was ended", late=True) from None
         except MalformedError as error:
             self.end(at_once=True)
-            raise PlannerLostError(f"the planner's process broke the connection: {one_line(error)}") from None
+            raise PlannerLostError(f"the planner's process broke the connection: {to_one_line(error)}") from None
         except BaseException:
             # An answer that comes later must not be taken for that of the next question.
             self.end(at_once=True)
@@ -172,7 +172,7 @@ class PlannerProcess:
         message = self._asker.receive(self._number, max(deadline, time.monotonic() + GRACE_S))
         try:
             let_go, answer = message
-            self._shelf.take_back(let_go)
+            self._shelf.reclaim(let_go)
             if not isinstance(answer, list) or not isinstance(answer[0], str):
                 raise MalformedError("its answer is none")
         except (TypeError, ValueError, KeyError, IndexError) as error:
@@ -198,14 +198,14 @@ class PlannerProcess:
         """The reply to a planner that looks."""
         try:
             _, name = request
-            return question(self._number, "shown", *self._put(picture(name)))
+            return encode_question(self._number, "shown", *self._put(picture(name)))
         except InputError as error:
             broken.append(error)
-            return question(self._number, "broken", str(error))
+            return encode_question(self._number, "broken", str(error))
         except (KeyError, ValueError, TypeError) as error:
             raise MalformedError("it asked for a picture that there is not") from error
         except TooManyPicturesError as error:
-            raise MalformedError(f"it keeps more than {in_words(MOST_PICTURE_BYTES)} of pictures") from error
+            raise MalformedError(f"it keeps more than {format_bytes(MOST_PICTURE_BYTES)} of pictures") from error
 
     def _death(self) -> str:
         """How the process ended; it is gone then."""
@@ -221,14 +221,16 @@ class PlannerProcess:
             return f"the planner's process ended by itself with exit status {os.waitstatus_to_exitcode(status)}"
         number = os.WTERMSIG(status)
         hint = ", as happens where memory runs out" if number == signal.SIGKILL else ""
-        return f"the planner's process died (signal {_name(number)}{hint})"
+        return f"the planner's process died (signal {_find_signal_name(number)}{hint})"
 
 
 class _SilentError(Exception):
     """No sign of life."""
 
 
-def _ended(process: "subprocess.Popen[bytes]", channel: socket.socket, lifeline: socket.socket, shelf: Shelf) -> None:
+def _end_process(
+    process: "subprocess.Popen[bytes]", channel: socket.socket, lifeline: socket.socket, shelf: SharedImagePool
+) -> None:
     """Let a process end by itself for a moment if it has a lifeline still, then see to it that it is gone."""
     channel.close()
     if lifeline.fileno() >= 0:
@@ -252,7 +254,7 @@ def _is_open(descriptor: int) -> bool:
     return True
 
 
-def _name(number: int) -> str:
+def _find_signal_name(number: int) -> str:
     try:
         return signal.Signals(number).name
     except ValueError:

@@ -7,37 +7,37 @@ import numpy as np
 
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
 from benchmark.geometry import Bools, Floats
-from benchmark.records.scenes import Point, SheetAgent, SheetEgo
+from benchmark.records.scenes import PageAgent, PageEgo, Point
 from benchmark.scene import Scene
 
 NEAR_M: Final = 80.0
 """Agents are shown while they are so near to the ego."""
 
 
-def origin_of(scene: Scene) -> Point:
+def find_origin(scene: Scene) -> Point:
     """Origin of a sheet's positions: the ego's first position, whole metres."""
     x, y = np.rint(scene.ego.position[0, :2])
     return float(x), float(y)
 
 
-def ego_of(scene: Scene, origin: Point) -> SheetEgo:
+def build_ego_track(scene: Scene, origin: Point) -> PageEgo:
     """Recorded motion of the ego, one pose a frame, rounded to centimetres and milliradians.
 
     Args:
         origin: (x, y) that positions are relative to, global frame.
     """
     pose = scene.ego.pose
-    return SheetEgo(
-        x_m=_rounded(pose[:, 0] - origin[0], 2),
-        y_m=_rounded(pose[:, 1] - origin[1], 2),
-        yaw_rad=_rounded(_wrapped(pose[:, 2]), 3),
+    return PageEgo(
+        x_m=_round_values(pose[:, 0] - origin[0], 2),
+        y_m=_round_values(pose[:, 1] - origin[1], 2),
+        yaw_rad=_round_values(_wrap_headings(pose[:, 2]), 3),
         length_m=EGO_LENGTH_M,
         width_m=EGO_BODY_WIDTH_M,
         centre_ahead_m=EGO_CENTER_FROM_REAR_AXLE_M,
     )
 
 
-def agents_of(scene: Scene, origin: Point) -> tuple[SheetAgent, ...]:
+def build_agent_tracks(scene: Scene, origin: Point) -> tuple[PageAgent, ...]:
     """Tracks of the agents that come near the ego, and of all adversaries.
 
     Args:
@@ -54,38 +54,38 @@ def agents_of(scene: Scene, origin: Point) -> tuple[SheetAgent, ...]:
     visible[adversaries] = agents.valid[adversaries]
     order = sorted(range(len(agents)), key=lambda agent: adversaries[agent])
     return tuple(
-        _agent(scene, agent, visible[agent], origin, adversary=adversaries[agent])
+        _build_agent_track(scene, agent, visible[agent], origin, adversary=adversaries[agent])
         for agent in order
         if visible[agent].any()
     )
 
 
-def _agent(scene: Scene, agent: int, shown: Bools, origin: Point, *, adversary: bool) -> SheetAgent:
+def _build_agent_track(scene: Scene, agent: int, shown: Bools, origin: Point, *, adversary: bool) -> PageAgent:
     at = np.flatnonzero(shown)
     frames = slice(int(at[0]), int(at[-1]) + 1)
     agents = scene.agents
     there = agents.valid[agent, frames]
     length_m, width_m, height_m = (round(float(side), 2) for side in agents.size[agent])
-    return SheetAgent(
+    return PageAgent(
         id=agents.ids[agent],
         category=agents.categories[agent],
         size_m=(length_m, width_m, height_m),
         adversary=adversary,
         first=frames.start,
-        x_m=_where(there, _rounded(agents.position[agent, frames, 0] - origin[0], 2)),
-        y_m=_where(there, _rounded(agents.position[agent, frames, 1] - origin[1], 2)),
-        yaw_rad=_where(there, _rounded(_wrapped(agents.yaw[agent, frames]), 3)),
+        x_m=_mask_absent(there, _round_values(agents.position[agent, frames, 0] - origin[0], 2)),
+        y_m=_mask_absent(there, _round_values(agents.position[agent, frames, 1] - origin[1], 2)),
+        yaw_rad=_mask_absent(there, _round_values(_wrap_headings(agents.yaw[agent, frames]), 3)),
     )
 
 
-def _wrapped(yaw: Floats) -> Floats:
+def _wrap_headings(yaw: Floats) -> Floats:
     return np.asarray(np.angle(np.exp(1j * yaw)))
 
 
-def _rounded(values: Floats, digits: int) -> tuple[float, ...]:
+def _round_values(values: Floats, digits: int) -> tuple[float, ...]:
     # Adding zero turns a negative zero into zero.
     return tuple((np.round(values, digits) + 0.0).tolist())
 
 
-def _where(there: Bools, values: Sequence[float]) -> tuple[float | None, ...]:
+def _mask_absent(there: Bools, values: Sequence[float]) -> tuple[float | None, ...]:
     return tuple(value if known else None for known, value in zip(there, values, strict=True))

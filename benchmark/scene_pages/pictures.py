@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.box_projection import BOX_EDGES, agents_at, at_near_plane, corners_of_box, to_camera
+from benchmark.box_projection import BOX_EDGES, compute_box_corners, interpolate_agents, intersect_near_plane, to_camera
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.planning import CameraView
-from benchmark.records.scenes import CAMERA_GRID, Segment, SheetCamera
-from benchmark.report.words import counted
+from benchmark.records.scenes import CAMERA_GRID, PageCamera, Segment
+from benchmark.report.words import pluralise
 from benchmark.scene import Camera, Scene
 
 Videos = Mapping[str, Sequence[CameraView]]
@@ -32,7 +32,7 @@ class PicturedFrame:
     views: Mapping[str, CameraView]
 
 
-def with_files(scene: str, videos: Videos) -> Videos:
+def keep_existing_images(scene: str, videos: Videos) -> Videos:
     """Images that are there: all, or none where all files are missing, for the scene is one without images.
 
     Where only some are missing the scene is refused.
@@ -41,20 +41,20 @@ def with_files(scene: str, videos: Videos) -> Videos:
     missing = [path for path in paths if not path.is_file()]
     if missing and len(missing) < len(paths):
         raise InputError(
-            f"image {missing[0]} is missing, {len(missing)} of {counted(len(paths), 'image')} of scene {scene} "
+            f"image {missing[0]} is missing, {len(missing)} of {pluralise(len(paths), 'image')} of scene {scene} "
             "are; complete the "
             "data set, or make sheets with --pictures none"
         )
     return {} if missing else {name: views for name, views in videos.items() if views}
 
 
-def between_samples(keyframes: Videos, every: Videos) -> Videos:
+def select_sweeps(keyframes: Videos, every: Videos) -> Videos:
     """The images of all that are not those of a sample."""
     own = {(name, view.path) for name, views in keyframes.items() for view in views}
     return {name: tuple(view for view in views if (name, view.path) not in own) for name, views in every.items()}
 
 
-def pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> tuple[PicturedFrame, ...]:
+def select_pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> tuple[PicturedFrame, ...]:
     """Which frames get a picture, of which images.
 
     Args:
@@ -91,7 +91,7 @@ def pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> tuple[Pi
     return tuple(PicturedFrame(frame, views_of_frame[frame]) for frame in sorted(complete_frames))
 
 
-def layout(cameras: Mapping[str, Camera], cell_width_px: int) -> tuple[SheetCamera, ...]:
+def lay_out_cameras(cameras: Mapping[str, Camera], cell_width_px: int) -> tuple[PageCamera, ...]:
     """Cells of the cameras: the rows of `CAMERA_GRID`, then rows of three of cameras that are not in it.
 
     Args:
@@ -103,25 +103,25 @@ def layout(cameras: Mapping[str, Camera], cell_width_px: int) -> tuple[SheetCame
     usual = {name for row in CAMERA_GRID for name in row}
     others = sorted(set(cameras) - usual)
     rows = [*CAMERA_GRID, *(others[first : first + 3] for first in range(0, len(others), 3))]
-    cells: list[SheetCamera] = []
+    cells: list[PageCamera] = []
     top = 0
     for row in rows:
         left = height = 0
         for name in (name for name in row if name in cameras):
-            cell = _cell(cameras[name], left, top, cell_width_px)
+            cell = _build_cell(cameras[name], left, top, cell_width_px)
             cells.append(cell)
             left, height = left + cell.width, max(height, cell.height)
         top += height
     return tuple(cells)
 
 
-def _cell(camera: Camera, left: int, top: int, cell_width_px: int) -> SheetCamera:
+def _build_cell(camera: Camera, left: int, top: int, cell_width_px: int) -> PageCamera:
     width = min(camera.width, cell_width_px)
     height = max(round(camera.height * width / camera.width), 1)
-    return SheetCamera(name=camera.name, left=left, top=top, width=width, height=height)
+    return PageCamera(name=camera.name, left=left, top=top, width=width, height=height)
 
 
-def mosaic(cells: Sequence[SheetCamera], views: Mapping[str, CameraView]) -> bytes:
+def draw_mosaic(cells: Sequence[PageCamera], views: Mapping[str, CameraView]) -> bytes:
     """One picture of all cameras, as a WebP file.
 
     Args:
@@ -145,8 +145,8 @@ def mosaic(cells: Sequence[SheetCamera], views: Mapping[str, CameraView]) -> byt
     return data.tobytes()
 
 
-def adversary_edges(
-    scene: Scene, cells: Sequence[SheetCamera], views: Mapping[str, CameraView]
+def project_adversary_edges(
+    scene: Scene, cells: Sequence[PageCamera], views: Mapping[str, CameraView]
 ) -> dict[str, tuple[Segment, ...]]:
     """Edges of the adversaries' 3-D boxes in a picture, each camera by its own exposure and pose.
 
@@ -161,18 +161,18 @@ def adversary_edges(
             continue
         view = views[cell.name]
         camera = view.camera.resized(cell.width, cell.height)
-        position, yaw, there = agents_at(scene, view.timestamp_us)
+        position, yaw, there = interpolate_agents(scene, view.timestamp_us)
         segments: list[Segment] = []
         for agent in adversaries:
             if there[agent]:
-                corners = corners_of_box(position[agent], float(yaw[agent]), scene.agents.size[agent])
-                segments += _edges(to_camera(corners, view.global_T_ego, camera), camera, cell)
+                corners = compute_box_corners(position[agent], float(yaw[agent]), scene.agents.size[agent])
+                segments += _project_edges(to_camera(corners, view.global_T_ego, camera), camera, cell)
         if segments:
             edges_of_camera[cell.name] = tuple(segments)
     return edges_of_camera
 
 
-def _edges(corners: Floats, camera: Camera, cell: SheetCamera) -> list[Segment]:
+def _project_edges(corners: Floats, camera: Camera, cell: PageCamera) -> list[Segment]:
     """Edges of one box, (8, 3) corners in camera axes."""
     segments = []
     in_front = corners[:, 2] >= NEAR_PLANE_M
@@ -181,18 +181,18 @@ def _edges(corners: Floats, camera: Camera, cell: SheetCamera) -> list[Segment]:
             continue
         ends, ahead = corners[[one, other]], in_front[[one, other]]
         if not ahead.all():
-            ends[~ahead] = at_near_plane(ends[0], ends[1], NEAR_PLANE_M)
+            ends[~ahead] = intersect_near_plane(ends[0], ends[1], NEAR_PLANE_M)
         projected = ends @ camera.intrinsic.T
         # A matrix that is none gives points that are nowhere, and those are not drawn.
         with np.errstate(all="ignore"):
-            inside = cut_at_borders(projected[:, :2] / projected[:, 2:], cell.width, cell.height)
+            inside = clip_segment(projected[:, :2] / projected[:, 2:], cell.width, cell.height)
         if inside is not None:
             (x1, y1), (x2, y2) = (np.round(inside + [cell.left, cell.top], 1) + 0.0).tolist()
             segments.append((x1, y1, x2, y2))
     return segments
 
 
-def cut_at_borders(segment: Floats, width: int, height: int) -> Floats | None:
+def clip_segment(segment: Floats, width: int, height: int) -> Floats | None:
     """Part of a (2, 2) segment inside a rectangle (Liang and Barsky), pixels.
 
     The rectangle has a corner at the origin. ``None`` where nothing that could be seen is inside.

@@ -15,9 +15,9 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
 from benchmark.machine.storage import (
     content_key,
-    file_name,
-    only_writer,
-    read_kept_json,
+    lock_folder,
+    read_cached_json,
+    sanitise_file_name,
     write_bytes,
     write_json,
     writing_to,
@@ -32,37 +32,37 @@ from benchmark.records.scenes import (
     SHEET_FILE,
     SPLIT_FILE,
     AttemptFacts,
-    Sheet,
-    SplitSheet,
+    ScenePage,
+    SplitPage,
     kept_rounds_path,
     split_folder,
 )
-from benchmark.records.statistics import Runtime, SplitStatistics
-from benchmark.report.words import counted
-from benchmark.runs.scene_work import reopening
+from benchmark.records.statistics import BuildRuntime, SplitStatistics
+from benchmark.report.words import pluralise
+from benchmark.runs.scene_work import make_reopener
 from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene_pages.making import (
     KEY,
     MAKING_VERSION,
-    Job,
-    WrittenSheet,
-    planned_sheet,
-    rounds_fit,
-    written_sheet,
+    PageJob,
+    WrittenPage,
+    do_rounds_fit,
+    preview_page,
+    write_page,
 )
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
 
-def write_split_sheet(
+def write_split_page(
     directory: Path,
     data: "DataSet",
     split: str,
     facts: DataFacts,
-    runtime: Runtime | None,
+    runtime: BuildRuntime | None,
     hyper: Mapping[str, Any] | None = None,
-) -> SplitSheet:
+) -> SplitPage:
     """Describe a split in ``split.json``.
 
     Args:
@@ -72,14 +72,14 @@ def write_split_sheet(
     reviewed = [] if review is None else [review.content]
     key = content_key("split sheet", [MAKING_VERSION, SCHEMA], facts.model_dump(mode="json"), split, *reviewed)
     store: ResultStore[SplitStatistics] = ResultStore(directory, SplitStatistics)
-    sheet = SplitSheet(
+    sheet = SplitPage(
         schema=SCHEMA,
         data=facts,
         split=split,
         scenes=data.scene_names(split),
         # Counting the tables of all nuScenes takes minutes.
         statistics=store.get(key, KEY) or statistics(data.root, split=split, version=data.version),
-        attempts=_attempts(data, split),
+        attempts=_read_attempts(data, split),
         runtime=runtime,
         review=review,
         hyper=dict(hyper or {}),
@@ -89,7 +89,7 @@ def write_split_sheet(
     return sheet
 
 
-def _attempts(data: "DataSet", split: str) -> tuple[AttemptFacts, ...]:
+def _read_attempts(data: "DataSet", split: str) -> tuple[AttemptFacts, ...]:
     """Attempts of the search; none where the root was not generated for this split."""
     provenance = data.provenance()
     path = data.root / ATTEMPTS_FILE
@@ -132,7 +132,7 @@ class SheetSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class WrittenSheets:
+class WrittenPages:
     """Outcome for a split; ``directory`` holds its ``split.json``.
 
     Attributes:
@@ -141,7 +141,7 @@ class WrittenSheets:
     """
 
     directory: Path
-    scenes: tuple[WrittenSheet, ...]
+    scenes: tuple[WrittenPage, ...]
     traced: int | None = None
 
     def as_json(self) -> dict[str, Any]:
@@ -168,10 +168,10 @@ class WrittenSheets:
             else "there already"
         )
         return (
-            f"{counted(len(self.scenes), 'sheet')} in {self.directory} ({when}): "
-            f"{total['sheet_bytes'] / 1e6:.1f} MB, with {counted(total['pictures'], 'picture')} of "
+            f"{pluralise(len(self.scenes), 'sheet')} in {self.directory} ({when}): "
+            f"{total['sheet_bytes'] / 1e6:.1f} MB, with {pluralise(total['pictures'], 'picture')} of "
             f"{total['picture_bytes'] / 1e6:.1f} MB"
-            + ("" if self.traced is None else f"\nrounds of refinement of {counted(self.traced, 'scene')}")
+            + ("" if self.traced is None else f"\nrounds of refinement of {pluralise(self.traced, 'scene')}")
         )
 
 
@@ -181,10 +181,10 @@ def write_sheets(
     root: Path,
     settings: SheetSettings,
     *,
-    runtime: Runtime | None = None,
+    runtime: BuildRuntime | None = None,
     hyper: Mapping[str, Any] | None = None,
     reopen: Callable[[], "DataSet"] | None = None,
-) -> WrittenSheets:
+) -> WrittenPages:
     """Write the sheets of a split; the same command goes on, and does nothing where nothing has changed.
 
     Args:
@@ -210,26 +210,26 @@ def write_sheets(
             f"{data.root} has no rounds of refinement; challenger-bench generate --split adv --keep-rounds keeps them "
             "(run again, it searches anew where they are missing)"
         )
-    job = _job(data, split, root, settings)
+    job = _build_job(data, split, root, settings)
     # What is wrong with the first scene is said before anything is written.
     data.scene(chosen[0])
     directory = split_folder(root, data.name, split)
-    with only_writer(directory):
-        _tidy(directory, job.facts, data.scene_names(split))
-        write_split_sheet(directory, data, split, job.facts, runtime, hyper)
+    with lock_folder(directory):
+        _remove_outdated(directory, job.facts, data.scene_names(split))
+        write_split_page(directory, data, split, job.facts, runtime, hyper)
         workers = settings.workers or default_workers()
-        opener = reopen or reopening(data)
-        work = partial(written_sheet, job, data) if workers == 1 else partial(_in_worker, job, opener)
+        opener = reopen or make_reopener(data)
+        work = partial(write_page, job, data) if workers == 1 else partial(_write_in_worker, job, opener)
         where = LocalProcesses(workers)
         written = tuple(run_units(work, chosen, where, total=len(chosen), label="scene sheets"))
-        traced = sum(_show_rounds(job.folder(name), data.root, name) for name in chosen) if settings.rounds else None
-    return WrittenSheets(directory, written, traced)
+        traced = sum(_copy_rounds(job.folder(name), data.root, name) for name in chosen) if settings.rounds else None
+    return WrittenPages(directory, written, traced)
 
 
-def _show_rounds(folder: Path, data_root: Path, scene: str) -> bool:
+def _copy_rounds(folder: Path, data_root: Path, scene: str) -> bool:
     """Put the rounds that the search kept beside a scene's sheet; whether there are any that belong to it."""
     cached_rounds = kept_rounds_path(data_root, scene)
-    if not rounds_fit(cached_rounds, Sheet.model_validate(read_kept_json(folder / SHEET_FILE))):
+    if not do_rounds_fit(cached_rounds, ScenePage.model_validate(read_cached_json(folder / SHEET_FILE))):
         return False
     content, page_rounds = cached_rounds.read_bytes(), folder / ROUNDS_FILE
     if not page_rounds.is_file() or page_rounds.read_bytes() != content:
@@ -237,44 +237,44 @@ def _show_rounds(folder: Path, data_root: Path, scene: str) -> bool:
     return True
 
 
-def plan_of(data: "DataSet", split: str, root: Path, settings: SheetSettings) -> str:
+def describe_plan(data: "DataSet", split: str, root: Path, settings: SheetSettings) -> str:
     """One sentence that says what would be done: for ``--dry-run``."""
     chosen = EvalSettings(scenes=settings.scenes, limit=settings.limit).chosen(data, split)
-    job = _job(data, split, root, settings)
-    planned = [planned_sheet(job, data, name) for name in chosen]
+    job = _build_job(data, split, root, settings)
+    planned = [preview_page(job, data, name) for name in chosen]
     return (
-        f"would write {counted(len(chosen), 'sheet')} with "
-        f"{counted(sum(page.pictures for page in planned), 'picture')} to "
+        f"would write {pluralise(len(chosen), 'sheet')} with "
+        f"{pluralise(sum(page.pictures for page in planned), 'picture')} to "
         f"{split_folder(root, data.name, split)}; {sum(not page.made for page in planned)} are there already"
     )
 
 
-def _job(data: "DataSet", split: str, root: Path, settings: SheetSettings) -> Job:
+def _build_job(data: "DataSet", split: str, root: Path, settings: SheetSettings) -> PageJob:
     facts = DataFacts(name=data.name, version=data.version, fingerprint=data.fingerprint())
-    return Job(root, facts, split, settings.pictures, settings.cell_width_px)
+    return PageJob(root, facts, split, settings.pictures, settings.cell_width_px)
 
 
-_in_this_process: dict[str, "DataSet"] = {}
+_DATA_OF_WORKER: dict[str, "DataSet"] = {}
 """Data set of a worker process, opened once."""
 
 
-def _in_worker(job: Job, reopen: Callable[[], "DataSet"], scene: str) -> WrittenSheet:
-    if job.facts.fingerprint not in _in_this_process:
-        _in_this_process[job.facts.fingerprint] = reopen()
-    return written_sheet(job, _in_this_process[job.facts.fingerprint], scene)
+def _write_in_worker(job: PageJob, reopen: Callable[[], "DataSet"], scene: str) -> WrittenPage:
+    if job.facts.fingerprint not in _DATA_OF_WORKER:
+        _DATA_OF_WORKER[job.facts.fingerprint] = reopen()
+    return write_page(job, _DATA_OF_WORKER[job.facts.fingerprint], scene)
 
 
-def _tidy(directory: Path, facts: DataFacts, scenes: tuple[str, ...]) -> None:
+def _remove_outdated(directory: Path, facts: DataFacts, scenes: tuple[str, ...]) -> None:
     """Remove what is no longer a part of the split: other scenes, and scenes of another version of the data set."""
-    wanted = {file_name(name) for name in scenes}
-    for folder in _folders(directory / SCENES_FOLDER):
-        stored = read_kept_json(folder / SHEET_FILE)
+    wanted = {sanitise_file_name(name) for name in scenes}
+    for folder in _iterate_folders(directory / SCENES_FOLDER):
+        stored = read_cached_json(folder / SHEET_FILE)
         known = stored.get("data") if isinstance(stored, dict) else None
         if folder.name not in wanted or (known is not None and known != facts.model_dump(mode="json")):
             with writing_to(folder):
                 shutil.rmtree(folder)
 
 
-def _folders(folder: Path) -> Iterator[Path]:
+def _iterate_folders(folder: Path) -> Iterator[Path]:
     if folder.is_dir():
         yield from (path for path in sorted(folder.iterdir()) if path.is_dir() and not path.is_symlink())

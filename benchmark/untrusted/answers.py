@@ -22,11 +22,11 @@ _NUMBERS: Final = "biufcSU"
 _FACTORIES: Final[dict[str, Any]] = {kind.__name__: kind for kind in (dict, list, set, int, float, str, bool, tuple)}
 
 
-class Unanswerable(Exception):
+class UnencodableValueError(Exception):
     """A value that is too deep, too large or of a kind that no recording holds; says which."""
 
 
-class _Writer:
+class _AnswerEncoder:
     """Turns a value into JSON and a list of buffers, with every limit counted on the way."""
 
     def __init__(self, limits: Limits) -> None:
@@ -42,7 +42,7 @@ class _Writer:
             self._count(1)
             return value
         if depth > self.limits.depth:
-            raise Unanswerable(f"its containers lie more than {self.limits.depth} deep")
+            raise UnencodableValueError(f"its containers lie more than {self.limits.depth} deep")
         if kind is list:
             return self._items(value, depth)
         writer = _WRITERS.get(kind)
@@ -53,12 +53,14 @@ class _Writer:
         if isinstance(value, np.generic) and value.dtype.kind in _NUMBERS:
             self._count(1)
             return {"n": [value.dtype.str, value.tobytes().hex()]}
-        raise Unanswerable(f"it holds a {kind.__name__.strip('_')}, which is neither an array nor a plain value")
+        raise UnencodableValueError(
+            f"it holds a {kind.__name__.strip('_')}, which is neither an array nor a plain value"
+        )
 
     def _count(self, values: int) -> None:
         self.values += values
         if self.values > self.limits.values:
-            raise Unanswerable(f"it holds more than {self.limits.values} values")
+            raise UnencodableValueError(f"it holds more than {self.limits.values} values")
 
     def _items(self, items: Any, depth: int) -> list[Any]:
         self._count(1)
@@ -73,7 +75,7 @@ class _Writer:
         # Not its own methods: what a stranger stores beside an ordered dictionary hides them.
         for key, member in dict.items(value):
             if type(key) is str and len(key) > self.limits.name_characters:
-                raise Unanswerable(f"it holds a name of more than {self.limits.name_characters} characters")
+                raise UnencodableValueError(f"it holds a name of more than {self.limits.name_characters} characters")
             pairs.append(self.encoded(key, depth + 1))
             pairs.append(self.encoded(member, depth + 1))
         return pairs
@@ -85,14 +87,14 @@ class _Writer:
         self._count(1)
         self.bytes += count + _ALIGNED_BYTES
         if self.bytes > self.limits.content_bytes:
-            raise Unanswerable(f"it holds more than {self.limits.content_bytes} bytes")
+            raise UnencodableValueError(f"it holds more than {self.limits.content_bytes} bytes")
         self.buffers.append(data)
         self._places[id(value)] = len(self.buffers) - 1, value
         return len(self.buffers) - 1
 
     def _array(self, value: NDArray[Any]) -> list[Any]:
         if value.dtype.kind not in _NUMBERS:
-            raise Unanswerable(f"it holds an array of {value.dtype}")
+            raise UnencodableValueError(f"it holds an array of {value.dtype}")
         order: Literal["C", "F"] = "F" if value.flags.fnc else "C"
         self._count(1)
         flat = np.ascontiguousarray(np.ndarray.view(value, np.ndarray).reshape(-1, order=order)).view(np.uint8)
@@ -107,7 +109,7 @@ class _Writer:
         return [name if name in _FACTORIES else None, *self._pairs(value, depth)]
 
 
-_WRITERS: Final[dict[type, Callable[[_Writer, Any, int], Any]]] = {
+_WRITERS: Final[dict[type, Callable[[_AnswerEncoder, Any, int], Any]]] = {
     dict: lambda writer, value, depth: {"d": writer._pairs(value, depth)},
     OrderedDict: lambda writer, value, depth: {"o": writer._pairs(value, depth)},
     defaultdict: lambda writer, value, depth: {"u": writer._defaults(value, depth)},
@@ -131,13 +133,13 @@ def write_answer(stream: BinaryIO, value: Any, limits: Limits) -> None:
     Raises:
         Unanswerable: If it is more than that, or holds anything else, or text that is none.
     """
-    writer = _Writer(limits)
+    writer = _AnswerEncoder(limits)
     try:
         body = writer.encoded(value, 0)
         sizes = [buffer.nbytes for buffer in writer.buffers]
         text = json.dumps([body, sizes], ensure_ascii=False, check_circular=False).encode()
     except UnicodeEncodeError:
-        raise Unanswerable("it holds text that is not Unicode") from None
+        raise UnencodableValueError("it holds text that is not Unicode") from None
     stream.write(len(text).to_bytes(8, "little") + text + bytes(-(len(text) + 8) % _ALIGNED_BYTES))
     for buffer in writer.buffers:
         stream.write(buffer.data)

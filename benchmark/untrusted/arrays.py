@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from benchmark.untrusted.files import NPZ, SAFETENSORS, Limits, in_words, one_line, open_file
+from benchmark.untrusted.files import NPZ, SAFETENSORS, Limits, format_bytes, open_file, to_one_line
 from benchmark.untrusted.text_files import parse_json
 
 _ITEM_BITS: Final = {
@@ -51,7 +51,9 @@ def require_sound_header(path: Path, limits: Limits = SAFETENSORS) -> None:
         if size < _LENGTH_BYTES or length > size - _LENGTH_BYTES:
             raise ValueError("its header is longer than the file")
         if length > limits.content_bytes:
-            raise ValueError(f"its header has {in_words(length)}, at most {in_words(limits.content_bytes)} are read")
+            raise ValueError(
+                f"its header has {format_bytes(length)}, at most {format_bytes(limits.content_bytes)} are read"
+            )
         header = parse_json(stream.read(length), limits)
     if not isinstance(header, dict) or len(header) > limits.values:
         raise ValueError("its header is no list of tensors")
@@ -62,7 +64,7 @@ def require_sound_header(path: Path, limits: Limits = SAFETENSORS) -> None:
         if len(name) > limits.name_characters:
             raise ValueError(f"a tensor's name has more than {limits.name_characters} characters")
         if not _can_be_true(entry, size - _LENGTH_BYTES - length):
-            raise ValueError(f"its header says of {one_line(name, 80)} what cannot be true")
+            raise ValueError(f"its header says of {to_one_line(name, 80)} what cannot be true")
 
 
 def _can_be_true(entry: Any, held_bytes: int) -> bool:
@@ -114,7 +116,7 @@ def read_npz(path: Path, limits: Limits = NPZ) -> dict[str, NDArray[Any]]:
             raise ValueError("it does not fit into memory") from None
         # Parsers of zip files and array headers raise a dozen kinds of exceptions on bytes that are neither.
         except Exception as error:
-            raise ValueError(one_line(error) or "it is empty") from error
+            raise ValueError(to_one_line(error) or "it is empty") from error
 
 
 def _require_few(stream: BufferedReader, limits: Limits) -> None:
@@ -136,7 +138,7 @@ def _require_sound(archive: zipfile.ZipFile, limits: Limits) -> None:
     if len(entries) > limits.values:
         raise ValueError(f"it holds {len(entries)} arrays, at most {limits.values} are read")
     if sum(entry.file_size for entry in entries) > limits.content_bytes:
-        raise ValueError(f"it unpacks to more than {in_words(limits.content_bytes)}")
+        raise ValueError(f"it unpacks to more than {format_bytes(limits.content_bytes)}")
     for entry in entries:
         with archive.open(entry) as held:
             version = npy.read_magic(held)  # type: ignore[no-untyped-call]
@@ -145,4 +147,4 @@ def _require_sound(archive: zipfile.ZipFile, limits: Limits) -> None:
             if kind.hasobject:
                 raise ValueError("Object arrays cannot be loaded, they are pickles")
             if held.tell() + math.prod(shape) * kind.itemsize != entry.file_size:
-                raise ValueError(f"{one_line(entry.filename, 80)} is not as long as it says")
+                raise ValueError(f"{to_one_line(entry.filename, 80)} is not as long as it says")

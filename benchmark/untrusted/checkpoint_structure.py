@@ -9,8 +9,8 @@ import zipfile
 from collections import Counter, OrderedDict
 from typing import Any, BinaryIO, ClassVar, Final
 
-from benchmark.untrusted.answers import Unanswerable
-from benchmark.untrusted.files import Limits, one_line
+from benchmark.untrusted.answers import UnencodableValueError
+from benchmark.untrusted.files import Limits, to_one_line
 from benchmark.untrusted.legacy_storages import ALLOWED, AllowListUnpickler, NumberType
 
 ITEM_BYTES: Final = {
@@ -30,7 +30,7 @@ _LOCAL_HEADER: Final = struct.Struct("<4s22xHH")
 _LONGEST_PICKLE_BYTES: Final = 1 << 28
 
 
-class _Type:
+class _TypeStandIn:
     """Stands for a type of numbers, of storages or of tensors; ``name`` is empty for those that weights have not."""
 
     __slots__ = ("name",)
@@ -39,7 +39,7 @@ class _Type:
         self.name = name
 
 
-class _Storage:
+class _StorageStandIn:
     """Stands for stored numbers: which, and of what type."""
 
     __slots__ = ("count", "key", "name", "start")
@@ -48,12 +48,12 @@ class _Storage:
         self.name, self.key, self.count, self.start = name, key, count, start
 
 
-class _Tensor:
+class _TensorStandIn:
     """Stands for a tensor; without a storage where it is none of dense real numbers."""
 
     __slots__ = ("name", "offset", "shape", "storage", "strides")
 
-    def __init__(self, storage: _Storage | None, name: str, offset: Any, shape: Any, strides: Any) -> None:
+    def __init__(self, storage: _StorageStandIn | None, name: str, offset: Any, shape: Any, strides: Any) -> None:
         self.storage, self.name, self.offset, self.shape, self.strides = storage, name, offset, shape, strides
 
     def __setstate__(self, state: Any) -> None:
@@ -63,30 +63,35 @@ class _Tensor:
 _SPECIAL: Final = (None, "", 0, (), ())
 
 
-def _tensor(storage: Any, offset: Any, shape: Any, strides: Any, *rest: Any) -> _Tensor:
+def _tensor(storage: Any, offset: Any, shape: Any, strides: Any, *rest: Any) -> _TensorStandIn:
     """What PyTorch calls to rebuild a tensor; conjugates and negatives are views that no weights need."""
-    if not isinstance(storage, _Storage) or (len(rest) > 2 and rest[2]):
-        return _Tensor(*_SPECIAL)
-    return _Tensor(storage, storage.name, offset, shape, strides)
+    if not isinstance(storage, _StorageStandIn) or (len(rest) > 2 and rest[2]):
+        return _TensorStandIn(*_SPECIAL)
+    return _TensorStandIn(storage, storage.name, offset, shape, strides)
 
 
-def _typed_tensor(storage: Any, offset: Any, shape: Any, strides: Any, *rest: Any) -> _Tensor:
+def _typed_tensor(storage: Any, offset: Any, shape: Any, strides: Any, *rest: Any) -> _TensorStandIn:
     """The same for numbers that have no storage of their own type."""
-    if not isinstance(storage, _Storage) or len(rest) < 3 or not isinstance(rest[2], _Type) or any(rest[3:]):
-        return _Tensor(*_SPECIAL)
-    return _Tensor(storage, rest[2].name, offset, shape, strides)
+    if (
+        not isinstance(storage, _StorageStandIn)
+        or len(rest) < 3
+        or not isinstance(rest[2], _TypeStandIn)
+        or any(rest[3:])
+    ):
+        return _TensorStandIn(*_SPECIAL)
+    return _TensorStandIn(storage, rest[2].name, offset, shape, strides)
 
 
-def _no_weights(*_: Any, **__: Any) -> _Tensor:
+def _make_unsupported_tensor(*_: Any, **__: Any) -> _TensorStandIn:
     """Sparse, quantised, nested tensors and tensors without content."""
-    return _Tensor(*_SPECIAL)
+    return _TensorStandIn(*_SPECIAL)
 
 
 def _parameter(data: Any = None, *_: Any) -> Any:
     return data
 
 
-def _rebuilt(function: Any, _: Any, arguments: tuple[Any, ...], __: Any) -> Any:
+def _rebuild_by_function(function: Any, _: Any, arguments: tuple[Any, ...], __: Any) -> Any:
     """What PyTorch calls for tensors of a class of their own, or with attributes."""
     return function(*arguments)
 
@@ -99,16 +104,16 @@ def _size(values: Any = ()) -> tuple[Any, ...]:
     return tuple(values)
 
 
-class _LoggedNumberType(NumberType):
+class _CheckpointNumberType(NumberType):
     """A number type in a checkpoint, where there is no need of texts; refused in the words of PyTorch."""
 
     kinds: ClassVar = "biuf"
     refusal: ClassVar = "Unsupported class numpy.{}"
 
 
-_KINDS: Final[dict[str, _Type]] = {
-    **{kind: _Type(name) for kind, name in _STORAGES.items()},
-    **{kind: _Type("") for kind in _OTHER_TYPES},
+_KINDS: Final[dict[str, _TypeStandIn]] = {
+    **{kind: _TypeStandIn(name) for kind, name in _STORAGES.items()},
+    **{kind: _TypeStandIn("") for kind in _OTHER_TYPES},
 }
 _STRANGE: Final = ("complex32", "complex64", "complex128", "quint8", "qint8", "qint32", "quint4x2", "quint2x4")
 _STRANGE_MARKS: Final = (
@@ -123,9 +128,9 @@ _TORCH: Final[dict[tuple[str, str], Any]] = {
     **{(place, f"{kind}Storage"): made for place in ("torch", "torch.cuda") for kind, made in _KINDS.items()},
     **{(place, f"{kind}Tensor"): made for place in ("torch", "torch.cuda") for kind, made in _KINDS.items()},
     ("torch.storage", "UntypedStorage"): _KINDS["Untyped"],
-    ("torch", "Tensor"): _Type(""),
-    **{("torch", name): _Type(name) for name in ITEM_BYTES},
-    **{("torch", name): _Type("") for name in (*_STRANGE, *_STRANGE_MARKS)},
+    ("torch", "Tensor"): _TypeStandIn(""),
+    **{("torch", name): _TypeStandIn(name) for name in ITEM_BYTES},
+    **{("torch", name): _TypeStandIn("") for name in (*_STRANGE, *_STRANGE_MARKS)},
     ("torch", "Size"): _size,
     ("torch", "device"): _device,
     ("torch.serialization", "_get_layout"): _device,
@@ -136,13 +141,13 @@ _TORCH: Final[dict[tuple[str, str], Any]] = {
     ("torch._utils", "_rebuild_tensor_v2"): _tensor,
     ("torch._utils", "_rebuild_tensor_v3"): _typed_tensor,
     **{
-        ("torch._utils", f"_rebuild_{kind}"): _no_weights
+        ("torch._utils", f"_rebuild_{kind}"): _make_unsupported_tensor
         for kind in (
             "qtensor", "sparse_tensor", "meta_tensor_no_storage", "nested_tensor", "wrapper_subclass",
             "device_tensor_from_cpu_tensor",
         )
     },
-    ("torch._tensor", "_rebuild_from_type_v2"): _rebuilt,
+    ("torch._tensor", "_rebuild_from_type_v2"): _rebuild_by_function,
 }  # fmt: skip
 """What PyTorch's own weights-only reader allows."""
 
@@ -156,7 +161,7 @@ class _StructureUnpickler(AllowListUnpickler):
         ("collections", "Counter"): Counter,
         **{asked: ALLOWED[asked] for asked in _SHARED},
         **{asked: made for asked, made in ALLOWED.items() if asked[1] == "scalar"},
-        ("numpy", "dtype"): _LoggedNumberType,
+        ("numpy", "dtype"): _CheckpointNumberType,
     }
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -169,19 +174,19 @@ class _StructureUnpickler(AllowListUnpickler):
         if kind in ("module", b"module"):
             return arguments[0]
         stand_in, key, _, count, *view = arguments
-        if kind not in ("storage", b"storage") or not isinstance(stand_in, _Type) or type(count) is not int:
+        if kind not in ("storage", b"storage") or not isinstance(stand_in, _TypeStandIn) or type(count) is not int:
             raise ValueError("an unknown kind of storage")
         key = key.decode() if isinstance(key, bytes) else str(key)
         self.counts.setdefault(key, (stand_in.name, count))
         if not view or view[0] is None:
-            return _Storage(stand_in.name, key, count)
+            return _StorageStandIn(stand_in.name, key, count)
         _, start, length = view[0]
         if not 0 <= start <= start + length <= count:
             raise ValueError("a view outside its storage")
-        return _Storage(stand_in.name, key, length, start)
+        return _StorageStandIn(stand_in.name, key, length, start)
 
 
-def checkpoint_structure(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
+def read_checkpoint_structure(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
     """Take a checkpoint apart.
 
     Args:
@@ -215,7 +220,7 @@ def _of_archive(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
         if f"{top}/constants.pkl" in names:
             raise ValueError("a TorchScript archive")
         if names[f"{top}/data.pkl"].file_size > _LONGEST_PICKLE_BYTES:
-            raise Unanswerable("its pickle alone is larger than any that names weights")
+            raise UnencodableValueError("its pickle alone is larger than any that names weights")
         order = archive.read(f"{top}/byteorder") if f"{top}/byteorder" in names else b"little"
         if order not in (b"little", b"big"):
             raise ValueError("an unknown order of bytes")
@@ -225,7 +230,7 @@ def _of_archive(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
             # To the end, so that its checksum is compared.
             held.read()
     starts = {entry.filename: _first_byte(stream, entry, size) for entry in entries}
-    records = [[starts[e.filename], e.file_size, e.CRC, one_line(e.filename)] for e in entries if not e.is_dir()]
+    records = [[starts[e.filename], e.file_size, e.CRC, to_one_line(e.filename)] for e in entries if not e.is_dir()]
     places = {
         key: (starts[f"{top}/data/{key}"], names[f"{top}/data/{key}"].file_size)
         for key in reader.counts
@@ -273,19 +278,19 @@ def _of_stream(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
 def _table(loaded: Any, places: dict[str, tuple[int, int]], limits: Limits) -> dict[str, Any]:
     entries = dict.get(loaded, "state_dict", loaded) if isinstance(loaded, dict) else None
     if not isinstance(entries, dict) or not len(entries):
-        return {"wrong": "kind", "kind": one_line(type(loaded).__name__.strip("_"))}
+        return {"wrong": "kind", "kind": to_one_line(type(loaded).__name__.strip("_"))}
     meta = dict.get(loaded, "meta")
     configuration = dict.get(meta, "config") if isinstance(meta, dict) else None
     numbers = {key: number for number, key in enumerate(places)}
     rows = []
     if len(entries) > limits.values:
-        raise Unanswerable(f"it holds more than {limits.values} tensors")
+        raise UnencodableValueError(f"it holds more than {limits.values} tensors")
     for name, tensor in dict.items(entries):
-        if type(name) is not str or not isinstance(tensor, _Tensor):
-            return {"wrong": "entry", "entry": repr(one_line(name, 80))}
+        if type(name) is not str or not isinstance(tensor, _TensorStandIn):
+            return {"wrong": "entry", "entry": repr(to_one_line(name, 80))}
         if len(name) > limits.name_characters:
-            raise Unanswerable(f"it holds a name of more than {limits.name_characters} characters")
-        rows.append([name, *_described(tensor, numbers)])
+            raise UnencodableValueError(f"it holds a name of more than {limits.name_characters} characters")
+        rows.append([name, *_describe_tensor(tensor, numbers)])
     return {
         "tensors": rows,
         "storages": list(map(list, places.values())),
@@ -293,7 +298,7 @@ def _table(loaded: Any, places: dict[str, tuple[int, int]], limits: Limits) -> d
     }
 
 
-def _described(tensor: _Tensor, numbers: dict[str, int]) -> tuple[Any, ...]:
+def _describe_tensor(tensor: _TensorStandIn, numbers: dict[str, int]) -> tuple[Any, ...]:
     """Type, storage, first element, shape and strides, as said."""
     storage, item = tensor.storage, ITEM_BYTES.get(tensor.name)
     if storage is None or item is None or not storage.name:

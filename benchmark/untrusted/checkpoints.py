@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.untrusted.checkpoint_structure import ITEM_BYTES
-from benchmark.untrusted.children import Answer, taken_apart
+from benchmark.untrusted.children import ChildAnswer, read_in_child
 from benchmark.untrusted.files import CHECKPOINT, EXPANSION, MIB, Limits, open_file
 
 _MOST_AXES: Final = 32
@@ -20,7 +20,7 @@ _CHECKED_AT_ONCE: Final = MIB
 
 
 @dataclass(frozen=True, slots=True)
-class StoredTensor:
+class TensorLocation:
     """Where a tensor lies.
 
     Attributes:
@@ -49,7 +49,7 @@ class StoredCheckpoint:
         configuration: The training configuration that mmcv puts into its checkpoints, or an empty text.
     """
 
-    tensors: dict[str, StoredTensor]
+    tensors: dict[str, TensorLocation]
     storages: tuple[NDArray[np.uint8], ...]
     big_endian: bool
     configuration: str
@@ -71,18 +71,18 @@ def read_stored(path: Path, limits: Limits = CHECKPOINT, *, checksums: bool = Tr
             dense tensors of numbers, or says of them what cannot be true.
     """
     _require_bytes(path, limits)
-    structure = _structure(path, taken_apart(path, "checkpoint", limits))
+    structure = _structure(path, read_in_child(path, "checkpoint", limits))
     with open_file(path, limits) as stream:
         for first, length, checksum, name in structure["records"] if checksums else ():
             if _checksum(stream, first, length) != checksum:
                 raise InputError(f"{path} is damaged ({name} fails its checksum); fetch it again")
         mapped = np.memmap(stream, np.uint8, "c")
     storages = tuple(mapped[first : first + length].view(np.ndarray) for first, length in structure["storages"])
-    tensors: dict[str, StoredTensor] = {}
+    tensors: dict[str, TensorLocation] = {}
     for name, number_type, storage, offset, shape, strides in structure["tensors"]:
         if not number_type:
             raise InputError(f"{path}: {name} is not a dense tensor of real numbers; save the weights as such")
-        tensors[name] = StoredTensor(number_type, storage, offset, tuple(shape), tuple(strides))
+        tensors[name] = TensorLocation(number_type, storage, offset, tuple(shape), tuple(strides))
         _require_inside(path, name, tensors[name], storages)
     claimed = sum(math.prod(tensor.shape) * ITEM_BYTES[tensor.number_type] for tensor in tensors.values())
     if claimed > EXPANSION * len(mapped) + MIB:
@@ -109,7 +109,7 @@ def _require_bytes(path: Path, limits: Limits) -> None:
         )
 
 
-def _structure(path: Path, answer: Answer) -> dict[str, Any]:
+def _structure(path: Path, answer: ChildAnswer) -> dict[str, Any]:
     if answer.kind == "refused":
         raise InputError(
             f"{path} is refused: it asks for {answer.parts[0]}, which is not among the tensors and plain values that "
@@ -120,7 +120,7 @@ def _structure(path: Path, answer: Answer) -> dict[str, Any]:
         raise InputError(f"{path} is truncated or damaged ({answer.parts[0]}); fetch it again")
     if answer.kind == "broken" and answer.parts[1].startswith("Unsupported class "):
         name = answer.parts[1].removeprefix("Unsupported class ")
-        return _structure(path, Answer("refused", (name,)))
+        return _structure(path, ChildAnswer("refused", (name,)))
     if answer.kind == "broken":
         raise InputError(
             f"{path} cannot be read as a PyTorch checkpoint ({answer.parts[0]}); it is damaged or something else, "
@@ -154,7 +154,7 @@ def _checksum(stream: BufferedReader, first: int, length: int) -> int:
     return checksum
 
 
-def _require_inside(path: Path, name: str, tensor: StoredTensor, storages: tuple[NDArray[np.uint8], ...]) -> None:
+def _require_inside(path: Path, name: str, tensor: TensorLocation, storages: tuple[NDArray[np.uint8], ...]) -> None:
     """A tensor that leaves its storage would read memory that is not its own."""
     shape, strides, item = tensor.shape, tensor.strides, ITEM_BYTES[tensor.number_type]
     sound = len(shape) == len(strides) <= _MOST_AXES and all(
@@ -165,10 +165,10 @@ def _require_inside(path: Path, name: str, tensor: StoredTensor, storages: tuple
     last = tensor.offset + sum((length - 1) * step for length, step in zip(shape, strides, strict=sound))
     if not sound or (not empty and last >= number_count) or (empty and max(shape) > len(storages) + number_count + MIB):
         raise InputError(
-            f"{path}: {one_name(name)} lies outside the numbers that the file holds; it is damaged, fetch it again"
+            f"{path}: {format_tensor_name(name)} lies outside the numbers that the file holds; it is damaged, fetch it again"
         )
 
 
-def one_name(name: str) -> str:
+def format_tensor_name(name: str) -> str:
     """A tensor's name, fit for a sentence."""
     return name if name.isprintable() and len(name) < 200 else repr(name[:80])

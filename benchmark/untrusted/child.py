@@ -16,14 +16,14 @@ import zipfile
 from collections.abc import Callable
 from typing import Any, BinaryIO, Final
 
-from benchmark.untrusted.answers import Unanswerable, write_answer
-from benchmark.untrusted.checkpoint_structure import checkpoint_structure
-from benchmark.untrusted.files import CHECKPOINT, GIB, PICKLE, PLAN_COLUMNS, PLANS, RESULTS, Limits, one_line
-from benchmark.untrusted.legacy_storages import AllowListUnpickler, Refused
-from benchmark.untrusted.result_values import result_value
+from benchmark.untrusted.answers import UnencodableValueError, write_answer
+from benchmark.untrusted.checkpoint_structure import read_checkpoint_structure
+from benchmark.untrusted.files import CHECKPOINT, GIB, PICKLE, PLAN_COLUMNS, PLANS, RESULTS, Limits, to_one_line
+from benchmark.untrusted.legacy_storages import AllowListUnpickler, DisallowedNameError
+from benchmark.untrusted.result_values import read_result_value
 
 
-def parquet_columns(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
+def read_parquet_columns(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
     """Numbers as arrays and texts as lists, by column.
 
     Args:
@@ -38,10 +38,10 @@ def parquet_columns(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
     file = parquet.ParquetFile(stream)
     declared = file.metadata
     if declared.num_rows > limits.values or declared.num_columns > PLAN_COLUMNS:
-        raise Unanswerable(f"it has {declared.num_rows} rows and {declared.num_columns} columns")
+        raise UnencodableValueError(f"it has {declared.num_rows} rows and {declared.num_columns} columns")
     groups = [declared.row_group(number) for number in range(declared.num_row_groups)]
     if sum(group.total_byte_size for group in groups) > limits.content_bytes:
-        raise Unanswerable(f"it unpacks to more than {limits.content_bytes} bytes")
+        raise UnencodableValueError(f"it unpacks to more than {limits.content_bytes} bytes")
     table = file.read(use_threads=False)
     columns = {}
     for name in table.column_names:
@@ -61,14 +61,14 @@ def read_value(stream: BinaryIO, limits: Limits) -> Any:
 
 KINDS: Final[dict[str, tuple[Callable[[BinaryIO, Limits], Any], Limits]]] = {
     "pickle": (read_value, PICKLE),
-    "checkpoint": (checkpoint_structure, CHECKPOINT),
-    "parquet": (parquet_columns, PLANS),
-    "results": (result_value, RESULTS),
+    "checkpoint": (read_checkpoint_structure, CHECKPOINT),
+    "parquet": (read_parquet_columns, PLANS),
+    "results": (read_result_value, RESULTS),
 }
 """What the child can take apart."""
 
 
-def bound(limits: Limits, parent: int) -> None:
+def apply_limits(limits: Limits, parent: int) -> None:
     """Give this process its limits; it cannot raise them again.
 
     Args:
@@ -92,7 +92,7 @@ def bound(limits: Limits, parent: int) -> None:
             resource.setrlimit(resource_kind, (least, least))
 
 
-def answer(kind: str, limits: Limits, stream: BinaryIO) -> tuple[Any, ...]:
+def read_request(kind: str, limits: Limits, stream: BinaryIO) -> tuple[Any, ...]:
     """Read the file.
 
     Args:
@@ -106,17 +106,17 @@ def answer(kind: str, limits: Limits, stream: BinaryIO) -> tuple[Any, ...]:
     """
     try:
         return "value", KINDS[kind][0](stream, limits)
-    except Refused as refused:
-        return "refused", one_line(refused)
-    except Unanswerable as why:
-        return "unanswerable", one_line(why)
+    except DisallowedNameError as refused:
+        return "refused", to_one_line(refused)
+    except UnencodableValueError as why:
+        return "unanswerable", to_one_line(why)
     except MemoryError:
         return ("memory",)
     except zipfile.BadZipFile as error:
-        return "archive", one_line(error)
+        return "archive", to_one_line(error)
     # A malformed stream may raise anything, from EOFError to what numpy thinks of a damaged array.
     except Exception as error:
-        return "broken", type(error).__name__, one_line(error)
+        return "broken", type(error).__name__, to_one_line(error)
 
 
 def main() -> None:
@@ -133,8 +133,8 @@ def main() -> None:
         memory_bytes=memory_bytes,
         cpu_s=cpu_s,
     )
-    bound(given, int(parent))
-    parts = answer(kind, given, os.fdopen(0, "rb"))
+    apply_limits(given, int(parent))
+    parts = read_request(kind, given, os.fdopen(0, "rb"))
     out = os.fdopen(1, "wb")
     try:
         write_answer(out, parts, given)
@@ -144,6 +144,6 @@ def main() -> None:
         del parts
         out.seek(0)
         out.truncate()
-        write_answer(out, ("memory",) if isinstance(why, MemoryError) else ("unanswerable", one_line(why)), given)
+        write_answer(out, ("memory",) if isinstance(why, MemoryError) else ("unanswerable", to_one_line(why)), given)
         out.flush()
     os._exit(0)

@@ -14,16 +14,16 @@ from typing import Any, Final
 
 from benchmark.errors import InputError
 from benchmark.untrusted.answers import read_answer
-from benchmark.untrusted.files import PICKLE, Limits, in_words, open_file
+from benchmark.untrusted.files import PICKLE, Limits, format_bytes, open_file
 
 _ROOT: Final = Path(__file__).resolve().parents[2]
 _PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv[1]); from benchmark.untrusted.child import main; main()"
-_KEPT_ENVIRONMENT: Final = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "TMPDIR", "LANG", "HOME")
+_PASSED_ENVIRONMENT: Final = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "TMPDIR", "LANG", "HOME")
 _UNTRUSTED: Final = "it is damaged or made to harm, get it from a source that you trust"
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ChildAnswer:
     """What the child says of a file that it did not read to the end of its limits.
 
     Attributes:
@@ -36,7 +36,7 @@ class Answer:
     parts: tuple[Any, ...]
 
 
-def taken_apart(path: Path, kind: str, limits: Limits) -> Answer:
+def read_in_child(path: Path, kind: str, limits: Limits) -> ChildAnswer:
     """Have a child process read a foreign file.
 
     Args:
@@ -65,10 +65,10 @@ def taken_apart(path: Path, kind: str, limits: Limits) -> Answer:
         except Exception as error:
             raise InputError(f"{path} broke the process that reads it (exit status {code}); {_UNTRUSTED}") from error
     if status == "memory":
-        raise InputError(f"{path} takes more than {in_words(limits.memory_bytes)} of memory to read; {_UNTRUSTED}")
+        raise InputError(f"{path} takes more than {format_bytes(limits.memory_bytes)} of memory to read; {_UNTRUSTED}")
     if status == "unanswerable":
         raise InputError(f"{path} is refused: {parts[0]}; {_UNTRUSTED}")
-    return Answer(status, tuple(parts))
+    return ChildAnswer(status, tuple(parts))
 
 
 def _run(path: Path, kind: str, limits: Limits, source: int, target: int) -> int:
@@ -81,7 +81,7 @@ def _run(path: Path, kind: str, limits: Limits, source: int, target: int) -> int
         limits.cpu_s,
     )
     # Numpy's libraries claim memory for every processor unless they are told not to.
-    environment = {name: os.environ[name] for name in _KEPT_ENVIRONMENT if name in os.environ}
+    environment = {name: os.environ[name] for name in _PASSED_ENVIRONMENT if name in os.environ}
     environment |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     command = [sys.executable, "-I", "-c", _PROGRAM, str(_ROOT), kind, str(os.getpid()), *map(str, numbers)]
     try:
@@ -125,7 +125,7 @@ def read_pickle(path: Path, limits: Limits = PICKLE) -> Any:
         InputError: If the file is absent or broken, asks for anything that is not on the allow-list (the message names
             what it asked for), or is more than the limits allow.
     """
-    answer = taken_apart(path, "pickle", limits)
+    answer = read_in_child(path, "pickle", limits)
     if answer.kind == "value":
         return answer.parts[0]
     if answer.kind == "refused":

@@ -23,16 +23,16 @@ from benchmark.untrusted.files import (
     PACKAGE,
     PICKLE,
     Limits,
-    in_words,
-    one_line,
+    format_bytes,
     open_file,
+    to_one_line,
 )
 
 _EARLIEST: Final = (1980, 1, 1, 0, 0, 0)
 """The first time that the format can hold: the same bytes whenever it is written."""
 
 
-def package_bytes(members: dict[str, bytes]) -> bytes:
+def encode_package(members: dict[str, bytes]) -> bytes:
     """A package: the same bytes for the same members.
 
     Args:
@@ -71,7 +71,7 @@ def read_package(path: Path, limits: Limits = PACKAGE) -> dict[str, bytes]:
                 _require_harmless(path, entries, path.stat().st_size, limits)
                 return {entry.filename: archive.read(entry) for entry in entries}
         except (zipfile.BadZipFile, EOFError, OSError, ValueError, NotImplementedError, RuntimeError) as error:
-            reason = one_line(error) or type(error).__name__
+            reason = to_one_line(error) or type(error).__name__
             raise InputError(f"{path} cannot be unpacked ({reason}); it may be truncated, fetch it again") from error
 
 
@@ -84,20 +84,20 @@ def _require_harmless(path: Path, entries: list[zipfile.ZipInfo], size: int, lim
         kind = stat.S_IFMT(entry.external_attr >> 16)
         if not _stays_inside(name, limits) or kind not in (0, stat.S_IFREG) or name in names:
             raise InputError(
-                f"{path} holds {one_line(name, 80)!r}, which is no plain file inside it or is there twice; it is "
+                f"{path} holds {to_one_line(name, 80)!r}, which is no plain file inside it or is there twice; it is "
                 "damaged or made to harm, get it from a source that you trust"
             )
         packed = entry.compress_type != zipfile.ZIP_STORED or entry.file_size != entry.compress_size
         if packed or entry.flag_bits & 0x1:
             raise InputError(
-                f"{path} holds {one_line(name, 80)} compressed or encrypted, and packages hold files as they are; "
+                f"{path} holds {to_one_line(name, 80)} compressed or encrypted, and packages hold files as they are; "
                 "fetch the package itself again"
             )
         names.add(name)
     claimed = sum(entry.file_size for entry in entries)
     if claimed > min(size, limits.content_bytes):
         raise InputError(
-            f"{path} claims to hold {in_words(claimed)} in a file of {in_words(size)}; it is damaged or made to harm, "
+            f"{path} claims to hold {format_bytes(claimed)} in a file of {format_bytes(size)}; it is damaged or made to harm, "
             "get it from a source that you trust"
         )
 
@@ -150,7 +150,7 @@ def unpack_archive(path: Path, folder: Path, limits: Limits = ARCHIVE) -> None:
     with tempfile.TemporaryFile() as plain:
         _unpack(path, plain, limits)
         plain.seek(0)
-        with _damaged(path), tarfile.open(fileobj=plain, mode="r:") as archive:
+        with _as_damaged_file(path), tarfile.open(fileobj=plain, mode="r:") as archive:
             for number, member in enumerate(archive):
                 if number >= limits.values:
                     raise InputError(f"{path} holds more than {limits.values} files; it is damaged, get it again")
@@ -160,7 +160,7 @@ def unpack_archive(path: Path, folder: Path, limits: Limits = ARCHIVE) -> None:
                 content = archive.extractfile(member) if member.isreg() else None
                 if content is None or name.is_absolute() or ".." in name.parts or not member.name.isprintable():
                     raise InputError(
-                        f"{path} holds {one_line(member.name, 80)}, which is no plain file inside it; it is damaged or "
+                        f"{path} holds {to_one_line(member.name, 80)}, which is no plain file inside it; it is damaged or "
                         "made to harm, get it from a source that you trust"
                     )
                 target = folder / name
@@ -171,7 +171,7 @@ def unpack_archive(path: Path, folder: Path, limits: Limits = ARCHIVE) -> None:
 def _unpack(path: Path, target: BinaryIO, limits: Limits) -> None:
     decoder = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_DECODER_BYTES)
     total = 0
-    with open_file(path, limits) as stream, _damaged(path):
+    with open_file(path, limits) as stream, _as_damaged_file(path):
         while not decoder.eof:
             data = stream.read(MIB) if decoder.needs_input else b""
             if decoder.needs_input and not data:
@@ -180,15 +180,15 @@ def _unpack(path: Path, target: BinaryIO, limits: Limits) -> None:
             total += len(piece)
             if total > limits.content_bytes:
                 raise InputError(
-                    f"{path} unpacks to more than {in_words(limits.content_bytes)}; it is damaged, get it again"
+                    f"{path} unpacks to more than {format_bytes(limits.content_bytes)}; it is damaged, get it again"
                 )
             target.write(piece)
 
 
 @contextmanager
-def _damaged(path: Path) -> Iterator[None]:
+def _as_damaged_file(path: Path) -> Iterator[None]:
     try:
         yield
     except (lzma.LZMAError, tarfile.TarError, EOFError, OSError, ValueError) as error:
-        reason = one_line(error) or type(error).__name__
+        reason = to_one_line(error) or type(error).__name__
         raise InputError(f"{path} cannot be unpacked ({reason}); it may be truncated, fetch it again") from error

@@ -22,7 +22,7 @@ Category = Literal[
 CATEGORIES: Final[tuple[Category, ...]] = get_args(Category)
 
 
-class RefusedFile(InputError):
+class RefusedFileError(InputError):
     """A file of results that is refused.
 
     Args:
@@ -85,7 +85,7 @@ JSON: Final = Limits("JSON file", 512 * MIB, values=12_000_000, line_bytes=64 * 
 """Maps, CAN bus, manifests, small tables: the largest map of nuScenes has 40 MB and 4 million values."""
 TABLE: Final = replace(JSON, what="table", file_bytes=4 * GIB, values=150_000_000)
 """Tables that are read whole by their check; those of nuScenes have up to 2 GB."""
-KEPT_ARRAYS: Final = Limits("file of kept arrays", 4 * GIB)
+CACHED_ARRAYS: Final = Limits("file of kept arrays", 4 * GIB)
 """Of the user's own cache: where the rows of tables are, 120 MB for nuScenes trainval."""
 RECORD: Final = Limits("record", 512 * MIB, values=60_000_000)
 """Run records, manifests and lists of a submission."""
@@ -93,7 +93,7 @@ PLANS: Final = Limits("plan file", 256 * MIB, values=1_000_000, line_bytes=64 * 
 """One row a sample: all of nuScenes has 34,149."""
 RESULTS: Final = Limits("result file", 8 * GIB, values=8_000_000, memory_bytes=GIB)
 """Files that planners' repositories write: plans, boxes, maps and forecasts of up to 34,149 samples. What reading may
-cost grows with the file (`for_file`)."""
+cost grows with the file (`scale_limits`)."""
 ANSWER: Final = Limits("answer of a planner", 64 * 1024, values=10_000)
 """One text file of a folder of results."""
 PLANNER_ANSWER: Final = Limits(
@@ -111,12 +111,12 @@ SETTINGS: Final = Limits("file of settings", 256 * 1024)
 """TOML that people write: rules of a challenge have a page."""
 PICTURE: Final = Limits("picture", 256 * MIB, values=64_000_000)
 """Values are pixels: cameras have 1.4 to 12 million."""
-WIRE_REQUEST: Final = Limits("request", 64 * MIB, depth=8, values=10_000)
+HTTP_REQUEST: Final = Limits("request", 64 * MIB, depth=8, values=10_000)
 """Bodies that a simulator posts: six pictures of 1600 x 900 as plain numbers in base64 have 34.6 MB; values beside the
 pictures are some two hundred."""
-WIRE_ANSWER: Final = Limits("answer over HTTP", 64 * MIB, depth=8, values=4_000_000)
+HTTP_ANSWER: Final = Limits("answer over HTTP", 64 * MIB, depth=8, values=4_000_000)
 """Plans with objects, forecasts and, of some models, a view from above; or a renderer's actors and pictures."""
-WIRE_PICTURE: Final = Limits("picture over HTTP", 48 * MIB, values=16_000_000)
+HTTP_PICTURE: Final = Limits("picture over HTTP", 48 * MIB, values=16_000_000)
 """Values are pixels; six of them are in memory together."""
 RECORDING_S: Final = 3600.0
 """Seconds of one imported recording, whatever its steps."""
@@ -136,7 +136,7 @@ EXPANSION: Final = 4
 _MOST_MORE_BYTES: Final = 16 * GIB
 
 
-def for_file(limits: Limits, size: int) -> Limits:
+def scale_limits(limits: Limits, size: int) -> Limits:
     """Limits of a file whose reading costs in proportion to its size, so that a small one can never cost much.
 
     Args:
@@ -155,7 +155,7 @@ def for_file(limits: Limits, size: int) -> Limits:
     )
 
 
-def in_words(count: int) -> str:
+def format_bytes(count: int) -> str:
     """Bytes as somebody would say them."""
     for unit, size in (("GB", GIB), ("MB", MIB), ("KB", 1024)):
         if count >= size:
@@ -190,7 +190,7 @@ def open_file(path: Path, limits: Limits) -> BufferedReader:
     if status.st_size > limits.file_bytes:
         os.close(descriptor)
         raise InputError(
-            f"{path} has {in_words(status.st_size)}, and a {limits.what} has at most {in_words(limits.file_bytes)}; it "
+            f"{path} has {format_bytes(status.st_size)}, and a {limits.what} has at most {format_bytes(limits.file_bytes)}; it "
             "is damaged or something else, get it again"
         )
     return os.fdopen(descriptor, "rb")
@@ -215,7 +215,7 @@ def require_name(path: Path) -> None:
         raise InputError(f"the file name {str(path)!r} is not UTF-8 text; rename the file") from None
 
 
-def one_line(text: object, longest: int = 160) -> str:
+def to_one_line(text: object, longest: int = 160) -> str:
     """What a foreign file or its reader says, fit for a sentence: one line, printable, not long.
 
     Args:

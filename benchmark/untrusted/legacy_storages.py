@@ -15,11 +15,11 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.untrusted.answers import Unanswerable
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.answers import UnencodableValueError
+from benchmark.untrusted.files import to_one_line
 
 
-class Refused(Exception):
+class DisallowedNameError(Exception):
     """A pickle asked for something that is not on the list; carries its name."""
 
 
@@ -48,14 +48,14 @@ class NumberType:
         self.dtype = self.dtype.newbyteorder(state[1])
 
 
-class _LoggedNumberType(NumberType):
+class _PickledNumberType(NumberType):
     """The same in a checkpoint, where there is no need of texts; the refusal is worded as PyTorch words its own."""
 
     kinds: ClassVar = "biuf"
     refusal: ClassVar = "Unsupported class numpy.{}"
 
 
-class _Array(np.ndarray[Any, Any]):
+class _PickledArray(np.ndarray[Any, Any]):
     """An array being read; `_plain` makes it an ordinary one."""
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
@@ -73,7 +73,7 @@ def _empty_array(subtype: Any, shape: tuple[int, ...], _: Any) -> Any:
     """What pickle calls to begin an array; numpy itself always asks for a flat one without elements."""
     if subtype is not _ArrayType or shape != (0,):
         raise pickle.UnpicklingError(f"an array of shape {shape} without content is not allowed")
-    return _Array((0,), np.uint8)
+    return _PickledArray((0,), np.uint8)
 
 
 def _array_from_buffer(buffer: bytes, kind: NumberType, shape: tuple[int, ...], order: Any) -> Any:
@@ -131,7 +131,7 @@ class AllowListUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         """What stands for a name; nothing is ever imported for it."""
         if (module, name) not in self.allowed:
-            raise Refused(f"{module}.{name}")
+            raise DisallowedNameError(f"{module}.{name}")
         return self.allowed[module, name]
 
 
@@ -145,7 +145,7 @@ STORAGES: Final = {
 _COUNT_BYTES: Final = 8
 
 
-class Storage:
+class LegacyStorage:
     """Stored numbers of a tensor.
 
     Attributes:
@@ -158,10 +158,10 @@ class Storage:
         self.values = values
 
     def __setstate__(self, state: Any) -> None:
-        raise Refused("a storage with a state")
+        raise DisallowedNameError("a storage with a state")
 
 
-class _Kind:
+class _StorageClass:
     """Stands for a class of storages."""
 
     __slots__ = ("name",)
@@ -170,10 +170,10 @@ class _Kind:
         self.name = name
 
     def __setstate__(self, state: Any) -> None:
-        raise Refused(f"a state for torch.{self.name}")
+        raise DisallowedNameError(f"a state for torch.{self.name}")
 
 
-class _Place:
+class _StorageId:
     """What a persistent id says of a storage."""
 
     __slots__ = ("count", "key", "kind")
@@ -182,7 +182,7 @@ class _Place:
         self.kind, self.key, self.count = kind, key, count
 
     def __setstate__(self, state: Any) -> None:
-        raise Refused("a storage with a state")
+        raise DisallowedNameError("a storage with a state")
 
 
 class _PlainUnpickler(pickle.Unpickler):
@@ -190,11 +190,11 @@ class _PlainUnpickler(pickle.Unpickler):
 
     def find_class(self, module: str, name: str) -> Any:
         """Never."""
-        raise Refused(f"{module}.{name}, hidden in the bytes of a tensor")
+        raise DisallowedNameError(f"{module}.{name}, hidden in the bytes of a tensor")
 
     def persistent_load(self, pid: Any) -> Any:
         """Never."""
-        raise Refused("a persistent id, hidden in the bytes of a tensor")
+        raise DisallowedNameError("a persistent id, hidden in the bytes of a tensor")
 
 
 class _StorageUnpickler(_PlainUnpickler):
@@ -204,19 +204,19 @@ class _StorageUnpickler(_PlainUnpickler):
         """The classes of storages."""
         if module != "torch" or name not in STORAGES:
             return super().find_class(module, name)
-        return _Kind(name)
+        return _StorageClass(name)
 
     def persistent_load(self, pid: Any) -> Any:
         """What the id says; where the numbers once lay (``cuda:0``) does not matter."""
         if not isinstance(pid, tuple) or len(pid) not in (5, 6) or pid[0] != "storage" or pid[5:] not in ((), (None,)):
-            raise Refused("a persistent id that names no storage")
+            raise DisallowedNameError("a persistent id that names no storage")
         _, kind, key, _, count = pid[:5]
-        if not isinstance(kind, _Kind) or not isinstance(key, str) or type(count) is not int or count < 0:
-            raise Refused("a persistent id that names no storage")
-        return _Place(kind.name, key, count)
+        if not isinstance(kind, _StorageClass) or not isinstance(key, str) or type(count) is not int or count < 0:
+            raise DisallowedNameError("a persistent id that names no storage")
+        return _StorageId(kind.name, key, count)
 
 
-def storage_of(data: Any) -> Storage:
+def read_legacy_storage(data: Any) -> LegacyStorage:
     """The numbers of a storage.
 
     Args:
@@ -231,22 +231,24 @@ def storage_of(data: Any) -> Storage:
         EOFError: If it ends too early; other errors of damaged pickles, too.
     """
     if not isinstance(data, bytes | bytearray):
-        raise Refused("torch.storage._load_from_bytes of something other than bytes")
+        raise DisallowedNameError("torch.storage._load_from_bytes of something other than bytes")
     if data[:2] == b"PK":
-        raise Refused("a zip archive in the bytes of a tensor")
+        raise DisallowedNameError("a zip archive in the bytes of a tensor")
     stream = io.BytesIO(data)
     magic, form, system = (_PlainUnpickler(stream).load() for _ in range(3))
     if magic != MAGIC or form != FORMAT or not isinstance(system, dict) or system.get("little_endian") is not True:
-        raise Unanswerable("the bytes of a tensor are not what PyTorch writes on ordinary machines")
+        raise UnencodableValueError("the bytes of a tensor are not what PyTorch writes on ordinary machines")
     place, keys = _StorageUnpickler(stream).load(), _PlainUnpickler(stream).load()
-    if not isinstance(place, _Place) or keys != [place.key]:
-        raise Unanswerable("the bytes of a tensor hold something other than one storage")
+    if not isinstance(place, _StorageId) or keys != [place.key]:
+        raise UnencodableValueError("the bytes of a tensor hold something other than one storage")
     count = int.from_bytes(stream.read(_COUNT_BYTES), "little")
     numbers = data[stream.tell() :]
     dtype = np.dtype(STORAGES[place.kind])
     if count != place.count or count * dtype.itemsize != len(numbers):
-        raise Unanswerable(f"a tensor declares {one_line(place.count, 40)} numbers and holds {len(numbers)} bytes")
+        raise UnencodableValueError(
+            f"a tensor declares {to_one_line(place.count, 40)} numbers and holds {len(numbers)} bytes"
+        )
     values: NDArray[Any] = np.frombuffer(numbers, dtype)
     if place.kind == "BFloat16Storage":
         values = (values.astype(np.uint32) << 16).view(np.float32)
-    return Storage(values)
+    return LegacyStorage(values)

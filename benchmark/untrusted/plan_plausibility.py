@@ -117,11 +117,11 @@ class Plausibility:
     misreading: Misreading | None
 
 
-Measured = str | Misreading
+TestFinding = str | Misreading
 """What a test says: its measure, or what fits better."""
 
 
-def plausibility_of(compared: ComparedPlans) -> Plausibility:
+def measure_plausibility(compared: ComparedPlans) -> Plausibility:
     """Measure plans against what was recorded.
 
     Args:
@@ -132,7 +132,7 @@ def plausibility_of(compared: ComparedPlans) -> Plausibility:
     """
     # Plans may be as large as numbers get: squares of those are infinite, and no reading of such plans fits.
     with np.errstate(over="ignore", invalid="ignore"):
-        findings = {name: test(_Steps.of(compared)) for name, test in TESTS.items()}
+        findings = {name: test(_PlanSteps.of(compared)) for name, test in TESTS.items()}
     misreadings = (finding for finding in findings.values() if isinstance(finding, Misreading))
     measured = {
         name: finding.sentence if isinstance(finding, Misreading) else finding for name, finding in findings.items()
@@ -141,7 +141,7 @@ def plausibility_of(compared: ComparedPlans) -> Plausibility:
 
 
 @dataclass(frozen=True, slots=True)
-class _Steps:
+class _PlanSteps:
     """Plans with what every test asks of them.
 
     Attributes:
@@ -159,7 +159,7 @@ class _Steps:
     moved: Bools
 
     @classmethod
-    def of(cls, compared: ComparedPlans) -> "_Steps":
+    def of(cls, compared: ComparedPlans) -> "_PlanSteps":
         """Of plans."""
         size, recorded_distance = (np.linalg.norm(points, axis=2) for points in (compared.plan, compared.recorded))
         return cls(compared.plan, compared.recorded, size, recorded_distance, recorded_distance[:, -1] > MOVED_M)
@@ -175,7 +175,7 @@ def _too_few(chosen: Bools, fewest: int) -> str | None:
     return f"{NOT_TESTABLE} ({count} of {fewest} samples)" if count < fewest else None
 
 
-def _position(steps: _Steps) -> Measured:
+def _check_position(steps: _PlanSteps) -> TestFinding:
     """Whether plans begin anywhere else and then move as the recorded car."""
     chosen = steps.moved
     if few := _too_few(chosen, FEWEST):
@@ -195,7 +195,7 @@ def _position(steps: _Steps) -> Measured:
     return f"plans begin {begins:.2f} times as far away as the recorded car gets in 0.5 s ({int(chosen.sum())} samples)"
 
 
-def _unit(steps: _Steps) -> Measured:
+def _check_unit(steps: _PlanSteps) -> TestFinding:
     """Whether plans go many times as far as the recorded car."""
     chosen = steps.moved
     if few := _too_few(chosen, FEWEST):
@@ -211,7 +211,7 @@ def _unit(steps: _Steps) -> Measured:
     return f"plans go {ratio:.2f} times as far as recorded ({int(chosen.sum())} samples)"
 
 
-def _offsets(steps: _Steps) -> Measured:
+def _check_offsets(steps: _PlanSteps) -> TestFinding:
     """Whether waypoints are steps from one to the next."""
     size, recorded_distance, begun = steps.size, steps.gone, steps.size[:, 0] > BEGUN_M
     drove = begun & (recorded_distance[:, 0] > _DROVE_M)
@@ -234,7 +234,7 @@ def _offsets(steps: _Steps) -> Measured:
     return f"plans grow {last:.2f} times as much as recorded ({int(begun.sum())} samples)"
 
 
-def _delay(steps: _Steps) -> Measured:
+def _check_delay(steps: _PlanSteps) -> TestFinding:
     """Whether the first waypoint is the present place."""
     chosen = steps.moved & (steps.gone[:, 0] > BEGUN_M)
     if few := _too_few(chosen, FEWEST):
@@ -252,7 +252,7 @@ def _delay(steps: _Steps) -> Measured:
     return f"the first waypoint is {first_step_ratio:.2f} of the first recorded step ({int(chosen.sum())} samples)"
 
 
-def _rate(steps: _Steps) -> Measured:
+def _check_rate(steps: _PlanSteps) -> TestFinding:
     """Whether waypoints are 0.1 s apart."""
     chosen = steps.moved & (steps.gone[:, 0] > BEGUN_M)
     if few := _too_few(chosen, FEWEST):
@@ -274,7 +274,7 @@ def _rate(steps: _Steps) -> Measured:
     return f"as read {read:.2f}, 0.1 s apart {fast:.2f} ({int(chosen.sum())} samples)"
 
 
-def _axes(steps: _Steps) -> Measured:
+def _check_axes(steps: _PlanSteps) -> TestFinding:
     """Whether x and y are others."""
     chosen = steps.moved
     if few := _too_few(chosen, FEWEST):
@@ -302,7 +302,7 @@ def _axes(steps: _Steps) -> Measured:
     return f"as read {as_read:.2f}, best turned {best:.2f} ({int(chosen.sum())} samples)"
 
 
-def _mirror(steps: _Steps) -> Measured:
+def _check_mirror(steps: _PlanSteps) -> TestFinding:
     """Whether left is right."""
     aside = np.abs(steps.recorded[:, -1, 0]) >= ASIDE_M
     if few := _too_few(aside, FEWEST):
@@ -314,7 +314,7 @@ def _mirror(steps: _Steps) -> Measured:
     return f"as read {as_read:.2f} m, mirrored {mirrored:.2f} m ({int(aside.sum())} samples)"
 
 
-def _origin(steps: _Steps) -> Measured:
+def _check_origin(steps: _PlanSteps) -> TestFinding:
     """Whether positions are of another point of the car."""
     standing = steps.gone.max(axis=1, initial=0.0) < STANDING_M
     standing &= np.linalg.norm(steps.plan[:, -1] - steps.plan[:, 0], axis=1) < BEGUN_M
@@ -333,14 +333,14 @@ def _origin(steps: _Steps) -> Measured:
     return f"plans of a car that stands begin {away_m:.2f} m away ({int(standing.sum())} samples)"
 
 
-TESTS: Final[dict[str, Callable[[_Steps], Measured]]] = {
-    "position": _position,
-    "unit": _unit,
-    "offsets": _offsets,
-    "delay": _delay,
-    "rate": _rate,
-    "axes": _axes,
-    "mirror": _mirror,
-    "origin": _origin,
+TESTS: Final[dict[str, Callable[[_PlanSteps], TestFinding]]] = {
+    "position": _check_position,
+    "unit": _check_unit,
+    "offsets": _check_offsets,
+    "delay": _check_delay,
+    "rate": _check_rate,
+    "axes": _check_axes,
+    "mirror": _check_mirror,
+    "origin": _check_origin,
 }
 """By name, in the order in which the first that finds something is believed."""

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from benchmark.records.caveats import Caveat
-from benchmark.untrusted.plan_plausibility import ComparedPlans, Misreading, plausibility_of
+from benchmark.untrusted.plan_plausibility import ComparedPlans, Misreading, measure_plausibility
 
 _RESTS = "every number rests on plans as they are read"
 
 
-def refusal_of(path: Path, misreading: Misreading) -> str:
+def format_refusal(path: Path, misreading: Misreading) -> str:
     """The sentence that refuses a file.
 
     Args:
@@ -25,17 +25,17 @@ def refusal_of(path: Path, misreading: Misreading) -> str:
     return f"{path}: {misreading.sentence}; {remedy}, --as-is takes it as it stands"
 
 
-def checks_said(measured: Mapping[str, str]) -> str:
+def describe_checks(measured: Mapping[str, str]) -> str:
     """What tests measured, in a line."""
     return f"checks: {'; '.join(f'{name}: {text}' for name, text in measured.items())}"
 
 
-def caveat_as_is(misreading: Misreading) -> Caveat:
+def make_as_is_caveat(misreading: Misreading) -> Caveat:
     """The caveat of a file that ``--as-is`` took in."""
     return Caveat(kind="as-is", sentence=f"taken as the file stands (--as-is), though {misreading.sentence}; {_RESTS}")
 
 
-def plan_caveats(compared: ComparedPlans) -> list[Caveat]:
+def list_plan_caveats(compared: ComparedPlans) -> list[Caveat]:
     """What there is to say of the plans of a planner, running or of a file.
 
     Args:
@@ -44,7 +44,7 @@ def plan_caveats(compared: ComparedPlans) -> list[Caveat]:
     Returns:
         A caveat where another reading fits far better.
     """
-    misreading = plausibility_of(compared).misreading
+    misreading = measure_plausibility(compared).misreading
     if misreading is None:
         return []
     remedy = ""

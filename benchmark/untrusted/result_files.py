@@ -6,18 +6,18 @@ from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from benchmark.errors import InputError
-from benchmark.untrusted.children import taken_apart
+from benchmark.untrusted.children import read_in_child
 from benchmark.untrusted.files import (
     CATEGORIES,
     JSON,
     RESULTS,
     Category,
     Limits,
-    RefusedFile,
-    for_file,
-    one_line,
+    RefusedFileError,
     open_file,
     read_file,
+    scale_limits,
+    to_one_line,
 )
 from benchmark.untrusted.text_files import TooDeepError, TooLargeError, parse_json
 
@@ -62,23 +62,23 @@ def read_result_pickle(path: Path) -> Any:
         InputError: If it cannot be opened.
     """
     with open_file(path, RESULTS) as stream:
-        limits = for_file(RESULTS, stream.seek(0, 2))
+        limits = scale_limits(RESULTS, stream.seek(0, 2))
     try:
-        answer = taken_apart(path, "results", limits)
+        answer = read_in_child(path, "results", limits)
     except InputError as error:
-        raise RefusedFile("size", str(error)) from error
+        raise RefusedFileError("size", str(error)) from error
     if answer.kind != "value":
-        raise RefusedFile("unknown", f"{path} is not a readable pickle ({': '.join(answer.parts)}); make it again")
+        raise RefusedFileError("unknown", f"{path} is not a readable pickle ({': '.join(answer.parts)}); make it again")
     content = answer.parts[0]
     if isinstance(content, dict) and "value" in content:
         return content["value"]
     category, why = (content.get("wrong"), str(content.get("why"))) if isinstance(content, dict) else (None, "")
     if category not in CATEGORIES:
-        raise RefusedFile("unknown", f"{path} is not a readable pickle; make it again")
+        raise RefusedFileError("unknown", f"{path} is not a readable pickle; make it again")
     if category == "class":
         why = f"its pickle asks for {why}, which no result file needs"
     advice = _ADVICE.get(category, "it is damaged or something else, make it again")
-    raise RefusedFile(category, f"{path} is refused: {why}; {advice}")
+    raise RefusedFileError(category, f"{path} is refused: {why}; {advice}")
 
 
 def read_result_text(path: Path, limits: Limits = JSON) -> bytes:
@@ -107,18 +107,18 @@ def parse_result_json(data: bytes, where: str, limits: Limits = JSON) -> Any:
     except json.JSONDecodeError as error:
         ended = error.pos >= len(error.doc.rstrip()) or error.msg.startswith("Unterminated")
         behind = error.msg.startswith("Extra data")
-        category, why = "trailing" if behind else "truncated" if ended else "unknown", one_line(error)
+        category, why = "trailing" if behind else "truncated" if ended else "unknown", to_one_line(error)
     except _NamedTwiceError as error:
-        category, why = "duplicate", one_line(error)
+        category, why = "duplicate", to_one_line(error)
     except _NotFiniteError as error:
-        category, why = "not_finite", one_line(error)
+        category, why = "not_finite", to_one_line(error)
     except TooDeepError as error:
-        category, why = "nesting", one_line(error)
+        category, why = "nesting", to_one_line(error)
     except TooLargeError as error:
-        category, why = "size", one_line(error)
+        category, why = "size", to_one_line(error)
     except ValueError as error:
-        why = one_line(error)
-    raise RefusedFile(category, f"{where} is not readable JSON ({why}); {_ADVICE.get(category, 'make it again')}")
+        why = to_one_line(error)
+    raise RefusedFileError(category, f"{where} is not readable JSON ({why}); {_ADVICE.get(category, 'make it again')}")
 
 
 class _NamedTwiceError(ValueError):
@@ -134,7 +134,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(members) < len(pairs):
         names: set[str] = set()
         twice = next(name for name, _ in pairs if name in names or names.add(name))  # type: ignore[func-returns-value]
-        raise _NamedTwiceError(f"{one_line(twice, 80)!r} stands twice in one object")
+        raise _NamedTwiceError(f"{to_one_line(twice, 80)!r} stands twice in one object")
     return members
 
 

@@ -16,9 +16,9 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.untrusted.answers import Unanswerable
-from benchmark.untrusted.files import EXPANSION, MIB, Limits, one_line
-from benchmark.untrusted.legacy_storages import Refused, Storage, storage_of
+from benchmark.untrusted.answers import UnencodableValueError
+from benchmark.untrusted.files import EXPANSION, MIB, Limits, to_one_line
+from benchmark.untrusted.legacy_storages import DisallowedNameError, LegacyStorage, read_legacy_storage
 
 _CORES: Final = ("core", "_core")
 _NUMBERS: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248]|b1|[SU]\d{1,4})")
@@ -39,7 +39,7 @@ _LONG: Final = ("meta",)
 """Says what kind of file it is; what it holds is of no use."""
 
 
-class _Function:
+class _FunctionStandIn:
     """Stands for a function: it can be called as pickles of arrays call it, and nothing else."""
 
     __slots__ = ("_does", "name")
@@ -52,17 +52,17 @@ class _Function:
 
     def __call__(self, *arguments: Any) -> Any:
         if self._does is None:
-            raise Refused(f"a call of {self.name}")
+            raise DisallowedNameError(f"a call of {self.name}")
         return self._does(*arguments)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        raise Refused(f"a change of {self.name}")
+        raise DisallowedNameError(f"a change of {self.name}")
 
     def __setstate__(self, state: Any) -> None:
-        raise Refused(f"a state for {self.name}")
+        raise DisallowedNameError(f"a state for {self.name}")
 
 
-class _NumberType:
+class _NumberTypeStandIn:
     """Stands for a number type of numpy; its state may be a byte order and nothing else."""
 
     __slots__ = ("dtype",)
@@ -72,14 +72,14 @@ class _NumberType:
 
     def __setstate__(self, state: Any) -> None:
         if not isinstance(state, tuple) or len(state) < 5 or any(part is not None for part in state[2:5]):
-            raise Refused("a number type with fields")
+            raise DisallowedNameError("a number type with fields")
         if state[1] not in ("<", ">", "|", "="):
-            raise Refused("a number type with another byte order")
+            raise DisallowedNameError("a number type with another byte order")
         if self.dtype.kind in "fiuU":
             self.dtype = self.dtype.newbyteorder(state[1])
 
 
-class _Array:
+class _ArrayStandIn:
     """Stands for an array or a tensor; takes its content once."""
 
     __slots__ = ("value",)
@@ -89,30 +89,32 @@ class _Array:
 
     def __setstate__(self, state: Any) -> None:
         if self.value is not None or not isinstance(state, tuple) or len(state) != 5:
-            raise Refused("an array with a state that no array has")
+            raise DisallowedNameError("an array with a state that no array has")
         _, shape, kind, fortran, data = state
         self.value = _numbers(data, kind, shape, "F" if fortran else "C")
 
 
-class _Boxes:
+class _BoxesStandIn:
     """Stands for the boxes of mmdet3d: a record that nobody looks into."""
 
     __slots__ = ("held",)
 
     def __setstate__(self, state: Any) -> None:
         if type(state) is not dict or hasattr(self, "held"):
-            raise Refused("boxes with a state that boxes have not")
+            raise DisallowedNameError("boxes with a state that boxes have not")
         self.held = state
 
 
 def _numbers(data: Any, kind: Any, shape: Any, order: Any) -> NDArray[Any]:
     """Bytes as numbers; says no before it claims any memory."""
-    if not isinstance(kind, _NumberType) or not isinstance(data, bytes | bytearray) or order not in ("C", "F"):
-        raise Refused("an array of something other than numbers and short texts")
+    if not isinstance(kind, _NumberTypeStandIn) or not isinstance(data, bytes | bytearray) or order not in ("C", "F"):
+        raise DisallowedNameError("an array of something other than numbers and short texts")
     if not _are_counts(shape):
-        raise Unanswerable(f"it declares an array of shape {one_line(shape, 60)}")
+        raise UnencodableValueError(f"it declares an array of shape {to_one_line(shape, 60)}")
     if math.prod(shape) * kind.dtype.itemsize != len(data):
-        raise Unanswerable(f"it declares an array of {math.prod(shape)} values and holds {len(data)} bytes of it")
+        raise UnencodableValueError(
+            f"it declares an array of {math.prod(shape)} values and holds {len(data)} bytes of it"
+        )
     if not data:
         return np.zeros(shape, kind.dtype)
     return np.frombuffer(data, kind.dtype).reshape(shape, order=order)
@@ -126,22 +128,22 @@ def _are_counts(shape: Any) -> bool:
     )
 
 
-def _number_type(name: Any, *_: Any) -> _NumberType:
+def _number_type(name: Any, *_: Any) -> _NumberTypeStandIn:
     if not isinstance(name, str) or not _NUMBERS.fullmatch(name):
-        raise Refused(f"numpy.dtype({one_line(name, 40)!r})")
-    return _NumberType(np.dtype(name))
+        raise DisallowedNameError(f"numpy.dtype({to_one_line(name, 40)!r})")
+    return _NumberTypeStandIn(np.dtype(name))
 
 
-def _empty_array(subtype: Any, shape: Any, kind: Any) -> _Array:
+def _empty_array(subtype: Any, shape: Any, kind: Any) -> _ArrayStandIn:
     if subtype is not _NDARRAY or kind not in (b"b", "b"):
-        raise Refused("an array of a kind of its own")
+        raise DisallowedNameError("an array of a kind of its own")
     if shape != (0,):
-        raise Unanswerable(f"it declares an array of shape {one_line(shape, 60)} before any content")
-    return _Array()
+        raise UnencodableValueError(f"it declares an array of shape {to_one_line(shape, 60)} before any content")
+    return _ArrayStandIn()
 
 
-def _array_from_buffer(data: Any, kind: Any, shape: Any, order: Any) -> _Array:
-    return _Array(_numbers(data, kind, shape, order))
+def _array_from_buffer(data: Any, kind: Any, shape: Any, order: Any) -> _ArrayStandIn:
+    return _ArrayStandIn(_numbers(data, kind, shape, order))
 
 
 def _scalar(kind: Any, data: Any) -> Any:
@@ -150,34 +152,36 @@ def _scalar(kind: Any, data: Any) -> Any:
 
 def _encode(text: Any, encoding: Any = None) -> bytes:
     if not isinstance(text, str) or encoding != "latin1":
-        raise Refused("_codecs.encode with another encoding than latin1")
+        raise DisallowedNameError("_codecs.encode with another encoding than latin1")
     return text.encode("latin1")
 
 
 def _ordered(*arguments: Any) -> dict[Any, Any]:
     if arguments:
-        raise Refused("a call of collections.OrderedDict with content")
+        raise DisallowedNameError("a call of collections.OrderedDict with content")
     return {}
 
 
-def _tensor(storage: Any, offset: Any, shape: Any, strides: Any, *rest: Any) -> _Array:
-    if not isinstance(storage, Storage) or any(not isinstance(part, bool | dict | None) or part for part in rest):
-        raise Refused("a tensor that is no plain one")
+def _tensor(storage: Any, offset: Any, shape: Any, strides: Any, *rest: Any) -> _ArrayStandIn:
+    if not isinstance(storage, LegacyStorage) or any(not isinstance(part, bool | dict | None) or part for part in rest):
+        raise DisallowedNameError("a tensor that is no plain one")
     if not _are_counts(shape) or not _are_counts(strides) or len(shape) != len(strides) or not _are_counts((offset,)):
-        raise Unanswerable("it declares a tensor of an impossible shape")
+        raise UnencodableValueError("it declares a tensor of an impossible shape")
     values = storage.values
     if math.prod(shape) * values.itemsize > EXPANSION * values.nbytes + MIB:
-        raise Unanswerable(f"it declares a tensor of {math.prod(shape)} values and stores {len(values)} of them")
+        raise UnencodableValueError(
+            f"it declares a tensor of {math.prod(shape)} values and stores {len(values)} of them"
+        )
     last = offset + sum((length - 1) * step for length, step in zip(shape, strides))
     if math.prod(shape) and last >= len(values):
-        raise Unanswerable("it declares a tensor that leaves the numbers stored for it")
+        raise UnencodableValueError("it declares a tensor that leaves the numbers stored for it")
     if not math.prod(shape):
-        return _Array(np.zeros(shape, values.dtype))
+        return _ArrayStandIn(np.zeros(shape, values.dtype))
     steps = [step * values.itemsize for step in strides]
-    return _Array(np.lib.stride_tricks.as_strided(values[offset:], shape, steps).copy())
+    return _ArrayStandIn(np.lib.stride_tricks.as_strided(values[offset:], shape, steps).copy())
 
 
-_NDARRAY: Final = _Function("numpy.ndarray", None)
+_NDARRAY: Final = _FunctionStandIn("numpy.ndarray", None)
 _LIDAR_BOXES: Final = (
     ("mmdet3d.core.bbox.structures.lidar_box3d", "LiDARInstance3DBoxes"),
     ("mmdet3d.structures.bbox_3d.lidar_box3d", "LiDARInstance3DBoxes"),
@@ -185,15 +189,17 @@ _LIDAR_BOXES: Final = (
 )
 _ALLOWED: Final[dict[tuple[str, str], Any]] = {
     ("numpy", "ndarray"): _NDARRAY,
-    ("numpy", "dtype"): _Function("numpy.dtype", _number_type),
-    **{(f"numpy.{core}.multiarray", "_reconstruct"): _Function("_reconstruct", _empty_array) for core in _CORES},
-    **{(f"numpy.{core}.multiarray", "scalar"): _Function("scalar", _scalar) for core in _CORES},
-    **{(f"numpy.{core}.numeric", "_frombuffer"): _Function("_frombuffer", _array_from_buffer) for core in _CORES},
-    ("collections", "OrderedDict"): _Function("collections.OrderedDict", _ordered),
-    ("_codecs", "encode"): _Function("_codecs.encode", _encode),
-    ("torch._utils", "_rebuild_tensor_v2"): _Function("_rebuild_tensor_v2", _tensor),
-    ("torch.storage", "_load_from_bytes"): _Function("_load_from_bytes", storage_of),
-    **dict.fromkeys(_LIDAR_BOXES, _Boxes),
+    ("numpy", "dtype"): _FunctionStandIn("numpy.dtype", _number_type),
+    **{(f"numpy.{core}.multiarray", "_reconstruct"): _FunctionStandIn("_reconstruct", _empty_array) for core in _CORES},
+    **{(f"numpy.{core}.multiarray", "scalar"): _FunctionStandIn("scalar", _scalar) for core in _CORES},
+    **{
+        (f"numpy.{core}.numeric", "_frombuffer"): _FunctionStandIn("_frombuffer", _array_from_buffer) for core in _CORES
+    },
+    ("collections", "OrderedDict"): _FunctionStandIn("collections.OrderedDict", _ordered),
+    ("_codecs", "encode"): _FunctionStandIn("_codecs.encode", _encode),
+    ("torch._utils", "_rebuild_tensor_v2"): _FunctionStandIn("_rebuild_tensor_v2", _tensor),
+    ("torch.storage", "_load_from_bytes"): _FunctionStandIn("_load_from_bytes", read_legacy_storage),
+    **dict.fromkeys(_LIDAR_BOXES, _BoxesStandIn),
 }
 """What result files may ask for, and what they get in its place."""
 
@@ -204,15 +210,15 @@ class _ResultUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         """The stand-in; nothing is ever imported."""
         if (module, name) not in _ALLOWED:
-            raise Refused(f"{module}.{name}")
+            raise DisallowedNameError(f"{module}.{name}")
         return _ALLOWED[module, name]
 
     def persistent_load(self, pid: Any) -> Any:
         """Never: only storages of tensors have such ids."""
-        raise Refused("a persistent id")
+        raise DisallowedNameError("a persistent id")
 
 
-def result_value(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
+def read_result_value(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
     """The value of a result file, or why there is none.
 
     Args:
@@ -231,30 +237,30 @@ def result_value(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
             return {"wrong": "trailing", "why": "there are bytes behind its end"}
         # Deep enough to tell what unfolds endlessly from what is only deep; Python's own calls take no C stack.
         sys.setrecursionlimit(max(sys.getrecursionlimit(), 8 * _FARTHEST_DOWN))
-        copy, _, height = _Kept(limits).of(value, 0)
+        copy, _, height = _LimitedCopier(limits).of(value, 0)
         if height > limits.depth:
-            raise _TooDeep(f"its containers lie more than {limits.depth} deep")
+            raise _NestingError(f"its containers lie more than {limits.depth} deep")
         return {"value": copy}
-    except Refused as refused:
-        return {"wrong": "class", "why": one_line(refused)}
-    except _TooDeep as why:
-        return {"wrong": "nesting", "why": one_line(why)}
-    except Unanswerable as why:
-        return {"wrong": "size", "why": one_line(why)}
+    except DisallowedNameError as refused:
+        return {"wrong": "class", "why": to_one_line(refused)}
+    except _NestingError as why:
+        return {"wrong": "nesting", "why": to_one_line(why)}
+    except UnencodableValueError as why:
+        return {"wrong": "size", "why": to_one_line(why)}
     except EOFError:
         return {"wrong": "truncated", "why": "it ends before its end"}
     except pickle.UnpicklingError as error:
-        return {"wrong": "truncated" if "truncated" in str(error) else "unknown", "why": one_line(error)}
+        return {"wrong": "truncated" if "truncated" in str(error) else "unknown", "why": to_one_line(error)}
     except TypeError as error:
         # What a stand-in cannot do: it was asked for something that no array, tensor or box asks for.
-        return {"wrong": "class", "why": one_line(error)}
+        return {"wrong": "class", "why": to_one_line(error)}
 
 
-class _TooDeep(Exception):
+class _NestingError(Exception):
     """Containers within containers within containers; says how many."""
 
 
-class _Kept:
+class _LimitedCopier:
     """Copies what is kept of a value; what is named often is copied once and counted each time.
 
     Args:
@@ -270,17 +276,17 @@ class _Kept:
         """The copy, how many values it stands for, and how many containers deep it is."""
         if type(value) in _PLAIN or isinstance(value, np.generic):
             return value, 1, 0
-        if isinstance(value, _Array) and value.value is not None:
+        if isinstance(value, _ArrayStandIn) and value.value is not None:
             return value.value, 1, 0
         known = self._known.get(id(value))
         if known is None:
             if depth > _FARTHEST_DOWN:
-                raise _TooDeep(f"its containers lie more than {self._limits.depth} deep")
+                raise _NestingError(f"its containers lie more than {self._limits.depth} deep")
             copied = self._container(value, depth)
             self._known[id(value)] = known = (*copied, value)
         copy, count, height = known[:3]
         if count > self._limits.values:
-            raise Unanswerable(f"it holds more than {self._limits.values} values")
+            raise UnencodableValueError(f"it holds more than {self._limits.values} values")
         return copy, count, height
 
     def _container(self, value: Any, depth: int) -> tuple[Any, int, int]:
@@ -289,17 +295,17 @@ class _Kept:
             return type(value)(part[0] for part in parts), 1 + sum(p[1] for p in parts), 1 + _highest(parts)
         if type(value) is dict:
             return self._dictionary(value, depth, all(key not in _KEPT for key in value))
-        if isinstance(value, _Boxes):
+        if isinstance(value, _BoxesStandIn):
             return None, 1, 0
-        name = value.name if isinstance(value, _Function) else type(value).__name__.strip("_")
-        raise Refused(f"{name} as a value")
+        name = value.name if isinstance(value, _FunctionStandIn) else type(value).__name__.strip("_")
+        raise DisallowedNameError(f"{name} as a value")
 
     def _dictionary(self, value: dict[Any, Any], depth: int, whole: bool) -> tuple[Any, int, int]:
         copy: dict[Any, Any] = {}
         parts = []
         for key, member in value.items():
             if type(key) not in _PLAIN or (isinstance(key, str) and len(key) > self._limits.name_characters):
-                raise Unanswerable("it holds a key that is no short text")
+                raise UnencodableValueError("it holds a key that is no short text")
             if not whole and (key not in _KEPT or key in _LONG):
                 parts.append((None, 1, 0))
             elif key in _ALWAYS_PARTLY and type(member) is dict:

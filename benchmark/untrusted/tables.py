@@ -4,8 +4,8 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from benchmark.untrusted.children import taken_apart
-from benchmark.untrusted.files import PLAN_COLUMNS, PLANS, Limits, in_words, one_line, read_file
+from benchmark.untrusted.children import read_in_child
+from benchmark.untrusted.files import PLAN_COLUMNS, PLANS, Limits, format_bytes, read_file, to_one_line
 from benchmark.untrusted.text_files import parse_json
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def _read_csv(data: bytes, limits: Limits) -> "pandas.DataFrame":
     _require_few(max(data.count(b"\n"), data.count(b"\r")), limits)
     lines = data.splitlines()
     if max(map(len, lines), default=0) > limits.line_bytes:
-        raise ValueError(f"a line is longer than {in_words(limits.line_bytes)}")
+        raise ValueError(f"a line is longer than {format_bytes(limits.line_bytes)}")
     header = next((line for line in lines if line.strip()), b"")
     # As Excel writes where the comma is the decimal sign.
     between = b";" if header.count(b";") > header.count(b",") else b","
@@ -59,7 +59,7 @@ def _require_no_points(table: "pandas.DataFrame") -> None:
     """Beside decimal commas a point may part thousands."""
     for name in table.columns.difference(_TEXTS):
         if table[name].dtype.kind == "O" and table[name].astype(str).str.contains(".", regex=False).any():
-            raise ValueError(f"column {one_line(name, 20)} has numbers with points, and others have decimal commas")
+            raise ValueError(f"column {to_one_line(name, 20)} has numbers with points, and others have decimal commas")
 
 
 def _read_json(data: bytes, limits: Limits) -> "pandas.DataFrame":
@@ -81,15 +81,17 @@ def _require_numbers(place: int, row: object) -> None:
     """Pandas would read text of digits as the number that it shows."""
     for name, value in row.items() if isinstance(row, dict) else ():
         if name not in _TEXTS and isinstance(value, str):
-            raise ValueError(f"row {place} has the text {one_line(value, 20)!r} for the number {one_line(name, 20)}")
+            raise ValueError(
+                f"row {place} has the text {to_one_line(value, 20)!r} for the number {to_one_line(name, 20)}"
+            )
 
 
 def _read_parquet(path: Path, limits: Limits) -> "pandas.DataFrame":
     import pandas as pd
 
-    answer = taken_apart(path, "parquet", limits)
+    answer = read_in_child(path, "parquet", limits)
     if answer.kind != "value":
-        raise ValueError(": ".join(map(one_line, answer.parts)))
+        raise ValueError(": ".join(map(to_one_line, answer.parts)))
     columns: dict[str, Any] = answer.parts[0]
     return pd.DataFrame(columns)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.errors import InputError
-from benchmark.untrusted.files import JSON, SETTINGS, Limits, in_words, one_line, open_file, read_file
+from benchmark.untrusted.files import JSON, SETTINGS, Limits, format_bytes, open_file, read_file, to_one_line
 
 
 def read_yaml(path: Path, limits: Limits = SETTINGS) -> Any:
@@ -51,7 +51,9 @@ def read_yaml(path: Path, limits: Limits = SETTINGS) -> Any:
     try:
         return yaml.load(read_file(path, limits).decode("utf-8-sig"), Loader=PlainLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not valid YAML ({one_line(error) or 'nested too deeply'}); correct it") from error
+        raise InputError(
+            f"{path} is not valid YAML ({to_one_line(error) or 'nested too deeply'}); correct it"
+        ) from error
 
 
 def read_toml(path: Path, limits: Limits = SETTINGS) -> dict[str, Any]:
@@ -86,7 +88,9 @@ def parse_toml(data: bytes, where: str) -> dict[str, Any]:
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{where} is not valid TOML ({one_line(error) or 'nested too deeply'}); correct it") from error
+        raise InputError(
+            f"{where} is not valid TOML ({to_one_line(error) or 'nested too deeply'}); correct it"
+        ) from error
 
 
 _BETWEEN: Final = bytes(sorted(set(range(256)) - set(b'[]{}"')))
@@ -147,7 +151,7 @@ def parse_json(data: bytes, limits: Limits = JSON) -> Any:
     except RecursionError:
         raise TooDeepError(too_deep) from None
     except MemoryError:
-        raise TooLargeError(f"its {in_words(len(data))} do not fit into memory") from None
+        raise TooLargeError(f"its {format_bytes(len(data))} do not fit into memory") from None
     if _is_deeper(data, limits.depth):
         raise TooDeepError(too_deep)
     # Halves of a pair of UTF-16 codes, escaped or as bytes; looked for only where there can be any.
@@ -189,7 +193,7 @@ def read_json(path: Path, limits: Limits = JSON) -> Any:
         return parse_json(_bytes(path, limits), limits)
     except ValueError as error:
         raise InputError(
-            f"{path} is not valid JSON ({one_line(error)}); it may be truncated, fetch or make it again"
+            f"{path} is not valid JSON ({to_one_line(error)}); it may be truncated, fetch or make it again"
         ) from error
 
 
@@ -229,7 +233,7 @@ def read_lines(path: Path, limits: Limits = JSON) -> Iterator[tuple[int, str]]:
     for number, line in enumerate(text.splitlines(), start=1):
         if len(line) > limits.line_bytes:
             raise InputError(
-                f"{path} line {number} is longer than {in_words(limits.line_bytes)}; it is damaged or something else, "
+                f"{path} line {number} is longer than {format_bytes(limits.line_bytes)}; it is damaged or something else, "
                 "fetch or make it again"
             )
         yield number, line
@@ -253,7 +257,9 @@ def parse_line(path: Path, number: int, line: str, limits: Limits = JSON) -> Any
     try:
         return parse_json(line.encode(), limits)
     except ValueError as error:
-        raise InputError(f"{path} line {number} is not valid JSON ({one_line(error)}); it may be truncated") from error
+        raise InputError(
+            f"{path} line {number} is not valid JSON ({to_one_line(error)}); it may be truncated"
+        ) from error
 
 
 def is_plain(data: bytes, limits: Limits = JSON) -> bool:

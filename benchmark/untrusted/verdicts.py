@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.errors import InputError
-from benchmark.untrusted.files import VERDICTS, Limits, in_words, one_line, read_file
+from benchmark.untrusted.files import VERDICTS, Limits, format_bytes, read_file, to_one_line
 from benchmark.untrusted.text_files import read_json
 
 COLUMNS: Final = ("scene", "verdict", "reason", "inspector", "token")
@@ -56,11 +56,11 @@ def _from_json(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
 def _from_csv(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
     data = read_file(path, limits)
     if max(map(len, data.splitlines()), default=0) > limits.line_bytes:
-        raise InputError(f"{path} has a line longer than {in_words(limits.line_bytes)}; it is no file of verdicts")
+        raise InputError(f"{path} has a line longer than {format_bytes(limits.line_bytes)}; it is no file of verdicts")
     try:
         rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig")), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path} is no CSV file ({one_line(error)}); make it again") from error
+        raise InputError(f"{path} is no CSV file ({to_one_line(error)}); make it again") from error
     if len(rows) > limits.values:
         raise InputError(f"{path} has more than {limits.values} lines; it is no file of verdicts")
     verdicts: dict[str, dict[str, Any]] = {}
@@ -68,7 +68,7 @@ def _from_csv(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
         if not set(_NEEDED) <= row.keys() or not {str(name) for name in row} <= set(COLUMNS):
             raise InputError(
                 f"{path} must have the columns {', '.join(_NEEDED)}, and may have {', '.join(COLUMNS[2:])}; its first "
-                f"line is {one_line(','.join(map(str, row)), 80)}"
+                f"line is {to_one_line(','.join(map(str, row)), 80)}"
             )
         members = {name: text.strip() for name, text in row.items() if text is not None and text.strip()}
         name = members.pop("scene", "")

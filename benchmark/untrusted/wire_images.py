@@ -18,7 +18,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.untrusted.files import PICTURE, WIRE_PICTURE, Limits, in_words, one_line, open_file
+from benchmark.untrusted.files import HTTP_PICTURE, PICTURE, Limits, format_bytes, open_file, to_one_line
 
 _FORMATS = ("JPEG", "PNG", "WEBP")
 
@@ -40,12 +40,12 @@ def read_picture(path: Path, limits: Limits = PICTURE) -> NDArray[np.uint8]:
         raise InputError(f"image {path} is missing; complete the data set or leave its scene out")
     with open_file(path, limits) as stream:
         try:
-            return decoded_picture(stream, limits)
+            return decode_picture(stream, limits)
         except ValueError as error:
             raise InputError(f"image {path} cannot be read ({error}); fetch or make it again") from error
 
 
-def decoded_picture(stream: BinaryIO, limits: Limits) -> NDArray[np.uint8]:
+def decode_picture(stream: BinaryIO, limits: Limits) -> NDArray[np.uint8]:
     """Decode a picture.
 
     Args:
@@ -68,7 +68,7 @@ def decoded_picture(stream: BinaryIO, limits: Limits) -> NDArray[np.uint8]:
                 raise ValueError(size)
             return np.asarray(image.convert("RGB"), dtype=np.uint8)
     except Exception as error:
-        raise ValueError(one_line(error)) from error
+        raise ValueError(to_one_line(error)) from error
 
 
 _ARRAY: Final = b"\x93NUMPY"
@@ -82,11 +82,11 @@ _NAMES: Final = frozenset({"torch._utils _rebuild_tensor_v2", "torch ByteStorage
 """All that a saved tensor of bytes asks for."""
 
 
-class TensorRefused(ValueError):
+class TensorRefusedError(ValueError):
     """It is a saved tensor, and those are not read here."""
 
 
-def image_of(data: bytes, *, tensors: bool, limits: Limits = WIRE_PICTURE) -> NDArray[np.uint8]:
+def decode_image(data: bytes, *, tensors: bool, limits: Limits = HTTP_PICTURE) -> NDArray[np.uint8]:
     """A picture.
 
     Args:
@@ -102,15 +102,15 @@ def image_of(data: bytes, *, tensors: bool, limits: Limits = WIRE_PICTURE) -> ND
         ValueError: If it is anything else, damaged, or larger; says which, fit behind "the picture".
     """
     if len(data) > limits.file_bytes:
-        raise ValueError(f"has {in_words(len(data))}, and a picture has at most {in_words(limits.file_bytes)}")
+        raise ValueError(f"has {format_bytes(len(data))}, and a picture has at most {format_bytes(limits.file_bytes)}")
     if data.startswith((_ARCHIVE, _OLD_TENSOR)):
         if not tensors:
-            raise TensorRefused("is a saved tensor of PyTorch, which is a pickle")
+            raise TensorRefusedError("is a saved tensor of PyTorch, which is a pickle")
         return _tensor(data, limits)
     if data.startswith(_ARRAY):
         return _array(data, limits)
     try:
-        return decoded_picture(io.BytesIO(data), limits)
+        return decode_picture(io.BytesIO(data), limits)
     except ValueError as error:
         raise ValueError(f"is no picture that can be read ({error})") from error
 

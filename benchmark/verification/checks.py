@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchmark.geometry import Bools, wrap_angle
-from benchmark.report.table import table_of
-from benchmark.report.words import counted
+from benchmark.report.table import build_table
+from benchmark.report.words import pluralise
 
 ROUNDING: Final = "as far as our own rounding moves it"
 AS_FAR: Final = 3.0
@@ -79,7 +79,7 @@ def _finite(number: float) -> float | None:
     return number if np.isfinite(number) else None
 
 
-def report(checks: Sequence[Check]) -> str:
+def format_report(checks: Sequence[Check]) -> str:
     """Table of a row a quantity, with notes, how far rounding moves each where it is known, and a closing sentence."""
     shows_rounding = any(check.moved is not None for check in checks)
     rows = [
@@ -95,7 +95,7 @@ def report(checks: Sequence[Check]) -> str:
     ]
     failed, rounded = sum(not check.ok for check in checks), sum(check.rounding for check in checks)
     rounding_note = f", {rounded} {ROUNDING}" if rounded else ""
-    table = table_of(
+    table = build_table(
         "checks",
         "",
         ("", "quantity", "largest error", "allowed", *(("own rounding",) if shows_rounding else ()), "values"),
@@ -103,10 +103,10 @@ def report(checks: Sequence[Check]) -> str:
         notes=[f"{check.quantity}: {check.note}." for check in checks if check.note],
         text_columns=2,
     )
-    return f"{table.plain()}{len(checks) - failed} of {counted(len(checks), 'quantity')} agree{rounding_note}"
+    return f"{table.plain()}{len(checks) - failed} of {pluralise(len(checks), 'quantity')} agree{rounding_note}"
 
 
-def _apart(sizes: list[NDArray[Any]], others: list[NDArray[Any]]) -> float:
+def _measure_difference(sizes: list[NDArray[Any]], others: list[NDArray[Any]]) -> float:
     """Largest difference of two errors, or how many verdicts differ."""
     if sizes and sizes[0].dtype == np.bool_:
         return float(sum(np.count_nonzero(ours != theirs) for ours, theirs in zip(sizes, others)))
@@ -219,7 +219,7 @@ class Comparison:
         for quantity, sizes in self._sizes.items():
             others = other._sizes.get(quantity, [])
             alike = len(sizes) == len(others) and all(a.shape == b.shape for a, b in zip(sizes, others))
-            moved[quantity] = _apart(sizes, others) if alike else float("inf")
+            moved[quantity] = _measure_difference(sizes, others) if alike else float("inf")
         return moved
 
     def note(self, quantity: str, text: str) -> None:
@@ -241,11 +241,11 @@ class Comparison:
         if self.remembers:
             self._sizes.setdefault(quantity, []).append(np.array(sizes))
         if quantity not in self._tallies:
-            self._tallies[quantity] = _Tally(self._allowed(quantity) if tolerance is None else tolerance)
+            self._tallies[quantity] = _Tally(self._get_tolerance(quantity) if tolerance is None else tolerance)
         self._tallies[quantity].count += sizes.size
         return self._tallies[quantity]
 
-    def _allowed(self, quantity: str) -> float:
+    def _get_tolerance(self, quantity: str) -> float:
         fits = (limit for name, limit in self._tolerances.items() if fnmatchcase(quantity, name))
         limit = next(fits, None)
         assert limit is not None, f"the table of quantities has no {quantity}"

@@ -13,7 +13,7 @@ NAMES = "names and shapes of tensors"
 WEIGHTS = "SHA-256 of all weights"
 
 
-def same_names_and_shapes(
+def have_same_names_and_shapes(
     comparison: Comparison,
     network: nn.Module,
     shapes: dict[str, tuple[int, ...]],
@@ -37,7 +37,7 @@ def same_names_and_shapes(
     return not wrong
 
 
-def fill(
+def fill_network(
     comparison: Comparison,
     network: nn.Module,
     recipe: WeightsRecipe,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.untrusted.arrays import read_npz
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 from benchmark.untrusted.text_files import read_json
 from benchmark.verification.checks import Check, Comparison
 
@@ -34,9 +34,11 @@ class GoldenArrays:
         try:
             arrays = read_npz(path)
         except (OSError, ValueError) as error:
-            raise damaged(path, f"{one_line(error)}; a whole npz file without pickled objects is wanted") from error
+            raise build_damage_error(
+                path, f"{to_one_line(error)}; a whole npz file without pickled objects is wanted"
+            ) from error
         if not arrays:
-            raise damaged(path, "it holds no arrays")
+            raise build_damage_error(path, "it holds no arrays")
         return cls(path, arrays)
 
     def floats(self, name: str, *shape: int | None, gaps: bool = False) -> Floats:
@@ -48,7 +50,7 @@ class GoldenArrays:
         """
         array = np.asarray(self._taken(name, "fiub", shape), np.float64)
         if not gaps and not np.isfinite(array).all():
-            raise damaged(self.path, f"array {name} has NaN or infinity in it")
+            raise build_damage_error(self.path, f"array {name} has NaN or infinity in it")
         return array
 
     def integers(self, name: str, *shape: int | None) -> NDArray[np.int64]:
@@ -71,10 +73,10 @@ class GoldenArrays:
     def _taken(self, name: str, kinds: str, shape: tuple[int | None, ...]) -> NDArray[Any]:
         array = self._arrays.get(name)
         if array is None:
-            raise damaged(self.path, f"no array {name}")
+            raise build_damage_error(self.path, f"no array {name}")
         fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape))
         if array.dtype.kind not in kinds or not fits:
-            raise damaged(self.path, f"array {name} of {array.dtype} has the shape {array.shape}")
+            raise build_damage_error(self.path, f"array {name} of {array.dtype} has the shape {array.shape}")
         return array
 
 
@@ -92,13 +94,13 @@ class GoldenFolder:
         """Value of a JSON file; ``gaps`` as of `GoldenArrays.floats`."""
         value = read_json(self.path / name)
         if not value:
-            raise damaged(self.path / name, "it says nothing")
+            raise build_damage_error(self.path / name, "it says nothing")
         if not gaps:
             # NaN and infinity are all that Python reads and JSON has no words for.
             json.dumps(value, allow_nan=False)
         return value
 
-    def nearby(self, name: str, *, gaps: bool = False) -> Any:
+    def read_json_nearby(self, name: str, *, gaps: bool = False) -> Any:
         """As `facts`, of a file in the folder or else in the one above."""
         folder = self if self.has(name) else GoldenFolder(self.path.parent)
         return folder.facts(name, gaps=gaps)
@@ -144,29 +146,29 @@ class GoldenSet:
         elif folder is None:
             raise InputError(f"verify {self.name} needs --golden, a directory of {self.holds}; none is built in")
         else:
-            golden_directory(folder, self.usual or self.name, *self.files)
-            with one_sentence(folder, self.name):
+            find_golden_directory(folder, self.usual or self.name, *self.files)
+            with raise_input_error(folder, self.name):
                 for compare in self.compare:
                     compare(comparison, GoldenFolder(folder))
         return comparison.checks()
 
 
-def damaged(path: Path, what: str) -> InputError:
+def build_damage_error(path: Path, what: str) -> InputError:
     """The one sentence on a file or folder that is not what it should be."""
     return InputError(f"{path} is no golden set of this kind, or damaged ({what}): get it again")
 
 
 @contextmanager
-def one_sentence(path: Path, kind: str) -> Iterator[None]:
+def raise_input_error(path: Path, kind: str) -> Iterator[None]:
     """Context in which any failure of a damaged set, or one of another kind, ends as one sentence."""
     try:
         yield
     except _DAMAGED as error:
-        reason = f"{type(error).__name__}: {one_line(' '.join(str(error).split()))}"
+        reason = f"{type(error).__name__}: {to_one_line(' '.join(str(error).split()))}"
         raise InputError(f"{path} is no golden set of {kind}, or damaged ({reason}): get it again") from error
 
 
-def golden_directory(golden: Path, kind: str, *names: str) -> Path:
+def find_golden_directory(golden: Path, kind: str, *names: str) -> Path:
     """Directory that holds all files of these names or patterns.
 
     ``kind`` is also the usual name of such a directory.

@@ -34,7 +34,7 @@ class WeightsRecipe(BaseModel):
 
     Attributes:
         salt: Tells one set of weights from another.
-        std_rules: Standard deviations, see `synthetic_tensor`.
+        std_rules: Standard deviations, see `make_synthetic_tensor`.
         constant_overrides: Entries that are one number throughout.
         shift_rules: A number or a list that is added to the synthetic entries it is for.
         kept_buffers: Entries that keep their real values: values by name, or names whose values lie in another file.
@@ -69,8 +69,8 @@ class WeightsRecipe(BaseModel):
             elif name in self.constant_overrides:
                 state[name] = np.full(tuple(shape), self.constant_overrides[name], np.float32)
             else:
-                value = synthetic_tensor(name, shape, self.salt, self.std_rules)
-                shift = _matching(self.shift_rules, name)
+                value = make_synthetic_tensor(name, shape, self.salt, self.std_rules)
+                shift = _find_matching(self.shift_rules, name)
                 state[name] = value if shift is None else value + np.asarray(shift, np.float32)
         return state
 
@@ -84,7 +84,7 @@ def read_shapes(stored: Any) -> dict[str, tuple[int, ...]]:
     return {str(name): tuple(int(length) for length in shape) for name, shape, *_ in pairs}
 
 
-def seeded_normal(name: str, shape: Sequence[int], salt: str) -> NDArray[np.float64]:
+def draw_seeded_normal(name: str, shape: Sequence[int], salt: str) -> NDArray[np.float64]:
     """Standard normal numbers that depend on nothing but the arguments.
 
     Returns:
@@ -95,7 +95,7 @@ def seeded_normal(name: str, shape: Sequence[int], salt: str) -> NDArray[np.floa
     return np.asarray(stream.standard_normal(tuple(shape)))
 
 
-def synthetic_tensor(
+def make_synthetic_tensor(
     name: str, shape: Sequence[int], salt: str, std_rules: Mapping[str, float] | None = None
 ) -> NDArray[Any]:
     """The value of one entry of a state dict.
@@ -106,19 +106,19 @@ def synthetic_tensor(
             fan-in and over what vectors get; the first that is found counts.
 
     Returns:
-        float32, or an int64 zero for ``num_batches_tracked``. With z from `seeded_normal`, running means are 0.1 z and
+        float32, or an int64 zero for ``num_batches_tracked``. With z from `draw_seeded_normal`, running means are 0.1 z and
         running variances 1 + 0.1 |z|; where no rule is found, tensors of two or more axes are z / sqrt(product of all
         but the first), vectors named ``weight`` are 1 + 0.1 z and all others 0.02 z.
     """
     kind = name.rpartition(".")[2]
     if kind == "num_batches_tracked":
         return np.zeros(tuple(shape), np.int64)
-    noise = seeded_normal(name, shape, salt)
+    noise = draw_seeded_normal(name, shape, salt)
     if kind == "running_mean":
         value = 0.1 * noise
     elif kind == "running_var":
         value = 1.0 + 0.1 * np.abs(noise)
-    elif (spread := _matching(std_rules or {}, name)) is not None:
+    elif (spread := _find_matching(std_rules or {}, name)) is not None:
         value = spread * noise
     elif len(shape) >= 2:
         value = noise / np.sqrt(math.prod(shape[1:]))
@@ -129,6 +129,6 @@ def synthetic_tensor(
     return value.astype(np.float32)
 
 
-def _matching(rules: Mapping[str, _Value], name: str) -> _Value | None:
+def _find_matching(rules: Mapping[str, _Value], name: str) -> _Value | None:
     """Value of the first rule whose expression is found in the name."""
     return next((value for expression, value in rules.items() if re.search(expression, name)), None)

@@ -99,7 +99,7 @@ class PublishedWeights:
         return file.url or f"{HUB}/{self.repository}/resolve/{self.revision}/{quote(file.name)}"
 
 
-def checkpoint_of(name: str) -> PublishedWeights:
+def find_checkpoint(name: str) -> PublishedWeights:
     """The published checkpoint of a planner, by file (``VAD_tiny.pth``) or by model (``vad-tiny``)."""
     checkpoint = next((entry for entry in CHECKPOINTS if name in (entry.name, entry.files[0].name)), None)
     if checkpoint is None:

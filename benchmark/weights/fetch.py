@@ -60,12 +60,12 @@ def _fetch_from_hub(weights: PublishedWeights, folder: Path) -> None:
         snapshot_download(weights.repository, revision=weights.revision, allow_patterns=names, local_dir=folder)
     # Whatever the network, the hub and its client find wrong.
     except Exception as error:
-        raise _cannot_fetch(weights.address, error, _instead(weights)) from error
+        raise _cannot_fetch(weights.address, error, _format_advice(weights)) from error
     shutil.rmtree(folder / ".cache", ignore_errors=True)
     for file in weights.files:
         path = folder / file.name
         if not path.is_file():
-            raise InputError(f"cannot fetch {weights.url(file)} (it is not there); {_instead(weights)}")
+            raise InputError(f"cannot fetch {weights.url(file)} (it is not there); {_format_advice(weights)}")
         try:
             require_published(weights, file, path)
         except InputError:
@@ -73,7 +73,7 @@ def _fetch_from_hub(weights: PublishedWeights, folder: Path) -> None:
             raise
 
 
-def _instead(weights: PublishedWeights, file: PublishedFile | None = None) -> str:
+def _format_advice(weights: PublishedWeights, file: PublishedFile | None = None) -> str:
     """Advice where there is no way to the internet."""
     named, page = (weights.names, weights.address) if file is None or file.page is None else (file.name, file.page)
     return f"get {named} from {page} with a browser, then run: {weights.how_to_import}"
@@ -89,24 +89,24 @@ def _download(weights: PublishedWeights, file: PublishedFile, path: Path) -> Non
         _receive(url, part)
     except urllib.error.HTTPError as error:
         if error.code != _RANGE_NOT_SATISFIABLE:
-            raise _cannot_fetch(url, error, _instead(weights, file)) from error
+            raise _cannot_fetch(url, error, _format_advice(weights, file)) from error
         # What is there is longer than the file: it is another one.
-        _forget(part)
+        _delete_partial(part)
         raise InputError(f"{url} has changed since its download began; run the command again") from error
     except (OSError, http.client.HTTPException, ValueError) as error:
-        raise _cannot_fetch(url, error, _instead(weights, file)) from error
+        raise _cannot_fetch(url, error, _format_advice(weights, file)) from error
     received = part.stat().st_size
     if size_bytes not in (None, received):
-        _forget(part)
+        _delete_partial(part)
         raise InputError(f"{url} gave {received} bytes instead of {size_bytes}; fetch {path.name} again")
     if sha256 is not None and not file_sha256(part).startswith(sha256.lower()):
-        _forget(part)
+        _delete_partial(part)
         raise InputError(
             f"what {url} gave is not {path.name} (its SHA-256 differs); get it from {file.page or weights.address}"
         )
     with writing_to(path):
         part.replace(path)
-    _forget(part)
+    _delete_partial(part)
 
 
 def _receive(url: str, part: Path) -> None:
@@ -142,6 +142,6 @@ def _cannot_fetch(url: str, error: Exception, instead: str) -> InputError:
     return InputError(f"cannot fetch {url} ({reason}); {instead}")
 
 
-def _forget(part: Path) -> None:
+def _delete_partial(part: Path) -> None:
     part.unlink(missing_ok=True)
     part.with_suffix(".tag").unlink(missing_ok=True)

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import canonical_json, only_writer, writing_to
+from benchmark.machine.storage import canonical_json, lock_folder, writing_to
 from benchmark.machine.workspace import weights_root
 from benchmark.untrusted.checkpoint_structure import ITEM_BYTES
-from benchmark.untrusted.checkpoints import StoredTensor, read_stored
+from benchmark.untrusted.checkpoints import TensorLocation, read_stored
 from benchmark.weights.catalogue import FOLDERS, PublishedWeights
 from benchmark.weights.fetch import fetch_files, require_published
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Checkpoint:
+class UntrustedCheckpoint:
     """Content of a checkpoint file.
 
     Attributes:
@@ -42,7 +42,7 @@ class Checkpoint:
     configuration: str
 
 
-def read_checkpoint(path: Path) -> Checkpoint:
+def read_checkpoint(path: Path) -> UntrustedCheckpoint:
     """Read a checkpoint without trusting it.
 
     Args:
@@ -66,7 +66,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             data = stored.storages[location.storage] if location.storage >= 0 else np.zeros(0, np.uint8)
             shared[key] = _numbers(data, location.number_type, swapped=stored.big_endian)
         tensors[name.removeprefix("module.") if wrapped else name] = _view(shared[key], location)
-    return Checkpoint(tensors, stored.configuration)
+    return UntrustedCheckpoint(tensors, stored.configuration)
 
 
 def _numbers(data: NDArray[np.uint8], number_type: str, *, swapped: bool) -> "Tensor":
@@ -83,7 +83,7 @@ def _numbers(data: NDArray[np.uint8], number_type: str, *, swapped: bool) -> "Te
     return torch.from_numpy(data).view(getattr(torch, number_type))
 
 
-def _view(numbers: "Tensor", tensor: StoredTensor) -> "Tensor":
+def _view(numbers: "Tensor", tensor: TensorLocation) -> "Tensor":
     if math.prod(tensor.shape) == 0:
         return numbers.new_empty(tensor.shape)
     return numbers.as_strided(tensor.shape, tensor.strides, tensor.offset)
@@ -94,23 +94,23 @@ _BLOCK_BYTES: Final = 1 << 18
 _BLOCKS: Final = 16
 
 
-def hub_folder(cache: Path | None = None) -> Path:
+def find_hub_folder(cache: Path | None = None) -> Path:
     """Folder of all folders of weights, by default in the user's cache; it need not exist."""
     return (cache or weights_root()) / "hub"
 
 
-def missing_in(folder: Path, weights: PublishedWeights) -> tuple[str, ...]:
+def list_missing_files(folder: Path, weights: PublishedWeights) -> tuple[str, ...]:
     """Names of the files of published weights that a folder lacks."""
     return tuple(file.name for file in weights.files if not (folder / file.name).is_file())
 
 
-def kept_folder(weights: PublishedWeights, cache: Path | None = None) -> Path | None:
+def find_cached_folder(weights: PublishedWeights, cache: Path | None = None) -> Path | None:
     """Where weights lie in the cache; ``None`` if they are not there, or not all of them."""
-    place = hub_folder(cache) / weights.name
-    return None if missing_in(place, weights) else place
+    place = find_hub_folder(cache) / weights.name
+    return None if list_missing_files(place, weights) else place
 
 
-def folder_of(weights: PublishedWeights, given: Path | None, cache: Path | None = None) -> Path:
+def require_folder_of(weights: PublishedWeights, given: Path | None, cache: Path | None = None) -> Path:
     """Folder in which weights lie, with every file that is needed.
 
     Args:
@@ -119,14 +119,14 @@ def folder_of(weights: PublishedWeights, given: Path | None, cache: Path | None 
     Raises:
         InputError: If there is none: what to get, where, how big, and with which command.
     """
-    places = [hub_folder(cache) / weights.name]
+    places = [find_hub_folder(cache) / weights.name]
     if given is not None:
         places = [given / weights.name, given / PurePosixPath(weights.repository).name, given]
     for place in places:
-        if not missing_in(place, weights):
+        if not list_missing_files(place, weights):
             return place
     started = next((place for place in places if any((place / file.name).is_file() for file in weights.files)), None)
-    lacks = "" if started is None else f" ({started} lacks {', '.join(missing_in(started, weights))})"
+    lacks = "" if started is None else f" ({started} lacks {', '.join(list_missing_files(started, weights))})"
     where = "" if given is None else f" in {given}"
     raise InputError(
         f"there are no weights {weights.name}{where}{lacks}, which {weights.used_by} needs; get {weights.names} "
@@ -140,11 +140,11 @@ def fetch_folder(weights: PublishedWeights, cache: Path | None = None) -> Path:
 
     The same command goes on where it broke off.
     """
-    target = hub_folder(cache) / weights.name
-    if not missing_in(target, weights):
+    target = find_hub_folder(cache) / weights.name
+    if not list_missing_files(target, weights):
         return target
-    folder = hub_folder(cache) / f".fetching-{weights.name}"
-    with only_writer(folder):
+    folder = find_hub_folder(cache) / f".fetching-{weights.name}"
+    with lock_folder(folder):
         fetch_files(weights, folder)
         _put_in_place(folder, target)
     return target
@@ -159,15 +159,15 @@ def import_folder(weights: PublishedWeights, path: Path, cache: Path | None = No
     source = path.parent if path.is_file() and [path.name] == [file.name for file in weights.files] else path
     if not source.is_dir():
         raise InputError(f"there is no folder {path}; give the one that holds {weights.names}")
-    missing = missing_in(source, weights)
+    missing = list_missing_files(source, weights)
     if missing:
         raise InputError(f"{source} lacks {', '.join(missing)} of {weights.name}; get them from {weights.address}")
-    target, folder = hub_folder(cache) / weights.name, hub_folder(cache) / f".importing-{weights.name}"
+    target, folder = find_hub_folder(cache) / weights.name, find_hub_folder(cache) / f".importing-{weights.name}"
     if target.is_dir() and target.resolve() == source.resolve():
         raise InputError(f"{source} is where {weights.name} is kept already; there is nothing to import")
     for file in weights.files:
         require_published(weights, file, source / file.name)
-    with only_writer(folder):
+    with lock_folder(folder):
         for file in weights.files:
             with writing_to(folder / file.name):
                 (folder / file.name).parent.mkdir(parents=True, exist_ok=True)
@@ -176,7 +176,7 @@ def import_folder(weights: PublishedWeights, path: Path, cache: Path | None = No
     return target
 
 
-def weights_at(
+def recognise_weights(
     path: Path, name: str | None, entries: tuple[PublishedWeights, ...] = FOLDERS
 ) -> PublishedWeights | None:
     """Weights that a user means, or ``None`` if these are others than folders of published files.
@@ -201,7 +201,7 @@ def weights_at(
     return named[0]
 
 
-def content_hash(weights: PublishedWeights, folder: Path) -> str:
+def compute_content_hash(weights: PublishedWeights, folder: Path) -> str:
     """A hash for records that tells weights apart without reading gigabytes.
 
     Returns:

@@ -8,14 +8,14 @@ from typing import Any
 import torch
 
 from benchmark.errors import InputError
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from benchmark.untrusted.arrays import require_sound_header
 from benchmark.untrusted.checkpoints import read_stored
 from benchmark.untrusted.files import LIBRARY_CHECKPOINT
 
 
 @dataclass(frozen=True, slots=True)
-class Library:
+class OptionalLibrary:
     """A library that only some commands need."""
 
     name: str
@@ -55,7 +55,7 @@ class Library:
         missing = sorted(report["missing_keys"])
         if missing:
             raise InputError(
-                f"the weights in {folder} lack {counted(len(missing), 'tensor')} of {kind} (first: "
+                f"the weights in {folder} lack {pluralise(len(missing), 'tensor')} of {kind} (first: "
                 f"{missing[0]}); get them again "
                 "(challenger-bench weights list)"
             )

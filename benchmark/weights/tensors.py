@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes
 from benchmark.untrusted.arrays import require_sound_header
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 from benchmark.untrusted.text_files import parse_json
 
 FACTS: Final = "challenger-bench"
@@ -56,7 +56,7 @@ def read_tensors(
             tensors = {name: stream.get_tensor(name) for name in sorted(stream.keys())}
             return tensors, _facts(stream, entry)
     except _BROKEN as error:
-        raise InputError(f"cannot read {what}{path} ({one_line(error)}); {instead}") from error
+        raise InputError(f"cannot read {what}{path} ({to_one_line(error)}); {instead}") from error
 
 
 def read_header(path: Path, *, instead: str) -> tuple[dict[str, tuple[int, ...]], dict[str, Any]]:
@@ -67,7 +67,7 @@ def read_header(path: Path, *, instead: str) -> tuple[dict[str, tuple[int, ...]]
             shapes = {name: tuple(stream.get_slice(name).get_shape()) for name in list(stream.keys())}
             return shapes, _facts(stream, FACTS)
     except _BROKEN as error:
-        raise InputError(f"cannot read weights from {path} ({one_line(error)}); {instead}") from error
+        raise InputError(f"cannot read weights from {path} ({to_one_line(error)}); {instead}") from error
 
 
 def _facts(stream: Any, entry: str) -> dict[str, Any]:
@@ -89,7 +89,7 @@ class TrainingRun(Generic[Network]):
     step: int = 0
 
 
-def tensors_key(tensors: Mapping[str, Tensor]) -> str:
+def hash_tensors(tensors: Mapping[str, Tensor]) -> str:
     """SHA-256 of tensors with their names."""
     digest = hashlib.sha256()
     for name, tensor in sorted(tensors.items()):

@@ -14,14 +14,14 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.machine.progress import Count, progress
+from benchmark.machine.progress import CountedUnits, track_progress
 from benchmark.machine.storage import content_seed, file_sha256
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 from benchmark.weights.folders import read_checkpoint
 from benchmark.weights.tensors import read_tensors, write_tensors
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
-from generation.diffusion.network_calls import device_of
-from generation.diffusion.schedule import STEPS, reverse, strided_timesteps
+from generation.diffusion.network_calls import parse_device
+from generation.diffusion.schedule import STEPS, choose_strided_timesteps, run_reverse_process
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
 
 PACKAGED_WEIGHTS: Final = Path(__file__).parent / "weights" / "denoiser.safetensors"
@@ -53,7 +53,7 @@ def load_denoiser(path: Path) -> TrajectoryDenoiser:
     if not path.is_file():
         raise InputError(f"no weights at {path}; pass a .safetensors file, or the published ig360_adv.ckpt")
     tensors, facts = read_tensors(path) if path.suffix == ".safetensors" else (read_checkpoint(path).tensors, {})
-    config = _config(path, facts.get("denoiser", {}))
+    config = _parse_config(path, facts.get("denoiser", {}))
     _require_same_shapes(path, config, tensors)
     denoiser = TrajectoryDenoiser(config)
     denoiser.load_state_dict({name: tensor.to(torch.float32) for name, tensor in tensors.items()}, strict=True)
@@ -62,7 +62,7 @@ def load_denoiser(path: Path) -> TrajectoryDenoiser:
     return denoiser.eval()
 
 
-def _config(path: Path, stored: Any) -> DenoiserConfig:
+def _parse_config(path: Path, stored: Any) -> DenoiserConfig:
     """Configuration of the network of a file, if there can be such a network."""
     kinds = {field.name: type(field.default) for field in fields(DenoiserConfig)}
     wrong = f"{path} says of its network what no trajectory denoiser is"
@@ -91,7 +91,7 @@ def _require_same_shapes(path: Path, config: DenoiserConfig, tensors: Mapping[st
         ([name for name, tensor in tensors.items() if tensor.is_complex()], "no real numbers"),
     )
     differences = "; ".join(
-        f"{len(names)} {problem} (first: {one_line(names[0])})" for names, problem in kinds if names
+        f"{len(names)} {problem} (first: {to_one_line(names[0])})" for names, problem in kinds if names
     )
     if differences:
         raise InputError(
@@ -104,12 +104,12 @@ BANK_SIZE: Final = 4096
 CHUNK: Final = 256
 
 
-def bank_beside(weights: Path) -> Path:
+def find_bank_path(weights: Path) -> Path:
     """Bank of a weights file: ``NAME.bank.safetensors`` beside it."""
     return weights.with_suffix(".bank.safetensors")
 
 
-def normal_noise(rng: np.random.Generator, count: int) -> torch.Tensor:
+def draw_normal_noise(rng: np.random.Generator, count: int) -> torch.Tensor:
     """(count, 16, 3) standard normal, drawn in float64 so that it is the same everywhere."""
     return torch.from_numpy(rng.standard_normal((count, WAYPOINTS, CHANNELS)).astype(np.float32))
 
@@ -123,10 +123,12 @@ def sample_actions(denoiser: TrajectoryDenoiser, count: int, steps: int | None, 
     device = next(denoiser.parameters()).device
 
     def draw() -> torch.Tensor:
-        return normal_noise(rng, count).to(device)
+        return draw_normal_noise(rng, count).to(device)
 
     with torch.inference_mode():
-        actions = reverse(denoiser, denoiser.start(draw()), strided_timesteps(STEPS - 1, steps), draw=draw)
+        actions = run_reverse_process(
+            denoiser, denoiser.start(draw()), choose_strided_timesteps(STEPS - 1, steps), draw=draw
+        )
     return actions.cpu().numpy().astype(np.float64)
 
 
@@ -147,18 +149,18 @@ def write_bank(weights: Path, *, count: int = BANK_SIZE, seed: int = 0, device: 
     """
     if count < 1:
         raise InputError(f"a bank needs at least one trajectory, got {count}")
-    denoiser, digest = load_denoiser(weights).to(device_of(device)), file_sha256(weights)
+    denoiser, digest = load_denoiser(weights).to(parse_device(device)), file_sha256(weights)
     sizes = [min(CHUNK, count - start) for start in range(0, count, CHUNK)]
     chunks = (
         sample_actions(denoiser, size, None, np.random.default_rng(content_seed("bank", seed, chunk)))
         for chunk, size in enumerate(sizes)
     )
-    trajectories = Count("trajectory", total=count, each=len)
-    actions = np.concatenate(list(progress(chunks, total=len(sizes), label="sampling bank", count=trajectories)))
+    trajectories = CountedUnits("trajectory", total=count, each=len)
+    actions = np.concatenate(list(track_progress(chunks, total=len(sizes), label="sampling bank", count=trajectories)))
     held = torch.from_numpy(actions).to(torch.float16)
     facts = {"weights_sha256": digest, "seed": seed, "count": count, "steps": STEPS}
-    write_tensors(bank_beside(weights), {"actions": held}, facts)
-    return bank_beside(weights)
+    write_tensors(find_bank_path(weights), {"actions": held}, facts)
+    return find_bank_path(weights)
 
 
 def read_bank(path: Path, weights: Path) -> Floats:

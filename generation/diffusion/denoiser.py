@@ -14,7 +14,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmark.errors import InputError
-from generation.diffusion.preconditioning import LEVEL_FEATURES, GaussianPreconditioner, ResidualNetwork, Shares
+from generation.diffusion.preconditioning import (
+    LEVEL_FEATURES,
+    GaussianPreconditioner,
+    NoiseLevelScaling,
+    ResidualNetwork,
+)
 from generation.diffusion.schedule import STEPS
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
 
@@ -114,13 +119,13 @@ class RotarySelfAttention(nn.Module):
         Args:
             tokens: (B, S, D).
             types: (S, D) type embedding, added to queries and keys only.
-            turns: (S, 1, D / 2) complex unit numbers of `rotary_angles`.
+            turns: (S, 1, D / 2) complex unit numbers of `compute_rotary_angles`.
             bias: (S, S) added to the logits, or ``None``.
         """
         width = tokens.shape[-1]
         query_key = functional.linear(tokens + types, self.in_proj_weight[: 2 * width], self.in_proj_bias[: 2 * width])
         value = functional.linear(tokens, self.in_proj_weight[2 * width :], self.in_proj_bias[2 * width :])
-        rotated = _rotate(query_key.unflatten(-1, (2, width)), turns)  # type: ignore[no-untyped-call]
+        rotated = _rotate_pairs(query_key.unflatten(-1, (2, width)), turns)  # type: ignore[no-untyped-call]
         query, key = self._split_heads(rotated[..., 0, :]), self._split_heads(rotated[..., 1, :])
         dropout = self.dropout if self.training else 0.0
         mixed = functional.scaled_dot_product_attention(
@@ -135,13 +140,13 @@ class RotarySelfAttention(nn.Module):
         return features.reshape(batch, sequence, self.heads, width // self.heads).transpose(1, 2)
 
 
-def _rotate(features: Tensor, turns: Tensor) -> Tensor:
+def _rotate_pairs(features: Tensor, turns: Tensor) -> Tensor:
     """Turn the pairs (2i, 2i+1) of (B, S, 2, D) features; as complex numbers, which is one pass over memory."""
     pairs = torch.view_as_complex(features.unflatten(-1, (-1, 2)))  # type: ignore[no-untyped-call]
     return torch.view_as_real(pairs * turns).flatten(-2)
 
 
-def rotary_angles(tokens: int, feature_dim: int) -> Tensor:
+def compute_rotary_angles(tokens: int, feature_dim: int) -> Tensor:
     """(S, D / 2) angles, radians: token index times 1e4^(-2i/D)."""
     frequencies = torch.exp(torch.arange(0, feature_dim, 2, dtype=torch.float32) * (-math.log(1e4) / feature_dim))
     return torch.arange(tokens, dtype=torch.float32)[:, None] * frequencies
@@ -173,11 +178,11 @@ class DenoiserLayer(nn.Module):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class DenoiserStep:
     """Parts of a prediction that do not depend on the noisy actions. ``timesteps`` are (1,) or (B,), 0..99."""
 
     timesteps: Tensor
-    shares: Shares | None
+    shares: NoiseLevelScaling | None
     shifts: tuple[Tensor, ...] | None
 
 
@@ -216,7 +221,7 @@ class TrajectoryDenoiser(nn.Module):
         self.decoder_mlp = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, CHANNELS))
 
         sequence = config.history_tokens + WAYPOINTS
-        angles, index = rotary_angles(sequence, width), torch.arange(sequence)
+        angles, index = compute_rotary_angles(sequence, width), torch.arange(sequence)
         far = ((index[:, None] - index).abs() > 1).to(torch.float32)
         turns = torch.polar(torch.ones_like(angles), angles)[:, None]
         self.register_buffer("rotary_turns", turns, persistent=False)
@@ -224,7 +229,7 @@ class TrajectoryDenoiser(nn.Module):
         self.register_buffer("logit_bias", bias, persistent=False)
 
     def forward(
-        self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None, step: Step | None = None
+        self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None, step: DenoiserStep | None = None
     ) -> Tensor:
         """Predict the noise.
 
@@ -244,23 +249,23 @@ class TrajectoryDenoiser(nn.Module):
         split = step.shares.split(noisy)
         return split.join(self._answer(split.whitened, step, present))
 
-    def step(self, timesteps: Tensor, present: Tensor | None = None) -> Step:
+    def step(self, timesteps: Tensor, present: Tensor | None = None) -> DenoiserStep:
         """Parts of `forward` that need no actions, to use for many of them; arguments as there."""
         shares = None if self.preconditioner is None else self.preconditioner.shares(timesteps, present)
-        return Step(timesteps, shares, None if self.config.attention else self._shifts(timesteps))
+        return DenoiserStep(timesteps, shares, None if self.config.attention else self._compute_shifts(timesteps))
 
     def network(self, tokens_in: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Tensor:
         """The network without its preconditioner: (B, 16, 3) to (B, 16, 3)."""
-        shifts = None if self.config.attention else self._shifts(timesteps)
-        return self._answer(tokens_in, Step(timesteps, None, shifts), present)
+        shifts = None if self.config.attention else self._compute_shifts(timesteps)
+        return self._answer(tokens_in, DenoiserStep(timesteps, None, shifts), present)
 
-    def _levels(self, timesteps: Tensor, dtype: torch.dtype) -> Tensor:
+    def _scale_levels(self, timesteps: Tensor, dtype: torch.dtype) -> Tensor:
         return timesteps.to(dtype) * (self.config.noise_level_scale / STEPS)
 
-    def _shifts(self, timesteps: Tensor) -> tuple[Tensor, ...]:
-        return self.residual_network.shifts(self._levels(timesteps, self.residual_network.encoder.weight.dtype))
+    def _compute_shifts(self, timesteps: Tensor) -> tuple[Tensor, ...]:
+        return self.residual_network.shifts(self._scale_levels(timesteps, self.residual_network.encoder.weight.dtype))
 
-    def _answer(self, tokens_in: Tensor, step: Step, present: Tensor | None) -> Tensor:
+    def _answer(self, tokens_in: Tensor, step: DenoiserStep, present: Tensor | None) -> Tensor:
         if step.shifts is not None:
             return self.residual_network.answer(tokens_in, step.shifts, present)
         tokens: Tensor = self.trajectory_encoder(tokens_in)
@@ -271,7 +276,7 @@ class TrajectoryDenoiser(nn.Module):
             tokens = torch.cat([history, tokens], dim=1)
             kinds = [0] * self.config.history_tokens + kinds
         types = self.type_embedding.weight[kinds]
-        sigma = self.sigma_encoder(self._levels(step.timesteps, tokens_in.dtype))
+        sigma = self.sigma_encoder(self._scale_levels(step.timesteps, tokens_in.dtype))
         width, weight = self.config.feature_dim, self.sigma_proj_layer.weight
         level = functional.linear(sigma, weight[:, width:], self.sigma_proj_layer.bias)
         tokens = functional.linear(tokens, weight[:, :width]) + level[:, None, :]

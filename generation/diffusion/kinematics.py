@@ -26,7 +26,7 @@ FREE_TURN_RAD: Final = 0.06
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class TrajectoryMotion:
     """Finite differences of trajectories that start now.
 
     Attributes:
@@ -60,7 +60,7 @@ class Motion:
         return np.asarray(np.maximum(np.maximum(turned_too_far, pulled_too_hard), 0.0).max(axis=-1))
 
 
-def motion(waypoints: Floats, previous: Floats) -> Motion:
+def compute_motion(waypoints: Floats, previous: Floats) -> TrajectoryMotion:
     """Motion along trajectories.
 
     Args:
@@ -69,7 +69,7 @@ def motion(waypoints: Floats, previous: Floats) -> Motion:
         previous: (..., 3) pose half a second ago.
 
     Returns:
-        See `Motion`. A direction is held where the vehicle stands still; before it first moves, and at the start of a
+        See `TrajectoryMotion`. A direction is held where the vehicle stands still; before it first moves, and at the start of a
         trajectory from rest, it is the heading, zero.
     """
     waypoints = np.asarray(waypoints, np.float64)
@@ -92,7 +92,7 @@ def motion(waypoints: Floats, previous: Floats) -> Motion:
     between = 0.5 * (speed[..., 1:] + speed[..., :-1])
     acceleration = np.diff(speed, axis=-1) / STEP_S
     curvature = turn / np.maximum(between * STEP_S, STILL_BELOW_M)
-    return Motion(speed, acceleration, turn, between * turn / STEP_S, curvature)
+    return TrajectoryMotion(speed, acceleration, turn, between * turn / STEP_S, curvature)
 
 
 DRAWN_FIRST: Final = 1.25
@@ -103,23 +103,23 @@ REDRAWN_BESIDE: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Draws:
+class TrajectoryDraws:
     """Trajectories drawn for one request so far: (N, 16, 3), in the order of drawing.
 
-    ``excess`` says how far beyond drivable each is, (N,) (`Motion.excess`).
+    ``excess`` says how far beyond drivable each is, (N,) (`TrajectoryMotion.excess`).
     """
 
     waypoints: Floats
     excess: Floats
 
     @classmethod
-    def none(cls) -> Self:
+    def empty(cls) -> Self:
         """Nothing yet."""
         return cls(np.zeros((0, WAYPOINTS, CHANNELS)), np.zeros(0))
 
-    def and_more(self, waypoints: Floats, previous: Floats) -> Self:
+    def extend(self, waypoints: Floats, previous: Floats) -> Self:
         """With (M, 16, 3) further waypoints of a vehicle that was at (3,) ``previous`` half a second ago."""
-        excess = motion(waypoints, previous).excess
+        excess = compute_motion(waypoints, previous).excess
         return type(self)(np.concatenate([self.waypoints, waypoints]), np.concatenate([self.excess, excess]))
 
     def missing(self, count: int) -> int:
@@ -130,12 +130,12 @@ class Draws:
         expected = REDRAWN_FACTOR * (count - drivable) * len(self.excess) / max(drivable, 1)
         return min(count, math.ceil(expected) + REDRAWN_BESIDE)
 
-    def best(self, count: int) -> Floats:
+    def select_best(self, count: int) -> Floats:
         """(count, 16, 3): the first drivable ones; the least bad ones fill up where there are not enough."""
-        return np.asarray(self.waypoints[most_drivable(self.excess, count)[:count]])
+        return np.asarray(self.waypoints[select_most_drivable(self.excess, count)[:count]])
 
 
-def most_drivable(excess: Floats, at_least: int) -> NDArray[np.int64]:
+def select_most_drivable(excess: Floats, at_least: int) -> NDArray[np.int64]:
     """Indices of trajectories that can be driven, in order; the least bad others fill up to ``at_least``."""
     order = np.argsort(excess, kind="stable")
     return np.asarray(order[: max(int((excess == 0).sum()), at_least)], dtype=np.int64)

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from generation.diffusion.denoiser import Step, TrajectoryDenoiser
-from generation.diffusion.preconditioning import present_features
+from generation.diffusion.denoiser import DenoiserStep, TrajectoryDenoiser
+from generation.diffusion.preconditioning import compute_present_features
 from generation.diffusion.schedule import Denoise
 
 PROCESSOR_ROWS: Final = 320
@@ -22,7 +22,7 @@ ACCELERATOR_ROWS: Final = 4096
 product's last bits depend on its shape: so an answer does not depend on who asks beside it."""
 
 
-class NetworkCalls:
+class BatchedNetwork:
     """A network at work.
 
     ``block`` trajectories make one call, filled up where there are fewer; with ``None`` they are not.
@@ -36,7 +36,7 @@ class NetworkCalls:
         self.device, self.block = device, block
         self._conditioned = conditioned and denoiser.config.conditioned
         self._dropout = dropout
-        self._steps: dict[tuple[float, int], Step] = {}
+        self._steps: dict[tuple[float, int], DenoiserStep] = {}
 
     def put(self, parts: Sequence[Tensor]) -> Tensor:
         """(B, ...) rows of all requests on the device."""
@@ -50,12 +50,12 @@ class NetworkCalls:
             sizes: Rows of each.
 
         Returns:
-            (B, 4) `present_features` of the rows of all requests, (1, 4) of a request that is alone, ``None`` if the
+            (B, 4) `compute_present_features` of the rows of all requests, (1, 4) of a request that is alone, ``None`` if the
             network is told nothing.
         """
         if not self._conditioned:
             return None
-        features = [present_features(torch.from_numpy(pose.astype(np.float32)))[None] for pose in previous]
+        features = [compute_present_features(torch.from_numpy(pose.astype(np.float32)))[None] for pose in previous]
         if self.block is None and len(features) == 1:
             return self.put(features)
         return self.put([row.expand(size, -1) for row, size in zip(features, sizes, strict=True)])
@@ -68,7 +68,7 @@ class NetworkCalls:
         return functools.partial(self._predict, present=present, kind=kind)
 
     @contextlib.contextmanager
-    def asking(self, rngs: Sequence[np.random.Generator]) -> Iterator[None]:
+    def inference_context(self, rngs: Sequence[np.random.Generator]) -> Iterator[None]:
         """No gradients; chance of dropout from the first request, and none of it left behind."""
         with torch.inference_mode(), torch.random.fork_rng(enabled=self._dropout):
             if self._dropout:
@@ -79,8 +79,8 @@ class NetworkCalls:
         """The network's answer, in blocks."""
         count, size = len(noisy), self.block or PROCESSOR_ROWS
         if self.block is not None:
-            noisy, present = _filled(noisy, size), None if present is None else _filled(present, size)
-        step = None if kind is None else self._step(timestep, present, kind)
+            noisy, present = _pad_rows(noisy, size), None if present is None else _pad_rows(present, size)
+        step = None if kind is None else self._prepare_step(timestep, present, kind)
         blocks = torch.split(noisy, size)
         # One row speaks for all.
         alone = present is None or len(present) == 1
@@ -88,7 +88,7 @@ class NetworkCalls:
         answers = [self.denoiser(block, timestep, known, step) for block, known in zip(blocks, moving, strict=True)]
         return (answers[0] if len(answers) == 1 else torch.cat(answers))[:count]
 
-    def _step(self, timestep: Tensor, present: Tensor | None, kind: int) -> Step:
+    def _prepare_step(self, timestep: Tensor, present: Tensor | None, kind: int) -> DenoiserStep:
         """Parts of a call that need no actions; the same in every request at this timestep and of this kind."""
         key = (float(timestep), kind)
         if key not in self._steps:
@@ -96,7 +96,7 @@ class NetworkCalls:
         return self._steps[key]
 
 
-def device_of(name: str) -> torch.device:
+def parse_device(name: str) -> torch.device:
     """A device, for example ``cpu`` or ``cuda``, on which this machine can compute."""
     try:
         device = torch.device(name)
@@ -108,6 +108,6 @@ def device_of(name: str) -> torch.device:
     return device
 
 
-def _filled(rows: Tensor, size: int) -> Tensor:
+def _pad_rows(rows: Tensor, size: int) -> Tensor:
     """Rows with zeros after them up to whole blocks."""
     return torch.cat([rows, rows.new_zeros(-len(rows) % size, *rows.shape[1:])])

@@ -20,13 +20,13 @@ from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
 LEVEL_FEATURES = 64
 """Width of the noise level's features."""
 PRESENT_FEATURES: Final = 4
-"""Numbers that say how the vehicle moves now (`present_features`)."""
+"""Numbers that say how the vehicle moves now (`compute_present_features`)."""
 FASTEST_M_S: Final = 40.0
 SHARPEST_RAD: Final = 0.5
 """Largest speed and turn per half second that a network is told; recordings hold nothing beyond."""
 
 
-def present_features(previous: Tensor) -> Tensor:
+def compute_present_features(previous: Tensor) -> Tensor:
     """Motion of a vehicle now, in numbers of order one.
 
     Args:
@@ -41,8 +41,8 @@ def present_features(previous: Tensor) -> Tensor:
     return torch.stack([speed / 10.0, torch.exp(-0.5 * speed), 5.0 * turn, torch.ones_like(speed)], dim=-1)
 
 
-def known_speed(present: Tensor) -> tuple[Tensor, Tensor]:
-    """Speed out of (B, 4) `present_features`: (B,) m/s, and (B,) whether it is known."""
+def decode_known_speed(present: Tensor) -> tuple[Tensor, Tensor]:
+    """Speed out of (B, 4) `compute_present_features`: (B,) m/s, and (B,) whether it is known."""
     return 10.0 * present[:, 0], present[:, 3] > 0.5
 
 
@@ -111,7 +111,7 @@ class ResidualNetwork(nn.Module):
 
         Args:
             level: (1,) or (B,) noise levels, in the unit the sinusoid expects.
-            present: (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
+            present: (1, 4) or (B, 4) `compute_present_features`; ``None`` says nothing of how the vehicles move now.
         """
         return self.answer(noisy, self.shifts(level), present)
 
@@ -146,14 +146,14 @@ class _Gaussian:
         """(B, 48) components along the axes."""
         return (flat[:, None] @ self.axes)[:, 0] if self.axes.ndim == 3 else flat @ self.axes
 
-    def back(self, components: Tensor) -> Tensor:
+    def from_axes(self, components: Tensor) -> Tensor:
         """(B, 48) from components along the axes."""
         turned = self.axes.mT
         return (components[:, None] @ turned)[:, 0] if turned.ndim == 3 else components @ turned
 
 
 @dataclass(frozen=True, slots=True)
-class Split:
+class PreconditionedInput:
     """Question to a network, and the part of the answer that is known without it.
 
     Attributes:
@@ -170,9 +170,9 @@ class Split:
     def join(self, answer: Tensor) -> Tensor:
         """Predicted noise (B, 16, 3) from the network's answer (B, 16, 3) of order one."""
         along = self.guess + self.left * self.gaussian.along(answer.flatten(1))
-        return self.gaussian.back(along).view_as(answer)
+        return self.gaussian.from_axes(along).view_as(answer)
 
-    def residual(self, noise: Tensor) -> Tensor:
+    def compute_residual(self, noise: Tensor) -> Tensor:
         """Right answer of the network to the noise that was added, along the axes: (B, 48), of unit variance.
 
         The inverse of `join` but for the axes.
@@ -185,7 +185,7 @@ class Split:
 
 
 @dataclass(frozen=True, slots=True)
-class Shares:
+class NoiseLevelScaling:
     """Knowledge at one noise level, for all actions: (1 or B, 48) each.
 
     Attributes:
@@ -204,11 +204,13 @@ class Shares:
     variance: Tensor
     left: Tensor
 
-    def split(self, noisy: Tensor) -> Split:
+    def split(self, noisy: Tensor) -> PreconditionedInput:
         """Take (B, 16, 3) noisy actions apart."""
         along = self.gaussian.along(noisy.flatten(1) - self.offset)
-        whitened = self.gaussian.back(along * self.whitening)
-        return Split(whitened.view_as(noisy), self.spread * along / self.variance, self.left, self.gaussian)
+        whitened = self.gaussian.from_axes(along * self.whitening)
+        return PreconditionedInput(
+            whitened.view_as(noisy), self.spread * along / self.variance, self.left, self.gaussian
+        )
 
 
 class GaussianPreconditioner(nn.Module):
@@ -254,36 +256,36 @@ class GaussianPreconditioner(nn.Module):
     def fit(self, actions: Floats, present: Tensor | None = None) -> None:
         """Take means and covariances from (N, 16, 3) standardised training actions.
 
-        ``present`` are (N, 4) `present_features`, which a preconditioner that can be told needs.
+        ``present`` are (N, 4) `compute_present_features`, which a preconditioner that can be told needs.
         """
         flat = torch.tensor(actions.reshape(len(actions), ACTIONS), dtype=torch.float64)
-        for buffer, value in zip((self.mean, self.axes, self.variances), _moments(flat), strict=True):
+        for buffer, value in zip((self.mean, self.axes, self.variances), _compute_moments(flat), strict=True):
             buffer.copy_(value)
         if not self.conditioned:
             return
         if present is None:
             raise InputError("a preconditioner that is told the speed is fitted with the speed of every window")
-        speed, _ = known_speed(present)
+        speed, _ = decode_known_speed(present)
         kinds = torch.bucketize(speed, self.edges, right=True)
         for kind in range(len(SPEED_EDGES_M_S) + 1):
             part = flat[kinds == kind]
             # Too few windows of a speed say less of it than all windows do.
-            values = _moments(part if len(part) > 4 * ACTIONS else flat)
+            values = _compute_moments(part if len(part) > 4 * ACTIONS else flat)
             for buffer, value in zip((self.told_mean, self.told_axes, self.told_variances), values, strict=True):
                 buffer[kind].copy_(value)
 
-    def split(self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Split:
+    def split(self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None) -> PreconditionedInput:
         """Take apart what is known of (B, 16, 3) noisy actions at (1,) or (B,) timesteps, 0..99.
 
-        ``present`` are (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
+        ``present`` are (1, 4) or (B, 4) `compute_present_features`; ``None`` says nothing of how the vehicles move now.
         """
         return self.shares(timesteps, present).split(noisy)
 
-    def shares(self, timesteps: Tensor, present: Tensor | None = None) -> Shares:
+    def shares(self, timesteps: Tensor, present: Tensor | None = None) -> NoiseLevelScaling:
         """Parts of `split` that need no actions; arguments as there."""
-        gaussian, alpha_bar = self._gaussian(present), self.alpha_bars[timesteps.long()][:, None]
+        gaussian, alpha_bar = self._select_gaussian(present), self.alpha_bars[timesteps.long()][:, None]
         variance = alpha_bar * gaussian.variances + (1.0 - alpha_bar)
-        return Shares(
+        return NoiseLevelScaling(
             gaussian,
             offset=alpha_bar.sqrt() * gaussian.mean,
             whitening=variance.rsqrt(),
@@ -298,7 +300,7 @@ class GaussianPreconditioner(nn.Module):
             return -1
         if len(present) > 1:
             return None
-        speed, known = known_speed(present)
+        speed, known = decode_known_speed(present)
         return int(torch.bucketize(speed, self.edges, right=True)) if bool(known) else -1
 
     def start(self, noise: Tensor, present: Tensor | None = None) -> Tensor:
@@ -306,15 +308,15 @@ class GaussianPreconditioner(nn.Module):
 
         (B, 16, 3) standard normal noise becomes (B, 16, 3) actions at timestep 99.
         """
-        gaussian, alpha_bar = self._gaussian(present), self.alpha_bars[-1]
+        gaussian, alpha_bar = self._select_gaussian(present), self.alpha_bars[-1]
         spread = (alpha_bar * gaussian.variances + 1.0 - alpha_bar).sqrt()
-        return (gaussian.back(noise.flatten(1) * spread) + alpha_bar.sqrt() * gaussian.mean).view_as(noise)
+        return (gaussian.from_axes(noise.flatten(1) * spread) + alpha_bar.sqrt() * gaussian.mean).view_as(noise)
 
-    def _gaussian(self, present: Tensor | None) -> _Gaussian:
+    def _select_gaussian(self, present: Tensor | None) -> _Gaussian:
         """Of all vehicles, or of those of each row's speed; of all where a row says nothing."""
         if present is None or not self.conditioned:
             return _Gaussian(self.mean, self.axes, self.variances)
-        speed, known = known_speed(present)
+        speed, known = decode_known_speed(present)
         kinds = torch.bucketize(speed, self.edges, right=True)
         of_speed = (self.told_mean[kinds], self.told_axes[kinds], self.told_variances[kinds])
         if len(present) == 1 and bool(known):
@@ -328,7 +330,7 @@ class GaussianPreconditioner(nn.Module):
         )
 
 
-def _moments(flat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _compute_moments(flat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Mean, principal axes and variances of (N, 48) actions."""
     mean = flat.mean(0)
     covariance = (flat - mean).T @ (flat - mean) / len(flat)

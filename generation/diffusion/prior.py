@@ -16,13 +16,32 @@ from torch import Tensor
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, file_sha256
-from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, bank_beside, load_denoiser, normal_noise, read_bank
+from generation.diffusion.checkpoint import (
+    PACKAGED_WEIGHTS,
+    draw_normal_noise,
+    find_bank_path,
+    load_denoiser,
+    read_bank,
+)
 from generation.diffusion.denoiser import TrajectoryDenoiser
-from generation.diffusion.kinematics import DRAWN_FIRST, Draws, most_drivable, motion
-from generation.diffusion.network_calls import ACCELERATOR_ROWS, NetworkCalls, device_of
-from generation.diffusion.schedule import STEPS, Denoise, add_noise, reverse, solve, solver_timesteps, strided_timesteps
-from generation.diffusion.standardiser import CHANNELS, WAYPOINTS, actions_from_waypoints, waypoints_from_actions
-from generation.search.proposals import Mutation, Request, Sampling
+from generation.diffusion.kinematics import DRAWN_FIRST, TrajectoryDraws, compute_motion, select_most_drivable
+from generation.diffusion.network_calls import ACCELERATOR_ROWS, BatchedNetwork, parse_device
+from generation.diffusion.schedule import (
+    STEPS,
+    Denoise,
+    add_noise,
+    choose_solver_timesteps,
+    choose_strided_timesteps,
+    run_reverse_process,
+    solve,
+)
+from generation.diffusion.standardiser import (
+    CHANNELS,
+    WAYPOINTS,
+    convert_actions_to_waypoints,
+    convert_waypoints_to_actions,
+)
+from generation.search.proposals import MutationRequest, Request, SamplingRequest
 
 SAMPLER_VERSION: Final = "2"
 """Part of every fingerprint; changes when the same weights and settings would give other samples."""
@@ -36,7 +55,7 @@ BOTH_AXES: Final = (0.5, 1.5)
 """Ranges of the reference's ``aug_traj``."""
 
 
-class Samples(StrEnum):
+class CandidateSource(StrEnum):
     """Source of new candidates: drawn afresh by the fast solver or by the reference's process, or stored ones."""
 
     FRESH = "fresh"
@@ -61,7 +80,7 @@ class SamplerSettings:
         dropout: Whether the network samples with dropout on, as the reference does by an omission.
     """
 
-    samples: Samples = Samples.FRESH
+    samples: CandidateSource = CandidateSource.FRESH
     solver_calls: int = SOLVER_CALLS
     conditioned: bool = True
     mutation_steps: int | None = None
@@ -104,7 +123,7 @@ class TrajectoryPrior:
                 alone, which suits a processor.
         """
         options = {"conditioned": settings.conditioned, "dropout": settings.dropout}
-        self._network = NetworkCalls(denoiser, device or torch.device("cpu"), block, **options)
+        self._network = BatchedNetwork(denoiser, device or torch.device("cpu"), block, **options)
         self._bank, self.settings, self.fingerprint = bank, settings, fingerprint
 
     @classmethod
@@ -123,13 +142,13 @@ class TrajectoryPrior:
         """
         weights = PACKAGED_WEIGHTS if path is None else path
         settings = settings or SamplerSettings()
-        strided_timesteps(0, settings.mutation_steps)
-        solver_timesteps(settings.solver_calls)
-        target = device_of(device)
+        choose_strided_timesteps(0, settings.mutation_steps)
+        choose_solver_timesteps(settings.solver_calls)
+        target = parse_device(device)
         denoiser = load_denoiser(weights)
-        stored = settings.samples is Samples.STORED
-        held = _stored(weights, settings) if stored else None
-        digests = [file_sha256(weights), file_sha256(bank_beside(weights)) if stored else None]
+        stored = settings.samples is CandidateSource.STORED
+        held = _read_bank(weights, settings) if stored else None
+        digests = [file_sha256(weights), file_sha256(find_bank_path(weights)) if stored else None]
         fingerprint = content_key("trajectory prior", SAMPLER_VERSION, digests, asdict(settings), target.type)
         block = None if target.type == "cpu" else ACCELERATOR_ROWS
         return cls(denoiser, settings, fingerprint, held, target, block)
@@ -153,7 +172,7 @@ class TrajectoryPrior:
         Returns:
             (count, 16, 3) waypoints. Stored ones are without repetition as long as enough of them suit the speed.
         """
-        return self._answer([Sampling(count, previous, rng)])[0]
+        return self._answer([SamplingRequest(count, previous, rng)])[0]
 
     def mutate(self, waypoints: Floats, noise_level: int, previous: Floats, rng: np.random.Generator) -> Floats:
         """Re-noise a little and denoise again (paper, Algorithm 1; appendix, Multi-round Trajectory Refinement).
@@ -167,17 +186,17 @@ class TrajectoryPrior:
             (B, 16, 3) new candidates. Where the change made one less drivable it is given back unchanged, unless
             ``drivable`` is off in the settings: slow cars would otherwise drift into reverse.
         """
-        return self._answer([Mutation(waypoints, noise_level, previous, rng)])[0]
+        return self._answer([MutationRequest(waypoints, noise_level, previous, rng)])[0]
 
     def _answer(self, requests: Sequence[Request]) -> list[Floats]:
         answers: dict[int, Floats] = {}
-        levels: dict[int, list[tuple[int, Mutation]]] = {}
-        exact: list[tuple[int, Sampling]] = []
+        levels: dict[int, list[tuple[int, MutationRequest]]] = {}
+        exact: list[tuple[int, SamplingRequest]] = []
         for index, request in enumerate(requests):
-            if isinstance(request, Mutation):
+            if isinstance(request, MutationRequest):
                 levels.setdefault(request.noise_level, []).append((index, request))
             elif self._bank is not None:
-                answers[index] = self._from_bank(self._bank, request)
+                answers[index] = self._draw_from_bank(self._bank, request)
             else:
                 exact.append((index, request))
         for level, group in levels.items():
@@ -187,62 +206,62 @@ class TrajectoryPrior:
         answers.update(zip((index for index, _ in exact), sampled, strict=True))
         return [answers[index] for index in range(len(requests))]
 
-    def _from_bank(self, bank: Floats, request: Sampling) -> Floats:
-        count, previous = _count(request.count), _pose(request.previous)
-        waypoints = waypoints_from_actions(bank, previous)
+    def _draw_from_bank(self, bank: Floats, request: SamplingRequest) -> Floats:
+        count, previous = _check_count(request.count), _check_pose(request.previous)
+        waypoints = convert_actions_to_waypoints(bank, previous)
         if self.settings.drivable:
-            excess = motion(waypoints, previous).excess
-            waypoints = waypoints[most_drivable(excess, min(count, len(waypoints)))]
+            excess = compute_motion(waypoints, previous).excess
+            waypoints = waypoints[select_most_drivable(excess, min(count, len(waypoints)))]
         chosen = request.rng.choice(len(waypoints), size=count, replace=count > len(waypoints))
         return np.asarray(waypoints[chosen])
 
-    def _sample_together(self, requests: Sequence[Sampling]) -> list[Floats]:
+    def _sample_together(self, requests: Sequence[SamplingRequest]) -> list[Floats]:
         """Full reverse processes, repeated for those that have not enough that suit the speed."""
-        drawn = [Draws.none() for _ in requests]
-        previous = [_pose(request.previous) for request in requests]
+        drawn = [TrajectoryDraws.empty() for _ in requests]
+        previous = [_check_pose(request.previous) for request in requests]
         more = DRAWN_FIRST if self.settings.drivable else 1.0
-        wanted = {index: math.ceil(more * _count(request.count)) for index, request in enumerate(requests)}
+        wanted = {index: math.ceil(more * _check_count(request.count)) for index, request in enumerate(requests)}
         for _ in range(MOST_BATCHES if self.settings.drivable else 1):
             if not wanted:
                 break
             rngs = [requests[index].rng for index in wanted]
-            noise = [normal_noise(rng, count) for rng, count in zip(rngs, wanted.values(), strict=True)]
-            actions = self._from_noise(noise, rngs, [previous[index] for index in wanted])
+            noise = [draw_normal_noise(rng, count) for rng, count in zip(rngs, wanted.values(), strict=True)]
+            actions = self._denoise(noise, rngs, [previous[index] for index in wanted])
             for index, part in zip(wanted, actions, strict=True):
-                drawn[index] = drawn[index].and_more(waypoints_from_actions(part, previous[index]), previous[index])
+                drawn[index] = drawn[index].extend(convert_actions_to_waypoints(part, previous[index]), previous[index])
             wanted = {index: missing for index in wanted if (missing := drawn[index].missing(requests[index].count))}
         if not self.settings.drivable:
             return [draws.waypoints for draws in drawn]
-        return [draws.best(request.count) for draws, request in zip(drawn, requests, strict=True)]
+        return [draws.select_best(request.count) for draws, request in zip(drawn, requests, strict=True)]
 
-    def _from_noise(
+    def _denoise(
         self, noise: Sequence[Tensor], rngs: Sequence[np.random.Generator], previous: Sequence[Floats]
     ) -> list[Floats]:
         """Clean actions of each request, by the process that the settings name."""
         sizes = [len(part) for part in noise]
         present = self._network.present(previous, sizes)
         start, denoise = self._network.denoiser.start(self._network.put(noise), present), self._network.told(present)
-        if self.settings.samples is Samples.REFERENCE:
-            return self._reverse(denoise, start, strided_timesteps(STEPS - 1, None), rngs, sizes)
-        with self._network.asking(rngs):
-            clean = solve(denoise, start, solver_timesteps(self.settings.solver_calls))
-        return _parts(clean, sizes)
+        if self.settings.samples is CandidateSource.REFERENCE:
+            return self._reverse(denoise, start, choose_strided_timesteps(STEPS - 1, None), rngs, sizes)
+        with self._network.inference_context(rngs):
+            clean = solve(denoise, start, choose_solver_timesteps(self.settings.solver_calls))
+        return _split_by_request(clean, sizes)
 
-    def _mutate_together(self, requests: Sequence[Mutation], level: int) -> list[Floats]:
+    def _mutate_together(self, requests: Sequence[MutationRequest], level: int) -> list[Floats]:
         """Truncated processes of one noise level."""
-        timesteps = strided_timesteps(level - 1, self.settings.mutation_steps)
-        previous = [_pose(request.previous) for request in requests]
-        before = [_continuous(request.waypoints) for request in requests]
+        timesteps = choose_strided_timesteps(level - 1, self.settings.mutation_steps)
+        previous = [_check_pose(request.previous) for request in requests]
+        before = [_unwrap_headings(request.waypoints) for request in requests]
         actions = [
-            torch.from_numpy(actions_from_waypoints(start, pose).astype(np.float32))
+            torch.from_numpy(convert_waypoints_to_actions(start, pose).astype(np.float32))
             for start, pose in zip(before, previous, strict=True)
         ]
-        noise = [normal_noise(request.rng, len(start)) for request, start in zip(requests, before, strict=True)]
+        noise = [draw_normal_noise(request.rng, len(start)) for request, start in zip(requests, before, strict=True)]
         noisy = add_noise(self._network.put(actions), self._network.put(noise), timesteps[0])
         rngs, sizes = [request.rng for request in requests], [len(part) for part in noise]
         clean = self._reverse(self._network.told(self._network.present(previous, sizes)), noisy, timesteps, rngs, sizes)
         return [
-            self._kept(start, waypoints_from_actions(part, pose), pose)
+            self._kept(start, convert_actions_to_waypoints(part, pose), pose)
             for start, part, pose in zip(before, clean, previous, strict=True)
         ]
 
@@ -250,9 +269,9 @@ class TrajectoryPrior:
         """Changed waypoints, but the old ones where the change made them less drivable."""
         if not self.settings.drivable:
             return after
-        excess = motion(after, previous).excess
+        excess = compute_motion(after, previous).excess
         bad = np.flatnonzero(excess > 0)
-        worse = bad[excess[bad] > motion(before[bad], previous).excess]
+        worse = bad[excess[bad] > compute_motion(before[bad], previous).excess]
         merged = after.copy()
         merged[worse] = before[worse]
         return merged
@@ -268,22 +287,22 @@ class TrajectoryPrior:
         """Clean actions of each request by the reference's process."""
 
         def draw() -> Tensor:
-            drawn = [normal_noise(rng, size) for rng, size in zip(rngs, sizes, strict=True)]
+            drawn = [draw_normal_noise(rng, size) for rng, size in zip(rngs, sizes, strict=True)]
             return self._network.put(drawn)
 
-        with self._network.asking(rngs):
-            clean = reverse(denoise, noisy, timesteps, draw=draw if self.settings.stochastic else None)
-        return _parts(clean, sizes)
+        with self._network.inference_context(rngs):
+            clean = run_reverse_process(denoise, noisy, timesteps, draw=draw if self.settings.stochastic else None)
+        return _split_by_request(clean, sizes)
 
 
-def _parts(clean: Tensor, sizes: Sequence[int]) -> list[Floats]:
+def _split_by_request(clean: Tensor, sizes: Sequence[int]) -> list[Floats]:
     """Answers of each request in double precision."""
     return [part.numpy().astype(np.float64) for part in torch.split(clean.cpu(), list(sizes))]
 
 
-def _stored(weights: Path, settings: SamplerSettings) -> Floats:
+def _read_bank(weights: Path, settings: SamplerSettings) -> Floats:
     """(N, 16, 3) actions that were sampled in advance."""
-    beside = bank_beside(weights)
+    beside = find_bank_path(weights)
     if settings.dropout:
         raise InputError("stored samples were drawn without dropout; draw afresh, or leave dropout off")
     if not beside.is_file():
@@ -291,7 +310,7 @@ def _stored(weights: Path, settings: SamplerSettings) -> Floats:
     return read_bank(beside, weights)
 
 
-def _continuous(waypoints: Floats) -> Floats:
+def _unwrap_headings(waypoints: Floats) -> Floats:
     """Waypoints whose headings do not jump by a full turn."""
     waypoints = np.asarray(waypoints, np.float64)
     if waypoints.ndim != 3 or waypoints.shape[1:] != (WAYPOINTS, CHANNELS) or not np.isfinite(waypoints).all():
@@ -303,13 +322,13 @@ def _continuous(waypoints: Floats) -> Floats:
     return start
 
 
-def _count(count: int) -> int:
+def _check_count(count: int) -> int:
     if count < 1:
         raise InputError(f"at least one trajectory must be asked for, got {count}")
     return count
 
 
-def _pose(previous: Floats) -> Floats:
+def _check_pose(previous: Floats) -> Floats:
     previous = np.asarray(previous, np.float64)
     if previous.shape != (CHANNELS,) or not np.isfinite(previous).all():
         raise InputError(f"the pose half a second ago must be finite x, y, heading, got {previous.tolist()}")

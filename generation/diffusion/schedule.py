@@ -28,16 +28,16 @@ Denoise = Callable[[Tensor, Tensor], Tensor]
 """Noisy actions (B, 16, 3) and timesteps (1,) to predicted noise (B, 16, 3)."""
 
 
-def _alpha_bars() -> tuple[Floats, Floats]:
+def _compute_alpha_bars() -> tuple[Floats, Floats]:
     betas = np.linspace(BETA_START**0.5, BETA_END**0.5, STEPS) ** 2
     return betas, np.cumprod(1.0 - betas)
 
 
-BETAS, ALPHA_BARS = _alpha_bars()
+BETAS, ALPHA_BARS = _compute_alpha_bars()
 """(100,) noise added per step; (100,) share of the signal's variance left after it."""
 
 
-def signal_and_noise(timestep: int) -> tuple[float, float]:
+def get_signal_and_noise(timestep: int) -> tuple[float, float]:
     """Factors of the clean sample and of the noise after a forward step.
 
     They are the square roots of alpha-bar and of its complement at a timestep, 0..99.
@@ -45,7 +45,7 @@ def signal_and_noise(timestep: int) -> tuple[float, float]:
     return float(ALPHA_BARS[timestep] ** 0.5), float((1.0 - ALPHA_BARS[timestep]) ** 0.5)
 
 
-def reference_eta(timestep: int) -> float:
+def get_reference_eta(timestep: int) -> float:
     """Stochasticity of a reverse step in the reference: sqrt(beta / (1 - beta)) of the step before.
 
     At timestep 0 the reference's index wraps around; nothing is added there, so the value is harmless.
@@ -59,11 +59,11 @@ def add_noise(actions: Tensor, noise: Tensor, timestep: int) -> Tensor:
 
     (B, 16, 3) clean actions, standard normal noise, and noisy actions.
     """
-    signal, spread = signal_and_noise(timestep)
+    signal, spread = get_signal_and_noise(timestep)
     return signal * actions + spread * noise
 
 
-def reverse_step(
+def compute_reverse_step(
     noisy: Tensor, predicted_noise: Tensor, timestep: int, target: int, *, eta: float = 0.0, fresh: Tensor | None = None
 ) -> Tensor:
     """One DDIM step (Song, Meng, Ermon 2020, equation 12).
@@ -87,7 +87,7 @@ def reverse_step(
     return moved if fresh is None or spread == 0.0 else moved + spread * fresh
 
 
-def reverse(
+def run_reverse_process(
     denoise: Denoise,
     noisy: Tensor,
     timesteps: Sequence[int],
@@ -104,18 +104,18 @@ def reverse(
     for timestep, target in zip(timesteps, [*timesteps[1:], -1]):
         predicted = denoise(noisy, torch.tensor([timestep], dtype=torch.float32, device=noisy.device))
         stochastic = draw is not None and target >= 0
-        noisy = reverse_step(
+        noisy = compute_reverse_step(
             noisy,
             predicted,
             timestep,
             target,
-            eta=reference_eta(timestep) if stochastic else 0.0,
+            eta=get_reference_eta(timestep) if stochastic else 0.0,
             fresh=draw() if draw is not None and stochastic else None,
         )
     return noisy
 
 
-def strided_timesteps(first: int, calls: int | None) -> tuple[int, ...]:
+def choose_strided_timesteps(first: int, calls: int | None) -> tuple[int, ...]:
     """Timesteps at which the network is asked on the way from ``first`` to the clean sample.
 
     Args:
@@ -135,12 +135,12 @@ def strided_timesteps(first: int, calls: int | None) -> tuple[int, ...]:
     return tuple(int(timestep) for timestep in np.round(spread))
 
 
-def log_ratios() -> Floats:
+def compute_log_ratios() -> Floats:
     """(100,) logarithm of signal over noise (of standard deviations) at each timestep, falling."""
     return np.asarray(0.5 * np.log(ALPHA_BARS / (1.0 - ALPHA_BARS)))
 
 
-def solver_timesteps(calls: int) -> tuple[int, ...]:
+def choose_solver_timesteps(calls: int) -> tuple[int, ...]:
     """Timesteps at which the network is asked, evenly spaced in the logarithm of signal over noise.
 
     Strictly falling from 99 to 0 for 2 to 100 calls. The network knows whole timesteps only, so where the even
@@ -148,7 +148,7 @@ def solver_timesteps(calls: int) -> tuple[int, ...]:
     """
     if not 2 <= calls <= STEPS:
         raise InputError(f"a fast reverse process asks the network 2 to {STEPS} times, got {calls}")
-    ratios = log_ratios()
+    ratios = compute_log_ratios()
     wanted = np.linspace(ratios[-1], ratios[0], calls)
     rising = np.rint(np.interp(wanted[::-1], ratios[::-1], np.arange(STEPS)[::-1].astype(np.float64)))
     index = np.arange(calls)
@@ -162,20 +162,20 @@ def solve(denoise: Denoise, noisy: Tensor, timesteps: Sequence[int]) -> Tensor:
 
     Each step moves towards the clean sample extrapolated from the last two predictions; the first step has one
     prediction only. The last prediction is the answer: the noise left at timestep 0 is a hundredth of an action.
-    Actions are (B, 16, 3); ``timesteps`` are strictly falling (`solver_timesteps`).
+    Actions are (B, 16, 3); ``timesteps`` are strictly falling (`choose_solver_timesteps`).
     """
-    ratios = log_ratios()
+    ratios = compute_log_ratios()
     before: Tensor | None = None
     stepped = 0.0
     for timestep, target in zip(timesteps, [*timesteps[1:], None]):
-        signal, spread = signal_and_noise(timestep)
+        signal, spread = get_signal_and_noise(timestep)
         predicted = denoise(noisy, torch.tensor([timestep], dtype=torch.float32, device=noisy.device))
         clean = ((noisy - spread * predicted) / signal).clamp(-CLAMP, CLAMP)
         if target is None:
             return clean
         step = float(ratios[target] - ratios[timestep])
         between = clean if before is None else clean + (0.5 * step / stepped) * (clean - before)
-        target_signal, target_noise = signal_and_noise(target)
+        target_signal, target_noise = get_signal_and_noise(target)
         noisy = (target_noise / spread) * noisy - target_signal * math.expm1(-step) * between
         before, stepped = clean, step
     return noisy

@@ -18,7 +18,7 @@ ACTION_SCALE: Final = 4.0
 """Second difference, metres per squared half second, of an action of one: 16 m/s^2."""
 
 
-def actions_from_waypoints(waypoints: Floats, previous: Floats, now: Floats | None = None) -> Floats:
+def convert_waypoints_to_actions(waypoints: Floats, previous: Floats, now: Floats | None = None) -> Floats:
     """Standardise: scaled second differences.
 
     Args:
@@ -37,8 +37,8 @@ def actions_from_waypoints(waypoints: Floats, previous: Floats, now: Floats | No
     return np.diff(path, n=2, axis=-2) / ACTION_SCALE
 
 
-def waypoints_from_actions(actions: Floats, previous: Floats, now: Floats | None = None) -> Floats:
-    """Unstandardise: integrate actions twice; the inverse of `actions_from_waypoints`.
+def convert_actions_to_waypoints(actions: Floats, previous: Floats, now: Floats | None = None) -> Floats:
+    """Unstandardise: integrate actions twice; the inverse of `convert_waypoints_to_actions`.
 
     Args:
         actions: (..., 16, 3) actions.

@@ -49,8 +49,8 @@ class PathFrame:
                 vertex_frames.append(frame)
         poses = ego[vertex_frames][:, [0, 1, 4]]
         # The past is a drive in reverse: the same arc, left behind.
-        before = _onwards(poses[::-1], backwards=True)[::-1]
-        vertices = np.concatenate([before, poses[:, :2], _onwards(poses, backwards=False)])
+        before = _extend(poses[::-1], backwards=True)[::-1]
+        vertices = np.concatenate([before, poses[:, :2], _extend(poses, backwards=False)])
         stations = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vertices, axis=0).T))])
         stations -= stations[len(before)]
         # Segment k leads on from the k-th vertex; the first kept frame comes after those of the past.
@@ -139,7 +139,7 @@ class Placement:
         )
 
 
-def _onwards(poses: Floats, *, backwards: bool) -> Floats:
+def _extend(poses: Floats, *, backwards: bool) -> Floats:
     """(E, 2) vertices after the last of some poses (M, 3) on the path: an arc as before, then straight.
 
     Headings are those of the drive; ``backwards`` leads against them.
@@ -164,7 +164,7 @@ MOVING_M_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Encounter:
+class PathInteraction:
     """A vehicle and the ego, frame by frame, in the frame of the ego's path.
 
     Attributes:
@@ -197,9 +197,9 @@ class Encounter:
     @property
     def inside(self) -> Bools:
         """(F,) whether the vehicle's body reaches into the strip that the ego sweeps."""
-        return self.within(0.0)
+        return self.is_within(0.0)
 
-    def within(self, margin_m: float) -> Bools:
+    def is_within(self, margin_m: float) -> Bools:
         """(F,) whether it reaches into the strip with a margin on both sides."""
         half = self.half_width + margin_m
         return np.asarray((self.other.right < half) & (self.other.left > -half) & self.present)
@@ -262,13 +262,15 @@ class Encounter:
         return np.asarray((np.interp(after, frames, self.along) - np.interp(before, frames, self.along)) / span)
 
 
-def encounter(ego: Floats, other: Floats, seconds: Floats, present: Bools, start: int) -> Encounter:
+def compute_path_interaction(
+    ego: Floats, other: Floats, seconds: Floats, present: Bools, start: int
+) -> PathInteraction:
     """Bring two tracks of (T, 5) boxes at (T,) times into the frame of the ego's path, from frame ``start`` on."""
     path, frames = PathFrame.of(ego), slice(start, None)
     placed = Placement.of(path, other[frames], frames)
-    ego_velocity, velocity = (_velocity(track[frames], seconds[frames]) for track in (ego, other))
+    ego_velocity, velocity = (_compute_velocity(track[frames], seconds[frames]) for track in (ego, other))
     heading = other[frames, 4] - placed.turn
-    return Encounter(
+    return PathInteraction(
         seconds=seconds[frames],
         present=present[frames],
         ego=Placement.of(path, ego[frames], frames),
@@ -281,7 +283,7 @@ def encounter(ego: Floats, other: Floats, seconds: Floats, present: Bools, start
     )
 
 
-def _velocity(boxes: Floats, seconds: Floats) -> Floats:
+def _compute_velocity(boxes: Floats, seconds: Floats) -> Floats:
     """(F, 2) m/s; a single frame stands."""
     if len(boxes) < 2:
         return np.zeros((len(boxes), 2))

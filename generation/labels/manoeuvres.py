@@ -9,8 +9,8 @@ from enum import StrEnum
 import numpy as np
 
 from benchmark.geometry import Bools
-from benchmark.records.attempts import Encroachment, Occurrence
-from generation.labels.encounters import MOVING_M_S, Encounter
+from benchmark.records.attempts import Encroachment, ManoeuvreOccurrence
+from generation.labels.encounters import MOVING_M_S, PathInteraction
 
 
 class Manoeuvre(StrEnum):
@@ -67,7 +67,7 @@ CLOSE_M = 10.0
 """Bodies farther apart than this all the time are distant."""
 
 
-def occurrences(met: Encounter) -> tuple[Occurrence, ...]:
+def find_occurrences(met: PathInteraction) -> tuple[ManoeuvreOccurrence, ...]:
     """Every kind of manoeuvre that occurred, the primary one first; at least one.
 
     The primary kind is the first in the order of `Manoeuvre` among those during which the bodies came within 5 m of
@@ -76,22 +76,22 @@ def occurrences(met: Encounter) -> tuple[Occurrence, ...]:
     the order of `Manoeuvre`.
     """
     runs: dict[Manoeuvre, list[slice]] = {}
-    for kind, run in (*_in_front(met), *_beside(met), *_behind(met)):
+    for kind, run in (*_find_in_front(met), *_find_beside(met), *_find_behind(met)):
         runs.setdefault(kind, []).append(run)
-    nearest = {kind: min(_least_gap(met, run, HORIZON_S) for run in runs[kind]) for kind in runs}
+    nearest = {kind: min(_compute_least_gap(met, run, HORIZON_S) for run in runs[kind]) for kind in runs}
     decisive = [kind for kind in Manoeuvre if nearest.get(kind, np.inf) <= float(met.gap.min()) + DECISIVE_M]
     if not decisive:
-        decisive = [_passing(met, runs)]
+        decisive = [_add_passing(met, runs)]
     kinds = sorted(runs, key=lambda kind: (kind is not decisive[0], list(Manoeuvre).index(kind)))
-    return tuple(_occurrence(met, kind, runs[kind]) for kind in kinds)
+    return tuple(_build_occurrence(met, kind, runs[kind]) for kind in kinds)
 
 
-def encroachment(met: Encounter) -> Encroachment | None:
+def find_encroachment(met: PathInteraction) -> Encroachment | None:
     """First of the closest successions of the two bodies on the same piece of the ego's path.
 
     ``None`` if no piece was used by both while recorded.
     """
-    at = np.flatnonzero(settled(met.inside))
+    at = np.flatnonzero(smooth_mask(met.inside))
     shared = (met.other.rear[at, None] < met.ego.front) & (met.other.front[at, None] > met.ego.rear)
     if not shared.any():
         return None
@@ -102,68 +102,68 @@ def encroachment(met: Encounter) -> Encroachment | None:
     )
 
 
-def _in_front(met: Encounter) -> Iterator[tuple[Manoeuvre, slice]]:
+def _find_in_front(met: PathInteraction) -> Iterator[tuple[Manoeuvre, slice]]:
     """Runs of what happens in the ego's way; crossing behind it counts too."""
     turn = np.abs(met.other.turn)
     same, moving = turn <= ALONG_RAD, met.speed >= MOVING_M_S
     opposing = turn >= np.pi - ALONG_RAD
     concerns = met.meet_s <= HORIZON_S
-    facing = (met.within(SQUEEZING_M) & met.ahead & concerns) | (met.abreast & (met.gap <= SQUEEZING_M))
-    for run in _bouts(met, opposing & moving & facing):
+    facing = (met.is_within(SQUEEZING_M) & met.ahead & concerns) | (met.abreast & (met.gap <= SQUEEZING_M))
+    for run in _find_runs(met, opposing & moving & facing):
         yield Manoeuvre.ONCOMING, run
-    for run in _bouts(met, met.inside):
+    for run in _find_runs(met, met.inside):
         usual = np.median(turn[run])
         if ALONG_RAD < usual < np.pi - ALONG_RAD:
-            if np.median(met.speed[run]) >= MOVING_M_S and _succession(met, run) <= HORIZON_S:
+            if np.median(met.speed[run]) >= MOVING_M_S and _compute_succession(met, run) <= HORIZON_S:
                 yield Manoeuvre.CROSSING, run
-        elif usual <= ALONG_RAD and met.ahead[run.start] and _came_in(met, run):
+        elif usual <= ALONG_RAD and met.ahead[run.start] and _is_coming_in(met, run):
             early = run.start + np.flatnonzero(met.seconds[run] <= met.seconds[run.start] + HORIZON_S)
             entering = slice(run.start, int(early[-1]) + 1)
             if (met.reach_s[entering] <= HORIZON_S).any():
                 from_left = met.other.offset[run.start] > 0
                 yield Manoeuvre.CUT_IN_LEFT if from_left else Manoeuvre.CUT_IN_RIGHT, entering
     in_way = met.inside & met.ahead & (met.ego_speed >= MOVING_M_S)
-    for run in _bouts(met, in_way & same & (met.acceleration <= -BRAKING_M_S2) & concerns, SHORT_S):
+    for run in _find_runs(met, in_way & same & (met.acceleration <= -BRAKING_M_S2) & concerns, SHORT_S):
         yield Manoeuvre.BRAKING_AHEAD, run
     closing = met.ego_speed - met.along
     blocks = (same | ~moving) & (closing >= CLOSING_M_S) & (met.room <= BLOCKING_S * closing)
-    for run in _bouts(met, in_way & blocks, SHORT_S):
+    for run in _find_runs(met, in_way & blocks, SHORT_S):
         yield Manoeuvre.BLOCKING, run
-    for run in _bouts(met, in_way & same & (met.reach_s <= HORIZON_S), LONG_S):
+    for run in _find_runs(met, in_way & same & (met.reach_s <= HORIZON_S), LONG_S):
         yield Manoeuvre.LEADING, run
 
 
-def _beside(met: Encounter) -> Iterator[tuple[Manoeuvre, slice]]:
+def _find_beside(met: PathInteraction) -> Iterator[tuple[Manoeuvre, slice]]:
     """Runs of what happens to the left and right of an ego that moves, at their beginning at least."""
     same = np.abs(met.other.turn) <= ALONG_RAD
     driving = met.present & (met.ego_speed >= MOVING_M_S)
     lead = met.other.station - met.ego.station
     # An ego that comes to a stand while it is passed is overtaken all the same.
-    for run in _bouts(met, same & (met.side_gap <= BESIDE_M) & met.abreast):
+    for run in _find_runs(met, same & (met.side_gap <= BESIDE_M) & met.abreast):
         first, last = lead[run][0], lead[run][-1]
         if driving[run.start] and first < 0.0 and last >= OVERTAKEN_M and last - first >= GAIN_M:
-            yield _sided(met, run, Manoeuvre.OVERTAKING_LEFT, Manoeuvre.OVERTAKING_RIGHT), run
+            yield _choose_side(met, run, Manoeuvre.OVERTAKING_LEFT, Manoeuvre.OVERTAKING_RIGHT), run
     opposing = np.abs(met.other.turn) >= np.pi - ALONG_RAD
-    for run in _bouts(met, driving & ~opposing & met.abreast & (met.gap <= SQUEEZING_M), SHORT_S):
-        yield _sided(met, run, Manoeuvre.SQUEEZING_LEFT, Manoeuvre.SQUEEZING_RIGHT), run
+    for run in _find_runs(met, driving & ~opposing & met.abreast & (met.gap <= SQUEEZING_M), SHORT_S):
+        yield _choose_side(met, run, Manoeuvre.SQUEEZING_LEFT, Manoeuvre.SQUEEZING_RIGHT), run
     hidden = (met.other.front <= met.ego.station) & (met.other.front >= met.ego.rear - BLIND_SPOT_M)
-    for run in _bouts(met, driving & same & hidden & ~met.inside & (met.side_gap <= BLIND_SPOT_M), LONG_S):
-        yield _sided(met, run, Manoeuvre.BLIND_SPOT_LEFT, Manoeuvre.BLIND_SPOT_RIGHT), run
+    for run in _find_runs(met, driving & same & hidden & ~met.inside & (met.side_gap <= BLIND_SPOT_M), LONG_S):
+        yield _choose_side(met, run, Manoeuvre.BLIND_SPOT_LEFT, Manoeuvre.BLIND_SPOT_RIGHT), run
 
 
-def _behind(met: Encounter) -> Iterator[tuple[Manoeuvre, slice]]:
+def _find_behind(met: PathInteraction) -> Iterator[tuple[Manoeuvre, slice]]:
     """Runs of what happens behind a moving ego, in its way."""
     same = np.abs(met.other.turn) <= ALONG_RAD
     trailing = met.inside & ~met.ahead & same & (met.ego_speed >= MOVING_M_S)
-    for run in _bouts(met, trailing & (met.pursuit_s <= TAILGATING_S), LONG_S):
+    for run in _find_runs(met, trailing & (met.pursuit_s <= TAILGATING_S), LONG_S):
         yield Manoeuvre.TAILGATING, run
-    for run in _bouts(met, trailing & (met.pursuit_s <= HORIZON_S), LONG_S):
+    for run in _find_runs(met, trailing & (met.pursuit_s <= HORIZON_S), LONG_S):
         yield Manoeuvre.FOLLOWING, run
 
 
-def _passing(met: Encounter, runs: dict[Manoeuvre, list[slice]]) -> Manoeuvre:
+def _add_passing(met: PathInteraction, runs: dict[Manoeuvre, list[slice]]) -> Manoeuvre:
     """Add what remains where nothing else is decisive."""
-    near = list(_bouts(met, met.gap <= CLOSE_M))
+    near = list(_find_runs(met, met.gap <= CLOSE_M))
     if near:
         runs[Manoeuvre.PASSING_WIDE] = near
         return Manoeuvre.PASSING_WIDE
@@ -172,16 +172,16 @@ def _passing(met: Encounter, runs: dict[Manoeuvre, list[slice]]) -> Manoeuvre:
     return Manoeuvre.DISTANT
 
 
-def _bouts(met: Encounter, mask: Bools, least_s: float = 0.0) -> Iterator[slice]:
-    """Runs of frames at which a condition holds, as `settled` says, for at least some time."""
-    edges = np.flatnonzero(np.diff(settled(mask), prepend=False, append=False))
+def _find_runs(met: PathInteraction, mask: Bools, least_s: float = 0.0) -> Iterator[slice]:
+    """Runs of frames at which a condition holds, as `smooth_mask` says, for at least some time."""
+    edges = np.flatnonzero(np.diff(smooth_mask(mask), prepend=False, append=False))
     for first, stop in edges.reshape(-1, 2).tolist():
         # The majority can settle on a frame that is itself an exception.
         if mask[first:stop].any() and (stop - first) * met.frame_s >= least_s - 1e-6:
             yield slice(first, stop)
 
 
-def _came_in(met: Encounter, run: slice) -> bool:
+def _is_coming_in(met: PathInteraction, run: slice) -> bool:
     """Whether the vehicle was there before a run inside, and clear of the ego's way: who weaves in front never left."""
     if run.start < HELD_FRAMES or not met.present[run.start - HELD_FRAMES : run.start].all():
         return False
@@ -189,11 +189,11 @@ def _came_in(met: Encounter, run: slice) -> bool:
     return bool((met.side_gap[before][met.present[before]] >= CLEAR_M).any())
 
 
-def _sided(met: Encounter, run: slice, left: Manoeuvre, right: Manoeuvre) -> Manoeuvre:
+def _choose_side(met: PathInteraction, run: slice, left: Manoeuvre, right: Manoeuvre) -> Manoeuvre:
     return left if np.median(met.other.offset[run]) > 0.0 else right
 
 
-def _succession(met: Encounter, run: slice) -> float:
+def _compute_succession(met: PathInteraction, run: slice) -> float:
     """Shortest time between the vehicle in the ego's way and the ego there, in either order."""
     passed = np.searchsorted(np.maximum.accumulate(met.ego.rear), met.other.front[run])
     since = met.seconds[run] - met.seconds[np.minimum(passed, len(met.seconds) - 1)]
@@ -204,22 +204,22 @@ def _succession(met: Encounter, run: slice) -> float:
     return float(np.minimum(after, before).min())
 
 
-def _occurrence(met: Encounter, kind: Manoeuvre, runs: list[slice]) -> Occurrence:
-    return Occurrence(
+def _build_occurrence(met: PathInteraction, kind: Manoeuvre, runs: list[slice]) -> ManoeuvreOccurrence:
+    return ManoeuvreOccurrence(
         kind=kind,
         first_s=min(float(met.seconds[run.start]) for run in runs),
         duration_s=sum((run.stop - run.start) * met.frame_s for run in runs),
-        least_gap_m=min(_least_gap(met, run, 0.0) for run in runs),
+        least_gap_m=min(_compute_least_gap(met, run, 0.0) for run in runs),
     )
 
 
-def _least_gap(met: Encounter, run: slice, after_s: float) -> float:
+def _compute_least_gap(met: PathInteraction, run: slice, after_s: float) -> float:
     """Smallest gap in a run and some time after it."""
     last = met.seconds[run.stop - 1] + after_s
     return float(met.gap[run.start : int(np.searchsorted(met.seconds, last, side="right"))].min())
 
 
-def settled(mask: Bools) -> Bools:
+def smooth_mask(mask: Bools) -> Bools:
     """(F,) condition that holds at most of the frames around each: one noisy frame decides nothing.
 
     Most is a majority of `HELD_FRAMES`; before the first and after the last frame nothing holds.

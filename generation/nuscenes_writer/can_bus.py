@@ -31,7 +31,7 @@ _FIT_FRAMES: Final = 7
 """Half a second at 12 Hz."""
 
 
-def can_bus_files(scene: Scene, *, name: str, source: SourceInfo | None, source_scene: str) -> dict[str, bytes]:
+def build_can_bus_files(scene: Scene, *, name: str, source: SourceInfo | None, source_scene: str) -> dict[str, bytes]:
     """CAN bus files of one scene, by path below the data root.
 
     ``name`` is the scene's in the data set, ``source_scene`` the recording's in ``source``.
@@ -40,14 +40,14 @@ def can_bus_files(scene: Scene, *, name: str, source: SourceInfo | None, source_
         recorded = sorted((source.root / "can_bus").glob(f"{source_scene}_*.json"))
         if recorded:
             return {f"can_bus/{name}{path.name.removeprefix(source_scene)}": path.read_bytes() for path in recorded}
-    messages = derived_messages(scene)
+    messages = derive_messages(scene)
     return {
         f"can_bus/{name}_{kind}.json": (canonical_json(content) + "\n").encode() for kind, content in messages.items()
     }
 
 
 @dataclass(frozen=True, slots=True)
-class EgoMotion:
+class CanBusEgoMotion:
     """Ego motion at every frame.
 
     Attributes:
@@ -69,10 +69,10 @@ class EgoMotion:
     steering: Floats
 
     @classmethod
-    def of(cls, scene: Scene) -> "EgoMotion":
+    def of(cls, scene: Scene) -> "CanBusEgoMotion":
         """Velocity and acceleration from a quadratic through the last half second of the recorded track."""
         yaw = np.unwrap(scene.ego.yaw)
-        _, first, second = _derivatives(scene.seconds, np.column_stack([scene.ego.position, yaw]))
+        _, first, second = _fit_derivatives(scene.seconds, np.column_stack([scene.ego.position, yaw]))
         to_ego = rotation_matrix(scene.ego.rotation).transpose(0, 2, 1)
         velocity = np.einsum("tij,tj->ti", to_ego, first[:, :3])
         acceleration = np.einsum("tij,tj->ti", to_ego, second[:, :3] + [0.0, 0.0, _GRAVITY])
@@ -81,14 +81,14 @@ class EgoMotion:
         return cls(
             utime=scene.timestamps_us.astype(np.float64),
             position=scene.ego.position,
-            rotation=_one_hemisphere(scene.ego.rotation),
+            rotation=_align_signs(scene.ego.rotation),
             velocity=velocity,
             acceleration=acceleration,
             rotation_rate=rate,
-            steering=_steering(velocity[:, 0], rate[:, 2]),
+            steering=_compute_steering(velocity[:, 0], rate[:, 2]),
         )
 
-    def at(self, utime: Floats) -> "EgoMotion":
+    def at(self, utime: Floats) -> "CanBusEgoMotion":
         """Linear interpolation to other times."""
 
         def between(values: Floats) -> Floats:
@@ -96,7 +96,7 @@ class EgoMotion:
             return np.stack([np.interp(utime, self.utime, column) for column in columns], axis=-1)
 
         rotation = between(self.rotation)
-        return EgoMotion(
+        return CanBusEgoMotion(
             utime=utime,
             position=between(self.position),
             rotation=rotation / np.linalg.norm(rotation, axis=-1, keepdims=True),
@@ -107,27 +107,27 @@ class EgoMotion:
         )
 
 
-def derived_messages(scene: Scene) -> dict[str, Any]:
+def derive_messages(scene: Scene) -> dict[str, Any]:
     """Content of all message files of a scene, made from its ego track.
 
     By message name: the six kinds of messages, ``meta`` and ``route``.
     """
-    motion = EgoMotion.of(scene)
+    motion = CanBusEgoMotion.of(scene)
     first, last = int(scene.timestamps_us[0]), int(scene.timestamps_us[-1])
     content: dict[str, Any] = {}
     for kind, rate_hz in _RATES_HZ.items():
         utime = np.arange(first, last + 1, 1_000_000 // rate_hz, dtype=np.float64)
-        columns = {name: _plain(values) for name, values in _FIELDS[kind](motion.at(utime)).items()}
+        columns = {name: _to_plain_lists(values) for name, values in _FIELDS[kind](motion.at(utime)).items()}
         content[kind] = [
             {"utime": int(time), **{name: values[row] for name, values in columns.items()}}
             for row, time in enumerate(utime)
         ]
-    content["meta"] = {kind: _statistics(content[kind]) for kind in MESSAGES}
-    content["route"] = _route(scene.ego.position[:, :2])
+    content["meta"] = {kind: _compute_statistics(content[kind]) for kind in MESSAGES}
+    content["route"] = _build_route(scene.ego.position[:, :2])
     return content
 
 
-def _derivatives(seconds: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
+def _fit_derivatives(seconds: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
     """Value, first and second derivative of least-squares quadratics through the latest frames, each (T, C)."""
     fitted = []
     for frame in range(len(seconds)):
@@ -145,14 +145,14 @@ def _derivatives(seconds: Floats, values: Floats) -> tuple[Floats, Floats, Float
     return value, first, second
 
 
-def _one_hemisphere(rotation: Floats) -> Floats:
+def _align_signs(rotation: Floats) -> Floats:
     """Quaternions with signs such that neighbours can be averaged."""
     flips = np.einsum("ti,ti->t", rotation[1:], rotation[:-1]) < 0
     sign = np.where(np.concatenate([[False], np.cumsum(flips) % 2 == 1]), -1.0, 1.0)
     return np.asarray(rotation * sign[:, None])
 
 
-def _steering(speed: Floats, yaw_rate: Floats) -> Floats:
+def _compute_steering(speed: Floats, yaw_rate: Floats) -> Floats:
     """Steering wheel angle of a kinematic bicycle, held where the car hardly moves."""
     moving = np.abs(speed) >= _SLOWEST_STEERING_M_S
     road_wheel = np.arctan(EGO_WHEELBASE_M * yaw_rate / np.where(moving, speed, 1.0))
@@ -161,7 +161,7 @@ def _steering(speed: Floats, yaw_rate: Floats) -> Floats:
     return np.clip(_STEERING_RATIO * held, -_STEERING_LIMIT_RAD, _STEERING_LIMIT_RAD)
 
 
-def _pose(motion: EgoMotion) -> dict[str, Floats]:
+def _build_pose(motion: CanBusEgoMotion) -> dict[str, Floats]:
     return {
         "accel": motion.acceleration,
         "orientation": motion.rotation,
@@ -171,17 +171,17 @@ def _pose(motion: EgoMotion) -> dict[str, Floats]:
     }
 
 
-def _imu(motion: EgoMotion) -> dict[str, Floats]:
+def _build_imu(motion: CanBusEgoMotion) -> dict[str, Floats]:
     return {"linear_accel": motion.acceleration, "q": motion.rotation, "rotation_rate": motion.rotation_rate}
 
 
-def _steering_feedback(motion: EgoMotion) -> dict[str, Floats]:
+def _build_steering_feedback(motion: CanBusEgoMotion) -> dict[str, Floats]:
     return {"value": motion.steering}
 
 
-def _vehicle_monitor(motion: EgoMotion) -> dict[str, Floats]:
+def _build_vehicle_monitor(motion: CanBusEgoMotion) -> dict[str, Floats]:
     rest = np.zeros(len(motion.utime))
-    rpm = _wheel_rpm(motion)
+    rpm = _compute_wheel_rpm(motion)
     return {
         "available_distance": rest + 150.0,
         "battery_level": rest + 80.0,
@@ -200,8 +200,8 @@ def _vehicle_monitor(motion: EgoMotion) -> dict[str, Floats]:
     }
 
 
-def _zoe_veh_info(motion: EgoMotion) -> dict[str, Floats]:
-    rest, rpm = np.zeros(len(motion.utime)), _wheel_rpm(motion)
+def _build_zoe_veh_info(motion: CanBusEgoMotion) -> dict[str, Floats]:
+    rest, rpm = np.zeros(len(motion.utime)), _compute_wheel_rpm(motion)
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion.position[:, :2], axis=0), axis=1))])
     steering_deg = np.rad2deg(motion.steering)
     wheels = dict.fromkeys(("FL_wheel_speed", "FR_wheel_speed", "RL_wheel_speed", "RR_wheel_speed"), rpm)
@@ -219,33 +219,33 @@ def _zoe_veh_info(motion: EgoMotion) -> dict[str, Floats]:
     }
 
 
-def _zoe_sensors(motion: EgoMotion) -> dict[str, Floats]:
+def _build_zoe_sensors(motion: CanBusEgoMotion) -> dict[str, Floats]:
     rest = np.zeros(len(motion.utime))
     steering = 0.5 + 0.5 * motion.steering / _STEERING_LIMIT_RAD
     return {"brake_sensor": rest + 0.166, "steering_sensor": steering, "throttle_sensor": rest + 0.105}
 
 
-def _wheel_rpm(motion: EgoMotion) -> Floats:
+def _compute_wheel_rpm(motion: CanBusEgoMotion) -> Floats:
     return motion.velocity[:, 0] / (2 * np.pi * _WHEEL_RADIUS_M) * 60.0
 
 
-_FIELDS: Final[Mapping[str, Callable[[EgoMotion], dict[str, Floats]]]] = {
-    "ms_imu": _imu,
-    "pose": _pose,
-    "steeranglefeedback": _steering_feedback,
-    "vehicle_monitor": _vehicle_monitor,
-    "zoe_veh_info": _zoe_veh_info,
-    "zoesensors": _zoe_sensors,
+_FIELDS: Final[Mapping[str, Callable[[CanBusEgoMotion], dict[str, Floats]]]] = {
+    "ms_imu": _build_imu,
+    "pose": _build_pose,
+    "steeranglefeedback": _build_steering_feedback,
+    "vehicle_monitor": _build_vehicle_monitor,
+    "zoe_veh_info": _build_zoe_veh_info,
+    "zoesensors": _build_zoe_sensors,
 }
 
 
-def _plain(values: Floats) -> list[Any]:
+def _to_plain_lists(values: Floats) -> list[Any]:
     """Lists of rounded numbers, without negative zeros."""
     rounded: list[Any] = (np.round(values, 6) + 0.0).tolist()
     return rounded
 
 
-def _statistics(messages: list[dict[str, Any]]) -> dict[str, Any]:
+def _compute_statistics(messages: list[dict[str, Any]]) -> dict[str, Any]:
     """Summary of one kind of message, with the keys that nuScenes' ``meta`` files have."""
     utime = [message["utime"] for message in messages]
     span = (utime[-1] - utime[0]) * 1e-6
@@ -255,7 +255,7 @@ def _statistics(messages: list[dict[str, Any]]) -> dict[str, Any]:
             continue
         values = np.array([message[name] for message in messages], np.float64).reshape(len(messages), -1)
         steps = np.diff(values, axis=0) if len(values) > 1 else np.zeros((1, values.shape[1]))
-        summary = [_summary(column, step) for column, step in zip(values.T, steps.T)]
+        summary = [_summarise(column, step) for column, step in zip(values.T, steps.T)]
         stats[name] = summary[0] if len(summary) == 1 else {str(axis): item for axis, item in enumerate(summary)}
     return {
         "message_count": len(messages),
@@ -265,7 +265,7 @@ def _statistics(messages: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _summary(values: Floats, steps: Floats) -> dict[str, float]:
+def _summarise(values: Floats, steps: Floats) -> dict[str, float]:
     parts = {"": values, "diff_": steps}
     return {
         f"{prefix}{kind}": float(np.round(getattr(np, kind)(of), 6))
@@ -274,11 +274,11 @@ def _summary(values: Floats, steps: Floats) -> dict[str, float]:
     }
 
 
-def _route(path: Floats, spacing_m: float = 0.5) -> list[list[float]]:
+def _build_route(path: Floats, spacing_m: float = 0.5) -> list[list[float]]:
     """The driven path about every half metre, as nuScenes' baseline route: a list of x and y."""
     route = [path[0]]
     for point in path[1:]:
         if np.hypot(*(point - route[-1])) >= spacing_m:
             route.append(point)
     route.append(path[-1])
-    return [_plain(point) for point in route]
+    return [_to_plain_lists(point) for point in route]

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.judged import JUDGEMENTS_FILE
+from benchmark.datasets.judged import ASSESSMENTS_FILE
 from benchmark.datasets.reviewed import LEFT_OUT
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes, write_json, writing_to
 from benchmark.records.attempts import SEARCH
 from generation.nuscenes_writer.maps import write_maps
 from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
-from generation.nuscenes_writer.scenes import read_state, release_claim, stored_fragment
-from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_rows
+from generation.nuscenes_writer.scenes import read_state, read_stored_fragment, release_claim
+from generation.nuscenes_writer.vocabulary import LabelVocabulary, Row, build_sensor_rows
 
 PROVENANCE: Final = "challenger.json"
 PROVENANCE_SCHEMA: Final = 1
@@ -50,22 +50,22 @@ def finish_data_set(
     for variant, members in sorted(roots.items()):
         require_own_root(plan, variant)
         _require_distinct(members)
-    splits = _splits(plan, [fragment["name"] for fragment in fragments], extra_splits or {})
-    for root in _all_roots(plan, roots):
+    splits = _build_splits(plan, [fragment["name"] for fragment in fragments], extra_splits or {})
+    for root in _list_roots(plan, roots):
         with writing_to(root):
             (root / plan.version / PROVENANCE).unlink(missing_ok=True)
     _remove_stale(plan, roots)
-    vocabulary = Vocabulary.of(plan.source)
+    vocabulary = LabelVocabulary.of(plan.source)
     for variant, members in sorted(roots.items()):
         _write_root(plan, plan.data_root(variant), vocabulary, members, splits)
-    _remove_left_overs(plan, roots)
+    _remove_temporary_files(plan, roots)
     for variant, members in sorted(roots.items()):
-        provenance = _provenance(plan, members) | _left_out(plan, variant, sorted(roots))
+        provenance = _build_provenance(plan, members) | _describe_left_out(plan, variant, sorted(roots))
         write_json(plan.data_root(variant) / plan.version / PROVENANCE, provenance)
 
 
 def _read_fragment(plan: DataSetPlan, key: str) -> Fragment:
-    fragment = stored_fragment(plan, key)
+    fragment = read_stored_fragment(plan, key)
     if fragment is None:
         raise InputError(f"scene {key[:12]} of {plan.root} is not written; run the command that builds it again")
     return fragment
@@ -90,7 +90,7 @@ def _require_distinct(members: Sequence[Fragment]) -> None:
                 known[item] = name
 
 
-def _splits(plan: DataSetPlan, names: Sequence[str], extra: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+def _build_splits(plan: DataSetPlan, names: Sequence[str], extra: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     for split, members in extra.items():
         unknown = sorted(set(members) - set(names))
         if unknown:
@@ -100,13 +100,13 @@ def _splits(plan: DataSetPlan, names: Sequence[str], extra: Mapping[str, Sequenc
     return {**own, **{split: list(members) for split, members in extra.items()}}
 
 
-def _all_roots(plan: DataSetPlan, roots: Mapping[int, Any]) -> list[Path]:
+def _list_roots(plan: DataSetPlan, roots: Mapping[int, Any]) -> list[Path]:
     """Roots that are written now or were written before."""
-    variants = set(roots) | {claim["variant"] for claim in _claims(plan).values()}
+    variants = set(roots) | {claim["variant"] for claim in _read_claims(plan).values()}
     return sorted({plan.data_root(variant) for variant in variants})
 
 
-def _claims(plan: DataSetPlan) -> dict[Path, dict[str, Any]]:
+def _read_claims(plan: DataSetPlan) -> dict[Path, dict[str, Any]]:
     claims = {path: read_state(path) for path in sorted((plan.state / "claims").glob("*.json"))}
     return {path: claim for path, claim in claims.items() if claim is not None}
 
@@ -118,7 +118,7 @@ def _remove_stale(plan: DataSetPlan, roots: Mapping[int, Sequence[Fragment]]) ->
         plan.data_root(variant): frozenset(path for fragment in members for path in fragment["files"])
         for variant, members in roots.items()
     }
-    for path, claim in _claims(plan).items():
+    for path, claim in _read_claims(plan).items():
         if claim["key"] not in current_keys:
             root = plan.data_root(claim["variant"])
             release_claim(plan, claim, used.get(root, frozenset()))
@@ -139,7 +139,7 @@ def _remove_root(plan: DataSetPlan, root: Path) -> None:
     with writing_to(root):
         for table in (*NUSCENES_TABLES, "splits"):
             (root / plan.version / f"{table}.json").unlink(missing_ok=True)
-        (root / plan.version / JUDGEMENTS_FILE).unlink(missing_ok=True)
+        (root / plan.version / ASSESSMENTS_FILE).unlink(missing_ok=True)
         shutil.rmtree(root / "maps", ignore_errors=True)
         shutil.rmtree(plan.drawn_path(root), ignore_errors=True)
         folders = [root / plan.version, *(root / kind for kind in ("samples", "sweeps", "can_bus")), root]
@@ -152,15 +152,15 @@ def _remove_root(plan: DataSetPlan, root: Path) -> None:
 def _write_root(
     plan: DataSetPlan,
     root: Path,
-    vocabulary: Vocabulary,
+    vocabulary: LabelVocabulary,
     members: Sequence[Fragment],
     splits: Mapping[str, Sequence[str]],
 ) -> None:
     logs, maps = write_maps(plan, root, vocabulary, members)
     shared: dict[str, list[Row]] = {
-        "sensor": sensor_rows(),
-        "category": _labels(vocabulary.category, members, "category"),
-        "attribute": _labels(vocabulary.attribute, members, "attribute"),
+        "sensor": build_sensor_rows(),
+        "category": _merge_labels(vocabulary.category, members, "category"),
+        "attribute": _merge_labels(vocabulary.attribute, members, "attribute"),
         "visibility": list(vocabulary.visibility),
         "log": logs,
         "map": maps,
@@ -177,13 +177,13 @@ def _write_root(
     write_json(folder / "splits.json", present)
 
 
-def _labels(known: Mapping[str, Row], members: Sequence[Fragment], table: str) -> list[Row]:
+def _merge_labels(known: Mapping[str, Row], members: Sequence[Fragment], table: str) -> list[Row]:
     """The vocabulary's rows, and those that scenes had to make up."""
     used = {row["name"]: row for fragment in members for row in fragment["labels"][table]}
     return [*known.values(), *(row for name, row in sorted(used.items()) if name not in known)]
 
 
-def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any]:
+def _build_provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any]:
     source = None if plan.source is None else {"name": plan.source.name, "fingerprint": plan.source.fingerprint}
     scenes = {
         fragment["name"]: {name: fragment[name] for name in ("source_scene", "adversaries", "report")}
@@ -203,7 +203,7 @@ def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any
     return provenance
 
 
-def _left_out(plan: DataSetPlan, variant: int, written: Sequence[int]) -> dict[str, Any]:
+def _describe_left_out(plan: DataSetPlan, variant: int, written: Sequence[int]) -> dict[str, Any]:
     """Facts on scenes that an inspector rejected: a root's own, and in the first one those of roots without any."""
     left_out = {}
     for number, judged in plan.left_out:
@@ -214,7 +214,7 @@ def _left_out(plan: DataSetPlan, variant: int, written: Sequence[int]) -> dict[s
     return {LEFT_OUT: left_out} if left_out else {}
 
 
-def _remove_left_overs(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:
+def _remove_temporary_files(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:
     """Remove temporary files of killed processes."""
     folders = [plan.root, plan.state, *(plan.state / name for name in STATE_FOLDERS)]
     for variant in roots:

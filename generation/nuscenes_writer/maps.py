@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
 from benchmark.constants import OFFICIAL_LOCATIONS
-from benchmark.datasets.map_layers import empty_expansion
+from benchmark.datasets.map_layers import make_empty_expansion
 from benchmark.errors import InputError
-from benchmark.machine.storage import content_key, read_json, read_kept_json, token, write_bytes, write_json
+from benchmark.machine.storage import content_key, make_token, read_cached_json, read_json, write_bytes, write_json
 from benchmark.road_map import RoadMap, as_multipolygon
-from generation.nuscenes_writer.expansion import map_expansion
+from generation.nuscenes_writer.expansion import build_map_expansion
 from generation.nuscenes_writer.plan import DataSetPlan
-from generation.nuscenes_writer.road_maps import merged, pack_road_map, unpack_road_map
-from generation.nuscenes_writer.vocabulary import Row, Vocabulary
+from generation.nuscenes_writer.road_maps import merge_road_maps, pack_road_map, unpack_road_map
+from generation.nuscenes_writer.vocabulary import LabelVocabulary, Row
 
 MASK_RESOLUTION_M: Final = 0.1
 """What ``MapMask`` of the devkit takes for granted."""
@@ -37,15 +37,15 @@ _CROSSING_GREY: Final = 160
 _GROUND_GREY: Final = 235
 
 
-def drivable_mask(road_map: RoadMap) -> bytes:
+def draw_drivable_mask(road_map: RoadMap) -> bytes:
     """PNG of the drivable area: 255 inside, 0 outside, 0.1 m a pixel, north up over the whole canvas.
 
     Drawn and compressed in bands, because nuScenes' own canvases have up to 1.2 billion pixels.
     """
-    return _png(road_map.canvas_m, MASK_RESOLUTION_M, [(road_map.drivable_area, 255)], ground=0)
+    return _encode_png(road_map.canvas_m, MASK_RESOLUTION_M, [(road_map.drivable_area, 255)], ground=0)
 
 
-def basemap(road_map: RoadMap) -> bytes:
+def draw_basemap(road_map: RoadMap) -> bytes:
     """PNG in shades of grey for map plots: pavements, roads and crossings, at most 4000 pixels long.
 
     The devkit stretches it over the whole canvas.
@@ -54,16 +54,16 @@ def basemap(road_map: RoadMap) -> bytes:
     layers: list[tuple[shapely.Geometry, int]] = [(shape, _WALKWAY_GREY) for shape in road_map.walkways.values()]
     layers.append((road_map.drivable_area, _ROAD_GREY))
     layers += [(shape, _CROSSING_GREY) for shape in road_map.ped_crossings.values()]
-    return _png(road_map.canvas_m, resolution, layers, ground=_GROUND_GREY)
+    return _encode_png(road_map.canvas_m, resolution, layers, ground=_GROUND_GREY)
 
 
-def _png(
+def _encode_png(
     canvas_m: tuple[float, float], resolution_m: float, layers: list[tuple[shapely.Geometry, int]], *, ground: int
 ) -> bytes:
     width, height = (max(1, round(side / resolution_m)) for side in canvas_m)
     compressor = zlib.compressobj(6, strategy=zlib.Z_RLE)
     packed = []
-    for band in _bands(width, height, resolution_m, layers, ground):
+    for band in _draw_bands(width, height, resolution_m, layers, ground):
         rows = np.zeros((len(band), width + 1), np.uint8)
         rows[:, 1:] = band
         packed.append(compressor.compress(rows.tobytes()))
@@ -75,11 +75,11 @@ def _png(
     )
 
 
-def _bands(
+def _draw_bands(
     width: int, height: int, resolution_m: float, layers: list[tuple[shapely.Geometry, int]], ground: int
 ) -> Iterator[NDArray[np.uint8]]:
     rings = [
-        (piece.bounds, [_pixels(ring, resolution_m, height) for ring in _rings(piece)], shade)
+        (piece.bounds, [_to_pixels(ring, resolution_m, height) for ring in _list_rings(piece)], shade)
         for shape, shade in layers
         for piece in as_multipolygon(shape).geoms
     ]
@@ -94,11 +94,11 @@ def _bands(
         yield band
 
 
-def _rings(polygon: Polygon) -> list[NDArray[np.float64]]:
+def _list_rings(polygon: Polygon) -> list[NDArray[np.float64]]:
     return [np.array(ring.coords)[:, :2] for ring in (polygon.exterior, *polygon.interiors)]
 
 
-def _pixels(ring: NDArray[np.float64], resolution_m: float, height: int) -> NDArray[np.int32]:
+def _to_pixels(ring: NDArray[np.float64], resolution_m: float, height: int) -> NDArray[np.int32]:
     """Fixed-point pixel coordinates; a pixel's centre is its index, as in ``MapMask.to_pixel_coords``."""
     pixels = np.column_stack([ring[:, 0] / resolution_m, height - ring[:, 1] / resolution_m])
     return np.asarray(np.round(pixels * (1 << _SUBPIXEL_BITS)), np.int32)
@@ -114,7 +114,7 @@ _DEVKIT_MASKS = {
 
 
 def write_maps(
-    plan: DataSetPlan, root: Path, vocabulary: Vocabulary, fragments: Sequence[Mapping[str, Any]]
+    plan: DataSetPlan, root: Path, vocabulary: LabelVocabulary, fragments: Sequence[Mapping[str, Any]]
 ) -> tuple[list[Row], list[Row]]:
     """Write a root's ``maps`` folder; gives rows of the ``log`` and of the ``map`` table.
 
@@ -126,16 +126,16 @@ def write_maps(
     placed = {log_token for row in rows for log_token in row["log_tokens"]}
     for location in sorted({str(row["location"]) for row in logs.values()}):
         new_logs = sorted(name for name, row in logs.items() if row["location"] == location and name not in placed)
-        same_place = (row for row in rows if any(_location(logs, name) == location for name in row["log_tokens"]))
+        same_place = (row for row in rows if any(_find_location(logs, name) == location for name in row["log_tokens"]))
         row = next(same_place, None)
         if row is None:
-            mask_token = _DEVKIT_MASKS.get(location) or token("map", location)
+            mask_token = _DEVKIT_MASKS.get(location) or make_token("map", location)
             row = {"token": mask_token, "category": "semantic_prior", "filename": f"maps/{mask_token}.png"}
             rows.append({**row, "log_tokens": new_logs})
         else:
             row["log_tokens"] += new_logs
         keys = list(dict.fromkeys(str(part["map"]) for part in fragments if part["location"] == location))
-        _draw(plan, root, location, keys, mask=row["filename"], copied=copied)
+        _draw_maps(plan, root, location, keys, mask=row["filename"], copied=copied)
     _add_empty_maps(root, {str(row["location"]) for row in logs.values()})
     return sorted(logs.values(), key=lambda row: str(row["token"])), rows
 
@@ -145,15 +145,15 @@ def _add_empty_maps(root: Path, locations: Collection[str]) -> None:
     for city in OFFICIAL_LOCATIONS:
         path = root / "maps" / "expansion" / f"{city}.json"
         if city not in locations and not path.is_file():
-            write_json(path, empty_expansion(), indent=None)
+            write_json(path, make_empty_expansion(), indent=None)
 
 
-def _location(logs: Mapping[str, Row], log_token: str) -> str | None:
+def _find_location(logs: Mapping[str, Row], log_token: str) -> str | None:
     """Place where a log was recorded; the maps of v1.0-mini also list logs that only v1.0-trainval has."""
     return str(logs[log_token]["location"]) if log_token in logs else None
 
 
-def _draw(
+def _draw_maps(
     plan: DataSetPlan, root: Path, location: str, map_keys: list[str], *, mask: str, copied: frozenset[str]
 ) -> None:
     """Make the files of one place that were not copied; nothing is drawn twice from the same maps."""
@@ -162,26 +162,26 @@ def _draw(
     if not wanted:
         return
     parts = [unpack_road_map(read_json(plan.map_path(key))) for key in map_keys]
-    road_map = merged(parts) if parts else merged([_empty(location)])
+    road_map = merge_road_maps(parts) if parts else merge_road_maps([_build_empty_map(location)])
     drawn_key = content_key(pack_road_map(road_map), _DRAWING_VERSION)
     note = plan.drawn_path(root) / f"{mask.replace('/', '_')}.json"
     finished = {"key": drawn_key, "files": wanted}
-    if read_kept_json(note) == finished and all((root / path).is_file() for path in wanted):
+    if read_cached_json(note) == finished and all((root / path).is_file() for path in wanted):
         return
     note.unlink(missing_ok=True)
     if mask in wanted:
-        write_bytes(root / mask, drivable_mask(road_map))
+        write_bytes(root / mask, draw_drivable_mask(road_map))
     if expansion in wanted:
-        write_json(root / expansion, map_expansion(road_map), indent=None)
+        write_json(root / expansion, build_map_expansion(road_map), indent=None)
     if picture in wanted:
-        write_bytes(root / picture, basemap(road_map))
+        write_bytes(root / picture, draw_basemap(road_map))
     write_json(note, finished)
 
 
 _DRAWING_VERSION = 1
 
 
-def _empty(location: str) -> RoadMap:
+def _build_empty_map(location: str) -> RoadMap:
     import shapely
 
     return RoadMap(location=location, drivable_area=shapely.MultiPolygon())
@@ -193,7 +193,7 @@ def _copy_source_maps(plan: DataSetPlan, root: Path) -> frozenset[str]:
     if source is None or not source.is_dir():
         return frozenset()
     copied = set()
-    for path in _files_below(source):
+    for path in _list_files(source):
         relative = f"maps/{path.relative_to(source).as_posix()}"
         target = root / relative
         try:
@@ -206,7 +206,7 @@ def _copy_source_maps(plan: DataSetPlan, root: Path) -> frozenset[str]:
     return frozenset(copied)
 
 
-def _files_below(folder: Path) -> Iterator[Path]:
+def _list_files(folder: Path) -> Iterator[Path]:
     """Files in a folder, through linked folders, each folder once."""
     visited = set()
     for parent, children, names in os.walk(folder, followlinks=True):

@@ -12,8 +12,8 @@ import shapely
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.errors import InputError
-from benchmark.machine.storage import content_key, token
-from benchmark.records.review import Judged
+from benchmark.machine.storage import content_key, make_token
+from benchmark.records.review import StandingVerdict
 from benchmark.runs.units import ResultStore
 from benchmark.scene import Camera, Scene
 from generation.render.contract import Renderer
@@ -80,7 +80,7 @@ class DataSetPlan:
     source: SourceInfo | None = None
     frozen: tuple[str, str] | None = None
     search: str | None = None
-    left_out: tuple[tuple[int, Judged], ...] = ()
+    left_out: tuple[tuple[int, StandingVerdict], ...] = ()
     keeps_instances: bool = False
 
     def __post_init__(self) -> None:
@@ -148,7 +148,7 @@ class SceneNames:
         require_plain_name("scene", name)
         suffix = name.removeprefix(source_scene) if name.startswith(source_scene) else ""
         if identity is None:
-            identity = content_key(digest((scene.timestamps_us, scene.ego, scene.agents, scene.annotations)))
+            identity = content_key(to_digestible((scene.timestamps_us, scene.ego, scene.agents, scene.annotations)))
         return cls(
             name=name,
             suffix=suffix,
@@ -159,13 +159,13 @@ class SceneNames:
 
     def token(self, table: str, *parts: Any) -> str:
         """Token of a row that belongs to this scene."""
-        return token(table, *self.identity, *parts)
+        return make_token(table, *self.identity, *parts)
 
     def instance(self, agent_id: str) -> str:
         """Token of an agent: the source's where no other copy of the scene shares the root, else a hash."""
         if self.keeps_instances and re.fullmatch(r"[0-9a-f]{32}", agent_id):
             return agent_id
-        return token("instance", self.name, agent_id)
+        return make_token("instance", self.name, agent_id)
 
     def file(self, channel: str, timestamp_us: int, *, is_keyframe: bool, extension: str) -> str:
         """Path of a sensor file below the data root, in nuScenes' pattern."""
@@ -173,7 +173,7 @@ class SceneNames:
         return f"{folder}/{channel}/{self.log}__{channel}__{timestamp_us}{self.suffix}.{extension}"
 
 
-def scene_key(
+def compute_scene_key(
     plan: DataSetPlan, scene: Scene, cameras: tuple[Camera, ...], *, map_key: str, labels: Mapping[str, Any]
 ) -> str:
     """Key, 64 hexadecimal digits, of everything that the files and rows of a scene depend on.
@@ -182,17 +182,17 @@ def scene_key(
         cameras: Its cameras as rendered.
         labels: Name, variant, source scene and report.
     """
-    content = {item.name: digest(getattr(scene, item.name)) for item in fields(scene) if item.name != "road_map"}
+    content = {item.name: to_digestible(getattr(scene, item.name)) for item in fields(scene) if item.name != "road_map"}
     drawn = None
     if plan.renderer is not None:
-        drawn = [plan.renderer.name, plan.renderer.version, digest(cameras), plan.jpeg_quality, plan.lossless]
+        drawn = [plan.renderer.name, plan.renderer.version, to_digestible(cameras), plan.jpeg_quality, plan.lossless]
     source = None if plan.source is None else [plan.source.name, plan.source.fingerprint]
     return content_key(
         "writer", WRITER_VERSION, content, map_key, labels, plan.split, plan.layout, plan.frames, drawn, source
     )
 
 
-def digest(value: Any) -> Any:
+def to_digestible(value: Any) -> Any:
     """A JSON value that differs whenever the content of ``value`` does.
 
     It is made for `benchmark.machine.storage.content_key`.
@@ -208,15 +208,15 @@ def digest(value: Any) -> Any:
     if isinstance(value, shapely.Geometry):
         return hashlib.sha256(shapely.to_wkb(value)).hexdigest()
     if is_dataclass(value) and not isinstance(value, type):
-        return {item.name: digest(getattr(value, item.name)) for item in fields(value)}
+        return {item.name: to_digestible(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, dict):
-        return {str(key): digest(item) for key, item in value.items()}
+        return {str(key): to_digestible(item) for key, item in value.items()}
     if isinstance(value, frozenset):
         return sorted(value)
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, tuple | list):
-        return [digest(item) for item in value]
+        return [to_digestible(item) for item in value]
     return value
 
 

@@ -19,13 +19,13 @@ def pack_road_map(road_map: RoadMap) -> dict[str, Any]:
     return {
         "location": road_map.location,
         "canvas_m": list(road_map.canvas_m),
-        "drivable_area": _wkb(road_map.drivable_area),
+        "drivable_area": _encode_wkb(road_map.drivable_area),
         "intersections": sorted(road_map.intersections),
         "lanes": [
             {
                 "identifier": lane.identifier,
                 "centerline": np.asarray(lane.centerline, np.float64).tolist(),
-                "polygon": None if lane.polygon is None else _wkb(lane.polygon),
+                "polygon": None if lane.polygon is None else _encode_wkb(lane.polygon),
                 "successors": list(lane.successors),
                 "predecessors": list(lane.predecessors),
                 "is_connector": lane.is_connector,
@@ -41,7 +41,10 @@ def pack_road_map(road_map: RoadMap) -> dict[str, Any]:
             }
             for divider in sorted(road_map.dividers, key=lambda divider: divider.identifier)
         ],
-        **{layer: {name: _wkb(shape) for name, shape in getattr(road_map, layer).items()} for layer in _POLYGON_LAYERS},
+        **{
+            layer: {name: _encode_wkb(shape) for name, shape in getattr(road_map, layer).items()}
+            for layer in _POLYGON_LAYERS
+        },
     }
 
 
@@ -80,7 +83,7 @@ def unpack_road_map(packed: dict[str, Any]) -> RoadMap:
     )
 
 
-def merged(parts: Sequence[RoadMap]) -> RoadMap:
+def merge_road_maps(parts: Sequence[RoadMap]) -> RoadMap:
     """One map of a place out of several, possibly overlapping, parts of it.
 
     Args:
@@ -97,19 +100,19 @@ def merged(parts: Sequence[RoadMap]) -> RoadMap:
         road_map = RoadMap(
             location=parts[0].location,
             drivable_area=as_multipolygon(shapely.union_all(areas, grid_size=_SNAP_M)),
-            lanes=_merged_lanes(parts),
-            dividers=_merged_dividers(parts),
+            lanes=_merge_lanes(parts),
+            dividers=_merge_dividers(parts),
             intersections=frozenset[str]().union(*(part.intersections for part in parts)),
             canvas_m=(max(part.canvas_m[0] for part in parts), max(part.canvas_m[1] for part in parts)),
-            **{layer: _merged_polygons(getattr(part, layer) for part in parts) for layer in _POLYGON_LAYERS},
+            **{layer: _merge_polygons(getattr(part, layer) for part in parts) for layer in _POLYGON_LAYERS},
         )
-    return replace(road_map, canvas_m=_canvas(road_map))
+    return replace(road_map, canvas_m=_compute_canvas(road_map))
 
 
 _POLYGON_LAYERS = ("ped_crossings", "walkways", "road_segments", "stop_lines", "carparks", "road_blocks")
 
 
-def _canvas(road_map: RoadMap) -> tuple[float, float]:
+def _compute_canvas(road_map: RoadMap) -> tuple[float, float]:
     """The map's own canvas, enlarged to whole metres where geometry sticks out of it."""
     shapes: list[shapely.Geometry] = [road_map.drivable_area]
     shapes += [shape for layer in _POLYGON_LAYERS for shape in getattr(road_map, layer).values()]
@@ -121,7 +124,7 @@ def _canvas(road_map: RoadMap) -> tuple[float, float]:
     return max(road_map.canvas_m[0], float(reach[0]), 1.0), max(road_map.canvas_m[1], float(reach[1]), 1.0)
 
 
-def _merged_lanes(parts: Sequence[RoadMap]) -> dict[str, Lane]:
+def _merge_lanes(parts: Sequence[RoadMap]) -> dict[str, Lane]:
     lanes: dict[str, Lane] = {}
     for part in parts:
         for name, lane in part.lanes.items():
@@ -129,7 +132,7 @@ def _merged_lanes(parts: Sequence[RoadMap]) -> dict[str, Lane]:
             if known is None:
                 lanes[name] = lane
                 continue
-            longer = max(known, lane, key=lambda candidate: _length(candidate.centerline))
+            longer = max(known, lane, key=lambda candidate: _compute_length(candidate.centerline))
             lanes[name] = replace(
                 longer,
                 successors=tuple(sorted({*known.successors, *lane.successors})),
@@ -138,17 +141,17 @@ def _merged_lanes(parts: Sequence[RoadMap]) -> dict[str, Lane]:
     return dict(sorted(lanes.items()))
 
 
-def _merged_dividers(parts: Sequence[RoadMap]) -> tuple[Divider, ...]:
+def _merge_dividers(parts: Sequence[RoadMap]) -> tuple[Divider, ...]:
     dividers: dict[str, Divider] = {}
     for part in parts:
         for divider in part.dividers:
             known = dividers.get(divider.identifier)
-            if known is None or _length(divider.line) > _length(known.line):
+            if known is None or _compute_length(divider.line) > _compute_length(known.line):
                 dividers[divider.identifier] = divider
     return tuple(dividers[name] for name in sorted(dividers))
 
 
-def _merged_polygons(layers: Iterable[dict[str, Polygon]]) -> dict[str, Polygon]:
+def _merge_polygons(layers: Iterable[dict[str, Polygon]]) -> dict[str, Polygon]:
     polygons: dict[str, Polygon] = {}
     for layer in layers:
         for name, shape in layer.items():
@@ -157,9 +160,9 @@ def _merged_polygons(layers: Iterable[dict[str, Polygon]]) -> dict[str, Polygon]
     return dict(sorted(polygons.items()))
 
 
-def _length(line: Any) -> float:
+def _compute_length(line: Any) -> float:
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
-def _wkb(shape: shapely.Geometry) -> str:
+def _encode_wkb(shape: shapely.Geometry) -> str:
     return str(shapely.to_wkb(shape, hex=True))

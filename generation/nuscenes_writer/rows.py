@@ -9,13 +9,13 @@ import numpy as np
 from benchmark.constants import LIDAR_NAME
 from benchmark.scene import Camera, EgoTrack, Scene
 from generation.nuscenes_writer.plan import SceneNames
-from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_row
+from generation.nuscenes_writer.vocabulary import LabelVocabulary, Row, build_sensor_row
 
 SceneTables = dict[str, list[Row]]
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class SensorChannel:
     """One sensor of one scene; without a ``camera`` it is the lidar.
 
     ``extension`` is that of its files; ``ego`` is where the ego is when the sensor measures, ``None`` for the
@@ -28,48 +28,52 @@ class Channel:
     ego: EgoTrack | None = None
 
 
-def channels_of(cameras: Sequence[Camera], tracks: Mapping[str, EgoTrack]) -> tuple[Channel, ...]:
+def build_channels(cameras: Sequence[Camera], tracks: Mapping[str, EgoTrack]) -> tuple[SensorChannel, ...]:
     """The lidar and the cameras of a scene, and the ego motion of cameras with clocks of their own."""
-    lidar = Channel(LIDAR_NAME, None, "pcd.bin")
-    return (lidar, *(Channel(camera.name, camera, "jpg", tracks.get(camera.name)) for camera in cameras))
+    lidar = SensorChannel(LIDAR_NAME, None, "pcd.bin")
+    return (lidar, *(SensorChannel(camera.name, camera, "jpg", tracks.get(camera.name)) for camera in cameras))
 
 
-def scene_tables(
-    names: SceneNames, vocabulary: Vocabulary, scene: Scene, channels: Sequence[Channel], frames: Sequence[int]
+def build_scene_tables(
+    names: SceneNames,
+    vocabulary: LabelVocabulary,
+    scene: Scene,
+    channels: Sequence[SensorChannel],
+    frames: Sequence[int],
 ) -> SceneTables:
     """All rows that belong to one scene, linked, by table.
 
     ``frames`` get sensor rows, ascending; the keyframes are among them.
     """
-    tables: SceneTables = {"sample": _samples(names, scene), "calibrated_sensor": []}
-    tables["scene"] = [_scene_row(names, vocabulary, scene)]
+    tables: SceneTables = {"sample": _build_samples(names, scene), "calibrated_sensor": []}
+    tables["scene"] = [_build_scene_row(names, vocabulary, scene)]
     tables["sample_data"], tables["ego_pose"] = [], []
     for channel in channels:
-        tables["calibrated_sensor"].append(_calibration(names, scene, channel))
-        data, poses = _sensor_rows(names, scene, channel, frames)
+        tables["calibrated_sensor"].append(_build_calibration(names, scene, channel))
+        data, poses = _build_sensor_rows(names, scene, channel, frames)
         tables["sample_data"] += data
         tables["ego_pose"] += poses
-    tables["instance"], tables["sample_annotation"] = _objects(names, vocabulary, scene)
+    tables["instance"], tables["sample_annotation"] = _build_object_rows(names, vocabulary, scene)
     return tables
 
 
-def used_labels(vocabulary: Vocabulary, scene: Scene) -> dict[str, list[Row]]:
+def list_used_labels(vocabulary: LabelVocabulary, scene: Scene) -> dict[str, list[Row]]:
     """Category and attribute rows that a scene uses, by table."""
     attributes = {word for words in scene.annotations.attribute.ravel().tolist() for word in words.split(";") if word}
     return {
-        "category": [vocabulary.category_row(name) for name in sorted(set(scene.agents.categories))],
-        "attribute": [vocabulary.attribute_row(name) for name in sorted(attributes)],
+        "category": [vocabulary.get_category_row(name) for name in sorted(set(scene.agents.categories))],
+        "attribute": [vocabulary.get_attribute_row(name) for name in sorted(attributes)],
     }
 
 
-def _chain(rows: list[Row]) -> list[Row]:
+def _link_rows(rows: list[Row]) -> list[Row]:
     """Link rows in their order."""
     for earlier, later in pairwise(rows):
         earlier["next"], later["prev"] = later["token"], earlier["token"]
     return rows
 
 
-def _samples(names: SceneNames, scene: Scene) -> list[Row]:
+def _build_samples(names: SceneNames, scene: Scene) -> list[Row]:
     rows = [
         {
             "token": names.token("sample", index),
@@ -80,35 +84,35 @@ def _samples(names: SceneNames, scene: Scene) -> list[Row]:
         }
         for index, frame in enumerate(scene.keyframes)
     ]
-    return _chain(rows)
+    return _link_rows(rows)
 
 
-def _scene_row(names: SceneNames, vocabulary: Vocabulary, scene: Scene) -> Row:
+def _build_scene_row(names: SceneNames, vocabulary: LabelVocabulary, scene: Scene) -> Row:
     count = len(scene.keyframes)
     return {
         "token": names.token("scene"),
         "name": names.name,
         "description": scene.description,
-        "log_token": vocabulary.log_row(scene)["token"],
+        "log_token": vocabulary.get_log_row(scene)["token"],
         "nbr_samples": count,
         "first_sample_token": names.token("sample", 0),
         "last_sample_token": names.token("sample", count - 1),
     }
 
 
-def _calibration(names: SceneNames, scene: Scene, channel: Channel) -> Row:
+def _build_calibration(names: SceneNames, scene: Scene, channel: SensorChannel) -> Row:
     mount = channel.camera or scene.lidar
     return {
         "token": names.token("calibrated_sensor", channel.name),
-        "sensor_token": sensor_row(channel.name)["token"],
+        "sensor_token": build_sensor_row(channel.name)["token"],
         "translation": mount.translation.tolist(),
         "rotation": mount.rotation.tolist(),
         "camera_intrinsic": [] if channel.camera is None else channel.camera.intrinsic.tolist(),
     }
 
 
-def _sensor_rows(
-    names: SceneNames, scene: Scene, channel: Channel, frames: Sequence[int]
+def _build_sensor_rows(
+    names: SceneNames, scene: Scene, channel: SensorChannel, frames: Sequence[int]
 ) -> tuple[list[Row], list[Row]]:
     """Rows of ``sample_data`` and ``ego_pose``, one pair a frame with equal tokens."""
     keyframes, ego = set(scene.keyframes.tolist()), channel.ego or scene.ego
@@ -143,10 +147,10 @@ def _sensor_rows(
                 "rotation": ego.rotation[frame].tolist(),
             }
         )
-    return _chain(data), poses
+    return _link_rows(data), poses
 
 
-def _objects(names: SceneNames, vocabulary: Vocabulary, scene: Scene) -> tuple[list[Row], list[Row]]:
+def _build_object_rows(names: SceneNames, vocabulary: LabelVocabulary, scene: Scene) -> tuple[list[Row], list[Row]]:
     """Rows of ``instance`` and ``sample_annotation``; an object without annotations has neither."""
     instances: list[Row] = []
     annotations: list[Row] = []
@@ -154,12 +158,12 @@ def _objects(names: SceneNames, vocabulary: Vocabulary, scene: Scene) -> tuple[l
         at = np.flatnonzero(scene.annotations.valid[agent])
         if not len(at):
             continue
-        rows = _chain([_annotation(names, vocabulary, scene, agent, int(keyframe)) for keyframe in at])
+        rows = _link_rows([_build_annotation(names, vocabulary, scene, agent, int(keyframe)) for keyframe in at])
         annotations += rows
         instances.append(
             {
                 "token": names.instance(agent_id),
-                "category_token": vocabulary.category_row(scene.agents.categories[agent])["token"],
+                "category_token": vocabulary.get_category_row(scene.agents.categories[agent])["token"],
                 "nbr_annotations": len(rows),
                 "first_annotation_token": rows[0]["token"],
                 "last_annotation_token": rows[-1]["token"],
@@ -168,7 +172,7 @@ def _objects(names: SceneNames, vocabulary: Vocabulary, scene: Scene) -> tuple[l
     return instances, annotations
 
 
-def _annotation(names: SceneNames, vocabulary: Vocabulary, scene: Scene, agent: int, keyframe: int) -> Row:
+def _build_annotation(names: SceneNames, vocabulary: LabelVocabulary, scene: Scene, agent: int, keyframe: int) -> Row:
     source, at = scene.annotations, (agent, keyframe)
     agent_id = scene.agents.ids[agent]
     length, width, height = source.size[at].tolist()
@@ -182,8 +186,8 @@ def _annotation(names: SceneNames, vocabulary: Vocabulary, scene: Scene, agent: 
         "token": names.token("sample_annotation", agent_id, keyframe),
         "sample_token": names.token("sample", keyframe),
         "instance_token": names.instance(agent_id),
-        "visibility_token": vocabulary.visibility_token(int(source.visibility[at])),
-        "attribute_tokens": [vocabulary.attribute_row(word)["token"] for word in attributes],
+        "visibility_token": vocabulary.get_visibility_token(int(source.visibility[at])),
+        "attribute_tokens": [vocabulary.get_attribute_row(word)["token"] for word in attributes],
         "translation": source.position[at].tolist(),
         "size": [width, length, height],
         "rotation": source.rotation[at].tolist(),

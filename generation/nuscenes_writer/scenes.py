@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from benchmark.constants import LIDAR_NAME
 from benchmark.errors import InputError
-from benchmark.machine.progress import Count, progress
-from benchmark.machine.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json, writing_to
+from benchmark.machine.progress import CountedUnits, track_progress
+from benchmark.machine.storage import canonical_json, content_key, read_cached_json, write_bytes, write_json, writing_to
 from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
-from generation.nuscenes_writer.can_bus import can_bus_files
-from generation.nuscenes_writer.plan import DataSetPlan, SceneNames, require_own_root, scene_key
+from generation.nuscenes_writer.can_bus import build_can_bus_files
+from generation.nuscenes_writer.plan import DataSetPlan, SceneNames, compute_scene_key, require_own_root
 from generation.nuscenes_writer.road_maps import pack_road_map
-from generation.nuscenes_writer.rows import Channel, channels_of, scene_tables, used_labels
-from generation.nuscenes_writer.vocabulary import Vocabulary
+from generation.nuscenes_writer.rows import SensorChannel, build_channels, build_scene_tables, list_used_labels
+from generation.nuscenes_writer.vocabulary import LabelVocabulary
 from generation.render.contract import CuttingRenderer, Images, SweepRenderer
 
 FRAGMENT_SCHEMA = 1
@@ -47,11 +47,11 @@ def write_scene(
     report: dict[str, Any],
     variant: int = 0,
 ) -> str:
-    """`written_scene`, its content key alone."""
-    return written_scene(plan, scene, name=name, source_scene=source_scene, report=report, variant=variant).key
+    """`write_scene_if_missing`, its content key alone."""
+    return write_scene_if_missing(plan, scene, name=name, source_scene=source_scene, report=report, variant=variant).key
 
 
-def written_scene(
+def write_scene_if_missing(
     plan: DataSetPlan,
     scene: Scene,
     *,
@@ -82,7 +82,7 @@ def written_scene(
         InputError: If the scene has no keyframes or numbers that are not finite, the name is no file name, the target
             holds another writer's data set, or the disk refuses.
     """
-    require_sound(scene)
+    require_valid(scene)
     if isinstance(plan.renderer, CuttingRenderer):
         scene = plan.renderer.cut(scene)
     require_own_root(plan, variant)
@@ -91,21 +91,21 @@ def written_scene(
     map_key = _store_map(plan, scene.road_map)
     labels = {"name": name, "variant": variant, "source_scene": source_scene, "report": report}
     called = labels if identity is None else {**labels, "identity": identity}
-    key = scene_key(plan, scene, cameras, map_key=map_key, labels=called)
+    key = compute_scene_key(plan, scene, cameras, map_key=map_key, labels=called)
     if is_complete(plan, key, variant=variant, name=name):
         return WrittenScene(key, made=False)
     frames = range(len(scene.timestamps_us)) if plan.frames == "all" else scene.keyframes.tolist()
     tracks = plan.renderer.camera_tracks(scene) if isinstance(plan.renderer, SweepRenderer) else {}
-    channels = channels_of(cameras, tracks)
-    vocabulary = Vocabulary.of(plan.source)
-    tables = scene_tables(names, vocabulary, scene, channels, frames)
-    messages = can_bus_files(scene, name=name, source=plan.source, source_scene=source_scene)
+    channels = build_channels(cameras, tracks)
+    vocabulary = LabelVocabulary.of(plan.source)
+    tables = build_scene_tables(names, vocabulary, scene, channels, frames)
+    messages = build_can_bus_files(scene, name=name, source=plan.source, source_scene=source_scene)
     sensor_files = [row["filename"] for row in tables["sample_data"]]
     if plan.lossless:
-        sensor_files += [_lossless(path) for path in sensor_files if path.endswith(".jpg")]
+        sensor_files += [_lossless_name(path) for path in sensor_files if path.endswith(".jpg")]
     claim_files(plan, key, variant, name, [*sensor_files, *messages])
     root = plan.data_root(variant)
-    existing_pictures = _pictures_there(plan, key, variant, name)
+    existing_pictures = _find_existing_pictures(plan, key, variant, name)
     for path, data in messages.items():
         write_bytes(root / path, data, durable=False)
     _write_lidar_files(root, names, scene, channels, frames)
@@ -119,11 +119,11 @@ def written_scene(
         "adversaries": [names.instance(agent) for agent in scene.agents.ids if agent in scene.adversaries],
         "location": scene.road_map.location,
         "map": map_key,
-        "log": vocabulary.log_row(scene),
-        "labels": used_labels(vocabulary, scene),
+        "log": vocabulary.get_log_row(scene),
+        "labels": list_used_labels(vocabulary, scene),
         "instances": [row["token"] for row in tables["instance"]],
         "files": {path: (root / path).stat().st_size for path in sorted([*sensor_files, *messages])},
-        "renderer": _renderer_row(plan, cameras),
+        "renderer": _build_renderer_row(plan, cameras),
         **({UNDRAWN: True} if plan.pictures == "keyframes" else {}),
         "tables": {table: ",\n".join(map(canonical_json, rows)) for table, rows in tables.items()},
     }
@@ -133,54 +133,54 @@ def written_scene(
 
 def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str) -> bool:
     """Whether a scene's fragment, claim and files are all there, the files in the size they were written."""
-    fragment = _claimed_fragment(plan, key, variant=variant, name=name)
+    fragment = _read_claimed_fragment(plan, key, variant=variant, name=name)
     if fragment is None or (UNDRAWN in fragment and plan.pictures == "all"):
         return False
-    return len(_whole_files(plan.data_root(variant), fragment)) == len(fragment["files"])
+    return len(_find_whole_files(plan.data_root(variant), fragment)) == len(fragment["files"])
 
 
-def _claimed_fragment(plan: DataSetPlan, key: str, *, variant: int, name: str) -> dict[str, Any] | None:
+def _read_claimed_fragment(plan: DataSetPlan, key: str, *, variant: int, name: str) -> dict[str, Any] | None:
     claim = read_state(plan.claim_path(variant, name))
-    return None if claim is None or claim["key"] != key else stored_fragment(plan, key)
+    return None if claim is None or claim["key"] != key else read_stored_fragment(plan, key)
 
 
-def _whole_files(root: Path, fragment: dict[str, Any]) -> frozenset[str]:
+def _find_whole_files(root: Path, fragment: dict[str, Any]) -> frozenset[str]:
     """Which files of a fragment are there, in the size they were written."""
     sizes = fragment["files"].items()
     return frozenset(path for path, size in sizes if (root / path).is_file() and (root / path).stat().st_size == size)
 
 
-def _pictures_there(plan: DataSetPlan, key: str, variant: int, name: str) -> frozenset[str]:
+def _find_existing_pictures(plan: DataSetPlan, key: str, variant: int, name: str) -> frozenset[str]:
     """Images of a scene whose other images are drawn later, as far as they are there already."""
-    fragment = _claimed_fragment(plan, key, variant=variant, name=name)
+    fragment = _read_claimed_fragment(plan, key, variant=variant, name=name)
     if fragment is None or UNDRAWN not in fragment:
         return frozenset()
-    return frozenset(path for path in _whole_files(plan.data_root(variant), fragment) if not path.endswith(".bin"))
+    return frozenset(path for path in _find_whole_files(plan.data_root(variant), fragment) if not path.endswith(".bin"))
 
 
 def _is_sweep_image(path: str) -> bool:
     return path.startswith("sweeps/") and path.endswith((".jpg", ".png"))
 
 
-def stored_fragment(plan: DataSetPlan, key: str) -> dict[str, Any] | None:
+def read_stored_fragment(plan: DataSetPlan, key: str) -> dict[str, Any] | None:
     """The fragment of a scene, or ``None`` where there is none or it is damaged: the scene is written again."""
-    return _sound(plan.fragments.get(key))
+    return _check_state(plan.fragments.get(key))
 
 
 def read_state(path: Path) -> dict[str, Any] | None:
     """A claim, or ``None`` where there is none or it is damaged: what it stood for is written again."""
-    return _sound(read_kept_json(path))
+    return _check_state(read_cached_json(path))
 
 
-def _sound(value: Any) -> dict[str, Any] | None:
+def _check_state(value: Any) -> dict[str, Any] | None:
     if not isinstance(value, dict) or not {"key", "name", "variant", "files"} <= value.keys():
         return None
     typed = isinstance(value["key"], str) and isinstance(value["name"], str) and type(value["variant"]) is int
-    listed = isinstance(value["files"], list | dict) and all(map(_stays_inside, value["files"]))
+    listed = isinstance(value["files"], list | dict) and all(map(_is_inside_root, value["files"]))
     return value if typed and listed else None
 
 
-def _stays_inside(path: Any) -> bool:
+def _is_inside_root(path: Any) -> bool:
     """Whether a stored path names something below the data root: files that claims name are removed."""
     return isinstance(path, str) and not Path(path).is_absolute() and ".." not in Path(path).parts
 
@@ -208,7 +208,7 @@ def release_claim(plan: DataSetPlan, claim: dict[str, Any], keep: frozenset[str]
                 (root / path).unlink(missing_ok=True)
 
 
-def require_sound(scene: Scene) -> None:
+def require_valid(scene: Scene) -> None:
     """Refuse a scene whose rows would be wrong.
 
     It needs keyframes, times that increase, finite poses and positive sizes.
@@ -236,27 +236,27 @@ def _store_map(plan: DataSetPlan, road_map: RoadMap) -> str:
     """Keep a road map for `finish_data_set`; scenes with the same map share the file."""
     packed = pack_road_map(road_map)
     key = content_key(packed)
-    if read_kept_json(plan.map_path(key)) != packed:
+    if read_cached_json(plan.map_path(key)) != packed:
         write_json(plan.map_path(key), packed, indent=None)
     return key
 
 
-def _file_of(names: SceneNames, scene: Scene, channel: Channel, frame: int) -> str:
+def _build_file_path(names: SceneNames, scene: Scene, channel: SensorChannel, frame: int) -> str:
     """Path of a sensor file below the data root."""
     timestamp, is_keyframe = int(scene.timestamps_us[frame]), bool((scene.keyframes == frame).any())
     return names.file(channel.name, timestamp, is_keyframe=is_keyframe, extension=channel.extension)
 
 
 def _write_lidar_files(
-    root: Path, names: SceneNames, scene: Scene, channels: Sequence[Channel], frames: Sequence[int]
+    root: Path, names: SceneNames, scene: Scene, channels: Sequence[SensorChannel], frames: Sequence[int]
 ) -> None:
     lidar = next(channel for channel in channels if channel.name == LIDAR_NAME)
     for frame in frames:
-        write_bytes(root / _file_of(names, scene, lidar, frame), b"", durable=False)
+        write_bytes(root / _build_file_path(names, scene, lidar, frame), b"", durable=False)
 
 
 def _write_images(
-    plan: DataSetPlan, root: Path, names: SceneNames, scene: Scene, channels: Sequence[Channel], frames: Sequence[int],
+    plan: DataSetPlan, root: Path, names: SceneNames, scene: Scene, channels: Sequence[SensorChannel], frames: Sequence[int],
     existing_pictures: frozenset[str],
 ) -> None:  # fmt: skip
     """Draw and write the images that a plan wants of a scene and that are not there."""
@@ -265,24 +265,26 @@ def _write_images(
         return
     wanted = frames if plan.pictures == "all" else scene.keyframes.tolist()
     open_frames = [
-        frame for frame in wanted if any(_file_of(names, scene, one, frame) not in existing_pictures for one in cameras)
+        frame
+        for frame in wanted
+        if any(_build_file_path(names, scene, one, frame) not in existing_pictures for one in cameras)
     ]
     drawn = plan.renderer.render(scene, open_frames)
-    rendered = progress(drawn, total=len(open_frames), label=scene.name, count=Count("frame"))
+    rendered = track_progress(drawn, total=len(open_frames), label=scene.name, count=CountedUnits("frame"))
     for frame, images in zip(open_frames, rendered, strict=True):
         for channel in cameras:
-            path, image = root / _file_of(names, scene, channel, frame), _checked(channel, images)
+            path, image = root / _build_file_path(names, scene, channel, frame), _check_image(channel, images)
             if plan.lossless:
-                write_bytes(path.with_name(_lossless(path.name)), _encoded(image, ".png", []), durable=False)
-            write_bytes(path, jpeg_bytes(image, plan.jpeg_quality), durable=False)
+                write_bytes(path.with_name(_lossless_name(path.name)), _encode_image(image, ".png", []), durable=False)
+            write_bytes(path, encode_jpeg(image, plan.jpeg_quality), durable=False)
 
 
-def _lossless(jpeg: str) -> str:
+def _lossless_name(jpeg: str) -> str:
     """Name of the PNG file beside a JPEG file."""
     return jpeg.removesuffix(".jpg") + ".png"
 
 
-def _checked(channel: Channel, images: Images) -> NDArray[np.uint8]:
+def _check_image(channel: SensorChannel, images: Images) -> NDArray[np.uint8]:
     camera, image = channel.camera, images[channel.name]
     assert camera is not None
     if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
@@ -290,18 +292,18 @@ def _checked(channel: Channel, images: Images) -> NDArray[np.uint8]:
     return image
 
 
-def jpeg_bytes(image: NDArray[np.uint8], quality: int) -> bytes:
+def encode_jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
     """A picture as it is written: (height, width, 3) RGB, quality 1 to 100."""
-    return _encoded(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return _encode_image(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
-def _encoded(image: NDArray[np.uint8], extension: str, options: Sequence[int]) -> bytes:
+def _encode_image(image: NDArray[np.uint8], extension: str, options: Sequence[int]) -> bytes:
     done, data = cv2.imencode(extension, cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
     assert done, "OpenCV refused to encode an image that it accepts by type"
     return bytes(data.tobytes())
 
 
-def _renderer_row(plan: DataSetPlan, cameras: Sequence[Camera]) -> dict[str, Any] | None:
+def _build_renderer_row(plan: DataSetPlan, cameras: Sequence[Camera]) -> dict[str, Any] | None:
     if plan.renderer is None:
         return None
     width, height = (cameras[0].width, cameras[0].height) if cameras else (0, 0)

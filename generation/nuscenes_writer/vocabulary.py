@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import CAMERA_NAMES, LIDAR_NAME, NUMBERED_CATEGORIES
-from benchmark.datasets.tables import version_folders
+from benchmark.datasets.tables import find_version_folders
 from benchmark.errors import InputError
-from benchmark.machine.storage import read_json, token
+from benchmark.machine.storage import make_token, read_json
 from benchmark.scene import Scene
 from generation.nuscenes_writer.plan import SourceInfo
 
@@ -63,7 +63,7 @@ _VISIBILITY_LEVELS: Final = ("v0-40", "v40-60", "v60-80", "v80-100")
 
 
 @dataclass(frozen=True, slots=True)
-class Vocabulary:
+class LabelVocabulary:
     """Label rows of a data set: the source's own where it has them.
 
     Attributes:
@@ -79,33 +79,33 @@ class Vocabulary:
     map: tuple[Row, ...]
 
     @classmethod
-    def of(cls, source: SourceInfo | None) -> "Vocabulary":
+    def of(cls, source: SourceInfo | None) -> "LabelVocabulary":
         """Labels of a data set that derives from ``source``."""
-        folder = _table_folder(source)
-        tables = {name: _read(folder, name) for name in ("category", "attribute", "visibility", "log", "map")}
+        folder = _find_table_folder(source)
+        tables = {name: _read_rows(folder, name) for name in ("category", "attribute", "visibility", "log", "map")}
         return cls(
-            category=_numbered({row["name"]: row for row in tables["category"]}),
-            attribute={row["name"]: row for row in tables["attribute"] or _rows("attribute", _ATTRIBUTE_WORDS)},
-            visibility=tuple(tables["visibility"] or _visibility_rows()),
+            category=_number_categories({row["name"]: row for row in tables["category"]}),
+            attribute={row["name"]: row for row in tables["attribute"] or _build_rows("attribute", _ATTRIBUTE_WORDS)},
+            visibility=tuple(tables["visibility"] or _build_visibility_rows()),
             log=tuple(tables["log"]),
             map=tuple(tables["map"]),
         )
 
-    def category_row(self, name: str) -> Row:
+    def get_category_row(self, name: str) -> Row:
         """Row of a category; one that the table lacks is made up."""
-        return self.category.get(name) or _rows("category", {name: ""})[0]
+        return self.category.get(name) or _build_rows("category", {name: ""})[0]
 
-    def attribute_row(self, name: str) -> Row:
+    def get_attribute_row(self, name: str) -> Row:
         """Row of an attribute; one that the table lacks is made up."""
-        return self.attribute.get(name) or _rows("attribute", {name: ""})[0]
+        return self.attribute.get(name) or _build_rows("attribute", {name: ""})[0]
 
-    def visibility_token(self, level: int) -> str:
+    def get_visibility_token(self, level: int) -> str:
         """Token of a level 1..4; 0 (nothing known) counts as fully visible, because official code parses it."""
         wanted = _VISIBILITY_LEVELS[(level or 4) - 1]
         named = (row["token"] for row in self.visibility if row.get("level") == wanted)
         return str(next(named, str(level or 4)))
 
-    def log_row(self, scene: Scene) -> Row:
+    def get_log_row(self, scene: Scene) -> Row:
         """Row of the scene's log: the source's, if it has that log."""
         own = {
             "logfile": scene.log,
@@ -116,31 +116,31 @@ class Vocabulary:
         for row in self.log:
             if scene.log and (row.get("logfile"), row.get("location")) == (scene.log, scene.road_map.location):
                 return row
-        return {"token": token("log", own), **own}
+        return {"token": make_token("log", own), **own}
 
 
-def sensor_row(channel: str) -> Row:
+def build_sensor_row(channel: str) -> Row:
     """Row of a sensor; the same in every data set."""
     modality = "lidar" if channel == LIDAR_NAME else "camera"
-    return {"token": token("sensor", channel), "channel": channel, "modality": modality}
+    return {"token": make_token("sensor", channel), "channel": channel, "modality": modality}
 
 
-def sensor_rows() -> list[Row]:
+def build_sensor_rows() -> list[Row]:
     """Rows of the six cameras and the lidar."""
-    return [sensor_row(channel) for channel in (*CAMERA_NAMES, LIDAR_NAME)]
+    return [build_sensor_row(channel) for channel in (*CAMERA_NAMES, LIDAR_NAME)]
 
 
-def _rows(table: str, words: Mapping[str, str]) -> list[Row]:
-    return [{"token": token(table, name), "name": name, "description": text} for name, text in words.items()]
+def _build_rows(table: str, words: Mapping[str, str]) -> list[Row]:
+    return [{"token": make_token(table, name), "name": name, "description": text} for name, text in words.items()]
 
 
-def _numbered(own: Mapping[str, Row]) -> dict[str, Row]:
+def _number_categories(own: Mapping[str, Row]) -> dict[str, Row]:
     """Categories in nuScenes' order: the source's rows where it has them."""
-    numbered = {name: _rows("category", {name: _CATEGORY_WORDS[name]})[0] for name in NUMBERED_CATEGORIES}
+    numbered = {name: _build_rows("category", {name: _CATEGORY_WORDS[name]})[0] for name in NUMBERED_CATEGORIES}
     return {**numbered, **own}
 
 
-def _visibility_rows() -> list[Row]:
+def _build_visibility_rows() -> list[Row]:
     bounds = (level.removeprefix("v").split("-") for level in _VISIBILITY_LEVELS)
     return [
         {"token": str(number), "level": level, "description": f"{low} to {high} % of the object can be seen"}
@@ -148,18 +148,18 @@ def _visibility_rows() -> list[Row]:
     ]
 
 
-def _table_folder(source: SourceInfo | None) -> Path | None:
+def _find_table_folder(source: SourceInfo | None) -> Path | None:
     if source is None or source.root is None:
         return None
     if source.version is not None:
         return source.root / source.version
-    versions = version_folders(source.root)
+    versions = find_version_folders(source.root)
     if len(versions) > 1:
         raise InputError(f"{source.root} has several versions ({', '.join(versions)}); say which one is the source")
     return source.root / versions[0] if versions else None
 
 
-def _read(folder: Path | None, table: str) -> list[Row]:
+def _read_rows(folder: Path | None, table: str) -> list[Row]:
     if folder is None or not (folder / f"{table}.json").is_file():
         return []
     rows: list[Row] = read_json(folder / f"{table}.json")

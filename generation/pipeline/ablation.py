@@ -15,20 +15,20 @@ import numpy as np
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.storage import write_json
-from benchmark.metrics.rates import ratios_over_scenes
-from benchmark.protocols import protocol
-from benchmark.records.ablation import RECORD, SCHEMA, VARIANTS, AblationReport, AblationRow, Variant
+from benchmark.metrics.rates import compute_ratios_over_scenes
+from benchmark.protocols import find_protocol
+from benchmark.records.ablation import RECORD, SCHEMA, VARIANTS, AblationReport, AblationRow, AblationVariant
 from benchmark.records.attempts import ATTEMPTS_FILE, Attempt, read_attempts
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DataFacts
-from generation.pipeline.recordings import source_scenes
+from generation.pipeline.recordings import list_source_scenes
 from generation.pipeline.report import BuildReport, estimate_build
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.pipeline.surrogate import PROTOCOL, PlannerUnderTest, require_all_planned
 
 
-def ablate(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> AblationReport:
+def run_ablation(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> AblationReport:
     """Run the study; the same call resumes.
 
     Args:
@@ -43,9 +43,9 @@ def ablate(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) 
     Raises:
         InputError: As `generation.pipeline.split.build_split`, or if the planner fails on samples.
     """
-    names = source_scenes(source, settings)
+    names = list_source_scenes(source, settings)
     samples = {name: sum(truth.by_clock.complete for truth in source.truth(name)) for name in names}
-    rows = tuple(_row(source, planner, settings, variant, samples) for variant in VARIANTS)
+    rows = tuple(_run_variant(source, planner, settings, variant, samples) for variant in VARIANTS)
     if len({row.attempted for row in rows}) > 1:
         raise ValueError("rows of one study tried different vehicles")
     report = AblationReport(
@@ -53,7 +53,7 @@ def ablate(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) 
         data=DataFacts(name=source.name, version=source.version, fingerprint=source.fingerprint()),
         scenes=names,
         planner=planner.factory.facts,
-        protocol=(PROTOCOL, protocol(PROTOCOL).version),
+        protocol=(PROTOCOL, find_protocol(PROTOCOL).version),
         seed=settings.seed,
         hyper=asdict(settings.hyper),
         prior_fingerprint=settings.prior().fingerprint,
@@ -63,20 +63,24 @@ def ablate(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) 
     return report
 
 
-def ablation_estimate(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> str:
+def estimate_ablation(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> str:
     """Text for people on the work that a study is, one line for each row; nothing is written.
 
-    Arguments and errors as of `ablate`.
+    Arguments and errors as of `run_ablation`.
     """
-    reports = [estimate_build(source, "adv", _settings_of(variant, settings, planner)) for variant in VARIANTS]
+    reports = [
+        estimate_build(source, "adv", _build_variant_settings(variant, settings, planner)) for variant in VARIANTS
+    ]
     return "\n".join(f"{variant.label}: {report.sentence()}" for variant, report in zip(VARIANTS, reports, strict=True))
 
 
-def _settings_of(variant: Variant, settings: BuildSettings, planner: PlannerUnderTest) -> BuildSettings:
+def _build_variant_settings(
+    variant: AblationVariant, settings: BuildSettings, planner: PlannerUnderTest
+) -> BuildSettings:
     return replace(
         settings,
         out=settings.out / variant.name,
-        timings=settings.timing / variant.name,
+        timings=settings.timings_folder / variant.name,
         hyper=replace(settings.hyper, multi_round=variant.multi_round, scored=variant.scored),
         adversaries=1,
         surrogate=None,
@@ -87,26 +91,26 @@ def _settings_of(variant: Variant, settings: BuildSettings, planner: PlannerUnde
     )
 
 
-def _row(
+def _run_variant(
     source: DataSet,
     planner: PlannerUnderTest,
     settings: BuildSettings,
-    variant: Variant,
+    variant: AblationVariant,
     samples: dict[str, int],
 ) -> AblationRow:
     """Build and judge one variant; ``samples`` are those that count, by recorded scene."""
-    row = _settings_of(variant, settings, planner)
+    row = _build_variant_settings(variant, settings, planner)
     record: RunRecord | None = None
     try:
         report = build_split(source, "adv", row)
     except NothingSurvivedError as nothing:
         report = nothing.report
     else:
-        record = _evaluated(source, planner, row, settings.out / "runs" / variant.name)
-    return _counted(variant, report, read_attempts(row.out / ATTEMPTS_FILE), record, samples, settings.seed)
+        record = _evaluate_variant(source, planner, row, settings.out / "runs" / variant.name)
+    return _compute_row(variant, report, read_attempts(row.out / ATTEMPTS_FILE), record, samples, settings.seed)
 
 
-def _evaluated(source: DataSet, planner: PlannerUnderTest, row: BuildSettings, runs: Path) -> RunRecord:
+def _evaluate_variant(source: DataSet, planner: PlannerUnderTest, row: BuildSettings, runs: Path) -> RunRecord:
     data = open_data(row.out, version=row.version, name=source.name)
     settings = EvalSettings(protocols=(PROTOCOL,), workers=planner.workers, seed=row.seed)
     record = evaluate(data, "adv", planner.factory, runs, settings)
@@ -114,8 +118,8 @@ def _evaluated(source: DataSet, planner: PlannerUnderTest, row: BuildSettings, r
     return record
 
 
-def _counted(
-    variant: Variant,
+def _compute_row(
+    variant: AblationVariant,
     report: BuildReport,
     attempts: Sequence[Attempt],
     record: RunRecord | None,
@@ -137,7 +141,7 @@ def _counted(
     below = np.array(
         [[float(attempt_counts[scene] * samples[scene]), float(judged[scene])] for scene in scenes]
     ).reshape(-1, 2)
-    of_tried, of_kept = ratios_over_scenes(above, below, scenes, seed=seed)
+    of_tried, of_kept = compute_ratios_over_scenes(above, below, scenes, seed=seed)
     gaps = [
         attempt.closest_approach.gap_m for attempt in attempts if attempt.kept and attempt.closest_approach is not None
     ]

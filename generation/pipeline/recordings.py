@@ -6,7 +6,7 @@ from benchmark.datasets.annotated import require_annotated
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.workspace import is_generated
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.pipeline.settings import BuildSettings
 from generation.search.definition import Search
@@ -15,23 +15,23 @@ from generation.splits.format import require_freezable
 from generation.splits.packaged import require_seed
 
 
-def ready_to_build(source: DataSet, split: str, settings: BuildSettings) -> tuple[str, ...]:
+def require_buildable(source: DataSet, split: str, settings: BuildSettings) -> tuple[str, ...]:
     """Refuse what cannot be built, as `build_split` does; gives the recorded scenes that are used."""
     require_generated(split)
     require_seed(split, settings.seed, f"--seed {settings.seed}")
     require_not_frozen(settings.out)
     if settings.freeze is not None:
         require_freezable(split, settings.freeze)
-    return source_scenes(source, settings)
+    return list_source_scenes(source, settings)
 
 
-def search_of(source: DataSet, names: Sequence[str], settings: BuildSettings) -> Search:
+def build_search(source: DataSet, names: Sequence[str], settings: BuildSettings) -> Search:
     """Everything that decides the attempts of a build; every scene needs a map."""
     without_map = [name for name in names if not source.has_map(name)]
     if without_map:
         raise InputError(
             f"{source.root} has no map expansion for {without_map[0]} ({len(without_map)} of "
-            f"{counted(len(names), 'scene')}), and "
+            f"{pluralise(len(names), 'scene')}), and "
             "an adversary must know the road; put the map expansion's JSON files into maps/expansion"
         )
     return Search(
@@ -41,7 +41,7 @@ def search_of(source: DataSet, names: Sequence[str], settings: BuildSettings) ->
         prior=settings.prior,
         prior_fingerprint=settings.prior().fingerprint,
         state=settings.out / STATE_FOLDER,
-        timings=settings.timing,
+        timings=settings.timings_folder,
         asked=settings.asked,
     )
 
@@ -55,15 +55,15 @@ def require_generated(split: str) -> None:
         )
 
 
-def source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
+def list_source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
     """Names of the recorded scenes that a build uses, in order; scenes without annotations are skipped."""
-    names = _asked_for(source, settings)
+    names = _list_requested_scenes(source, settings)
     require_annotated(source, settings.source_split, names)
-    skipped = set(unlabelled_scenes(source, settings))
+    skipped = set(list_unlabelled_scenes(source, settings))
     return tuple(name for name in names if name not in skipped)
 
 
-def _asked_for(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
+def _list_requested_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
     if settings.scenes is None:
         names = source.scene_names(settings.source_split)
     else:
@@ -80,8 +80,8 @@ def _asked_for(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
     return names[: settings.limit]
 
 
-def unlabelled_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
+def list_unlabelled_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
     """Scenes that a build asks for and skips: without annotations there is no traffic to change or to draw."""
-    names = _asked_for(source, settings)
+    names = _list_requested_scenes(source, settings)
     counts = source.annotation_counts(names)
     return tuple(name for name in names if not counts[name].annotations)

@@ -9,23 +9,23 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from benchmark.datasets.roots import DataSet
-from benchmark.records.judgement import unsolvable
-from benchmark.report.words import counted
+from benchmark.records.judgement import is_unsolvable
+from benchmark.report.words import pluralise
 from generation.pipeline.estimate import (
     KEPT_SHARE,
-    Estimate,
     RuntimeTable,
-    planning_estimate,
-    rendering_estimate,
-    workers_of,
+    WorkEstimate,
+    count_workers,
+    estimate_planning,
+    estimate_rendering,
 )
-from generation.pipeline.recordings import ready_to_build, search_of, unlabelled_scenes
+from generation.pipeline.recordings import build_search, list_unlabelled_scenes, require_buildable
 from generation.pipeline.settings import BuildSettings
-from generation.search.attempts import kept_attempt
-from generation.search.candidates import not_tried_together
-from generation.search.chains import Chain, SearchResult, first_units
+from generation.search.attempts import read_cached_attempt
+from generation.search.candidates import sum_exclusions
+from generation.search.chains import AdversaryChain, SearchResult, find_first_units
 from generation.search.definition import Search
-from generation.search.verify import Discard, masked_line, masked_together
+from generation.search.verify import DiscardReason, format_masked_steps, sum_masked_steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class BuildReport:
     adversaries: int = 1
     requests: dict[str, dict[str, int]] = field(default_factory=dict)
     surrogate: dict[str, Any] | None = None
-    estimate: Estimate | None = None
+    estimate: WorkEstimate | None = None
     runtime: RuntimeTable | None = None
     dry_run: bool = False
     unlabelled: tuple[str, ...] = ()
@@ -82,7 +82,7 @@ class BuildReport:
         cls,
         scenes: int,
         found: SearchResult,
-        written: Sequence[Chain],
+        written: Sequence[AdversaryChain],
         surrogate: dict[str, Any] | None,
         adversaries: int,
     ) -> "BuildReport":
@@ -100,15 +100,15 @@ class BuildReport:
             discarded=dict(discarded),
             written=tuple(chain.name for chain in written),
             dropped=dict(Counter(reason.value for reason in found.dropped.values())),
-            not_tried=not_tried_together(first_looks),
+            not_tried=sum_exclusions(first_looks),
             unsolvable={
-                "dropped": discarded[Discard.UNSOLVABLE.value],
-                "written": sum(unsolvable(chain.judgements) for chain in written),
+                "dropped": discarded[DiscardReason.UNSOLVABLE.value],
+                "written": sum(is_unsolvable(chain.judgements) for chain in written),
             },
             # The last adversary of a chain was looked at with all the others in the scene.
-            masked_steps=masked_together(chain.links[-1].attempt.masked_steps for chain in written),
+            masked_steps=sum_masked_steps(chain.links[-1].attempt.masked_steps for chain in written),
             adversaries=adversaries,
-            requests=_requests(found, written),
+            requests=_count_requests(found, written),
             surrogate=surrogate,
         )
 
@@ -127,17 +127,17 @@ class BuildReport:
             work = (
                 ""
                 if self.split == "val-r"
-                else f", {counted(self.tried, 'vehicle')} to try ({self.finished_before} of them done)"
+                else f", {pluralise(self.tried, 'vehicle')} to try ({self.finished_before} of them done)"
             )
             about = "" if self.estimate is None else f"; {self.estimate.sentence()}"
-            return f"would build {self.split} from {counted(self.scenes, 'scene')}{work}{about}; nothing was written"
+            return f"would build {self.split} from {pluralise(self.scenes, 'scene')}{work}{about}; nothing was written"
         if self.split == "val-r":
-            return f"{counted(len(self.written), 'scene')} rendered again"
+            return f"{pluralise(len(self.written), 'scene')} rendered again"
         reasons = ", ".join(f"{count} {reason}" for reason, count in sorted({**self.discarded, **self.dropped}.items()))
         return (
-            f"{counted(self.scenes, 'scene')}, {counted(self.tried, 'vehicle')} tried, "
-            f"{counted(self.survived, 'scene')} passed verification (discarded: {reasons or 'none'}), "
-            f"{counted(len(self.written), 'scene')} written"
+            f"{pluralise(self.scenes, 'scene')}, {pluralise(self.tried, 'vehicle')} tried, "
+            f"{pluralise(self.survived, 'scene')} passed verification (discarded: {reasons or 'none'}), "
+            f"{pluralise(len(self.written), 'scene')} written"
         )
 
     def summary(self) -> str:
@@ -145,13 +145,13 @@ class BuildReport:
         if not self.unlabelled:
             return self._summary()
         names = ", ".join(self.unlabelled[:3]) + (", ..." if len(self.unlabelled) > 3 else "")
-        return f"{self._summary()}\n  skipped {counted(len(self.unlabelled), 'scene')} without annotations ({names})"
+        return f"{self._summary()}\n  skipped {pluralise(len(self.unlabelled), 'scene')} without annotations ({names})"
 
     def _summary(self) -> str:
         if self.dry_run or self.split == "val-r":
             return self.sentence()
         written_count = self.tried - sum(self.discarded.values()) - sum(self.dropped.values())
-        rows = [("written", written_count, f"in {counted(len(self.written), 'scene')}")]
+        rows = [("written", written_count, f"in {pluralise(len(self.written), 'scene')}")]
         for outcome, counts in (
             ("discarded", self.discarded),
             ("not kept", self.dropped),
@@ -161,8 +161,8 @@ class BuildReport:
                 (outcome, count, reason) for reason, count in sorted(counts.items(), key=lambda row: (-row[1], row[0]))
             ]
         lines = [
-            f"{counted(self.scenes, 'scene')}, {counted(self.tried, 'vehicle')} tried, "
-            f"{counted(len(self.written), 'scene')} written"
+            f"{pluralise(self.scenes, 'scene')}, {pluralise(self.tried, 'vehicle')} tried, "
+            f"{pluralise(len(self.written), 'scene')} written"
         ]
         lines += [f"  {outcome:<9} {count:>7}  {reason}" for outcome, count, reason in rows]
         if self.unsolvable is not None:
@@ -171,22 +171,22 @@ class BuildReport:
                 f"{self.unsolvable['written']} among those written"
             )
         lines += [
-            f"  {kind}: asked of {counted(row['asked'], 'vehicle')}, {row['tried']} tried, {row['kept']} kept, "
+            f"  {kind}: asked of {pluralise(row['asked'], 'vehicle')}, {row['tried']} tried, {row['kept']} kept, "
             f"{row['written']} written"
             for kind, row in self.requests.items()
         ]
         if self.masked_steps:
-            lines.append(f"  {masked_line(self.masked_steps)}")
+            lines.append(f"  {format_masked_steps(self.masked_steps)}")
         if self.surrogate is not None:
             lines.append(
                 f"  {self.surrogate['planner']} fails {self.surrogate['scenes_failed']} of "
-                f"{counted(self.surrogate['scenes'], 'scene')}, {self.surrogate['colliding_samples']} of "
-                f"{counted(self.surrogate['samples'], 'sample')}"
+                f"{pluralise(self.surrogate['scenes'], 'scene')}, {self.surrogate['colliding_samples']} of "
+                f"{pluralise(self.surrogate['samples'], 'sample')}"
             )
         return "\n".join(lines)
 
 
-def _requests(result: SearchResult, written: Sequence[Chain]) -> dict[str, dict[str, int]]:
+def _count_requests(result: SearchResult, written: Sequence[AdversaryChain]) -> dict[str, dict[str, int]]:
     """Counts of how often each kind was asked for, tried, kept and written."""
     kept = Counter(attempted.unit.asked for attempted in result.tried if attempted.attempt.kept)
     wrote = Counter(link.unit.asked for chain in written for link in chain.links)
@@ -198,44 +198,44 @@ def _requests(result: SearchResult, written: Sequence[Chain]) -> dict[str, dict[
 
 def estimate_build(source: DataSet, split: str, settings: BuildSettings) -> BuildReport:
     """What `generation.pipeline.split.build_split` would do, with an estimate; arguments and errors as there."""
-    names = ready_to_build(source, split, settings)
+    names = require_buildable(source, split, settings)
     if split != "val-r":
-        search = search_of(source, names, settings)
-        return replace(_search_estimate(source, search, names, settings), split=split)
-    scene_s, workers = _rendering_seconds(source, names, settings), workers_of(settings.where_rendered)
-    about = Estimate(0, 0.0, len(names), scene_s, workers, workers)
-    skipped = unlabelled_scenes(source, settings)
+        search = build_search(source, names, settings)
+        return replace(_estimate_search(source, search, names, settings), split=split)
+    scene_s, workers = _estimate_rendering_seconds(source, names, settings), count_workers(settings.rendering_executor)
+    about = WorkEstimate(0, 0.0, len(names), scene_s, workers, workers)
+    skipped = list_unlabelled_scenes(source, settings)
     return BuildReport("val-r", len(names), estimate=about, dry_run=True, unlabelled=skipped)
 
 
-def _search_estimate(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+def _estimate_search(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
     """Estimate of the work that there is to do."""
-    chosen = first_units(search, source, names, keep=False)
+    chosen = find_first_units(search, source, names, keep=False)
     units = [unit for _, of_scene in chosen for unit in of_scene]
     with_rounds = settings.keep_rounds and settings.adversaries == 1
-    left = [unit for unit in units if kept_attempt(search, unit, with_rounds=with_rounds) is None]
-    count, attempt_s = planning_estimate(search, units, left, source.scene, settings.adversaries)
+    left = [unit for unit in units if read_cached_attempt(search, unit, with_rounds=with_rounds) is None]
+    count, attempt_s = estimate_planning(search, units, left, source.scene, settings.adversaries)
     expected = round(KEPT_SHARE * len(units))
     for most in (settings.per_scene, settings.variants):
         expected = expected if most is None else min(expected, most * len(names))
     if settings.total is not None:
         expected = min(expected, settings.total)
-    scene_s = _rendering_seconds(source, names, settings)
-    planners, renderers = workers_of(settings.executor), workers_of(settings.where_rendered)
-    about = Estimate(count, attempt_s, expected, scene_s, planners, renderers)
+    scene_s = _estimate_rendering_seconds(source, names, settings)
+    planners, renderers = count_workers(settings.executor), count_workers(settings.rendering_executor)
+    about = WorkEstimate(count, attempt_s, expected, scene_s, planners, renderers)
     return BuildReport(
         "adv",
         len(names),
         len(units),
         len(units) - len(left),
-        not_tried=not_tried_together([vehicles for vehicles, _ in chosen]),
+        not_tried=sum_exclusions([vehicles for vehicles, _ in chosen]),
         adversaries=settings.adversaries,
         estimate=about,
         dry_run=True,
-        unlabelled=unlabelled_scenes(source, settings),
+        unlabelled=list_unlabelled_scenes(source, settings),
     )
 
 
-def _rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSettings) -> float:
-    timing = settings.timing / "rendering"
-    return rendering_estimate(settings.renderer, source.scene(names[0]), settings.frames, timing)
+def _estimate_rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSettings) -> float:
+    timing = settings.timings_folder / "rendering"
+    return estimate_rendering(settings.renderer, source.scene(names[0]), settings.frames, timing)

@@ -12,21 +12,21 @@ from typing import Final
 import numpy as np
 
 from benchmark.datasets.roots import DataSet
-from benchmark.records.review import REJECTED, Judged, read_review
+from benchmark.records.review import REJECTED, StandingVerdict, read_review
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.plan import SceneNames
 from generation.pipeline.settings import BuildSettings
-from generation.pipeline.surrogate import Judgement, judge, staging_plan, take_over
+from generation.pipeline.surrogate import SurrogateResult, build_staging_plan, evaluate_surrogate, reuse_scenes
 from generation.pipeline.writing import WritingJob, write_scenes
-from generation.search.chains import Chain, Dropped, SearchResult, Tried
-from generation.search.ranking import ranked
+from generation.search.chains import AdversaryChain, DropReason, SearchAttempt, SearchResult
+from generation.search.ranking import rank_scenes
 
 FAR_M: Final = 10.0
 """Tracks this far apart are as different as any: another part of the traffic."""
 
 
-def distance(first: Tried, second: Tried) -> float:
+def compute_distance(first: SearchAttempt, second: SearchAttempt) -> float:
     """Difference of two adversaries of one recording, 0 to 2.
 
     Returns:
@@ -51,10 +51,10 @@ def distance(first: Tried, second: Tried) -> float:
     return apart + (len(kinds) - 1)
 
 
-def differing(order: Sequence[Chain], most: int) -> list[Chain]:
+def select_differing(order: Sequence[AdversaryChain], most: int) -> list[AdversaryChain]:
     """At most ``most`` scenes of each recording, best first, that differ from one another.
 
-    The most challenging one comes first; then, again and again, the one whose least `distance` to those that are
+    The most challenging one comes first; then, again and again, the one whose least `compute_distance` to those that are
     kept is largest. Scenes with several adversaries are compared link by link.
     """
     selected: set[str] = set()
@@ -62,20 +62,20 @@ def differing(order: Sequence[Chain], most: int) -> list[Chain]:
         rest = [chain for chain in order if chain.scene_name == scene]
         chosen = [rest.pop(0)]
         while rest and len(chosen) < most:
-            least = [min(_apart(chain, other) for other in chosen) for chain in rest]
+            least = [min(_compute_chain_distance(chain, other) for other in chosen) for chain in rest]
             # The first of equals is the more challenging one.
             chosen.append(rest.pop(int(np.argmax(least))))
         selected.update(chain.name for chain in chosen)
     return [chain for chain in order if chain.name in selected]
 
 
-def _apart(first: Chain, second: Chain) -> float:
-    return float(np.mean([distance(*links) for links in zip(first.links, second.links, strict=True)]))
+def _compute_chain_distance(first: AdversaryChain, second: AdversaryChain) -> float:
+    return float(np.mean([compute_distance(*links) for links in zip(first.links, second.links, strict=True)]))
 
 
-def rejected_jobs(
+def find_rejected_jobs(
     plan: DataSetPlan, jobs: Sequence[WritingJob], read: Callable[[str], Scene]
-) -> dict[str, tuple[int, Judged]]:
+) -> dict[str, tuple[int, StandingVerdict]]:
     """Scenes of a build that an inspector rejected: verdicts beside the root stand on the same motion alone.
 
     Args:
@@ -87,7 +87,7 @@ def rejected_jobs(
     verdicts = read_review(plan.root)
     rejected = {}
     for job in jobs:
-        name = job.name_read(plan)
+        name = job.name_in_data_set(plan)
         verdict = verdicts.get(name)
         if verdict is None or verdict.verdict != REJECTED:
             continue
@@ -102,12 +102,12 @@ def rejected_jobs(
         )
         token = names.token("scene")
         if token == verdict.token:
-            rejected[job.name] = job.variant, Judged(name, token, REJECTED, verdict.reason)
+            rejected[job.name] = job.variant, StandingVerdict(name, token, REJECTED, verdict.reason)
     return rejected
 
 
 @dataclass(frozen=True, slots=True)
-class Selection:
+class SceneSelection:
     """Scenes that are written, best first.
 
     Attributes:
@@ -116,66 +116,68 @@ class Selection:
         left_out: Scenes that an inspector rejected, each with the number of its variant.
     """
 
-    chains: list[Chain]
+    chains: list[AdversaryChain]
     jobs: list[WritingJob]
-    judgement: Judgement | None = None
+    judgement: SurrogateResult | None = None
     staging: DataSetPlan | None = None
     staged: dict[str, str] | None = None
-    left_out: tuple[tuple[int, Judged], ...] = ()
+    left_out: tuple[tuple[int, StandingVerdict], ...] = ()
 
-    def take_over(self, plan: DataSetPlan) -> None:
+    def reuse_pictures(self, plan: DataSetPlan) -> None:
         """Put pictures that were drawn for the surrogate where they belong."""
         if self.staging is not None and self.staged is not None and self.staging.renderer == plan.renderer:
-            take_over(self.staging, plan, [self.staged[job.name] for job in self.jobs])
+            reuse_scenes(self.staging, plan, [self.staged[job.name] for job in self.jobs])
 
 
-def select(source: DataSet, plan: DataSetPlan, found: SearchResult, settings: BuildSettings) -> Selection:
+def select_scenes(source: DataSet, plan: DataSetPlan, found: SearchResult, settings: BuildSettings) -> SceneSelection:
     """Choose the scenes that are written, and note in ``found`` why the others are not."""
-    order = ranked(found.chains, per_scene=None, total=None)
+    order = rank_scenes(found.chains, per_scene=None, total=None)
     # Variants keep their numbers whoever is left out, and with them their tokens, to which verdicts belong.
-    by_name = {job.name: job for job in writing_jobs(order, plan)}
-    rejected = rejected_jobs(plan, list(by_name.values()), source.scene)
+    by_name = {job.name: job for job in build_writing_jobs(order, plan)}
+    rejected = find_rejected_jobs(plan, list(by_name.values()), source.scene)
     for chain in order:
         if chain.name in rejected:
-            found.drop(chain, Dropped.REJECTED)
+            found.drop(chain, DropReason.REJECTED)
     order = [chain for chain in order if chain.name not in rejected]
     left_out = tuple(rejected.values())
     if settings.surrogate is None or not order:
-        selected = _most_challenging(found, order, settings)
-        return Selection(selected, [by_name[chain.name] for chain in selected], left_out=left_out)
-    staging, jobs = staging_plan(plan, settings.surrogate), [by_name[chain.name] for chain in order]
+        selected = _select_most_challenging(found, order, settings)
+        return SceneSelection(selected, [by_name[chain.name] for chain in selected], left_out=left_out)
+    staging, jobs = build_staging_plan(plan, settings.surrogate), [by_name[chain.name] for chain in order]
     keys = write_scenes(
         staging,
         jobs,
         source.scene,
-        settings.where_rendered,
-        timing=settings.timing / "rendering",
+        settings.rendering_executor,
+        timing=settings.timings_folder / "rendering",
         label="rendering for the surrogate",
     )
     runs = staging.root.parent / "runs"
-    judgement = judge(staging, keys, settings.surrogate, runs, name=source.name, seed=settings.seed)
+    judgement = evaluate_surrogate(staging, keys, settings.surrogate, runs, name=source.name, seed=settings.seed)
     failing = []
     for chain, job in zip(order, jobs, strict=True):
-        if job.name_read(staging) in judgement.failed:
+        if job.name_in_data_set(staging) in judgement.failed:
             failing.append(chain)
         else:
-            found.drop(chain, Dropped.SURROGATE_COPES)
-    selected = _most_challenging(found, failing, settings)
+            found.drop(chain, DropReason.SURROGATE_COPES)
+    selected = _select_most_challenging(found, failing, settings)
     staged = {job.name: key for job, key in zip(jobs, keys, strict=True)}
-    return Selection(selected, [by_name[chain.name] for chain in selected], judgement, staging, staged, left_out)
+    return SceneSelection(selected, [by_name[chain.name] for chain in selected], judgement, staging, staged, left_out)
 
 
-def _most_challenging(result: SearchResult, chains: Sequence[Chain], settings: BuildSettings) -> list[Chain]:
-    apart = chains if settings.variants is None else differing(chains, settings.variants)
-    selected = ranked(apart, per_scene=settings.per_scene, total=settings.total)
+def _select_most_challenging(
+    result: SearchResult, chains: Sequence[AdversaryChain], settings: BuildSettings
+) -> list[AdversaryChain]:
+    apart = chains if settings.variants is None else select_differing(chains, settings.variants)
+    selected = rank_scenes(apart, per_scene=settings.per_scene, total=settings.total)
     names = {chain.name for chain in selected}
     for chain in chains:
         if chain.name not in names:
-            result.drop(chain, Dropped.BEYOND_LIMIT)
+            result.drop(chain, DropReason.BEYOND_LIMIT)
     return selected
 
 
-def writing_jobs(chains: Sequence[Chain], plan: DataSetPlan) -> list[WritingJob]:
+def build_writing_jobs(chains: Sequence[AdversaryChain], plan: DataSetPlan) -> list[WritingJob]:
     """Jobs of generated scenes: names that do not depend on the rank, variant numbers that do."""
     next_variant: dict[str, int] = {}
     jobs = []
@@ -191,7 +193,7 @@ def writing_jobs(chains: Sequence[Chain], plan: DataSetPlan) -> list[WritingJob]
                 variant,
                 chain.adversarial,
                 chain.report(),
-                last_attempt=(chain.links[-1].key, chain.last_place),
+                last_attempt=(chain.links[-1].key, chain.last_rank),
                 judgements=chain.judgements,
             )
         )

@@ -6,14 +6,14 @@ from typing import Literal
 
 from benchmark.errors import InputError
 from benchmark.machine.workers import Executor, LocalProcesses
-from benchmark.machine.workspace import timings_beside
+from benchmark.machine.workspace import find_timings_folder
 from benchmark.records.run_schema import MOST_ADVERSARIES
 from generation.labels.manoeuvres import Manoeuvre
 from generation.pipeline.surrogate import PlannerUnderTest
 from generation.render.contract import Renderer
 from generation.search.definition import PackagedPrior, PriorFactory
 from generation.search.hyperparameters import HyperParameters
-from generation.search.presets import threatening
+from generation.search.presets import build_default_settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class BuildSettings:
     executor: Executor = field(default_factory=LocalProcesses)
     rendering: Executor | None = None
     together: int = 1
-    hyper: HyperParameters = field(default_factory=threatening)
+    hyper: HyperParameters = field(default_factory=build_default_settings)
     prior: PriorFactory = field(default_factory=PackagedPrior)
     adversaries: int = 1
     surrogate: PlannerUnderTest | None = None
@@ -84,11 +84,11 @@ class BuildSettings:
             raise InputError(f"--adversaries must be at most {MOST_ADVERSARIES:,}; no scene has as many vehicles")
 
     @property
-    def where_rendered(self) -> Executor:
+    def rendering_executor(self) -> Executor:
         """Executor of the rendering."""
         return self.rendering or self.executor
 
     @property
-    def timing(self) -> Path:
+    def timings_folder(self) -> Path:
         """Folder of notes on how long work took; no result depends on them, and no two builds have the same."""
-        return self.timings or timings_beside(self.out)
+        return self.timings or find_timings_folder(self.out)

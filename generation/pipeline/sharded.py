@@ -6,16 +6,16 @@ from typing import Literal, TypeVar
 
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
-from benchmark.machine.progress import Count
-from benchmark.runs.units import FinishedShard, Shard
+from benchmark.machine.progress import CountedUnits
+from benchmark.runs.units import Shard, ShardProgress
 from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.plan import require_own_root
-from generation.pipeline.recordings import ready_to_build, search_of
+from generation.pipeline.recordings import build_search, require_buildable
 from generation.pipeline.settings import BuildSettings
-from generation.pipeline.split import Selected, originals, searched, selected
-from generation.pipeline.writing import WritingJob, unfinish_others, write_scenes
+from generation.pipeline.split import PreparedBuild, prepare_build, prepare_originals, run_search
+from generation.pipeline.writing import WritingJob, mark_unfinished_if_changed, write_scenes
 from generation.search.definition import Search
-from generation.splits.building import frozen_jobs, ready_to_rebuild, said_of_frozen
+from generation.splits.building import build_frozen_jobs, build_report_files, require_rebuildable
 from generation.splits.packaged import NamedSplit
 
 Item = TypeVar("Item")
@@ -24,10 +24,10 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class BuiltShard:
-    """Work of one shard of a build: ``searched`` its recorded scenes, or ``drawn`` its scenes of the new data set."""
+    """Work of one shard of a build: ``run_search`` its recorded scenes, or ``drawn`` its scenes of the new data set."""
 
     did: Literal["searched", "drawn"]
-    finished: FinishedShard
+    finished: ShardProgress
 
 
 def build_shard(source: DataSet, split: str, settings: BuildSettings, shard: Shard) -> BuiltShard:
@@ -44,18 +44,18 @@ def build_shard(source: DataSet, split: str, settings: BuildSettings, shard: Sha
             "a surrogate judges all scenes together; search in shards without --surrogate, and name it in the command "
             "that comes last, without --shard"
         )
-    names = ready_to_build(source, split, settings)
+    names = require_buildable(source, split, settings)
     if split == "val-r":
-        plan, jobs, files = originals(source, names, settings)
-        return _drawn(source, plan, shard.part(jobs), len(jobs), files, settings)
-    search = search_of(source, names, settings)
-    prepared = _all_searched(source, split, search, names, settings)
+        plan, jobs, files = prepare_originals(source, names, settings)
+        return _draw_part(source, plan, shard.part(jobs), len(jobs), files, settings)
+    search = build_search(source, names, settings)
+    prepared = _find_finished_search(source, split, search, names, settings)
     if prepared is None:
         mine = shard.part(names)
-        searched(source, search, mine, settings, keep=True)
-        return BuiltShard("searched", FinishedShard(settings.out, len(mine), len(names)))
+        run_search(source, search, mine, settings, keep=True)
+        return BuiltShard("searched", ShardProgress(settings.out, len(mine), len(names)))
     jobs = prepared.chosen.jobs
-    return _drawn(source, prepared.plan, shard.part(jobs), len(jobs), prepared.files, settings)
+    return _draw_part(source, prepared.plan, shard.part(jobs), len(jobs), prepared.files, settings)
 
 
 def draw_frozen_shard(
@@ -65,12 +65,12 @@ def draw_frozen_shard(
 
     Arguments and errors as there; a shard is every n-th scene.
     """
-    plan, chosen, report = ready_to_rebuild(source, split, settings, as_split)
-    jobs, _, _ = frozen_jobs(source, plan, shard.part(chosen), split)
-    return _drawn(source, plan, jobs, len(chosen), said_of_frozen(report), settings)
+    plan, chosen, report = require_rebuildable(source, split, settings, as_split)
+    jobs, _, _ = build_frozen_jobs(source, plan, shard.part(chosen), split)
+    return _draw_part(source, plan, jobs, len(chosen), build_report_files(report), settings)
 
 
-def _drawn(
+def _draw_part(
     source: DataSet,
     plan: DataSetPlan,
     mine: Sequence[WritingJob],
@@ -81,27 +81,29 @@ def _drawn(
     # Before anything is written: it would make the root of somebody else look like one of ours.
     for variant in sorted({job.variant for job in mine}):
         require_own_root(plan, variant)
-    unfinish_others(plan.root, files)
-    write_scenes(plan, mine, source.scene, settings.where_rendered, timing=settings.timing / "rendering")
-    return BuiltShard("drawn", FinishedShard(plan.root, len(mine), count))
+    mark_unfinished_if_changed(plan.root, files)
+    write_scenes(plan, mine, source.scene, settings.rendering_executor, timing=settings.timings_folder / "rendering")
+    return BuiltShard("drawn", ShardProgress(plan.root, len(mine), count))
 
 
-def _all_searched(
+def _find_finished_search(
     source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
-) -> Selected | None:
+) -> PreparedBuild | None:
     """Choice of the search, if every attempt is kept."""
     try:
-        return selected(source, split, search, names, replace(settings, executor=_NothingLeft()), keep=False)
-    except _SomethingLeft:
+        return prepare_build(
+            source, split, search, names, replace(settings, executor=_CachedOnlyExecutor()), keep=False
+        )
+    except _MissingAttemptError:
         return None
 
 
-class _SomethingLeft(Exception):
+class _MissingAttemptError(Exception):
     """An attempt is not kept."""
 
 
 @dataclass(frozen=True, slots=True)
-class _NothingLeft:
+class _CachedOnlyExecutor:
     """Stands where attempts are computed, to find out whether all of them are kept."""
 
     def map(
@@ -111,9 +113,9 @@ class _NothingLeft:
         *,
         total: int,
         label: str,
-        count: Count | None = None,
+        count: CountedUnits | None = None,
     ) -> Iterator[Result]:
-        """Nothing; raises `_SomethingLeft` if there is an item."""
+        """Nothing; raises `_MissingAttemptError` if there is an item."""
         for _ in items:
-            raise _SomethingLeft
+            raise _MissingAttemptError
         return iter(())

@@ -9,16 +9,16 @@ from pathlib import Path
 
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
-from benchmark.machine.storage import canonical_json, only_writer
-from benchmark.records.attempts import ATTEMPTS_FILE, seed_of
-from benchmark.records.review import Judged
-from benchmark.report.words import counted
+from benchmark.machine.storage import canonical_json, lock_folder
+from benchmark.records.attempts import ATTEMPTS_FILE, parse_seed
+from benchmark.records.review import StandingVerdict
+from benchmark.report.words import pluralise
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
-from generation.pipeline.estimate import runtime_table
-from generation.pipeline.recordings import ready_to_build, search_of, unlabelled_scenes
+from generation.pipeline.estimate import build_runtime_table
+from generation.pipeline.recordings import build_search, list_unlabelled_scenes, require_buildable
 from generation.pipeline.report import BuildReport, estimate_build
-from generation.pipeline.selection import Selection, select
+from generation.pipeline.selection import SceneSelection, select_scenes
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.writing import (
     WritingJob,
@@ -28,11 +28,11 @@ from generation.pipeline.writing import (
     withdraw,
     write_scenes,
 )
-from generation.search.chains import Chain, SearchResult, search_chains
+from generation.search.chains import AdversaryChain, SearchResult, search_chains
 from generation.search.definition import Search
-from generation.splits.format import Choice, FrozenRejection, write_frozen
-from generation.splits.freezing import freeze, search_facts
-from generation.splits.packaged import search_hash
+from generation.splits.format import FrozenRejection, SceneChoice, write_frozen
+from generation.splits.freezing import build_search_metadata, freeze_split
+from generation.splits.packaged import compute_search_hash
 
 
 class NothingSurvivedError(InputError):
@@ -62,32 +62,32 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
     """
     if settings.dry_run:
         return estimate_build(source, split, settings)
-    names = ready_to_build(source, split, settings)
+    names = require_buildable(source, split, settings)
     if split == "val-r":
         return _build_originals(source, names, settings)
-    search = search_of(source, names, settings)
-    with only_writer(settings.out):
+    search = build_search(source, names, settings)
+    with lock_folder(settings.out):
         return _build_adversarial(source, split, search, names, settings)
 
 
 @dataclass(frozen=True, slots=True)
-class Selected:
+class PreparedBuild:
     """Found scenes and those of them that are written.
 
     ``report`` says it of both, ``files`` the same as files, by name.
     """
 
     found: SearchResult
-    chosen: Selection
+    chosen: SceneSelection
     plan: DataSetPlan
     report: BuildReport
     files: dict[str, bytes]
 
 
-def searched(
+def run_search(
     source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings, *, keep: bool = True
 ) -> SearchResult:
-    """`search_chains` as the settings of a build say; arguments and errors as of `selected`."""
+    """`search_chains` as the settings of a build say; arguments and errors as of `prepare_build`."""
     return search_chains(
         search,
         source,
@@ -100,7 +100,7 @@ def searched(
     )
 
 
-def selected(
+def prepare_build(
     source: DataSet,
     split: str,
     search: Search,
@@ -108,62 +108,66 @@ def selected(
     settings: BuildSettings,
     *,
     keep: bool = True,
-) -> Selected:
+) -> PreparedBuild:
     """Search, or find what was searched, and choose; nothing is published.
 
     ``keep`` says whether choices of vehicles are written.
     """
-    result = searched(source, search, names, settings, keep=keep)
-    plan = _plan(source, split, settings)
-    chosen = select(source, plan, result, settings)
+    result = run_search(source, search, names, settings, keep=keep)
+    plan = _build_plan(source, split, settings)
+    chosen = select_scenes(source, plan, result, settings)
     surrogate = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
     report = BuildReport.of(len(names), result, chosen.chains, surrogate, settings.adversaries)
-    report = replace(report, split=split, unlabelled=unlabelled_scenes(source, settings))
-    files = _report_files(report, result, chosen.chains)
+    report = replace(report, split=split, unlabelled=list_unlabelled_scenes(source, settings))
+    files = _build_report_files(report, result, chosen.chains)
     files["search.json"] = (canonical_json(search.as_json(), indent=1) + "\n").encode()
     plan = replace(plan, left_out=chosen.left_out)
-    if seed_of(split) is not None:
-        how = _choice(report, settings, plan.left_out)
-        plan = replace(plan, search=search_hash(search_facts(search), how, settings.adversaries))
-    return Selected(result, chosen, plan, report, files)
+    if parse_seed(split) is not None:
+        how = _build_choice(report, settings, plan.left_out)
+        plan = replace(plan, search=compute_search_hash(build_search_metadata(search), how, settings.adversaries))
+    return PreparedBuild(result, chosen, plan, report, files)
 
 
 def _build_adversarial(
     source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
 ) -> BuildReport:
-    prepared = selected(source, split, search, names, settings)
+    prepared = prepare_build(source, split, search, names, settings)
     result, chosen, plan, report = prepared.found, prepared.chosen, prepared.plan, prepared.report
     publish_reports(settings.out, prepared.files)
     if not chosen.jobs:
         withdraw(settings.out)
         raise NothingSurvivedError(
-            f"no adversarial scene survived: {report.sentence()}; {_what_to_do(report, settings)}",
+            f"no adversarial scene survived: {report.sentence()}; {_format_advice(report, settings)}",
             report,
         )
-    chosen.take_over(plan)
+    chosen.reuse_pictures(plan)
     notes = _write(source, plan, chosen.jobs, settings)
     if settings.freeze is not None:
-        how = _choice(report, settings, plan.left_out)
-        write_frozen(settings.freeze, freeze(source, plan, chosen.chains, search, how, settings.where_rendered))
+        how = _build_choice(report, settings, plan.left_out)
+        write_frozen(
+            settings.freeze, freeze_split(source, plan, chosen.chains, search, how, settings.rendering_executor)
+        )
     return replace(
-        report, runtime=runtime_table([search.timing_path(attempted.unit) for attempted in result.tried], notes)
+        report, runtime=build_runtime_table([search.timing_path(attempted.unit) for attempted in result.tried], notes)
     )
 
 
-def _what_to_do(report: BuildReport, settings: BuildSettings) -> str:
+def _format_advice(report: BuildReport, settings: BuildSettings) -> str:
     """Advice for a search of which nothing came."""
     if report.tried:
         return f"try more scenes or another --seed (details in {settings.out / ATTEMPTS_FILE})"
     reasons = sorted(report.not_tried.items(), key=lambda row: (-row[1], row[0]))
     exclusions = ", ".join(f"{count} {reason}" for reason, count in reasons) or "nothing is annotated"
     return (
-        f"of {counted(sum(report.not_tried.values()), 'object')} none can be tried ({exclusions}): choose other scenes with "
+        f"of {pluralise(sum(report.not_tried.values()), 'object')} none can be tried ({exclusions}): choose other scenes with "
         "--source-split or --scenes"
     )
 
 
-def _choice(report: BuildReport, settings: BuildSettings, rejected: Sequence[tuple[int, Judged]]) -> Choice:
-    return Choice(
+def _build_choice(
+    report: BuildReport, settings: BuildSettings, rejected: Sequence[tuple[int, StandingVerdict]]
+) -> SceneChoice:
+    return SceneChoice(
         scenes=report.scenes,
         tried=report.tried,
         survived=report.survived,
@@ -172,43 +176,43 @@ def _choice(report: BuildReport, settings: BuildSettings, rejected: Sequence[tup
         asked=tuple(kind.value for kind in settings.asked) or None,
         total=settings.total,
         surrogate=None if report.surrogate is None else str(report.surrogate["planner"]),
-        rejected=_frozen_rejections(rejected),
+        rejected=_build_frozen_rejections(rejected),
     )
 
 
-def _frozen_rejections(rejected: Sequence[tuple[int, Judged]]) -> tuple[FrozenRejection, ...] | None:
+def _build_frozen_rejections(rejected: Sequence[tuple[int, StandingVerdict]]) -> tuple[FrozenRejection, ...] | None:
     rejections = [FrozenRejection(name=scene.name, token=scene.token, reason=scene.reason) for _, scene in rejected]
     return tuple(rejections) or None
 
 
-def originals(
+def prepare_originals(
     source: DataSet, names: Sequence[str], settings: BuildSettings
 ) -> tuple[DataSetPlan, list[WritingJob], dict[str, bytes]]:
     """Data set of recordings that are rendered again: its plan, its scenes, and reports by file name."""
-    jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, _unchanged, {}) for name in names]
-    report = _report_of_originals(source, jobs, settings)
-    return _plan(source, "val-r", settings), jobs, _report_files(report, SearchResult(), [])
+    jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, _keep_unchanged, {}) for name in names]
+    report = _build_report_of_originals(source, jobs, settings)
+    return _build_plan(source, "val-r", settings), jobs, _build_report_files(report, SearchResult(), [])
 
 
 def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:
-    plan, jobs, files = originals(source, names, settings)
-    report = _report_of_originals(source, jobs, settings)
-    with only_writer(settings.out):
+    plan, jobs, files = prepare_originals(source, names, settings)
+    report = _build_report_of_originals(source, jobs, settings)
+    with lock_folder(settings.out):
         publish_reports(settings.out, files)
         notes = _write(source, plan, jobs, settings)
-    return replace(report, runtime=runtime_table([], notes))
+    return replace(report, runtime=build_runtime_table([], notes))
 
 
-def _report_of_originals(source: DataSet, jobs: Sequence[WritingJob], settings: BuildSettings) -> BuildReport:
+def _build_report_of_originals(source: DataSet, jobs: Sequence[WritingJob], settings: BuildSettings) -> BuildReport:
     written = tuple(job.name for job in jobs)
-    return BuildReport("val-r", len(jobs), written=written, unlabelled=unlabelled_scenes(source, settings))
+    return BuildReport("val-r", len(jobs), written=written, unlabelled=list_unlabelled_scenes(source, settings))
 
 
-def _unchanged(scene: Scene) -> Scene:
+def _keep_unchanged(scene: Scene) -> Scene:
     return scene
 
 
-def _plan(source: DataSet, split: str, settings: BuildSettings) -> DataSetPlan:
+def _build_plan(source: DataSet, split: str, settings: BuildSettings) -> DataSetPlan:
     return DataSetPlan(
         root=settings.out,
         version=settings.version,
@@ -224,13 +228,15 @@ def _plan(source: DataSet, split: str, settings: BuildSettings) -> DataSetPlan:
 
 def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], settings: BuildSettings) -> list[Path]:
     """Render, write and finish a data set; returns the notes on how long rendering took."""
-    timing = settings.timing / "rendering"
-    keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
+    timing = settings.timings_folder / "rendering"
+    keys = write_scenes(plan, jobs, source.scene, settings.rendering_executor, timing=timing)
     publish(WrittenScenes(plan, jobs, keys, source))
     return [timing / f"{key}.timing.json" for key in keys]
 
 
-def _report_files(report: BuildReport, result: SearchResult, written: Sequence[Chain]) -> dict[str, bytes]:
+def _build_report_files(
+    report: BuildReport, result: SearchResult, written: Sequence[AdversaryChain]
+) -> dict[str, bytes]:
     """Reports of a build on itself, by file name."""
     name_of = {link.unit: chain.name for chain in written for link in chain.links}
     attempts = []

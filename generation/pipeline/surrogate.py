@@ -13,14 +13,14 @@ from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.storage import write_bytes, writing_to
-from benchmark.metrics.effect import attributed_collisions
-from benchmark.metrics.transfer import adversary_failures
+from benchmark.metrics.effect import find_attributed_collisions
+from benchmark.metrics.transfer import find_adversary_failures
 from benchmark.records.run import RunRecord
-from benchmark.report.words import counted
-from benchmark.runs.units import FAILURES_FILE, first_failure
+from benchmark.report.words import pluralise
+from benchmark.runs.units import FAILURES_FILE, find_first_failure
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.nuscenes_writer.scenes import claim_files, stored_fragment
+from generation.nuscenes_writer.scenes import claim_files, read_stored_fragment
 
 if TYPE_CHECKING:
     from benchmark.runs.plan_rows import PlannerFactory
@@ -44,7 +44,7 @@ class PlannerUnderTest:
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
+class SurrogateResult:
     """Judgement of a planner on generated scenes.
 
     Attributes:
@@ -75,7 +75,7 @@ class Judgement:
         }
 
 
-def staging_plan(plan: DataSetPlan, planner: PlannerUnderTest) -> DataSetPlan:
+def build_staging_plan(plan: DataSetPlan, planner: PlannerUnderTest) -> DataSetPlan:
     """The data set that a planner is judged on: as the final one, but hidden below it.
 
     It has no images unless the planner looks at them.
@@ -84,9 +84,9 @@ def staging_plan(plan: DataSetPlan, planner: PlannerUnderTest) -> DataSetPlan:
     return replace(plan, root=plan.root / STATE_FOLDER / "surrogate" / "data", renderer=renderer)
 
 
-def judge(
+def evaluate_surrogate(
     plan: DataSetPlan, keys: Sequence[str], planner: PlannerUnderTest, runs: Path, *, name: str, seed: int
-) -> Judgement:
+) -> SurrogateResult:
     """Finish a data set of written scenes and run a planner on it.
 
     Args:
@@ -99,19 +99,19 @@ def judge(
     finish_data_set(plan, keys)
     data = open_data(plan.root, version=plan.version, name=name)
     settings = EvalSettings(protocols=(PROTOCOL,), workers=planner.workers, seed=seed)
-    return judged(evaluate(data, plan.split, planner.factory, runs, settings))
+    return read_surrogate_result(evaluate(data, plan.split, planner.factory, runs, settings))
 
 
-def judged(record: RunRecord) -> Judgement:
+def read_surrogate_result(record: RunRecord) -> SurrogateResult:
     """The judgement that a run record holds."""
     require_all_planned(record)
-    verdicts = adversary_failures(record)
-    return Judgement(
+    verdicts = find_adversary_failures(record)
+    return SurrogateResult(
         planner=record.planner,
         failed=frozenset(scene for scene, failed in verdicts.items() if failed),
         scenes=len(verdicts),
         samples=int(record.columns.counted(PROTOCOL).sum()),
-        colliding_samples=int(attributed_collisions(record).sum()),
+        colliding_samples=int(find_attributed_collisions(record).sum()),
         record=record.directory,
     )
 
@@ -120,20 +120,20 @@ def require_all_planned(record: RunRecord) -> None:
     """Refuse a run in which the planner raised: a sample without a plan is neither a collision nor none."""
     if record.summary.failed:
         raise InputError(
-            f"{record.planner} raised on {record.summary.failed} of {counted(record.summary.samples, 'sample')}, so it "
-            f"cannot be said which scenes it copes with; the first: {first_failure(record.rows)}; all tracebacks are "
+            f"{record.planner} raised on {record.summary.failed} of {pluralise(record.summary.samples, 'sample')}, so it "
+            f"cannot be said which scenes it copes with; the first: {find_first_failure(record.rows)}; all tracebacks are "
             f"in {record.directory / FAILURES_FILE}, correct the "
             "planner, or have images drawn if it needs them, and run the same command again"
         )
 
 
-def take_over(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> None:
+def reuse_scenes(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> None:
     """Put finished scenes of one data set into another without drawing them again; `write_scene` finds them complete.
 
     The two are the same in all that the bytes of a scene depend on.
     """
     for key in keys:
-        fragment = stored_fragment(staging, key)
+        fragment = read_stored_fragment(staging, key)
         if fragment is None:
             continue
         claim_files(plan, fragment["key"], fragment["variant"], fragment["name"], fragment["files"])

@@ -11,28 +11,28 @@ from pydantic import ValidationError
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.judged import (
-    JUDGEMENTS_FILE,
-    judgements_text,
-    read_judgements,
-    read_judgements_file,
-    stored_judgements,
-    stored_realism,
+    ASSESSMENTS_FILE,
+    collect_assessments,
+    collect_realism,
+    format_assessments,
+    read_assessments,
+    read_assessments_file,
 )
 from benchmark.datasets.roots import DataSet, open_data
-from benchmark.datasets.tables import variant_folders
+from benchmark.datasets.tables import find_variant_folders
 from benchmark.errors import InputError
-from benchmark.fairness.scenes import TracksAtHand, judge_scene
-from benchmark.fairness.splits import split_realism
+from benchmark.fairness.scenes import AdversaryProvenance, assess_scene
+from benchmark.fairness.splits import measure_split_realism
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes, writing_to
 from benchmark.machine.workers import Executor
-from benchmark.records.judgement import DEFINITION, SceneJudgement
+from benchmark.records.judgement import DEFINITION, SceneAssessment
 from benchmark.records.scenes import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
 from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.finish import PROVENANCE
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.nuscenes_writer.scenes import WrittenScene, read_state, stored_fragment, written_scene
+from generation.nuscenes_writer.scenes import WrittenScene, read_state, read_stored_fragment, write_scene_if_missing
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +57,10 @@ class WritingJob:
     report: dict[str, Any]
     last_attempt: tuple[str, int] | None = None
     identity: str | None = None
-    judgements: tuple[SceneJudgement, ...] = ()
-    tracks: TracksAtHand | None = None
+    judgements: tuple[SceneAssessment, ...] = ()
+    tracks: AdversaryProvenance | None = None
 
-    def name_read(self, plan: DataSetPlan) -> str:
+    def name_in_data_set(self, plan: DataSetPlan) -> str:
         """Name by which `benchmark.datasets.roots.open_data` knows the scene."""
         return f"v{self.variant}/{self.written_as}" if plan.layout == "per-variant" else self.written_as
 
@@ -82,7 +82,7 @@ def write_scenes(
         read: Gives a recorded scene by name; called here, so that workers need not open the source.
         timing: Folder for notes on how long rendering took; no result depends on them.
     """
-    _leave_other_layout(plan)
+    _remove_other_layout(plan)
     # Variants of one recording after each other: it is read once.
     order = sorted(range(len(jobs)), key=lambda index: (jobs[index].source_scene, index))
 
@@ -99,7 +99,7 @@ def write_scenes(
 def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob]) -> WrittenScene:
     scene, job = shipped
     started = time.process_time()
-    written = written_scene(
+    written = write_scene_if_missing(
         plan,
         scene,
         name=job.written_as,
@@ -109,7 +109,7 @@ def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob
         identity=job.identity,
     )
     if job.tracks is not None:
-        _judge(plan, written.key, scene, job.tracks)
+        _assess_scene(plan, written.key, scene, job.tracks)
     note = timing / f"{written.key}.timing.json"
     # A scene that was complete takes no time: what it took when it was rendered stays.
     if not note.exists():
@@ -120,19 +120,19 @@ def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob
 
 def publish_reports(root: Path, files: dict[str, bytes]) -> None:
     """Write the reports of a build on itself; a data set finished with other reports is not finished any more."""
-    if unfinish_others(root, files):
+    if mark_unfinished_if_changed(root, files):
         for name, data in files.items():
             write_bytes(root / name, data)
 
 
-def unfinish_others(root: Path, files: dict[str, bytes]) -> bool:
+def mark_unfinished_if_changed(root: Path, files: dict[str, bytes]) -> bool:
     """Take the mark of a finished data set away where other things are said of it than these.
 
     It is true if other things were said, or nothing.
     """
     if all((root / name).is_file() and (root / name).read_bytes() == data for name, data in files.items()):
         return False
-    unfinish(root)
+    mark_unfinished(root)
     return True
 
 
@@ -146,10 +146,10 @@ class WrittenScenes:
     source: DataSet
 
     @functools.cached_property
-    def judged(self) -> list[tuple[SceneJudgement, ...]]:
+    def judged(self) -> list[tuple[SceneAssessment, ...]]:
         """The judgements of each scene, in the order of the jobs."""
         return [
-            job.judgements if job.tracks is None else _kept_judgements(self.plan, key) or ()
+            job.judgements if job.tracks is None else _read_cached_assessments(self.plan, key) or ()
             for job, key in zip(self.jobs, self.keys, strict=True)
         ]
 
@@ -162,9 +162,9 @@ def _publish_rounds(written: WrittenScenes) -> None:
     """
     plan, wanted = written.plan, set()
     for job, key in zip(written.jobs, written.keys, strict=True):
-        content = _rounds(plan, job, key)
+        content = _read_rounds(plan, job, key)
         if content is not None:
-            path = kept_rounds_path(plan.root, job.name_read(plan))
+            path = kept_rounds_path(plan.root, job.name_in_data_set(plan))
             wanted.add(path)
             if not path.is_file() or path.read_bytes() != content:
                 write_bytes(path, content)
@@ -174,18 +174,18 @@ def _publish_rounds(written: WrittenScenes) -> None:
                 path.unlink()
 
 
-def _publish_judgements(written: WrittenScenes) -> None:
+def _publish_assessments(written: WrittenScenes) -> None:
     """Put what is said of the scenes beside the tables of each root; it is no part of the fingerprint."""
     plan = written.plan
-    of_root: dict[Path, dict[str, tuple[SceneJudgement, ...]]] = {}
+    of_root: dict[Path, dict[str, tuple[SceneAssessment, ...]]] = {}
     for job, judged in zip(written.jobs, written.judged, strict=True):
         if judged:
             root = plan.data_root(job.variant if plan.layout == "per-variant" else 0)
             of_root.setdefault(root, {})[job.written_as] = judged
     for root, scenes in of_root.items():
         folder = root / plan.version
-        if _kept_file(folder) != scenes:
-            write_bytes(folder / JUDGEMENTS_FILE, judgements_text(scenes).encode())
+        if _read_published_file(folder) != scenes:
+            write_bytes(folder / ASSESSMENTS_FILE, format_assessments(scenes).encode())
 
 
 def _finish(written: WrittenScenes) -> None:
@@ -196,18 +196,18 @@ def _publish_realism(written: WrittenScenes) -> None:
     """Compare the adversaries of a finished data set with its recordings, once, and say so beside their judgements."""
     plan = written.plan
     data = open_data(plan.root, version=plan.version)
-    judged = stored_judgements(data.root, data.version)
-    if not judged or stored_realism(data.root, data.version) is not None:
+    judged = collect_assessments(data.root, data.version)
+    if not judged or collect_realism(data.root, data.version) is not None:
         return
-    realism = split_realism(data, judged, written.source)
-    for folder in (plan.root / name for name in variant_folders(plan.root) or [""]):
-        scenes = read_judgements(folder / plan.version)
-        write_bytes(folder / plan.version / JUDGEMENTS_FILE, judgements_text(scenes, realism).encode())
+    realism = measure_split_realism(data, judged, written.source)
+    for folder in (plan.root / name for name in find_variant_folders(plan.root) or [""]):
+        scenes = read_assessments(folder / plan.version)
+        write_bytes(folder / plan.version / ASSESSMENTS_FILE, format_assessments(scenes, realism).encode())
 
 
 PUBLISHERS: Final[tuple[Callable[[WrittenScenes], None], ...]] = (
     _publish_rounds,
-    _publish_judgements,
+    _publish_assessments,
     _finish,
     _publish_realism,
 )
@@ -220,51 +220,51 @@ def publish(written: WrittenScenes) -> None:
         step(written)
 
 
-def _kept_file(folder: Path) -> dict[str, tuple[SceneJudgement, ...]] | None:
+def _read_published_file(folder: Path) -> dict[str, tuple[SceneAssessment, ...]] | None:
     """File that was published before; nothing if it is damaged, so that it is written again."""
     try:
-        published = read_judgements_file(folder)
+        published = read_assessments_file(folder)
     except InputError:
         return None
     return None if published is None else published.scenes
 
 
-def _judge(plan: DataSetPlan, key: str, scene: Scene, tracks: TracksAtHand) -> None:
+def _assess_scene(plan: DataSetPlan, key: str, scene: Scene, tracks: AdversaryProvenance) -> None:
     """Judge a scene where it is written, once."""
-    if _kept_judgements(plan, key) is None:
-        _judged(plan).put(content_key(DEFINITION, key), tuple(judge_scene(scene, tracks)), key)
+    if _read_cached_assessments(plan, key) is None:
+        _open_assessment_store(plan).put(content_key(DEFINITION, key), tuple(assess_scene(scene, tracks)), key)
 
 
-def _kept_judgements(plan: DataSetPlan, key: str) -> tuple[SceneJudgement, ...] | None:
-    return _judged(plan).get(content_key(DEFINITION, key), key)
+def _read_cached_assessments(plan: DataSetPlan, key: str) -> tuple[SceneAssessment, ...] | None:
+    return _open_assessment_store(plan).get(content_key(DEFINITION, key), key)
 
 
-def _judged(plan: DataSetPlan) -> ResultStore[tuple[SceneJudgement, ...]]:
-    return ResultStore(plan.state / "judgements", tuple[SceneJudgement, ...])
+def _open_assessment_store(plan: DataSetPlan) -> ResultStore[tuple[SceneAssessment, ...]]:
+    return ResultStore(plan.state / "judgements", tuple[SceneAssessment, ...])
 
 
-def _rounds(plan: DataSetPlan, job: WritingJob, key: str) -> bytes | None:
+def _read_rounds(plan: DataSetPlan, job: WritingJob, key: str) -> bytes | None:
     """The rounds of a scene's last adversary under the names of the data set, if they were kept."""
     if job.last_attempt is None:
         return None
     attempt, place = job.last_attempt
-    path, fragment = plan.state / "rounds" / f"{attempt}.json", stored_fragment(plan, key)
+    path, fragment = plan.state / "rounds" / f"{attempt}.json", read_stored_fragment(plan, key)
     if fragment is None or not path.is_file():
         return None
     try:
         trace = RefinementTrace.model_validate(read_json(path))
     except ValidationError as error:
         raise InputError(f"{path} is damaged; delete it and run the same challenger-bench generate again") from error
-    named = trace.model_copy(update={"scene": job.name_read(plan), "agent": fragment["adversaries"][place]})
+    named = trace.model_copy(update={"scene": job.name_in_data_set(plan), "agent": fragment["adversaries"][place]})
     return (canonical_json(named.model_dump(mode="json", by_alias=True)) + "\n").encode()
 
 
-def _leave_other_layout(plan: DataSetPlan) -> None:
+def _remove_other_layout(plan: DataSetPlan) -> None:
     """Take away what an earlier build wrote in the other layout: a reader of the folder would open that one."""
     if not plan.state.is_dir():
         return
     suffixed = plan.layout == "suffixed"
-    roots = [plan.root / name for name in variant_folders(plan.root)] if suffixed else [plan.root]
+    roots = [plan.root / name for name in find_variant_folders(plan.root)] if suffixed else [plan.root]
     tables = [root / plan.version / f"{table}.json" for root in roots for table in (*NUSCENES_TABLES, "splits")]
     left = [table for table in tables if table.exists()]
     if not left:
@@ -273,18 +273,18 @@ def _leave_other_layout(plan: DataSetPlan) -> None:
     claims = filter(None, map(read_state, sorted((plan.state / "claims").glob("*.json"))))
     sensor_files = [other.data_root(claim["variant"]) / path for claim in claims for path in claim["files"]]
     # The tables go last: a killed command finds by them that there is something to take away.
-    marks = (root / plan.version / name for root in roots for name in (PROVENANCE, JUDGEMENTS_FILE))
+    marks = (root / plan.version / name for root in roots for name in (PROVENANCE, ASSESSMENTS_FILE))
     for path in (*marks, *sensor_files, *left):
         with writing_to(path):
             path.unlink(missing_ok=True)
 
 
-def unfinish(root: Path) -> None:
+def mark_unfinished(root: Path) -> None:
     """Take the mark of a finished data set away, lest it be read beside reports of another build.
 
     Rounds and judgements go with it: they belong to the search that the reports are about.
     """
-    for path in (*_marks(root), *(root / KEPT_ROUNDS_FOLDER).glob("*")):
+    for path in (*_list_marks(root), *(root / KEPT_ROUNDS_FOLDER).glob("*")):
         with writing_to(path):
             # Another shard may take it away at the same moment.
             path.unlink(missing_ok=True)
@@ -297,13 +297,13 @@ def withdraw(root: Path) -> None:
     """
     if not (root / STATE_FOLDER).is_dir():
         return
-    unfinish(root)
+    mark_unfinished(root)
     for table in (*NUSCENES_TABLES, "splits"):
         for path in (*root.glob(f"*/{table}.json"), *root.glob(f"v*/*/{table}.json")):
             with writing_to(path):
                 path.unlink()
 
 
-def _marks(root: Path) -> list[Path]:
-    names = (PROVENANCE, JUDGEMENTS_FILE)
+def _list_marks(root: Path) -> list[Path]:
+    names = (PROVENANCE, ASSESSMENTS_FILE)
     return [path for name in names for path in (*root.glob(f"*/{name}"), *root.glob(f"v*/*/{name}"))]

@@ -69,7 +69,7 @@ class CuttingRenderer(Renderer, Protocol):
 
 
 @runtime_checkable
-class LongRenderer(Renderer, Protocol):
+class SlowRenderer(Renderer, Protocol):
     """A renderer that takes so long that a few pictures are not drawn to find out."""
 
     def scene_seconds(self, scene: Scene) -> float:

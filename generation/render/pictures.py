@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from benchmark.constants import FRAME_HZ
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
-from benchmark.machine.storage import file_name, write_bytes
-from benchmark.report.birdseye import SceneFromAbove
-from benchmark.report.canvas import Picture, png, write_text
+from benchmark.machine.storage import sanitise_file_name, write_bytes
+from benchmark.report.birdseye import BirdseyeScene
+from benchmark.report.canvas import Picture, encode_png, write_text
 from benchmark.report.captions import draw_captions, draw_time
 from benchmark.report.palette import PAPER
 from benchmark.scene import Scene
-from benchmark.scene_pages.making import sheet_to_draw
-from generation.labels.labelling import closest_approach
+from benchmark.scene_pages.making import build_page_to_draw
+from generation.labels.labelling import find_closest_approach
 from generation.render.contract import Renderer
-from generation.render.schematic.view import View
+from generation.render.schematic.view import PlacedCamera
 
 PANELS = 6
 """Moments in a strip."""
@@ -29,7 +29,7 @@ _EXTENT_M: Final = 30.0
 _GAP_PX: Final = 4
 
 
-def moments(scene: Scene, *, count: int = PANELS, step_s: float = 1.0) -> list[int]:
+def choose_frames(scene: Scene, *, count: int = PANELS, step_s: float = 1.0) -> list[int]:
     """Frames around the first adversary's closest approach, or spread over a scene without one.
 
     They are in order; the closest approach is a little behind the middle.
@@ -39,7 +39,7 @@ def moments(scene: Scene, *, count: int = PANELS, step_s: float = 1.0) -> list[i
         return [round(frame) for frame in np.linspace(0, last, count)]
     agent = scene.agents.ids.index(scene.adversaries[0])
     start = int(np.flatnonzero(scene.agents.valid[agent])[0])
-    middle = closest_approach(scene, agent, start).frame
+    middle = find_closest_approach(scene, agent, start).frame
     step = round(step_s * FRAME_HZ)
     # As many panels before it as planned, more near the end of the scene, fewer near its start.
     before = max(count // 2 + 1, count - 1 - (last - middle) // step)
@@ -47,7 +47,7 @@ def moments(scene: Scene, *, count: int = PANELS, step_s: float = 1.0) -> list[i
     return [min(first + index * step, last) for index in range(count)]
 
 
-def scene_strip(
+def draw_scene_strip(
     scene: Scene, frames: Sequence[int], renderer: Renderer, *, panel_px: int = _PANEL_PX
 ) -> NDArray[np.uint8]:
     """Several moments side by side, each from above and through the camera that sees the adversary best.
@@ -56,18 +56,20 @@ def scene_strip(
     """
     if not len(frames):
         raise InputError("a strip needs at least one frame")
-    sheet = sheet_to_draw(scene)
-    above = SceneFromAbove(sheet)
+    sheet = build_page_to_draw(scene)
+    above = BirdseyeScene(sheet)
     panels = [above.draw(frame, width_px=panel_px, height_px=panel_px, extent_m=_EXTENT_M) for frame in frames]
     draw_captions(*panels[0], sheet, float(above.seconds[frames[0]]), ())
     for frame, (panel, _) in zip(frames[1:], panels[1:]):
         draw_time(panel, float(above.seconds[frame]))
-    channel = best_camera(scene, frames, renderer)
-    camera_panels = [_labelled(images[channel], channel, panel_px) for images in renderer.render(scene, list(frames))]
-    return np.vstack([_side_by_side([panel for panel, _ in panels]), _side_by_side(camera_panels)])[_GAP_PX:, _GAP_PX:]
+    channel = find_best_camera(scene, frames, renderer)
+    camera_panels = [_draw_label(images[channel], channel, panel_px) for images in renderer.render(scene, list(frames))]
+    return np.vstack([_join_pictures([panel for panel, _ in panels]), _join_pictures(camera_panels)])[
+        _GAP_PX:, _GAP_PX:
+    ]
 
 
-def best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) -> str:
+def find_best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) -> str:
     """The camera in which the adversaries appear largest over some frames.
 
     It is ``CAM_FRONT``, or the first camera there is, where no adversary is in sight.
@@ -83,7 +85,7 @@ def best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) -> str:
             if not scene.agents.valid[index, frame]:
                 continue
             for camera in cameras:
-                view = View.of(camera, scene.ego.position[frame], scene.ego.rotation[frame])
+                view = PlacedCamera.of(camera, scene.ego.position[frame], scene.ego.rotation[frame])
                 centre = view.to_camera(scene.agents.position[index, frame])
                 if centre[2] < 1.0:
                     continue
@@ -111,13 +113,13 @@ def write_pictures(data: DataSet, names: Sequence[str], folder: Path, renderer: 
     written = []
     for name in names:
         scene = data.scene(name)
-        path = folder / f"{file_name(name)}.png"
-        write_bytes(path, png(scene_strip(scene, moments(scene), renderer)))
+        path = folder / f"{sanitise_file_name(name)}.png"
+        write_bytes(path, encode_png(draw_scene_strip(scene, choose_frames(scene), renderer)))
         written.append(path)
     return written
 
 
-def _labelled(picture: Picture, channel: str, width_px: int) -> Picture:
+def _draw_label(picture: Picture, channel: str, width_px: int) -> Picture:
     """A camera's picture as wide as a panel, with the camera's name."""
     height_px = max(round(picture.shape[0] * width_px / picture.shape[1]), 1)
     small = np.asarray(cv2.resize(picture, (width_px, height_px), interpolation=cv2.INTER_AREA), np.uint8)
@@ -125,7 +127,7 @@ def _labelled(picture: Picture, channel: str, width_px: int) -> Picture:
     return small
 
 
-def _side_by_side(pictures: Sequence[Picture]) -> Picture:
+def _join_pictures(pictures: Sequence[Picture]) -> Picture:
     """Pictures in a row, a white gap above and to the left of each."""
     gap = ((_GAP_PX, 0), (_GAP_PX, 0), (0, 0))
     return np.hstack([np.pad(picture, gap, constant_values=255) for picture in pictures])

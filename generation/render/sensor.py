@@ -13,7 +13,7 @@ from benchmark.geometry import transform_matrix
 from benchmark.planning import CameraView
 from benchmark.scene import Camera, Scene
 from generation.render.schematic import FIRST, SECOND, SchematicRenderer
-from generation.render.schematic.renderer import Stage
+from generation.render.schematic.renderer import PreparedScene
 
 SCHEMATIC: Final = "schematic"
 DEFAULT_SIZE: Final = (448, 256)
@@ -38,15 +38,15 @@ class SchematicSensor:
         """Style and version of the pictures."""
         return {"style": self.style, "version": SchematicRenderer.version}
 
-    def look(self, scene: Scene) -> "SchematicLook":
+    def look(self, scene: Scene) -> "SchematicCameraViews":
         """Make ready for a scene."""
         width, height = (scene.cameras[0].width, scene.cameras[0].height) if scene.cameras else DEFAULT_SIZE
         renderer = SchematicRenderer(width, height, style=_STYLES[self.style])
-        return SchematicLook(renderer.cameras(scene), renderer.stage(scene))
+        return SchematicCameraViews(renderer.cameras(scene), renderer.stage(scene))
 
 
 @dataclass(frozen=True, slots=True)
-class SchematicLook:
+class SchematicCameraViews:
     """A scene made ready to be looked at.
 
     ``cameras`` are the rig at the size that is drawn; ``stage`` has road, houses and trees, which do not change
@@ -54,7 +54,7 @@ class SchematicLook:
     """
 
     cameras: tuple[Camera, ...]
-    stage: Stage
+    stage: PreparedScene
 
     def views(self, driven: Scene) -> dict[str, CameraView]:
         """Pictures of now, as bytes in memory: nothing else of the world can be reached from them.
@@ -71,12 +71,12 @@ class SchematicLook:
                 path=Path(driven.name) / f"{int(driven.timestamps_us[now])}" / f"{camera.name}.png",
                 timestamp_us=int(driven.timestamps_us[now]),
                 global_T_ego=pose.copy(),
-                load=partial(_copy, pictures[camera.name]),
+                load=partial(_copy_writable, pictures[camera.name]),
             )
             for camera in self.cameras
         }
 
 
-def _copy(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _copy_writable(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A picture that its reader may change."""
     return picture.copy()

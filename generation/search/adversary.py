@@ -13,28 +13,28 @@ import shapely
 
 from benchmark.dynamics.bicycle import MotionModel
 from benchmark.errors import InputError
-from benchmark.fairness.scenes import TracksAtHand, judge_scene
+from benchmark.fairness.scenes import AdversaryProvenance, assess_scene
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.records.attempts import Approach, Attempt
 from benchmark.records.scenes import TraceFrame
 from benchmark.scene import Scene
-from generation.labels.labelling import closest_approach, describe, times_to_collision
+from generation.labels.labelling import compute_labels, compute_times_to_collision, find_closest_approach
 from generation.labels.manoeuvres import Manoeuvre
-from generation.search.candidates import launch_frame
-from generation.search.hyperparameters import Discards, HyperParameters
-from generation.search.planning import Planning
-from generation.search.proposals import Diversify, Prior, SearchSteps, Seconds, run_together
-from generation.search.ranking import challenge_score
-from generation.search.recorded_motion import log_replay_contacts
-from generation.search.verify import Discard, Finding, masked_steps, unfair, verify
+from generation.search.candidates import find_launch_frame
+from generation.search.hyperparameters import DiscardRules, HyperParameters
+from generation.search.planning import AdversaryPlanning
+from generation.search.proposals import Diversify, Prior, SearchSeconds, SearchSteps, run_searches
+from generation.search.ranking import compute_challenge_score
+from generation.search.recorded_motion import find_log_replay_contacts
+from generation.search.verify import DiscardReason, VerificationFailure, check_fairness, count_masked_steps, verify
 
 ALGORITHM_VERSION = "4"
 """Part of every content key; changes when the same inputs would give other tracks."""
 
 
 @dataclass(frozen=True, slots=True)
-class Searched:
+class SearchOutcome:
     """Outcome of the search with one (scene, vehicle, seed).
 
     Attributes:
@@ -45,7 +45,7 @@ class Searched:
     """
 
     attempt: Attempt
-    finding: Finding | None
+    finding: VerificationFailure | None
     poses: Floats
     scene: Scene | None = None
     rounds: tuple[TraceFrame, ...] = ()
@@ -56,13 +56,13 @@ class Searched:
         """Whether the scene survived verification."""
         return self.finding is None
 
-    def discarded(self, finding: Finding) -> "Searched":
+    def discarded(self, finding: VerificationFailure) -> "SearchOutcome":
         """The same without a scene, for a reason."""
         changes = {"kept": False, "discard": finding.reason.value, "because": finding.as_json(), "challenge": 0.0}
         return replace(self, attempt=self.attempt.model_copy(update=changes), finding=finding, scene=None)
 
 
-def attempts_together(
+def search_vehicles(
     vehicles: Sequence[tuple[Scene, int]],
     seed: int,
     hyper: HyperParameters,
@@ -73,7 +73,7 @@ def attempts_together(
     keep_rounds: bool = False,
     earlier: Sequence[Mapping[str, int]] | None = None,
     asked: Sequence[Manoeuvre | None] | None = None,
-) -> list[Searched]:
+) -> list[SearchOutcome]:
     """Let vehicles challenge the ego from their launch to the end of the scene, with ``hyper.tries`` chances each.
 
     They are searched side by side, so that the diffusion model answers all of them in one call; each is as if alone.
@@ -86,31 +86,31 @@ def attempts_together(
         earlier: For each vehicle the launch frames of the adversaries that its scene has already, by identifier.
         asked: What each vehicle is to do, ``None`` where anything is welcome; by default that is everywhere.
     """
-    model = model or hyper.motion_model()
+    model = model or hyper.build_motion_model()
     for scene, agent in vehicles:
         if not 0 <= agent < len(scene.agents):
             raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
-    diversify = diversify or (_packaged_diversify() if hyper.varied else _as_drawn)
+    diversify = diversify or (_load_packaged_diversify() if hyper.varied else _keep_unchanged)
     searches = [
-        _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds, launches, kind)
+        _search_vehicle(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds, launches, kind)
         for (scene, agent), launches, kind in zip(
             vehicles, earlier or [{}] * len(vehicles), asked or [None] * len(vehicles), strict=True
         )
     ]
-    outcomes, spent = run_together(searches, prior)
+    outcomes, spent = run_searches(searches, prior)
     return [
-        replace(result, stage_seconds=_stage_seconds(result.stage_seconds, seconds))
+        replace(result, stage_seconds=_compute_stage_seconds(result.stage_seconds, seconds))
         for result, seconds in zip(outcomes, spent, strict=True)
     ]
 
 
-def _stage_seconds(simulated_and_scored: Mapping[str, float], spent: Seconds) -> dict[str, float]:
+def _compute_stage_seconds(simulated_and_scored: Mapping[str, float], spent: SearchSeconds) -> dict[str, float]:
     """All of an attempt's seconds by stage; what a search does beside physics and scoring is ``other``."""
     other = spent.search - sum(simulated_and_scored.values())
     return {"sampling": spent.answers, "physics": 0.0, "scoring": 0.0, **simulated_and_scored, "other": other}
 
 
-def _tries(
+def _search_vehicle(
     scene: Scene,
     agent: int,
     seed: int,
@@ -121,32 +121,34 @@ def _tries(
     keep_rounds: bool,
     earlier: Mapping[str, int],
     asked: Manoeuvre | None,
-) -> SearchSteps[Searched]:
+) -> SearchSteps[SearchOutcome]:
     """Searches for one vehicle until one is kept or there is no use in another."""
-    start = launch_frame(scene, agent, hyper)
-    blank = _untried(scene.name, scene.agents.ids[agent], seed, start, asked)
+    start = find_launch_frame(scene, agent, hyper)
+    blank = _build_blank_outcome(scene.name, scene.agents.ids[agent], seed, start, asked)
     if start is None:
-        return blank.discarded(Finding(Discard.NEVER_LAUNCHED))
-    if hyper.discards is not Discards.REFERENCE and ego_already_collides(scene):
-        return blank.discarded(Finding(Discard.ORIGINAL_COLLIDES))
-    content = (scene_identity(scene), blank.attempt.agent, seed, hyper.fingerprint, prior_fingerprint)
+        return blank.discarded(VerificationFailure(DiscardReason.NEVER_LAUNCHED))
+    if hyper.discards is not DiscardRules.REFERENCE and does_ego_already_collide(scene):
+        return blank.discarded(VerificationFailure(DiscardReason.ORIGINAL_COLLIDES))
+    content = (compute_scene_identity(scene), blank.attempt.agent, seed, hyper.fingerprint, prior_fingerprint)
     request = () if asked is None else (asked.value,)
     stages = {"physics": 0.0, "scoring": 0.0}
     result = blank
     for number in range(hyper.tries):
         rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, number, *request))
-        planning = Planning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds, asked)
+        planning = AdversaryPlanning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds, asked)
         driven = yield from planning.run()
         attempt = blank.attempt.model_copy(update={"tries": number + 1, "plans": driven.plans})
-        outcome = Searched(attempt, None, driven.poses, rounds=driven.rounds)
-        result = _judged(outcome, planning, earlier) if driven.gave_up is None else outcome.discarded(driven.gave_up)
+        outcome = SearchOutcome(attempt, None, driven.poses, rounds=driven.rounds)
+        result = _assess(outcome, planning, earlier) if driven.failure is None else outcome.discarded(driven.failure)
         # A vehicle that the area loses drives the other way; it would be lost again.
-        if result.finding is None or result.finding.reason is Discard.LEAVES_AREA:
+        if result.finding is None or result.finding.reason is DiscardReason.LEAVES_AREA:
             break
     return replace(result, stage_seconds=stages)
 
 
-def _untried(scene_name: str, agent_id: str, seed: int, start: int | None, asked: Manoeuvre | None) -> Searched:
+def _build_blank_outcome(
+    scene_name: str, agent_id: str, seed: int, start: int | None, asked: Manoeuvre | None
+) -> SearchOutcome:
     attempt = Attempt(
         scene=scene_name,
         agent=agent_id,
@@ -165,46 +167,46 @@ def _untried(scene_name: str, agent_id: str, seed: int, start: int | None, asked
     if asked is not None:
         # Where nothing is asked for, the report is as it was before one could ask.
         attempt = attempt.model_copy(update={"asked": asked.value})
-    return Searched(attempt, None, np.zeros((0, 3)))
+    return SearchOutcome(attempt, None, np.zeros((0, 3)))
 
 
-def _judged(outcome: Searched, planning: Planning, earlier: Mapping[str, int]) -> Searched:
+def _assess(outcome: SearchOutcome, planning: AdversaryPlanning, earlier: Mapping[str, int]) -> SearchOutcome:
     """The result with its verdict and its numbers."""
     agent, start = planning.agent, planning.start
     changed = planning.scene.with_adversary(agent, slice(start, start + len(outcome.poses)), outcome.poses)
     # The reference code has asked at each planning frame all that it asks.
-    verified_here = planning.hyper.discards is not Discards.REFERENCE
+    verified_here = planning.hyper.discards is not DiscardRules.REFERENCE
     finding = verify(changed, agent, start, planning.hyper, planning.model.limits) if verified_here else None
-    soonest = float(times_to_collision(changed, agent, start).min())
-    closest = closest_approach(changed, agent, start)
+    soonest = float(compute_times_to_collision(changed, agent, start).min())
+    closest = find_closest_approach(changed, agent, start)
     changes: dict[str, Any] = {
         "closest_approach": Approach(gap_m=closest.gap_m, time_s=closest.time_s, side=closest.side),
         "least_time_to_collision_s": None if np.isinf(soonest) else soonest,
     }
     if finding is None:
-        labels = describe(changed, agent, start)
+        labels = compute_labels(changed, agent, start)
         changes |= {
-            "challenge": challenge_score(changed, agent, start),
+            "challenge": compute_challenge_score(changed, agent, start),
             "labels": labels,
-            "masked_steps": masked_steps(changed),
+            "masked_steps": count_masked_steps(changed),
         }
         if planning.asked is not None and labels.manoeuvre != planning.asked.value:
-            finding = Finding(Discard.ANOTHER_MANOEUVRE, quantity=labels.manoeuvre)
+            finding = VerificationFailure(DiscardReason.ANOTHER_MANOEUVRE, quantity=labels.manoeuvre)
     if finding is None:
         launches = {**earlier, outcome.attempt.agent: start}
-        changes["judgements"] = judge_scene(changed, TracksAtHand(generated=True, launches=launches))
-        finding = unfair(changed, changes["judgements"], planning.hyper)
+        changes["judgements"] = assess_scene(changed, AdversaryProvenance(generated=True, launches=launches))
+        finding = check_fairness(changed, changes["judgements"], planning.hyper)
     result = replace(outcome, attempt=outcome.attempt.model_copy(update=changes), scene=changed)
     return result if finding is None else result.discarded(finding)
 
 
-def ego_already_collides(scene: Scene) -> bool:
+def does_ego_already_collide(scene: Scene) -> bool:
     """Whether the recorded ego touches anything before an adversary is added."""
     at_frames = scene.agents.valid & boxes_overlap(scene.agents.boxes, scene.ego.boxes[None])
-    return bool(at_frames.any()) or bool(log_replay_contacts(scene).any())
+    return bool(at_frames.any()) or bool(find_log_replay_contacts(scene).any())
 
 
-def scene_identity(scene: Scene) -> str:
+def compute_scene_identity(scene: Scene) -> str:
     """Content key of all that generation reads of a scene: motion, sizes, categories, drivable area."""
     digest = hashlib.sha256()
     agents, notes = scene.agents, scene.annotations
@@ -218,12 +220,12 @@ def scene_identity(scene: Scene) -> str:
     return content_key(scene.name, agents.ids, agents.categories, scene.adversaries, digest.hexdigest())
 
 
-def _as_drawn(waypoints: Floats, rng: np.random.Generator) -> Floats:
+def _keep_unchanged(waypoints: Floats, rng: np.random.Generator) -> Floats:
     """A first batch without any spread."""
     return waypoints
 
 
-def _packaged_diversify() -> Diversify:
+def _load_packaged_diversify() -> Diversify:
     # Imported late: it brings torch, which nothing else in this module needs.
     from generation.diffusion.prior import diversify
 

@@ -12,16 +12,16 @@ import numpy as np
 from benchmark.errors import InputError, did_you_mean
 from benchmark.geometry import Bools, Floats
 from benchmark.scene import Scene
-from generation.labels.encounters import encounter
-from generation.labels.labelling import agent_boxes
-from generation.labels.manoeuvres import ALONG_RAD, Manoeuvre, occurrences
-from generation.search.ego_way import EgoWay
-from generation.search.manoeuvre_conditions import EgoThen, Placed, family_and_side, missing
-from generation.search.threat import Ahead
+from generation.labels.encounters import compute_path_interaction
+from generation.labels.labelling import read_agent_boxes
+from generation.labels.manoeuvres import ALONG_RAD, Manoeuvre, find_occurrences
+from generation.search.ego_way import RecordedEgoPath
+from generation.search.manoeuvre_conditions import EgoAtFrames, ManoeuvrePlacement, compute_missing, split_side
+from generation.search.threat import EgoLookahead
 
-LEFTOVER: Final = (Manoeuvre.PASSING_WIDE, Manoeuvre.DISTANT)
+FALLBACK_KINDS: Final = (Manoeuvre.PASSING_WIDE, Manoeuvre.DISTANT)
 """What is left where nothing else happens, and cannot be asked for."""
-ASKABLE: Final = tuple(kind for kind in Manoeuvre if kind not in LEFTOVER)
+REQUESTABLE_KINDS: Final = tuple(kind for kind in Manoeuvre if kind not in FALLBACK_KINDS)
 READY_FRAMES: Final = 24
 """Within so many frames a vehicle that cuts in was outside."""
 LOOK_AHEAD_FRAMES: Final = 48
@@ -29,7 +29,7 @@ LOOK_AHEAD_FRAMES: Final = 48
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class ManoeuvreRequest:
     """A kind of manoeuvre that one adversary is asked for.
 
     ``scene`` is the one before the adversary acts, ``start`` the frame of its launch.
@@ -48,27 +48,29 @@ class Wish:
             track: (F, 3) executed poses of the box centre from the launch to the planning frame.
 
         Returns:
-            A function of (B, S, 3) poses and (B, S) speeds that gives the mean of `missing`, (B,) metres.
+            A function of (B, S, 3) poses and (B, S) speeds that gives the mean of `compute_missing`, (B,) metres.
         """
-        ahead = Ahead.of(self.scene, frame, offsets)
-        ego, columns = EgoThen.of(self.scene, ahead.frames, ahead.way), list(ahead.columns)
+        ahead = EgoLookahead.of(self.scene, frame, offsets)
+        ego, columns = EgoAtFrames.of(self.scene, ahead.frames, ahead.way), list(ahead.columns)
         size = self.scene.agents.size[self.agent, :2]
         ready = self._ready(track, ahead.way)
 
         def cost(center: Floats, speed: Floats) -> Floats:
             center, speed = center[:, columns], speed[:, columns]
             finite = np.isfinite(center).all(axis=-1) & np.isfinite(speed)
-            placed = Placed.of(ego, np.where(finite[..., None], center, 0.0), np.where(finite, speed, 0.0), size)
-            return np.asarray(missing(self.kind, placed, ready=ready).mean(axis=1))
+            placed = ManoeuvrePlacement.of(
+                ego, np.where(finite[..., None], center, 0.0), np.where(finite, speed, 0.0), size
+            )
+            return np.asarray(compute_missing(self.kind, placed, ready=ready).mean(axis=1))
 
         return cost
 
-    def fulfilled(self, track: Floats) -> bool:
+    def is_fulfilled(self, track: Floats) -> bool:
         """Whether the executed track has the kind already, by the label itself."""
         end = self.start + len(track)
         # The label looks as far ahead as the ego gets in 3 s; a second more is for what it settles on.
         visible = slice(0, end + LOOK_AHEAD_FRAMES)
-        boxes = agent_boxes(self.scene, self.agent)[visible]
+        boxes = read_agent_boxes(self.scene, self.agent)[visible]
         boxes[self.start : end, [0, 1, 4]] = track
         # It goes on as it does: speeds at the last frame look ahead.
         step = track[-1, :2] - track[-2, :2] if len(track) > 1 else np.zeros(2)
@@ -76,38 +78,42 @@ class Wish:
         boxes[end:, :2] += step * np.arange(1, len(boxes) - end + 1)[:, None]
         driven = np.zeros(len(boxes), dtype=np.bool_)
         driven[self.start : end] = True
-        interaction = encounter(self.scene.ego.boxes[visible], boxes, self.scene.seconds[visible], driven, self.start)
-        return any(occurrence.kind == self.kind.value for occurrence in occurrences(interaction))
+        interaction = compute_path_interaction(
+            self.scene.ego.boxes[visible], boxes, self.scene.seconds[visible], driven, self.start
+        )
+        return any(occurrence.kind == self.kind.value for occurrence in find_occurrences(interaction))
 
-    def _ready(self, track: Floats, way: EgoWay) -> bool:
+    def _ready(self, track: Floats, way: RecordedEgoPath) -> bool:
         """Whether, within the last two seconds, the vehicle was clear of the strip on the side that is asked for."""
-        _, side = family_and_side(self.kind)
+        _, side = split_side(self.kind)
         recent = track[-READY_FRAMES:]
         last = self.start + len(track)
-        ego = EgoThen.of(self.scene, tuple(range(last - len(recent), last)), way)
-        placed = Placed.of(ego, recent[None], np.zeros((1, len(recent))), self.scene.agents.size[self.agent, :2])
+        ego = EgoAtFrames.of(self.scene, tuple(range(last - len(recent), last)), way)
+        placed = ManoeuvrePlacement.of(
+            ego, recent[None], np.zeros((1, len(recent))), self.scene.agents.size[self.agent, :2]
+        )
         return bool((side * placed.offset - placed.half_width > ego.half_width).any())
 
 
-def askable(name: str) -> Manoeuvre:
+def parse_manoeuvre(name: str) -> Manoeuvre:
     """The kind of a name; `InputError` for an unknown one, and for the kind that is left where nothing happens."""
-    kinds = [kind.value for kind in ASKABLE]
-    if name in LEFTOVER:
+    kinds = [kind.value for kind in REQUESTABLE_KINDS]
+    if name in FALLBACK_KINDS:
         raise InputError(f"{name} is what is left where nothing else happens; ask for one of {', '.join(kinds)}")
     if name not in kinds:
         raise InputError(f"there is no manoeuvre {name!r}; {did_you_mean(name, kinds)}there are {', '.join(kinds)}")
     return Manoeuvre(name)
 
 
-def able(kind: Manoeuvre, scene: Scene, agent: int, start: int) -> bool:
+def can_perform(kind: Manoeuvre, scene: Scene, agent: int, start: int) -> bool:
     """Whether a vehicle drives in a direction in which it can do what is asked: none turns round for a request.
 
     Returns:
         For `ONCOMING`, whether it is opposing at the launch; for `CROSSING`, whether its recording is ever across
         the ego's path from then on; for every other kind, whether it is not opposing at the launch.
     """
-    boxes, present = agent_boxes(scene, agent), scene.agents.valid[agent]
-    turn = np.abs(encounter(scene.ego.boxes, boxes, scene.seconds, present, start).other.turn)
+    boxes, present = read_agent_boxes(scene, agent), scene.agents.valid[agent]
+    turn = np.abs(compute_path_interaction(scene.ego.boxes, boxes, scene.seconds, present, start).other.turn)
     opposing = turn >= np.pi - ALONG_RAD
     match kind:
         case Manoeuvre.ONCOMING:

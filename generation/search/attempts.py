@@ -12,18 +12,18 @@ from pydantic import BaseModel, ConfigDict, field_serializer
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.machine.metering import keep_pages
+from benchmark.machine.metering import disable_malloc_trim
 from benchmark.machine.storage import canonical_json, write_bytes, write_json
 from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
 from benchmark.records.scenes import SCHEMA, RefinementTrace, TraceFrame
 from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
-from benchmark.scene_pages.motion import origin_of
-from generation.search.adversary import Searched, attempts_together
-from generation.search.candidates import Eligibility, eligibility_of
-from generation.search.definition import Earlier, Search, Unit
-from generation.search.hyperparameters import Discards, HyperParameters
+from benchmark.scene_pages.motion import find_origin
+from generation.search.adversary import SearchOutcome, search_vehicles
+from generation.search.candidates import Eligibility, compute_eligibility
+from generation.search.definition import EarlierAdversary, Search, SearchUnit
+from generation.search.hyperparameters import DiscardRules, HyperParameters
 from generation.search.verify import verify
 
 SAME_M: Final = 1e-9
@@ -44,7 +44,7 @@ class StoredAttempt(BaseModel):
         return report.as_json()
 
     @classmethod
-    def of(cls, unit: Unit, result: Searched) -> "StoredAttempt":
+    def of(cls, unit: SearchUnit, result: SearchOutcome) -> "StoredAttempt":
         """Stored form of an attempt."""
         poses = result.poses.tolist() if result.kept else []
         return cls(agent=unit.agent, report=result.attempt, poses=tuple((x, y, yaw) for x, y, yaw in poses))
@@ -62,37 +62,37 @@ class StoredAttempt(BaseModel):
         return scene.with_adversary(self.agent, slice(start, start + len(poses)), poses)
 
 
-def eligibility(
-    search: Search, scene_name: str, earlier: tuple[Earlier, ...], read: Callable[[], Scene], *, keep: bool
+def read_or_compute_eligibility(
+    search: Search, scene_name: str, earlier: tuple[EarlierAdversary, ...], read: Callable[[], Scene], *, keep: bool
 ) -> Eligibility:
     """Vehicles of a scene that are tried; read from disk, or looked at and kept.
 
     ``read`` gives the scene with its earlier adversaries; it is called only where the choice is not on disk.
     ``keep`` says whether the choice is written.
     """
-    key, store = search.eligibility_key(scene_name, earlier), eligibility_store(search)
+    key, store = search.compute_eligibility_key(scene_name, earlier), open_eligibility_store(search)
     cached = store.get(key)
     if cached is not None and cached.scene_name == scene_name:
         return cached
-    computed = eligibility_of(read(), search.hyper, search.seed)
+    computed = compute_eligibility(read(), search.hyper, search.seed)
     if keep:
         store.put(key, computed)
     return computed
 
 
-def eligibility_store(search: Search) -> ResultStore[Eligibility]:
+def open_eligibility_store(search: Search) -> ResultStore[Eligibility]:
     """Store of choices of vehicles."""
     return ResultStore(search.state / "surveys", Eligibility)
 
 
-def attempt_store(search: Search) -> ResultStore[StoredAttempt]:
+def open_attempt_store(search: Search) -> ResultStore[StoredAttempt]:
     """Store of finished attempts."""
     return ResultStore(search.state / "attempts", StoredAttempt)
 
 
-def kept_attempt(search: Search, unit: Unit, *, with_rounds: bool = False) -> StoredAttempt | None:
+def read_cached_attempt(search: Search, unit: SearchUnit, *, with_rounds: bool = False) -> StoredAttempt | None:
     """A finished attempt, or ``None`` where there is none, it is damaged, or its rounds are wanted and not there."""
-    stored = attempt_store(search).get(search.key(unit))
+    stored = open_attempt_store(search).get(search.key(unit))
     if stored is None:
         return None
     report = stored.report
@@ -102,10 +102,10 @@ def kept_attempt(search: Search, unit: Unit, *, with_rounds: bool = False) -> St
     return stored if same_unit and not unfinished else None
 
 
-def attempts(
+def run_attempts(
     search: Search,
-    units: Sequence[Unit],
-    scene_of: Callable[[Unit], Scene],
+    units: Sequence[SearchUnit],
+    scene_of: Callable[[SearchUnit], Scene],
     executor: Executor,
     *,
     together: int = 1,
@@ -123,15 +123,15 @@ def attempts(
     Raises:
         InputError: If workers are lost, results cannot be written, or searching again gives another track.
     """
-    stored_attempts = [kept_attempt(search, unit, with_rounds=keep_rounds) for unit in units]
+    stored_attempts = [read_cached_attempt(search, unit, with_rounds=keep_rounds) for unit in units]
     missing = [index for index, stored in enumerate(stored_attempts) if stored is None]
     batches = [missing[first : first + together] for first in range(0, len(missing), together)]
 
-    def work() -> Iterator[list[tuple[Scene, Unit]]]:
+    def work() -> Iterator[list[tuple[Scene, SearchUnit]]]:
         for batch in batches:
             yield [(scene_of(units[index]), units[index]) for index in batch]
 
-    planned, before = functools.partial(_attempted, search, keep_rounds), len(units) - len(missing)
+    planned, before = functools.partial(_run_batch, search, keep_rounds), len(units) - len(missing)
     done = run_units(
         planned, work(), executor, total=len(batches), label=label, noun="vehicle", before=before, of=len(units)
     )
@@ -141,12 +141,12 @@ def attempts(
     return [stored for stored in stored_attempts if stored is not None]
 
 
-def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Unit]]) -> list[StoredAttempt]:
+def _run_batch(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, SearchUnit]]) -> list[StoredAttempt]:
     """Compute and keep a few attempts; runs in a worker."""
     # Batches of candidates are just large enough for each of a thousand arrays to be given back and cleared anew.
-    keep_pages()
+    disable_malloc_trim()
     vehicles = [(scene, unit.agent) for scene, unit in work]
-    results = attempts_together(
+    results = search_vehicles(
         vehicles,
         search.seed,
         search.hyper,
@@ -157,24 +157,24 @@ def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Un
     )
     stored_attempts = []
     for (scene, unit), result in zip(work, results, strict=True):
-        stored = StoredAttempt.of(unit, _undisturbed(result, unit, search.hyper))
-        before = kept_attempt(search, unit)
+        stored = StoredAttempt.of(unit, _check_earlier_adversaries(result, unit, search.hyper))
+        before = read_cached_attempt(search, unit)
         if before is not None:
             # Whatever was planned or drawn with this track stays true.
-            _require_same(before, stored)
+            _require_same_track(before, stored)
             stored = before
         timing = {"scene": unit.scene_name, "agent": unit.agent_id, "seconds": result.stage_seconds}
         # Before the attempt: whoever finds the attempt finds its time and its rounds as well.
         write_bytes(search.timing_path(unit), (canonical_json(timing) + "\n").encode(), durable=False)
         if keep_rounds and stored.report.kept:
-            _keep_rounds(search, unit, scene, result.rounds)
+            _write_rounds(search, unit, scene, result.rounds)
         if before is None:
-            attempt_store(search).put(search.key(unit), stored)
+            open_attempt_store(search).put(search.key(unit), stored)
         stored_attempts.append(stored)
     return stored_attempts
 
 
-def _require_same(before: StoredAttempt, again: StoredAttempt) -> None:
+def _require_same_track(before: StoredAttempt, again: StoredAttempt) -> None:
     """The rounds must belong to the track that was kept."""
     poses, expected = (np.array(attempt.poses, dtype=np.float64).reshape(-1, 3) for attempt in (again, before))
     report, first_report = again.report, before.report
@@ -191,24 +191,24 @@ def _require_same(before: StoredAttempt, again: StoredAttempt) -> None:
         )
 
 
-def _keep_rounds(search: Search, unit: Unit, scene: Scene, frames: tuple[TraceFrame, ...]) -> None:
+def _write_rounds(search: Search, unit: SearchUnit, scene: Scene, frames: tuple[TraceFrame, ...]) -> None:
     """Keep what was searched, under the names that the source has."""
     trace = RefinementTrace(
         schema=SCHEMA,
         scene=unit.scene_name,
         agent=unit.agent_id,
-        origin_m=origin_of(scene),
-        search=search.rounds_facts(unit),
+        origin_m=find_origin(scene),
+        search=search.rounds_metadata(unit),
         frames=frames,
     )
     write_json(search.rounds_path(unit), trace.model_dump(mode="json", by_alias=True), indent=None)
 
 
-def _undisturbed(result: Searched, unit: Unit, hyper: HyperParameters) -> Searched:
+def _check_earlier_adversaries(result: SearchOutcome, unit: SearchUnit, hyper: HyperParameters) -> SearchOutcome:
     """The attempt, discarded if an earlier adversary would no longer pass verification beside it."""
-    if hyper.discards is Discards.REFERENCE:
+    if hyper.discards is DiscardRules.REFERENCE:
         return result
-    limits = hyper.motion_model().limits
+    limits = hyper.build_motion_model().limits
     for link in unit.earlier:
         finding = None if result.scene is None else verify(result.scene, link.agent, link.start, hyper, limits)
         if finding is not None:

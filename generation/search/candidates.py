@@ -23,11 +23,16 @@ from benchmark.dynamics.bicycle import WHEELBASE, DriverLimits
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
-from generation.labels.labelling import ego_speed
-from generation.search.ego_way import EgoWay, ego_way
-from generation.search.hyperparameters import ChoiceOf, HyperParameters, Launch
-from generation.search.recorded_motion import center_distance, drives_forward, in_canvas, initial_state
-from generation.search.reference_scoring import CAR, in_reference_canvas, near_on_the_road, reference_launch
+from generation.labels.labelling import compute_ego_speed
+from generation.search.ego_way import RecordedEgoPath, get_ego_path
+from generation.search.hyperparameters import HyperParameters, LaunchRule, VehicleChoiceRule
+from generation.search.recorded_motion import (
+    compute_center_distance,
+    compute_initial_state,
+    is_driving_forward,
+    is_in_canvas,
+)
+from generation.search.reference_scoring import CAR, find_reference_launch, is_in_reference_canvas, is_near_and_on_road
 
 SOONEST_S: Final = 1.0
 LATEST_S: Final = 6.0
@@ -50,7 +55,7 @@ MARGIN_M: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class TakeoverStart:
     """A vehicle at F frames at which it might take over. (F, 3) poses of its box centre, (F,) speeds in m/s."""
 
     frames: NDArray[np.int64]
@@ -59,7 +64,7 @@ class Start:
     length_m: float
 
 
-def reach_s(scene: Scene, way: EgoWay, start: Start, half_extent_m: float) -> Floats:
+def compute_reach_s(scene: Scene, way: RecordedEgoPath, start: TakeoverStart, half_extent_m: float) -> Floats:
     """Time until a vehicle can be in the ego's way, driving an arc at a steady change of speed on the road.
 
     (F,) seconds, infinite where it cannot, or where it could not stay in the area afterwards (``half_extent_m``:
@@ -75,7 +80,7 @@ def reach_s(scene: Scene, way: EgoWay, start: Start, half_extent_m: float) -> Fl
     goal = np.stack([np.interp(station, way.stations, way.points[:, axis]) for axis in range(2)], axis=-1)
     heading = np.interp(station, way.stations, np.unwrap(way.headings))
     seconds = np.broadcast_to((ahead / FRAME_HZ)[None, :, None], station.shape)
-    possible, arriving = _drivable_arcs(start, goal, seconds)
+    possible, arriving = _find_drivable_arcs(start, goal, seconds)
     turn = np.abs(wrap_angle(arriving - heading))
     possible &= (turn <= MOST_TURN_RAD) & (at <= last)[..., None]
     row, time, room = np.nonzero(possible)
@@ -83,13 +88,13 @@ def reach_s(scene: Scene, way: EgoWay, start: Start, half_extent_m: float) -> Fl
     begin, end = start.poses[row, :2], goal[row, time, room]
     on_road = scene.road_map.is_drivable(begin[:, None] + shares * (end - begin)[:, None]).all(axis=-1)
     follows = turn[row, time, room] <= FOLLOWING_RAD
-    on_road[~follows & on_road] &= _stays(scene, frame[row, time], end, half_extent_m)[~follows & on_road]
+    on_road[~follows & on_road] &= _is_staying(scene, frame[row, time], end, half_extent_m)[~follows & on_road]
     possible[row, time, room] = on_road
     soonest = np.where(possible.any(axis=-1), ahead / FRAME_HZ, np.inf)
     return np.asarray(soonest.min(axis=1))
 
 
-def _drivable_arcs(start: Start, goal: Floats, seconds: Floats) -> tuple[Bools, Floats]:
+def _find_drivable_arcs(start: TakeoverStart, goal: Floats, seconds: Floats) -> tuple[Bools, Floats]:
     """Whether arcs to (F, A, R, 2) goals can be driven in so many (F, A, R) seconds, and the headings at their ends."""
     speed, yaw = start.speed[:, None, None], start.poses[:, None, None, 2]
     away = goal - start.poses[:, None, None, :2]
@@ -110,7 +115,7 @@ def _drivable_arcs(start: Start, goal: Floats, seconds: Floats) -> tuple[Bools, 
     return possible, wrap_angle(yaw + 2.0 * bearing)
 
 
-def _stays(scene: Scene, frames: NDArray[np.int64], points: Floats, half_extent_m: float) -> Bools:
+def _is_staying(scene: Scene, frames: NDArray[np.int64], points: Floats, half_extent_m: float) -> Bools:
     """(P,) whether points stay in the area around the ego from (P,) frames to the end of the scene."""
     pose = scene.ego.pose
     inside = np.stack(
@@ -119,7 +124,7 @@ def _stays(scene: Scene, frames: NDArray[np.int64], points: Floats, half_extent_
     return np.asarray((inside | (np.arange(len(pose)) < frames[:, None])).all(axis=1))
 
 
-def launch_in_reach(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
+def find_launch_in_reach(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
     """When a vehicle takes over: at the first frame from which it is in the ego's way within 3 s, else the soonest.
 
     Frames are looked at every half second. As everywhere it has been there for the history, drives forwards, stands
@@ -129,22 +134,22 @@ def launch_in_reach(scene: Scene, agent: int, hyper: HyperParameters) -> int | N
     valid = scene.agents.valid[agent]
     eligible = np.convolve(valid, np.ones(hyper.history_frames + 1), mode="full")[: len(valid)] > hyper.history_frames
     position = scene.agents.position[agent, :, :2]
-    eligible &= in_canvas(scene, position, hyper.half_extent_m - MARGIN_M)
+    eligible &= is_in_canvas(scene, position, hyper.half_extent_m - MARGIN_M)
     eligible[len(valid) - hyper.shortest_drive_frames :] = False
     frames = np.flatnonzero(eligible)
     frames = frames[frames % FRAMES_PER_KEYFRAME == 0]
     frames = frames[scene.road_map.is_drivable(position[frames])]
-    frames = np.array([frame for frame in frames.tolist() if drives_forward(scene, agent, frame)], np.int64)
+    frames = np.array([frame for frame in frames.tolist() if is_driving_forward(scene, agent, frame)], np.int64)
     if not len(frames):
         return None
-    way = ego_way(scene)
-    seconds = reach_s(scene, way, _start(scene, agent, frames), hyper.half_extent_m)
-    seconds = np.where(frames + FRAME_HZ * seconds <= last_opportunity(way, hyper), seconds, np.inf)
+    way = get_ego_path(scene)
+    seconds = compute_reach_s(scene, way, _build_start(scene, agent, frames), hyper.half_extent_m)
+    seconds = np.where(frames + FRAME_HZ * seconds <= find_last_opportunity(way, hyper), seconds, np.inf)
     best = int(np.argmax(seconds <= SOON_S)) if (seconds <= SOON_S).any() else int(np.argmin(seconds))
     return int(frames[best]) if np.isfinite(seconds[best]) else None
 
 
-def last_opportunity(way: EgoWay, hyper: HyperParameters) -> int:
+def find_last_opportunity(way: RecordedEgoPath, hyper: HyperParameters) -> int:
     """The last frame at which an ego that does not react would run into what keeps its air ahead; -1 for none.
 
     Where no overrun is asked for (``least_overrun_m``) it is the last frame of the scene.
@@ -155,20 +160,20 @@ def last_opportunity(way: EgoWay, hyper: HyperParameters) -> int:
     return int(np.flatnonzero(way.overrun >= air + hyper.least_overrun_m).max(initial=-1))
 
 
-def reach_at(scene: Scene, agent: int, frame: int, hyper: HyperParameters) -> float:
-    """`reach_s` of one vehicle at one frame."""
-    start = _start(scene, agent, np.array([frame], np.int64))
-    return float(reach_s(scene, ego_way(scene), start, hyper.half_extent_m)[0])
+def compute_reach_at(scene: Scene, agent: int, frame: int, hyper: HyperParameters) -> float:
+    """`compute_reach_s` of one vehicle at one frame."""
+    start = _build_start(scene, agent, np.array([frame], np.int64))
+    return float(compute_reach_s(scene, get_ego_path(scene), start, hyper.half_extent_m)[0])
 
 
-def _start(scene: Scene, agent: int, frames: NDArray[np.int64]) -> Start:
+def _build_start(scene: Scene, agent: int, frames: NDArray[np.int64]) -> TakeoverStart:
     agents = scene.agents
-    speed = np.array([initial_state(scene, agent, frame, None).speed for frame in frames.tolist()])
+    speed = np.array([compute_initial_state(scene, agent, frame, None).speed for frame in frames.tolist()])
     poses = np.column_stack([agents.position[agent, frames, :2], agents.yaw[agent, frames]])
-    return Start(frames, poses, speed, float(agents.size[agent, 0]))
+    return TakeoverStart(frames, poses, speed, float(agents.size[agent, 0]))
 
 
-class NotTried(StrEnum):
+class ExclusionReason(StrEnum):
     """Why an object of a scene is not tried as an adversary."""
 
     NOT_FOUR_WHEELED = "not-a-four-wheeler"
@@ -183,95 +188,97 @@ class NotTried(StrEnum):
     NO_CAR = "not-a-car"
 
 
-def draw(scene: Scene, eligible: Sequence[int], hyper: HyperParameters, seed: int) -> tuple[int, ...]:
+def draw_candidates(scene: Scene, eligible: Sequence[int], hyper: HyperParameters, seed: int) -> tuple[int, ...]:
     """At most ``hyper.candidate_limit`` of the eligible agent indices, ascending; ``seed`` says which."""
     rng = np.random.default_rng(content_seed("candidates", scene.name, scene.token, seed))
     # Weighted draw without replacement: who waits least, with waiting times of rate "weight".
-    measure = nearness if hyper.launch is Launch.REACH else staying_share
+    measure = compute_nearness if hyper.launch is LaunchRule.REACH else compute_staying_share
     weight = np.array([measure(scene, agent, hyper) for agent in eligible]) ** hyper.staying_preference
     drawn = np.argsort(rng.exponential(size=len(eligible)) / weight, kind="stable")[: hyper.candidate_limit]
     return tuple(sorted(eligible[index] for index in drawn))
 
 
-def unfit(scene: Scene, agent: int, hyper: HyperParameters) -> NotTried | None:
+def find_exclusion_reason(scene: Scene, agent: int, hyper: HyperParameters) -> ExclusionReason | None:
     """First reason why an object cannot become an adversary, or ``None``.
 
     An eligible vehicle comes close on the road and launches at a driving ego.
     """
     agents = scene.agents
     if agents.categories[agent] not in FOUR_WHEELED_CATEGORIES:
-        return NotTried.NOT_FOUR_WHEELED
+        return ExclusionReason.NOT_FOUR_WHEELED
     if agents.ids[agent] in scene.adversaries:
-        return NotTried.ALREADY_ADVERSARY
+        return ExclusionReason.ALREADY_ADVERSARY
     return (
-        _unfit_as_we_choose(scene, agent, hyper) if hyper.choice is ChoiceOf.OURS else _unfit_as_reference(scene, agent)
+        _find_own_exclusion(scene, agent, hyper)
+        if hyper.choice is VehicleChoiceRule.OURS
+        else _find_reference_exclusion(scene, agent)
     )
 
 
-def _unfit_as_reference(scene: Scene, agent: int) -> NotTried | None:
+def _find_reference_exclusion(scene: Scene, agent: int) -> ExclusionReason | None:
     if scene.agents.categories[agent] != CAR:
-        return NotTried.NO_CAR
-    near, on_road = near_on_the_road(scene, agent)
+        return ExclusionReason.NO_CAR
+    near, on_road = is_near_and_on_road(scene, agent)
     if not on_road:
-        return NotTried.OFF_ROAD if in_reference_canvas(scene, agent).any() else NotTried.NEVER_NEAR
+        return ExclusionReason.OFF_ROAD if is_in_reference_canvas(scene, agent).any() else ExclusionReason.NEVER_NEAR
     if not near:
-        return NotTried.NEVER_NEAR
-    return None if reference_launch(scene, agent) is not None else NotTried.NO_LAUNCH
+        return ExclusionReason.NEVER_NEAR
+    return None if find_reference_launch(scene, agent) is not None else ExclusionReason.NO_LAUNCH
 
 
-def _unfit_as_we_choose(scene: Scene, agent: int, hyper: HyperParameters) -> NotTried | None:
+def _find_own_exclusion(scene: Scene, agent: int, hyper: HyperParameters) -> ExclusionReason | None:
     agents = scene.agents
-    canvas = in_canvas(scene, agents.position[agent, :, :2], hyper.half_extent_m) & agents.valid[agent]
-    by_reach = hyper.launch is Launch.REACH
-    if not canvas.any() or (not by_reach and center_distance(scene, agent)[canvas].min() >= hyper.proximity_m):
-        return NotTried.NEVER_NEAR
+    canvas = is_in_canvas(scene, agents.position[agent, :, :2], hyper.half_extent_m) & agents.valid[agent]
+    by_reach = hyper.launch is LaunchRule.REACH
+    if not canvas.any() or (not by_reach and compute_center_distance(scene, agent)[canvas].min() >= hyper.proximity_m):
+        return ExclusionReason.NEVER_NEAR
     path = agents.position[agent, agents.valid[agent], :2]
     if not hyper.parked and np.ptp(path, axis=0).max() < hyper.least_motion_m:
-        return NotTried.PARKED
+        return ExclusionReason.PARKED
     shapely.prepare(scene.road_map.drivable_area)
     if scene.road_map.is_drivable(agents.position[agent, canvas, :2]).mean() < hyper.least_drivable_share:
-        return NotTried.OFF_ROAD
-    launch = launch_frame(scene, agent, hyper)
+        return ExclusionReason.OFF_ROAD
+    launch = find_launch_frame(scene, agent, hyper)
     if launch is None:
-        return NotTried.OUT_OF_REACH if by_reach else NotTried.NO_LAUNCH
-    if not (ego_speed(scene)[launch:] >= hyper.moving_ego_m_s).any():
-        return NotTried.EGO_STANDS
+        return ExclusionReason.OUT_OF_REACH if by_reach else ExclusionReason.NO_LAUNCH
+    if not (compute_ego_speed(scene)[launch:] >= hyper.moving_ego_m_s).any():
+        return ExclusionReason.EGO_STANDS
     return None
 
 
-def staying_share(scene: Scene, agent: int, hyper: HyperParameters) -> float:
+def compute_staying_share(scene: Scene, agent: int, hyper: HyperParameters) -> float:
     """Share of the frames after its launch that an eligible vehicle's recording spends in the area around the ego.
 
     It is more than 0.
     """
-    launch = launch_frame(scene, agent, hyper)
-    inside = in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m) & scene.agents.valid[agent]
+    launch = find_launch_frame(scene, agent, hyper)
+    inside = is_in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m) & scene.agents.valid[agent]
     return float(inside[launch:].mean())
 
 
-def nearness(scene: Scene, agent: int, hyper: HyperParameters) -> float:
+def compute_nearness(scene: Scene, agent: int, hyper: HyperParameters) -> float:
     """Nearness in time of a launched eligible vehicle to the ego's way: 1 at once, 1/2 after 3 s; more than 0."""
-    launch = launch_frame(scene, agent, hyper)
-    return float("nan") if launch is None else 1.0 / (1.0 + reach_at(scene, agent, launch, hyper) / 3.0)
+    launch = find_launch_frame(scene, agent, hyper)
+    return float("nan") if launch is None else 1.0 / (1.0 + compute_reach_at(scene, agent, launch, hyper) / 3.0)
 
 
-def launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
+def find_launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
     """First frame at which an agent may take over by the rule of ``hyper`` (`hyperparameters.Launch`), if any."""
     match hyper.launch:
-        case Launch.NEAR:
-            return _launch_near(scene, agent, hyper)
-        case Launch.REFERENCE:
-            return reference_launch(scene, agent)
-        case Launch.REACH:
-            return launch_in_reach(scene, agent, hyper)
-        case Launch.START:
-            inside = in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)
+        case LaunchRule.NEAR:
+            return _find_launch_near_ego(scene, agent, hyper)
+        case LaunchRule.REFERENCE:
+            return find_reference_launch(scene, agent)
+        case LaunchRule.REACH:
+            return find_launch_in_reach(scene, agent, hyper)
+        case LaunchRule.START:
+            inside = is_in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)
             frames = np.flatnonzero(inside & scene.agents.valid[agent])
             last = inside.size - 1 - hyper.shortest_drive_frames
             return int(frames[0]) if len(frames) and frames[0] <= last else None
 
 
-def _launch_near(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
+def _find_launch_near_ego(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
     """First frame at which an agent may take over near the ego.
 
     It has been there for the history, is close enough to the ego, drives forwards without sliding, stands on the
@@ -282,18 +289,18 @@ def _launch_near(scene: Scene, agent: int, hyper: HyperParameters) -> int | None
         np.convolve(valid, np.ones(hyper.history_frames + 1), mode="full")[: len(valid)] > hyper.history_frames
     )
     last = len(valid) - 1 - hyper.shortest_drive_frames
-    close = center_distance(scene, agent) < hyper.launch_distance_m
+    close = compute_center_distance(scene, agent) < hyper.launch_distance_m
     for frame in np.flatnonzero(has_history & close):
         if frame > last:
             return None
-        if drives_forward(scene, agent, int(frame)):
+        if is_driving_forward(scene, agent, int(frame)):
             on_road = scene.road_map.is_drivable(scene.agents.position[agent, frame, :2])
             if on_road:
                 return int(frame)
     return None
 
 
-class ConsideredVehicle(BaseModel):
+class VehicleEligibility(BaseModel):
     """One four-wheeled vehicle, and the reason why it is not tried (``None`` for one that is)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -301,7 +308,7 @@ class ConsideredVehicle(BaseModel):
     agent: int
     agent_id: str
     category: str
-    reason: NotTried | None
+    reason: ExclusionReason | None
 
 
 class Eligibility(BaseModel):
@@ -315,16 +322,16 @@ class Eligibility(BaseModel):
     schema_version: int = 1
     scene_name: str
     objects: int
-    vehicles: tuple[ConsideredVehicle, ...]
+    vehicles: tuple[VehicleEligibility, ...]
 
     @property
-    def chosen(self) -> tuple[ConsideredVehicle, ...]:
+    def chosen(self) -> tuple[VehicleEligibility, ...]:
         """Vehicles to try, by index."""
         return tuple(vehicle for vehicle in self.vehicles if vehicle.reason is None)
 
     def not_tried(self) -> dict[str, int]:
         """Number of objects that are not tried, by reason."""
-        counts = {NotTried.NOT_FOUR_WHEELED.value: self.objects - len(self.vehicles)}
+        counts = {ExclusionReason.NOT_FOUR_WHEELED.value: self.objects - len(self.vehicles)}
         for vehicle in self.vehicles:
             if vehicle.reason is not None:
                 counts[vehicle.reason.value] = counts.get(vehicle.reason.value, 0) + 1
@@ -348,7 +355,7 @@ class Eligibility(BaseModel):
         }
 
 
-def not_tried_together(looks: Sequence[Eligibility]) -> dict[str, int]:
+def sum_exclusions(looks: Sequence[Eligibility]) -> dict[str, int]:
     """Number of objects of several scenes that are not tried, by reason."""
     counts: Counter[str] = Counter()
     for look in looks:
@@ -356,24 +363,26 @@ def not_tried_together(looks: Sequence[Eligibility]) -> dict[str, int]:
     return dict(counts)
 
 
-def eligibility_of(scene: Scene, hyper: HyperParameters, seed: int) -> Eligibility:
+def compute_eligibility(scene: Scene, hyper: HyperParameters, seed: int) -> Eligibility:
     """Which vehicles of a scene are tried and why the others are not.
 
     ``seed`` chooses where more than ``hyper.candidate_limit`` qualify.
     """
-    reasons: dict[int, NotTried | None] = {agent: unfit(scene, agent, hyper) for agent in range(len(scene.agents))}
-    drawn = set(draw(scene, [agent for agent, reason in reasons.items() if reason is None], hyper, seed))
+    reasons: dict[int, ExclusionReason | None] = {
+        agent: find_exclusion_reason(scene, agent, hyper) for agent in range(len(scene.agents))
+    }
+    drawn = set(draw_candidates(scene, [agent for agent, reason in reasons.items() if reason is None], hyper, seed))
     return Eligibility(
         scene_name=scene.name,
         objects=len(scene.agents),
         vehicles=tuple(
-            ConsideredVehicle(
+            VehicleEligibility(
                 agent=agent,
                 agent_id=scene.agents.ids[agent],
                 category=scene.agents.categories[agent],
-                reason=NotTried.NOT_DRAWN if reason is None and agent not in drawn else reason,
+                reason=ExclusionReason.NOT_DRAWN if reason is None and agent not in drawn else reason,
             )
             for agent, reason in reasons.items()
-            if reason is not NotTried.NOT_FOUR_WHEELED
+            if reason is not ExclusionReason.NOT_FOUR_WHEELED
         ),
     )

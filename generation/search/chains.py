@@ -12,21 +12,21 @@ from typing import Any
 
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.steps import require_two_hz
-from benchmark.machine.progress import progress
-from benchmark.machine.storage import token
+from benchmark.machine.progress import track_progress
+from benchmark.machine.storage import make_token
 from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
-from benchmark.records.judgement import SceneJudgement
+from benchmark.records.judgement import SceneAssessment
 from benchmark.scene import Scene
 from generation.labels.manoeuvres import Manoeuvre
-from generation.search.asked_manoeuvres import able
-from generation.search.attempts import StoredAttempt, attempts, eligibility
-from generation.search.candidates import Eligibility, launch_frame
-from generation.search.definition import Earlier, Search, Unit
-from generation.search.ranking import ranked
+from generation.search.asked_manoeuvres import can_perform
+from generation.search.attempts import StoredAttempt, read_or_compute_eligibility, run_attempts
+from generation.search.candidates import Eligibility, find_launch_frame
+from generation.search.definition import EarlierAdversary, Search, SearchUnit
+from generation.search.ranking import rank_scenes
 
 
-class Dropped(StrEnum):
+class DropReason(StrEnum):
     """Why an attempt that passed verification is not written."""
 
     TOO_FEW_ADVERSARIES = "too-few-adversaries"
@@ -37,10 +37,10 @@ class Dropped(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class SearchAttempt:
     """One attempt, kept or not, with its content key; those that are kept are the links of chains."""
 
-    unit: Unit
+    unit: SearchUnit
     key: str
     stored: StoredAttempt
 
@@ -66,11 +66,11 @@ class Tried:
 
 
 @dataclass(frozen=True, slots=True)
-class Chain:
+class AdversaryChain:
     """A recorded scene and its adversaries in the order of their planning; none for the recording itself."""
 
     scene_name: str
-    links: tuple[Tried, ...] = ()
+    links: tuple[SearchAttempt, ...] = ()
 
     @property
     def agent_ids(self) -> tuple[str, ...]:
@@ -88,16 +88,16 @@ class Chain:
         return sum(link.challenge for link in self.links) / len(self.links)
 
     @property
-    def earlier(self) -> tuple[Earlier, ...]:
+    def earlier(self) -> tuple[EarlierAdversary, ...]:
         """Adversaries that the next one finds."""
         return tuple(
-            Earlier(link.key, link.unit.agent, link.agent_id, link.attempt.launch_frame)
+            EarlierAdversary(link.key, link.unit.agent, link.agent_id, link.attempt.launch_frame)
             for link in self.links
             if link.attempt.launch_frame is not None
         )
 
     @property
-    def last_place(self) -> int:
+    def last_rank(self) -> int:
         """Place of the last adversary among all of them in the order of the scene's agents."""
         return sorted(link.unit.agent for link in self.links).index(self.links[-1].unit.agent)
 
@@ -106,11 +106,11 @@ class Chain:
         """Name of the generated scene; it does not depend on the rank."""
         # The same vehicle may have been asked for several kinds.
         kinds = [link.unit.asked.value for link in self.links if link.unit.asked is not None]
-        suffix = token("adversary", self.scene_name, *self.agent_ids, *kinds)[:8]
+        suffix = make_token("adversary", self.scene_name, *self.agent_ids, *kinds)[:8]
         return f"{self.scene_name.replace('/', '-')}-{suffix}"
 
     @property
-    def judgements(self) -> tuple[SceneJudgement, ...]:
+    def judgements(self) -> tuple[SceneAssessment, ...]:
         """Judgement on each adversary in the scene with all of them."""
         return self.links[-1].attempt.judgements
 
@@ -133,7 +133,7 @@ class Chain:
 
 
 @dataclass(frozen=True, slots=True)
-class Requested:
+class RequestCounts:
     """Requests for one kind of manoeuvre.
 
     ``tried`` counts the vehicles that drive in a direction in which they can do it (`asked_manoeuvres.able`).
@@ -154,29 +154,29 @@ class SearchResult:
     """
 
     eligibility: list[tuple[tuple[str, ...], Eligibility]] = field(default_factory=list)
-    tried: list[Tried] = field(default_factory=list)
-    chains: list[Chain] = field(default_factory=list)
-    dropped: dict[Unit, Dropped] = field(default_factory=dict)
-    requests: dict[Manoeuvre, Requested] = field(default_factory=dict)
+    tried: list[SearchAttempt] = field(default_factory=list)
+    chains: list[AdversaryChain] = field(default_factory=list)
+    dropped: dict[SearchUnit, DropReason] = field(default_factory=dict)
+    requests: dict[Manoeuvre, RequestCounts] = field(default_factory=dict)
 
-    def drop(self, chain: Chain, reason: Dropped) -> None:
+    def drop(self, chain: AdversaryChain, reason: DropReason) -> None:
         """Note that the adversaries of a chain are not written."""
         self.dropped.update({link.unit: reason for link in chain.links})
 
-    def requested(self, kinds: Sequence[Manoeuvre], vehicles: int, units: Sequence[Unit]) -> None:
+    def count_requests(self, kinds: Sequence[Manoeuvre], vehicles: int, units: Sequence[SearchUnit]) -> None:
         """Count what the vehicles of one scene were asked for."""
         for kind in kinds:
-            before = self.requests.get(kind, Requested())
+            before = self.requests.get(kind, RequestCounts())
             unit_count = sum(unit.asked is kind for unit in units)
-            self.requests[kind] = Requested(before.vehicles + vehicles, before.tried + unit_count)
+            self.requests[kind] = RequestCounts(before.vehicles + vehicles, before.tried + unit_count)
 
 
-def first_units(
+def find_first_units(
     search: Search, source: DataSet, names: Sequence[str], *, keep: bool
-) -> list[tuple[Eligibility, list[Unit]]]:
+) -> list[tuple[Eligibility, list[SearchUnit]]]:
     """Vehicles that are tried first in each recorded scene, with the units of each; ``keep`` writes the choice."""
-    scenes = _Scenes(source)
-    return [_chosen(search, Chain(name), scenes, keep=keep) for name in names]
+    scenes = _ChainScenes(source)
+    return [_choose_vehicles(search, AdversaryChain(name), scenes, keep=keep) for name in names]
 
 
 def search_chains(
@@ -201,16 +201,16 @@ def search_chains(
         keep_rounds: Whether rounds are kept of the last adversary of each chain: the others are as they are shown.
         keep: Whether choices of vehicles are written.
     """
-    result, scenes = SearchResult(), _Scenes(source)
-    chains = [Chain(name) for name in names]
+    result, scenes = SearchResult(), _ChainScenes(source)
+    chains = [AdversaryChain(name) for name in names]
     for stage in range(adversaries):
-        looking = (_chosen(search, chain, scenes, keep=keep) for chain in chains)
-        chosen = list(progress(looking, total=len(chains), label="choosing vehicles"))
+        looking = (_choose_vehicles(search, chain, scenes, keep=keep) for chain in chains)
+        chosen = list(track_progress(looking, total=len(chains), label="choosing vehicles"))
         result.eligibility += [(chain.agent_ids, vehicles) for chain, (vehicles, _) in zip(chains, chosen, strict=True)]
         owner = {unit: chain for chain, (_, units) in zip(chains, chosen, strict=True) for unit in units}
-        scene_of = functools.partial(_scene_of, scenes, owner)
+        scene_of = functools.partial(_read_scene, scenes, owner)
         label = "planning adversaries" if stage == 0 else f"planning adversary {stage + 1} of {adversaries}"
-        results = attempts(
+        results = run_attempts(
             search,
             list(owner),
             scene_of,
@@ -219,66 +219,72 @@ def search_chains(
             keep_rounds=keep_rounds and stage == adversaries - 1,
             label=label,
         )
-        attempted = [Tried(unit, search.key(unit), stored) for unit, stored in zip(owner, results, strict=True)]
+        attempted = [SearchAttempt(unit, search.key(unit), stored) for unit, stored in zip(owner, results, strict=True)]
         result.tried += attempted
         for vehicles, units in chosen:
-            result.requested(search.asked, len(vehicles.chosen), units)
+            result.count_requests(search.asked, len(vehicles.chosen), units)
         links = [attempt for attempt in attempted if attempt.attempt.kept]
-        chains = _begun(links) if stage == 0 else _extended(result, chains, links)
+        chains = _start_chains(links) if stage == 0 else _extend_chains(result, chains, links)
     result.chains = chains
     return result
 
 
-def _begun(links: Sequence[Tried]) -> list[Chain]:
+def _start_chains(links: Sequence[SearchAttempt]) -> list[AdversaryChain]:
     """Every first adversary is a chain of its own."""
-    return [Chain(link.scene_name, (link,)) for link in links]
+    return [AdversaryChain(link.scene_name, (link,)) for link in links]
 
 
-def _extended(result: SearchResult, chains: Sequence[Chain], links: Sequence[Tried]) -> list[Chain]:
+def _extend_chains(
+    result: SearchResult, chains: Sequence[AdversaryChain], links: Sequence[SearchAttempt]
+) -> list[AdversaryChain]:
     """Each chain with the most challenging of its new adversaries; chains without any are dropped."""
-    of_chain: dict[tuple[str, tuple[Earlier, ...]], list[Tried]] = {}
+    of_chain: dict[tuple[str, tuple[EarlierAdversary, ...]], list[SearchAttempt]] = {}
     for link in links:
         of_chain.setdefault((link.scene_name, link.unit.earlier), []).append(link)
     longer = []
     for chain in chains:
         new = of_chain.get((chain.scene_name, chain.earlier))
         if new is None:
-            result.drop(chain, Dropped.TOO_FEW_ADVERSARIES)
+            result.drop(chain, DropReason.TOO_FEW_ADVERSARIES)
             continue
-        best, *others = ranked(new, per_scene=None, total=None)
-        result.dropped.update({link.unit: Dropped.OUTRANKED for link in others})
+        best, *others = rank_scenes(new, per_scene=None, total=None)
+        result.dropped.update({link.unit: DropReason.OUTRANKED for link in others})
         longer.append(replace(chain, links=(*chain.links, best)))
     return longer
 
 
-def _scene_of(scenes: "_Scenes", owner: Mapping[Unit, Chain], unit: Unit) -> Scene:
+def _read_scene(scenes: "_ChainScenes", owner: Mapping[SearchUnit, AdversaryChain], unit: SearchUnit) -> Scene:
     return scenes.of(owner[unit])
 
 
-def _chosen(search: Search, chain: Chain, scenes: "_Scenes", *, keep: bool) -> tuple[Eligibility, list[Unit]]:
+def _choose_vehicles(
+    search: Search, chain: AdversaryChain, scenes: "_ChainScenes", *, keep: bool
+) -> tuple[Eligibility, list[SearchUnit]]:
     """Which vehicles of a scene are tried, and the vehicles to try in it."""
-    vehicles = eligibility(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
-    units = [Unit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in vehicles.chosen]
+    vehicles = read_or_compute_eligibility(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
+    units = [
+        SearchUnit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in vehicles.chosen
+    ]
     if not search.asked:
         return vehicles, units
     scene = scenes.of(chain)
-    starts = [launch_frame(scene, unit.agent, search.hyper) for unit in units]
+    starts = [find_launch_frame(scene, unit.agent, search.hyper) for unit in units]
     return vehicles, [
         replace(unit, asked=kind)
         for unit, start in zip(units, starts, strict=True)
         for kind in search.asked
-        if start is not None and able(kind, scene, unit.agent, start)
+        if start is not None and can_perform(kind, scene, unit.agent, start)
     ]
 
 
-class _Scenes:
+class _ChainScenes:
     """Scenes of chains; the one asked for last is kept, because its vehicles are tried one after the other."""
 
     def __init__(self, source: DataSet) -> None:
         self._source = source
-        self._last: tuple[Chain, Scene] | None = None
+        self._last: tuple[AdversaryChain, Scene] | None = None
 
-    def of(self, chain: Chain) -> Scene:
+    def of(self, chain: AdversaryChain) -> Scene:
         """The recorded scene with the chain's adversaries in it."""
         if self._last is None or self._last[0] is not chain:
             scene = self._source.scene(chain.scene_name)

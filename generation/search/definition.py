@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
-from benchmark.machine.several_devices import device_in_turn
+from benchmark.machine.several_devices import find_device_in_turn
 from benchmark.machine.storage import content_key
 from benchmark.records.judgement import DEFINITION
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior
@@ -38,16 +38,16 @@ class PackagedPrior:
 
     def __call__(self) -> Prior:
         """The model."""
-        return _loaded(self.weights, device_in_turn(self.device), self.sampler)
+        return _load_prior(self.weights, find_device_in_turn(self.device), self.sampler)
 
 
 @functools.lru_cache(maxsize=2)
-def _loaded(weights: Path | None, device: str, sampler: SamplerSettings) -> TrajectoryPrior:
+def _load_prior(weights: Path | None, device: str, sampler: SamplerSettings) -> TrajectoryPrior:
     return TrajectoryPrior.load(weights, sampler, device=device)
 
 
 @dataclass(frozen=True, slots=True)
-class Earlier:
+class EarlierAdversary:
     """An adversary that a scene has already.
 
     ``key`` is the content key of the attempt that made it, ``start`` the frame of its launch.
@@ -60,7 +60,7 @@ class Earlier:
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class SearchUnit:
     """One vehicle of one scene of the source.
 
     ``earlier`` are the adversaries that the scene has already, in the order of their planning; ``asked`` is the
@@ -70,7 +70,7 @@ class Unit:
     scene_name: str
     agent: int
     agent_id: str
-    earlier: tuple[Earlier, ...] = ()
+    earlier: tuple[EarlierAdversary, ...] = ()
     asked: Manoeuvre | None = None
 
 
@@ -96,7 +96,7 @@ class Search:
     timings: Path
     asked: tuple[Manoeuvre, ...] = ()
 
-    def key(self, unit: Unit) -> str:
+    def key(self, unit: SearchUnit) -> str:
         """Content key of one attempt."""
         parts = (self.fingerprint, unit.scene_name, unit.agent_id, self.seed, self.hyper.fingerprint)
         chain = [[link.key for link in unit.earlier]] if unit.earlier else []
@@ -104,15 +104,15 @@ class Search:
         request = [] if unit.asked is None else [{"asked": unit.asked.value}]
         return content_key("attempt", ALGORITHM_VERSION, *parts, self.prior_fingerprint, *chain, verdict, *request)
 
-    def rounds_path(self, unit: Unit) -> Path:
+    def rounds_path(self, unit: SearchUnit) -> Path:
         """File of the rounds of one kept attempt."""
         return self.state / "rounds" / f"{self.key(unit)}.json"
 
-    def timing_path(self, unit: Unit) -> Path:
+    def timing_path(self, unit: SearchUnit) -> Path:
         """File that says how long an attempt took; no result depends on it."""
         return self.timings / "attempts" / f"{self.key(unit)}.timing.json"
 
-    def eligibility_key(self, scene_name: str, earlier: tuple[Earlier, ...]) -> str:
+    def compute_eligibility_key(self, scene_name: str, earlier: tuple[EarlierAdversary, ...]) -> str:
         """Content key of one choice of vehicles."""
         chain = [link.key for link in earlier]
         parts = (self.fingerprint, scene_name, self.seed, self.hyper.fingerprint, chain)
@@ -131,7 +131,7 @@ class Search:
             **({"asked": [kind.value for kind in self.asked]} if self.asked else {}),
         }
 
-    def rounds_facts(self, unit: Unit) -> dict[str, Any]:
+    def rounds_metadata(self, unit: SearchUnit) -> dict[str, Any]:
         """Facts on the search that the rounds of an attempt keep."""
         return {
             "trace": TRACE_VERSION,

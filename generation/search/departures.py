@@ -1,7 +1,7 @@
 """Where the presets ``paper`` and ``reference`` do not follow what they are named after, each with its reason.
 
 One list for ``generate --preset NAME --dry-run`` and for ``docs/generation.md``, which a test compares. What the paper
-leaves open is no departure; `READINGS` says how it is read and what each reading kept where it was tried.
+leaves open is no departure; `INTERPRETATIONS` says how it is read and what each reading kept where it was tried.
 """
 
 from dataclasses import dataclass, fields
@@ -11,20 +11,20 @@ from generation.search.hyperparameters import HyperParameters
 
 
 @dataclass(frozen=True, slots=True)
-class Departure:
+class PresetDifference:
     """One departure: what the paper or the code says and where, what is done here instead, and why."""
 
     said: str
-    instead: str
+    replacement: str
     reason: str
 
     def sentence(self) -> str:
         """For people."""
-        return f"{self.said}; here {self.instead}, because {self.reason}"
+        return f"{self.said}; here {self.replacement}, because {self.reason}"
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class PaperInterpretation:
     """A point that the paper leaves open or says in two ways, and the preset's reading of it.
 
     ``why`` tells which other readings were tried and what they kept, or why none was.
@@ -39,180 +39,180 @@ class Reading:
         return f"{self.open}: read as {self.taken} ({self.why})"
 
 
-_MODEL: Final = Departure(
+_MODEL: Final = PresetDifference(
     "the trajectory model is a transformer trained on nuPlan (section 3; the code's ig360_adv.ckpt)",
     "the packaged model samples, trained on other recordings",
     "the weights are not free to pass on; --denoiser FILE takes them",
 )
 
-_CLEAN: Final = Departure(
+_CLEAN: Final = PresetDifference(
     "a kept adversary is one that collides with nobody",
     "the recorded ego must also be clear of it in the eyes of the four native protocols (touches-under-...)",
     "a step at which it is not is masked: whatever a planner does there counts as clean",
 )
 
-PAPER: Final[tuple[Departure, ...]] = (
+PAPER: Final[tuple[PresetDifference, ...]] = (
     _MODEL,
-    Departure(
+    PresetDifference(
         "any background vehicle may be chosen (section 3, appendix Adv-nuSc)",
         "only four-wheeled ones are",
         "rear axle and wheelbase are taken as 0.3 and 0.6 of the length, which is a car's measure and no cycle's",
     ),
-    Departure(
+    PresetDifference(
         "the selected vehicle drives on from its motion (section 3)",
         "one that is recorded reversing starts from a stand",
         "the tracker follows headings and never reverses",
     ),
     _CLEAN,
-    Departure(
+    PresetDifference(
         "surviving scenes are ranked by their adversarial challenge score (appendix Adv-nuSc)",
         "they are ranked by how closely and how urgently the moving ego is pressed",
         "ACScore is normalised within a batch, so that those of two scenes cannot be compared",
     ),
-    Departure(
+    PresetDifference(
         "a random subset of the scenes is looked at by people (appendix Adv-nuSc)",
         "nobody has looked before data review is run on what was built",
         "a command cannot; rejected scenes are left out from then on (docs/extensions/review.md)",
     ),
-    Departure(
+    PresetDifference(
         "scenes are rendered by MagicDriveDiT (section 3)",
         "a schematic renderer draws unless --renderer magicdrive is given",
         "its weights are large and need a GPU",
     ),
 )
 
-REFERENCE: Final[tuple[Departure, ...]] = (
+REFERENCE: Final[tuple[PresetDifference, ...]] = (
     _MODEL,
-    Departure(
+    PresetDifference(
         "scores are single precision",
         "double precision",
         "every number here is; verify scoring counts the few verdicts that differ",
     ),
-    Departure(
+    PresetDifference(
         "one seeded stream of random numbers serves sampling, scores and the switch of the challenge",
         "each search has its own, asked once a planning frame for the switch",
         "a result must not depend on what else is computed",
     ),
-    Departure(
+    PresetDifference(
         "where every score is beyond about 103 the softmax underflows and the program ends",
         "the vehicle is dropped as scores-underflow",
         "one vehicle must not end a build",
     ),
-    Departure(
+    PresetDifference(
         "a candidate with NaN ends the program",
         "that candidate is never chosen",
         "one candidate must not end a build",
     ),
-    Departure(
+    PresetDifference(
         "a vehicle that is absent in the 16 frames before its launch is given positions of nothing",
         "it is not tried (no-frame-to-launch-at)",
         "there is no motion to go on from",
     ),
-    Departure(
+    PresetDifference(
         "objects that are absent in a frame are boxes without a size inside the ego",
         "they are left out",
         "whoever touches one touches the ego's box, so that no verdict changes",
     ),
-    Departure(
+    PresetDifference(
         "the road under a chosen vehicle is read from a raster around the ego at each frame",
         "from the polygons of the map",
         "they are what the raster is drawn from",
     ),
-    Departure(
+    PresetDifference(
         "which of the editable vehicles is edited is said by hand",
         "up to 10 are drawn by the seed, as the paper says",
         "a command has to choose",
     ),
-    Departure(
+    PresetDifference(
         "the functions' defaults are 20 rounds and temperature 0.1",
         "5 rounds and temperature 1",
         "the shipped script passes these",
     ),
-    Departure(
+    PresetDifference(
         "a scene is dropped if the adversary never comes within 15 m",
         "it is not",
         "the code's array is zero before the launch, so that its rule never fires",
     ),
-    Departure(
+    PresetDifference(
         "a bad scene is planned to its end and then dropped",
         "planning ends where the reason shows",
         "the result is the same",
     ),
-    Departure(
+    PresetDifference(
         "there is no order among scenes",
         "they are written in the order of our ranking",
         "--top and --per-scene need one; without them nothing is dropped for it",
     ),
 )
 
-READINGS: Final[tuple[Reading, ...]] = (
-    Reading(
+INTERPRETATIONS: Final[tuple[PaperInterpretation, ...]] = (
+    PaperInterpretation(
         "how long one of the 12 timesteps of H lasts (table of hyper-parameters)",
         "half a second, the rate of nuScenes' annotations",
         "1/12 s kept 1 of 35, and 28 could no longer avoid contact; 1/4 s 2 and 23; 1/2 s 2 and 14",
     ),
-    Reading(
+    PaperInterpretation(
         "short and long edges of the collision test (appendix, Trajectory Scoring)",
         "the words: whole edges",
         "the words kept 2 of 35, half edges 3, boxes alone 1: no more than chance, so the words stand",
     ),
-    Reading(
+    PaperInterpretation(
         "how much noise t_trunc adds (Algorithm 1)",
         "5, 4, 3, 2, 1 of 100 steps, as the code",
         "kept 2 of 35; from 50 down to 1 5 on as many recordings, farther away, with nine times the network calls",
     ),
-    Reading(
+    PaperInterpretation(
         "when a vehicle takes over that is not there at frame 0 (Algorithm 1)",
         "at its first frame in the area around the ego",
         "kept 2 of 35; within 25 m of the ego, as the default, 3: the nearest to the algorithm's frame 0 stands",
     ),
-    Reading("the size of a batch (section 3)", "256, as the code", "others were not tried"),
-    Reading(
+    PaperInterpretation("the size of a batch (section 3)", "256, as the code", "others were not tried"),
+    PaperInterpretation(
         "how near is close for a vehicle to be chosen (appendix Adv-nuSc)",
         "20 m between the centres, as the code",
         "others were not tried",
     ),
-    Reading(
+    PaperInterpretation(
         "how near it must get not to be dropped (appendix Adv-nuSc)",
         "4 m between the bodies, as the default",
         "others were not tried",
     ),
-    Reading(
+    PaperInterpretation(
         "argmax(R) in Algorithm 1, the highest score in section 3, lower is better in the appendix",
         "the lowest score",
         "the terms are penalties",
     ),
-    Reading(
+    PaperInterpretation(
         "noise is added to the batch in Algorithm 1, to what was drawn of it in section 3",
         "to what was drawn",
         "the draw would have no effect otherwise",
     ),
-    Reading(
+    PaperInterpretation(
         "ACStepWeight has T elements, Dist has H (appendix, Trajectory Scoring)",
         "H elements",
         "they are multiplied",
     ),
-    Reading(
+    PaperInterpretation(
         "collisions with other vehicles (appendix) or with any object (section 3)",
         "with any object that is there",
         "a scene in which it touches a pedestrian has no safe way either",
     ),
-    Reading(
+    PaperInterpretation(
         "the loop from 0 to the number of rounds (Algorithm 1)",
         "5 rounds after the first batch",
         "the code's count",
     ),
-    Reading(
+    PaperInterpretation(
         "what is a point outside the bird's-eye view",
         "off the road; the view is 100 m wide, of the planning frame, in cells of 0.5 m",
         "there is no road to be seen there",
     ),
-    Reading(
+    PaperInterpretation(
         "which motion lies between waypoints",
         "a natural cubic spline at 12 Hz",
         "straight lines have corners that the tracker would follow",
     ),
-    Reading(
+    PaperInterpretation(
         "how long a vehicle drives that leaves the recording early, or comes late",
         "to the end of the scene; it is not chosen with less than a second left",
         "Algorithm 1 goes on to the end",
@@ -221,7 +221,7 @@ READINGS: Final[tuple[Reading, ...]] = (
 """Measured on the first five vehicles of each of seven recordings, seed 0, 20 network calls for a first batch."""
 
 
-def departures(preset: str, hyper: HyperParameters) -> tuple[Departure, ...]:
+def list_differences(preset: str, hyper: HyperParameters) -> tuple[PresetDifference, ...]:
     """Departures of a search from what its preset is named after (``paper`` or ``reference``).
 
     Settings that were changed are departures, too; ``default`` follows neither and has none.
@@ -234,7 +234,7 @@ def departures(preset: str, hyper: HyperParameters) -> tuple[Departure, ...]:
         case _:
             return ()
     changed = [
-        Departure(
+        PresetDifference(
             f"{setting.name} is {getattr(preset_hyper, setting.name)}",
             f"it is {getattr(hyper, setting.name)}",
             "it was asked for",
@@ -245,15 +245,15 @@ def departures(preset: str, hyper: HyperParameters) -> tuple[Departure, ...]:
     return (*changed, *known)
 
 
-def told(preset: str, hyper: HyperParameters) -> list[str]:
+def format_differences(preset: str, hyper: HyperParameters) -> list[str]:
     """Lines for ``--dry-run``: departures, then how the paper is read where it leaves something open."""
-    differences = departures(preset, hyper)
+    differences = list_differences(preset, hyper)
     if not differences:
         return []
     lines = [
         f"preset {preset} departs from the {'text' if preset == 'paper' else 'code'} in {len(differences)} points:"
     ]
     lines += [f"- {point.sentence()}" for point in differences]
-    if preset == "paper" and READINGS:
-        lines += ["what the text leaves open:", *(f"- {point.sentence()}" for point in READINGS)]
+    if preset == "paper" and INTERPRETATIONS:
+        lines += ["what the text leaves open:", *(f"- {point.sentence()}" for point in INTERPRETATIONS)]
     return lines

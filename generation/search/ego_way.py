@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Floats, wrap_angle
-from benchmark.machine.last_made import LastMade
+from benchmark.machine.last_made import IdentityCache
 from benchmark.scene import Scene
 from generation.labels.encounters import PathFrame
 
@@ -25,7 +25,7 @@ SPEED_FRAMES: Final = FRAMES_PER_KEYFRAME // 2
 
 
 @dataclass(frozen=True, slots=True)
-class EgoWay:
+class RecordedEgoPath:
     """The recorded ego along its own path.
 
     Attributes:
@@ -57,9 +57,11 @@ class EgoWay:
         edge = np.diff(path.vertices, axis=0)
         segment = np.clip(np.searchsorted(path.stations, stations, side="right") - 1, 0, len(edge) - 1)
         headings = np.arctan2(edge[segment, 1], edge[segment, 0])
-        speed = smooth_speed(path.ego_stations, scene.seconds)
+        speed = compute_smooth_speed(path.ego_stations, scene.seconds)
         # Who is to be there when it matters has to come a little earlier.
-        over = maximum_filter1d(overrun(path.ego_stations, speed), 2 * round(AROUND_S * FRAME_HZ) + 1, mode="nearest")
+        over = maximum_filter1d(
+            compute_overrun(path.ego_stations, speed), 2 * round(AROUND_S * FRAME_HZ) + 1, mode="nearest"
+        )
         return cls(points, headings, stations, path.ego_stations, speed, over, float(ego[0, 2]), float(ego[0, 3]))
 
     def places(self, poses: Floats, first: int, last: int) -> tuple[Floats, Floats, Floats]:
@@ -78,18 +80,18 @@ class EgoWay:
         return station, offset, wrap_angle(poses[..., 2] - headings[nearest])
 
 
-ego_way: Final = LastMade[Scene, EgoWay](EgoWay.of, kept=2)
-"""`EgoWay.of`, which several terms of a search ask for."""
+get_ego_path: Final = IdentityCache[Scene, RecordedEgoPath](RecordedEgoPath.of, kept=2)
+"""`RecordedEgoPath.of`, which several terms of a search ask for."""
 
 
-def smooth_speed(station: Floats, seconds: Floats) -> Floats:
+def compute_smooth_speed(station: Floats, seconds: Floats) -> Floats:
     """(T,) m/s over a quarter of a second to both sides of (T,) stations: one noisy frame would overrun by metres."""
     frames = np.arange(len(station))
     first, last = (np.clip(frames + reach, 0, frames[-1]) for reach in (-SPEED_FRAMES, SPEED_FRAMES))
     return np.asarray((station[last] - station[first]) / np.maximum(seconds[last] - seconds[first], 1e-9))
 
 
-def overrun(station: Floats, speed: Floats) -> Floats:
+def compute_overrun(station: Floats, speed: Floats) -> Floats:
     """Distance ahead of the recorded ego at which one would be that had kept its speed.
 
     ``o(t) = max over t' in {t, t - 0.5 s, ..., t - 3 s} of s(t') + u(t') (t - t') - s(t)``.

@@ -14,7 +14,7 @@ from benchmark.dynamics.reference_path import WAYPOINTS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
-from generation.search.threat_settings import NEUTRAL, ThreatSettings, parsed
+from generation.search.threat_settings import NEUTRAL, ThreatSettings, parse_setting
 
 CANDIDATE_FRAMES = WAYPOINTS * FRAMES_PER_KEYFRAME
 """Frames that a candidate lasts: 8 s at 12 Hz."""
@@ -35,7 +35,7 @@ _NOT_NEGATIVE = (
     "challenge_first_weight", "lookahead_weight", "lookahead_challenge_weight", "init_least", "manoeuvre_weight",
     *(each.name for each in fields(ThreatSettings)),
 )  # fmt: skip
-_OF_THE_VERDICT = ("solvable",)
+_VERDICT_SETTINGS = ("solvable",)
 """Settings that no track depends on, and so no random number either: never a part of the fingerprint."""
 
 
@@ -54,14 +54,14 @@ class CollisionReading(StrEnum):
     HALF = "half"
 
 
-class ScoreOf(StrEnum):
+class ScoreDefinition(StrEnum):
     """Whose score: the appendix's (`generation.search.scoring`), or the code's (`reference_scoring` beside it)."""
 
     APPENDIX = "appendix"
     REFERENCE = "reference"
 
 
-class Motion(StrEnum):
+class ExecutionModel(StrEnum):
     """Motion of a planned vehicle.
 
     ``DRIVER``: `MotionModel.si`, within what a driver does. ``UNLIMITED``: the same tracker and bicycle without a
@@ -74,14 +74,14 @@ class Motion(StrEnum):
     REFERENCE = "reference"
 
 
-class ChoiceOf(StrEnum):
+class VehicleChoiceRule(StrEnum):
     """Whose rules say which vehicles may become adversaries: ours, with our limits, or the reference code's."""
 
     OURS = "ours"
     REFERENCE = "reference"
 
 
-class Launch(StrEnum):
+class LaunchRule(StrEnum):
     """When an adversary takes over.
 
     ``NEAR``: once it is near the ego, after a history, driving forwards on the road. ``START``: at the first frame at
@@ -96,7 +96,7 @@ class Launch(StrEnum):
     REACH = "reach"
 
 
-class Discards(StrEnum):
+class DiscardRules(StrEnum):
     """Reasons for which a scene is dropped.
 
     ``OURS``: all of `generation.search.verify`. ``PAPER``: of it, what the paper names. ``REFERENCE``: what the code
@@ -229,11 +229,11 @@ class HyperParameters(ThreatSettings):
     varied: bool = True
     init_least: float = 0.0
     manoeuvre_weight: float = 2.0
-    score: ScoreOf = ScoreOf.APPENDIX
-    motion: Motion = Motion.DRIVER
-    choice: ChoiceOf = ChoiceOf.OURS
-    launch: Launch = Launch.NEAR
-    discards: Discards = Discards.OURS
+    score: ScoreDefinition = ScoreDefinition.APPENDIX
+    motion: ExecutionModel = ExecutionModel.DRIVER
+    choice: VehicleChoiceRule = VehicleChoiceRule.OURS
+    launch: LaunchRule = LaunchRule.NEAR
+    discards: DiscardRules = DiscardRules.OURS
     solvable: bool = True
 
     @classmethod
@@ -255,9 +255,9 @@ class HyperParameters(ThreatSettings):
             best_of_all_rounds=False,
             timestep_frames=6,
             varied=False,
-            motion=Motion.UNLIMITED,
-            launch=Launch.START,
-            discards=Discards.PAPER,
+            motion=ExecutionModel.UNLIMITED,
+            launch=LaunchRule.START,
+            discards=DiscardRules.PAPER,
             solvable=False,
         )
 
@@ -275,11 +275,11 @@ class HyperParameters(ThreatSettings):
             best_of_all_rounds=False,
             stable_softmax=False,
             init_least=0.02,
-            score=ScoreOf.REFERENCE,
-            motion=Motion.REFERENCE,
-            choice=ChoiceOf.REFERENCE,
-            launch=Launch.REFERENCE,
-            discards=Discards.REFERENCE,
+            score=ScoreDefinition.REFERENCE,
+            motion=ExecutionModel.REFERENCE,
+            choice=VehicleChoiceRule.REFERENCE,
+            launch=LaunchRule.REFERENCE,
+            discards=DiscardRules.REFERENCE,
             solvable=False,
         )
 
@@ -306,7 +306,7 @@ class HyperParameters(ThreatSettings):
                     f"did you mean {near[0]}?" if near else "names are the fields of generation.search.hyperparameters"
                 )
                 raise InputError(f"{assignment!r} is not NAME=VALUE of a hyper-parameter; {hint}")
-            values[name] = parsed(name, text, kinds[name])
+            values[name] = parse_setting(name, text, kinds[name])
         return replace(self, **values)
 
     def __post_init__(self) -> None:
@@ -335,9 +335,13 @@ class HyperParameters(ThreatSettings):
 
         Settings that no track depends on are left out: random numbers are seeded by it.
         """
-        values = {name: value for name, value in asdict(self).items() if name not in _OF_THE_VERDICT}
+        values = {name: value for name, value in asdict(self).items() if name not in _VERDICT_SETTINGS}
         return content_key(
-            {name: values[name] for name in values if name not in _ADDED or values[name] != _ADDED[name]}
+            {
+                name: values[name]
+                for name in values
+                if name not in _LATER_SETTINGS or values[name] != _LATER_SETTINGS[name]
+            }
         )
 
     @property
@@ -348,13 +352,13 @@ class HyperParameters(ThreatSettings):
     @property
     def scored_frames(self) -> tuple[int, ...]:
         """Frames after the planning frame that are scored: H timesteps and the sampled tail; the reference's 0..80."""
-        if self.score is ScoreOf.REFERENCE:
+        if self.score is ScoreDefinition.REFERENCE:
             return tuple(range(REFERENCE_POSES))
         last, step = self.executed_frames, self.timestep_frames
         tail = range(last + self.lookahead_stride, last + self.lookahead_frames + 1)
         return (*range(step, last + 1, step), *tail[:: self.lookahead_stride])
 
-    def safety_step_weights(self) -> Floats:
+    def compute_safety_step_weights(self) -> Floats:
         """Step weights of drivable area compliance and collisions at ``scored_frames``.
 
         Appendix: "quadratically decreasing from 1.0 to 0.85" over the horizon; a constant over the tail.
@@ -363,20 +367,20 @@ class HyperParameters(ThreatSettings):
         tail = len(self.scored_frames) - self.horizon
         return np.concatenate([head, np.full(tail, self.lookahead_weight * self.lookahead_stride)])
 
-    def challenge_step_weights(self) -> Floats:
+    def compute_challenge_step_weights(self) -> Floats:
         """Step weights of the challenge at ``scored_frames``: "linearly increasing from 0.7 to 1.0", then the tail."""
         head = np.linspace(self.challenge_first_weight, 1.0, self.horizon)
         tail = len(self.scored_frames) - self.horizon
         return np.concatenate([head, np.full(tail, self.lookahead_challenge_weight * self.lookahead_stride)])
 
-    def motion_model(self) -> MotionModel:
+    def build_motion_model(self) -> MotionModel:
         """The physics that executes plans."""
         match self.motion:
-            case Motion.DRIVER:
+            case ExecutionModel.DRIVER:
                 return MotionModel.si()
-            case Motion.UNLIMITED:
+            case ExecutionModel.UNLIMITED:
                 return replace(MotionModel.si(), limits=None)
-            case Motion.REFERENCE:
+            case ExecutionModel.REFERENCE:
                 return MotionModel.reference()
 
     def noise_levels(self) -> tuple[int, ...]:
@@ -386,9 +390,9 @@ class HyperParameters(ThreatSettings):
         return tuple(int(level) for level in np.rint(np.linspace(self.first_noise_level, 1, self.rounds)))
 
 
-_ADDED: Final[dict[str, Any]] = {
-    "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreOf.APPENDIX, "motion": Motion.DRIVER,
-    "choice": ChoiceOf.OURS, "launch": Launch.NEAR, "discards": Discards.OURS, "manoeuvre_weight": 2.0,
+_LATER_SETTINGS: Final[dict[str, Any]] = {
+    "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreDefinition.APPENDIX, "motion": ExecutionModel.DRIVER,
+    "choice": VehicleChoiceRule.OURS, "launch": LaunchRule.NEAR, "discards": DiscardRules.OURS, "manoeuvre_weight": 2.0,
     **asdict(NEUTRAL),
 }  # fmt: skip
 """Settings that came when searches had been kept already, as searches had them then: so they are no part of the key."""

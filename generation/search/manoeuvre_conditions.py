@@ -28,7 +28,7 @@ from generation.labels.manoeuvres import (
     TAILGATING_S,
     Manoeuvre,
 )
-from generation.search.ego_way import EgoWay
+from generation.search.ego_way import RecordedEgoPath
 
 MOST_MISSING_M: Final = 30.0
 """What is farther away than this is as far as anything else."""
@@ -50,7 +50,7 @@ _SIDES: Final = {"left": 1.0, "right": -1.0}
 
 
 @dataclass(frozen=True, slots=True)
-class EgoThen:
+class EgoAtFrames:
     """The ego at S frames: (S,) their indices, their times, stations of its centre, and speeds in m/s.
 
     Attributes:
@@ -59,7 +59,7 @@ class EgoThen:
         half_width: Of the ego, and of the strip that it sweeps.
     """
 
-    way: EgoWay
+    way: RecordedEgoPath
     frames: tuple[int, ...]
     seconds: Floats
     station: Floats
@@ -70,9 +70,9 @@ class EgoThen:
     half_width: float
 
     @classmethod
-    def of(cls, scene: Scene, frames: tuple[int, ...], way: EgoWay | None = None) -> Self:
+    def of(cls, scene: Scene, frames: tuple[int, ...], way: RecordedEgoPath | None = None) -> Self:
         """The ego of a scene at S frame indices; ``way`` is its way, where that is known."""
-        way = way or EgoWay.of(scene)
+        way = way or RecordedEgoPath.of(scene)
         seconds, at = scene.seconds, np.asarray(frames)
         half_length = 0.5 * way.length_m
         later, before = seconds[at] + HORIZON_S, seconds[at] - HORIZON_S
@@ -91,7 +91,7 @@ class EgoThen:
 
 
 @dataclass(frozen=True)
-class Placed:
+class ManoeuvrePlacement:
     """Candidates beside the ego, (B, S) each.
 
     Attributes:
@@ -104,7 +104,7 @@ class Placed:
         half_width: Half the extent across it.
     """
 
-    ego: EgoThen
+    ego: EgoAtFrames
     station: Floats
     offset: Floats
     turn: Floats
@@ -115,7 +115,7 @@ class Placed:
     half_width: Floats
 
     @classmethod
-    def of(cls, ego: EgoThen, center: Floats, speed: Floats, size: Floats) -> "Placed":
+    def of(cls, ego: EgoAtFrames, center: Floats, speed: Floats, size: Floats) -> "ManoeuvrePlacement":
         """Place candidates at the ego's S frames.
 
         (B, S, 3) poses of box centres, (B, S) speeds in m/s, (2,) length and width.
@@ -130,7 +130,7 @@ class Placed:
             turn=turn,
             speed=speed,
             along=along,
-            braking=_braking(along, ego.seconds),
+            braking=_compute_braking(along, ego.seconds),
             half_length=0.5 * (size[0] * cos + size[1] * sin),
             half_width=0.5 * (size[0] * sin + size[1] * cos),
         )
@@ -157,53 +157,53 @@ class Placed:
 
     def inside(self) -> Floats:
         """Metres missing to reach into the strip."""
-        return _short(BEYOND_M + self.side_gap)
+        return _clip_missing(BEYOND_M + self.side_gap)
 
-    def outside(self, side: float) -> Floats:
+    def missing_outside(self, side: float) -> Floats:
         """Metres missing to be beside the strip, clear of it: on a side, or on the nearer one (0)."""
         to_side = np.abs(self.offset) if side == 0.0 else side * self.offset
-        return _short(BESIDE_AIM_M - (to_side - self.half_width - self.ego.half_width))
+        return _clip_missing(BESIDE_AIM_M - (to_side - self.half_width - self.ego.half_width))
 
-    def overtaken(self) -> Floats:
+    def missing_overtaken(self) -> Floats:
         """Metres missing for its rear to be clear of the ego's front."""
-        return _short(PAST_M - self.room)
+        return _clip_missing(PAST_M - self.room)
 
-    def fallen_back(self) -> Floats:
+    def missing_fallen_back(self) -> Floats:
         """Metres missing for its front to be clear of the ego's rear."""
-        return _short(PAST_M - self.distance_behind)
+        return _clip_missing(PAST_M - self.distance_behind)
 
-    def near_side(self, side: float, gap_m: float) -> Floats:
+    def missing_near_side(self, side: float, gap_m: float) -> Floats:
         """Metres missing to be outside the strip on a side and at most so far from it."""
         own = side * self.offset - self.half_width - self.ego.half_width
-        return _short(own - gap_m + BEYOND_M) + _short(-own)
+        return _clip_missing(own - gap_m + BEYOND_M) + _clip_missing(-own)
 
     def ahead(self) -> Floats:
         """Metres missing to have the centre ahead of the ego's."""
-        return _short(BEYOND_M + self.ego.station - self.station)
+        return _clip_missing(BEYOND_M + self.ego.station - self.station)
 
     def behind(self) -> Floats:
         """Metres missing to have it behind."""
-        return _short(BEYOND_M + self.station - self.ego.station)
+        return _clip_missing(BEYOND_M + self.station - self.ego.station)
 
-    def reached(self) -> Floats:
+    def missing_reached(self) -> Floats:
         """Metres missing for the ego to be at the vehicle's place within 3 s."""
-        return _short(self.station - self.half_length - self.ego.soon + BEYOND_M)
+        return _clip_missing(self.station - self.half_length - self.ego.soon + BEYOND_M)
 
     def abreast(self) -> Floats:
         """Metres missing for the bodies to overlap along the path."""
-        return _short(np.maximum(self.room, self.distance_behind) + BEYOND_M)
+        return _clip_missing(np.maximum(self.room, self.distance_behind) + BEYOND_M)
 
-    def headed(self, toward_rad: float) -> Floats:
+    def missing_heading(self, toward_rad: float) -> Floats:
         """Metres missing to head along, across or against the path, to either side."""
         off = np.abs(np.abs(self.turn) - toward_rad)
-        return RADIAN_M * _short(off - ALONG_RAD)
+        return RADIAN_M * _clip_missing(off - ALONG_RAD)
 
 
-def _short(value: Floats) -> Floats:
+def _clip_missing(value: Floats) -> Floats:
     return np.maximum(value, 0.0)
 
 
-def _braking(along: Floats, seconds: Floats) -> Floats:
+def _compute_braking(along: Floats, seconds: Floats) -> Floats:
     """(B, S) deceleration over the second around each frame, or what there is of it."""
     if len(seconds) < 2:
         return np.zeros_like(along)
@@ -212,91 +212,97 @@ def _braking(along: Floats, seconds: Floats) -> Floats:
     return np.asarray((along[:, before] - along[:, after]) / np.maximum(seconds[after] - seconds[before], 1e-9))
 
 
-def _cut_in(placed: Placed, side: float) -> Floats:
+def _compute_missing_cut_in(placed: ManoeuvrePlacement, side: float) -> Floats:
     """From outside on one side into the strip, ahead, reached within 3 s; `asked_manoeuvres.Wish` says when."""
-    return placed.inside() + placed.ahead() + placed.reached() + placed.headed(0.0)
+    return placed.inside() + placed.ahead() + placed.missing_reached() + placed.missing_heading(0.0)
 
 
-def _into_position(placed: Placed, side: float) -> Floats:
+def _approach_cut_in(placed: ManoeuvrePlacement, side: float) -> Floats:
     """Past the ego on the outside: who is behind it or abreast cannot come in."""
-    return _PREPARING_M + placed.outside(side) + placed.overtaken() + 0.5 * placed.reached() + placed.headed(0.0)
+    return (
+        _PREPARING_M
+        + placed.missing_outside(side)
+        + placed.missing_overtaken()
+        + 0.5 * placed.missing_reached()
+        + placed.missing_heading(0.0)
+    )
 
 
-def _out_of_the_way(placed: Placed) -> Floats:
+def _let_ego_pass(placed: ManoeuvrePlacement) -> Floats:
     """Likewise the other way round: let the ego pass."""
-    return _PREPARING_M + placed.outside(0.0) + placed.fallen_back() + placed.headed(0.0)
+    return _PREPARING_M + placed.missing_outside(0.0) + placed.missing_fallen_back() + placed.missing_heading(0.0)
 
 
-def _braking_ahead(placed: Placed, side: float) -> Floats:
-    position_m = placed.inside() + placed.ahead() + placed.reached() + placed.headed(0.0)
-    return position_m + SPEED_S**2 * _short(BRAKING_M_S2 + BEYOND_M_S2 - placed.braking)
+def _compute_missing_braking_ahead(placed: ManoeuvrePlacement, side: float) -> Floats:
+    position_m = placed.inside() + placed.ahead() + placed.missing_reached() + placed.missing_heading(0.0)
+    return position_m + SPEED_S**2 * _clip_missing(BRAKING_M_S2 + BEYOND_M_S2 - placed.braking)
 
 
-def _blocking(placed: Placed, side: float) -> Floats:
-    late = _short(placed.room - BLOCKING_S * np.maximum(placed.closing, CLOSING_M_S))
-    slow = SPEED_S * _short(CLOSING_M_S + BEYOND_M - placed.closing)
-    turned = np.minimum(placed.headed(0.0), SPEED_S * _short(placed.speed - MOVING_M_S))
+def _compute_missing_blocking(placed: ManoeuvrePlacement, side: float) -> Floats:
+    late = _clip_missing(placed.room - BLOCKING_S * np.maximum(placed.closing, CLOSING_M_S))
+    slow = SPEED_S * _clip_missing(CLOSING_M_S + BEYOND_M - placed.closing)
+    turned = np.minimum(placed.missing_heading(0.0), SPEED_S * _clip_missing(placed.speed - MOVING_M_S))
     return np.asarray(placed.inside() + placed.ahead() + turned + slow + late)
 
 
-def _oncoming(placed: Placed, side: float) -> Floats:
-    facing = placed.ahead() + _short(placed.side_gap - SQUEEZING_M + BEYOND_M)
-    late = _short(placed.room - HORIZON_S * np.maximum(placed.closing, MOVING_M_S))
-    passing = placed.abreast() + _short(placed.side_gap - SQUEEZING_M)
-    return np.asarray(placed.headed(np.pi) + np.minimum(facing + late, passing))
+def _compute_missing_oncoming(placed: ManoeuvrePlacement, side: float) -> Floats:
+    facing = placed.ahead() + _clip_missing(placed.side_gap - SQUEEZING_M + BEYOND_M)
+    late = _clip_missing(placed.room - HORIZON_S * np.maximum(placed.closing, MOVING_M_S))
+    passing = placed.abreast() + _clip_missing(placed.side_gap - SQUEEZING_M)
+    return np.asarray(placed.missing_heading(np.pi) + np.minimum(facing + late, passing))
 
 
-def _crossing(placed: Placed, side: float) -> Floats:
+def _compute_missing_crossing(placed: ManoeuvrePlacement, side: float) -> Floats:
     rear, front = placed.station - placed.half_length, placed.station + placed.half_length
-    apart = _short(rear - placed.ego.soon) + _short(placed.ego.recent - front)
-    return placed.headed(0.5 * np.pi) + placed.inside() + apart
+    apart = _clip_missing(rear - placed.ego.soon) + _clip_missing(placed.ego.recent - front)
+    return placed.missing_heading(0.5 * np.pi) + placed.inside() + apart
 
 
-def _squeezing(placed: Placed, side: float) -> Floats:
-    return placed.abreast() + placed.near_side(side, SQUEEZING_M)
+def _compute_missing_squeezing(placed: ManoeuvrePlacement, side: float) -> Floats:
+    return placed.abreast() + placed.missing_near_side(side, SQUEEZING_M)
 
 
-def _overtaking(placed: Placed, side: float) -> Floats:
-    gained = _short(OVERTAKEN_M + 2.0 * BEYOND_M - (placed.station - placed.ego.station))
-    return gained + placed.near_side(side, BESIDE_M) + placed.headed(0.0)
+def _compute_missing_overtaking(placed: ManoeuvrePlacement, side: float) -> Floats:
+    gained = _clip_missing(OVERTAKEN_M + 2.0 * BEYOND_M - (placed.station - placed.ego.station))
+    return gained + placed.missing_near_side(side, BESIDE_M) + placed.missing_heading(0.0)
 
 
-def _blind_spot(placed: Placed, side: float) -> Floats:
+def _compute_missing_blind_spot(placed: ManoeuvrePlacement, side: float) -> Floats:
     front = placed.station + placed.half_length
-    early = _short(placed.ego.station - placed.ego.half_length - BLIND_SPOT_M + BEYOND_M - front)
-    late = _short(front - placed.ego.station + BEYOND_M)
-    return early + late + placed.near_side(side, BLIND_SPOT_M) + placed.headed(0.0)
+    early = _clip_missing(placed.ego.station - placed.ego.half_length - BLIND_SPOT_M + BEYOND_M - front)
+    late = _clip_missing(front - placed.ego.station + BEYOND_M)
+    return early + late + placed.missing_near_side(side, BLIND_SPOT_M) + placed.missing_heading(0.0)
 
 
-def _trailing(placed: Placed, gap_s: float) -> Floats:
-    late = _short(placed.distance_behind - gap_s * np.maximum(placed.along, MOVING_M_S) + BEYOND_M)
-    return placed.inside() + placed.behind() + late + placed.headed(0.0)
+def _compute_missing_trailing(placed: ManoeuvrePlacement, gap_s: float) -> Floats:
+    late = _clip_missing(placed.distance_behind - gap_s * np.maximum(placed.along, MOVING_M_S) + BEYOND_M)
+    return placed.inside() + placed.behind() + late + placed.missing_heading(0.0)
 
 
-def _tailgating(placed: Placed, side: float) -> Floats:
-    return _trailing(placed, TAILGATING_S)
+def _compute_missing_tailgating(placed: ManoeuvrePlacement, side: float) -> Floats:
+    return _compute_missing_trailing(placed, TAILGATING_S)
 
 
-def _following(placed: Placed, side: float) -> Floats:
-    return _trailing(placed, HORIZON_S)
+def _compute_missing_following(placed: ManoeuvrePlacement, side: float) -> Floats:
+    return _compute_missing_trailing(placed, HORIZON_S)
 
 
-def _leading(placed: Placed, side: float) -> Floats:
-    return placed.inside() + placed.ahead() + placed.reached() + placed.headed(0.0)
+def _compute_missing_leading(placed: ManoeuvrePlacement, side: float) -> Floats:
+    return placed.inside() + placed.ahead() + placed.missing_reached() + placed.missing_heading(0.0)
 
 
-_MISSING: Final[dict[str, Callable[[Placed, float], Floats]]] = {
-    "oncoming": _oncoming,
-    "crossing": _crossing,
-    "cut-in": _cut_in,
-    "braking-ahead": _braking_ahead,
-    "blocking": _blocking,
-    "squeezing": _squeezing,
-    "overtaking": _overtaking,
-    "tailgating": _tailgating,
-    "blind-spot": _blind_spot,
-    "leading": _leading,
-    "following": _following,
+_MISSING: Final[dict[str, Callable[[ManoeuvrePlacement, float], Floats]]] = {
+    "oncoming": _compute_missing_oncoming,
+    "crossing": _compute_missing_crossing,
+    "cut-in": _compute_missing_cut_in,
+    "braking-ahead": _compute_missing_braking_ahead,
+    "blocking": _compute_missing_blocking,
+    "squeezing": _compute_missing_squeezing,
+    "overtaking": _compute_missing_overtaking,
+    "tailgating": _compute_missing_tailgating,
+    "blind-spot": _compute_missing_blind_spot,
+    "leading": _compute_missing_leading,
+    "following": _compute_missing_following,
 }
 
 
@@ -306,22 +312,22 @@ BEHIND: Final = frozenset(("tailgating", "following"))
 """Families for which the ego must have got past the vehicle."""
 
 
-def family_and_side(kind: Manoeuvre) -> tuple[str, float]:
+def split_side(kind: Manoeuvre) -> tuple[str, float]:
     """Name of a kind without its side, and the side: 1 left, -1 right, 0 for kinds without."""
     family, _, side = kind.value.rpartition("-")
     return (family, _SIDES[side]) if side in _SIDES else (kind.value, 0.0)
 
 
-def missing(kind: Manoeuvre, placed: Placed, *, ready: bool = True) -> Floats:
+def compute_missing(kind: Manoeuvre, placed: ManoeuvrePlacement, *, ready: bool = True) -> Floats:
     """Metres, (B, S) and at most `MOST_MISSING_M`, that are missing until the conditions of a kind hold.
 
     ``ready`` is for cut-ins: whether the vehicle was outside on that side just now, and may come in.
     """
-    family, side = family_and_side(kind)
+    family, side = split_side(kind)
     distance = _MISSING[family](placed, side)
     if family in IN_FRONT:
-        in_position = (placed.overtaken() == 0.0) & (ready or family != "cut-in")
-        distance = np.where(in_position, distance, _into_position(placed, side))
+        in_position = (placed.missing_overtaken() == 0.0) & (ready or family != "cut-in")
+        distance = np.where(in_position, distance, _approach_cut_in(placed, side))
     elif family in BEHIND:
-        distance = np.where(placed.fallen_back() == 0.0, distance, _out_of_the_way(placed))
+        distance = np.where(placed.missing_fallen_back() == 0.0, distance, _let_ego_pass(placed))
     return np.asarray(np.minimum(distance, MOST_MISSING_M))

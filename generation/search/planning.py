@@ -11,30 +11,30 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
-from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, rear_axle, simulate
+from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, compute_rear_axle, simulate
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.records.attempts import PlanningFrame
 from benchmark.records.scenes import TraceFrame
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.labels.manoeuvres import Manoeuvre
-from generation.search.asked_manoeuvres import Wish
-from generation.search.hyperparameters import Discards, HyperParameters, Motion, ScoreOf
+from generation.search.asked_manoeuvres import ManoeuvreRequest
+from generation.search.hyperparameters import DiscardRules, ExecutionModel, HyperParameters, ScoreDefinition
 from generation.search.proposals import Diversify, SearchSteps
-from generation.search.recorded_motion import in_canvas, initial_state
+from generation.search.recorded_motion import compute_initial_state, is_in_canvas
 from generation.search.reference_scoring import (
     SPEED_FRAMES,
     STEP_FRAMES,
-    challenge_on,
-    reference_previous,
-    reference_state,
-    reference_surroundings,
-    reference_terms,
+    build_reference_surroundings,
+    compute_reference_previous,
+    compute_reference_state,
+    compute_reference_terms,
+    is_challenge_on,
 )
-from generation.search.refinement import Evaluated, NothingToDraw, Refinement, refine, rounds_of
-from generation.search.scoring import Surroundings, Terms, score_terms, surroundings
-from generation.search.threat import threat_rating
-from generation.search.verify import EGO, Discard, Finding, contacts
+from generation.search.refinement import EvaluatedBatch, Refinement, ResamplingUnderflowError, build_trace_frame, refine
+from generation.search.scoring import ScoreTerms, ScoringSurroundings, build_surroundings, compute_score_terms
+from generation.search.threat import build_threat_rating
+from generation.search.verify import EGO, DiscardReason, VerificationFailure, find_contacts
 
 WORST_SCORE: Final = 7.0
 """A scene in which the best candidate of any planning frame scores higher is dropped."""
@@ -42,14 +42,16 @@ FARTHEST_M: Final = 50.0
 """From the ego's rear axle, along either axis of the map."""
 
 
-def fault_of_step(best_score: float, frame: int) -> Finding | None:
+def find_score_failure(best_score: float, frame: int) -> VerificationFailure | None:
     """Why the reference code drops a scene after a planning frame: its best candidate is too bad."""
     if best_score <= WORST_SCORE:
         return None
-    return Finding(Discard.SCORES_TOO_HIGH, frame, quantity="best score", value=best_score, limit=WORST_SCORE)
+    return VerificationFailure(
+        DiscardReason.SCORES_TOO_HIGH, frame, quantity="best score", value=best_score, limit=WORST_SCORE
+    )
 
 
-def fault_of_place(scene: Scene, centers: Floats, first: int) -> Finding | None:
+def find_distance_failure(scene: Scene, centers: Floats, first: int) -> VerificationFailure | None:
     """Why the reference code drops a scene for where its adversary was: 50 m from the ego along an axis of the map.
 
     (F, 2) ``centers`` of the adversary begin at frame ``first``; the scene's last frame is not looked at.
@@ -57,11 +59,11 @@ def fault_of_place(scene: Scene, centers: Floats, first: int) -> Finding | None:
     last = len(scene.timestamps_us) - 1
     offset = np.abs(centers[: last - first] - scene.ego.pose[first : first + len(centers)][: last - first, :2])
     out = np.flatnonzero((offset > FARTHEST_M).any(axis=1))
-    return Finding(Discard.LEAVES_AREA, first + int(out[0])) if len(out) else None
+    return VerificationFailure(DiscardReason.LEAVES_AREA, first + int(out[0])) if len(out) else None
 
 
 @dataclass(frozen=True, slots=True)
-class Driven:
+class PlannedTrack:
     """Executed track of an adversary, and how it was planned.
 
     Attributes:
@@ -72,11 +74,11 @@ class Driven:
     poses: Floats
     plans: tuple[PlanningFrame, ...]
     rounds: tuple[TraceFrame, ...]
-    gave_up: Finding | None
+    failure: VerificationFailure | None
 
 
 @dataclass(frozen=True, slots=True)
-class Planning:
+class AdversaryPlanning:
     """Planning frames of one adversary, one after the other.
 
     Attributes:
@@ -97,88 +99,92 @@ class Planning:
     asked: Manoeuvre | None = None
     road_around: Floats | None = None
 
-    def run(self) -> SearchSteps[Driven]:
+    def run(self) -> SearchSteps[PlannedTrack]:
         """Plan and execute to the end of the scene, or to where there is no use in going on."""
-        track = [self.first_pose()[None]]
-        state = self.first_state()
+        track = [self.find_first_pose()[None]]
+        state = self.compute_first_state()
         plans: list[PlanningFrame] = []
         rounds: list[TraceFrame] = []
-        finding: Finding | None = None
+        finding: VerificationFailure | None = None
         for frame in range(self.start, len(self.scene.timestamps_us) - 1, self.hyper.executed_frames):
             try:
                 refinement = yield from self.plan(frame, state, np.concatenate(track))
-            except NothingToDraw:
-                finding = Finding(Discard.NOTHING_TO_DRAW, frame)
+            except ResamplingUnderflowError:
+                finding = VerificationFailure(DiscardReason.NOTHING_TO_DRAW, frame)
                 break
             steps = min(self.hyper.executed_frames, len(self.scene.timestamps_us) - 1 - frame)
             executed = refinement.motion.center[refinement.chosen, 1 : steps + 1]
-            plans.append(_trace(frame, refinement))
-            finding = self._fault(frame, executed, refinement.score)
-            if finding is None or finding.reason is Discard.LEAVES_AREA:
+            plans.append(_build_planning_frame(frame, refinement))
+            finding = self._find_failure(frame, executed, refinement.score)
+            if finding is None or finding.reason is DiscardReason.LEAVES_AREA:
                 track.append(executed)
             if finding is not None:
                 break
             if self.keep_rounds:
-                rounds.append(rounds_of(self.scene, self.agent, frame, state, refinement, self.hyper, self.model))
-            state = self._next_state(refinement, steps, np.concatenate(track))
-        return Driven(np.concatenate(track), tuple(plans), tuple(rounds), finding)
+                rounds.append(
+                    build_trace_frame(self.scene, self.agent, frame, state, refinement, self.hyper, self.model)
+                )
+            state = self._compute_next_state(refinement, steps, np.concatenate(track))
+        return PlannedTrack(np.concatenate(track), tuple(plans), tuple(rounds), finding)
 
-    def first_pose(self) -> Floats:
+    def find_first_pose(self) -> Floats:
         """Pose (3,) of the box centre at the hand-over."""
-        return self._recorded_pose(self.start)
+        return self._find_recorded_pose(self.start)
 
-    def first_state(self) -> VehicleState:
+    def compute_first_state(self) -> VehicleState:
         """Motion at the hand-over."""
-        if self.hyper.motion is Motion.REFERENCE:
-            return self._state_from_positions(self.start, self._recorded_pose(self.start)[None])
-        return initial_state(self.scene, self.agent, self.start, self.model.limits)
+        if self.hyper.motion is ExecutionModel.REFERENCE:
+            return self._compute_state_from_positions(self.start, self._find_recorded_pose(self.start)[None])
+        return compute_initial_state(self.scene, self.agent, self.start, self.model.limits)
 
-    def _next_state(self, refinement: Refinement, steps: int, track: Floats) -> VehicleState:
+    def _compute_next_state(self, refinement: Refinement, steps: int, track: Floats) -> VehicleState:
         """Motion at the next planning frame: where the executed candidate has got to, or what two positions say."""
-        if self.hyper.motion is Motion.REFERENCE:
-            return self._state_from_positions(self.start + len(track) - 1, track)
+        if self.hyper.motion is ExecutionModel.REFERENCE:
+            return self._compute_state_from_positions(self.start + len(track) - 1, track)
         return refinement.motion.state(refinement.chosen, steps)
 
-    def _state_from_positions(self, frame: int, track: Floats) -> VehicleState:
-        now, before = self._pose(frame, track), self._pose(frame - SPEED_FRAMES, track)
-        return reference_state(before, now, float(self.scene.agents.size[self.agent, 0]))
+    def _compute_state_from_positions(self, frame: int, track: Floats) -> VehicleState:
+        now, before = self._find_pose(frame, track), self._find_pose(frame - SPEED_FRAMES, track)
+        return compute_reference_state(before, now, float(self.scene.agents.size[self.agent, 0]))
 
-    def _fault(self, frame: int, executed: Floats, score: float) -> Finding | None:
+    def _find_failure(self, frame: int, executed: Floats, score: float) -> VerificationFailure | None:
         """Why there is no use in going on after executing (F, 3) poses from the frame after ``frame`` on."""
         if not np.isfinite(executed).all():
-            return Finding(Discard.NO_SAFE_CANDIDATE, frame)
-        if self.hyper.discards is Discards.REFERENCE:
-            score_failure = fault_of_step(score, frame) if self.hyper.scored else None
-            return score_failure or fault_of_place(self.scene, executed[:, :2], frame + 1)
+            return VerificationFailure(DiscardReason.NO_SAFE_CANDIDATE, frame)
+        if self.hyper.discards is DiscardRules.REFERENCE:
+            score_failure = find_score_failure(score, frame) if self.hyper.scored else None
+            return score_failure or find_distance_failure(self.scene, executed[:, :2], frame + 1)
         touched = self._touched(frame, executed) if self.hyper.scored else None
         if touched is not None:
-            return Finding(Discard.NO_SAFE_CANDIDATE, frame, touched)
-        inside = in_canvas(self.scene, executed[:, :2], self.hyper.half_extent_m, first=frame + 1)
-        return None if inside.all() else Finding(Discard.LEAVES_AREA, frame + 1 + int(np.argmin(inside)))
+            return VerificationFailure(DiscardReason.NO_SAFE_CANDIDATE, frame, touched)
+        inside = is_in_canvas(self.scene, executed[:, :2], self.hyper.half_extent_m, first=frame + 1)
+        return (
+            None if inside.all() else VerificationFailure(DiscardReason.LEAVES_AREA, frame + 1 + int(np.argmin(inside)))
+        )
 
     def plan(self, frame: int, state: VehicleState, track: Floats) -> SearchSteps[Refinement]:
         """Search one planning frame; arguments as of `evaluation`."""
-        evaluate, previous = self.evaluation(frame, state, track), self._previous(frame, state, track)
+        evaluate, previous = self.build_evaluation(frame, state, track), self._find_previous_pose(frame, state, track)
         return (yield from refine(self.diversify, evaluate, previous, self.hyper, self.rng))
 
-    def evaluation(self, frame: int, state: VehicleState, track: Floats) -> Callable[[Floats], Evaluated]:
+    def build_evaluation(self, frame: int, state: VehicleState, track: Floats) -> Callable[[Floats], EvaluatedBatch]:
         """Function that simulates and scores (B, 16, 3) waypoints at a planning frame.
 
         ``track`` holds the (F, 3) executed poses of the box centre from the launch to ``frame``.
         """
         offsets = self.offsets(frame)
         steps = max(offsets[-1], min(self.hyper.executed_frames, len(self.scene.timestamps_us) - 1 - frame))
-        rate = self.rated(frame, offsets, track)
+        rate = self.build_rating(frame, offsets, track)
         length = float(self.scene.agents.size[self.agent, 0])
 
-        def evaluate(waypoints: Floats) -> Evaluated:
+        def evaluate(waypoints: Floats) -> EvaluatedBatch:
             begun = time.process_time()
             motion = simulate(waypoints, state, length, steps=steps, model=self.model)
             simulated = time.process_time()
             terms = rate(motion)
             self.stages["physics"] += simulated - begun
             self.stages["scoring"] += time.process_time() - simulated
-            return Evaluated(motion, terms)
+            return EvaluatedBatch(motion, terms)
 
         return evaluate
 
@@ -188,34 +194,40 @@ class Planning:
         # Where less than a timestep is left, the scene's last frame stands for it.
         return tuple(offset for offset in self.hyper.scored_frames if offset <= left) or (left,)
 
-    def rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
+    def build_rating(
+        self, frame: int, offsets: tuple[int, ...], track: Floats
+    ) -> Callable[[SimulatedMotion], ScoreTerms]:
         """Function that rates the motion of candidates at a planning frame."""
-        raster = self._raster(frame)
+        raster = self._build_raster(frame)
         frames = tuple(frame + offset for offset in offsets)
         size = self.scene.agents.size[self.agent, :2]
-        if self.hyper.score is ScoreOf.REFERENCE:
-            reference_around = reference_surroundings(self.scene, self.agent, frames, raster)
-            on = challenge_on(self._distances(frame, track), self.start, frame, self.rng)
-            return lambda motion: reference_terms(motion.center[:, offsets], size, reference_around, challenged=on)
+        if self.hyper.score is ScoreDefinition.REFERENCE:
+            reference_around = build_reference_surroundings(self.scene, self.agent, frames, raster)
+            on = is_challenge_on(self._compute_distances(frame, track), self.start, frame, self.rng)
+            return lambda motion: compute_reference_terms(
+                motion.center[:, offsets], size, reference_around, challenged=on
+            )
         around = self.around(frames, raster)
-        hyper = self.hyper if self.asked is None else self.hyper.where_asked()
-        further = threat_rating(self.scene, self.agent, frame, offsets, around, hyper) if hyper.threatens else None
+        hyper = self.hyper if self.asked is None else self.hyper.without_position_terms()
+        further = (
+            build_threat_rating(self.scene, self.agent, frame, offsets, around, hyper) if hyper.threatens else None
+        )
         missing = self._missing(frame, offsets, track)
 
-        def rate(motion: SimulatedMotion) -> Terms:
+        def rate(motion: SimulatedMotion) -> ScoreTerms:
             center, speed = motion.center[:, offsets], motion.states[:, offsets, 3]
-            terms = score_terms(center, size, around, hyper, speed=speed)
+            terms = compute_score_terms(center, size, around, hyper, speed=speed)
             if further is not None:
                 terms = replace(terms, further=further(motion))
             return terms if missing is None else replace(terms, asked=missing(center, speed))
 
         return rate
 
-    def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
+    def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> ScoringSurroundings:
         """Surroundings that candidates can hit at some frames."""
-        return surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
+        return build_surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
 
-    def _raster(self, frame: int) -> DrivableRaster:
+    def _build_raster(self, frame: int) -> DrivableRaster:
         """Drivable area around the ego's lidar at a planning frame, or around the pose that was given."""
         pose = self.road_around
         if pose is None:
@@ -229,36 +241,38 @@ class Planning:
         """Function that says how far candidates are from the manoeuvre; ``None`` if none is asked for or it is done."""
         if self.asked is None or self.hyper.manoeuvre_weight == 0.0:
             return None
-        wish = Wish(self.asked, self.scene, self.agent, self.start)
-        return None if wish.fulfilled(track) else wish.at(frame, offsets, track)
+        wish = ManoeuvreRequest(self.asked, self.scene, self.agent, self.start)
+        return None if wish.is_fulfilled(track) else wish.at(frame, offsets, track)
 
-    def _distances(self, frame: int, track: Floats) -> Floats:
+    def _compute_distances(self, frame: int, track: Floats) -> Floats:
         """Distances from its centre to the ego's rear axle, from the frame before the launch to ``frame``."""
         first = max(self.start - 1, 0)
-        centers = np.stack([self._pose(at, track)[:2] for at in range(first, frame + 1)])
+        centers = np.stack([self._find_pose(at, track)[:2] for at in range(first, frame + 1)])
         return np.asarray(np.linalg.norm(centers - self.scene.ego.pose[first : frame + 1, :2], axis=1))
 
-    def _previous(self, frame: int, state: VehicleState, track: Floats) -> Floats:
+    def _find_previous_pose(self, frame: int, state: VehicleState, track: Floats) -> Floats:
         """Own pose (3,) half a second ago in the local frame: recorded before the launch, executed after.
 
         Of the rear axle; the reference code takes the box centre four frames ago. A vehicle that was not there yet had
         its present speed.
         """
-        if self.hyper.motion is Motion.REFERENCE:
-            return reference_previous(self._pose(frame - STEP_FRAMES, track), self._pose(frame, track))
+        if self.hyper.motion is ExecutionModel.REFERENCE:
+            return compute_reference_previous(
+                self._find_pose(frame - STEP_FRAMES, track), self._find_pose(frame, track)
+            )
         past = frame - FRAMES_PER_KEYFRAME
         if past < self.start and not (past >= 0 and self.scene.agents.valid[self.agent, past]):
             return np.array([-state.speed * FRAMES_PER_KEYFRAME / FRAME_HZ, 0.0, 0.0])
-        center = self._pose(past, track)
-        axle = rear_axle(center, float(self.scene.agents.size[self.agent, 0]))
+        center = self._find_pose(past, track)
+        axle = compute_rear_axle(center, float(self.scene.agents.size[self.agent, 0]))
         turn = wrap_angle(axle[2:] - state.pose[2])
         return np.concatenate([to_local(axle[:2], state.pose), turn])
 
-    def _pose(self, frame: int, track: Floats) -> Floats:
+    def _find_pose(self, frame: int, track: Floats) -> Floats:
         """Pose (3,) of the box centre: recorded before the launch, executed from then on."""
-        return track[frame - self.start] if frame >= self.start else self._recorded_pose(frame)
+        return track[frame - self.start] if frame >= self.start else self._find_recorded_pose(frame)
 
-    def _recorded_pose(self, frame: int) -> Floats:
+    def _find_recorded_pose(self, frame: int) -> Floats:
         agents = self.scene.agents
         return np.array([*agents.position[self.agent, frame, :2], agents.yaw[self.agent, frame]])
 
@@ -269,11 +283,11 @@ class Planning:
         boxes = np.column_stack([executed[:, :2], size, executed[:, 2]])
         if boxes_overlap(boxes, self.scene.ego.boxes[frames]).any():
             return EGO
-        _, other = contacts(boxes, self.scene, self.agent, frames)
+        _, other = find_contacts(boxes, self.scene, self.agent, frames)
         return self.scene.agents.ids[other[0]] if len(other) else None
 
 
-def _trace(frame: int, refinement: Refinement) -> PlanningFrame:
+def _build_planning_frame(frame: int, refinement: Refinement) -> PlanningFrame:
     def finite(value: float) -> float | None:
         return value if np.isfinite(value) else None
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from generation.search.hyperparameters import HyperParameters, Launch
+from generation.search.hyperparameters import HyperParameters, LaunchRule
 
 if TYPE_CHECKING:
     from generation.search.definition import PackagedPrior
@@ -20,10 +20,10 @@ PRESETS: Final[tuple[Preset, ...]] = ("default", "near", "paper", "reference")
 SampleSource = Literal["fresh", "reference", "stored"]
 
 
-def threatening() -> HyperParameters:
+def build_default_settings() -> HyperParameters:
     """The default: what was measured best (``docs/generation.md``, "What was measured")."""
     return HyperParameters(
-        launch=Launch.REACH,
+        launch=LaunchRule.REACH,
         tries=1,
         ac_weight=0.0,
         lookahead_weight=0.06,
@@ -39,7 +39,7 @@ def threatening() -> HyperParameters:
     )
 
 
-def hyper_parameters(
+def build_hyper_parameters(
     preset: Preset = "default", settings: Mapping[str, Any] | None = None, changes: Sequence[str] = ()
 ) -> HyperParameters:
     """Settings of the search: the preset, settings by name, and changes by text, each over the last.
@@ -58,7 +58,7 @@ def hyper_parameters(
     """
     match preset:
         case "default":
-            start = threatening()
+            start = build_default_settings()
         case "near":
             start = HyperParameters()
         case "paper":
@@ -69,7 +69,7 @@ def hyper_parameters(
     return replace(start, **given).changed(changes)
 
 
-def trajectory_model(
+def build_trajectory_model(
     preset: Preset = "default",
     weights: Path | None = None,
     device: str = "cpu",
@@ -84,22 +84,22 @@ def trajectory_model(
     steps, and nothing that it draws is drawn again; with ``reference`` dropout is on.
 
     Args:
-        preset: As in `hyper_parameters`.
+        preset: As in `build_hyper_parameters`.
         weights: Of another model than the packaged one.
         device: Where it runs.
         calls: Most network calls of a mutation; the reference has one a noise level.
         dropout: Sample with dropout on, as the reference code does by an omission.
-        samples: Where new candidates come from (`generation.diffusion.prior.Samples`), if not where the preset says.
+        samples: Where new candidates come from (`generation.diffusion.prior.CandidateSource`), if not where the preset says.
 
     Returns:
         What makes the model in each process.
     """
     # Settings are checked where nothing runs yet, and torch is slow to import.
-    from generation.diffusion.prior import SamplerSettings, Samples
+    from generation.diffusion.prior import CandidateSource, SamplerSettings
     from generation.search.definition import PackagedPrior
 
     ours = preset in ("default", "near")
-    source = Samples(samples or ("fresh" if ours else "reference"))
+    source = CandidateSource(samples or ("fresh" if ours else "reference"))
     dropout = dropout or preset == "reference"
     sampler = SamplerSettings(samples=source, conditioned=ours, mutation_steps=calls, drivable=ours, dropout=dropout)
     return PackagedPrior(weights, device, sampler)

@@ -1,7 +1,7 @@
 """What a search asks of a diffusion model, and many searches asking together.
 
 A search is a generator: it yields a request for trajectories and is sent the answer. One search alone and many side by
-side run through the same code (`run_together`), so that a model on an accelerator can answer all of them in one call.
+side run through the same code (`run_searches`), so that a model on an accelerator can answer all of them in one call.
 """
 
 import time
@@ -13,11 +13,11 @@ import numpy as np
 
 from benchmark.geometry import Floats
 
-Found = TypeVar("Found")
+Outcome = TypeVar("Outcome")
 
 
 @dataclass(frozen=True, slots=True)
-class Sampling:
+class SamplingRequest:
     """A request for new trajectories by the full reverse process.
 
     Attributes:
@@ -32,7 +32,7 @@ class Sampling:
 
 
 @dataclass(frozen=True, slots=True)
-class Mutation:
+class MutationRequest:
     """A request for variants of trajectories by a truncated diffusion process.
 
     Attributes:
@@ -48,8 +48,8 @@ class Mutation:
     rng: np.random.Generator
 
 
-Request = Sampling | Mutation
-SearchSteps = Generator[Request, Floats, Found]
+Request = SamplingRequest | MutationRequest
+SearchSteps = Generator[Request, Floats, Outcome]
 
 
 class Prior(Protocol):
@@ -71,7 +71,7 @@ Diversify = Callable[[Floats, np.random.Generator], Floats]
 
 
 @dataclass(frozen=True, slots=True)
-class Seconds:
+class SearchSeconds:
     """Processor seconds of one search: of its own, and of the answers that it got.
 
     ``answers`` takes an equal share of each call that was shared.
@@ -81,12 +81,12 @@ class Seconds:
     search: float
 
 
-def run_together(searches: Sequence[SearchSteps[Found]], prior: Prior) -> tuple[list[Found], list[Seconds]]:
+def run_searches(searches: Sequence[SearchSteps[Outcome]], prior: Prior) -> tuple[list[Outcome], list[SearchSeconds]]:
     """Run fresh searches side by side until each has ended; gives what each returned, and how long it took.
 
     All requests that are open at a time are answered in one call.
     """
-    outcomes: dict[int, Found] = {}
+    outcomes: dict[int, Outcome] = {}
     answering, searching = [0.0] * len(searches), [0.0] * len(searches)
     waiting: dict[int, Request] = {}
 
@@ -109,5 +109,5 @@ def run_together(searches: Sequence[SearchSteps[Found]], prior: Prior) -> tuple[
         for index, answer in zip(asking, answers, strict=True):
             answering[index] += share
             go_on(index, answer)
-    seconds = [Seconds(*both) for both in zip(answering, searching, strict=True)]
+    seconds = [SearchSeconds(*both) for both in zip(answering, searching, strict=True)]
     return [outcomes[index] for index in range(len(searches))], seconds

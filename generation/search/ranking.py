@@ -7,7 +7,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from benchmark.scene import Scene
-from generation.labels.labelling import body_gaps, ego_speed, times_to_collision
+from generation.labels.labelling import compute_body_gaps, compute_ego_speed, compute_times_to_collision
 
 CLOSE_M = 10.0
 """Gap at which closeness begins to count."""
@@ -17,8 +17,8 @@ MOVING_M_S = 3.0
 """Speed of the ego from which on a frame counts in full."""
 
 
-class Ranked(Protocol):
-    """Contents of a generated scene that ranking reads: its recording, its adversary and its `challenge_score`."""
+class RankedScene(Protocol):
+    """Contents of a generated scene that ranking reads: its recording, its adversary and its `compute_challenge_score`."""
 
     @property
     def scene_name(self) -> str:
@@ -33,10 +33,10 @@ class Ranked(Protocol):
         """Higher is more challenging."""
 
 
-AnyRanked = TypeVar("AnyRanked", bound=Ranked)
+AnyRankedScene = TypeVar("AnyRankedScene", bound=RankedScene)
 
 
-def challenge_score(scene: Scene, agent: int, start: int) -> float:
+def compute_challenge_score(scene: Scene, agent: int, start: int) -> float:
     """Closeness with which an adversary presses a moving ego over the scene, 0 to 1, higher is more challenging.
 
     The paper ranks by "adversarial challenge score" without saying how frames are combined. Here: the mean, over the
@@ -48,20 +48,20 @@ def challenge_score(scene: Scene, agent: int, start: int) -> float:
 
     weighted by the ego's speed up to 3 m/s, because nothing near a standing ego is a challenge to it.
     """
-    closeness = np.clip(1.0 - body_gaps(scene, agent, start) / CLOSE_M, 0.0, 1.0)
-    threat = times_to_collision(scene, agent, start) <= THREAT_S
-    moving = np.clip(ego_speed(scene)[start:] / MOVING_M_S, 0.0, 1.0)
+    closeness = np.clip(1.0 - compute_body_gaps(scene, agent, start) / CLOSE_M, 0.0, 1.0)
+    threat = compute_times_to_collision(scene, agent, start) <= THREAT_S
+    moving = np.clip(compute_ego_speed(scene)[start:] / MOVING_M_S, 0.0, 1.0)
     return float(np.mean(0.5 * (closeness + threat) * moving))
 
 
-def ranked(results: Sequence[AnyRanked], *, per_scene: int | None, total: int | None) -> list[AnyRanked]:
+def rank_scenes(results: Sequence[AnyRankedScene], *, per_scene: int | None, total: int | None) -> list[AnyRankedScene]:
     """The most challenging scenes, best first; ties are broken by name, so that the order is always the same.
 
     ``per_scene`` limits those of one original scene, ``total`` all; ``None`` keeps all.
     """
     order = sorted(results, key=lambda result: (-result.challenge, result.scene_name, result.agent_id))
     taken: Counter[str] = Counter()
-    selected: list[AnyRanked] = []
+    selected: list[AnyRankedScene] = []
     for result in order:
         if total is not None and len(selected) >= total:
             break

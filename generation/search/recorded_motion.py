@@ -7,14 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEPS
-from benchmark.datasets.sample_truth import ego_future, planar_lidar_poses
-from benchmark.dynamics.bicycle import REFERENCE_STEERING_RAD, WHEELBASE, DriverLimits, VehicleState, rear_axle
+from benchmark.datasets.sample_truth import compute_ego_future, compute_planar_lidar_poses
+from benchmark.dynamics.bicycle import REFERENCE_STEERING_RAD, WHEELBASE, DriverLimits, VehicleState, compute_rear_axle
 from benchmark.geometry import Bools, Floats, boxes_overlap, to_global, to_local, wrap_angle, yaw_of_quaternion
-from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes, footprints_between, object_boxes
+from benchmark.protocols.exact import (
+    INSTANTS_PER_STEP,
+    compute_plan_boxes,
+    interpolate_footprints,
+    interpolate_object_boxes,
+)
 from benchmark.scene import Scene
 
 
-def log_replay_contacts(scene: Scene, agents: NDArray[np.int64] | None = None) -> Bools:
+def find_log_replay_contacts(scene: Scene, agents: NDArray[np.int64] | None = None) -> Bools:
     """Which agents the recorded ego touches when a metric replays the scene from its 2 Hz annotations.
 
     (N,) verdicts for ``agents``, all by default; False for those that were not tested.
@@ -23,33 +28,33 @@ def log_replay_contacts(scene: Scene, agents: NDArray[np.int64] | None = None) -
     contacts = np.zeros(len(scene.agents), dtype=np.bool_)
     if len(scene.keyframes) < 2 or not len(chosen):
         return contacts
-    boxes, present = _interpolated_annotations(scene, chosen)
-    for ego, interval in _ego_footprints(scene):
-        contacts[chosen] |= _touching(ego, boxes[:, interval], present[:, interval])
+    boxes, present = _interpolate_annotations(scene, chosen)
+    for ego, interval in _compute_ego_footprints(scene):
+        contacts[chosen] |= _is_touching(ego, boxes[:, interval], present[:, interval])
     return contacts
 
 
-def _interpolated_annotations(scene: Scene, chosen: NDArray[np.int64]) -> tuple[Floats, Bools]:
+def _interpolate_annotations(scene: Scene, chosen: NDArray[np.int64]) -> tuple[Floats, Bools]:
     """Boxes (N, K - 1, 5, 5) and presence (N, K - 1, 5) every 0.1 s after each keyframe but the last."""
     notes = scene.annotations
     yaw = yaw_of_quaternion(notes.rotation[chosen])[..., None]
     boxes = np.concatenate([notes.position[chosen, :, :2], notes.size[chosen, :, :2], yaw], axis=-1)
-    between, present = object_boxes(boxes, notes.valid[chosen])
+    between, present = interpolate_object_boxes(boxes, notes.valid[chosen])
     intervals = (len(chosen), len(scene.keyframes) - 1, INSTANTS_PER_STEP)
     return between.reshape(*intervals, 5), present.reshape(intervals)
 
 
-def _ego_footprints(scene: Scene) -> list[tuple[Floats, slice]]:
+def _compute_ego_footprints(scene: Scene) -> list[tuple[Floats, slice]]:
     """Metric footprints (I, 5, 5) of the recorded ego with the keyframe intervals they belong to.
 
     The first has the real heading over the whole scene; the others are what a protocol makes of the recorded future
     of each sample, whose headings are chords between waypoints.
     """
-    pose = planar_lidar_poses(scene)
-    footprints = [(footprints_between(pose[:-1], pose[1:]), slice(0, len(pose) - 1))]
+    pose = compute_planar_lidar_poses(scene)
+    footprints = [(interpolate_footprints(pose[:-1], pose[1:]), slice(0, len(pose) - 1))]
     for index in range(len(pose) - PLAN_STEPS):
-        future, _ = ego_future(pose, index)
-        boxes = ego_boxes(future[:, :2]).reshape(PLAN_STEPS, INSTANTS_PER_STEP, 5)
+        future, _ = compute_ego_future(pose, index)
+        boxes = compute_plan_boxes(future[:, :2]).reshape(PLAN_STEPS, INSTANTS_PER_STEP, 5)
         # The metric's frame has x to the right.
         frame = pose[index] - [0.0, 0.0, np.pi / 2]
         boxes[..., :2] = to_global(boxes[..., :2], frame)
@@ -58,7 +63,7 @@ def _ego_footprints(scene: Scene) -> list[tuple[Floats, slice]]:
     return footprints
 
 
-def _touching(ego: Floats, boxes: Floats, present: Bools) -> Bools:
+def _is_touching(ego: Floats, boxes: Floats, present: Bools) -> Bools:
     """(N,) whether an agent touches the ego at any instant; circumscribed circles first."""
     reach = 0.5 * (np.hypot(ego[..., 2], ego[..., 3]) + np.hypot(boxes[..., 2], boxes[..., 3]))
     near = present & (np.hypot(boxes[..., 0] - ego[..., 0], boxes[..., 1] - ego[..., 1]) <= reach)
@@ -77,38 +82,38 @@ FIT_HALF_WINDOW = FRAMES_PER_KEYFRAME
 """Frames on either side from which the motion at the launch is estimated: one keyframe interval."""
 
 
-def in_canvas(scene: Scene, points: Floats, half_extent_m: float, *, first: int = 0) -> Bools:
+def is_in_canvas(scene: Scene, points: Floats, half_extent_m: float, *, first: int = 0) -> Bools:
     """Whether (F, 2) global points, one a frame from ``first`` on, lie in the square around the ego."""
     local = to_local(points, scene.ego.pose[first : first + len(points)])
     return np.asarray((np.abs(local) <= half_extent_m).all(axis=-1))
 
 
-def center_distance(scene: Scene, agent: int) -> Floats:
+def compute_center_distance(scene: Scene, agent: int) -> Floats:
     """Distance (T,) between the box centres of an agent and of the ego, metres."""
     return np.asarray(np.linalg.norm(scene.agents.position[agent, :, :2] - scene.ego.boxes[:, :2], axis=-1))
 
 
-def drives_forward(scene: Scene, agent: int, frame: int) -> bool:
+def is_driving_forward(scene: Scene, agent: int, frame: int) -> bool:
     """Whether recorded motion agrees with recorded heading: standing, or moving where the box points."""
-    velocity, _, _ = _motion(scene, agent, frame)
+    velocity, _, _ = _fit_motion(scene, agent, frame)
     if np.hypot(*velocity) < STANDING_M_S:
         return True
     slip = wrap_angle(np.arctan2(velocity[1], velocity[0]) - scene.agents.yaw[agent, frame])
     return bool(np.abs(slip) <= MOST_SLIP_RAD)
 
 
-def initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits | None) -> VehicleState:
+def compute_initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits | None) -> VehicleState:
     """Motion of a recorded vehicle at the hand-over, so that the new track goes on where the old one stops.
 
     Speed is signed along the heading and then not negative (the reference lost the sign: reversing cars shot
     ahead). The state is that of the rear axle. It is brought inside ``limits``; without any, only the steering
     inside that of the physics.
     """
-    velocity, acceleration, yaw_rate = _motion(scene, agent, frame)
+    velocity, acceleration, yaw_rate = _fit_motion(scene, agent, frame)
     yaw = float(scene.agents.yaw[agent, frame])
     heading = np.array([np.cos(yaw), np.sin(yaw)])
     length = float(scene.agents.size[agent, 0])
-    pose = rear_axle(np.array([*scene.agents.position[agent, frame, :2], yaw]), length)
+    pose = compute_rear_axle(np.array([*scene.agents.position[agent, frame, :2], yaw]), length)
     speed = max(float(velocity @ heading), 0.0)
     if speed < STANDING_M_S:
         return VehicleState(pose, 0.0)
@@ -122,7 +127,7 @@ def initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits | N
     return VehicleState(pose, speed, along, float(np.clip(steering, -limits.steering_rad, limits.steering_rad)))
 
 
-def _motion(scene: Scene, agent: int, frame: int) -> tuple[Floats, Floats, float]:
+def _fit_motion(scene: Scene, agent: int, frame: int) -> tuple[Floats, Floats, float]:
     """Velocity (2,), acceleration (2,) and yaw rate of the recorded track at a frame, by a local quadratic fit."""
     valid = scene.agents.valid[agent]
     first, last = frame, frame

@@ -15,12 +15,18 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from benchmark.dynamics.bicycle import VehicleState, rear_axle
+from benchmark.dynamics.bicycle import VehicleState, compute_rear_axle
 from benchmark.geometry import Bools, Floats, axes_overlap, to_local, wrap_angle
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.search.hyperparameters import REFERENCE_POSES, CollisionReading
-from generation.search.scoring import Surroundings, Terms, columns, near_pairs, surroundings
+from generation.search.scoring import (
+    ScoreTerms,
+    ScoringSurroundings,
+    build_columns,
+    build_surroundings,
+    find_near_pairs,
+)
 
 SOON_POSES: Final = 14
 """Poses whose boxes are all intersected and whose road weighs in full: the planning frame, H frames and one more."""
@@ -46,13 +52,13 @@ KEPT_SHARE: Final = 0.7
 
 
 @dataclass(frozen=True, slots=True)
-class ReferenceTerms(Terms):
+class ReferenceTerms(ScoreTerms):
     """The terms of the reference code; S poses, the planning frame's among them.
 
     Attributes:
         corners_off: (B, S) how many of the four points that pass for corners are off the road.
         hits_ego: (B,) whose inflated box touches the ego's soon; they get the worst challenge of the batch.
-        challenged: Whether the challenge counts in this planning frame (`challenge_on`).
+        challenged: Whether the challenge counts in this planning frame (`is_challenge_on`).
     """
 
     corners_off: NDArray[np.int64]
@@ -75,28 +81,30 @@ class ReferenceTerms(Terms):
         return np.where(finite, (np.where(hits, high, raw) - low) / (high - low + SPREAD_FLOOR), 0.0)
 
 
-def road_weights(poses: int) -> Floats:
+def compute_road_weights(poses: int) -> Floats:
     """Weights (S,) of leaving the road: they fall faster where fewer poses are left of the scene."""
     weight = np.linspace(1.0, 0.5, poses) ** 2
     weight[SOON_POSES:] *= TAIL_WEIGHT
     return np.asarray(weight)
 
 
-def collision_weights(poses: int) -> Floats:
+def compute_collision_weights(poses: int) -> Floats:
     """Weights (S,) of collisions."""
     weight = np.linspace(1.0, 0.5, REFERENCE_POSES) ** 2
     weight[COLLISION_POSES:] *= TAIL_WEIGHT
     return np.asarray(weight[:poses])
 
 
-def distance_weights(poses: int) -> Floats:
+def compute_distance_weights(poses: int) -> Floats:
     """Weights (S,) of the distance to the ego, before squaring."""
     head = np.linspace(0.7, 1.0, COLLISION_POSES)
     tail = np.linspace(0.2, 0.05, REFERENCE_POSES - COLLISION_POSES) ** 2
     return np.asarray(np.concatenate([head, tail])[:poses])
 
 
-def reference_surroundings(scene: Scene, agent: int, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
+def build_reference_surroundings(
+    scene: Scene, agent: int, frames: tuple[int, ...], raster: DrivableRaster
+) -> ScoringSurroundings:
     """Everything but one agent as the reference code sees it, the ego 7 m long around its lidar.
 
     It is challenged at its rear axle. Objects that are absent in a frame are left out. In the reference code they
@@ -104,28 +112,30 @@ def reference_surroundings(scene: Scene, agent: int, frames: tuple[int, ...], ra
     that no verdict changes. The first of the S frames is the planning frame, at which ``raster`` has the drivable
     area around the ego's lidar; ``ego_center`` of the result is the rear axle.
     """
-    around = surroundings(scene, agent, frames, raster)
+    around = build_surroundings(scene, agent, frames, raster)
     pose = scene.ego.pose[np.asarray(frames)]
     around.boxes[:, -1] = np.column_stack(
-        [lidar_positions(scene)[np.asarray(frames)], np.tile(EGO_LENGTH_WIDTH_M, (len(pose), 1)), pose[:, 2]]
+        [compute_lidar_positions(scene)[np.asarray(frames)], np.tile(EGO_LENGTH_WIDTH_M, (len(pose), 1)), pose[:, 2]]
     )
-    return Surroundings(around.boxes, around.present, pose[:, :2], raster)
+    return ScoringSurroundings(around.boxes, around.present, pose[:, :2], raster)
 
 
-def lidar_positions(scene: Scene) -> Floats:
+def compute_lidar_positions(scene: Scene) -> Floats:
     """(T, 2) of the ego's lidar, metres, global."""
     pose = scene.ego.pose
     ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
     return np.asarray(pose[:, :2] + scene.lidar.translation[0] * ahead)
 
 
-def reference_terms(center: Floats, size: Floats, around: Surroundings, *, challenged: bool = True) -> ReferenceTerms:
+def compute_reference_terms(
+    center: Floats, size: Floats, around: ScoringSurroundings, *, challenged: bool = True
+) -> ReferenceTerms:
     """The terms of the reference code's score.
 
     Args:
         center: (B, S, 3) poses of the candidates' box centres from the planning frame on; S is 81, or as many as the
             scene has left.
-        around: Surroundings at the same S frames, the ego last (`reference_surroundings`).
+        around: Surroundings at the same S frames, the ego last (`build_reference_surroundings`).
 
     Returns:
         The terms. Poses beyond the ends of the raster are read at its border, as the reference code does.
@@ -134,21 +144,21 @@ def reference_terms(center: Floats, size: Floats, around: Surroundings, *, chall
     finite = np.isfinite(center).all(axis=(1, 2))
     safe = np.where(finite[:, None, None], center, 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
-        off = ~at_border(around.raster, safe[..., :2])
-        corners = (~at_border(around.raster, corner_points(safe, size))).sum(axis=-1)
+        off = ~is_drivable_at_border(around.raster, safe[..., :2])
+        corners = (~is_drivable_at_border(around.raster, compute_corner_points(safe, size))).sum(axis=-1)
         offset = safe[..., :2] - around.ego_center
         distance = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
-        challenge = ((distance * distance_weights(poses)) ** 2).sum(axis=1)
+        challenge = ((distance * compute_distance_weights(poses)) ** 2).sum(axis=1)
     finite &= np.isfinite(challenge)
-    contacts = reference_collisions(safe, size, around)
+    contacts = find_reference_collisions(safe, size, around)
     penalty = np.asarray(CORNER_PENALTY)[corners]
     return ReferenceTerms(
         center_off_road=off,
         corner_off_road=corners > 0,
         collision=contacts.collision,
         distance=distance,
-        dac=(off + CORNER_WEIGHT * penalty) @ road_weights(poses),
-        cr=contacts.collision @ collision_weights(poses),
+        dac=(off + CORNER_WEIGHT * penalty) @ compute_road_weights(poses),
+        cr=contacts.collision @ compute_collision_weights(poses),
         challenge=challenge,
         finite=finite,
         corners_off=corners,
@@ -157,7 +167,7 @@ def reference_terms(center: Floats, size: Floats, around: Surroundings, *, chall
     )
 
 
-def at_border(raster: DrivableRaster, points: Floats) -> Bools:
+def is_drivable_at_border(raster: DrivableRaster, points: Floats) -> Bools:
     """Whether points (..., 2) are drivable; those outside the raster are read at its border."""
     cos, sin = np.cos(raster.pose[2]), np.sin(raster.pose[2])
     dx, dy = points[..., 0] - raster.pose[0], points[..., 1] - raster.pose[1]
@@ -169,7 +179,7 @@ def at_border(raster: DrivableRaster, points: Floats) -> Bools:
     return np.asarray(raster.cells[right, forward])
 
 
-def corner_points(center: Floats, size: Floats) -> Floats:
+def compute_corner_points(center: Floats, size: Floats) -> Floats:
     """The points (B, S, 4, 2) that the reference code takes for the corners of a box.
 
     Half the width along x times the cosine, half the length along y times the sine of the heading: no rotation.
@@ -197,7 +207,7 @@ class ReferenceContacts:
     tests: int
 
 
-def reference_collisions(center: Floats, size: Floats, around: Surroundings) -> ReferenceContacts:
+def find_reference_collisions(center: Floats, size: Floats, around: ScoringSurroundings) -> ReferenceContacts:
     """Collisions as the reference code counts them.
 
     At every pose: nearer than half the short edges collides. Nearer than half the long edges, at poses 0 to 13, 16,
@@ -207,11 +217,11 @@ def reference_collisions(center: Floats, size: Floats, around: Surroundings) -> 
     boxes = np.empty((center.shape[1], center.shape[0], 5))
     boxes[..., [0, 1, 4]] = center.transpose(1, 0, 2)
     boxes[..., 2:4] = size
-    own, other = columns(boxes, CollisionReading.HALF), columns(around.boxes, CollisionReading.HALF)
+    own, other = build_columns(boxes, CollisionReading.HALF), build_columns(around.boxes, CollisionReading.HALF)
     poses, count = boxes.shape[:2]
     # Where a square overflows the candidate is nowhere near anything.
     with np.errstate(over="ignore", invalid="ignore"):
-        candidate, object_ = near_pairs(own, other, around.present)
+        candidate, object_ = find_near_pairs(own, other, around.present)
     first, second = own.reshape(8, -1)[:, candidate], other.reshape(8, -1)[:, object_]
     distance = np.hypot(second[0] - first[0], second[1] - first[1])
     sure = np.zeros(poses * count, dtype=np.bool_)
@@ -219,7 +229,7 @@ def reference_collisions(center: Floats, size: Floats, around: Surroundings) -> 
     step = candidate // count
     checked = (step < SOON_POSES) | np.isin(step, CHECKED_LATER)
     checked &= ~sure[candidate] & (distance <= first[7] + second[7])
-    meets = _inflated_meet(first[:, checked], second[:, checked])
+    meets = _do_inflated_meet(first[:, checked], second[:, checked])
     at, objects = candidate[checked][meets], around.boxes.shape[1]
     ego = object_[checked][meets] % objects == objects - 1
     collision, hits_other = sure.copy(), np.zeros_like(sure)
@@ -232,7 +242,7 @@ def reference_collisions(center: Floats, size: Floats, around: Surroundings) -> 
     return ReferenceContacts(sure.reshape(shape).T, collision.reshape(shape).T, hits_ego, int(checked.sum()))
 
 
-def _inflated_meet(first: Floats, second: Floats) -> Bools:
+def _do_inflated_meet(first: Floats, second: Floats) -> Bools:
     """(P,) whether boxes meet, (8, P) columns each, the first of them inflated."""
     first[2:4] *= INFLATION
     cos = first[4] * second[4] + first[5] * second[5]
@@ -240,7 +250,7 @@ def _inflated_meet(first: Floats, second: Floats) -> Bools:
     return axes_overlap(second[0] - first[0], second[1] - first[1], first[2:6], second[2:6], cos, sin)
 
 
-def challenge_on(distance_m: Floats, launch: int, frame: int, rng: np.random.Generator) -> bool:
+def is_challenge_on(distance_m: Floats, launch: int, frame: int, rng: np.random.Generator) -> bool:
     """Whether the challenge counts at a planning frame: off in half of those, after 3 s, at which it is near.
 
     The reference draws once a frame from a stream that other draws shift; here the search's own generator is asked.
@@ -261,7 +271,7 @@ CAR: Final = "vehicle.car"
 CHOSEN_WITHIN_M: Final = 20.0
 LEAST_DRIVABLE_SHARE: Final = 0.7
 LAUNCH_WITHIN_M: Final = 25.0
-SEEN_FRAMES: Final = 4
+PRESENT_FRAMES: Final = 4
 """Frames in a row, up to the one before, in which a vehicle must have been there to be launched."""
 LAST_LAUNCH: Final = 140
 HISTORY_FRAMES: Final = 16
@@ -275,56 +285,56 @@ SPEED_FRAMES: Final = 2
 """Frames over which the speed is taken."""
 
 
-def lidar_distance(scene: Scene, agent: int) -> Floats:
+def compute_lidar_distance(scene: Scene, agent: int) -> Floats:
     """Distance (T,) from the ego's lidar to an agent's box centre, metres."""
-    return np.asarray(np.linalg.norm(scene.agents.position[agent, :, :2] - lidar_positions(scene), axis=-1))
+    return np.asarray(np.linalg.norm(scene.agents.position[agent, :, :2] - compute_lidar_positions(scene), axis=-1))
 
 
-def in_reference_canvas(scene: Scene, agent: int) -> Bools:
+def is_in_reference_canvas(scene: Scene, agent: int) -> Bools:
     """(T,) whether an agent is there and in the square around the ego's lidar."""
-    pose = np.column_stack([lidar_positions(scene), scene.ego.pose[:, 2]])
+    pose = np.column_stack([compute_lidar_positions(scene), scene.ego.pose[:, 2]])
     local = to_local(scene.agents.position[agent, :, :2], pose)
     return np.asarray((np.abs(local) <= AREA_M).all(axis=-1) & scene.agents.valid[agent])
 
 
-def near_on_the_road(scene: Scene, agent: int) -> tuple[bool, bool]:
+def is_near_and_on_road(scene: Scene, agent: int) -> tuple[bool, bool]:
     """Whether the reference code would edit a vehicle: comes within 20 m of the lidar, and is on the road while near.
 
     A vehicle that is never in the area has neither.
     """
-    canvas = in_reference_canvas(scene, agent)
+    canvas = is_in_reference_canvas(scene, agent)
     if not canvas.any():
         return False, False
     shapely.prepare(scene.road_map.drivable_area)
     on_road = scene.road_map.is_drivable(scene.agents.position[agent, canvas, :2]).mean() >= LEAST_DRIVABLE_SHARE
-    return bool(lidar_distance(scene, agent)[canvas].min() <= CHOSEN_WITHIN_M), bool(on_road)
+    return bool(compute_lidar_distance(scene, agent)[canvas].min() <= CHOSEN_WITHIN_M), bool(on_road)
 
 
-def reference_launch(scene: Scene, agent: int) -> int | None:
+def find_reference_launch(scene: Scene, agent: int) -> int | None:
     """First frame, not before 20, at which the reference code takes a vehicle over.
 
     ``None`` if there is none up to frame 140, and where the vehicle was not there over the history that is read,
     which the reference code does not ask: it goes on with positions of nothing.
     """
     valid = scene.agents.valid[agent]
-    near = valid & (lidar_distance(scene, agent) < LAUNCH_WITHIN_M)
+    near = valid & (compute_lidar_distance(scene, agent) < LAUNCH_WITHIN_M)
     for frame in np.flatnonzero(near[: LAST_LAUNCH + 1]):
-        if frame >= SEEN_FRAMES and valid[frame - SEEN_FRAMES : frame].all():
+        if frame >= PRESENT_FRAMES and valid[frame - PRESENT_FRAMES : frame].all():
             start = max(int(frame), FIRST_LAUNCH)
             is_present = start < len(valid) - 1 and bool(valid[start - HISTORY_FRAMES : start + 1].all())
             return start if is_present else None
     return None
 
 
-def reference_state(before: Floats, now: Floats, length_m: float) -> VehicleState:
+def compute_reference_state(before: Floats, now: Floats, length_m: float) -> VehicleState:
     """Motion that the reference code plans from: its speed has lost its sign, everything else is zero.
 
     (3,) poses of the box centre two frames ago and now; the speed, at the rear axle, is in metres a frame.
     """
     speed = float(np.hypot(*(now[:2] - before[:2]))) / SPEED_FRAMES
-    return VehicleState(rear_axle(now, length_m), speed)
+    return VehicleState(compute_rear_axle(now, length_m), speed)
 
 
-def reference_previous(before: Floats, now: Floats) -> Floats:
+def compute_reference_previous(before: Floats, now: Floats) -> Floats:
     """Pose (3,) that the reference code tells the model: the centre four frames ago in the frame of the centre now."""
     return np.concatenate([to_local(before[:2], now), wrap_angle(before[2:] - now[2])])

@@ -17,22 +17,22 @@ from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleStat
 from benchmark.geometry import Floats
 from benchmark.records.scenes import TraceFrame, TraceRound
 from benchmark.scene import Scene
-from benchmark.scene_pages.motion import origin_of
+from benchmark.scene_pages.motion import find_origin
 from generation.search.hyperparameters import HyperParameters
-from generation.search.proposals import Diversify, Mutation, Sampling, SearchSteps
-from generation.search.scoring import Terms, final_scores
+from generation.search.proposals import Diversify, MutationRequest, SamplingRequest, SearchSteps
+from generation.search.scoring import ScoreTerms, compute_final_scores
 
 
 @dataclass(frozen=True, slots=True)
-class Evaluated:
+class EvaluatedBatch:
     """One simulated and scored batch."""
 
     motion: SimulatedMotion
-    terms: Terms
+    terms: ScoreTerms
 
 
 @dataclass(frozen=True, slots=True)
-class Round:
+class RoundSummary:
     """Outcome of one round.
 
     ``scores`` are (B,) final scores, normalised within the round; ``collision_free`` counts candidates without
@@ -60,26 +60,26 @@ class Refinement:
     chosen: int
     round: int
     score: float
-    rounds: tuple[Round, ...]
-    batches: tuple["Batch", ...]
+    rounds: tuple[RoundSummary, ...]
+    batches: tuple["SearchedBatch", ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
+class SearchedBatch:
     """One round as it was searched: (B, 16, 3) candidates before the simulation, and (B,) random initial scores."""
 
     waypoints: Floats
-    evaluated: Evaluated
+    evaluated: EvaluatedBatch
     start: Floats
 
 
-class NothingToDraw(ArithmeticError):
+class ResamplingUnderflowError(ArithmeticError):
     """Every weight of the resampling underflowed, as can happen without `HyperParameters.stable_softmax`."""
 
 
 def refine(
     diversify: Diversify,
-    evaluate: Callable[[Floats], Evaluated],
+    evaluate: Callable[[Floats], EvaluatedBatch],
     previous: Floats,
     hyper: HyperParameters,
     rng: np.random.Generator,
@@ -96,19 +96,19 @@ def refine(
     Raises:
         NothingToDraw: If the resampling underflows.
     """
-    waypoints = diversify((yield Sampling(hyper.candidates, previous, rng)), rng)
-    batches: list[Batch] = []
-    rounds: list[Round] = []
+    waypoints = diversify((yield SamplingRequest(hyper.candidates, previous, rng)), rng)
+    batches: list[SearchedBatch] = []
+    rounds: list[RoundSummary] = []
     for level in (*hyper.noise_levels(), 0):
         start = hyper.init_least + rng.uniform(0.0, hyper.init_scale, len(waypoints))
         evaluated = evaluate(waypoints)
-        scores = final_scores(evaluated.terms, start, hyper)
-        batches.append(Batch(waypoints, evaluated, start))
-        rounds.append(_summary(scores, evaluated.terms, hyper))
+        scores = compute_final_scores(evaluated.terms, start, hyper)
+        batches.append(SearchedBatch(waypoints, evaluated, start))
+        rounds.append(_summarise(scores, evaluated.terms, hyper))
         if level:
             drawn = resample(scores, hyper, rng)
-            waypoints = yield Mutation(waypoints[drawn], level, previous, rng)
-    number, chosen, score = _best(batches, hyper, rng)
+            waypoints = yield MutationRequest(waypoints[drawn], level, previous, rng)
+    number, chosen, score = _find_best(batches, hyper, rng)
     best = batches[number]
     motion = best.evaluated.motion
     return Refinement(best.waypoints[chosen], motion, chosen, number, score, tuple(rounds), tuple(batches))
@@ -138,11 +138,11 @@ def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -
         weight = np.where(finite, single, np.float32(0.0)).astype(np.float64)
     total = weight.sum()
     if total == 0.0:
-        raise NothingToDraw(f"the smallest of {int(finite.sum())} scores is {scores[finite].min():.1f}")
+        raise ResamplingUnderflowError(f"the smallest of {int(finite.sum())} scores is {scores[finite].min():.1f}")
     return np.asarray(rng.choice(len(scores), size=len(scores), p=weight / total), dtype=np.int64)
 
 
-def scores_together(batches: Sequence[Batch], hyper: HyperParameters) -> Floats:
+def compare_scores(batches: Sequence[SearchedBatch], hyper: HyperParameters) -> Floats:
     """Final scores by which rounds compare, the challenge normalised over all of them together.
 
     (R, B) of R rounds of as many candidates each; lower is better, infinite where a candidate must never be chosen.
@@ -150,17 +150,19 @@ def scores_together(batches: Sequence[Batch], hyper: HyperParameters) -> Floats:
     terms = [batch.evaluated.terms for batch in batches]
     finite = np.stack([batch_terms.finite for batch_terms in terms])
     challenge = terms[0].challenges(terms)
-    safety = np.stack([batch_terms.safety(batch.start, hyper) for batch, batch_terms in zip(batches, terms)])
+    safety = np.stack([batch_terms.compute_safety(batch.start, hyper) for batch, batch_terms in zip(batches, terms)])
     wanted = hyper.ac_weight * challenge
     if terms[0].asked is not None:
         wanted = hyper.manoeuvre_weight * terms[0].requests(terms)
     return np.where(finite, safety + wanted, np.inf)
 
 
-def _best(batches: Sequence[Batch], hyper: HyperParameters, rng: np.random.Generator) -> tuple[int, int, float]:
+def _find_best(
+    batches: Sequence[SearchedBatch], hyper: HyperParameters, rng: np.random.Generator
+) -> tuple[int, int, float]:
     """Round, index and score of the best candidate of all rounds that count."""
     skipped = 0 if hyper.best_of_all_rounds else len(batches) - 1
-    score = scores_together(batches[skipped:], hyper)
+    score = compare_scores(batches[skipped:], hyper)
     if hyper.scored:
         number, chosen = np.unravel_index(int(np.argmin(score)), score.shape)
         return skipped + int(number), int(chosen), float(score[number, chosen])
@@ -171,9 +173,9 @@ def _best(batches: Sequence[Batch], hyper: HyperParameters, rng: np.random.Gener
     return skipped + last, int(chosen), float(score[last, chosen])
 
 
-def _summary(scores: Floats, terms: Terms, hyper: HyperParameters) -> Round:
+def _summarise(scores: Floats, terms: ScoreTerms, hyper: HyperParameters) -> RoundSummary:
     free = terms.finite & ~terms.collision[:, : hyper.horizon].any(axis=1)
-    return Round(scores, int(free.sum()))
+    return RoundSummary(scores, int(free.sum()))
 
 
 SHOWN_CANDIDATES: Final = 64
@@ -182,7 +184,7 @@ SHOWN_FRAMES: Final = 36
 """Candidates are drawn for 3 s, the horizon of planners and of the scores, or longer if scores look farther."""
 
 
-def rounds_of(
+def build_trace_frame(
     scene: Scene,
     agent: int,
     frame: int,
@@ -197,15 +199,15 @@ def rounds_of(
     normalised over all rounds of the frame together.
     """
     steps = max(SHOWN_FRAMES, hyper.scored_frames[-1])
-    length_m, origin_m = float(scene.agents.size[agent, 0]), np.array(origin_of(scene))
+    length_m, origin_m = float(scene.agents.size[agent, 0]), np.array(find_origin(scene))
     rounds, place = [], 0
-    for number, (batch, score) in enumerate(zip(found.batches, scores_together(found.batches, hyper), strict=True)):
+    for number, (batch, score) in enumerate(zip(found.batches, compare_scores(found.batches, hyper), strict=True)):
         motion = batch.evaluated.motion
         if motion.center.shape[1] <= steps:
             # Scores look no farther than the scene; a picture does.
             motion = simulate(batch.waypoints, state, length_m, steps=steps, model=model)
         chosen = found.chosen if number == found.round else None
-        shown = shown_candidates(score, motion.finite, chosen)
+        shown = select_shown_candidates(score, motion.finite, chosen)
         if chosen is not None:
             place = int(np.flatnonzero(shown == chosen)[0])
         points = motion.center[shown, : steps + 1 : FRAMES_PER_KEYFRAME, :2] - origin_m
@@ -219,7 +221,7 @@ def rounds_of(
     return TraceFrame(frame=frame, rounds=tuple(rounds), chosen_round=found.round, chosen=place)
 
 
-def shown_candidates(scores: Floats, drawable: NDArray[np.bool_], chosen: int | None) -> NDArray[np.int64]:
+def select_shown_candidates(scores: Floats, drawable: NDArray[np.bool_], chosen: int | None) -> NDArray[np.int64]:
     """Increasing indices, at most `SHOWN_CANDIDATES`, of the candidates of a round that are kept.
 
     Args:

@@ -14,14 +14,14 @@ from benchmark.geometry import Bools, Floats, axes_overlap, box_corners
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.search.hyperparameters import CollisionReading, HyperParameters
-from generation.search.verify import raster_footprints
+from generation.search.verify import compute_raster_footprints
 
 ROUNDING_M2, UNDERSTATED = 1e-6, 1.0 - 1e-12
 """Slack of the broad phase, far above rounding: boxes that touch corner to corner must reach the exact test."""
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class ScoringSurroundings:
     """Objects and road that a candidate can hit, leave and approach; S scored frames, M objects.
 
     Attributes:
@@ -39,7 +39,7 @@ class Surroundings:
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
+class ScoreTerms:
     """The three terms of B candidates before weighting.
 
     Attributes:
@@ -67,7 +67,7 @@ class Terms:
     asked: Floats | None = field(default=None, kw_only=True)
     further: Floats | None = field(default=None, kw_only=True)
 
-    def safety(self, start: Floats, hyper: HyperParameters) -> Floats:
+    def compute_safety(self, start: Floats, hyper: HyperParameters) -> Floats:
         """(B,) all of a score but the challenge, from (B,) random initial scores on."""
         score = start + hyper.dac_weight * self.dac + hyper.cr_weight * self.cr
         return np.asarray(score if self.further is None else score + self.further)
@@ -75,7 +75,7 @@ class Terms:
     @classmethod
     def challenges(cls, batches: "Sequence[Self]") -> Floats:
         """ACScore of the appendix, normalised over R batches together, (R, B)."""
-        return normalised(
+        return normalise_challenge(
             np.stack([batch.challenge for batch in batches]), np.stack([batch.finite for batch in batches])
         )
 
@@ -83,12 +83,12 @@ class Terms:
     def requests(cls, batches: "Sequence[Self]") -> Floats:
         """Distance to the manoeuvre that was asked for, normalised in the same way, (R, B); zeros where nothing was."""
         distances = [np.zeros_like(batch.challenge) if batch.asked is None else batch.asked for batch in batches]
-        return normalised(np.stack(distances), np.stack([batch.finite for batch in batches]))
+        return normalise_challenge(np.stack(distances), np.stack([batch.finite for batch in batches]))
 
 
-def surroundings(
+def build_surroundings(
     scene: Scene, agent: int, frames: tuple[int, ...], raster: DrivableRaster, *, raster_ego: bool = False
-) -> Surroundings:
+) -> ScoringSurroundings:
     """Everything but one agent at some frames; the ego comes last.
 
     Objects that are absent throughout are left out. ``raster`` is around the ego at the planning frame; with
@@ -99,14 +99,14 @@ def surroundings(
     is_present[agent] = False
     rows = np.flatnonzero(is_present)
     ego = scene.ego.boxes[at]
-    egos = [*([raster_footprints(scene, at)] if raster_ego else []), ego[:, None]]
-    boxes = np.concatenate([_boxes_at(scene, rows, at), *egos], axis=1)
+    egos = [*([compute_raster_footprints(scene, at)] if raster_ego else []), ego[:, None]]
+    boxes = np.concatenate([_select_boxes(scene, rows, at), *egos], axis=1)
     present = np.ones(boxes.shape[:2], dtype=np.bool_)
     present[:, : len(rows)] = scene.agents.valid[np.ix_(rows, at)].T
-    return Surroundings(boxes, present, ego[:, :2], raster)
+    return ScoringSurroundings(boxes, present, ego[:, :2], raster)
 
 
-def _boxes_at(scene: Scene, rows: NDArray[np.int64], at: NDArray[np.int64]) -> Floats:
+def _select_boxes(scene: Scene, rows: NDArray[np.int64], at: NDArray[np.int64]) -> Floats:
     """(S, M, 5) boxes of some agents at some frames."""
     agents = scene.agents
     grid = np.ix_(rows, at)
@@ -115,9 +115,9 @@ def _boxes_at(scene: Scene, rows: NDArray[np.int64], at: NDArray[np.int64]) -> F
     return np.ascontiguousarray(boxes.transpose(1, 0, 2))
 
 
-def score_terms(
-    center: Floats, size: Floats, around: Surroundings, hyper: HyperParameters, *, speed: Floats | None = None
-) -> Terms:
+def compute_score_terms(
+    center: Floats, size: Floats, around: ScoringSurroundings, hyper: HyperParameters, *, speed: Floats | None = None
+) -> ScoreTerms:
     """The three terms (appendix: DACScore, CRScore, ACScore').
 
     Args:
@@ -129,22 +129,22 @@ def score_terms(
     finite = np.isfinite(center).all(axis=(1, 2))
     if speed is not None:
         finite &= np.isfinite(speed).all(axis=1)
-    boxes = _by_step(center, size, finite)
+    boxes = _arrange_by_step(center, size, finite)
     count = center.shape[1]
-    safety_weight = hyper.safety_step_weights()[:count]
+    safety_weight = hyper.compute_safety_step_weights()[:count]
     center_off = ~around.raster.look_up(boxes[..., :2])
-    corner_off = _any_corner_off(boxes, around.raster)
+    corner_off = _is_any_corner_off(boxes, around.raster)
     # What overflows is marked as not finite, because it would spoil the normalisation of the whole batch.
     with np.errstate(over="ignore"):
         offset = boxes[..., :2] - around.ego_center[:, None]
         distance = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
-        challenge = hyper.challenge_step_weights()[:count] @ distance
+        challenge = hyper.compute_challenge_step_weights()[:count] @ distance
     finite &= np.isfinite(challenge)
     boxes[..., 2:4] += 2.0 * hyper.clearance_m
     if speed is not None and hyper.headway_s > 0.0:
         boxes[..., 2] += 2.0 * hyper.headway_s * np.where(finite, speed.T, 0.0)
-    collision = collisions(boxes.transpose(1, 0, 2), around, hyper.collision_reading)
-    return Terms(
+    collision = find_collisions(boxes.transpose(1, 0, 2), around, hyper.collision_reading)
+    return ScoreTerms(
         center_off_road=center_off.T,
         corner_off_road=corner_off.T,
         collision=collision,
@@ -156,7 +156,7 @@ def score_terms(
     )
 
 
-def _by_step(center: Floats, size: Floats, finite: Bools) -> Floats:
+def _arrange_by_step(center: Floats, size: Floats, finite: Bools) -> Floats:
     """(S, B, 5) boxes, one contiguous row of B numbers for each quantity; zeros stand in for what is not finite."""
     candidates, steps = center.shape[:2]
     rows = np.empty((5, steps, candidates))
@@ -166,14 +166,16 @@ def _by_step(center: Floats, size: Floats, finite: Bools) -> Floats:
     return rows.transpose(1, 2, 0)
 
 
-def _any_corner_off(boxes: Floats, raster: DrivableRaster) -> Bools:
+def _is_any_corner_off(boxes: Floats, raster: DrivableRaster) -> Bools:
     """(...) whether any corner of a box is off the drivable area."""
     on_road = raster.look_up(box_corners(boxes))
     return np.asarray(~on_road.all(axis=-1))
 
 
-def collisions(boxes: Floats, around: Surroundings, reading: CollisionReading = CollisionReading.GEOMETRY) -> Bools:
-    """Whether candidates collide with any present object (appendix, CollisionScore; three steps, see `columns`).
+def find_collisions(
+    boxes: Floats, around: ScoringSurroundings, reading: CollisionReading = CollisionReading.GEOMETRY
+) -> Bools:
+    """Whether candidates collide with any present object (appendix, CollisionScore; three steps, see `build_columns`).
 
     With ``GEOMETRY`` this is contact: the broad phase rejects pairs whose circumscribed circles are apart, which
     never changes the answer. (B, S) verdicts.
@@ -182,12 +184,12 @@ def collisions(boxes: Floats, around: Surroundings, reading: CollisionReading = 
         boxes: (B, S, 5) boxes of the candidates. Clearance or headway that they were grown by counts in all three
             steps: a grown vehicle has grown edges, too.
     """
-    own = columns(boxes.transpose(1, 0, 2), reading)
-    other = columns(around.boxes, reading)
+    own = build_columns(boxes.transpose(1, 0, 2), reading)
+    other = build_columns(around.boxes, reading)
     hit = np.zeros(own.shape[1:], dtype=np.bool_)
     # Where a square overflows the candidate is nowhere near anything.
     with np.errstate(over="ignore", invalid="ignore"):
-        candidate, object_ = near_pairs(own, other, around.present)
+        candidate, object_ = find_near_pairs(own, other, around.present)
         rows = 6 if reading is CollisionReading.GEOMETRY else 8
         # "clip" only spares the test of every index.
         first = np.take(own[:rows].reshape(rows, -1), candidate, axis=1, mode="clip")
@@ -204,7 +206,7 @@ def collisions(boxes: Floats, around: Surroundings, reading: CollisionReading = 
     return hit.T
 
 
-def columns(boxes: Floats, reading: CollisionReading) -> Floats:
+def build_columns(boxes: Floats, reading: CollisionReading) -> Floats:
     """Columns for collisions of (S, N, 5) boxes, (8, S, N): x, y, half sizes, cosine and sine, inner and outer bound.
 
     The bounds of two boxes add up. Nearer than the inner one is a collision, farther than the outer one is none, and
@@ -226,7 +228,7 @@ def columns(boxes: Floats, reading: CollisionReading) -> Floats:
     return columns
 
 
-def near_pairs(own: Floats, other: Floats, present: Bools) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_near_pairs(own: Floats, other: Floats, present: Bools) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs (P,) of candidate and object, counted over steps and boxes, that are not farther than the outer bound.
 
     Squared distances minus squared bounds are one matrix product a step. They are understated a little, which
@@ -256,7 +258,7 @@ def near_pairs(own: Floats, other: Floats, present: Bools) -> tuple[NDArray[np.i
     return step * x.shape[1] + candidate, step * present.shape[1] + kept[object_]
 
 
-def normalised(challenge: Floats, finite: Bools) -> Floats:
+def normalise_challenge(challenge: Floats, finite: Bools) -> Floats:
     """ACScore of the appendix: ACScore' mapped to [0, 1] over the batch.
 
     (B,) values, zeros where all are equal; ``finite`` says which take part.
@@ -267,12 +269,12 @@ def normalised(challenge: Floats, finite: Bools) -> Floats:
     return np.where(finite, (challenge - low) / (high - low), 0.0) if high > low else np.zeros_like(challenge)
 
 
-def final_scores(terms: Terms, start: Floats, hyper: HyperParameters) -> Floats:
+def compute_final_scores(terms: ScoreTerms, start: Floats, hyper: HyperParameters) -> Floats:
     """FinalScore of the appendix: (B,), lower is better, infinity for candidates that must never be chosen."""
     (challenge,) = terms.challenges([terms])
     # What was asked for stands in the place of the challenge until it is done.
     wanted = hyper.ac_weight * challenge
     if terms.asked is not None:
         wanted = hyper.manoeuvre_weight * terms.requests([terms])[0]
-    score = terms.safety(start, hyper) + wanted
+    score = terms.compute_safety(start, hyper) + wanted
     return np.where(terms.finite, score, np.inf)

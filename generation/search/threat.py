@@ -20,9 +20,9 @@ from benchmark.dynamics.bicycle import WHEELBASE, SimulatedMotion
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
-from generation.search.ego_way import EgoWay, ego_way
+from generation.search.ego_way import RecordedEgoPath, get_ego_path
 from generation.search.hyperparameters import HyperParameters
-from generation.search.scoring import Surroundings, collisions
+from generation.search.scoring import ScoringSurroundings, find_collisions
 
 SPACING_M: Final = 1.0
 WITHIN_M: Final = 2.0
@@ -41,7 +41,7 @@ class LaneHeadings:
     @classmethod
     def of(cls, scene: Scene) -> Self:
         """Those of a scene's map."""
-        return cls(*_points(_Map(scene.road_map)))
+        return cls(*_collect_points(_MapIdentity(scene.road_map)))
 
     def against(self, poses: Floats) -> Bools:
         """Whether poses (..., 3) head against every lane whose centre line is within 2 m; not where there is none."""
@@ -59,7 +59,7 @@ class LaneHeadings:
         return cKDTree(self.points)
 
 
-class _Map:
+class _MapIdentity:
     """A map by identity: its layers do not change, and shapes are slow to hash."""
 
     def __init__(self, road_map: RoadMap) -> None:
@@ -69,11 +69,11 @@ class _Map:
         return id(self.road_map)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Map) and self.road_map is other.road_map
+        return isinstance(other, _MapIdentity) and self.road_map is other.road_map
 
 
 @functools.lru_cache(maxsize=2)
-def _points(of: _Map) -> tuple[Floats, Floats]:
+def _collect_points(of: _MapIdentity) -> tuple[Floats, Floats]:
     points, headings = [np.zeros((0, 2))], [np.zeros(0)]
     for lane in of.road_map.lanes.values():
         edge = np.diff(lane.centerline, axis=0)
@@ -112,7 +112,7 @@ FREE_SHARE: Final = 0.6
 
 
 @dataclass(frozen=True)
-class Ahead:
+class EgoLookahead:
     """Knowledge at a planning frame of the S scored frames that count, half a second apart where there are such.
 
     Attributes:
@@ -125,25 +125,25 @@ class Ahead:
 
     columns: tuple[int, ...]
     offsets: tuple[int, ...]
-    way: EgoWay
+    way: RecordedEgoPath
     frames: tuple[int, ...]
     ego: Floats
 
     @classmethod
-    def of(cls, scene: Scene, frame: int, offsets: tuple[int, ...]) -> "Ahead":
+    def of(cls, scene: Scene, frame: int, offsets: tuple[int, ...]) -> "EgoLookahead":
         """Look ahead from a planning frame to the scored frames at some offsets from it."""
         columns = [column for column, offset in enumerate(offsets) if offset % FRAMES_PER_KEYFRAME == 0]
         columns = columns or [len(offsets) - 1]
         chosen = tuple(offsets[column] for column in columns)
         frames = tuple(frame + offset for offset in chosen)
-        return cls(tuple(columns), chosen, ego_way(scene), frames, scene.ego.pose[list(frames)])
+        return cls(tuple(columns), chosen, get_ego_path(scene), frames, scene.ego.pose[list(frames)])
 
     @cached_property
     def speed(self) -> Floats:
         """(S,) of the ego, m/s."""
         return self.way.speed[list(self.frames)]
 
-    def aim_m(self, gap_s: float, least_m: float) -> Floats:
+    def compute_aim_m(self, gap_s: float, least_m: float) -> Floats:
         """(S,) room ahead of the ego that is aimed at: a time gap, or well within what the ego would overrun."""
         over = self.way.overrun[list(self.frames)]
         gap = gap_s * self.speed
@@ -151,7 +151,7 @@ class Ahead:
 
 
 @dataclass(frozen=True)
-class Placed:
+class ThreatPlacement:
     """B candidates at S frames, along the ego's way.
 
     Attributes:
@@ -169,7 +169,7 @@ class Placed:
     ego_speed: Floats
 
     @classmethod
-    def of(cls, ahead: Ahead, center: Floats, speed: Floats, size: Floats) -> "Placed":
+    def of(cls, ahead: EgoLookahead, center: Floats, speed: Floats, size: Floats) -> "ThreatPlacement":
         """Place candidates at the S frames.
 
         (B, S, 3) poses of box centres, (B, S) speeds in m/s, (2,) length and width.
@@ -193,7 +193,7 @@ class Placed:
         return np.asarray((self.side <= 0.0) & (self.room > 0.0))
 
     @cached_property
-    def careful_m(self) -> Floats:
+    def braking_m(self) -> Floats:
         """(B, S) metres in which a careful human loses the closing speed, 0 where the ego does not close."""
         closing = np.maximum(self.closing, 0.0)
         return REACTION_S * closing + closing**2 / (2.0 * BRAKING_M_S2)
@@ -204,48 +204,48 @@ class Placed:
         return np.asarray(self.ego_speed >= MOVING_M_S)
 
 
-def threat(placed: Placed, aim_m: Floats) -> Floats:
+def compute_threat(placed: ThreatPlacement, aim_m: Floats) -> Floats:
     """(B,) distance to the place ahead of the ego where one that does not react would hit; its root, 1 at 20 m."""
     away = np.hypot(placed.room - aim_m, np.maximum(placed.side + OVERLAP_M, 0.0))
     return np.asarray(np.sqrt(away / FAR_M).mean(axis=1))
 
 
-def closing(placed: Placed) -> Floats:
+def compute_closing(placed: ThreatPlacement) -> Floats:
     """(B,) minus the share of a brisk closing speed, where the ego closes in time for a careful human; at least -1."""
-    timely = placed.in_way & (placed.room >= placed.careful_m) & (placed.room <= 3.0 * placed.careful_m)
+    timely = placed.in_way & (placed.room >= placed.braking_m) & (placed.room <= 3.0 * placed.braking_m)
     return np.asarray(-(timely * np.clip(placed.closing / BRISK_M_S, 0.0, 1.0)).mean(axis=1))
 
 
-def careful(placed: Placed) -> Floats:
+def compute_braking_deficit(placed: ThreatPlacement) -> Floats:
     """(B,) share of a careful human's braking distance that is missing in the ego's way."""
-    missing = np.maximum(placed.careful_m - placed.room, 0.0) / np.maximum(placed.careful_m, 1.0)
+    missing = np.maximum(placed.braking_m - placed.room, 0.0) / np.maximum(placed.braking_m, 1.0)
     return np.asarray((placed.in_way * missing).mean(axis=1))
 
 
-def side(placed: Placed, least_m: float, per_speed_s: float) -> Floats:
+def compute_side_deficit(placed: ThreatPlacement, least_m: float, per_speed_s: float) -> Floats:
     """(B,) share of the side clearance that is missing beside a driving ego."""
     wanted = least_m + per_speed_s * placed.ego_speed
     abreast = (placed.room <= 0.0) & (placed.lag <= 0.0) & placed.moving
     return np.asarray((abreast * np.clip(1.0 - placed.side / wanted, 0.0, 1.0)).mean(axis=1))
 
 
-def behind(placed: Placed) -> Floats:
+def compute_share_behind(placed: ThreatPlacement) -> Floats:
     """(B,) share of frames at which it is behind a driving ego."""
     return np.asarray(((placed.lag > 0.0) & placed.moving).mean(axis=1))
 
 
-def not_ahead(placed: Placed) -> Floats:
+def compute_distance_from_ahead(placed: ThreatPlacement) -> Floats:
     """(B,) how far the rear is from 8 m ahead of the ego's front at the end of what is scored, 1 at 20 m; at most 3."""
     return np.asarray(np.clip((AHEAD_M - placed.room[:, -1]) / FAR_M, 0.0, MOST_BEHIND))
 
 
-def unlikely(speed: Floats, acceleration: Floats, steering: Floats, length_m: float) -> Floats:
+def compute_unlikeliness(speed: Floats, acceleration: Floats, steering: Floats, length_m: float) -> Floats:
     """(B,) minus the logarithm of the Laplace likelihood of (B, S) accelerations, without its constant."""
     across = speed**2 * np.tan(steering) / (WHEELBASE * length_m)
     return np.asarray((np.abs(acceleration) / USUAL_ALONG_M_S2 + np.abs(across) / USUAL_ACROSS_M_S2).mean(axis=1))
 
 
-def near_edge(center: Floats, ego: Floats, half_extent_m: float) -> Floats:
+def compute_edge_penalty(center: Floats, ego: Floats, half_extent_m: float) -> Floats:
     """(B,) how far beyond the free part of the area, 1 at its edge; squared, so that the edge itself counts most.
 
     (B, S, 3) poses of box centres; the area lies around the (S, 3) poses ``ego``.
@@ -255,42 +255,42 @@ def near_edge(center: Floats, ego: Floats, half_extent_m: float) -> Floats:
     return np.asarray(((np.maximum(outward - free, 0.0) / (half_extent_m - free)) ** 2).mean(axis=1))
 
 
-def threat_rating(
+def build_threat_rating(
     scene: Scene,
     agent: int,
     frame: int,
     offsets: tuple[int, ...],
-    around: Surroundings,
+    around: ScoringSurroundings,
     hyper: HyperParameters,
 ) -> Callable[[SimulatedMotion], Floats]:
     """Function of the motion of B candidates that gives the (B,) weighted sums of the terms at a planning frame.
 
     ``offsets`` are the frames after it that are scored, ``around`` has what is there at them.
     """
-    ahead = Ahead.of(scene, frame, offsets)
+    ahead = EgoLookahead.of(scene, frame, offsets)
     size = scene.agents.size[agent, :2]
     columns = list(ahead.columns)
     scored_around = replace(around, boxes=around.boxes[columns], present=around.present[columns])
     lanes = LaneHeadings.of(scene) if hyper.against_weight else None
-    aim_m = ahead.aim_m(hyper.threat_gap_s, hyper.threat_least_m)
+    aim_m = ahead.compute_aim_m(hyper.threat_gap_s, hyper.threat_least_m)
 
     def rate(motion: SimulatedMotion) -> Floats:
         ok = motion.finite
         center = np.where(ok[:, None, None], motion.center[:, list(ahead.offsets)], 0.0)
         states = np.where(ok[:, None, None], motion.states[:, list(ahead.offsets), 3:], 0.0)
         speed, acceleration, steering = np.moveaxis(states, -1, 0)
-        placed = Placed.of(ahead, center, speed, size)
+        placed = ThreatPlacement.of(ahead, center, speed, size)
         total = np.zeros(len(center))
         terms: tuple[tuple[float, Callable[[], Floats]], ...] = (
-            (hyper.threat_weight, lambda: threat(placed, aim_m)),
-            (hyper.closing_weight, lambda: closing(placed)),
-            (hyper.careful_weight, lambda: careful(placed)),
-            (hyper.side_weight, lambda: side(placed, hyper.side_least_m, hyper.side_s)),
-            (hyper.behind_weight, lambda: behind(placed)),
-            (hyper.ahead_weight, lambda: not_ahead(placed)),
-            (hyper.hover_weight, lambda: hovering(center, size, scored_around)),
-            (hyper.likelihood_weight, lambda: unlikely(speed, acceleration, steering, float(size[0]))),
-            (hyper.area_weight, lambda: near_edge(center, ahead.ego, hyper.half_extent_m)),
+            (hyper.threat_weight, lambda: compute_threat(placed, aim_m)),
+            (hyper.closing_weight, lambda: compute_closing(placed)),
+            (hyper.careful_weight, lambda: compute_braking_deficit(placed)),
+            (hyper.side_weight, lambda: compute_side_deficit(placed, hyper.side_least_m, hyper.side_s)),
+            (hyper.behind_weight, lambda: compute_share_behind(placed)),
+            (hyper.ahead_weight, lambda: compute_distance_from_ahead(placed)),
+            (hyper.hover_weight, lambda: compute_hovering_share(center, size, scored_around)),
+            (hyper.likelihood_weight, lambda: compute_unlikeliness(speed, acceleration, steering, float(size[0]))),
+            (hyper.area_weight, lambda: compute_edge_penalty(center, ahead.ego, hyper.half_extent_m)),
         )
         for weight, term in terms:
             if weight:
@@ -302,8 +302,8 @@ def threat_rating(
     return rate
 
 
-def hovering(center: Floats, size: Floats, around: Surroundings) -> Floats:
+def compute_hovering_share(center: Floats, size: Floats, around: ScoringSurroundings) -> Floats:
     """(B,) share of frames with another within half a metre."""
     grown = np.broadcast_to(np.asarray(size) + 2.0 * HOVER_M, (*center.shape[:2], 2))
     boxes = np.concatenate([center[..., :2], grown, center[..., 2:]], axis=-1)
-    return np.asarray(collisions(boxes, around).mean(axis=1))
+    return np.asarray(find_collisions(boxes, around).mean(axis=1))

@@ -12,7 +12,7 @@ import numpy as np
 from benchmark.errors import InputError
 
 
-def parsed(name: str, text: str, kind: type) -> Any:
+def parse_setting(name: str, text: str, kind: type) -> Any:
     """A value of the type that a hyper-parameter has: a switch, a finite number or a `StrEnum`."""
     if kind is bool:
         if text not in ("true", "false"):
@@ -78,7 +78,7 @@ class ThreatSettings:
             self.against_weight, self.hover_weight, self.likelihood_weight, self.area_weight, self.ahead_weight,
         ))  # fmt: skip
 
-    def where_asked(self) -> Self:
+    def without_position_terms(self) -> Self:
         """Without the terms that say where to be: a manoeuvre that was asked for says that."""
         return replace(
             self,

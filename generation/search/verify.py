@@ -16,23 +16,23 @@ import shapely
 from numpy.typing import NDArray
 
 from benchmark.constants import FRAMES_PER_KEYFRAME, PLAN_STEPS
-from benchmark.datasets.annotated import tracks_between
-from benchmark.datasets.sample_truth import truth_of_scene
-from benchmark.dynamics.bicycle import DriverLimits, broken_limit
+from benchmark.datasets.annotated import interpolate_tracks
+from benchmark.datasets.sample_truth import compute_truth
+from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
 from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, to_local
-from benchmark.protocols import NATIVE_PROTOCOLS, masking_protocols, protocol
+from benchmark.protocols import NATIVE_PROTOCOLS, find_masking_protocols, find_protocol
 from benchmark.protocols.raster import RasterProtocol
 from benchmark.protocols.stacked import stack
 from benchmark.records.attempts import MaskedSteps
-from benchmark.records.judgement import SceneJudgement, unsolvable
+from benchmark.records.judgement import SceneAssessment, is_unsolvable
 from benchmark.scene import Scene
-from generation.labels.labelling import agent_boxes, body_gaps, ego_speed
-from generation.search.hyperparameters import Discards, HyperParameters
-from generation.search.recorded_motion import in_canvas, log_replay_contacts
+from generation.labels.labelling import compute_body_gaps, compute_ego_speed, read_agent_boxes
+from generation.search.hyperparameters import DiscardRules, HyperParameters
+from generation.search.recorded_motion import find_log_replay_contacts, is_in_canvas
 from generation.splits.format import METRE_DIGITS, YAW_DIGITS
 
 
-def recorded_contacts(
+def find_recorded_contacts(
     scene: Scene, instances: Collection[str], protocols: Iterable[str]
 ) -> dict[str, tuple[Bools, Bools]]:
     """Contacts that protocols find of the recorded ego: at the key frames of the data set, as they see it from each.
@@ -41,8 +41,8 @@ def recorded_contacts(
         For each protocol two times (K, 6) verdicts for K samples and the steps after them, False where the recording
         has ended: contact with one of these instances, and contact with anything else.
     """
-    known = masking_protocols()
-    truths = stack(truth_of_scene(scene, [""] * len(scene.keyframes)))
+    known = find_masking_protocols()
+    truths = stack(compute_truth(scene, [""] * len(scene.keyframes)))
     own = np.array([name in instances for name in truths.instances], np.bool_)
     return {
         name: (known[name].recorded_contacts(truths, own), known[name].recorded_contacts(truths, ~own))
@@ -50,7 +50,7 @@ def recorded_contacts(
     }
 
 
-def masked_steps(scene: Scene) -> dict[str, MaskedSteps]:
+def count_masked_steps(scene: Scene) -> dict[str, MaskedSteps]:
     """Steps of a scene that each protocol with a ground-truth check takes from every planner.
 
     They are counted by protocol: steps at which the recorded ego touches an adversary, and those at which it
@@ -58,11 +58,11 @@ def masked_steps(scene: Scene) -> dict[str, MaskedSteps]:
     """
     return {
         name: MaskedSteps(adversary=int(own.sum()), others=int((others & ~own).sum()))
-        for name, (own, others) in recorded_contacts(scene, scene.adversaries, masking_protocols()).items()
+        for name, (own, others) in find_recorded_contacts(scene, scene.adversaries, find_masking_protocols()).items()
     }
 
 
-def masked_together(scenes: Iterable[Mapping[str, MaskedSteps]]) -> dict[str, dict[str, int]]:
+def sum_masked_steps(scenes: Iterable[Mapping[str, MaskedSteps]]) -> dict[str, dict[str, int]]:
     """Masked steps of several scenes: by protocol those of ``adversary`` and of ``others``, as JSON values."""
     sums: dict[str, Counter[str]] = {}
     for by_protocol in scenes:
@@ -71,37 +71,37 @@ def masked_together(scenes: Iterable[Mapping[str, MaskedSteps]]) -> dict[str, di
     return {name: dict(counts) for name, counts in sums.items()}
 
 
-def masked_line(sums: Mapping[str, Mapping[str, int]]) -> str:
-    """`masked_together` for people."""
+def format_masked_steps(sums: Mapping[str, Mapping[str, int]]) -> str:
+    """`sum_masked_steps` for people."""
     counts = ", ".join(f"{name} {of['adversary']} / {of['others']}" for name, of in sums.items())
     return f"steps masked whatever is planned, for adversaries / for others: {counts}"
 
 
-def raster_footprints(scene: Scene, frames: NDArray[np.int64]) -> Floats:
+def compute_raster_footprints(scene: Scene, frames: NDArray[np.int64]) -> Floats:
     """The recorded ego as the rasters of the native protocols show it, wherever key frames may lie.
 
     At a frame that a plan reaches at its k-th step the ego looks as it did k half seconds before. (S, 6, 5) boxes,
     one for each step of (S,) frames: what any of the rasters covers on average.
     """
-    rasters = [known for known in map(protocol, NATIVE_PROTOCOLS) if isinstance(known, RasterProtocol)]
+    rasters = [known for known in map(find_protocol, NATIVE_PROTOCOLS) if isinstance(known, RasterProtocol)]
     ends = np.stack([raster.mean_ends_m for raster in rasters])
     rear, front, right, left = ends[:, 0].min(), ends[:, 1].max(), ends[:, 2].min(), ends[:, 3].max()
     pose = scene.ego.pose
     heading = pose[frames, 2, None]
-    lidar = pose[frames, None, :2] + scene.lidar.translation[0] * _direction(heading)
+    lidar = pose[frames, None, :2] + scene.lidar.translation[0] * _compute_direction(heading)
     step = FRAMES_PER_KEYFRAME * np.arange(1, PLAN_STEPS + 1)
     yaw = pose[np.maximum(frames[:, None] - step, 0), 2]
-    ahead, aside = _direction(yaw), _direction(yaw + np.pi / 2)
+    ahead, aside = _compute_direction(yaw), _compute_direction(yaw + np.pi / 2)
     center = lidar + 0.5 * ((rear + front) * ahead + (right + left) * aside)
     size = np.broadcast_to([front - rear, left - right], center.shape)
     return np.concatenate([center, size, yaw[..., None]], axis=-1)
 
 
-def _direction(yaw_rad: Floats) -> Floats:
+def _compute_direction(yaw_rad: Floats) -> Floats:
     return np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1)
 
 
-class Discard(StrEnum):
+class DiscardReason(StrEnum):
     """Why a scene is not kept."""
 
     NEVER_LAUNCHED = "never-launched"
@@ -125,13 +125,13 @@ class Discard(StrEnum):
     ANOTHER_MANOEUVRE = "another-manoeuvre-than-asked"
 
     @classmethod
-    def touches(cls, protocol: str) -> "Discard":
+    def touches(cls, protocol: str) -> "DiscardReason":
         """The reason for a contact that the ground-truth check of a native protocol finds."""
         return cls(f"touches-under-{protocol}")
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class VerificationFailure:
     """A reason to discard a scene, and what shows it.
 
     Attributes:
@@ -141,7 +141,7 @@ class Finding:
         limit: How much was allowed, or needed.
     """
 
-    reason: Discard
+    reason: DiscardReason
     frame: int | None = None
     other: str | None = None
     quantity: str | None = None
@@ -159,60 +159,66 @@ EGO = "ego"
 """Stands for the recording car where an instance identifier would stand."""
 
 
-def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits | None) -> Finding | None:
+def verify(
+    scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits | None
+) -> VerificationFailure | None:
     """First reason to discard an adversarial scene, ``None`` to keep it.
 
     All of our reasons are looked at, or those alone that the paper names. ``start`` is the first frame of the
     adversarial track; ``limits`` of ``None`` are of planning without any: the usual ones are asked for.
     """
-    boxes = agent_boxes(scene, agent)[start:]
+    boxes = read_agent_boxes(scene, agent)[start:]
     if not np.isfinite(boxes).all():
-        return Finding(Discard.UNDRIVEABLE)
-    ours = hyper.discards is Discards.OURS
-    broken = broken_limit(boxes, limits or DriverLimits()) if ours else None
+        return VerificationFailure(DiscardReason.UNDRIVEABLE)
+    ours = hyper.discards is DiscardRules.OURS
+    broken = find_broken_limit(boxes, limits or DriverLimits()) if ours else None
     if broken is not None:
         quantity, value, limit = broken
-        return Finding(Discard.UNDRIVEABLE, quantity=quantity, value=value, limit=limit)
+        return VerificationFailure(DiscardReason.UNDRIVEABLE, quantity=quantity, value=value, limit=limit)
     return (
-        _contact(scene, agent, start, boxes)
-        or (Finding(Discard.EGO_BLOCKED) if ours and _blocks_ego(scene, boxes, hyper) else None)
-        or _out_of_area(scene, agent, start, hyper)
-        or (_off_road(scene, start, boxes, hyper) if ours else None)
-        or _never_close(scene, agent, start, hyper)
-        or _masked(scene, agent, start)
+        _find_contact(scene, agent, start, boxes)
+        or (VerificationFailure(DiscardReason.EGO_BLOCKED) if ours and _is_blocking_ego(scene, boxes, hyper) else None)
+        or _check_area(scene, agent, start, hyper)
+        or (_check_road(scene, start, boxes, hyper) if ours else None)
+        or _check_closeness(scene, agent, start, hyper)
+        or _check_masked_steps(scene, agent, start)
     )
 
 
-def _contact(scene: Scene, agent: int, start: int, boxes: Floats) -> Finding | None:
+def _find_contact(scene: Scene, agent: int, start: int, boxes: Floats) -> VerificationFailure | None:
     """Contact with an object or the ego, at 12 Hz and as a reader of the data set sees it."""
-    read = _as_read(scene)
+    read = _interpolate_annotations(scene)
     stretches = ((scene, np.arange(start, start + len(boxes))), (read, np.arange(start, read.agents.yaw.shape[1])))
     for view, at in stretches:
-        step, other = contacts(agent_boxes(view, agent)[at], view, agent, at)
+        step, other = find_contacts(read_agent_boxes(view, agent)[at], view, agent, at)
         if len(step):
-            return Finding(Discard.HITS_OBJECT, int(at[step[0]]), view.agents.ids[other[0]])
+            return VerificationFailure(DiscardReason.HITS_OBJECT, int(at[step[0]]), view.agents.ids[other[0]])
     touched = np.flatnonzero(boxes_overlap(boxes, scene.ego.boxes[start:]))
-    if len(touched) or log_replay_contacts(scene, np.array([agent]))[agent]:
-        return Finding(Discard.HITS_EGO, start + int(touched[0]) if len(touched) else None, EGO)
+    if len(touched) or find_log_replay_contacts(scene, np.array([agent]))[agent]:
+        return VerificationFailure(DiscardReason.HITS_EGO, start + int(touched[0]) if len(touched) else None, EGO)
     return None
 
 
-def _out_of_area(scene: Scene, agent: int, start: int, hyper: HyperParameters) -> Finding | None:
-    out = np.flatnonzero(~in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)[start:])
-    return Finding(Discard.LEAVES_AREA, start + int(out[0])) if len(out) else None
+def _check_area(scene: Scene, agent: int, start: int, hyper: HyperParameters) -> VerificationFailure | None:
+    out = np.flatnonzero(~is_in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)[start:])
+    return VerificationFailure(DiscardReason.LEAVES_AREA, start + int(out[0])) if len(out) else None
 
 
-def _never_close(scene: Scene, agent: int, start: int, hyper: HyperParameters) -> Finding | None:
-    moving = ego_speed(scene)[start:] >= hyper.moving_ego_m_s
+def _check_closeness(scene: Scene, agent: int, start: int, hyper: HyperParameters) -> VerificationFailure | None:
+    moving = compute_ego_speed(scene)[start:] >= hyper.moving_ego_m_s
     if not moving.any():
-        return Finding(Discard.NEVER_CLOSE, quantity="speed of the ego, m/s", value=0.0, limit=hyper.moving_ego_m_s)
-    gap = float(body_gaps(scene, agent, start)[moving].min())
+        return VerificationFailure(
+            DiscardReason.NEVER_CLOSE, quantity="speed of the ego, m/s", value=0.0, limit=hyper.moving_ego_m_s
+        )
+    gap = float(compute_body_gaps(scene, agent, start)[moving].min())
     if gap <= hyper.close_gap_m:
         return None
-    return Finding(Discard.NEVER_CLOSE, quantity="smallest gap, m", value=gap, limit=hyper.close_gap_m)
+    return VerificationFailure(
+        DiscardReason.NEVER_CLOSE, quantity="smallest gap, m", value=gap, limit=hyper.close_gap_m
+    )
 
 
-def _masked(scene: Scene, agent: int, start: int) -> Finding | None:
+def _check_masked_steps(scene: Scene, agent: int, start: int) -> VerificationFailure | None:
     """A step that a native protocol counts for no planner, because the recorded ego touches the adversary in its eyes.
 
     Frozen splits hold the track to the millimetre, which is enough for a corner to be drawn in another cell.
@@ -221,37 +227,41 @@ def _masked(scene: Scene, agent: int, start: int) -> Finding | None:
     track = np.column_stack([scene.agents.position[agent, frames, :2], scene.agents.yaw[agent, frames]])
     frozen = np.column_stack([np.round(track[:, :2], METRE_DIGITS), np.round(track[:, 2], YAW_DIGITS)])
     for view in (scene, scene.with_adversary(agent, frames, frozen)):
-        for native, (own, _) in recorded_contacts(view, {name}, NATIVE_PROTOCOLS).items():
+        for native, (own, _) in find_recorded_contacts(view, {name}, NATIVE_PROTOCOLS).items():
             if own.any():
                 sample, step = np.nonzero(own)
                 first = int(scene.keyframes[(sample + step).min() + 1])
-                return Finding(
-                    Discard.touches(native), first, EGO, f"steps masked under {native}", float(own.sum()), 0.0
+                return VerificationFailure(
+                    DiscardReason.touches(native), first, EGO, f"steps masked under {native}", float(own.sum()), 0.0
                 )
     return None
 
 
-def unfair(scene: Scene, judgements: Sequence[SceneJudgement], hyper: HyperParameters) -> Finding | None:
+def check_fairness(
+    scene: Scene, judgements: Sequence[SceneAssessment], hyper: HyperParameters
+) -> VerificationFailure | None:
     """Why a scene that passed everything else asks too much of its driver (``docs/severity.md``), if it does.
 
     Either no driver could have avoided it, or the careful and competent human touches something: no planner is to
     blame for what that driver does not avoid. There is one judgement for each adversary.
     """
-    if hyper.solvable and unsolvable(judgements):
-        return Finding(Discard.UNSOLVABLE)
+    if hyper.solvable and is_unsolvable(judgements):
+        return VerificationFailure(DiscardReason.UNSOLVABLE)
     contact = judgements[0].drivers["cc"].contact
     if contact is None or not hyper.careful_survives:
         return None
-    return Finding(Discard.CAREFUL_COLLIDES, int(np.searchsorted(scene.seconds, contact.time_s)), contact.instance)
+    return VerificationFailure(
+        DiscardReason.CAREFUL_COLLIDES, int(np.searchsorted(scene.seconds, contact.time_s)), contact.instance
+    )
 
 
-def _as_read(scene: Scene) -> Scene:
+def _interpolate_annotations(scene: Scene) -> Scene:
     """The scene as a reader of the data set gets it: 2 Hz annotations and straight lines, which cut corners."""
-    tracks = tracks_between(scene.agents.ids, scene.agents.categories, scene.annotations, scene.keyframes)
+    tracks = interpolate_tracks(scene.agents.ids, scene.agents.categories, scene.annotations, scene.keyframes)
     return replace(scene, agents=tracks)
 
 
-def contacts(
+def find_contacts(
     boxes: Floats, scene: Scene, agent: int, frames: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Step of each contact of a track with another present agent, ascending, and the index of that agent.
@@ -270,7 +280,7 @@ def contacts(
     return step[hit], other[hit]
 
 
-def _blocks_ego(scene: Scene, boxes: Floats, hyper: HyperParameters) -> bool:
+def _is_blocking_ego(scene: Scene, boxes: Floats, hyper: HyperParameters) -> bool:
     """Whether the ego would hit the adversary after the last frame although it brakes hard on its heading.
 
     The recorded ego needs no way out while the recording lasts; this asks for one where it ends. An adversary behind
@@ -293,7 +303,7 @@ def _blocks_ego(scene: Scene, boxes: Floats, hyper: HyperParameters) -> bool:
     return bool(boxes_overlap(stopping, other).any())
 
 
-def _off_road(scene: Scene, start: int, boxes: Floats, hyper: HyperParameters) -> Finding | None:
+def _check_road(scene: Scene, start: int, boxes: Floats, hyper: HyperParameters) -> VerificationFailure | None:
     shapely.prepare(scene.road_map.drivable_area)
     center_off = ~scene.road_map.is_drivable(boxes[:, :2])
     corner_off = ~scene.road_map.is_drivable(box_corners(boxes)).all(axis=-1)
@@ -303,5 +313,7 @@ def _off_road(scene: Scene, start: int, boxes: Floats, hyper: HyperParameters) -
     ):
         if off.mean() > most:
             first = start + int(np.argmax(off))
-            return Finding(Discard.LEAVES_ROAD, first, quantity=quantity, value=float(off.mean()), limit=most)
+            return VerificationFailure(
+                DiscardReason.LEAVES_ROAD, first, quantity=quantity, value=float(off.mean()), limit=most
+            )
     return None

@@ -5,16 +5,16 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from benchmark.datasets.scenarionet import find_scenarionet, read_exchanged
+from benchmark.datasets.scenarionet import find_scenarionet, read_exchanged_scene
 from benchmark.errors import InputError
-from benchmark.machine.storage import only_writer
+from benchmark.machine.storage import lock_folder
 from benchmark.machine.workers import LocalProcesses
 from benchmark.runs.units import run_units
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
-from generation.nuscenes_writer.scenes import WrittenScene, written_scene
+from generation.nuscenes_writer.scenes import WrittenScene, write_scene_if_missing
 from generation.render.schematic import SchematicRenderer
-from generation.sources.rig import default_cameras
+from generation.sources.rig import build_default_cameras
 
 VERSION_FOLDER = "v1.0-trainval"
 
@@ -67,7 +67,7 @@ def import_scenarionet(source: Path, root: Path, settings: ImportSettings, *, wo
         source=None,
         keeps_instances=True,
     )
-    with only_writer(root):
+    with lock_folder(root):
         work, where = partial(_import_one, plan), LocalProcesses(workers)
         written = list(run_units(work, files, where, total=len(files), label="importing scenes"))
         names = [imported.name for imported in written]
@@ -78,7 +78,7 @@ def import_scenarionet(source: Path, root: Path, settings: ImportSettings, *, wo
     return tuple(names)
 
 
-class _Imported(NamedTuple):
+class _ImportedScene(NamedTuple):
     name: str
     written: WrittenScene
 
@@ -87,16 +87,16 @@ class _Imported(NamedTuple):
         return self.written.kept
 
 
-def _import_one(plan: DataSetPlan, path: Path) -> _Imported:
-    exchanged = read_exchanged(path)
-    scene = with_default_rig(exchanged.scene)
+def _import_one(plan: DataSetPlan, path: Path) -> _ImportedScene:
+    exchanged = read_exchanged_scene(path)
+    scene = add_default_rig(exchanged.scene)
     if scene.adversaries and plan.split == "val":
         raise InputError(f"{path} names adversaries, which are never in val; import it with --split adv")
     report = dict(exchanged.report)
-    written = written_scene(plan, scene, name=scene.name, source_scene=exchanged.source_scene, report=report)
-    return _Imported(scene.name, written)
+    written = write_scene_if_missing(plan, scene, name=scene.name, source_scene=exchanged.source_scene, report=report)
+    return _ImportedScene(scene.name, written)
 
 
-def with_default_rig(scene: Scene) -> Scene:
+def add_default_rig(scene: Scene) -> Scene:
     """The scene with six cameras where its source has none."""
-    return scene if scene.cameras else replace(scene, cameras=default_cameras())
+    return scene if scene.cameras else replace(scene, cameras=build_default_cameras())

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import content_key, only_writer, read_kept_json, write_json
+from benchmark.machine.storage import content_key, lock_folder, read_cached_json, write_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.records.driven import DRIVEN
@@ -15,23 +15,23 @@ from benchmark.records.off_path import OFF_PATH
 from benchmark.runs.units import run_units
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import SHARED_TABLES_VERSION, STATE_FOLDER
-from generation.nuscenes_writer.scenes import WrittenScene, written_scene
+from generation.nuscenes_writer.scenes import WrittenScene, write_scene_if_missing
 from generation.render.schematic import SchematicRenderer
 from generation.sources.town import (
     DEFAULT_VAL_SCENES,
     MOST_TRAIN_SCENES,
     TOWN_VERSION,
-    town_scene,
-    town_scene_driven,
-    town_scene_names,
-    town_scene_off_path,
+    build_town_scene,
+    build_town_scene_driven,
+    build_town_scene_off_path,
+    list_town_scene_names,
 )
-from generation.sources.town.driven import Driven, lasting
+from generation.sources.town.driven import PlannerDrive, select_lasting_drives
 
 VERSION_FOLDER = "v1.0-mini"
 
 Split = Literal["val", "train"]
-_Work = tuple[Split, int, Driven | None]
+_Work = tuple[Split, int, PlannerDrive | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class TownSettings:
     pictures: Literal["all", "keyframes"] = "all"
     crossing: int = 0
 
-    def drawn_name(self, name: str) -> str:
+    def content_name(self, name: str) -> str:
         """A name for what happens in the scenes and how they look: all that a measured number depends on."""
         return f"{name}-{content_key(*self._drawn())[:12]}"
 
@@ -86,11 +86,11 @@ class TownSettings:
         if self.driven is None:
             del settings["driven"]
         else:
-            settings["driven"] = _record(self.driven).content_id
+            settings["driven"] = _read_drive_record(self.driven).content_id
         return settings, TOWN_VERSION, SchematicRenderer(self.width, self.height).version
 
 
-def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
+def build_town_data_set(root: Path, settings: TownSettings, *, workers: int) -> Path:
     """Write the town data set, or finish writing it; nothing is done when it is there with these settings.
 
     Args:
@@ -115,15 +115,15 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
             "--train-scenes or --driven"
         )
     # How many there can be is asked before a billion of them are listed.
-    town_scene_names("val", settings.val_scenes)
-    town_scene_names("train", settings.train_scenes)
-    drives = _drives(settings)
+    list_town_scene_names("val", settings.val_scenes)
+    list_town_scene_names("train", settings.train_scenes)
+    drives = _read_drives(settings)
     numbers = list(range(settings.train_scenes)) if settings.driven is None else list(drives)
-    names = town_scene_names("train", max(numbers, default=-1) + 1)
+    names = list_town_scene_names("train", max(numbers, default=-1) + 1)
     train = [names[number] for number in numbers]
     note, complete_note = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
     made_of = complete_note if settings.pictures == "all" else {**complete_note, "pictures": settings.pictures}
-    if is_finished(root) and read_kept_json(note) in (made_of, complete_note):
+    if is_finished(root) and read_cached_json(note) in (made_of, complete_note):
         return root
     renderer = SchematicRenderer(settings.width, settings.height) if settings.images else None
     plan = DataSetPlan(
@@ -133,7 +133,7 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     work: list[_Work] = [("val", index, None) for index in range(settings.val_scenes)]
     work += [("train", index, drives.get(index)) for index in numbers]
     job = partial(_write_one, plan, settings.seed, settings.off_path, settings.crossing)
-    with only_writer(root):
+    with lock_folder(root):
         where = LocalProcesses(workers)
         written = list(run_units(job, work, where, total=len(work), label="building the town"))
         finish_data_set(plan, [scene.key for scene in written], extra_splits={"train": train} if train else None)
@@ -141,7 +141,7 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     return root
 
 
-def _record(folder: Path) -> DriveRecord:
+def _read_drive_record(folder: Path) -> DriveRecord:
     """The only record of drives in a folder."""
     records = find_drives(folder)
     if len(records) != 1:
@@ -151,7 +151,7 @@ def _record(folder: Path) -> DriveRecord:
     return records[0]
 
 
-def _drives(settings: TownSettings) -> dict[int, Driven]:
+def _read_drives(settings: TownSettings) -> dict[int, PlannerDrive]:
     """Drives of training scenes, by the number of the scene."""
     if settings.driven is None:
         return {}
@@ -159,7 +159,7 @@ def _drives(settings: TownSettings) -> dict[int, Driven]:
         raise InputError(
             "--driven says itself which training scenes there are; leave --train-scenes and --off-path out"
         )
-    record = _record(settings.driven)
+    record = _read_drive_record(settings.driven)
     measured = record.facts.measured
     if measured.engine != "default" or measured.agents != "replay":
         raise InputError(
@@ -171,15 +171,15 @@ def _drives(settings: TownSettings) -> dict[int, Driven]:
             f"{settings.driven} was driven with --until {measured.until}, in which whoever touches the ego goes; drive "
             "without it"
         )
-    known = {name: number for number, name in enumerate(town_scene_names("train", MOST_TRAIN_SCENES))}
-    drives = lasting(record.rows)
+    known = {name: number for number, name in enumerate(list_town_scene_names("train", MOST_TRAIN_SCENES))}
+    drives = select_lasting_drives(record.rows)
     strange = next((name for name in drives if name not in known), None)
     if strange is not None or not drives:
         raise InputError(
             f"{settings.driven} holds no drive through training scenes of the town"
             f"{f', but one through {strange}' if strange else ''}; drive the split train of one (--data, --split train)"
         )
-    return {known[name]: Driven.of_row(record.planner, row) for name, row in drives.items()}
+    return {known[name]: PlannerDrive.of_row(record.planner, row) for name, row in drives.items()}
 
 
 def _write_one(plan: DataSetPlan, seed: int, off_path: bool, crossing: int, work: _Work) -> WrittenScene:
@@ -187,11 +187,11 @@ def _write_one(plan: DataSetPlan, seed: int, off_path: bool, crossing: int, work
     report: dict[str, Any] = {}
     crossing = crossing if split == "train" else 0
     if driven is not None:
-        scene, learned = town_scene_driven(index, driven, seed=seed, crossing=crossing)
+        scene, learned = build_town_scene_driven(index, driven, seed=seed, crossing=crossing)
         report[DRIVEN] = learned.as_json()
     elif off_path and split == "train":
-        scene, excursions = town_scene_off_path(index, seed=seed, crossing=crossing)
+        scene, excursions = build_town_scene_off_path(index, seed=seed, crossing=crossing)
         report[OFF_PATH] = [excursion.as_json() for excursion in excursions]
     else:
-        scene = town_scene(split, index, seed=seed, crossing=crossing)
-    return written_scene(plan, scene, name=scene.name, source_scene=scene.name, report=report)
+        scene = build_town_scene(split, index, seed=seed, crossing=crossing)
+    return write_scene_if_missing(plan, scene, name=scene.name, source_scene=scene.name, report=report)

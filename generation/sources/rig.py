@@ -18,24 +18,26 @@ _LENSES = {
 }
 
 
-def default_cameras() -> tuple[Camera, ...]:
+def build_default_cameras() -> tuple[Camera, ...]:
     """Six cameras at 1600 x 900 with the fields of view and headings of nuScenes' rig (65 degrees; 90 at the back)."""
-    return tuple(_camera(name) for name in CAMERA_NAMES)
+    return tuple(_build_camera(name) for name in CAMERA_NAMES)
 
 
-def default_lidar() -> LidarMount:
+def build_default_lidar() -> LidarMount:
     """LIDAR_TOP above the front seats, +y forward as in nuScenes."""
     return LidarMount(np.array([LIDAR_FROM_REAR_AXLE_M, 0.0, 1.84]), quaternion_from_yaw(np.array(-np.pi / 2)))
 
 
-def _camera(name: str) -> Camera:
+def _build_camera(name: str) -> Camera:
     x, y, z, heading_deg, focal_px = _LENSES[name]
     width, height = _IMAGE_SIZE
     intrinsic = np.array([[focal_px, 0.0, width / 2], [0.0, focal_px, 0.54 * height], [0.0, 0.0, 1.0]])
-    return Camera(name, np.array([x, y, z]), _looking_towards(np.deg2rad(heading_deg)), intrinsic, width, height)
+    return Camera(
+        name, np.array([x, y, z]), _compute_camera_rotation(np.deg2rad(heading_deg)), intrinsic, width, height
+    )
 
 
-def _looking_towards(heading_rad: float) -> Floats:
+def _compute_camera_rotation(heading_rad: float) -> Floats:
     """Quaternion of camera axes (x right, y down, z forward) looking horizontally along a heading."""
     # Half-angle form of the product of the heading about z with the fixed turn of optical axes into body axes.
     w, z = np.cos(heading_rad / 2), np.sin(heading_rad / 2)

@@ -8,30 +8,37 @@ from typing import Any, Final
 
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
-from benchmark.machine.storage import canonical_json, only_writer, read_kept_json, write_json
-from benchmark.records.attempts import seed_of
-from benchmark.records.judgement import SceneJudgement, unsolvable
-from benchmark.records.review import REJECTED, Judged
-from benchmark.report.words import counted
+from benchmark.machine.storage import canonical_json, lock_folder, read_cached_json, write_json
+from benchmark.records.attempts import parse_seed
+from benchmark.records.judgement import SceneAssessment, is_unsolvable
+from benchmark.records.review import REJECTED, StandingVerdict
+from benchmark.report.words import pluralise
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.nuscenes_writer.scenes import stored_fragment
-from generation.pipeline.estimate import Estimate, rendering_estimate, workers_of
+from generation.nuscenes_writer.scenes import read_stored_fragment
+from generation.pipeline.estimate import WorkEstimate, count_workers, estimate_rendering
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.writing import WritingJob, WrittenScenes, publish, publish_reports, write_scenes
 from generation.search.adversary import ALGORITHM_VERSION
-from generation.search.verify import masked_line, masked_steps, masked_together
-from generation.splits.format import EDITED, FrozenScene, ImageFacts
-from generation.splits.packaged import NamedSplit, require_seed, search_hash
-from generation.splits.tracks import adversarial, facts_of_row, scene_report, tables_digest, tracks_of, written_digest
+from generation.search.verify import count_masked_steps, format_masked_steps, sum_masked_steps
+from generation.splits.format import EDITED, FrozenScene, ImageMetadata
+from generation.splits.packaged import NamedSplit, compute_search_hash, require_seed
+from generation.splits.tracks import (
+    add_frozen_adversaries,
+    build_scene_report,
+    build_tracks,
+    compute_tables_digest,
+    compute_written_digest,
+    parse_image_facts,
+)
 
 _MARK: Final = "frozen.json"
 """In the writer's own folder: which frozen split a root is built from."""
 
 
 @dataclass(frozen=True, slots=True)
-class FrozenReport:
+class FrozenBuildReport:
     """What was built.
 
     Attributes:
@@ -55,12 +62,12 @@ class FrozenReport:
     scenes: int
     written: tuple[str, ...]
     other_tables: tuple[str, ...] = ()
-    images: ImageFacts | None = None
+    images: ImageMetadata | None = None
     other_images: tuple[str, ...] = ()
     verified_by: str = ALGORITHM_VERSION
     unsolvable: tuple[str, ...] = ()
     masked_steps: dict[str, dict[str, int]] = field(default_factory=dict)
-    estimate: Estimate | None = None
+    estimate: WorkEstimate | None = None
     split: str = "adv"
     faults: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -97,23 +104,24 @@ class FrozenReport:
         count = len(self.written)
         if self.estimate is not None:
             return (
-                f"would build {counted(count, 'scene')} of frozen split {self.name} from "
-                f"{counted(self.scenes, 'recorded scene')}; "
+                f"would build {pluralise(count, 'scene')} of frozen split {self.name} from "
+                f"{pluralise(self.scenes, 'recorded scene')}; "
                 f"{self.estimate.sentence()}; nothing was written"
             )
         tables = (
             "equal to those that were frozen"
             if not self.other_tables
-            else f"differ in {len(self.other_tables)} of {counted(count, 'scene')}, because the recordings here differ"
+            else f"differ in {len(self.other_tables)} of {pluralise(count, 'scene')}, because the recordings here differ"
         )
         return (
-            f"{counted(count, 'scene')} built from {'the edited' if self.edited else 'frozen split'} {self.name}, "
-            f"{counted(self.scenes, 'recorded scene')}\n"
-            f"  tables: {tables}\n  images: {self._images(count)}\n  {masked_line(self.masked_steps)}\n"
-            f"  scenes that nobody could have avoided: {len(self.unsolvable)}, kept as frozen" + self._verification()
+            f"{pluralise(count, 'scene')} built from {'the edited' if self.edited else 'frozen split'} {self.name}, "
+            f"{pluralise(self.scenes, 'recorded scene')}\n"
+            f"  tables: {tables}\n  images: {self._images(count)}\n  {format_masked_steps(self.masked_steps)}\n"
+            f"  scenes that nobody could have avoided: {len(self.unsolvable)}, kept as frozen"
+            + self._format_verification()
         )
 
-    def _verification(self) -> str:
+    def _format_verification(self) -> str:
         """Remark where a search would verify by other rules today."""
         if self.verified_by == ALGORITHM_VERSION:
             return ""
@@ -134,12 +142,14 @@ class FrozenReport:
         return f"differ in {len(self.other_images)} of {count} scenes, because {why}"
 
 
-def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *, as_split: str = "adv") -> FrozenReport:
+def build_frozen(
+    source: DataSet, split: NamedSplit, settings: BuildSettings, *, as_split: str = "adv"
+) -> FrozenBuildReport:
     """Build a frozen split from its recordings; the same command resumes.
 
     Args:
         source: The recordings.
-        split: The frozen split (`generation.splits.packaged.frozen_split`).
+        split: The frozen split (`generation.splits.packaged.read_frozen_split`).
         settings: What and where. What belongs to the search is not looked at.
         as_split: Name of the split that is written: ``adv``, or that of the seed with which it was searched.
 
@@ -150,24 +160,31 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         InputError: If these are other recordings, a scene is unknown, the output holds a split that was searched or is
             of another frozen one, another command is writing there, or it cannot be written.
     """
-    plan, chosen, report = ready_to_rebuild(source, split, settings, as_split)
+    plan, chosen, report = require_rebuildable(source, split, settings, as_split)
     if settings.dry_run:
         recorded = min(frozen.source for frozen, _ in chosen)
-        scene_s = rendering_estimate(plan.renderer, source.scene(recorded), plan.frames, settings.timing / "rendering")
-        workers = workers_of(settings.where_rendered)
-        return replace(report, estimate=Estimate(0, 0.0, len(chosen), scene_s, workers, workers))
+        scene_s = estimate_rendering(
+            plan.renderer, source.scene(recorded), plan.frames, settings.timings_folder / "rendering"
+        )
+        workers = count_workers(settings.rendering_executor)
+        return replace(report, estimate=WorkEstimate(0, 0.0, len(chosen), scene_s, workers, workers))
     # Everything is looked at before anything is written.
-    jobs, tables, masked = frozen_jobs(source, plan, chosen, split)
-    with only_writer(settings.out):
+    jobs, tables, masked = build_frozen_jobs(source, plan, chosen, split)
+    with lock_folder(settings.out):
         write_json(plan.state / _MARK, {"name": split.name, "content": report.content})
-        publish_reports(settings.out, said_of_frozen(report))
+        publish_reports(settings.out, build_report_files(report))
         keys = write_scenes(
-            plan, jobs, source.scene, settings.where_rendered, timing=settings.timing / "rendering", label="rendering"
+            plan,
+            jobs,
+            source.scene,
+            settings.rendering_executor,
+            timing=settings.timings_folder / "rendering",
+            label="rendering",
         )
         written = WrittenScenes(plan, jobs, keys, source)
         publish(written)
         judged = written.judged
-        images, other_images = _other_images(plan, split.frozen.images, chosen, keys)
+        images, other_images = _find_other_images(plan, split.frozen.images, chosen, keys)
     other = tuple(frozen.name for (frozen, _), digest in zip(chosen, tables, strict=True) if digest != frozen.tables)
     return replace(
         report,
@@ -176,14 +193,14 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         other_images=other_images,
         verified_by=split.frozen.search.algorithm,
         masked_steps=masked,
-        unsolvable=tuple(job.name for job, assessments in zip(jobs, judged, strict=True) if unsolvable(assessments)),
-        faults=_faults(jobs, judged) if split.frozen.search.algorithm == EDITED else {},
+        unsolvable=tuple(job.name for job, assessments in zip(jobs, judged, strict=True) if is_unsolvable(assessments)),
+        faults=_list_faults(jobs, judged) if split.frozen.search.algorithm == EDITED else {},
     )
 
 
-def ready_to_rebuild(
+def require_rebuildable(
     source: DataSet, split: NamedSplit, settings: BuildSettings, as_split: str
-) -> tuple[DataSetPlan, list[tuple[FrozenScene, int]], FrozenReport]:
+) -> tuple[DataSetPlan, list[tuple[FrozenScene, int]], FrozenBuildReport]:
     """Refuse what cannot be built from a frozen split, as `build_frozen` does.
 
     It gives the data set to write, its scenes with the numbers of their variants, and the report on both.
@@ -193,19 +210,19 @@ def ready_to_rebuild(
     content = split.frozen.content_id
     recorded = sorted({frozen.source for frozen, _ in chosen})
     _require_recorded(source, recorded)
-    _require_room(settings.out, split.name, content)
-    report = FrozenReport(
+    _require_free_root(settings.out, split.name, content)
+    report = FrozenBuildReport(
         split.name, content, len(recorded), tuple(frozen.name for frozen, _ in chosen), split=as_split
     )
-    return _plan(source, split, as_split, settings), chosen, report
+    return _build_plan(source, split, as_split, settings), chosen, report
 
 
-def said_of_frozen(report: FrozenReport) -> dict[str, bytes]:
+def build_report_files(report: FrozenBuildReport) -> dict[str, bytes]:
     """Reports of a build from a frozen split, by file name."""
     return {"report.json": (canonical_json(report.kept(), indent=1) + "\n").encode()}
 
 
-def _faults(jobs: Sequence[WritingJob], judged: Sequence[Sequence[SceneJudgement]]) -> dict[str, tuple[str, ...]]:
+def _list_faults(jobs: Sequence[WritingJob], judged: Sequence[Sequence[SceneAssessment]]) -> dict[str, tuple[str, ...]]:
     faults: dict[str, tuple[str, ...]] = {}
     for job, assessments in zip(jobs, judged, strict=True):
         names = {
@@ -219,7 +236,7 @@ def require_not_frozen(root: Path) -> None:
     """Refuse to search in a root that is built from a frozen split."""
     mark = root / STATE_FOLDER / _MARK
     if mark.exists():
-        stored = read_kept_json(mark)
+        stored = read_cached_json(mark)
         name = stored.get("name") if isinstance(stored, dict) else None
         raise InputError(
             f"{root} is built from the frozen split {name}; search for another split in another --out, nothing was "
@@ -227,12 +244,12 @@ def require_not_frozen(root: Path) -> None:
         )
 
 
-def _require_room(root: Path, name: str, content: str) -> None:
+def _require_free_root(root: Path, name: str, content: str) -> None:
     """Refuse a root that was searched in, or that is built from another frozen split."""
     state = root / STATE_FOLDER
     if (root / "search.json").exists() or (state / "attempts").exists() or (state / "surveys").exists():
         raise InputError(f"{root} holds what generate searched for; build {name} in another --out, nothing was changed")
-    stored = read_kept_json(state / _MARK)
+    stored = read_cached_json(state / _MARK)
     if isinstance(stored, dict) and stored.get("content") != content:
         raise InputError(
             f"{root} is built from the frozen split {stored.get('name')}, which is not the same; build {name} in another "
@@ -250,10 +267,10 @@ def _require_recorded(source: DataSet, recorded: Sequence[str]) -> None:
         )
 
 
-def _plan(source: DataSet, split: NamedSplit, as_split: str, settings: BuildSettings) -> DataSetPlan:
+def _build_plan(source: DataSet, split: NamedSplit, as_split: str, settings: BuildSettings) -> DataSetPlan:
     name, content, frozen = split.name, split.frozen.content_id, split.frozen
     adversaries = max(len(scene.adversaries) for scene in frozen.scenes)
-    of_seed = seed_of(as_split) is not None
+    of_seed = parse_seed(as_split) is not None
     return DataSetPlan(
         root=settings.out,
         version=settings.version,
@@ -265,15 +282,15 @@ def _plan(source: DataSet, split: NamedSplit, as_split: str, settings: BuildSett
         lossless=settings.lossless,
         source=SourceInfo(name=source.name, fingerprint=source.fingerprint(), root=source.root, version=source.version),
         frozen=(name, content),
-        search=search_hash(frozen.search, frozen.chosen, adversaries) if of_seed else None,
+        search=compute_search_hash(frozen.search, frozen.chosen, adversaries) if of_seed else None,
         left_out=tuple(
-            (0, Judged(rejection.name, rejection.token, REJECTED, rejection.reason))
+            (0, StandingVerdict(rejection.name, rejection.token, REJECTED, rejection.reason))
             for rejection in split.frozen.chosen.rejected or ()
         ),
     )
 
 
-def frozen_jobs(
+def build_frozen_jobs(
     source: DataSet, plan: DataSetPlan, chosen: Sequence[tuple[FrozenScene, int]], split: NamedSplit
 ) -> tuple[list[WritingJob], list[str], dict[str, dict[str, int]]]:
     """Way in which scenes of a frozen split are written.
@@ -286,7 +303,7 @@ def frozen_jobs(
     for index in sorted(range(len(chosen)), key=lambda index: (chosen[index][0].source, index)):
         frozen, variant = chosen[index]
         try:
-            scene: Scene = adversarial(frozen, source.scene(frozen.source))
+            scene: Scene = add_frozen_adversaries(frozen, source.scene(frozen.source))
         except InputError as error:
             raise InputError(f"frozen split {split.path or split.name}: {error}") from error
         job = WritingJob(
@@ -294,28 +311,28 @@ def frozen_jobs(
             written_as=frozen.source if plan.layout == "per-variant" else frozen.name,
             source_scene=frozen.source,
             variant=variant,
-            make=partial(adversarial, frozen),
-            report=scene_report(frozen, scene, split.frozen.search.seed),
+            make=partial(add_frozen_adversaries, frozen),
+            report=build_scene_report(frozen, scene, split.frozen.search.seed),
             identity=frozen.identity,
-            tracks=tracks_of(frozen),
+            tracks=build_tracks(frozen),
         )
-        built[index] = job, tables_digest(plan, scene, frozen)
-        masked.append(masked_steps(scene))
+        built[index] = job, compute_tables_digest(plan, scene, frozen)
+        masked.append(count_masked_steps(scene))
     order = range(len(chosen))
-    return [built[index][0] for index in order], [built[index][1] for index in order], masked_together(masked)
+    return [built[index][0] for index in order], [built[index][1] for index in order], sum_masked_steps(masked)
 
 
-def _other_images(
-    plan: DataSetPlan, frozen: ImageFacts | None, chosen: Sequence[tuple[FrozenScene, int]], keys: Sequence[str]
-) -> tuple[ImageFacts | None, tuple[str, ...]]:
+def _find_other_images(
+    plan: DataSetPlan, frozen: ImageMetadata | None, chosen: Sequence[tuple[FrozenScene, int]], keys: Sequence[str]
+) -> tuple[ImageMetadata | None, tuple[str, ...]]:
     """Images that were compared, and the scenes whose images are not those that were frozen."""
     other = []
     for (scene, _), key in zip(chosen, keys, strict=True):
-        fragment = stored_fragment(plan, key)
+        fragment = read_stored_fragment(plan, key)
         assert fragment is not None, "finishing read it"
         row = fragment["renderer"]
-        if frozen is None or row is None or facts_of_row(row, plan.jpeg_quality) != frozen:
+        if frozen is None or row is None or parse_image_facts(row, plan.jpeg_quality) != frozen:
             return None, ()
-        if scene.images is None or written_digest(plan, fragment) != scene.images:
+        if scene.images is None or compute_written_digest(plan, fragment) != scene.images:
             other.append(scene.name)
     return frozen, tuple(other)

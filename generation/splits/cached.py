@@ -4,15 +4,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmark.datasets.roots import DataSet
-from benchmark.datasets.statistics import listed_scenes
+from benchmark.datasets.statistics import list_scenes
 from benchmark.machine.storage import content_key
 from benchmark.machine.workspace import cache_root, is_finished
 from benchmark.records.judgement import DEFINITION
 from generation.render.contract import Renderer
-from generation.splits.packaged import newest_split
+from generation.splits.packaged import read_newest_split
 
 
-def cached_root(source: DataSet, renderer: Renderer, workers: int, say: Callable[[str], None]) -> Path:
+def build_cached_root(source: DataSet, renderer: Renderer, workers: int, say: Callable[[str], None]) -> Path:
     """Root of the newest frozen split; built where it is not finished, key frames only.
 
     ``say`` is told which split it is, and what came of building it.
@@ -21,7 +21,7 @@ def cached_root(source: DataSet, renderer: Renderer, workers: int, say: Callable
     from generation.pipeline.settings import BuildSettings
     from generation.splits.building import build_frozen
 
-    newest = newest_split(source.name)
+    newest = read_newest_split(source.name)
     made_of = content_key(newest.frozen.content_id, source.fingerprint(), renderer.name, renderer.version, DEFINITION)
     root = cache_root() / f"{newest.name}-{made_of[:12]}"
     if is_finished(root):
@@ -33,11 +33,11 @@ def cached_root(source: DataSet, renderer: Renderer, workers: int, say: Callable
     return root
 
 
-def known_scenes(data: str, split: str, root: Path) -> tuple[str, ...]:
+def list_scene_names(data: str, split: str, root: Path) -> tuple[str, ...]:
     """Names of a generated split's scenes, read from a finished root or else from the newest frozen split.
 
     They are in the order of the data set.
     """
     if is_finished(root):
-        return listed_scenes(root, split)
-    return tuple(sorted(scene.name for scene in newest_split(data, split).frozen.scenes))
+        return list_scenes(root, split)
+    return tuple(sorted(scene.name for scene in read_newest_split(data, split).frozen.scenes))

@@ -7,41 +7,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.datasets.roots import DataSet
-from benchmark.datasets.scenario_map import Exchanged
-from benchmark.datasets.scenarionet import find_scenarionet, read_exchanged
+from benchmark.datasets.scenario_map import ExchangedScene
+from benchmark.datasets.scenarionet import find_scenarionet, read_exchanged_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, wrap_angle
-from benchmark.machine.storage import token
+from benchmark.machine.storage import make_token
 from benchmark.scene import Scene
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.splits.format import (
     EDITED,
-    Choice,
     FrozenAdversary,
     FrozenScene,
     FrozenSplit,
-    Recordings,
-    SearchFacts,
+    RecordingsIdentity,
+    SceneChoice,
+    SearchMetadata,
 )
 from generation.splits.packaged import NamedSplit
-from generation.splits.tracks import SAME_M, adversarial, recorded_pose, rounded_pose, tables_digest
+from generation.splits.tracks import (
+    SAME_M,
+    add_frozen_adversaries,
+    compute_tables_digest,
+    read_recorded_pose,
+    round_pose,
+)
 
 _SAME_SIZE_M: Final = 0.005
 _SAME_TIME_S: Final = 1e-3
 _UNKNOWN: Final = "0" * 64
 
 
-Edited = tuple[tuple[Path, Exchanged], ...]
+EditedScenes = tuple[tuple[Path, ExchangedScene], ...]
 """Files and what was read of them."""
 
 
-def read_edited(path: Path) -> Edited:
+def read_edited(path: Path) -> EditedScenes:
     """Read a ScenarioNet file, or a folder of them."""
-    return tuple((file, read_exchanged(file)) for file in find_scenarionet(path))
+    return tuple((file, read_exchanged_scene(file)) for file in find_scenarionet(path))
 
 
-def edited_split(source: DataSet, path: Path, edited: Edited | None = None) -> NamedSplit:
+def build_edited_split(source: DataSet, path: Path, edited: EditedScenes | None = None) -> NamedSplit:
     """Changes of edited files in the recordings, as a split that is built like any frozen one.
 
     Args:
@@ -67,16 +73,16 @@ def edited_split(source: DataSet, path: Path, edited: Edited | None = None) -> N
     scenes: dict[str, FrozenScene] = {}
     files = read_edited(path) if edited is None else edited
     for file, exchanged in files:
-        recorded = _recorded(source, exchanged, file)
-        frozen = edited_scene(exchanged.scene, recorded, file)
+        recorded = _read_recording(source, exchanged, file)
+        frozen = build_edited_scene(exchanged.scene, recorded, file)
         if frozen.name in scenes:
             raise InputError(f"{file} holds the same scene as another file of {path}; keep one of them")
-        digest = tables_digest(plan, adversarial(frozen, recorded), frozen)
+        digest = compute_tables_digest(plan, add_frozen_adversaries(frozen, recorded), frozen)
         scenes[frozen.name] = frozen.model_copy(update={"tables": digest})
     split = FrozenSplit(
-        recordings=Recordings(name=source.name, fingerprint=source.fingerprint()),
-        search=SearchFacts(algorithm=EDITED, hyper=EDITED, prior=EDITED, seed=0),
-        chosen=Choice(
+        recordings=RecordingsIdentity(name=source.name, fingerprint=source.fingerprint()),
+        search=SearchMetadata(algorithm=EDITED, hyper=EDITED, prior=EDITED, seed=0),
+        chosen=SceneChoice(
             scenes=len({scene.source for scene in scenes.values()}),
             tried=len(files),
             survived=len(scenes),
@@ -90,36 +96,36 @@ def edited_split(source: DataSet, path: Path, edited: Edited | None = None) -> N
     return NamedSplit(path.resolve().stem, split)
 
 
-def _recorded(source: DataSet, exchanged: Exchanged, file: Path) -> Scene:
+def _read_recording(source: DataSet, exchanged: ExchangedScene, file: Path) -> Scene:
     """The recording of an edited scene."""
     names = source.scene_names(None)
     recorded_name = next((name for name in (exchanged.source_scene, exchanged.scene.name) if name in names), None)
     if recorded_name is None:
         raise InputError(
-            f"{file} is of {one_line(exchanged.source_scene, 80)}, which {source.name} has no recording of; choose the "
+            f"{file} is of {to_one_line(exchanged.source_scene, 80)}, which {source.name} has no recording of; choose the "
             "recordings that it was exported from with --data"
         )
     return source.scene(recorded_name)
 
 
-def edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene:
+def build_edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene:
     """Change of an edited scene in its recording: the scene with its adversaries, without hashes.
 
     The adversaries are in the order in which they depart from the recording; ``file`` is for messages. Errors as in
-    `edited_split`.
+    `build_edited_split`.
     """
     _require_same_drive(scene, recorded, file)
-    rows = _rows(scene, recorded, file)
+    rows = _match_objects(scene, recorded, file)
     adversaries = []
     for agent, row in enumerate(rows.tolist()):
-        differs = _differs(scene, row, recorded, agent)
+        differs = _find_differences(scene, row, recorded, agent)
         if differs.any():
-            adversaries.append(_adversary(scene, row, recorded, agent, differs, file))
+            adversaries.append(_build_adversary(scene, row, recorded, agent, differs, file))
     if not adversaries:
         raise InputError(f"{file} holds {recorded.name} as it was recorded; move a vehicle in it, or leave it out")
     adversaries.sort(key=lambda each: (each.launch_frame, recorded.agents.ids.index(each.instance)))
     stem = recorded.name.replace("/", "-")
-    suffix = token("edited", recorded.name, [adversary.model_dump(mode="json") for adversary in adversaries])[:8]
+    suffix = make_token("edited", recorded.name, [adversary.model_dump(mode="json") for adversary in adversaries])[:8]
     return FrozenScene(name=f"{stem}-{suffix}", source=recorded.name, adversaries=tuple(adversaries), tables=_UNKNOWN)
 
 
@@ -145,15 +151,17 @@ def _require_same_drive(scene: Scene, recorded: Scene, file: Path) -> None:
         )
 
 
-def _rows(scene: Scene, recorded: Scene, file: Path) -> NDArray[np.int64]:
+def _match_objects(scene: Scene, recorded: Scene, file: Path) -> NDArray[np.int64]:
     """Index in the edited scene of each recorded object."""
     ids = {name: row for row, name in enumerate(scene.agents.ids)}
     # Generated scenes that share a root have identifiers of their own, made of those of the recording.
-    called = [name if name in ids else token("instance", scene.name, name) for name in recorded.agents.ids]
+    called = [name if name in ids else make_token("instance", scene.name, name) for name in recorded.agents.ids]
     missing = [name for name, own in zip(recorded.agents.ids, called, strict=True) if own not in ids]
     added = sorted(set(ids) - set(called))
     if missing or added:
-        problem = f"lacks {missing[0]} of {recorded.name}" if missing else f"has {one_line(added[0], 80)}, which is new"
+        problem = (
+            f"lacks {missing[0]} of {recorded.name}" if missing else f"has {to_one_line(added[0], 80)}, which is new"
+        )
         raise InputError(f"{file} {problem}; vehicles may be moved, and nothing may be added or taken away")
     rows = np.array([ids[own] for own in called], np.int64)
     sizes = np.abs(scene.agents.size[rows] - recorded.agents.size).max(axis=1, initial=0.0)
@@ -164,7 +172,7 @@ def _rows(scene: Scene, recorded: Scene, file: Path) -> NDArray[np.int64]:
     return rows
 
 
-def _differs(scene: Scene, row: int, recorded: Scene, agent: int) -> Bools:
+def _find_differences(scene: Scene, row: int, recorded: Scene, agent: int) -> Bools:
     """(K,) keyframes at which an object is not where it was recorded: by a centimetre at its corners, or not there."""
     at = recorded.keyframes
     edited_valid, recorded_valid = scene.agents.valid[row, at], recorded.agents.valid[agent, at]
@@ -174,7 +182,9 @@ def _differs(scene: Scene, row: int, recorded: Scene, agent: int) -> Bools:
     return np.asarray((edited_valid != recorded_valid) | (edited_valid & recorded_valid & (away > SAME_M)))
 
 
-def _adversary(scene: Scene, row: int, recorded: Scene, agent: int, differs: Bools, file: Path) -> FrozenAdversary:
+def _build_adversary(
+    scene: Scene, row: int, recorded: Scene, agent: int, differs: Bools, file: Path
+) -> FrozenAdversary:
     """One edited vehicle: from the last keyframe at which it is where it was recorded."""
     name, category = recorded.agents.ids[agent], recorded.agents.categories[agent]
     described = f"{file}: {name} of {recorded.name}"
@@ -197,6 +207,6 @@ def _adversary(scene: Scene, row: int, recorded: Scene, agent: int, differs: Boo
     return FrozenAdversary(
         instance=name,
         launch_frame=launch,
-        recorded=rounded_pose(recorded_pose(recorded, agent, launch)),
-        track=tuple(map(rounded_pose, poses)),
+        recorded=round_pose(read_recorded_pose(recorded, agent, launch)),
+        track=tuple(map(round_pose, poses)),
     )

@@ -13,7 +13,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes
 from benchmark.records.attempts import is_adversarial
 from benchmark.records.review import LONGEST_REASON
-from benchmark.records.store import validated
+from benchmark.records.store import validate_stored
 
 FORMAT: Final = "challenger-bench frozen split"
 SCHEMA: Final = 1
@@ -33,11 +33,11 @@ Pose = tuple[_Metres, _Metres, _Radians]
 """x, y and yaw of a box centre in the global frame."""
 
 
-class _Frozen(BaseModel):
+class _FrozenModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
 
 
-class FrozenAdversary(_Frozen):
+class FrozenAdversary(_FrozenModel):
     """One adversary of a scene.
 
     Attributes:
@@ -53,7 +53,7 @@ class FrozenAdversary(_Frozen):
     track: Annotated[tuple[Pose, ...], Field(min_length=1, max_length=1_000_000)]
 
 
-class FrozenScene(_Frozen):
+class FrozenScene(_FrozenModel):
     """One scene.
 
     Attributes:
@@ -71,7 +71,7 @@ class FrozenScene(_Frozen):
     images: _Hash | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check_consistency(self) -> Self:
         if not self.name.startswith(self.source.replace("/", "-")):
             raise ValueError(f"the scene {self.name} is not called after its recorded scene {self.source}")
         instances = [adversary.instance for adversary in self.adversaries]
@@ -85,14 +85,14 @@ class FrozenScene(_Frozen):
         return content_key(self.source, [adversary.model_dump(mode="json") for adversary in self.adversaries])
 
 
-class Recordings(_Frozen):
+class RecordingsIdentity(_FrozenModel):
     """The data set that a split was frozen from: its name, and its content hash there."""
 
     name: str
     fingerprint: str
 
 
-class SearchFacts(_Frozen):
+class SearchMetadata(_FrozenModel):
     """Facts on the search.
 
     Attributes:
@@ -110,13 +110,13 @@ class SearchFacts(_Frozen):
     solvable: bool | None = None
 
     @model_serializer(mode="wrap")
-    def _as_older_files(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _omit_later_fields(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out fields that older files do not have, so that their content hash stays."""
         values: dict[str, Any] = plain(self)
         return {name: value for name, value in values.items() if value is not None}
 
 
-class FrozenRejection(_Frozen):
+class FrozenRejection(_FrozenModel):
     """A scene that an inspector rejected before the split was frozen: its name, its token there, and why."""
 
     name: _Name
@@ -124,7 +124,7 @@ class FrozenRejection(_Frozen):
     reason: Annotated[str, Field(max_length=LONGEST_REASON)]
 
 
-class Choice(_Frozen):
+class SceneChoice(_FrozenModel):
     """Choice of the scenes.
 
     Attributes:
@@ -150,14 +150,14 @@ class Choice(_Frozen):
     asked: tuple[_Name, ...] | None = None
 
     @model_serializer(mode="wrap")
-    def _without_nothing(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _omit_empty_fields(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Splits without the younger fields keep the bytes, and the content hash, that they had before these came."""
         values: dict[str, Any] = plain(self)
         younger = ("rejected", "variants", "asked")
         return {name: value for name, value in values.items() if value or name not in younger}
 
 
-class ImageFacts(_Frozen):
+class ImageMetadata(_FrozenModel):
     """Which images the hashes of images are of: renderer, its version, size in pixels and JPEG quality."""
 
     renderer: str
@@ -167,7 +167,7 @@ class ImageFacts(_Frozen):
     jpeg_quality: int
 
 
-class FrozenSplit(_Frozen):
+class FrozenSplit(_FrozenModel):
     """A frozen split.
 
     Attributes:
@@ -184,14 +184,14 @@ class FrozenSplit(_Frozen):
     format: Literal["challenger-bench frozen split"] = FORMAT
     schema_version: Annotated[int, Field(alias="schema")] = SCHEMA
     split: Literal["adv"] = "adv"
-    recordings: Recordings
-    search: SearchFacts
-    chosen: Choice
-    images: ImageFacts | None
+    recordings: RecordingsIdentity
+    search: SearchMetadata
+    chosen: SceneChoice
+    images: ImageMetadata | None
     scenes: Annotated[tuple[FrozenScene, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _distinct(self) -> Self:
+    def _check_distinct(self) -> Self:
         known: set[str] = set()
         for scene in self.scenes:
             if scene.name in known:
@@ -230,7 +230,7 @@ def read_frozen(path: Path) -> FrozenSplit:
             f"{path} has version {stored.get('schema')!r} of the format, this version reads {SCHEMA}; upgrade "
             "challenger-bench or fetch the file again"
         )
-    return validated(
+    return validate_stored(
         FrozenSplit.model_validate_json,
         data,
         lambda where, why: f"{path} is not a valid frozen split: {f'{where}: ' if where else ''}{why}; fetch it again",

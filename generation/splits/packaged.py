@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
-from benchmark.records.attempts import seed_of, seed_split
-from generation.splits.format import Choice, FrozenScene, FrozenSplit, SearchFacts, read_frozen
+from benchmark.records.attempts import format_seed_split, parse_seed
+from generation.splits.format import FrozenScene, FrozenSplit, SceneChoice, SearchMetadata, read_frozen
 
 _FOLDER: Final = Path(__file__).parent
 _NUMBERED: Final = re.compile(r"(?P<data>.+)-(?P<split>[a-z]+)-(?P<number>[1-9]\d*)")
@@ -50,7 +50,7 @@ class NamedSplit:
         return [scene for scene in matching if scene[0].source in recorded]
 
 
-def packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
+def list_packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
     """Names of the frozen splits that come with the package, the newest last.
 
     Args:
@@ -68,15 +68,15 @@ def packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
     return tuple(name for _, _, name in sorted(numbered))
 
 
-def newest_split(data: str, split: str = "adv") -> NamedSplit:
+def read_newest_split(data: str, split: str = "adv") -> NamedSplit:
     """The newest frozen split of a data set that comes with the package."""
-    names = packaged_splits(data, split)
+    names = list_packaged_splits(data, split)
     if not names:
         raise InputError(f"no frozen split {split} of {data} comes with the package; run challenger-bench generate")
-    return frozen_split(names[-1])
+    return read_frozen_split(names[-1])
 
 
-def frozen_split(file: str | Path) -> NamedSplit:
+def read_frozen_split(file: str | Path) -> NamedSplit:
     """A frozen split by the name of a packaged one, or from a file.
 
     Args:
@@ -88,18 +88,18 @@ def frozen_split(file: str | Path) -> NamedSplit:
     Raises:
         InputError: If there is no such split or the file is not one.
     """
-    if str(file) in packaged_splits():
+    if str(file) in list_packaged_splits():
         return NamedSplit(str(file), read_frozen(_FOLDER / f"{file}.json"))
     path = Path(file)
     if not path.exists():
         raise InputError(
             f"there is no file {path} and no frozen split of that name; those that come with the package are "
-            f"{', '.join(packaged_splits()) or 'none'}"
+            f"{', '.join(list_packaged_splits()) or 'none'}"
         )
     return NamedSplit(path.stem, read_frozen(path), path)
 
 
-def search_hash(search: SearchFacts, chosen: Choice, adversaries: int) -> str:
+def compute_search_hash(search: SearchMetadata, chosen: SceneChoice, adversaries: int) -> str:
     """Hash of what decided a split beside its recordings and its seed: splits of one search differ in the seed alone.
 
     64 hexadecimal digits. ``chosen`` says how scenes were chosen; what came of it is no part of the hash.
@@ -112,35 +112,37 @@ def search_hash(search: SearchFacts, chosen: Choice, adversaries: int) -> str:
     return content_key("search", searched, *chose)
 
 
-def file_of_seed(path: Path, seed: int) -> Path:
+def format_seed_path(path: Path, seed: int) -> Path:
     """The frozen split of one seed, beside those of the others: ``town-seed-2.json`` of ``town.json``."""
     return path.with_name(f"{path.stem}-seed-{seed}{path.suffix or '.json'}")
 
 
-def frozen_of_seed(path: Path, seed: int) -> NamedSplit:
+def read_frozen_of_seed(path: Path, seed: int) -> NamedSplit:
     """Read the frozen split of one seed; it must have been searched with that seed.
 
     ``path`` is what the files of all seeds are called after.
     """
-    own = file_of_seed(path, seed)
+    own = format_seed_path(path, seed)
     if not own.exists():
         raise InputError(
             f"there is no file {own}, the frozen split of seed {seed}; --from names the file that --freeze named, "
             "without the seed"
         )
-    named_split = frozen_split(own)
-    require_seed(seed_split(seed), named_split.frozen.search.seed, str(own))
+    named_split = read_frozen_split(own)
+    require_seed(format_seed_split(seed), named_split.frozen.search.seed, str(own))
     return named_split
 
 
 def require_seed(split: str, seed: int, what: str) -> None:
     """Raise `InputError` if a split that is called after a seed comes from another one."""
-    named = seed_of(split)
+    named = parse_seed(split)
     if named is not None and named != seed:
-        raise InputError(f"{what} was searched with seed {seed} and cannot be {split}; build it as {seed_split(seed)}")
+        raise InputError(
+            f"{what} was searched with seed {seed} and cannot be {split}; build it as {format_seed_split(seed)}"
+        )
 
 
-def seeds_of(text: str) -> tuple[int, ...]:
+def parse_seeds(text: str) -> tuple[int, ...]:
     """Seeds between commas, such as ``0,1,2``, in their order: at least two, none of them twice."""
     words = [word.strip() for word in text.split(",")]
     if not all(re.fullmatch(r"0|[1-9]\d{0,17}", word) for word in words) or len(set(words)) < max(len(words), 2):

@@ -13,16 +13,16 @@ from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.statistics import statistics
 from benchmark.errors import InputError
-from benchmark.fairness.splits import adversarial_names, judge_split
-from benchmark.machine.extension import from_extension
+from benchmark.fairness.splits import find_adversarial_names, judge_split
+from benchmark.machine.extension import import_from_extension
 from benchmark.machine.storage import canonical_json, content_key, write_bytes
 from benchmark.machine.workers import Executor
 from benchmark.records.drives import DriveRecord
 from benchmark.records.review import REVIEW_FILE, ReviewFile, read_review
 from benchmark.records.review import SCHEMA as REVIEW_SCHEMA
 from benchmark.records.stored import Stored
-from benchmark.untrusted.compressed import package_bytes
-from benchmark.untrusted.files import SETTINGS, one_line, read_file
+from benchmark.untrusted.compressed import encode_package
+from benchmark.untrusted.files import SETTINGS, read_file, to_one_line
 from generation.splits.packaged import NamedSplit
 
 FORMAT: Final = "challenger-bench split package"
@@ -32,7 +32,7 @@ RULES_MEMBER: Final = "rules/rules.toml"
 VERDICTS_FILE: Final = f"verdicts/{REVIEW_FILE}"
 STATISTICS_FILE: Final = "statistics/split.json"
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
-_OF_A_DRIVE: Final = (
+_DRIVE_SETTINGS: Final = (
     "planner", "split", "scenes_in_split", "frozen_split", "review", "generated", "status", "seed", "measured", "runs",
     "scoring",
 )  # fmt: skip
@@ -66,7 +66,7 @@ class PackedSplit(Stored):
     fingerprint: str
 
 
-class Manifest(Stored):
+class PackageManifest(Stored):
     """``manifest.json``, the first file of a package.
 
     ``files`` are all the others, ``made_with`` is the version of the program.
@@ -79,9 +79,9 @@ class Manifest(Stored):
     files: dict[str, PackedFile]
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check_consistency(self) -> Self:
         split_files = {name for name, file in self.files.items() if file.kind == "split"}
-        if split_files != {split_file(split.name) for split in self.splits}:
+        if split_files != {format_split_path(split.name) for split in self.splits}:
             raise ValueError("its splits are not those of its files")
         return self
 
@@ -104,20 +104,20 @@ class PackageContents:
 
 
 @dataclass(frozen=True, slots=True)
-class Packed:
+class WrittenPackage:
     """A written package: its path, its SHA-256, and what it says of itself."""
 
     path: Path
     sha256: str
-    manifest: Manifest
+    manifest: PackageManifest
 
 
-def split_file(name: str) -> str:
+def format_split_path(name: str) -> str:
     """Path of a frozen split in a package."""
     return f"splits/{name}.json"
 
 
-def pack_split(path: Path, contents: PackageContents, executor: Executor) -> Packed:
+def pack_split(path: Path, contents: PackageContents, executor: Executor) -> WrittenPackage:
     """Write a package; the same contents give the same bytes.
 
     Args:
@@ -134,27 +134,30 @@ def pack_split(path: Path, contents: PackageContents, executor: Executor) -> Pac
     """
     _require_names(contents.splits)
     members: dict[str, tuple[Kind, bytes]] = {
-        split_file(split.name): ("split", split.frozen.text().encode()) for split in contents.splits
+        format_split_path(split.name): ("split", split.frozen.text().encode()) for split in contents.splits
     }
     if contents.root is not None:
-        members |= _of_root(contents.root, contents.splits, executor)
-    members |= dict(_drive(record, contents.splits) for record in contents.drives)
+        members |= _collect_root_files(contents.root, contents.splits, executor)
+    members |= dict(_encode_drive(record, contents.splits) for record in contents.drives)
     if contents.rules is not None:
-        members[RULES_MEMBER] = ("rules", checked_rules(read_file(contents.rules, SETTINGS), str(contents.rules)))
-    manifest = Manifest(
-        splits=tuple(_packed(split) for split in contents.splits),
-        files={name: _file(kind, data) for name, (kind, data) in sorted(members.items())},
+        members[RULES_MEMBER] = (
+            "rules",
+            validate_package_rules(read_file(contents.rules, SETTINGS), str(contents.rules)),
+        )
+    manifest = PackageManifest(
+        splits=tuple(_describe_split(split) for split in contents.splits),
+        files={name: _describe_file(kind, data) for name, (kind, data) in sorted(members.items())},
     )
     manifest_bytes = (canonical_json(manifest.model_dump(mode="json", by_alias=True), indent=1) + "\n").encode()
-    data = package_bytes({MANIFEST: manifest_bytes} | {name: data for name, (_, data) in sorted(members.items())})
+    data = encode_package({MANIFEST: manifest_bytes} | {name: data for name, (_, data) in sorted(members.items())})
     _require_free(path, data)
     write_bytes(path, data)
-    return Packed(path, hashlib.sha256(data).hexdigest(), manifest)
+    return WrittenPackage(path, hashlib.sha256(data).hexdigest(), manifest)
 
 
-def checked_rules(data: bytes, where: str) -> bytes:
+def validate_package_rules(data: bytes, where: str) -> bytes:
     """A file of rules that the extension of challenges can read; arguments and errors as of its own function."""
-    checked: bytes = from_extension("package", "rules")(data, where)
+    checked: bytes = import_from_extension("package", "rules")(data, where)
     return checked
 
 
@@ -163,7 +166,7 @@ def _require_names(splits: Sequence[NamedSplit]) -> None:
     for name in names:
         if not _PLAIN.fullmatch(name) or names.count(name) > 1:
             why = "is there twice" if names.count(name) > 1 else "is no plain name of a file"
-            raise InputError(f"the frozen split {one_line(name, 80)} {why}; rename its file")
+            raise InputError(f"the frozen split {to_one_line(name, 80)} {why}; rename its file")
 
 
 def _require_free(path: Path, data: bytes) -> None:
@@ -171,7 +174,7 @@ def _require_free(path: Path, data: bytes) -> None:
         raise InputError(f"{path} is there and holds something else; name another file with --to")
 
 
-def _packed(split: NamedSplit) -> PackedSplit:
+def _describe_split(split: NamedSplit) -> PackedSplit:
     frozen = split.frozen
     return PackedSplit(
         name=split.name,
@@ -182,15 +185,17 @@ def _packed(split: NamedSplit) -> PackedSplit:
     )
 
 
-def _file(kind: Kind, data: bytes) -> PackedFile:
+def _describe_file(kind: Kind, data: bytes) -> PackedFile:
     return PackedFile(kind=kind, bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
 
 
-def _json(value: Any) -> bytes:
+def _encode_json(value: Any) -> bytes:
     return (canonical_json(value, indent=1) + "\n").encode()
 
 
-def _of_root(root: DataSet, splits: Sequence[NamedSplit], executor: Executor) -> dict[str, tuple[Kind, bytes]]:
+def _collect_root_files(
+    root: DataSet, splits: Sequence[NamedSplit], executor: Executor
+) -> dict[str, tuple[Kind, bytes]]:
     """Verdicts and statistics of a data set that was built from the splits."""
     known = {scene.name for split in splits for scene in split.frozen.scenes}
     names = root.scene_names(None)
@@ -198,7 +203,7 @@ def _of_root(root: DataSet, splits: Sequence[NamedSplit], executor: Executor) ->
     strangers = [name for name in names if "/" not in name and name not in known]
     built_from = ((root.provenance() or {}).get("frozen") or {}).get("content")
     contents = {split.frozen.content_id for split in splits}
-    if strangers or (built_from is not None and built_from not in contents) or not adversarial_names(root, names):
+    if strangers or (built_from is not None and built_from not in contents) or not find_adversarial_names(root, names):
         odd = f"it has the scene {strangers[0]}" if strangers else "it was made from something else"
         raise InputError(
             f"{root.root} is not built from the frozen splits that are packed, {odd}; name the right --root"
@@ -207,27 +212,27 @@ def _of_root(root: DataSet, splits: Sequence[NamedSplit], executor: Executor) ->
     verdicts = read_review(root.root)
     if verdicts:
         stored = ReviewFile(schema=REVIEW_SCHEMA, verdicts=verdicts)
-        members[VERDICTS_FILE] = ("verdicts", _json(stored.model_dump(mode="json", by_alias=True)))
+        members[VERDICTS_FILE] = ("verdicts", _encode_json(stored.model_dump(mode="json", by_alias=True)))
     counted = statistics(root.root, version=root.version)
-    judged = judge_split(root, adversarial_names(root, names), executor)
+    judged = judge_split(root, find_adversarial_names(root, names), executor)
     summary = {
         **counted.model_dump(mode="json", exclude={"root"}),
         "judgement": judged.model_dump(mode="json"),
     }
-    members[STATISTICS_FILE] = ("statistics", _json(summary))
+    members[STATISTICS_FILE] = ("statistics", _encode_json(summary))
     return members
 
 
-def _drive(record: DriveRecord, splits: Sequence[NamedSplit]) -> tuple[str, tuple[Kind, bytes]]:
+def _encode_drive(record: DriveRecord, splits: Sequence[NamedSplit]) -> tuple[str, tuple[Kind, bytes]]:
     """Settings of one record of drives, under a name made of them."""
     known = {scene.name for split in splits for scene in split.frozen.scenes}
     inner = {name.rpartition("/")[2] for name in record.facts.scenes}
     if record.facts.frozen_split not in {split.name for split in splits} and not inner <= known:
         raise InputError(
             f"{record.directory} drives scenes that are not in the packed splits, such as "
-            f"{one_line(sorted(inner - known)[0], 80)}; leave it out of --drives"
+            f"{to_one_line(sorted(inner - known)[0], 80)}; leave it out of --drives"
         )
     facts = record.facts.model_dump(mode="json", by_alias=True)
-    settings = {name: facts[name] for name in _OF_A_DRIVE}
+    settings = {name: facts[name] for name in _DRIVE_SETTINGS}
     planner = re.sub(r"[^A-Za-z0-9._+-]", "_", record.planner).lstrip("._+-") or "planner"
-    return f"drives/{planner[:100]}-{content_key(settings)[:12]}.json", ("drive", _json(settings))
+    return f"drives/{planner[:100]}-{content_key(settings)[:12]}.json", ("drive", _encode_json(settings))

@@ -3,12 +3,12 @@
 from benchmark.datasets.reviewed import record_verdicts
 from benchmark.datasets.roots import DataSet
 from generation.pipeline.settings import BuildSettings
-from generation.splits.building import FrozenReport, build_frozen
+from generation.splits.building import FrozenBuildReport, build_frozen
 from generation.splits.packaged import NamedSplit
-from generation.splits.unpacking import Package
+from generation.splits.unpacking import SplitPackage
 
 
-def rebuild(source: DataSet, package: Package, split: NamedSplit, settings: BuildSettings) -> FrozenReport:
+def rebuild(source: DataSet, package: SplitPackage, split: NamedSplit, settings: BuildSettings) -> FrozenBuildReport:
     """Build a split of a package from its recordings as ``adv``, verdicts included; the same command resumes."""
     report = build_frozen(source, split, settings)
     verdicts = {} if package.review is None else dict(package.review.verdicts)

@@ -11,20 +11,20 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.errors import InputError
-from benchmark.fairness.scenes import TracksAtHand
+from benchmark.fairness.scenes import AdversaryProvenance
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.records.attempts import Approach, Attempt
 from benchmark.scene import Scene
-from generation.labels.labelling import closest_approach, describe, times_to_collision
+from generation.labels.labelling import compute_labels, compute_times_to_collision, find_closest_approach
 from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.plan import SceneNames
-from generation.nuscenes_writer.rows import channels_of, scene_tables
-from generation.nuscenes_writer.scenes import jpeg_bytes
-from generation.nuscenes_writer.vocabulary import Vocabulary
-from generation.render.contract import LongRenderer
-from generation.search.ranking import challenge_score
-from generation.splits.format import METRE_DIGITS, YAW_DIGITS, FrozenAdversary, FrozenScene, ImageFacts, Pose
+from generation.nuscenes_writer.rows import build_channels, build_scene_tables
+from generation.nuscenes_writer.scenes import encode_jpeg
+from generation.nuscenes_writer.vocabulary import LabelVocabulary
+from generation.render.contract import SlowRenderer
+from generation.search.ranking import compute_challenge_score
+from generation.splits.format import METRE_DIGITS, YAW_DIGITS, FrozenAdversary, FrozenScene, ImageMetadata, Pose
 
 SAME_M: Final = 0.01
 """How far the recorded body may be from where the frozen split has it at the launch."""
@@ -33,14 +33,14 @@ _ROTATION_DIGITS: Final = 9
 _REPORT_DIGITS: Final = 6
 
 
-def adversarial(frozen: FrozenScene, scene: Scene) -> Scene:
+def add_frozen_adversaries(frozen: FrozenScene, scene: Scene) -> Scene:
     """A recorded scene with the adversaries of a frozen one.
 
     It must be that recording: each vehicle in it and, at the launch, in its place, and as many frames.
     """
     changed = scene
     for adversary in frozen.adversaries:
-        agent, stop = _place(adversary, scene), adversary.launch_frame + len(adversary.track)
+        agent, stop = _find_vehicle(adversary, scene), adversary.launch_frame + len(adversary.track)
         changed = changed.with_adversary(agent, slice(adversary.launch_frame, stop), np.array(adversary.track))
         inside = (scene.keyframes >= adversary.launch_frame) & (scene.keyframes < stop)
         rotation = changed.annotations.rotation
@@ -48,7 +48,7 @@ def adversarial(frozen: FrozenScene, scene: Scene) -> Scene:
     return changed
 
 
-def _place(adversary: FrozenAdversary, scene: Scene) -> int:
+def _find_vehicle(adversary: FrozenAdversary, scene: Scene) -> int:
     """Index of an adversary's vehicle in its recording."""
     if adversary.instance not in scene.agents.ids:
         raise InputError(
@@ -61,7 +61,7 @@ def _place(adversary: FrozenAdversary, scene: Scene) -> int:
             f"{scene.name} has {frames} frames and the frozen split wants {start + len(adversary.track)}; these are "
             "not the recordings that it was made from, choose those with --data"
         )
-    away = _distance(scene, agent, start, adversary)
+    away = _compute_distance(scene, agent, start, adversary)
     if away > SAME_M:
         raise InputError(
             f"{adversary.instance} in {scene.name} was recorded {away:.3f} m from where the frozen split has it at the "
@@ -70,7 +70,7 @@ def _place(adversary: FrozenAdversary, scene: Scene) -> int:
     return agent
 
 
-def _distance(scene: Scene, agent: int, frame: int, adversary: FrozenAdversary) -> float:
+def _compute_distance(scene: Scene, agent: int, frame: int, adversary: FrozenAdversary) -> float:
     """Distance of the two bodies, at most, metres: the centres, and what the heading moves the corners."""
     x, y, yaw = adversary.recorded
     position, size = scene.agents.position[agent, frame], scene.agents.size[agent]
@@ -80,40 +80,42 @@ def _distance(scene: Scene, agent: int, frame: int, adversary: FrozenAdversary) 
     return float(np.hypot(position[0] - x, position[1] - y) + 0.5 * np.hypot(size[0], size[1]) * turned)
 
 
-def tracks_of(frozen: FrozenScene) -> TracksAtHand:
+def build_tracks(frozen: FrozenScene) -> AdversaryProvenance:
     """Tracks by which the adversaries of a frozen scene were made: at 12 Hz, and then rounded along both axes."""
     launches = {adversary.instance: adversary.launch_frame for adversary in frozen.adversaries}
-    return TracksAtHand(generated=True, launches=launches, rounded_m=float(np.hypot(0.5, 0.5)) * 10**-METRE_DIGITS)
+    return AdversaryProvenance(
+        generated=True, launches=launches, rounded_m=float(np.hypot(0.5, 0.5)) * 10**-METRE_DIGITS
+    )
 
 
-def recorded_pose(scene: Scene, agent: int, frame: int) -> Floats:
+def read_recorded_pose(scene: Scene, agent: int, frame: int) -> Floats:
     """(3,) x, y, yaw of a vehicle as recorded."""
     return np.array([*scene.agents.position[agent, frame, :2], scene.agents.yaw[agent, frame]])
 
 
-def rounded_pose(pose: Floats | tuple[float, float, float]) -> Pose:
+def round_pose(pose: Floats | tuple[float, float, float]) -> Pose:
     """A pose (x, y, yaw) as frozen splits hold it."""
     x, y, yaw = map(float, pose)
     # Adding zero makes -0.0 plain.
     return round(x, METRE_DIGITS) + 0.0, round(y, METRE_DIGITS) + 0.0, round(yaw, YAW_DIGITS) + 0.0
 
 
-def scene_report(frozen: FrozenScene, scene: Scene, seed: int) -> dict[str, Any]:
+def build_scene_report(frozen: FrozenScene, scene: Scene, seed: int) -> dict[str, Any]:
     """Report on a rebuilt scene for ``challenger.json``: as of a search, described anew from the track.
 
     Numbers are rounded, so that they are the same on every machine.
     """
-    reports = [_attempt(adversary, frozen.source, scene, seed) for adversary in frozen.adversaries]
+    reports = [_build_attempt(adversary, frozen.source, scene, seed) for adversary in frozen.adversaries]
     if len(reports) == 1:
         return reports[0]
     challenge = sum(report["challenge"] for report in reports) / len(reports)
     return {"challenge": round(challenge, _REPORT_DIGITS), "adversaries": reports}
 
 
-def _attempt(adversary: FrozenAdversary, source: str, scene: Scene, seed: int) -> dict[str, Any]:
+def _build_attempt(adversary: FrozenAdversary, source: str, scene: Scene, seed: int) -> dict[str, Any]:
     agent, start = scene.agents.ids.index(adversary.instance), adversary.launch_frame
-    closest = closest_approach(scene, agent, start)
-    soonest = float(times_to_collision(scene, agent, start).min())
+    closest = find_closest_approach(scene, agent, start)
+    soonest = float(compute_times_to_collision(scene, agent, start).min())
     attempt = Attempt(
         scene=source,
         agent=adversary.instance,
@@ -121,23 +123,23 @@ def _attempt(adversary: FrozenAdversary, source: str, scene: Scene, seed: int) -
         kept=True,
         discard=None,
         launch_frame=start,
-        challenge=challenge_score(scene, agent, start),
+        challenge=compute_challenge_score(scene, agent, start),
         closest_approach=Approach(gap_m=closest.gap_m, time_s=closest.time_s, side=closest.side),
         least_time_to_collision_s=None if np.isinf(soonest) else soonest,
-        labels=describe(scene, agent, start),
+        labels=compute_labels(scene, agent, start),
     )
-    rounded: dict[str, Any] = rounded_numbers(attempt.as_json(), _REPORT_DIGITS)
+    rounded: dict[str, Any] = round_numbers(attempt.as_json(), _REPORT_DIGITS)
     return rounded
 
 
-def rounded_numbers(value: Any, digits: int) -> Any:
+def round_numbers(value: Any, digits: int) -> Any:
     """JSON values with every number that is not whole rounded."""
     if isinstance(value, float):
         return round(value, digits) + 0.0
     if isinstance(value, dict):
-        return {name: rounded_numbers(item, digits) for name, item in value.items()}
+        return {name: round_numbers(item, digits) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [rounded_numbers(item, digits) for item in value]
+        return [round_numbers(item, digits) for item in value]
     return value
 
 
@@ -145,7 +147,7 @@ _NANOMETRE_DIGITS: Final = 9
 """Recordings are interpolated and turned with sines, whose last bits are the processor's own."""
 
 
-def tables_digest(plan: DataSetPlan, scene: Scene, frozen: FrozenScene) -> str:
+def compute_tables_digest(plan: DataSetPlan, scene: Scene, frozen: FrozenScene) -> str:
     """Hash of a scene's tables at its key frames, without cameras: the same in any layout, with any frames.
 
     64 hexadecimal digits, made of numbers rounded to a nanometre.
@@ -154,24 +156,26 @@ def tables_digest(plan: DataSetPlan, scene: Scene, frozen: FrozenScene) -> str:
     names = SceneNames.of(
         like, scene, name=frozen.name, variant=0, source_scene=frozen.source, identity=frozen.identity
     )
-    tables = scene_tables(names, Vocabulary.of(plan.source), scene, channels_of((), {}), scene.keyframes.tolist())
-    return content_key(rounded_numbers(tables, _NANOMETRE_DIGITS))
+    tables = build_scene_tables(
+        names, LabelVocabulary.of(plan.source), scene, build_channels((), {}), scene.keyframes.tolist()
+    )
+    return content_key(round_numbers(tables, _NANOMETRE_DIGITS))
 
 
-def image_facts(plan: DataSetPlan, scene: Scene) -> ImageFacts | None:
+def build_image_facts(plan: DataSetPlan, scene: Scene) -> ImageMetadata | None:
     """Which images hashes would be of; ``None`` where there are none, or they take too long to be drawn once more."""
-    if plan.renderer is None or isinstance(plan.renderer, LongRenderer):
+    if plan.renderer is None or isinstance(plan.renderer, SlowRenderer):
         return None
     cameras = plan.renderer.cameras(scene)
     if not cameras:
         return None
     row = {"name": plan.renderer.name, "version": plan.renderer.version}
-    return facts_of_row(row | {"width": cameras[0].width, "height": cameras[0].height}, plan.jpeg_quality)
+    return parse_image_facts(row | {"width": cameras[0].width, "height": cameras[0].height}, plan.jpeg_quality)
 
 
-def facts_of_row(row: dict[str, Any], jpeg_quality: int) -> ImageFacts:
+def parse_image_facts(row: dict[str, Any], jpeg_quality: int) -> ImageMetadata:
     """The same from what the writer says of its renderer."""
-    return ImageFacts(
+    return ImageMetadata(
         renderer=row["name"],
         version=row["version"],
         width=row["width"],
@@ -180,24 +184,24 @@ def facts_of_row(row: dict[str, Any], jpeg_quality: int) -> ImageFacts:
     )
 
 
-def drawn_digest(plan: DataSetPlan, scene: Scene) -> str:
+def compute_drawn_digest(plan: DataSetPlan, scene: Scene) -> str:
     """Hash of a scene's key frames' images, drawn for it."""
     assert plan.renderer is not None
     drawn = plan.renderer.render(scene, scene.keyframes.tolist())
-    return _together(
-        hashlib.sha256(jpeg_bytes(image, plan.jpeg_quality)).hexdigest()
+    return _combine_hashes(
+        hashlib.sha256(encode_jpeg(image, plan.jpeg_quality)).hexdigest()
         for images in drawn
         for image in images.values()
     )
 
 
-def written_digest(plan: DataSetPlan, fragment: dict[str, Any]) -> str:
+def compute_written_digest(plan: DataSetPlan, fragment: dict[str, Any]) -> str:
     """Hash of a written scene's key frames' images, read from the disk."""
     root = plan.data_root(fragment["variant"])
     paths = [path for path in fragment["files"] if path.startswith("samples/") and path.endswith(".jpg")]
-    return _together(file_sha256(root / path) for path in paths)
+    return _combine_hashes(file_sha256(root / path) for path in paths)
 
 
-def _together(hashes: Iterable[str]) -> str:
+def _combine_hashes(hashes: Iterable[str]) -> str:
     # Sorted: names of files differ between layouts, and with them their order.
     return content_key(sorted(hashes))

@@ -10,9 +10,9 @@ from benchmark.errors import InputError
 from benchmark.machine.extension import AbsentExtensionError
 from benchmark.machine.storage import write_bytes
 from benchmark.records.review import ReviewFile
-from benchmark.records.store import validated
+from benchmark.records.store import validate_stored
 from benchmark.untrusted.compressed import read_package
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 from benchmark.untrusted.text_files import parse_json
 from generation.splits.format import FORMAT as SPLIT_FORMAT
 from generation.splits.format import SCHEMA as SPLIT_SCHEMA
@@ -23,14 +23,14 @@ from generation.splits.packing import (
     MANIFEST,
     SCHEMA,
     VERDICTS_FILE,
-    Manifest,
-    checked_rules,
-    split_file,
+    PackageManifest,
+    format_split_path,
+    validate_package_rules,
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Package:
+class SplitPackage:
     """A package that was read and found whole.
 
     Attributes:
@@ -39,7 +39,7 @@ class Package:
     """
 
     path: Path
-    manifest: Manifest
+    manifest: PackageManifest
     splits: tuple[NamedSplit, ...]
     review: ReviewFile | None
     files: Mapping[str, bytes]
@@ -56,7 +56,7 @@ class Package:
         return self.splits[names.index(name)]
 
 
-def read_split_package(path: Path) -> Package:
+def read_split_package(path: Path) -> SplitPackage:
     """Read and check a package.
 
     Args:
@@ -70,7 +70,7 @@ def read_split_package(path: Path) -> Package:
             does not hold what it must.
     """
     members = read_package(path)
-    manifest = _manifest(path, members.pop(MANIFEST, None))
+    manifest = _read_manifest(path, members.pop(MANIFEST, None))
     missing, unknown = sorted(manifest.files.keys() - members), sorted(members.keys() - manifest.files)
     if missing or unknown:
         problem = f"lacks {missing[0]}" if missing else f"holds {unknown[0]}, which its manifest does not name"
@@ -89,20 +89,22 @@ def read_split_package(path: Path) -> Package:
             del members[name]
     splits = []
     for packed in manifest.splits:
-        frozen = _frozen(path, packed.name, members[split_file(packed.name)])
+        frozen = _read_frozen(path, packed.name, members[format_split_path(packed.name)])
         facts = (frozen.content_id, len(frozen.scenes), frozen.recordings.name, frozen.recordings.fingerprint)
         if facts != (packed.content, packed.scenes, packed.recordings, packed.fingerprint):
             raise InputError(f"{path}: the split {packed.name} is not the one that the manifest names; fetch it again")
         splits.append(NamedSplit(packed.name, frozen))
     review = None
     if VERDICTS_FILE in members:
-        review = validated(
-            ReviewFile.model_validate, _json(path, VERDICTS_FILE, members[VERDICTS_FILE]), _damaged(path, VERDICTS_FILE)
+        review = validate_stored(
+            ReviewFile.model_validate,
+            _read_json(path, VERDICTS_FILE, members[VERDICTS_FILE]),
+            _build_damage_formatter(path, VERDICTS_FILE),
         )
-    return Package(path, manifest, tuple(splits), review, members, tuple(left_out))
+    return SplitPackage(path, manifest, tuple(splits), review, members, tuple(left_out))
 
 
-def write_files(package: Package, to: Path) -> tuple[Path, ...]:
+def write_package_files(package: SplitPackage, to: Path) -> tuple[Path, ...]:
     """Write the files of a package, its manifest too, below a folder; what is there stays.
 
     Raises:
@@ -118,44 +120,46 @@ def write_files(package: Package, to: Path) -> tuple[Path, ...]:
     return tuple(targets)
 
 
-def _manifest(path: Path, data: bytes | None) -> Manifest:
-    stored = None if data is None else _json(path, MANIFEST, data)
+def _read_manifest(path: Path, data: bytes | None) -> PackageManifest:
+    stored = None if data is None else _read_json(path, MANIFEST, data)
     if not isinstance(stored, dict) or stored.get("format") != FORMAT:
         raise InputError(
             f"{path} is no package of a split: it has no {MANIFEST} that says {FORMAT!r}; data pack makes one"
         )
     if type(stored.get("schema")) is not int or stored["schema"] != SCHEMA:
         raise InputError(
-            f"{path} has version {one_line(stored.get('schema'), 40)} of the format, this version reads {SCHEMA}; "
+            f"{path} has version {to_one_line(stored.get('schema'), 40)} of the format, this version reads {SCHEMA}; "
             "upgrade challenger-bench"
         )
-    return validated(Manifest.model_validate, stored, _damaged(path, MANIFEST))
+    return validate_stored(PackageManifest.model_validate, stored, _build_damage_formatter(path, MANIFEST))
 
 
-def _frozen(path: Path, name: str, data: bytes) -> FrozenSplit:
-    stored = _json(path, split_file(name), data)
+def _read_frozen(path: Path, name: str, data: bytes) -> FrozenSplit:
+    stored = _read_json(path, format_split_path(name), data)
     if not isinstance(stored, dict) or stored.get("format") != SPLIT_FORMAT or stored.get("schema") != SPLIT_SCHEMA:
         raise InputError(
-            f"{path}: {split_file(name)} is no frozen split that this version reads; upgrade challenger-bench"
+            f"{path}: {format_split_path(name)} is no frozen split that this version reads; upgrade challenger-bench"
         )
-    return validated(FrozenSplit.model_validate_json, data, _damaged(path, split_file(name)))
+    return validate_stored(
+        FrozenSplit.model_validate_json, data, _build_damage_formatter(path, format_split_path(name))
+    )
 
 
 def _require_form(path: Path, name: str, kind: str, data: bytes) -> None:
     if kind == "rules":
-        checked_rules(data, f"{path}: {name}")
-    elif not isinstance(_json(path, name, data), dict):
+        validate_package_rules(data, f"{path}: {name}")
+    elif not isinstance(_read_json(path, name, data), dict):
         raise InputError(f"{path}: {name} must be a JSON object; fetch the package again")
 
 
-def _json(path: Path, name: str, data: bytes) -> Any:
+def _read_json(path: Path, name: str, data: bytes) -> Any:
     try:
         return parse_json(data)
     except ValueError as error:
-        raise InputError(f"{path}: {name} is no JSON ({one_line(error, 80)}); fetch the package again") from error
+        raise InputError(f"{path}: {name} is no JSON ({to_one_line(error, 80)}); fetch the package again") from error
 
 
-def _damaged(path: Path, name: str) -> Any:
+def _build_damage_formatter(path: Path, name: str) -> Any:
     return lambda where, why: (
-        f"{path}: {name} is damaged ({where or 'as a whole'}: {one_line(why, 120)}); fetch it again"
+        f"{path}: {name} is damaged ({where or 'as a whole'}: {to_one_line(why, 120)}); fetch it again"
     )

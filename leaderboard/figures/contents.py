@@ -13,24 +13,24 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmark.metrics.attacks import attack_rates, counts_attacks, has_adversaries, says_severity
+from benchmark.metrics.attacks import can_count_attacks, compute_attack_rates, has_adversaries, has_severity
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.judgements import split_ladders
+from benchmark.metrics.judgements import collect_split_reference_drivers
 from benchmark.metrics.rates import Rate
 from benchmark.metrics.transfer import TransferMatrix
 from benchmark.records.judgement import FeatureRealism
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import Sheets
-from benchmark.report.canvas import drawable
-from benchmark.report.plots import Theme, for_pages, new_figure
-from benchmark.report.words import split_of
-from leaderboard.figures.charts import MARKERS, name_below, planner_name, run_figures
-from leaderboard.figures.heat_map import heat_maps, lift_maps
+from benchmark.records.scenes import ScenePages
+from benchmark.report.canvas import sanitise_name
+from benchmark.report.plots import PlotTheme, new_figure, render_for_pages
+from benchmark.report.words import format_split
+from leaderboard.figures.charts import MARKERS, label_below, planner_name, run_figures
+from leaderboard.figures.heat_map import draw_heat_maps, draw_lift_maps
 from leaderboard.figures.refinement import refinement_figures
-from leaderboard.frame.rows import in_table_order, split_place
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.rows import sort_for_tables, split_sort_key
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.page.sections import NamedFigure
-from leaderboard.tables.transfer import frame_matrices, name_of_lift, name_of_transfer
+from leaderboard.tables.transfer import build_frame_matrices, name_lift, name_transfer
 
 NAME: Final = "attack-realism"
 TITLE: Final = "Attributable attack success against realism"
@@ -44,7 +44,7 @@ _APART: Final = 0.013
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class GeneratorSetting:
     """One setting of a generator: the adversarial scenes of one split of one data set.
 
     `worst` is the worst feature, ``None`` where there was no comparison with recordings; `without_fault` the share of
@@ -58,50 +58,50 @@ class Setting:
     success: tuple[tuple[RunRecord, Rate], ...]
 
 
-def generator_settings(records: Sequence[RunRecord]) -> list[Setting]:
+def list_generator_settings(records: Sequence[RunRecord]) -> list[GeneratorSetting]:
     """Settings, by data set and split, that say whether the careful human survives and how severe plans are."""
     records_by_split: dict[tuple[str, str], list[RunRecord]] = {}
-    for record in in_table_order(list(filter(counts_attacks, records))):
+    for record in sort_for_tables(list(filter(can_count_attacks, records))):
         records_by_split.setdefault((record.run.data.name, record.run.split), []).append(record)
     settings = []
     for (data_name, split), runs in sorted(
-        records_by_split.items(), key=lambda item: (item[0][0], split_place(item[0][1]))
+        records_by_split.items(), key=lambda item: (item[0][0], split_sort_key(item[0][1]))
     ):
-        reference_drivers = split_ladders(runs).get(split)
-        rates = [(run, attack_rates(run).scenes["attributable"]) for run in runs]
+        reference_drivers = collect_split_reference_drivers(runs).get(split)
+        rates = [(run, compute_attack_rates(run).scenes["attributable"]) for run in runs]
         success = tuple((run, rate) for run, rate in rates if rate.value is not None)
         if reference_drivers is not None and success:
             realism = next((run.run.realism for run in runs if run.run.realism is not None), None)
             worst = None if realism is None else realism.headline
-            settings.append(Setting(data_name, split, worst, reference_drivers.without_fault, success))
+            settings.append(GeneratorSetting(data_name, split, worst, reference_drivers.without_fault, success))
     return settings
 
 
-def attack_figures(frame: Frame) -> tuple[NamedFigure, ...]:
-    """The figure of a data set, or none where none of its own settings can be drawn (`nothing_drawn`).
+def attack_figures(frame: DataSetRuns) -> tuple[NamedFigure, ...]:
+    """The figure of a data set, or none where none of its own settings can be drawn (`explain_missing_figure`).
 
     Settings of a generator are compared with one another, those of other data sets too; its own stand out.
     """
-    settings = generator_settings(frame.against or frame.given)
+    settings = list_generator_settings(frame.against or frame.given)
     if not any(setting.data_name == frame.data_name for setting in settings):
         return ()
-    return (NamedFigure(NAME, TITLE, *for_pages(partial(_figure, frame.data_name, settings))),)
+    return (NamedFigure(NAME, TITLE, *render_for_pages(partial(_draw_figure, frame.data_name, settings))),)
 
 
-def nothing_drawn(data_name: str, records: Sequence[RunRecord]) -> str | None:
+def explain_missing_figure(data_name: str, records: Sequence[RunRecord]) -> str | None:
     """Reason why there is no figure of a data set that has adversaries, in a sentence; ``None`` where there is one."""
     own = [record for record in records if record.run.data.name == data_name and has_adversaries(record)]
-    if not own or any(setting.data_name == data_name for setting in generator_settings(own)):
+    if not own or any(setting.data_name == data_name for setting in list_generator_settings(own)):
         return None
-    if not any(map(says_severity, own)):
+    if not any(map(has_severity, own)):
         return "No figure of attack success against realism: no record says how severe its plans are."
     return "No figure of attack success against realism: nobody said of any scene who survives it."
 
 
-def _figure(data_name: str, settings: Sequence[Setting], theme: Theme) -> Figure:
-    kinds: list[tuple[str, Callable[[Setting], _Place | None]]] = [
-        (REALISM_AXIS, _by_realism),
-        (VALIDITY_AXIS, _by_validity),
+def _draw_figure(data_name: str, settings: Sequence[GeneratorSetting], theme: PlotTheme) -> Figure:
+    kinds: list[tuple[str, Callable[[GeneratorSetting], _AxisPoint | None]]] = [
+        (REALISM_AXIS, _place_by_realism),
+        (VALIDITY_AXIS, _place_by_validity),
     ]
     panels = [(head, place) for head, place in kinds if any(place(setting) for setting in settings)]
     planners = {run.planner: run for setting in settings for run, _ in setting.success}
@@ -110,12 +110,14 @@ def _figure(data_name: str, settings: Sequence[Setting], theme: Theme) -> Figure
         for at, name in enumerate(planners)
     }
     width = _WIDTH * (1.4 if len(panels) > 1 else 1.0)
-    words = [line for text in _words(settings) for line in textwrap.wrap(text, int(_LETTERS_PER_INCH * width))]
+    words = [
+        line for text in _describe_settings(settings) for line in textwrap.wrap(text, int(_LETTERS_PER_INCH * width))
+    ]
     below = _LINE * len(words) + _LEGEND_LINE * -(-len(planners) // _LEGEND_COLUMNS) + 0.2
     figure = new_figure(width, _HEIGHT + below)
     panel_axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, (head, place) in zip(panel_axes, panels, strict=True):
-        _frame(axes, head, theme)
+        _style_axes(axes, head, theme)
         for number, setting in enumerate(settings, 1):
             at = place(setting)
             if at is not None:
@@ -123,15 +125,15 @@ def _figure(data_name: str, settings: Sequence[Setting], theme: Theme) -> Figure
     panel_axes[0].set_ylabel("attributable success, % of the scenes")
     panel_axes[0].set_ylim(-3, 108)
     figure.tight_layout(rect=(0, below / figure.get_figheight(), 1, 0.94))
-    _say(figure, f"{drawable(data_name)}: attributable attack success against realism", words, theme)
+    _write_caption(figure, f"{sanitise_name(data_name)}: attributable attack success against realism", words, theme)
     lines = [mpl.lines.Line2D([], [], **look) for look in style.values()]
     above = (0.5, (_LINE * len(words) + 0.08) / figure.get_figheight())
     names = [planner_name(run) for run in planners.values()]
-    name_below(figure, lines, names, min(_LEGEND_COLUMNS, len(planners)), bbox_to_anchor=above)
+    label_below(figure, lines, names, min(_LEGEND_COLUMNS, len(planners)), bbox_to_anchor=above)
     return figure
 
 
-def _frame(axes: Axes, head: str, theme: Theme) -> None:
+def _style_axes(axes: Axes, head: str, theme: PlotTheme) -> None:
     axes.set_xlabel(head)
     axes.set_xlim((-0.02, 1.02) if head == REALISM_AXIS else (-2, 102))
     axes.grid(color=theme.rule, linewidth=0.6)
@@ -139,7 +141,7 @@ def _frame(axes: Axes, head: str, theme: Theme) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _say(figure: Figure, heading: str, words: Sequence[str], theme: Theme) -> None:
+def _write_caption(figure: Figure, heading: str, words: Sequence[str], theme: PlotTheme) -> None:
     height = figure.get_figheight()
     plain: dict[str, Any] = {"parse_math": False}
     figure.text(0.02, 0.08 / height, "\n".join(words), va="bottom", fontsize=8.5, color=theme.faint, **plain)
@@ -147,7 +149,7 @@ def _say(figure: Figure, heading: str, words: Sequence[str], theme: Theme) -> No
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _AxisPoint:
     """Place of a setting on an axis, and its interval."""
 
     at: float
@@ -155,29 +157,29 @@ class _Place:
     high: float | None
 
 
-def _by_realism(setting: Setting) -> _Place | None:
+def _place_by_realism(setting: GeneratorSetting) -> _AxisPoint | None:
     if setting.worst is None:
         return None
     low, high = setting.worst.interval or (None, None)
-    return _Place(setting.worst.realism, low, high)
+    return _AxisPoint(setting.worst.realism, low, high)
 
 
-def _by_validity(setting: Setting) -> _Place | None:
+def _place_by_validity(setting: GeneratorSetting) -> _AxisPoint | None:
     """Only where there is no realism: the two axes are not comparable."""
     rate = setting.without_fault
     if setting.worst is not None or rate.value is None:
         return None
     ends = (None if end is None else 100 * end for end in (rate.low, rate.high))
-    return _Place(100 * rate.value, *ends)
+    return _AxisPoint(100 * rate.value, *ends)
 
 
 def _draw_setting(
     axes: Axes,
-    setting: Setting,
+    setting: GeneratorSetting,
     number: int,
-    place: _Place,
+    place: _AxisPoint,
     style: Mapping[str, dict[str, Any]],
-    theme: Theme,
+    theme: PlotTheme,
     *,
     own: bool,
 ) -> None:
@@ -205,11 +207,11 @@ def _draw_setting(
         axes.plot(at, value, **look, markerfacecolor=face, zorder=3)
 
 
-def _words(settings: Sequence[Setting]) -> list[str]:
+def _describe_settings(settings: Sequence[GeneratorSetting]) -> list[str]:
     """Sentences on which number is which setting, and on the axes."""
     sentences = []
     for number, setting in enumerate(settings, 1):
-        name = drawable(split_of(setting.split, setting.data_name))
+        name = sanitise_name(format_split(setting.split, setting.data_name))
         worst = "" if setting.worst is None else f"; worst: {setting.worst.name.replace('_', ' ')}"
         sentences.append(f"{number}: {name}{worst}")
     if any(setting.worst is None for setting in settings):
@@ -227,33 +229,33 @@ def _words(settings: Sequence[Setting]) -> list[str]:
     return sentences
 
 
-OF_RUNS: Final[tuple[Callable[[Frame], Iterable[NamedFigure]], ...]] = (run_figures, attack_figures)
+RUN_FIGURES: Final[tuple[Callable[[DataSetRuns], Iterable[NamedFigure]], ...]] = (run_figures, attack_figures)
 
 
-def matrix_figures(frame: Frame) -> list[NamedFigure]:
+def matrix_figures(frame: DataSetRuns) -> list[NamedFigure]:
     """Pictures of the matrices of transfer among the first tables, each with the name of its table.
 
     Where it is known who is an adversary, contacts with bystanders say nothing of attacks: of lift and φ under
     ``exact`` one picture a split.
     """
     name = frame.data_name
-    judge_matrices = [(judge, _matrices(frame, judge, split)) for split in frame.splits for judge in frame.judges]
-    shares = [(name_of_transfer(name, matrix), heat_maps(matrix)) for _, some in judge_matrices for matrix in some]
+    judge_matrices = [(judge, _build_matrices(frame, judge, split)) for split in frame.splits for judge in frame.judges]
+    shares = [(name_transfer(name, matrix), draw_heat_maps(matrix)) for _, some in judge_matrices for matrix in some]
     of_lift = [some[-1] for judge, some in judge_matrices if judge == EXACT and some]
-    lifts = [(name_of_lift(name, matrix), lift_maps(matrix)) for matrix in of_lift]
+    lifts = [(name_lift(name, matrix), draw_lift_maps(matrix)) for matrix in of_lift]
     return [NamedFigure(stem, title, *drawn) for (stem, title), drawn in [*shares, *lifts]]
 
 
-def _matrices(frame: Frame, judge: str, split: str) -> list[TransferMatrix]:
-    return frame.once(frame_matrices, judge, split)[0]
+def _build_matrices(frame: DataSetRuns, judge: str, split: str) -> list[TransferMatrix]:
+    return frame.once(build_frame_matrices, judge, split)[0]
 
 
-def data_set_figures(frame: Frame, sheets: Sheets) -> list[NamedFigure]:
+def data_set_figures(frame: DataSetRuns, sheets: ScenePages) -> list[NamedFigure]:
     """All other figures of one data set."""
-    return [*(figure for draw in OF_RUNS for figure in draw(frame)), *refinement_figures(frame.data_name, sheets)]
+    return [*(figure for draw in RUN_FIGURES for figure in draw(frame)), *refinement_figures(frame.data_name, sheets)]
 
 
-def missing_figures(frame: Frame) -> list[str]:
+def missing_figures(frame: DataSetRuns) -> list[str]:
     """Sentences on figures that records do not give."""
-    missing = nothing_drawn(frame.data_name, frame.given)
+    missing = explain_missing_figure(frame.data_name, frame.given)
     return [] if missing is None else [missing]

@@ -1,6 +1,6 @@
 """Transfer between planners as pictures: who else fails (column) the scenes that a planner fails (row).
 
-`heat_map` has the shares of one matrix; `lift_map` how far two planners fail the same scenes beyond chance.
+`draw_heat_map` has the shares of one matrix; `draw_lift_map` how far two planners fail the same scenes beyond chance.
 """
 
 import math
@@ -20,10 +20,10 @@ from benchmark.machine.storage import write_bytes
 from benchmark.metrics.rates import Estimate, Rate
 from benchmark.metrics.transfer import TransferMatrix
 from benchmark.records.run import NATIVE
-from benchmark.report.canvas import drawable
-from benchmark.report.cells import UNDEFINED, interval, number
-from benchmark.report.plots import FORMATS, LIGHT, Theme, for_pages, new_figure, picture
-from leaderboard.tables.transfer import planner_names
+from benchmark.report.canvas import sanitise_name
+from benchmark.report.cells import UNDEFINED, format_interval, format_number
+from benchmark.report.plots import FORMATS, LIGHT, PlotTheme, new_figure, render_figure, render_for_pages
+from leaderboard.tables.transfer import format_planner_names
 
 COLOURS: Final = "cividis"
 """Looks the same with and without colour-blindness, and its lightness alone tells the order."""
@@ -36,7 +36,7 @@ _HATCH = "#9a9a9a"
 
 
 @dataclass(frozen=True, slots=True)
-class Square:
+class HeatMapCell:
     """A cell of a picture."""
 
     text: str
@@ -45,7 +45,7 @@ class Square:
     bold: bool = False
 
 
-Squares = list[list[Square | None]]
+HeatMapCells = list[list[HeatMapCell | None]]
 """Rows of cells; ``None`` is hatched."""
 
 
@@ -55,39 +55,39 @@ def write_heat_map(matrix: TransferMatrix, path: Path) -> None:
     Raises:
         InputError: If the file has another ending or cannot be written.
     """
-    _write(heat_map, matrix, path)
+    _write(draw_heat_map, matrix, path)
 
 
 def write_lift_map(matrix: TransferMatrix, path: Path) -> None:
     """`write_heat_map` of the lift and φ of every two planners."""
-    _write(lift_map, matrix, path)
+    _write(draw_lift_map, matrix, path)
 
 
-def heat_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes:
+def draw_heat_map(matrix: TransferMatrix, suffix: str, theme: PlotTheme = LIGHT) -> bytes:
     """Bytes of the picture: the same matrix, the same bytes.
 
     Every cell has share and counts, and the victims' failure rates over all scenes are below; cells without a number,
     and the diagonal, are hatched.
     """
-    return picture(partial(_shares, matrix), suffix, theme)
+    return render_figure(partial(_draw_shares, matrix), suffix, theme)
 
 
-def heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, Callable[[], bytes]]:
-    """`heat_map` as `for_pages` draws it."""
-    return for_pages(partial(_shares, matrix))
+def draw_heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, Callable[[], bytes]]:
+    """`draw_heat_map` as `render_for_pages` draws it."""
+    return render_for_pages(partial(_draw_shares, matrix))
 
 
-def lift_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes:
+def draw_lift_map(matrix: TransferMatrix, suffix: str, theme: PlotTheme = LIGHT) -> bytes:
     """Picture of how far two planners fail the same scenes beyond chance.
 
     Lift is above the diagonal and φ below it, each with its interval; colours say how far it is from chance.
     """
-    return picture(partial(_beyond_chance, matrix), suffix, theme)
+    return render_figure(partial(_draw_lift, matrix), suffix, theme)
 
 
-def lift_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, Callable[[], bytes]]:
-    """The same of `lift_map`."""
-    return for_pages(partial(_beyond_chance, matrix))
+def draw_lift_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, Callable[[], bytes]]:
+    """The same of `draw_lift_map`."""
+    return render_for_pages(partial(_draw_lift, matrix))
 
 
 def _write(draw: Callable[[TransferMatrix, str], bytes], matrix: TransferMatrix, path: Path) -> None:
@@ -96,57 +96,57 @@ def _write(draw: Callable[[TransferMatrix, str], bytes], matrix: TransferMatrix,
     write_bytes(path, draw(matrix, path.suffix))
 
 
-def text_colour(background: Sequence[float]) -> str:
+def choose_text_colour(background: Sequence[float]) -> str:
     """Black or white, whichever has more contrast (WCAG), 4.5 at least, with a background of red, green, blue, 0..1."""
-    luminance = relative_luminance(background)
+    luminance = compute_relative_luminance(background)
     return "white" if 1.05 / (luminance + 0.05) > (luminance + 0.05) / 0.05 else "black"
 
 
-def relative_luminance(colour: Sequence[float]) -> float:
+def compute_relative_luminance(colour: Sequence[float]) -> float:
     """Relative luminance of an sRGB colour, 0..1 (WCAG 2)."""
     linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in colour[:3]]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-def share_squares(matrix: TransferMatrix) -> Squares:
-    """Cells of `heat_map`: a row a surrogate, and one of the failure rates over all scenes."""
+def build_share_cells(matrix: TransferMatrix) -> HeatMapCells:
+    """Cells of `draw_heat_map`: a row a surrogate, and one of the failure rates over all scenes."""
     return [
         *(
-            [None if row == column else _share(rate) for column, rate in enumerate(rates)]
+            [None if row == column else _build_share_cell(rate) for column, rate in enumerate(rates)]
             for row, rates in enumerate(matrix.cells)
         ),
-        [_share(rate) for rate in matrix.base_rates],
+        [_build_share_cell(rate) for rate in matrix.base_rates],
     ]
 
 
-def lift_squares(matrix: TransferMatrix) -> Squares:
-    """Cells of `lift_map`: lift above the diagonal, φ below it; bold where the interval leaves chance out."""
+def build_lift_cells(matrix: TransferMatrix) -> HeatMapCells:
+    """Cells of `draw_lift_map`: lift above the diagonal, φ below it; bold where the interval leaves chance out."""
     count = len(matrix.planners)
-    squares: Squares = [[None] * count for _ in range(count)]
+    squares: HeatMapCells = [[None] * count for _ in range(count)]
     for agreement in matrix.agreements:
         first, second = sorted(matrix.planners.index(name) for name in agreement.planners)
         lift, phi = Estimate(agreement.lift, agreement.lift_low, agreement.lift_high), agreement.phi
-        squares[first][second] = _around(lift, 1.0, "{}×", 0.5 + _lift_colour(lift.value))
-        squares[second][first] = _around(phi, 0.0, "φ {}", 0.5 + 0.5 * (phi.value or 0.0))
+        squares[first][second] = _build_chance_cell(lift, 1.0, "{}×", 0.5 + _lift_colour(lift.value))
+        squares[second][first] = _build_chance_cell(phi, 0.0, "φ {}", 0.5 + 0.5 * (phi.value or 0.0))
     return squares
 
 
-def _share(rate: Rate) -> Square | None:
+def _build_share_cell(rate: Rate) -> HeatMapCell | None:
     if rate.value is None:
         return None
     counts = f"{round(rate.numerator)}/{rate.denominator}"
-    return Square(f"{100 * rate.value:.0f} %", counts, mpl.colormaps[COLOURS](rate.value)[:3])
+    return HeatMapCell(f"{100 * rate.value:.0f} %", counts, mpl.colormaps[COLOURS](rate.value)[:3])
 
 
-def _around(estimate: Estimate, chance: float, form: str, shade: float) -> Square | None:
+def _build_chance_cell(estimate: Estimate, chance: float, form: str, shade: float) -> HeatMapCell | None:
     if estimate.value is None:
         return None
-    ends = interval(estimate.low, estimate.high, digits=2)
+    ends = format_interval(estimate.low, estimate.high, digits=2)
     excludes_chance = (
         estimate.low is not None and estimate.high is not None and not estimate.low <= chance <= estimate.high
     )
-    text = form.format(number(estimate.value, 2))
-    return Square(
+    text = form.format(format_number(estimate.value, 2))
+    return HeatMapCell(
         text, "" if ends == UNDEFINED else ends, mpl.colormaps[AROUND_CHANCE](shade)[:3], bold=excludes_chance
     )
 
@@ -158,43 +158,45 @@ def _lift_colour(lift: float | None) -> float:
     return max(-0.5, min(0.5, 0.5 * math.log(lift) / math.log(_MOST_LIFT)))
 
 
-def _shares(matrix: TransferMatrix, theme: Theme) -> Figure:
+def _draw_shares(matrix: TransferMatrix, theme: PlotTheme) -> Figure:
     caption = (
-        f"{_whose(matrix)}.\nRow: surrogate. Column: victim.\n"
+        f"{_describe_matrix(matrix)}.\nRow: surrogate. Column: victim.\n"
         "Cell: share of the surrogate's failed\nscenes that the victim fails too.\nHatched: undefined."
     )
     failed = [f"fails {round(cells[own].numerator)}" for own, cells in enumerate(matrix.cells)]
-    return _figure(matrix, share_squares(matrix), failed, caption, theme)
+    return _draw_figure(matrix, build_share_cells(matrix), failed, caption, theme)
 
 
-def _beyond_chance(matrix: TransferMatrix, theme: Theme) -> Figure:
+def _draw_lift(matrix: TransferMatrix, theme: PlotTheme) -> Figure:
     caption = (
-        f"{_whose(matrix)}.\nAbove the diagonal: lift, how many times\nmore often both fail than by chance (1).\n"
+        f"{_describe_matrix(matrix)}.\nAbove the diagonal: lift, how many times\nmore often both fail than by chance (1).\n"
         "Below: φ, correlation of verdicts (0).\nOrange: more than chance; purple: less.\n"
         "Small: 95 % interval; bold: beyond chance.\nHatched: undefined."
     )
     rates = [rate.value for rate in matrix.base_rates]
     failed = ["" if rate is None else f"fails {100 * rate:.0f} %" for rate in rates]
-    return _figure(matrix, lift_squares(matrix), failed, caption, theme)
+    return _draw_figure(matrix, build_lift_cells(matrix), failed, caption, theme)
 
 
-def _whose(matrix: TransferMatrix) -> str:
-    judge = "own protocols" if matrix.protocol == NATIVE else f"protocol {drawable(matrix.protocol)}"
+def _describe_matrix(matrix: TransferMatrix) -> str:
+    judge = "own protocols" if matrix.protocol == NATIVE else f"protocol {sanitise_name(matrix.protocol)}"
     subject = "Contacts with the adversary" if matrix.adversary_only else "Failures"
-    return f"{subject}\non {drawable(matrix.split)}, {judge}"
+    return f"{subject}\non {sanitise_name(matrix.split)}, {judge}"
 
 
-def _figure(matrix: TransferMatrix, squares: Squares, of_rows: Sequence[str], caption: str, theme: Theme) -> Figure:
+def _draw_figure(
+    matrix: TransferMatrix, squares: HeatMapCells, of_rows: Sequence[str], caption: str, theme: PlotTheme
+) -> Figure:
     """Squares with the planners' names at the left and above; a row beyond the planners stands apart."""
     count = len(matrix.planners)
     # The last row stands apart: it is no surrogate.
     rows = [*range(count), *(row + 0.4 for row in range(count, len(squares)))]
-    names = [drawable(name) for name in planner_names(matrix)]
+    names = [sanitise_name(name) for name in format_planner_names(matrix)]
     longest, lines = max(len(name) for name in names), caption.count("\n") + 1
-    figure, axes = _canvas(count, rows[-1] + 1.0, longest_name=longest, caption_lines=lines)
+    figure, axes = _create_canvas(count, rows[-1] + 1.0, longest_name=longest, caption_lines=lines)
     for row, cells in zip(rows, squares, strict=True):
         for column, square in enumerate(cells):
-            _draw_square(axes, column, row, square, theme)
+            _draw_cell(axes, column, row, square, theme)
     labels = [f"{name}\n{row_label}" for name, row_label in zip(names, of_rows, strict=True)]
     axes.set_xlim(-0.5, count - 0.5)
     axes.set_ylim(rows[-1] + 0.5, -0.5)
@@ -207,7 +209,7 @@ def _figure(matrix: TransferMatrix, squares: Squares, of_rows: Sequence[str], ca
     return figure
 
 
-def _canvas(columns: float, rows: float, *, longest_name: int, caption_lines: int) -> tuple[Figure, Axes]:
+def _create_canvas(columns: float, rows: float, *, longest_name: int, caption_lines: int) -> tuple[Figure, Axes]:
     """A figure around square cells, with room for names of so many characters at the left and, slanted, above."""
     name = _CHARACTER_INCHES * longest_name
     left = max(0.25 + name, 1.1)
@@ -220,7 +222,7 @@ def _canvas(columns: float, rows: float, *, longest_name: int, caption_lines: in
     return figure, figure.add_axes((left / size[0], 0.1 / size[1], width / size[0], height / size[1]))
 
 
-def _draw_square(axes: Axes, column: float, row: float, square: Square | None, theme: Theme) -> None:
+def _draw_cell(axes: Axes, column: float, row: float, square: HeatMapCell | None, theme: PlotTheme) -> None:
     """One cell: a number with what stands below it, or hatched."""
     corner = (column - 0.5, row - 0.5)
     if square is None:
@@ -230,7 +232,7 @@ def _draw_square(axes: Axes, column: float, row: float, square: Square | None, t
         axes.text(column, row, UNDEFINED, ha="center", va="center", bbox=box)
         return
     axes.add_patch(Rectangle(corner, 1, 1, facecolor=square.colour, edgecolor=theme.paper, linewidth=1.5))
-    style: dict[str, Any] = {"ha": "center", "color": text_colour(square.colour)}
+    style: dict[str, Any] = {"ha": "center", "color": choose_text_colour(square.colour)}
     weight = "bold" if square.bold else "normal"
     axes.text(column, row + (0.02 if square.below else 0.1), square.text, va="bottom", weight=weight, **style)
     if square.below:

@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 
 from benchmark.metrics.rates import Rate
 from benchmark.records.drives import DriveRecord
-from benchmark.report.canvas import drawable
-from benchmark.report.plots import Theme, for_pages, new_figure
-from leaderboard.figures.charts import name_below, planner_style
+from benchmark.report.canvas import sanitise_name
+from benchmark.report.plots import PlotTheme, new_figure, render_for_pages
+from leaderboard.figures.charts import label_below, planner_style
 from leaderboard.frame.rows import name_cell
 from leaderboard.page.sections import NamedFigure
-from leaderboard.tables.pressure import Pressure, pressure_name, pressures
+from leaderboard.tables.pressure import DrivePressure, group_by_pressure, name_pressure
 
 PANELS: Final = (
     ("attributable", "attributable failures, % of drives", True),
@@ -39,42 +39,42 @@ Budget = tuple[float, int, int]
 def pressure_figures(records: Sequence[DriveRecord]) -> tuple[NamedFigure, ...]:
     """A figure of every adversary that was given several budgets, in the order of the tables."""
     figures = []
-    for number, (title, rows) in enumerate(pressures(records)):
-        drawn = for_pages(partial(pressure_figure, title, rows))
-        figures.append(NamedFigure(pressure_name(number), title, *drawn))
+    for number, (title, rows) in enumerate(group_by_pressure(records)):
+        drawn = render_for_pages(partial(draw_pressure_figure, title, rows))
+        figures.append(NamedFigure(name_pressure(number), title, *drawn))
     return tuple(figures)
 
 
-def pressure_figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figure:
+def draw_pressure_figure(title: str, rows: Sequence[DrivePressure], theme: PlotTheme) -> Figure:
     """One figure of planners against budgets: a panel for each of `PANELS`."""
     strength = {pressure.budget: pressure.candidates for pressure in rows}
     budgets = sorted(strength, key=lambda budget: (strength[budget], budget))
     planners = {pressure.row.name: pressure.row.record.facts.planner for pressure in rows}
     style = {name: planner_style(place, theme) for place, name in enumerate(planners)}
     width = _PANEL * len(PANELS)
-    words = textwrap.wrap(" ".join(map(drawable, title.split())), int(_LETTERS_PER_INCH * width))
+    words = textwrap.wrap(" ".join(map(sanitise_name, title.split())), int(_LETTERS_PER_INCH * width))
     below = _LEGEND_LINE * -(-len(planners) // _LEGEND_COLUMNS) + 0.15
     above = _LINE * len(words) + 0.12
     figure = new_figure(width, _HEIGHT + below + above)
     for axes, (column, axis_label, share) in zip(figure.subplots(1, len(PANELS)), PANELS, strict=True):
-        _frame(axes, axis_label, budgets, theme)
+        _style_axes(axes, axis_label, budgets, theme)
         for place, (name, look) in enumerate(style.items()):
             beside = _APART * (place - 0.5 * (len(planners) - 1))
             rates = {pressure.budget: pressure.row.rates.get(column) for pressure in rows if pressure.row.name == name}
-            _line(axes, [rates.get(budget) for budget in budgets], beside, look, 100.0 if share else 1.0)
+            _draw_line(axes, [rates.get(budget) for budget in budgets], beside, look, 100.0 if share else 1.0)
         # The end of the other axis is known once all are drawn.
         axes.set_ylim(*((-4.0, 104.0) if share else (0.0, None)))
     height = figure.get_figheight()
     figure.tight_layout(rect=(0, below / height, 1, 1 - above / height))
     figure.text(0.02, 1 - 0.06 / height, "\n".join(words), va="top", fontsize=9.0, parse_math=False)
     lines = [mpl.lines.Line2D([], [], **look) for look in style.values()]
-    names = [drawable(name_cell(name, facts).text) for name, facts in planners.items()]
+    names = [sanitise_name(name_cell(name, facts).text) for name, facts in planners.items()]
     columns = min(_LEGEND_COLUMNS, len(planners))
-    name_below(figure, lines, names, columns, bbox_to_anchor=(0.5, 0.02 / height))
+    label_below(figure, lines, names, columns, bbox_to_anchor=(0.5, 0.02 / height))
     return figure
 
 
-def _frame(axes: Axes, axis_label: str, budgets: Sequence[Budget], theme: Theme) -> None:
+def _style_axes(axes: Axes, axis_label: str, budgets: Sequence[Budget], theme: PlotTheme) -> None:
     axes.set_ylabel(axis_label)
     axes.set_xlabel("batches x candidates, every", color=theme.faint)
     axes.set_xticks(range(len(budgets)), [f"{1 + rounds} x {count}\n{every:g} s" for every, rounds, count in budgets])
@@ -85,7 +85,7 @@ def _frame(axes: Axes, axis_label: str, budgets: Sequence[Budget], theme: Theme)
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _line(axes: Axes, rates: Sequence[Rate | None], beside: float, look: dict[str, Any], scale: float) -> None:
+def _draw_line(axes: Axes, rates: Sequence[Rate | None], beside: float, look: dict[str, Any], scale: float) -> None:
     """A planner's numbers at all budgets, with their intervals; what is undefined leaves a gap."""
     places = [place + beside for place in range(len(rates))]
     values = [float("nan") if rate is None or rate.value is None else scale * rate.value for rate in rates]

@@ -19,15 +19,15 @@ from benchmark.errors import InputError
 from benchmark.records.scenes import (
     ROUNDS_FILE,
     RefinementTrace,
-    Sheet,
-    Sheets,
-    StoredSheet,
+    ScenePage,
+    ScenePages,
+    StoredScenePage,
     TraceFrame,
     TraceRound,
 )
-from benchmark.report.canvas import drawable
-from benchmark.report.plots import LIGHT, Sketch, Theme, for_pages, new_figure, picture
-from leaderboard.figures.refinement_map import MapView, draw_candidates, draw_road, draw_traffic, view_of
+from benchmark.report.canvas import sanitise_name
+from benchmark.report.plots import LIGHT, PlotTheme, Sketch, new_figure, render_figure, render_for_pages
+from leaderboard.figures.refinement_map import MapView, compute_view, draw_candidates, draw_road, draw_traffic
 from leaderboard.page.sections import NamedFigure
 
 SCENES_OF_A_SPLIT: Final = 3
@@ -46,50 +46,50 @@ _HALF_STRIP: Final = 0.31
 """Half the width of a round's strip, in rounds."""
 
 
-def refinement_figures(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...]:
+def refinement_figures(data_name: str, sheets: ScenePages) -> tuple[NamedFigure, ...]:
     """Figures of at most `SCENES_OF_A_SPLIT` scenes of each split traced by `challenger-bench sheets --rounds`."""
     figures, drawn = [], dict.fromkeys((split for _, split, _ in sheets.scenes), 0)
     for (data, split, scene), stored in sorted(sheets.scenes.items()):
         if data != data_name or drawn[split] == SCENES_OF_A_SPLIT:
             continue
-        sketch = _sketch(stored)
+        sketch = _build_sketch(stored)
         if sketch is not None:
             drawn[split] += 1
             title = f"Rounds of refinement, split {split}, {scene}"
-            figures.append(NamedFigure(f"refinement-{split}-{scene}", title, *for_pages(sketch)))
+            figures.append(NamedFigure(f"refinement-{split}-{scene}", title, *render_for_pages(sketch)))
     return tuple(figures)
 
 
-def refinement_figure(
-    stored: StoredSheet, suffix: str, *, frame: int | None = None, theme: Theme = LIGHT
+def draw_refinement(
+    stored: StoredScenePage, suffix: str, *, frame: int | None = None, theme: PlotTheme = LIGHT
 ) -> bytes | None:
     """One planning frame of a scene: a panel a round on the map, and the scores of all rounds beside them.
 
-    ``None`` where the scene is not traced, or nothing was searched at that frame, by default `most_improved`.
+    ``None`` where the scene is not traced, or nothing was searched at that frame, by default `find_most_improved_frame`.
     """
-    sketch = _sketch(stored, frame)
-    return None if sketch is None else picture(sketch, suffix, theme)
+    sketch = _build_sketch(stored, frame)
+    return None if sketch is None else render_figure(sketch, suffix, theme)
 
 
-def _sketch(stored: StoredSheet, frame: int | None = None) -> Sketch | None:
+def _build_sketch(stored: StoredScenePage, frame: int | None = None) -> Sketch | None:
     if stored.rounds is None:
         return None
-    at = most_improved(stored.rounds) if frame is None else _at(stored.rounds, frame)
+    at = find_most_improved_frame(stored.rounds) if frame is None else _find_frame(stored.rounds, frame)
     if at is None:
         return None
-    _require_whole(stored, at)
-    view = view_of(stored.sheet, stored.rounds.agent, at, _PANEL_WIDTH / _PANEL_HEIGHT)
-    return partial(_figure, stored.sheet, stored.rounds, at, view)
+    _require_complete_trace(stored, at)
+    view = compute_view(stored.sheet, stored.rounds.agent, at, _PANEL_WIDTH / _PANEL_HEIGHT)
+    return partial(_draw_figure, stored.sheet, stored.rounds, at, view)
 
 
-def most_improved(rounds: RefinementTrace) -> TraceFrame | None:
+def find_most_improved_frame(rounds: RefinementTrace) -> TraceFrame | None:
     """The planning frame whose best score falls most from the first round to the last, the first of equals.
 
     ``None`` where no frame has candidates with scores in its first and last round.
     """
     best: tuple[float, TraceFrame] | None = None
     for frame in rounds.frames:
-        ends = [_best_score(entry) for entry in frame.rounds[:1] + frame.rounds[-1:]]
+        ends = [_find_best_score(entry) for entry in frame.rounds[:1] + frame.rounds[-1:]]
         if not ends or ends[0] is None or ends[-1] is None:
             continue
         if best is None or ends[0] - ends[-1] > best[0]:
@@ -115,14 +115,14 @@ def quartiles(scores: Sequence[float], searched: int) -> tuple[float, float, flo
     return lower, middle, upper
 
 
-def _at(rounds: RefinementTrace, frame: int) -> TraceFrame | None:
+def _find_frame(rounds: RefinementTrace, frame: int) -> TraceFrame | None:
     matching = (trace_frame for trace_frame in rounds.frames if trace_frame.frame == frame)
     return next(
         (trace_frame for trace_frame in matching if any(entry.candidates for entry in trace_frame.rounds)), None
     )
 
 
-def _require_whole(stored: StoredSheet, at: TraceFrame) -> None:
+def _require_complete_trace(stored: StoredScenePage, at: TraceFrame) -> None:
     chosen = at.rounds[at.chosen_round] if 0 <= at.chosen_round < len(at.rounds) else None
     is_complete = (
         chosen is not None and 0 <= at.chosen < len(chosen.candidates) and 0 <= at.frame < len(stored.sheet.ego.x_m)
@@ -136,16 +136,16 @@ def _require_whole(stored: StoredSheet, at: TraceFrame) -> None:
         )
 
 
-def _best_score(entry: TraceRound) -> float | None:
+def _find_best_score(entry: TraceRound) -> float | None:
     return min((score for score in entry.scores if score is not None), default=None)
 
 
-def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView, theme: Theme) -> Figure:
-    round_numbers = _shown_rounds(len(at.rounds))
+def _draw_figure(sheet: ScenePage, rounds: RefinementTrace, at: TraceFrame, view: MapView, theme: PlotTheme) -> Figure:
+    round_numbers = _choose_rounds(len(at.rounds))
     columns, lines = min(len(round_numbers), _COLUMNS), -(-len(round_numbers) // _COLUMNS)
     width = _LEFT + columns * (_PANEL_WIDTH + _GAP) + _BESIDE
     tall = lines * (_PANEL_HEIGHT + _TITLE)
-    words = textwrap.wrap(_words(rounds, at, theme), int(_LETTERS_PER_INCH * (width - 2 * _LEFT)))
+    words = textwrap.wrap(_describe_rounds(rounds, at, theme), int(_LETTERS_PER_INCH * (width - 2 * _LEFT)))
     below = max(_LINE * len(words) + 0.2, 0.5)
     height = _ABOVE + tall + below
     figure = new_figure(width, height)
@@ -153,7 +153,7 @@ def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView
     def placed(left: float, bottom: float, wide: float, high: float) -> Axes:
         return figure.add_axes((left / width, bottom / height, wide / width, high / height))
 
-    scale, colours = _scale(at), _colours(theme)
+    scale, colours = _build_scale(at), _colours(theme)
     for place, number in enumerate(round_numbers):
         row, column = divmod(place, columns)
         bottom = below + tall - (row + 1) * (_PANEL_HEIGHT + _TITLE)
@@ -161,33 +161,33 @@ def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView
         draw_road(axes, sheet, view, theme.ground)
         draw_candidates(axes, at, number, view, scale, colours, theme)
         draw_traffic(axes, sheet, rounds.agent, at.frame, view, theme)
-        _frame_panel(axes, at, number, view, _searched(rounds), theme)
+        _style_panel(axes, at, number, view, _count_searched(rounds), theme)
     beside = width - _BESIDE
     # The bar stands at the strips and shares their axis.
     _draw_bar(placed(width - 0.35, below, 0.15, tall - _TITLE), scale, colours)
     _draw_scores(
-        placed(beside + 0.75, below, _BESIDE - 1.15, tall - _TITLE), at, scale, colours, _searched(rounds), theme
+        placed(beside + 0.75, below, _BESIDE - 1.15, tall - _TITLE), at, scale, colours, _count_searched(rounds), theme
     )
     style: dict[str, Any] = {"ha": "left", "parse_math": False}
-    heading = f"{drawable(sheet.scene)} at {_seconds(sheet, at.frame):.1f} s: rounds of refinement"
+    heading = f"{sanitise_name(sheet.scene)} at {_find_seconds(sheet, at.frame):.1f} s: rounds of refinement"
     figure.text(_LEFT / width, 1 - 0.08 / height, heading, va="top", fontsize=12, **style)
     figure.text(_LEFT / width, 0.07 / height, "\n".join(words), va="bottom", fontsize=9, color=theme.faint, **style)
     return figure
 
 
-def _shown_rounds(count: int) -> list[int]:
+def _choose_rounds(count: int) -> list[int]:
     if count <= MOST_PANELS:
         return list(range(count))
     return [int(place) for place in np.linspace(0, count - 1, MOST_PANELS).round()]
 
 
-def _scale(at: TraceFrame) -> LogNorm:
-    known = [_within(score) for entry in at.rounds for score in entry.scores if score is not None]
+def _build_scale(at: TraceFrame) -> LogNorm:
+    known = [_clip_score(score) for entry in at.rounds for score in entry.scores if score is not None]
     least = min(min(known, default=LEAST_SCORE), 0.1 * MOST_SCORE)
     return LogNorm(least, max(max(known, default=1.0), 10 * least), clip=True)
 
 
-def _within(score: float) -> float:
+def _clip_score(score: float) -> float:
     return min(max(score, LEAST_SCORE), MOST_SCORE)
 
 
@@ -198,14 +198,14 @@ def _ticks(scale: LogNorm) -> list[float]:
     return [tick for power in powers for step in steps if least <= (tick := step * 10.0**power) <= most]
 
 
-def _colours(theme: Theme) -> Colormap:
+def _colours(theme: PlotTheme) -> Colormap:
     # The end nearest to the road's own lightness would be lost on it.
     ends = (1.0, 0.2) if theme.dark else (0.0, 0.93)
     return ListedColormap(colormaps["viridis"](np.linspace(*ends, 256)))
 
 
-def _frame_panel(axes: Axes, at: TraceFrame, number: int, view: MapView, searched: int, theme: Theme) -> None:
-    entry, best = at.rounds[number], _best_score(at.rounds[number])
+def _style_panel(axes: Axes, at: TraceFrame, number: int, view: MapView, searched: int, theme: PlotTheme) -> None:
+    entry, best = at.rounds[number], _find_best_score(at.rounds[number])
     name = "first batch" if number == 0 else f"round {number}"
     score = "no finite score" if best is None else f"best {best:.2f}"
     of_all = f" of {searched}" if searched >= max(entry.collision_free, 1) else ""
@@ -226,10 +226,12 @@ def _frame_panel(axes: Axes, at: TraceFrame, number: int, view: MapView, searche
         axes.text(left + length / 2, bottom, f"{length:g} m", ha="center", va="bottom", fontsize=9, zorder=8)
 
 
-def _draw_scores(axes: Axes, at: TraceFrame, scale: LogNorm, colours: Colormap, searched: int, theme: Theme) -> None:
+def _draw_scores(
+    axes: Axes, at: TraceFrame, scale: LogNorm, colours: Colormap, searched: int, theme: PlotTheme
+) -> None:
     """A strip a round; the places side by side follow from the order of the scores, not from chance."""
     for number, entry in enumerate(at.rounds):
-        known = sorted(_within(score) for score in entry.scores if score is not None)
+        known = sorted(_clip_score(score) for score in entry.scores if score is not None)
         beside = number + _HALF_STRIP * (np.arange(len(known)) * 0.618034 % 1.0 * 2.0 - 1.0)
         axes.scatter(
             beside, known, s=9, c=[colours(scale(score)) for score in known], linewidths=0, zorder=2, clip_on=False
@@ -252,7 +254,7 @@ def _draw_scores(axes: Axes, at: TraceFrame, scale: LogNorm, colours: Colormap, 
     chosen = at.rounds[at.chosen_round].scores
     score = chosen[at.chosen] if at.chosen < len(chosen) else None
     if score is not None:
-        place = (at.chosen_round, _within(score))
+        place = (at.chosen_round, _clip_score(score))
         axes.plot(
             *place, marker="*", markersize=14, color=theme.paper, markeredgecolor=theme.ink, zorder=5, clip_on=False
         )
@@ -275,8 +277,8 @@ def _draw_bar(axes: Axes, scale: LogNorm, colours: Colormap) -> None:
     bar.ax.yaxis.set_minor_locator(NullLocator())
 
 
-def _words(rounds: RefinementTrace, at: TraceFrame, theme: Theme) -> str:
-    drawn, searched = max(len(entry.candidates) for entry in at.rounds), _searched(rounds)
+def _describe_rounds(rounds: RefinementTrace, at: TraceFrame, theme: PlotTheme) -> str:
+    drawn, searched = max(len(entry.candidates) for entry in at.rounds), _count_searched(rounds)
     drawn_note = "" if drawn >= searched else f" ({drawn} of {searched} are drawn, half of them the best)"
     seconds = (max(len(line) for entry in at.rounds for line in entry.candidates) - 1) / 2
     better = "brighter" if theme.dark else "darker"
@@ -288,11 +290,11 @@ def _words(rounds: RefinementTrace, at: TraceFrame, theme: Theme) -> str:
     )
 
 
-def _seconds(sheet: Sheet, frame: int) -> float:
+def _find_seconds(sheet: ScenePage, frame: int) -> float:
     return (sheet.timestamps_us[frame] - sheet.timestamps_us[0]) / 1e6
 
 
-def _searched(rounds: RefinementTrace) -> int:
+def _count_searched(rounds: RefinementTrace) -> int:
     count = rounds.search.get("candidates", 0)
     return count if isinstance(count, int) else 0
 

@@ -13,11 +13,11 @@ from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
 from benchmark.geometry import Floats, box_corners, to_local
-from benchmark.records.scenes import Sheet, TraceFrame
-from benchmark.report.ground import ground_of
+from benchmark.records.scenes import ScenePage, TraceFrame
+from benchmark.report.ground import build_ground
 from benchmark.report.palette import ADVERSARY, EGO, GroundColours, Rgb
 from benchmark.report.placing import agent_box, ego_box
-from benchmark.report.plots import Theme
+from benchmark.report.plots import PlotTheme
 
 FRAMES_AHEAD: Final = 36
 """Of the ego's recorded way: 3 s, as candidates are drawn."""
@@ -44,14 +44,14 @@ class MapView:
         return to_local(np.asarray(points, dtype=np.float64), self.pose)
 
 
-def view_of(sheet: Sheet, agent_id: str, at: TraceFrame, shape: float) -> MapView:
+def compute_view(sheet: ScenePage, agent_id: str, at: TraceFrame, shape: float) -> MapView:
     """The part of the map, of a shape of width by height, that holds all candidates and, where it is near, the ego."""
     lines = [np.array(line) for entry in at.rounds for line in entry.candidates if line]
     boxes = (agent_box(agent, at.frame) for agent in sheet.agents if agent.id == agent_id)
     box = next((candidate for candidate in boxes if candidate is not None), None)
     pose = np.array([*lines[0][0], 0.0 if box is None else box[4]])
     points = to_local(np.concatenate(lines), pose)
-    ego = to_local(_ego_way(sheet, at.frame)[:1], pose)
+    ego = to_local(_find_ego_path(sheet, at.frame)[:1], pose)
     near = np.hypot(*ego.T) < _MOST_WIDTH_M / 2
     points = np.vstack([points, ego[near]])
     low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
@@ -61,17 +61,17 @@ def view_of(sheet: Sheet, agent_id: str, at: TraceFrame, shape: float) -> MapVie
     return MapView(pose, x - half, x + half, y - half / shape, y + half / shape)
 
 
-def draw_road(axes: Axes, sheet: Sheet, view: MapView, colours: GroundColours) -> None:
+def draw_road(axes: Axes, sheet: ScenePage, view: MapView, colours: GroundColours) -> None:
     """Draw the map of a sheet."""
-    axes.set_facecolor(rgb(colours.land))
+    axes.set_facecolor(to_rgb(colours.land))
     window = shapely.box(view.left - 1, view.bottom - 1, view.right + 1, view.top + 1)
-    ground = ground_of(sheet, colours)
+    ground = build_ground(sheet, colours)
     for layer in (ground.below, ground.drivable, *ground.above):
         for area in layer.areas:
             rings = [view.here(ring) for ring in area if len(ring) > 3]
             if rings:
                 visible = shapely.make_valid(shapely.Polygon(rings[0], rings[1:])).intersection(window)
-                _fill(axes, visible, rgb(layer.colour))
+                _fill_area(axes, visible, to_rgb(layer.colour))
     for line in sheet.road.dividers:
         name = next((kind for kind in colours.paint if line.paint.endswith(f"-{kind}")), None)
         if name is None or len(line.points) < 2:
@@ -80,27 +80,27 @@ def draw_road(axes: Axes, sheet: Sheet, view: MapView, colours: GroundColours) -
         pattern = (0, (5, 4)) if line.paint.startswith("dashed") else "solid"
         paths = [shapely.get_coordinates(part) for part in shapely.get_parts(visible)]
         axes.add_collection(
-            LineCollection(paths, colors=[rgb(colours.paint[name])], linewidths=1.0, linestyles=[pattern], zorder=1)
+            LineCollection(paths, colors=[to_rgb(colours.paint[name])], linewidths=1.0, linestyles=[pattern], zorder=1)
         )
 
 
-def draw_traffic(axes: Axes, sheet: Sheet, agent_id: str, frame: int, view: MapView, theme: Theme) -> None:
+def draw_traffic(axes: Axes, sheet: ScenePage, agent_id: str, frame: int, view: MapView, theme: PlotTheme) -> None:
     """Draw who is where at a planning frame, and the ego's recorded way from there."""
     for agent in sheet.agents:
         box = agent_box(agent, frame)
         if box is not None:
             own = agent.id == agent_id
             _draw_box(axes, box, view, ADVERSARY if own else theme.ground.vehicle, "A" if own else "", theme.paper)
-    way = view.here(_ego_way(sheet, frame))
+    way = view.here(_find_ego_path(sheet, frame))
     if len(way):
         axes.plot(*way.T, color=theme.paper, linewidth=3.2, zorder=4)
-        axes.plot(*way.T, color=rgb(EGO), linewidth=1.8, linestyle=(0, (3, 1.5)), zorder=4)
-        axes.plot(*way[-1], marker="o", markersize=4, color=rgb(EGO), markeredgecolor=theme.paper, zorder=4)
+        axes.plot(*way.T, color=to_rgb(EGO), linewidth=1.8, linestyle=(0, (3, 1.5)), zorder=4)
+        axes.plot(*way[-1], marker="o", markersize=4, color=to_rgb(EGO), markeredgecolor=theme.paper, zorder=4)
         _draw_box(axes, ego_box(sheet, frame), view, EGO, "E", theme.paper)
 
 
 def draw_candidates(
-    axes: Axes, at: TraceFrame, number: int, view: MapView, scale: LogNorm, colours: Colormap, theme: Theme
+    axes: Axes, at: TraceFrame, number: int, view: MapView, scale: LogNorm, colours: Colormap, theme: PlotTheme
 ) -> None:
     """Draw the candidates of one round, the better over the worse, and the executed one if it is of this round."""
     entry = at.rounds[number]
@@ -119,22 +119,22 @@ def draw_candidates(
         axes.plot(*path[-1], marker="*", markersize=13, color=theme.paper, markeredgecolor=theme.ink, zorder=8)
 
 
-def rgb(colour: Rgb) -> tuple[float, float, float]:
+def to_rgb(colour: Rgb) -> tuple[float, float, float]:
     """A colour as Matplotlib takes it."""
     red, green, blue = colour
     return red / 255, green / 255, blue / 255
 
 
-def _ego_way(sheet: Sheet, frame: int) -> Floats:
+def _find_ego_path(sheet: ScenePage, frame: int) -> Floats:
     """(F, 2) centres of the ego's body from a frame on; none where the sheet has no such frame."""
     frames = range(frame, min(frame + FRAMES_AHEAD + 1, len(sheet.ego.x_m)))
     return np.array([ego_box(sheet, frame_number)[:2] for frame_number in frames]).reshape(-1, 2)
 
 
-def _fill(axes: Axes, area: shapely.Geometry, colour: tuple[float, ...]) -> None:
+def _fill_area(axes: Axes, area: shapely.Geometry, colour: tuple[float, ...]) -> None:
     for part in shapely.get_parts(area):
         if part.geom_type == "MultiPolygon":
-            _fill(axes, part, colour)
+            _fill_area(axes, part, colour)
         elif part.geom_type == "Polygon":
             rings = (part.exterior, *part.interiors)
             outline = Path.make_compound_path(*(Path(shapely.get_coordinates(ring), closed=True) for ring in rings))
@@ -147,10 +147,10 @@ def _draw_box(axes: Axes, box: Floats, view: MapView, colour: Rgb, letter: str, 
     low, high = corners.min(axis=0), corners.max(axis=0)
     if high[0] < view.left or low[0] > view.right or high[1] < view.bottom or low[1] > view.top:
         return
-    axes.add_patch(Polygon(corners, facecolor=rgb(colour), edgecolor=edge, linewidth=0.8, zorder=2))
+    axes.add_patch(Polygon(corners, facecolor=to_rgb(colour), edgecolor=edge, linewidth=0.8, zorder=2))
     if letter:
         x, y = view.here(box[:2])
-        outline = withStroke(linewidth=2.0, foreground=rgb(colour))
+        outline = withStroke(linewidth=2.0, foreground=to_rgb(colour))
         style: dict[str, Any] = {
             "ha": "center",
             "va": "center",

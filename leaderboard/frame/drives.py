@@ -10,25 +10,25 @@ from typing import Final
 from benchmark.errors import InputError
 from benchmark.metrics.loops import is_stale
 from benchmark.metrics.rates import Rate
-from benchmark.records.drives import DriveRecord, columns_of
-from benchmark.records.planner_versions import labels
-from benchmark.report.cells import PERCENT, Cell, Origin, Shown, named_record
+from benchmark.records.drives import DriveRecord, compute_columns
+from benchmark.records.planner_versions import compute_version_labels
+from benchmark.report.cells import PERCENT, CellSource, TableCell, ValueSource, format_record_name
 from leaderboard.frame.rows import (
     FEW_NOTE,
     FEW_SCENES,
     STALE_MARK,
+    add_caveat_mark,
     caveat_notes,
-    marks_of,
+    describe_split_part,
+    list_planner_marks,
     name_cell,
-    part_of_split,
-    with_caveat_mark,
 )
 
 NO_SENSOR: Final = "none"
 
 
 @dataclass(frozen=True)
-class Driven:
+class DriveTableRow:
     """A record of drives as a row of a table; its numbers are cells.
 
     `name` is its planner, with what tells its version from others of its world.
@@ -38,36 +38,36 @@ class Driven:
     name: str
 
     @property
-    def planner(self) -> Shown:
+    def planner(self) -> TableCell:
         """The planner's name with its marks, among them that of earlier scores."""
-        cell = with_caveat_mark(name_cell(self.name, self.record.facts.planner), self.record.facts)
+        cell = add_caveat_mark(name_cell(self.name, self.record.facts.planner), self.record.facts)
         return replace(cell, text=f"{cell.text} {STALE_MARK}") if is_stale(self.record) else cell
 
     @property
-    def origin(self) -> Origin:
+    def origin(self) -> ValueSource:
         """Origin of its numbers."""
         facts = self.record.facts
-        return Origin(facts.measured.world, named_record(self.record.content_id, self.name, facts.split))
+        return ValueSource(facts.measured.world, format_record_name(self.record.content_id, self.name, facts.split))
 
     @cached_property
     def rates(self) -> Mapping[str, Rate]:
         """Rates of the record, by column, as they are defined now."""
-        return columns_of(self.record)
+        return compute_columns(self.record)
 
-    def cell(self, column: str, unit: str = PERCENT) -> Cell | None:
+    def cell(self, column: str, unit: str = PERCENT) -> CellSource | None:
         """A rate of the record in a unit; ``None`` where it says none."""
         rate = self.rates.get(column)
         if rate is None:
             return None
         return self.origin.percent(rate, "drives") if unit == PERCENT else self.origin.amount(rate, unit, "drives")
 
-    def drives(self) -> Cell:
+    def drives(self) -> CellSource:
         """Number of drives."""
         return self.origin.count(self.record.summary.drives, "drives")
 
 
 @dataclass(frozen=True)
-class World:
+class ComparableDrives:
     """One thing that was measured, and its records: planners before privileged ones, by name.
 
     `title` is in words, `name` a part of a file's name; `sensor` is what the cameras of those saw that look.
@@ -79,11 +79,11 @@ class World:
     name: str = ""
 
     @cached_property
-    def rows(self) -> list[Driven]:
+    def rows(self) -> list[DriveTableRow]:
         """Each record with the name of its planner, and what tells its version from others here."""
         ran = [(record.facts.planner, record.facts.data.name, record.facts.split) for record in self.records]
-        named = zip(labels(ran), self.records, strict=True)
-        return [Driven(record, label or record.planner) for label, record in named]
+        named = zip(compute_version_labels(ran), self.records, strict=True)
+        return [DriveTableRow(record, label or record.planner) for label, record in named]
 
     @property
     def notes(self) -> list[str]:
@@ -98,11 +98,11 @@ class World:
             for row in self.rows
             if is_stale(row.record)
         ]
-        marks = marks_of(record.facts.planner for record in self.records)
+        marks = list_planner_marks(record.facts.planner for record in self.records)
         lacking = caveat_notes(record.facts for record in self.records)
-        return [*self._said_of_sensor(), *([FEW_NOTE] if few else []), *marks, *lacking, *stale]
+        return [*self._list_sensor_notes(), *([FEW_NOTE] if few else []), *marks, *lacking, *stale]
 
-    def _said_of_sensor(self) -> list[str]:
+    def _list_sensor_notes(self) -> list[str]:
         """Notes on what pictures depended on besides the sensor's name."""
         measured = [record.facts.measured for record in self.records if record.facts.measured.sensor == self.sensor]
         facts = measured[0].sensor_facts if measured else {}
@@ -110,7 +110,7 @@ class World:
         return [f"Sensor {self.sensor}: {fact_texts}."] if fact_texts else []
 
 
-def worlds(records: Sequence[DriveRecord]) -> list[World]:
+def group_comparable_drives(records: Sequence[DriveRecord]) -> list[ComparableDrives]:
     """Worlds that were measured, each with the records that may stand beside each other; NeuroNCAP's engines last.
 
     Planners that look at nothing stand beside those of every sensor: what cameras see is nothing to them.
@@ -121,13 +121,13 @@ def worlds(records: Sequence[DriveRecord]) -> list[World]:
         review = None if facts.review is None else facts.review.content
         key = [facts.data.name, facts.data.fingerprint, review, facts.split, facts.measured.world, facts.scenes]
         kinds.setdefault(json.dumps(key), []).append(record)
-    groups = [World(*group_values) for alike in kinds.values() for group_values in _by_sensor(alike)]
+    groups = [ComparableDrives(*group_values) for alike in kinds.values() for group_values in _group_by_sensor(alike)]
     for group in groups:
         _require_one_each(group)
-    return _named(sorted(groups, key=_place))
+    return _name_groups(sorted(groups, key=_sort_key))
 
 
-def _by_sensor(records: Sequence[DriveRecord]) -> list[tuple[str, str, tuple[DriveRecord, ...]]]:
+def _group_by_sensor(records: Sequence[DriveRecord]) -> list[tuple[str, str, tuple[DriveRecord, ...]]]:
     """Title, sensor and records of each sensor that sees; where there is none, of the blind ones."""
     blind = [drive_record for drive_record in records if drive_record.facts.measured.sensor == NO_SENSOR]
     seeing_records: dict[tuple[str, str], list[DriveRecord]] = {}
@@ -139,25 +139,25 @@ def _by_sensor(records: Sequence[DriveRecord]) -> list[tuple[str, str, tuple[Dri
     first = records[0].facts
     title = f"{first.data.name} {first.split}: closed loop, engine {first.measured.world}"
     if len(first.scenes) < first.scenes_in_split:
-        title += f", {part_of_split(len(first.scenes), first.scenes_in_split)}"
+        title += f", {describe_split_part(len(first.scenes), first.scenes_in_split)}"
     if not seeing_records:
-        return [(title, NO_SENSOR, _in_order(blind))]
+        return [(title, NO_SENSOR, _sort_records(blind))]
     groups = []
     for (sensor, _), seeing in sorted(seeing_records.items()):
         looking = {drive_record.planner for drive_record in seeing}
         beside = [drive_record for drive_record in blind if drive_record.planner not in looking]
-        groups.append((f"{title}, sensor {sensor}", sensor, _in_order([*beside, *seeing])))
+        groups.append((f"{title}, sensor {sensor}", sensor, _sort_records([*beside, *seeing])))
     return groups
 
 
-def _place(group: World) -> tuple[bool, str, str, str, list[str], list[str]]:
+def _sort_key(group: ComparableDrives) -> tuple[bool, str, str, str, list[str], list[str]]:
     facts = group.records[0].facts
     ids = sorted(record.content_id for record in group.records)
     engine = facts.measured.engine != "default"
     return engine, facts.data.name, facts.split, group.title, facts.scenes, ids
 
 
-def _named(groups: Sequence[World]) -> list[World]:
+def _name_groups(groups: Sequence[ComparableDrives]) -> list[ComparableDrives]:
     """With names that do not depend on what else was measured, but for what has the same words."""
     renamed, name_counts = [], Counter[tuple[str, str]]()
     for group in groups:
@@ -177,7 +177,7 @@ def _named(groups: Sequence[World]) -> list[World]:
     return renamed
 
 
-def _require_one_each(group: World) -> None:
+def _require_one_each(group: ComparableDrives) -> None:
     by_name: dict[str, DriveRecord] = {}
     for row in group.rows:
         first = by_name.setdefault(row.name, row.record)
@@ -188,7 +188,7 @@ def _require_one_each(group: World) -> None:
             )
 
 
-def _in_order(records: Sequence[DriveRecord]) -> tuple[DriveRecord, ...]:
+def _sort_records(records: Sequence[DriveRecord]) -> tuple[DriveRecord, ...]:
     """Planners before those that are privileged, by name."""
     return tuple(
         sorted(

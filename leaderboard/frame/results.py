@@ -9,23 +9,23 @@ from benchmark.records.challenge import ChallengeScores
 from benchmark.records.drives import DriveRecord
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import NO_SHEETS, Sheets
-from leaderboard.frame.runs import Frame
-from leaderboard.results import one_run_each
+from benchmark.records.scenes import NO_SCENE_PAGES, ScenePages
+from leaderboard.frame.runs import DataSetRuns
+from leaderboard.results import select_runs
 
 
 @dataclass(frozen=True, slots=True)
-class Results:
+class LeaderboardResults:
     """Results that a leaderboard is made from.
 
     `frames` are runs of each data set that has any, at most one for each planner and split. Statistics, manoeuvres,
     search and runtime are made from the scene sheets.
     """
 
-    frames: tuple[Frame, ...]
+    frames: tuple[DataSetRuns, ...]
     drives: Sequence[DriveRecord] = ()
     quality: Sequence[QualityRecord] = ()
-    sheets: Sheets = field(default_factory=lambda: NO_SHEETS)
+    sheets: ScenePages = field(default_factory=lambda: NO_SCENE_PAGES)
     ablations: Sequence[AblationReport] = ()
     challenges: Sequence[ChallengeScores] = ()
 
@@ -35,28 +35,28 @@ class Results:
         return [record for frame in self.frames for record in frame.given]
 
 
-def frames_of(records: Sequence[RunRecord]) -> tuple[Frame, ...]:
-    """A frame of each data set, by its name, of records in any order; `one_run_each` says which of them count.
+def build_frames(records: Sequence[RunRecord]) -> tuple[DataSetRuns, ...]:
+    """A frame of each data set, by its name, of records in any order; `select_runs` says which of them count.
 
     Two records of one planner and split that would share a row, or records of one split on different data, are an
     `InputError`.
     """
     if not records:
         raise InputError("there are no run records to make tables of; run challenger-bench eval first")
-    chosen = one_run_each(records)
+    chosen = select_runs(records)
     names = sorted({record.run.data.name for record in chosen})
-    return tuple(Frame(name, [run for run in chosen if run.run.data.name == name], chosen) for name in names)
+    return tuple(DataSetRuns(name, [run for run in chosen if run.run.data.name == name], chosen) for name in names)
 
 
 def read_results(
     records: Sequence[RunRecord],
     quality: Sequence[QualityRecord] = (),
-    sheets: Sheets = NO_SHEETS,
+    sheets: ScenePages = NO_SCENE_PAGES,
     ablations: Sequence[AblationReport] = (),
     drives: Sequence[DriveRecord] = (),
     challenges: Sequence[ChallengeScores] = (),
-) -> Results:
+) -> LeaderboardResults:
     """Results of records of every kind; run records may be missing only if there is anything else."""
     others = bool(quality or sheets.splits or ablations or drives or challenges)
-    frames = frames_of(records) if records or not others else ()
-    return Results(frames, drives, quality, sheets, ablations, challenges)
+    frames = build_frames(records) if records or not others else ()
+    return LeaderboardResults(frames, drives, quality, sheets, ablations, challenges)

@@ -4,14 +4,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
-from benchmark.metrics.scores import registered_version, source_of_scenes
+from benchmark.metrics.scores import find_protocol_version, map_scenes_to_sources
 from benchmark.records.attempts import is_adversarial
-from benchmark.records.planner_versions import file_notes
-from benchmark.records.review import NOT_REVIEWED, review_words
+from benchmark.records.planner_versions import list_file_notes
+from benchmark.records.review import NOT_REVIEWED, describe_review
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.run_schema import RecordFacts
-from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, Shown
-from benchmark.report.words import counted
+from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, TableCell
+from benchmark.report.words import pluralise
 
 SPLIT_ORDER = ("val", "val-r", "adv")
 PRIVILEGED_MARK = "†"
@@ -29,29 +29,29 @@ FEW_SCENES = 20
 FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, take them as a hint."
 
 
-def split_place(split: str) -> tuple[int, str]:
+def split_sort_key(split: str) -> tuple[int, str]:
     """Place by which splits are sorted: the paper's three first, the others by name."""
     return SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER), split
 
 
-def splits_of(records: Iterable[RunRecord]) -> list[str]:
+def list_splits(records: Iterable[RunRecord]) -> list[str]:
     """Splits that were run, in their order."""
-    return sorted({record.run.split for record in records}, key=split_place)
+    return sorted({record.run.split for record in records}, key=split_sort_key)
 
 
-def in_table_order(records: Sequence[RunRecord]) -> list[RunRecord]:
+def sort_for_tables(records: Sequence[RunRecord]) -> list[RunRecord]:
     """Records by planner (privileged ones last), then split."""
     return sorted(
-        records, key=lambda record: (record.run.planner.privileged, record.planner, split_place(record.run.split))
+        records, key=lambda record: (record.run.planner.privileged, record.planner, split_sort_key(record.run.split))
     )
 
 
-def marked(planner: str, *, privileged: bool, miniature: bool) -> str:
+def mark_planner_name(planner: str, *, privileged: bool, miniature: bool) -> str:
     """The planner's name; marks tell that it saw what no car sees, and that it is a miniature."""
     return " ".join((planner, *([PRIVILEGED_MARK] if privileged else []), *([MINIATURE_MARK] if miniature else [])))
 
 
-class Marked(Protocol):
+class PlannerFlags(Protocol):
     """Anything that says what a planner is."""
 
     @property
@@ -63,21 +63,23 @@ class Marked(Protocol):
         """Whether it shows the pipeline and ranks nothing."""
 
 
-def name_cell(planner: str, facts: Marked) -> Shown:
-    """`marked` as the cell of a row about the planner."""
-    return Shown(marked(planner, privileged=facts.privileged, miniature=facts.miniature), miniature=facts.miniature)
+def name_cell(planner: str, facts: PlannerFlags) -> TableCell:
+    """`mark_planner_name` as the cell of a row about the planner."""
+    return TableCell(
+        mark_planner_name(planner, privileged=facts.privileged, miniature=facts.miniature), miniature=facts.miniature
+    )
 
 
-def row_name(record: RunRecord, judge: str) -> Shown:
+def row_name(record: RunRecord, judge: str) -> TableCell:
     """The planner's name with its marks, among them that of an earlier version of the protocol."""
     cell = name_cell(record.planner, record.run.planner)
     if record.reproduced is not None:
         cell = replace(cell, text=f"{cell.text} {REPRODUCED_MARK}")
-    cell = with_caveat_mark(cell, record.run)
+    cell = add_caveat_mark(cell, record.run)
     return replace(cell, text=f"{cell.text} {STALE_MARK}") if judge in record.stale_protocols else cell
 
 
-def with_caveat_mark(cell: Shown, facts: RecordFacts) -> Shown:
+def add_caveat_mark(cell: TableCell, facts: RecordFacts) -> TableCell:
     """The name of a row, marked where its numbers needed something that they did not get."""
     return replace(cell, text=f"{cell.text} {CAVEAT_MARK}") if facts.caveats else cell
 
@@ -107,7 +109,7 @@ def mark_notes(*, privileged: bool, miniature: bool) -> list[str]:
     return [*([PRIVILEGED_NOTE] if privileged else []), *([MINIATURE_NOTE] if miniature else [])]
 
 
-def marks_of(planners: Iterable[Marked]) -> list[str]:
+def list_planner_marks(planners: Iterable[PlannerFlags]) -> list[str]:
     """`mark_notes` of the planners of a table."""
     facts = list(planners)
     return mark_notes(
@@ -115,14 +117,14 @@ def marks_of(planners: Iterable[Marked]) -> list[str]:
     )
 
 
-def notes_of_marks(records: Iterable[RunRecord]) -> list[str]:
+def list_run_marks(records: Iterable[RunRecord]) -> list[str]:
     """`mark_notes` of the planners of some runs."""
     records = list(records)
     reproductions = dict.fromkeys(
         (record.planner, record.reproduced) for record in records if record.reproduced is not None
     )
     return [
-        *marks_of(record.run.planner for record in records),
+        *list_planner_marks(record.run.planner for record in records),
         *(
             f"{REPRODUCED_MARK} {planner}: reproduced: the same weights, code and options gave {whose}."
             for planner, whose in reproductions
@@ -134,20 +136,20 @@ def stale_notes(record: RunRecord, protocols: Sequence[str]) -> list[str]:
     """One sentence for each of the protocols that judged a run in another version than the present one."""
     return [
         f"{STALE_MARK} {record.planner} on {record.run.split}: judged by version {record.run.protocols[name]} of "
-        f"protocol {name}, now {registered_version(name)}; run challenger-bench rescore."
+        f"protocol {name}, now {find_protocol_version(name)}; run challenger-bench rescore."
         for name in protocols
         if name in record.stale_protocols
     ]
 
 
-def judges(protocol: str) -> str:
+def name_judge(protocol: str) -> str:
     """Judge of a protocol, as titles name it."""
     return "each planner under its own protocol" if protocol == NATIVE else f"protocol {protocol}"
 
 
-def recordings(record: RunRecord) -> int:
+def count_recordings(record: RunRecord) -> int:
     """Number of recorded scenes that a run's scenes come from: what its intervals rest on."""
-    return len(set(source_of_scenes(record).values()))
+    return len(set(map_scenes_to_sources(record).values()))
 
 
 def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
@@ -156,22 +158,22 @@ def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
     What marks mean, what numbers lacked, whether any has few recorded scenes, what inspectors said, what is ``told`` of
     single runs, and what is not whole.
     """
-    few = [FEW_NOTE] if any(recordings(record) < FEW_SCENES for record in records) else []
+    few = [FEW_NOTE] if any(count_recordings(record) < FEW_SCENES for record in records) else []
     lacking = caveat_notes(record.run for record in records)
-    return [*notes_of_marks(records), *lacking, *few, *review_notes(records), *told, *completeness_notes(records)]
+    return [*list_run_marks(records), *lacking, *few, *review_notes(records), *told, *completeness_notes(records)]
 
 
 def review_notes(records: Iterable[RunRecord]) -> list[str]:
     """Notes of inspectors on each split that has adversaries or a review; one sentence for all that have none."""
     reviews = {record.run.split: record.run.review for record in records if record.run.review is not None}
-    notes = [f"{split}: {review_words(reviews[split])}." for split in sorted(reviews, key=split_place)]
+    notes = [f"{split}: {describe_review(reviews[split])}." for split in sorted(reviews, key=split_sort_key)]
     unreviewed_splits = {
         record.run.split for record in records if record.run.split not in reviews and _has_adversaries(record)
     }
     return [
         *notes,
         *(
-            [f"{', '.join(sorted(unreviewed_splits, key=split_place))}: {NOT_REVIEWED} by hand."]
+            [f"{', '.join(sorted(unreviewed_splits, key=split_sort_key))}: {NOT_REVIEWED} by hand."]
             if unreviewed_splits
             else []
         ),
@@ -185,20 +187,20 @@ def _has_adversaries(record: RunRecord) -> bool:
 
 def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
     """One sentence for each run whose plans come from a file, with failed samples, or of a part of its split."""
-    notes = file_notes(records)
+    notes = list_file_notes(records)
     for record in records:
         run_name = f"{record.planner} on {record.run.split}"
         if not record.complete:
             summary = record.summary
             notes.append(
-                f"{run_name}: {counted(summary.failed, 'sample')} failed. The rates cover {100 * summary.coverage:.1f} % of "
-                f"{counted(summary.samples, 'sample')}."
+                f"{run_name}: {pluralise(summary.failed, 'sample')} failed. The rates cover {100 * summary.coverage:.1f} % of "
+                f"{pluralise(summary.samples, 'sample')}."
             )
         if not record.covers_split:
-            notes.append(f"{run_name}: {part_of_split(len(record.run.scenes), record.run.scenes_in_split)}.")
+            notes.append(f"{run_name}: {describe_split_part(len(record.run.scenes), record.run.scenes_in_split)}.")
     return notes
 
 
-def part_of_split(scenes: int, in_split: int) -> str:
+def describe_split_part(scenes: int, in_split: int) -> str:
     """Part of a split that there is, in words."""
-    return f"{scenes} of {counted(in_split, 'scene')} of the split"
+    return f"{scenes} of {pluralise(in_split, 'scene')} of the split"

@@ -4,103 +4,109 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 from urllib.parse import quote
 
-from benchmark.machine.storage import file_name
+from benchmark.machine.storage import sanitise_file_name
 from benchmark.report.table import Table, escape_markdown
 from leaderboard.figures.contents import data_set_figures, matrix_figures, missing_figures
 from leaderboard.figures.pressure import pressure_figures
-from leaderboard.frame.results import Results
+from leaderboard.frame.results import LeaderboardResults
 from leaderboard.page.sections import (
     CLOSED_LOOP,
     TABLES_FOLDER,
-    Item,
     Section,
-    group_of,
-    page_path,
-    page_text,
-    said_once,
-    sections_of,
+    SectionItem,
+    build_extension_sections,
+    drop_repeated_notes,
+    find_group,
+    find_page_path,
+    format_page,
 )
-from leaderboard.paper.document import paper_document, paper_tables
+from leaderboard.paper.document import build_paper_tables, format_paper_document
 from leaderboard.paper.runtime_chart import runtime_charts
-from leaderboard.tables.contents import closed_loop_tables, data_set_tables, generation_tables, missing_notes
+from leaderboard.tables.contents import build_data_set_tables, closed_loop_tables, generation_tables, missing_notes
 from leaderboard.tables.drives import DISAGREEMENTS
-from leaderboard.tables.published import published_tables, standing_tables
+from leaderboard.tables.published import published_comparison_tables, published_tables
 from leaderboard.tables.slices import SLICES
 
 
-def data_sets(results: Results) -> Iterator[Section]:
+def data_set_sections(results: LeaderboardResults) -> Iterator[Section]:
     """Runs of each data set: tables, pages and pictures."""
     for frame in results.frames:
-        name, set_tables = frame.data_name, frame.once(data_set_tables)
+        name, set_tables = frame.data_name, frame.once(build_data_set_tables)
         heading, of_tables = escape_markdown(name), {figure.name: figure for figure in matrix_figures(frame)}
         figures, notes = data_set_figures(frame, results.sheets), [*missing_notes(frame), *missing_figures(frame)]
-        items: list[Item] = [*(f"- {escape_markdown(note)}" for note in notes), ""] if notes else []
+        items: list[SectionItem] = [*(f"- {escape_markdown(note)}" for note in notes), ""] if notes else []
         for table in set_tables.front:
             items += [table, *([of_tables[table.name]] if table.name in of_tables else [])]
-        pages = {page_path(name, judge): (f"protocol {judge}", tables) for judge, tables in set_tables.others.items()}
+        pages = {
+            find_page_path(name, judge): (f"protocol {judge}", tables) for judge, tables in set_tables.others.items()
+        }
         if set_tables.slices:
-            page = page_path(name, SLICES)
+            page = find_page_path(name, SLICES)
             link = f"[{SLICES}]({quote(page)})"
             items += [*figures, f"The same by place, light, manoeuvre of the adversary, speed and command: {link}.", ""]
             pages = {page: (SLICES, set_tables.slices), **pages}
         else:
             items += figures
-        links = [f"[{escape_markdown(judge)}]({quote(page_path(name, judge))})" for judge in set_tables.others]
+        links = [f"[{escape_markdown(judge)}]({quote(find_page_path(name, judge))})" for judge in set_tables.others]
         if links:
             items += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
         items += [tables[0] for tables in set_tables.others.values()]
-        groups = dict.fromkeys(map(group_of, set_tables.front))
+        groups = dict.fromkeys(map(find_group, set_tables.front))
         yield Section(
             name,
             heading,
-            list(said_once(items)),
+            list(drop_repeated_notes(items)),
             [
-                *((group, [table for table in set_tables.front if group_of(table) == group]) for group in groups),
+                *((group, [table for table in set_tables.front if find_group(table) == group]) for group in groups),
                 *pages.values(),
             ],
             [*of_tables.values(), *figures],
             {
-                path: page_text(f"{heading}: {escape_markdown(label)}", tables)
+                path: format_page(f"{heading}: {escape_markdown(label)}", tables)
                 for path, (label, tables) in pages.items()
             },
         )
 
 
-def closed_loop(results: Results) -> Iterator[Section]:
+def closed_loop_sections(results: LeaderboardResults) -> Iterator[Section]:
     """Drives through each data set, beside open loop where the planners ran there too."""
     for name in sorted({record.facts.data.name for record in results.drives}):
         own = [record for record in results.drives if record.facts.data.name == name]
         tables, figures = closed_loop_tables(name, own, results.runs), pressure_figures(own)
-        heading, page = f"{escape_markdown(name)}: {CLOSED_LOOP}", page_path(name, "closed-loop")
+        heading, page = f"{escape_markdown(name)}: {CLOSED_LOOP}", find_page_path(name, "closed-loop")
         scenes = [table for table in tables if table.name.startswith(DISAGREEMENTS)]
-        items: list[Item] = [table for table in tables if table not in scenes]
+        items: list[SectionItem] = [table for table in tables if table not in scenes]
         if scenes:
             items += [f"Scenes on which the two loops disagree, by name: [{CLOSED_LOOP}]({quote(page)}).", ""]
-        files = {page: page_text(heading, tables)}
+        files = {page: format_page(heading, tables)}
         yield Section(name, heading, [*items, *figures], [(CLOSED_LOOP, tables)], figures, files)
 
 
-def of_extensions(results: Results) -> Iterator[Section]:
+def extension_sections(results: LeaderboardResults) -> Iterator[Section]:
     """Sections that extensions make of records of their own."""
-    return sections_of({"challenges": results.challenges, "quality": results.quality})
+    return build_extension_sections({"challenges": results.challenges, "quality": results.quality})
 
 
-def papers(results: Results) -> Iterator[Section]:
+def paper_sections(results: LeaderboardResults) -> Iterator[Section]:
     """The paper's tables in its own layout, and one document of them, for each data set."""
     frames = {frame.data_name: frame for frame in results.frames}
     records = {name: frame.given for name, frame in frames.items()}
-    for name, tables in paper_tables(records, results.sheets, results.ablations).items():
-        folder, charts = f"{TABLES_FOLDER}/{file_name(name)}", runtime_charts(name, results.sheets)
+    for name, tables in build_paper_tables(records, results.sheets, results.ablations).items():
+        folder, charts = f"{TABLES_FOLDER}/{sanitise_file_name(name)}", runtime_charts(name, results.sheets)
         beside = {f"paper-runtime-{number}.png": chart for number, chart in enumerate(charts)}
-        document = paper_document(name, tables, [(path, chart.title) for path, chart in beside.items()])
-        front: Iterable[Table] = frames[name].once(data_set_tables).front if name in frames else ()
+        document = format_paper_document(name, tables, [(path, chart.title) for path, chart in beside.items()])
+        front: Iterable[Table] = frames[name].once(build_data_set_tables).front if name in frames else ()
         yield Section(
             name,
             f"{escape_markdown(name)}: the paper's layout",
             [
                 f"As one document: `{folder}/paper.tex`, which any LaTeX compiles.",
                 "",
-                *(item for table in tables for item in said_once([table], (n for t in front for n in t.notes))),
+                *(
+                    item
+                    for table in tables
+                    for item in drop_repeated_notes([table], (n for t in front for n in t.notes))
+                ),
                 *charts,
             ],
             [("the paper's layout", tables)],
@@ -112,23 +118,25 @@ def papers(results: Results) -> Iterator[Section]:
         )
 
 
-def generation(results: Results) -> Iterator[Section]:
+def generation_sections(results: LeaderboardResults) -> Iterator[Section]:
     """Scenes and how they were generated, for each data set."""
     group = "scenes and their generation"
     for name, tables in generation_tables(results.sheets, results.ablations).items():
         yield Section.of_tables(name, group, f"{escape_markdown(name)}: {group}", tables)
 
 
-def published(results: Results) -> Iterator[Section]:
+def published_sections(results: LeaderboardResults) -> Iterator[Section]:
     """Numbers of others, apart from ours."""
-    yield Section.of_tables("", "published", "Published", [*published_tables(), *standing_tables(results.runs)])
+    yield Section.of_tables(
+        "", "published", "Published", [*published_tables(), *published_comparison_tables(results.runs)]
+    )
 
 
-SECTIONS: Final[Sequence[Callable[[Results], Iterable[Section]]]] = (
-    data_sets,
-    closed_loop,
-    of_extensions,
-    papers,
-    generation,
-    published,
+SECTIONS: Final[Sequence[Callable[[LeaderboardResults], Iterable[Section]]]] = (
+    data_set_sections,
+    closed_loop_sections,
+    extension_sections,
+    paper_sections,
+    generation_sections,
+    published_sections,
 )

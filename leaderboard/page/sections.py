@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from benchmark.machine.extension import OFFERS, from_extension
-from benchmark.machine.storage import file_name
+from benchmark.machine.extension import OFFERS, import_from_extension
+from benchmark.machine.storage import sanitise_file_name
 from benchmark.records.driving import PDM
 from benchmark.report.table import Table
 
@@ -30,25 +30,25 @@ _GROUPS: Final = {
 """What the site shows together, by the first word of a table's name; all others are `_RATES`."""
 
 
-def group_of(table: Table) -> str:
+def find_group(table: Table) -> str:
     """Group that a table under ``exact`` and the planners' own protocols is shown in."""
     kind = table.name.partition("-")[0]
     return next((group for group, kinds in _GROUPS.items() if kind in kinds), _RATES)
 
 
-def page_text(heading: str, tables: Sequence[Table]) -> bytes:
+def format_page(heading: str, tables: Sequence[Table]) -> bytes:
     """A page of tables, in Markdown, as its heading is."""
     return "\n".join([f"# {heading}", "", *(table.markdown() for table in tables)]).encode()
 
 
-def page_path(data_name: str, name: str) -> str:
+def find_page_path(data_name: str, name: str) -> str:
     """Path of a page of a data set below the leaderboard's folder."""
-    return f"{TABLES_FOLDER}/{file_name(data_name)}/{file_name(name)}.md"
+    return f"{TABLES_FOLDER}/{sanitise_file_name(data_name)}/{sanitise_file_name(name)}.md"
 
 
-def table_files(folder: str, tables: Sequence[Table]) -> dict[str, bytes]:
+def format_table_files(folder: str, tables: Sequence[Table]) -> dict[str, bytes]:
     """LaTeX, CSV and JSON of tables, by path."""
-    named = {f"{folder}/{file_name(table.name)}": table for table in tables}
+    named = {f"{folder}/{sanitise_file_name(table.name)}": table for table in tables}
     latex = {f"{name}.tex": table.latex().encode() for name, table in named.items()}
     facts = {f"{name}.json": table.json().encode() for name, table in named.items()}
     return latex | facts | {f"{name}.csv": table.csv().encode() for name, table in named.items()}
@@ -68,7 +68,7 @@ class NamedFigure:
     dark: Callable[[], bytes] = field(compare=False)
 
 
-Item = str | Table | NamedFigure
+SectionItem = str | Table | NamedFigure
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class Section:
 
     data_name: str
     heading: str
-    shown: Sequence[Item]
+    shown: Sequence[SectionItem]
     tables: Sequence[tuple[str, Sequence[Table]]]
     figures: Sequence[NamedFigure] = ()
     files: Mapping[str, bytes] = field(default_factory=dict)
@@ -95,7 +95,7 @@ class Section:
         return cls(data_name, heading, tables, [(group, tables)])
 
 
-def said_once(shown: Iterable[Item], said: Iterable[str] = ()) -> Iterator[Item]:
+def drop_repeated_notes(shown: Iterable[SectionItem], said: Iterable[str] = ()) -> Iterator[SectionItem]:
     """The same, without the notes below a table that a reader has read, or reads below one before."""
     known = set(said)
     for item in shown:
@@ -105,9 +105,9 @@ def said_once(shown: Iterable[Item], said: Iterable[str] = ()) -> Iterator[Item]
         yield item
 
 
-def sections_of(records: Mapping[str, Sequence[Any]]) -> Iterator[Section]:
+def build_extension_sections(records: Mapping[str, Sequence[Any]]) -> Iterator[Section]:
     """Sections that extensions make of records by kind; kinds without a record need no extension."""
     for kind in OFFERS["section"]:
         if records.get(kind):
-            extension_sections: Iterable[Section] = from_extension("section", kind)(records[kind])
+            extension_sections: Iterable[Section] = import_from_extension("section", kind)(records[kind])
             yield from extension_sections

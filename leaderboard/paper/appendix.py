@@ -14,14 +14,23 @@ from benchmark.published import (
     RUNTIME_SOURCE,
 )
 from benchmark.records.ablation import AblationReport
-from benchmark.records.scenes import Sheets, SplitSheet
-from benchmark.records.statistics import Runtime
+from benchmark.records.scenes import ScenePages, SplitPage
+from benchmark.records.statistics import BuildRuntime
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import LatexForm, Table
-from benchmark.report.words import counted
-from leaderboard.frame.specification import Values, counts_of, numbers, origin_of, places, tabulate, texts, under
-from leaderboard.tables.published import published_rows, published_seconds
-from leaderboard.tables.runtime import counted_of, stages_of
+from benchmark.report.words import pluralise
+from leaderboard.frame.specification import (
+    Values,
+    build_count_cells,
+    find_origin,
+    group_columns,
+    number_columns,
+    numbered_columns,
+    tabulate,
+    text_columns,
+)
+from leaderboard.tables.published import quote_rows, quote_seconds
+from leaderboard.tables.runtime import count_units, list_stages
 
 COMPONENTS: Final = {
     "sampling": "Traj. sampling",
@@ -32,20 +41,20 @@ COMPONENTS: Final = {
 """What the paper calls the stages of generation."""
 
 
-def _scientific(value: float) -> str:
+def _format_scientific(value: float) -> str:
     return f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e+") if value and value < 0.01 else f"{value:g}"
 
 
-def _falling(last: float) -> str:
+def _format_decay(last: float) -> str:
     return f"Quadratically decreasing from 1.0 to {last:g}"
 
 
 _SHOWN: Final[dict[str, tuple[str, Callable[[Any], str]]]] = {
-    "InitScale": ("init_scale", _scientific),
+    "InitScale": ("init_scale", _format_scientific),
     "CornerWeight": ("corner_weight", lambda value: f"{value:g}"),
-    "H (planning horizon)": ("horizon", lambda value: counted(value, "timestep")),
-    "DACStepWeight": ("road_and_collision_last_weight", _falling),
-    "ColStepWeight": ("road_and_collision_last_weight", _falling),
+    "H (planning horizon)": ("horizon", lambda value: pluralise(value, "timestep")),
+    "DACStepWeight": ("road_and_collision_last_weight", _format_decay),
+    "ColStepWeight": ("road_and_collision_last_weight", _format_decay),
     "ACStepWeight": ("challenge_first_weight", lambda value: f"Linearly increasing from {value:g} to 1.0"),
     "DACWeight": ("dac_weight", lambda value: f"{value:g}"),
     "CRWeight": ("cr_weight", lambda value: f"{value:g}"),
@@ -56,7 +65,7 @@ _SHOWN: Final[dict[str, tuple[str, Callable[[Any], str]]]] = {
 """For each row of the paper's table the setting of the search that it is, and how its value is written there."""
 
 
-def hyper_parameter_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
+def hyper_parameter_tables(sheets: ScenePages, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
     """The paper's table of hyper-parameters by name of the data set, with those of each search and study of ours.
 
     Sheets count that know the settings of their search.
@@ -70,10 +79,10 @@ def hyper_parameter_tables(sheets: Sheets, ablations: Sequence[AblationReport]) 
             searches_by_data_set.setdefault(study.data.name, {}).setdefault(
                 f"ablation, {study.planner.name}", study.hyper
             )
-    return {name: (_hyper_parameters(name, searches),) for name, searches in searches_by_data_set.items()}
+    return {name: (_hyper_parameter_table(name, searches),) for name, searches in searches_by_data_set.items()}
 
 
-def _hyper_parameters(data_name: str, searches: Mapping[str, Mapping[str, Any]]) -> Table:
+def _hyper_parameter_table(data_name: str, searches: Mapping[str, Mapping[str, Any]]) -> Table:
     rows: list[Values] = []
     differing: dict[str, list[str]] = {}
     for name, printed in HYPER_PARAMETERS.items():
@@ -91,9 +100,9 @@ def _hyper_parameters(data_name: str, searches: Mapping[str, Mapping[str, Any]])
         "paper-hyper-parameters",
         f"{data_name}: hyper-parameters",
         [
-            *texts("Hyperparameter"),
-            *(replace(column, text=True) for column in under("here", places(searches))),
-            *under("paper", texts("paper")),
+            *text_columns("Hyperparameter"),
+            *(replace(column, text=True) for column in group_columns("here", numbered_columns(searches))),
+            *group_columns("paper", text_columns("paper")),
         ],
         rows,
         (*notes, "What the paper leaves open has settings of its own: docs/generation.md."),
@@ -102,18 +111,18 @@ def _hyper_parameters(data_name: str, searches: Mapping[str, Mapping[str, Any]])
     )
 
 
-def paper_runtime_tables(data_name: str, splits: Sequence[SplitSheet]) -> list[Table]:
+def paper_runtime_tables(data_name: str, splits: Sequence[SplitPage]) -> list[Table]:
     """The paper's runtime breakdown for each split whose generation was timed."""
-    return [_runtime(data_name, split, split.runtime) for split in splits if split.runtime is not None]
+    return [_runtime_table(data_name, split, split.runtime) for split in splits if split.runtime is not None]
 
 
-def _runtime(data_name: str, split: SplitSheet, runtime: Runtime) -> Table:
-    origin, seconds_by_stage = origin_of(split), {stage: runtime.each_s(stage) for stage in stages_of(runtime)}
+def _runtime_table(data_name: str, split: SplitPage, runtime: BuildRuntime) -> Table:
+    origin, seconds_by_stage = find_origin(split), {stage: runtime.each_s(stage) for stage in list_stages(runtime)}
     rows: list[Values] = [
         {
             "Component": COMPONENTS.get(stage, stage.capitalize()),
-            "here": origin.cell(seconds, "s", *counted_of(runtime, stage)),
-            "paper": published_seconds(stage),
+            "here": origin.cell(seconds, "s", *count_units(runtime, stage)),
+            "paper": quote_seconds(stage),
         }
         for stage, seconds in seconds_by_stage.items()
     ]
@@ -121,31 +130,31 @@ def _runtime(data_name: str, split: SplitSheet, runtime: Runtime) -> Table:
     return tabulate(
         f"paper-runtime-{split.split}",
         f"{data_name}, split {split.split}: runtime breakdown (s)",
-        [*texts("Component"), *under("runtime in s", numbers("here", "paper", digits=2))],
-        [*rows, {"Component": "Total", "here": total, "paper": published_seconds("all")}],
+        [*text_columns("Component"), *group_columns("runtime in s", number_columns("here", "paper", digits=2))],
+        [*rows, {"Component": "Total", "here": total, "paper": quote_seconds("all")}],
         (
             f"Here: processor seconds of one attempt and of rendering one scene, means of "
-            f"{counted(runtime.attempts, 'attempt')} and {counted(runtime.scenes, 'scene')}. Paper: seconds by the "
+            f"{pluralise(runtime.attempts, 'attempt')} and {pluralise(runtime.scenes, 'scene')}. Paper: seconds by the "
             f"clock for one scene of about 240 frames and six cameras on {RUNTIME_MACHINE}. They do not compare.",
         ),
         sources=(RUNTIME_SOURCE,),
     )
 
 
-def paper_data_set_tables(data_name: str, splits: Sequence[SplitSheet]) -> list[Table]:
+def paper_data_set_tables(data_name: str, splits: Sequence[SplitPage]) -> list[Table]:
     """The paper's overview of its data set, with a column for each split of ours."""
     rows: list[Values] = [
         {
             "Attribute": f"# {name.replace('_', ' ')}",
-            **counts_of(splits, name.replace("_", " "), attrgetter(f"statistics.counts.{name}")),
-            "Adv-nuSc": published_rows(name),
+            **build_count_cells(splits, name.replace("_", " "), attrgetter(f"statistics.counts.{name}")),
+            "Adv-nuSc": quote_rows(name),
         }
         for name in ADV_NUSC
     ]
     columns = [
-        *texts("Attribute"),
-        *under("here", places(split.split for split in splits)),
-        *under("paper", numbers("Adv-nuSc")),
+        *text_columns("Attribute"),
+        *group_columns("here", numbered_columns(split.split for split in splits)),
+        *group_columns("paper", number_columns("Adv-nuSc")),
     ]
     note = "Adv-nuSc is made from the nuScenes validation split."
     title = f"{data_name}: overview of the data set"

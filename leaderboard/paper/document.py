@@ -13,14 +13,14 @@ from benchmark.published import DATA_SET_OF_SPLIT, TABLE_1_SOURCE
 from benchmark.records.ablation import AblationReport
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.run_schema import ProtocolSummary
-from benchmark.records.scenes import Sheets
-from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, record_name
-from benchmark.report.table import LatexForm, Table, escape_latex, table_of
+from benchmark.records.scenes import ScenePages
+from benchmark.report.cells import PERCENT, UNDEFINED, TableCell, ValueSource, join_record_names
+from benchmark.report.table import LatexForm, Table, build_table, escape_latex
 from leaderboard.frame.rows import SPLIT_ORDER
-from leaderboard.frame.runs import Frame, Row, row_notes
-from leaderboard.frame.specification import by_data_set, by_name
+from leaderboard.frame.runs import DataSetRuns, RunRow, row_notes
+from leaderboard.frame.specification import group_by_data_set, merge_by_data_set
 from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
-from leaderboard.tables.published import published_increase, published_rate, quoted
+from leaderboard.tables.published import find_published_rate, quote_increase, quote_number
 
 _ORDER: Final = ("uniad", "vad", "sparsedrive", "diffusiondrive")
 """Of the paper, by the planners' own protocols: the first half stands on the left."""
@@ -30,7 +30,7 @@ _DIGITS: Final = {"sparsedrive": 3, "diffusiondrive": 3}
 _HEADS: Final = ("AD model", *HORIZONS, "×", "avg", "×")
 
 
-Block = Mapping[str, Row[ProtocolSummary]]
+PlannerBlock = Mapping[str, RunRow[ProtocolSummary]]
 """One planner: its runs by split."""
 
 
@@ -40,13 +40,17 @@ def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
     Two planners a block, those of the paper first and in its order, on the paper's three splits; published averages and
     increases have columns of their own. ``None`` without runs.
     """
-    blocks = _blocks(Frame(data_name, records))
+    blocks = _build_blocks(DataSetRuns(data_name, records))
     if not blocks:
         return None
     splits = [split for split in SPLIT_ORDER if any(split in block for block in blocks)]
-    rows = [(split, *_half(left, split), *_half(right, split)) for left, right in _pairs(blocks) for split in splits]
+    rows = [
+        (split, *_format_half(left, split), *_format_half(right, split))
+        for left, right in _pair_blocks(blocks)
+        for split in splits
+    ]
     split_names = ", ".join(f"{split} is {DATA_SET_OF_SPLIT[split]}" for split in splits)
-    return table_of(
+    return build_table(
         "paper-table-1",
         f"{data_name}: performance of end-to-end driving systems across data sets, collision rate over 3 seconds (%)",
         ("data set", *_HEADS, *_HEADS),
@@ -70,73 +74,73 @@ def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
     )
 
 
-def _blocks(frame: Frame) -> list[Block]:
+def _build_blocks(frame: DataSetRuns) -> list[PlannerBlock]:
     """Planners with their runs; the paper's first, then others with a protocol of their own, then the rest."""
-    blocks: dict[str, dict[str, Row[ProtocolSummary]]] = {}
+    blocks: dict[str, dict[str, RunRow[ProtocolSummary]]] = {}
     for row in frame.judged(NATIVE):
         if row.split in SPLIT_ORDER and not takes_maxima(row.judge):
             blocks.setdefault(row.record.planner, {})[row.split] = row
-    return sorted(blocks.values(), key=_place)
+    return sorted(blocks.values(), key=_sort_key)
 
 
-def _first(block: Block) -> Row[ProtocolSummary]:
+def _first_row(block: PlannerBlock) -> RunRow[ProtocolSummary]:
     return next(iter(block.values()))
 
 
-def _place(block: Block) -> tuple[int, int, bool, str]:
-    record = _first(block).record
+def _sort_key(block: PlannerBlock) -> tuple[int, int, bool, str]:
+    record = _first_row(block).record
     own = record.run.planner.native_protocol
     place = _ORDER.index(own) if own in _ORDER else len(_ORDER)
     return int(own is None), place, record.run.planner.miniature, record.planner
 
 
-def _pairs(blocks: Sequence[Block]) -> list[tuple[Block, Block | None]]:
+def _pair_blocks(blocks: Sequence[PlannerBlock]) -> list[tuple[PlannerBlock, PlannerBlock | None]]:
     """Planners that stand beside each other: of those with and of those without a protocol the halves."""
-    pairs: list[tuple[Block, Block | None]] = []
+    pairs: list[tuple[PlannerBlock, PlannerBlock | None]] = []
     for without in (0, 1):
-        group = [block for block in blocks if _place(block)[0] == without]
+        group = [block for block in blocks if _sort_key(block)[0] == without]
         half = (len(group) + 1) // 2
         pairs += itertools.zip_longest(group[:half], group[half:])
     return pairs
 
 
-def increase_over(baseline: float | None, rate: float | None) -> float | None:
+def compute_increase(baseline: float | None, rate: float | None) -> float | None:
     """The paper's "× increase": (rate - baseline) / baseline, ``None`` where the baseline is zero or unknown."""
     if baseline is None or rate is None or baseline == 0:
         return None
     return (rate - baseline) / baseline
 
 
-def _half(block: Block | None, split: str) -> tuple[str | Shown, ...]:
+def _format_half(block: PlannerBlock | None, split: str) -> tuple[str | TableCell, ...]:
     """One planner's part of a line."""
     if block is None:
         return ("",) * len(_HEADS)
     row = block.get(split)
     if row is None:
-        return (_first(block).planner, *(UNDEFINED,) * (len(_HEADS) - 1))
+        return (_first_row(block).planner, *(UNDEFINED,) * (len(_HEADS) - 1))
     rates, digits = row.found.columns["collision"], _DIGITS.get(row.judge, 2)
     rate_cells = [row.origin.percent(rates[horizon]).shown(digits) for horizon in HORIZONS]
-    return (row.with_caveats, *rate_cells, _increase(row, block.get("val")), *_published(row))
+    return (row.with_caveats, *rate_cells, _increase_cell(row, block.get("val")), *_published_cells(row))
 
 
-def _increase(row: Row[ProtocolSummary], val: Row[ProtocolSummary] | None) -> Shown:
+def _increase_cell(row: RunRow[ProtocolSummary], val: RunRow[ProtocolSummary] | None) -> TableCell:
     """Increase from val to adv, where both are whole and judged alike."""
     if row.split != "adv" or val is None or not (row.record.covers_split and val.record.covers_split):
-        return Shown("")
+        return TableCell("")
     both = [run_row.found for run_row in (val, row)]
     same = both[0].version == both[1].version
-    value = increase_over(*(summary.columns["collision"]["avg"].value for summary in both)) if same else None
-    origin = Origin(row.judge, record_name(val.record, row.record))
+    value = compute_increase(*(summary.columns["collision"]["avg"].value for summary in both)) if same else None
+    origin = ValueSource(row.judge, join_record_names(val.record, row.record))
     return origin.cell(value, "×", sum(summary.counted for summary in both)).shown(1, after="×")
 
 
-def _published(row: Row[ProtocolSummary]) -> tuple[Shown, Shown]:
+def _published_cells(row: RunRow[ProtocolSummary]) -> tuple[TableCell, TableCell]:
     """The paper's average and increase, where they are of the same planner, protocol and split."""
-    paper = published_rate(row.record, row.judge)
+    paper = find_published_rate(row.record, row.judge)
     if paper is None:
-        return Shown(""), Shown("")
-    origin = Origin(protocol=paper.protocol, source=TABLE_1_SOURCE)
-    return quoted(paper.percent[-1], PERCENT, origin), published_increase(paper) or Shown("")
+        return TableCell(""), TableCell("")
+    origin = ValueSource(protocol=paper.protocol, source=TABLE_1_SOURCE)
+    return quote_number(paper.percent[-1], PERCENT, origin), quote_increase(paper) or TableCell("")
 
 
 PREAMBLE: Final = r"""\documentclass[10pt]{article}
@@ -151,7 +155,7 @@ PREAMBLE: Final = r"""\documentclass[10pt]{article}
 """What every table of a leaderboard needs."""
 
 
-def paper_document(data_name: str, tables: Sequence[Table], charts: Sequence[tuple[str, str]]) -> str:
+def format_paper_document(data_name: str, tables: Sequence[Table], charts: Sequence[tuple[str, str]]) -> str:
     """LaTeX of tables in the paper's order, and below them of charts: of each its file, and what it shows."""
     parts = [PREAMBLE, r"\begin{document}", rf"\section*{{{escape_latex(data_name)}: the paper's tables}}", ""]
     parts += [table.latex() for table in tables]
@@ -167,19 +171,19 @@ def paper_document(data_name: str, tables: Sequence[Table], charts: Sequence[tup
     return "\n".join([*parts, r"\end{document}", ""])
 
 
-def paper_tables(
-    records: Mapping[str, Sequence[RunRecord]], sheets: Sheets, ablations: Sequence[AblationReport]
+def build_paper_tables(
+    records: Mapping[str, Sequence[RunRecord]], sheets: ScenePages, ablations: Sequence[AblationReport]
 ) -> dict[str, tuple[Table, ...]]:
     """Table 1, hyper-parameters, runtime, the data set in numbers, by name of the data set, in the order of the names.
 
     Runs are by name of the data set, at most one for each planner and split.
     """
     first = {name: paper_table_1(name, runs) for name, runs in records.items()}
-    return by_name(
+    return merge_by_data_set(
         [
             {name: (table,) for name, table in first.items() if table is not None},
             hyper_parameter_tables(sheets, ablations),
-            by_data_set(sheets, paper_runtime_tables),
-            by_data_set(sheets, paper_data_set_tables),
+            group_by_data_set(sheets, paper_runtime_tables),
+            group_by_data_set(sheets, paper_data_set_tables),
         ]
     )

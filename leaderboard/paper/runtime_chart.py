@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from benchmark.published import RUNTIME_S
-from benchmark.records.scenes import Sheets, SplitSheet
-from benchmark.report.canvas import drawable
-from benchmark.report.plots import Theme, for_pages, new_figure
-from benchmark.report.words import titled
+from benchmark.records.scenes import ScenePages, SplitPage
+from benchmark.report.canvas import sanitise_name
+from benchmark.report.plots import PlotTheme, new_figure, render_for_pages
+from benchmark.report.words import format_title
 from leaderboard.page.sections import NamedFigure
 from leaderboard.paper.appendix import COMPONENTS
 
@@ -20,18 +20,18 @@ _SMALLEST_LABEL: Final = 0.03
 """Shares below are too thin for a number inside; the legend has it."""
 
 
-def runtime_charts(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...]:
+def runtime_charts(data_name: str, sheets: ScenePages) -> tuple[NamedFigure, ...]:
     """A chart for each split, by its name, of a data set whose generation was timed."""
     figures = []
     for (name, split), sheet in sorted(sheets.splits.items()):
-        shares = runtime_shares(sheet)
+        shares = compute_runtime_shares(sheet)
         if name == data_name and shares:
-            drawn = for_pages(partial(_figure, titled(data_name, split), shares))
+            drawn = render_for_pages(partial(_draw_figure, format_title(data_name, split), shares))
             figures.append(NamedFigure(f"runtime-{split}", f"Runtime composition, split {split}", *drawn))
     return tuple(figures)
 
 
-def runtime_shares(sheet: SplitSheet) -> dict[str, float]:
+def compute_runtime_shares(sheet: SplitPage) -> dict[str, float]:
     """Share of each component in the time of one attempt and one rendered scene; empty where nothing was timed."""
     if sheet.runtime is None:
         return {}
@@ -41,33 +41,35 @@ def runtime_shares(sheet: SplitSheet) -> dict[str, float]:
     return {stage: seconds / total for stage, seconds in seconds_by_stage.items()} if total else {}
 
 
-def _figure(title: str, shares: Mapping[str, float], theme: Theme) -> Figure:
+def _draw_figure(title: str, shares: Mapping[str, float], theme: PlotTheme) -> Figure:
     total = sum(RUNTIME_S.values())
     published = {stage: seconds / total for stage, seconds in RUNTIME_S.items()}
     stages = list(dict.fromkeys((*published, *shares)))
     colours = {stage: theme.planner(place) for place, stage in enumerate(stages)}
     figure = new_figure(5.7, 3.4)
     left, right = figure.subplots(1, 2)
-    _pie(left, shares, colours, theme, "here")
-    _pie(right, published, colours, theme, "paper")
+    _draw_pie(left, shares, colours, theme, "here")
+    _draw_pie(right, published, colours, theme, "paper")
     names = [
-        f"{COMPONENTS.get(stage, stage.capitalize())}: {_percent(shares.get(stage))} here, "
-        f"{_percent(published.get(stage))} paper"
+        f"{COMPONENTS.get(stage, stage.capitalize())}: {_format_percent(shares.get(stage))} here, "
+        f"{_format_percent(published.get(stage))} paper"
         for stage in stages
     ]
     patches = [Patch(color=colours[stage]) for stage in stages]
     figure.tight_layout(rect=(0, 0.28, 1, 0.9))
     figure.legend(patches, names, loc="lower center", ncols=1, frameon=False, fontsize="small")
-    figure.text(0.5, 0.98, f"{drawable(title)}: runtime composition", ha="center", va="top", parse_math=False)
+    figure.text(0.5, 0.98, f"{sanitise_name(title)}: runtime composition", ha="center", va="top", parse_math=False)
     return figure
 
 
-def _pie(axes: Axes, shares: Mapping[str, float], colours: Mapping[str, str], theme: Theme, title: str) -> None:
+def _draw_pie(
+    axes: Axes, shares: Mapping[str, float], colours: Mapping[str, str], theme: PlotTheme, title: str
+) -> None:
     drawn = {stage: share for stage, share in shares.items() if share > 0}
     axes.pie(
         list(drawn.values()),
         colors=[colours[stage] for stage in drawn],
-        labels=[_percent(share) if share >= _SMALLEST_LABEL else "" for share in drawn.values()],
+        labels=[_format_percent(share) if share >= _SMALLEST_LABEL else "" for share in drawn.values()],
         labeldistance=1.1,
         startangle=90,
         counterclock=False,
@@ -77,5 +79,5 @@ def _pie(axes: Axes, shares: Mapping[str, float], colours: Mapping[str, str], th
     axes.set_title(title, fontsize="medium")
 
 
-def _percent(share: float | None) -> str:
+def _format_percent(share: float | None) -> str:
     return "–" if share is None else f"{100 * share:.1f} %"

@@ -8,7 +8,7 @@ they went, and all of the scene, each for as long as it was there, where somebod
 * ``recordedPath``: x, y in turn of the recorded body, centimetres as steps;
 * ``contact``: ``{t, x, y}`` seconds and metres of the contact that ended it, or null;
 * ``moved``: where there was an adversary that answers, its track, as ``agents`` has it; it takes the place of its own;
-* ``considered``: where it was kept, what that adversary considered (`considered_data`).
+* ``considered``: where it was kept, what that adversary considered (`build_search_trace`).
 
 The ego is between the stored states, half a second apart, where a cubic through their places and speeds leads.
 """
@@ -22,15 +22,15 @@ import numpy as np
 from benchmark.constants import LIDAR_FROM_REAR_AXLE_M
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
-from benchmark.records.considered import ConsideredFrame, read_considered
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.considered import SearchTraceFrame, read_search_trace
+from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord
-from benchmark.records.scenes import Sheet, SheetAgent, Sheets
-from benchmark.report.overlays import candidates_by_score, shared_point
-from benchmark.report.placing import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, placed_waypoints
-from leaderboard.frame.drives import worlds
-from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, data_script, packed, packed_path
-from leaderboard.site.scene_data import agent_data
+from benchmark.records.scenes import PageAgent, ScenePage, ScenePages
+from benchmark.report.overlays import find_shared_point, rank_candidates
+from benchmark.report.placing import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, place_waypoints
+from leaderboard.frame.drives import group_comparable_drives
+from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, encode_script, pack_path, pack_series
+from leaderboard.site.scene_data import build_agent
 from leaderboard.site.scene_index import scene_key
 from leaderboard.site.scene_plans import ERROR_CHARACTERS
 
@@ -41,12 +41,12 @@ _NOWHERE: Final = np.empty((0, 1, 2))
 
 
 @dataclass(frozen=True, slots=True)
-class _Shown:
+class _NamedDrive:
     """One drive with the name of its planner."""
 
     record: DriveRecord
     name: str
-    row: DriveRow
+    row: EpisodeRow
 
     @property
     def key(self) -> str:
@@ -59,23 +59,23 @@ class _Shown:
         return self.record.facts.data.name, self.record.facts.split, self.row.scene
 
     @property
-    def everybody(self) -> bool:
+    def shows_all_agents(self) -> bool:
         """Whether the others are where the recording has them: records hold an ego's and an adversary's places."""
         measured = self.record.facts.measured
         return measured.engine == "default" and measured.agents_facts.get("others", measured.agents) == "replay"
 
 
-def drive_files(drives: Sequence[DriveRecord], sheets: Sheets) -> dict[str, bytes]:
+def build_drive_files(drives: Sequence[DriveRecord], sheets: ScenePages) -> dict[str, bytes]:
     """Scripts of the drives whose scene has a sheet of the same content: ``data/scenes/<key>.js`` below the site."""
     files = {}
-    for named_drive in _shown(drives):
-        if _has_sheet(named_drive, sheets):
-            drive = _drive(named_drive, sheets.scenes[named_drive.scene].sheet)
-            files[f"data/scenes/{named_drive.key}.js"] = data_script(f'({_SCENES})["{named_drive.key}"]', drive)
+    for named_drive in _list_drives(drives):
+        if _has_scene_page(named_drive, sheets):
+            drive = _build_drive(named_drive, sheets.scenes[named_drive.scene].sheet)
+            files[f"data/scenes/{named_drive.key}.js"] = encode_script(f'({_SCENES})["{named_drive.key}"]', drive)
     return files
 
 
-def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str, Any]]:
+def build_drive_index(drives: Sequence[DriveRecord], sheets: ScenePages) -> list[dict[str, Any]]:
     """Entries of drives for pages.
 
     Returns:
@@ -84,12 +84,12 @@ def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str,
         ``everybody``, ``adversary`` (whether one that answers is shown where it went).
     """
     entries = []
-    for named_drive in _shown(drives):
+    for named_drive in _list_drives(drives):
         facts, row = named_drive.record.facts, named_drive.row
         contact = None if row.contact is None else asdict(row.contact)
         entries.append(
             {
-                "key": named_drive.key if _has_sheet(named_drive, sheets) else None,
+                "key": named_drive.key if _has_scene_page(named_drive, sheets) else None,
                 "scene": scene_key(named_drive.scene),
                 "planner": named_drive.name,
                 "privileged": facts.planner.privileged,
@@ -102,61 +102,61 @@ def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str,
                 "end": row.end,
                 "contact": contact,
                 "failure": None if row.failure is None else row.failure.reason,
-                "everybody": named_drive.everybody,
+                "everybody": named_drive.shows_all_agents,
                 "adversary": _adversary_is_shown(named_drive, sheets),
             }
         )
     return entries
 
 
-def _shown(drives: Sequence[DriveRecord]) -> Iterator[_Shown]:
+def _list_drives(drives: Sequence[DriveRecord]) -> Iterator[_NamedDrive]:
     """Every drive once, in the order of the tables."""
     listed_ids = set()
-    for world in worlds(drives):
+    for world in group_comparable_drives(drives):
         for table_row in world.rows:
             if table_row.record.content_id not in listed_ids:
                 listed_ids.add(table_row.record.content_id)
-                yield from (_Shown(table_row.record, table_row.name, row) for row in table_row.record.rows)
+                yield from (_NamedDrive(table_row.record, table_row.name, row) for row in table_row.record.rows)
 
 
-def _has_sheet(named_drive: _Shown, sheets: Sheets) -> bool:
+def _has_scene_page(named_drive: _NamedDrive, sheets: ScenePages) -> bool:
     stored = sheets.scenes.get(named_drive.scene)
     return stored is not None and stored.sheet.data.fingerprint == named_drive.record.facts.data.fingerprint
 
 
-def _adversary_is_shown(named_drive: _Shown, sheets: Sheets) -> bool:
+def _adversary_is_shown(named_drive: _NamedDrive, sheets: ScenePages) -> bool:
     return (
-        _has_sheet(named_drive, sheets)
-        and driven_adversary(sheets.scenes[named_drive.scene].sheet, named_drive.row) is not None
+        _has_scene_page(named_drive, sheets)
+        and build_driven_adversary(sheets.scenes[named_drive.scene].sheet, named_drive.row) is not None
     )
 
 
-def _drive(named_drive: _Shown, sheet: Sheet) -> dict[str, Any]:
+def _build_drive(named_drive: _NamedDrive, sheet: ScenePage) -> dict[str, Any]:
     row = named_drive.row
     ticks = (np.array(row.ticks.time_us, np.int64) - sheet.timestamps_us[0]) * 1e-6
     states = np.array(row.ticks.ego, np.float64)
     states[:, :2] -= sheet.origin_m
-    adversary = driven_adversary(sheet, row)
-    contact = _contact(named_drive, sheet, adversary, ticks, states)
+    adversary = build_driven_adversary(sheet, row)
+    contact = _build_contact(named_drive, sheet, adversary, ticks, states)
     end = ticks[-1] if contact is None else contact["t"]
     seconds = frame_seconds(sheet)
     seconds = seconds[: max(int(np.searchsorted(seconds, end + _LATE_S)), 1)]
     recorded = np.array([ego_pose(sheet, frame) for frame in range(len(seconds))])
-    pose = np.where((seconds < ticks[0])[:, None], recorded, driven_poses(seconds, ticks, states))
+    pose = np.where((seconds < ticks[0])[:, None], recorded, interpolate_poses(seconds, ticks, states))
     ego = sheet.ego
     data = {
         "base": scene_key(named_drive.scene),
         "key": named_drive.key,
         "frames": np.round(seconds, 3).tolist(),
         "ego": {
-            "x": packed(pose[:, _X].tolist(), CENTIMETRE),
-            "y": packed(pose[:, _Y].tolist(), CENTIMETRE),
-            "yaw": packed(pose[:, _YAW].tolist(), MILLIRADIAN),
+            "x": pack_series(pose[:, _X].tolist(), CENTIMETRE),
+            "y": pack_series(pose[:, _Y].tolist(), CENTIMETRE),
+            "yaw": pack_series(pose[:, _YAW].tolist(), MILLIRADIAN),
             "length": ego.length_m,
             "width": ego.width_m,
             "ahead": ego.centre_ahead_m,
         },
-        "recordedPath": packed_path(
+        "recordedPath": pack_path(
             np.array([ego_box(sheet, frame)[:2] for frame in range(len(sheet.timestamps_us))]), CENTIMETRE
         ),
         "contact": contact,
@@ -165,20 +165,22 @@ def _drive(named_drive: _Shown, sheet: Sheet) -> dict[str, Any]:
         "pictures": [],
         "edges": {},
     }
-    removal_times = _gone(row, ticks)
-    if not named_drive.everybody or removal_times:
+    removal_times = _find_removal_times(row, ticks)
+    if not named_drive.shows_all_agents or removal_times:
         visible_agents = (
-            [_until_gone(agent, seconds, removal_times) for agent in sheet.agents] if named_drive.everybody else []
+            [_cut_track(agent, seconds, removal_times) for agent in sheet.agents]
+            if named_drive.shows_all_agents
+            else []
         )
-        data["agents"] = [agent_data(agent) for agent in visible_agents if agent.x_m]
+        data["agents"] = [build_agent(agent) for agent in visible_agents if agent.x_m]
     if adversary is not None:
-        data["moved"] = agent_data(_until_gone(adversary, seconds, removal_times))
-    search_trace = read_considered(named_drive.record.directory, row)
-    data |= {} if search_trace is None else {"considered": considered_data(sheet, search_trace)}
-    return data | _plans(named_drive, seconds, ticks, states)
+        data["moved"] = build_agent(_cut_track(adversary, seconds, removal_times))
+    search_trace = read_search_trace(named_drive.record.directory, row)
+    data |= {} if search_trace is None else {"considered": build_search_trace(sheet, search_trace)}
+    return data | _build_plans(named_drive, seconds, ticks, states)
 
 
-def _gone(row: DriveRow, ticks: Floats) -> dict[str, float]:
+def _find_removal_times(row: EpisodeRow, ticks: Floats) -> dict[str, float]:
     """When those who touched the ego without its fault are gone, seconds by identifier: the next planning instant."""
     removal_times = {}
     for touch in row.passed:
@@ -187,7 +189,7 @@ def _gone(row: DriveRow, ticks: Floats) -> dict[str, float]:
     return removal_times
 
 
-def _until_gone(agent: SheetAgent, seconds: Floats, removal_times: Mapping[str, float]) -> SheetAgent:
+def _cut_track(agent: PageAgent, seconds: Floats, removal_times: Mapping[str, float]) -> PageAgent:
     """The agent's track for as long as it is there."""
     if agent.id not in removal_times:
         return agent
@@ -196,7 +198,7 @@ def _until_gone(agent: SheetAgent, seconds: Floats, removal_times: Mapping[str, 
     return agent.model_copy(update={name: getattr(agent, name)[:frames] for name in columns})
 
 
-def driven_adversary(sheet: Sheet, row: DriveRow) -> SheetAgent | None:
+def build_driven_adversary(sheet: ScenePage, row: EpisodeRow) -> PageAgent | None:
     """An adversary that answers, as it drove: up to its hand-over it is where the recording has it.
 
     ``None`` without one, and where the sheet does not know the vehicle.
@@ -218,7 +220,7 @@ def driven_adversary(sheet: Sheet, row: DriveRow) -> SheetAgent | None:
     return agent.model_copy(update={"adversary": True, "first": begins, **columns})
 
 
-def _plans(named_drive: _Shown, seconds: Floats, ticks: Floats, states: Floats) -> dict[str, Any]:
+def _build_plans(named_drive: _NamedDrive, seconds: Floats, ticks: Floats, states: Floats) -> dict[str, Any]:
     """Planning instants of the drive and the plan of each."""
     row, planner = named_drive.row, named_drive.record.facts.planner
     samples: list[dict[str, Any]] = []
@@ -236,7 +238,7 @@ def _plans(named_drive: _Shown, seconds: Floats, ticks: Floats, states: Floats) 
             lines = row.failure.text.strip().splitlines() or [row.failure.reason]
             plan_entries.append({"failed": lines[-1][:ERROR_CHARACTERS]})
             continue
-        plan_entries.append(_plan(np.array(plan.waypoints, np.float64), plan.frame, states[number, :3]))
+        plan_entries.append(_build_plan(np.array(plan.waypoints, np.float64), plan.frame, states[number, :3]))
     model = {
         "name": named_drive.name,
         "privileged": planner.privileged,
@@ -247,42 +249,46 @@ def _plans(named_drive: _Shown, seconds: Floats, ticks: Floats, states: Floats) 
     return {"samples": samples, "models": [model]}
 
 
-def _plan(waypoints: Floats, frame: str, axle: Floats) -> dict[str, Any] | None:
-    placed = placed_waypoints(waypoints, frame, LIDAR_FROM_REAR_AXLE_M, axle)
+def _build_plan(waypoints: Floats, frame: str, axle: Floats) -> dict[str, Any] | None:
+    placed = place_waypoints(waypoints, frame, LIDAR_FROM_REAR_AXLE_M, axle)
     if placed is None:
         return None
     start = axle[:2] + LIDAR_FROM_REAR_AXLE_M * np.array([np.cos(axle[2]), np.sin(axle[2])])
     return {
-        "path": packed_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
-        "yaw": packed(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
+        "path": pack_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
+        "yaw": pack_series(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
         "verdicts": [],
         "contact": [],
     }
 
 
-def _contact(
-    named_drive: _Shown, sheet: Sheet, adversary: SheetAgent | None, ticks: Floats, states: Floats
+def _build_contact(
+    named_drive: _NamedDrive, sheet: ScenePage, adversary: PageAgent | None, ticks: Floats, states: Floats
 ) -> dict[str, float] | None:
     """When and where the drive ended, by the stored states; between the bodies where the other's place is known."""
     row = named_drive.row
     if row.contact is None:
         return None
     t = float(ticks[row.primed - 1]) + row.contact.seconds
-    x, y, yaw = driven_poses(np.array([t]), ticks, states)[0]
+    x, y, yaw = interpolate_poses(np.array([t]), ticks, states)[0]
     ego, ahead = sheet.ego, sheet.ego.centre_ahead_m
     box = np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), ego.length_m, ego.width_m, yaw])
     agent = next(
-        (sheet_agent for sheet_agent in sheet.agents if sheet_agent.id == row.contact.agent and named_drive.everybody),
+        (
+            sheet_agent
+            for sheet_agent in sheet.agents
+            if sheet_agent.id == row.contact.agent and named_drive.shows_all_agents
+        ),
         None,
     )
     if adversary is not None and adversary.id == row.contact.agent:
         agent = adversary
     other = None if agent is None else agent_box_at(sheet, agent, t)
-    point = box[:2] if other is None else shared_point(box, other)
+    point = box[:2] if other is None else find_shared_point(box, other)
     return {"t": round(t, 3), "x": round(float(point[0]), 2), "y": round(float(point[1]), 2)}
 
 
-def driven_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
+def interpolate_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
     """Places of the ego between stored states: a cubic through places and speeds, headings by the shortest turn.
 
     (F, 3) x, y, yaw at (F,) times, which are held to the states; these are (K, 4 or more) x, y, yaw, speed along the
@@ -305,7 +311,7 @@ def driven_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
     return np.column_stack([place, (turned + np.pi) % (2 * np.pi) - np.pi])
 
 
-def considered_data(sheet: Sheet, frames: Sequence[ConsideredFrame]) -> list[dict[str, Any]]:
+def build_search_trace(sheet: ScenePage, frames: Sequence[SearchTraceFrame]) -> list[dict[str, Any]]:
     """Planning frames of an adversary, in force until the next; the drive is of the sheet's scene.
 
     Each has ``t`` (seconds from the first frame), ``did`` (`benchmark.records.considered`), ``paths`` (x, y in turn of
@@ -319,14 +325,14 @@ def considered_data(sheet: Sheet, frames: Sequence[ConsideredFrame]) -> list[dic
             if trace_frame.candidates
             else _NOWHERE
         )
-        candidates = candidates_by_score(points, trace_frame.scores, trace_frame.chosen)
+        candidates = rank_candidates(points, trace_frame.scores, trace_frame.chosen)
         entries.append(
             {
                 "t": round((trace_frame.time_us - sheet.timestamps_us[0]) * 1e-6, 3),
                 "did": trace_frame.did,
-                "paths": [packed_path(path, DECIMETRE) for path in candidates.paths],
+                "paths": [pack_path(path, DECIMETRE) for path in candidates.paths],
                 "shares": [round(100 * share) for share in candidates.shares.tolist()],
-                "chosen": None if candidates.chosen is None else packed_path(candidates.chosen, DECIMETRE),
+                "chosen": None if candidates.chosen is None else pack_path(candidates.chosen, DECIMETRE),
             }
         )
     return entries

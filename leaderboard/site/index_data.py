@@ -10,26 +10,26 @@ from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import quote
 
-from benchmark.machine.storage import file_name
+from benchmark.machine.storage import sanitise_file_name
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import attributes, says_whom, touched_scenes
+from benchmark.metrics.effect import attributes_contacts, find_touched_scenes, knows_contact_partners
 from benchmark.metrics.rates import Rate
-from benchmark.metrics.scores import registered_version
+from benchmark.metrics.scores import find_protocol_version
 from benchmark.records.driving import SUB_SCORES, TOTALS, VERSION
 from benchmark.records.judgement import DRIVER_NAMES
-from benchmark.records.planner_versions import file_notes
+from benchmark.records.planner_versions import list_file_notes
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DrivingSummary, ProtocolSummary
-from benchmark.records.scenes import Sheets
-from benchmark.report.cells import MINIATURE_WORDS, Cell, Shown, number
+from benchmark.records.scenes import ScenePages
+from benchmark.report.cells import MINIATURE_WORDS, CellSource, TableCell, format_number
 from benchmark.report.table import Table
-from leaderboard.frame.results import Results
-from leaderboard.frame.rows import PRIVILEGED_NOTE, in_table_order, name_cell, recordings, splits_of
-from leaderboard.frame.runs import Frame
-from leaderboard.frame.specification import Column, Value, numbers, tabulate, texts, under
-from leaderboard.site.drive_data import drive_index
-from leaderboard.site.scene_index import scene_index, scene_key
+from leaderboard.frame.results import LeaderboardResults
+from leaderboard.frame.rows import PRIVILEGED_NOTE, count_recordings, list_splits, name_cell, sort_for_tables
+from leaderboard.frame.runs import DataSetRuns
+from leaderboard.frame.specification import TableColumn, Value, group_columns, number_columns, tabulate, text_columns
+from leaderboard.site.drive_data import build_drive_index
+from leaderboard.site.scene_index import build_scene_index, scene_key
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.effect import effect_table
 from leaderboard.tables.judgements import DRIVER_HEADS
@@ -39,10 +39,10 @@ _DIGITS: Final = 6
 """Decimals of rates: pages show two of a percentage."""
 
 
-def model_index(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
+def build_model_index(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
     """Planners in the order of tables, of at most one record for each data set, split and planner."""
     runs_of: dict[str, list[RunRecord]] = {}
-    for record in in_table_order(records):
+    for record in sort_for_tables(records):
         runs_of.setdefault(record.planner, []).append(record)
     return [
         {
@@ -52,20 +52,20 @@ def model_index(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
             "nativeProtocol": runs[0].run.planner.native_protocol,
             "facts": {
                 "seed": runs[0].run.planner.seed,
-                "settings": _words(runs[0].run.planner.settings),
+                "settings": _to_texts(runs[0].run.planner.settings),
                 "weights": runs[0].run.planner.weights_sha256,
             },
-            "runs": [_run(record) for record in runs],
+            "runs": [_run_entry(record) for record in runs],
         }
         for name, runs in runs_of.items()
     ]
 
 
-def _run(record: RunRecord) -> dict[str, Any]:
+def _run_entry(record: RunRecord) -> dict[str, Any]:
     """One run; code, commit and machine are of the run, because two runs of a planner may differ in them."""
     run, summary = record.run, record.summary
     environment = run.environment
-    source = _words(environment.get("source") or {})
+    source = _to_texts(environment.get("source") or {})
     return {
         "record": record.content_id,
         "data": run.data.name,
@@ -74,47 +74,51 @@ def _run(record: RunRecord) -> dict[str, Any]:
         "code": run.planner.code_sha256,
         "commit": source.get("commit"),
         "dirty": source.get("dirty"),
-        "hardware": _words(environment.get("hardware") or {}),
-        "packages": _words(environment.get("packages") or {}),
+        "hardware": _to_texts(environment.get("hardware") or {}),
+        "packages": _to_texts(environment.get("packages") or {}),
         "rescored": run.rescored is not None,
         "samples": summary.samples,
         "failed": summary.failed,
         "coverage": summary.coverage,
         "scenes": len(run.scenes),
         "scenesInSplit": run.scenes_in_split,
-        "recordings": recordings(record),
+        "recordings": count_recordings(record),
         "protocols": {
             name: {
-                **_protocol(of_protocol, stale=name in record.stale_protocols),
-                "scenesHit": _scenes_hit(record, name),
+                **_protocol_entry(of_protocol, stale=name in record.stale_protocols),
+                "scenesHit": _count_scenes_hit(record, name),
             }
             for name, of_protocol in summary.protocols.items()
         },
-        "driving": None if summary.driving is None else _driving(summary.driving),
-        **({} if run.plans_from is None else {"plansFrom": file_notes([record])[0]}),
+        "driving": None if summary.driving is None else _driving_entry(summary.driving),
+        **({} if run.plans_from is None else {"plansFrom": list_file_notes([record])[0]}),
     }
 
 
-def _driving(summary: DrivingSummary) -> dict[str, Any]:
+def _driving_entry(summary: DrivingSummary) -> dict[str, Any]:
     """Driving scores: the mean of each sub-score and of the totals."""
     return {
         "version": summary.version,
         "stale": summary.version != VERSION,
         "counted": summary.counted,
-        "means": {name: _rate(summary.columns[name]["mean"]) for name in (*TOTALS, *SUB_SCORES)},
+        "means": {name: _rate_entry(summary.columns[name]["mean"]) for name in (*TOTALS, *SUB_SCORES)},
     }
 
 
-def _scenes_hit(record: RunRecord, protocol: str) -> list[int] | None:
+def _count_scenes_hit(record: RunRecord, protocol: str) -> list[int] | None:
     """Numbers of scenes with a sample that touches the adversary first, and of scenes where that is said."""
-    is_known = attributes(record) and registered_version(protocol) is not None and says_whom(record, protocol)
+    is_known = (
+        attributes_contacts(record)
+        and find_protocol_version(protocol) is not None
+        and knows_contact_partners(record, protocol)
+    )
     if not is_known:
         return None
-    verdicts = touched_scenes(record, protocol).values()
+    verdicts = find_touched_scenes(record, protocol).values()
     return [sum(failed is True for failed in verdicts), sum(failed is not None for failed in verdicts)]
 
 
-def _protocol(summary: ProtocolSummary, *, stale: bool) -> dict[str, Any]:
+def _protocol_entry(summary: ProtocolSummary, *, stale: bool) -> dict[str, Any]:
     shown_columns = {name: summary.columns[name] for name in _SHOWN_COLUMNS if name in summary.columns}
     return {
         "version": summary.version,
@@ -123,33 +127,33 @@ def _protocol(summary: ProtocolSummary, *, stale: bool) -> dict[str, Any]:
         "scenesFailed": summary.scenes_failed,
         "scenesDecided": summary.scenes_decided,
         **{
-            name: {horizon: _rate(rate) for horizon, rate in by_horizon.items()}
+            name: {horizon: _rate_entry(rate) for horizon, rate in by_horizon.items()}
             for name, by_horizon in shown_columns.items()
         },
     }
 
 
-def _rate(rate: Rate) -> dict[str, float | int | None]:
+def _rate_entry(rate: Rate) -> dict[str, float | int | None]:
     return {
-        "value": _rounded(rate.value),
-        "low": _rounded(rate.low),
-        "high": _rounded(rate.high),
+        "value": _round_value(rate.value),
+        "low": _round_value(rate.low),
+        "high": _round_value(rate.high),
         "n": rate.denominator,
     }
 
 
-def _words(facts: Any) -> dict[str, str | None]:
+def _to_texts(facts: Any) -> dict[str, str | None]:
     """Facts of a stranger's record as text: they may hold anything that JSON can, NaN too."""
     if not isinstance(facts, Mapping):
         return {}
-    return {str(name): _said(value) for name, value in facts.items()}
+    return {str(name): _to_text(value) for name, value in facts.items()}
 
 
-def _said(value: Any) -> str | None:
+def _to_text(value: Any) -> str | None:
     return value if value is None or isinstance(value, str) else json.dumps(value)
 
 
-def _rounded(value: float | None) -> float | None:
+def _round_value(value: float | None) -> float | None:
     return None if value is None else round(value, _DIGITS)
 
 
@@ -197,20 +201,20 @@ class PlacedFigure:
     size_px: tuple[int, int]
 
 
-def index_data(
-    results: Results, tables: Sequence[PlacedTable], figures: Sequence[PlacedFigure], written: frozenset[str]
+def build_index(
+    results: LeaderboardResults, tables: Sequence[PlacedTable], figures: Sequence[PlacedFigure], written: frozenset[str]
 ) -> dict[str, Any]:
     """The value of ``window.CHALLENGER``; lists are in the order in which pages show them.
 
     ``written`` are paths of the site's other files.
     """
     protocols = {name for frame in results.frames for name in frame.protocols}
-    ids, origins = _table_ids(tables), _Origins()
+    ids, origins = _table_ids(tables), _OriginTable()
     return {
         "title": TITLE,
-        "tables": [_table(placed, ids[index], origins, written) for index, placed in enumerate(tables)],
+        "tables": [_table_entry(placed, ids[index], origins, written) for index, placed in enumerate(tables)],
         "keyTables": _key_tables(results.frames, origins, written),
-        "figures": [_figure(figure, written) for figure in figures if figure.path in written],
+        "figures": [_figure_entry(figure, written) for figure in figures if figure.path in written],
         "drivers": [[name, DRIVER_HEADS[name]] for name in DRIVER_NAMES],
         **{name: say(results, written) for name, say in LISTS.items()},
         "origins": origins.found,
@@ -219,7 +223,7 @@ def index_data(
     }
 
 
-def _figure(figure: PlacedFigure, written: frozenset[str]) -> dict[str, Any]:
+def _figure_entry(figure: PlacedFigure, written: frozenset[str]) -> dict[str, Any]:
     dark = figure.dark_path if figure.dark_path in written else figure.path
     return {
         "data": figure.data_name,
@@ -230,26 +234,28 @@ def _figure(figure: PlacedFigure, written: frozenset[str]) -> dict[str, Any]:
     }
 
 
-def _key_tables(frames: Sequence[Frame], origins: "_Origins", written: frozenset[str]) -> list[dict[str, Any]]:
+def _key_tables(
+    frames: Sequence[DataSetRuns], origins: "_OriginTable", written: frozenset[str]
+) -> list[dict[str, Any]]:
     """Table of the first page of each data set."""
-    key_tables = [(frame.data_name, key_table(frame)) for frame in frames]
+    key_tables = [(frame.data_name, build_key_table(frame)) for frame in frames]
     placed = [PlacedTable(table, name, "", "") for name, table in key_tables if table is not None]
-    return [_table(placed_table, f"key-{number}", origins, written) for number, placed_table in enumerate(placed)]
+    return [_table_entry(placed_table, f"key-{number}", origins, written) for number, placed_table in enumerate(placed)]
 
 
 def _table_ids(tables: Iterable[PlacedTable]) -> list[str]:
     """Names for addresses, unique whatever data sets and splits are called."""
     ids: list[str] = []
     for placed in tables:
-        base = "-".join(file_name(part) for part in (placed.data_name, placed.table.name) if part)
+        base = "-".join(sanitise_file_name(part) for part in (placed.data_name, placed.table.name) if part)
         same = [name for name in ids if name == base or name.startswith(f"{base}~")]
         ids.append(f"{base}~{len(same) + 1}" if same else base)
     return ids
 
 
-def _table(placed: PlacedTable, name: str, origins: "_Origins", written: frozenset[str]) -> dict[str, Any]:
+def _table_entry(placed: PlacedTable, name: str, origins: "_OriginTable", written: frozenset[str]) -> dict[str, Any]:
     table = placed.table
-    stem = f"{placed.folder}/{file_name(table.name)}"
+    stem = f"{placed.folder}/{sanitise_file_name(table.name)}"
     return {
         "id": name,
         "data": placed.data_name,
@@ -265,7 +271,7 @@ def _table(placed: PlacedTable, name: str, origins: "_Origins", written: frozens
     }
 
 
-class _Origins:
+class _OriginTable:
     """Common parts of many cells, written once: cells name its place as ``record``.
 
     `found` has for each origin the places of its unit, of what is counted, of its protocol, record and source among
@@ -286,28 +292,28 @@ class _Origins:
         """Texts, each once."""
         return list(self._words)
 
-    def cell(self, cell: Cell | None) -> dict[str, Any] | None:
+    def cell(self, cell: CellSource | None) -> dict[str, Any] | None:
         """The facts behind a number, whose text is in the row; what there is none of is left out."""
         if cell is None:
             return None
         origin_values = (cell.unit, cell.of, cell.protocol, cell.record, cell.source)
         origin = tuple(-1 if word is None else self._words.setdefault(word, len(self._words)) for word in origin_values)
         numbers = {"low": cell.low, "high": cell.high, "n": cell.n}
-        rounded = {name: _significant(value) for name, value in numbers.items() if value is not None}
+        rounded = {name: _round_significant(value) for name, value in numbers.items() if value is not None}
         return {**rounded, "record": self._origins.setdefault(origin, len(self._origins))}
 
 
-def _significant(value: float) -> float | int | str:
+def _round_significant(value: float) -> float | int | str:
     """Four digits: more than pages show."""
     if isinstance(value, int):
         return value
     if not math.isfinite(value):
-        return number(value)
+        return format_number(value)
     short = float(f"{value:.4g}")
     return int(short) if short.is_integer() else short
 
 
-def _attempts(sheets: Sheets) -> list[dict[str, Any]]:
+def _attempt_entries(sheets: ScenePages) -> list[dict[str, Any]]:
     """Vehicles that the search tried; what is not there is left out, because there are many."""
     attempts = []
     for (data_name, split), sheet in sorted(sheets.splits.items()):
@@ -326,16 +332,16 @@ def _attempts(sheets: Sheets) -> list[dict[str, Any]]:
     return attempts
 
 
-LISTS: Final[dict[str, Callable[[Results, frozenset[str]], list[dict[str, Any]]]]] = {
-    "models": lambda results, _: model_index(results.runs),
-    "scenes": lambda results, written: scene_index(results.runs, results.sheets, results.quality, written),
-    "attempts": lambda results, _: _attempts(results.sheets),
-    "drives": lambda results, _: drive_index(results.drives, results.sheets),
+LISTS: Final[dict[str, Callable[[LeaderboardResults, frozenset[str]], list[dict[str, Any]]]]] = {
+    "models": lambda results, _: build_model_index(results.runs),
+    "scenes": lambda results, written: build_scene_index(results.runs, results.sheets, results.quality, written),
+    "attempts": lambda results, _: _attempt_entries(results.sheets),
+    "drives": lambda results, _: build_drive_index(results.drives, results.sheets),
 }
 """What pages list, by its name in the index."""
 
 
-def key_table(frame: Frame) -> Table | None:
+def build_key_table(frame: DataSetRuns) -> Table | None:
     """Averages with their intervals under ``exact``, a row a planner; ``None`` where nothing was judged by it."""
     judged = [row.record for row in frame.judged(EXACT)]
     if not judged:
@@ -344,22 +350,22 @@ def key_table(frame: Frame) -> Table | None:
     row_numbers = {(run.planner, run.run.split): row for row, run in enumerate(judged)}
     attacked = enumerate(filter(has_adversaries, frame.runs))
     caused = {run.planner: row for row, run in attacked if run.run.split == "adv" and EXACT in run.summary.protocols}
-    planners, splits = {run.planner: run.run.planner for run in judged}, splits_of(judged)
+    planners, splits = {run.planner: run.run.planner for run in judged}, list_splits(judged)
     of_adversary = EFFECT if effect is not None and caused else {}
     rows: list[dict[str, Value]] = []
     for name, facts in planners.items():
         rows.append({"planner": name_cell(name, facts).text})
         for split in splits:
             averages = {
-                head: _taken(collisions, row_numbers.get((name, split)), column) for head, column in RATES.items()
+                head: _take_cell(collisions, row_numbers.get((name, split)), column) for head, column in RATES.items()
             }
             rows[-1] |= {f"{head} on {split}": value for head, value in averages.items()}
         if effect is not None:
-            rows[-1] |= {head: _taken(effect, caused.get(name), column) for head, column in of_adversary.items()}
+            rows[-1] |= {head: _take_cell(effect, caused.get(name), column) for head, column in of_adversary.items()}
     columns = [
-        *texts("planner"),
-        *(Column(head, f"{head} on {split}", split) for split in splits for head in RATES),
-        *under("effect of the adversary", numbers(*of_adversary)),
+        *text_columns("planner"),
+        *(TableColumn(head, f"{head} on {split}", split) for split in splits for head in RATES),
+        *group_columns("effect of the adversary", number_columns(*of_adversary)),
     ]
     notes = (
         *(NOTES if of_adversary else NOTES[:1]),
@@ -369,9 +375,9 @@ def key_table(frame: Frame) -> Table | None:
     return tabulate("key", f"{frame.data_name}: how often plans collide (%), protocol exact", columns, rows, notes)
 
 
-def _taken(table: Table, row: int | None, column: str) -> Shown | None:
+def _take_cell(table: Table, row: int | None, column: str) -> TableCell | None:
     """A cell of another table."""
     if row is None or table.cells is None:
         return None
     place = table.columns.index(column)
-    return Shown(table.rows[row][place], table.cells[row][place])
+    return TableCell(table.rows[row][place], table.cells[row][place])

@@ -14,7 +14,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, parse_json
 
 
-def data_script(target: str, value: Any) -> bytes:
+def encode_script(target: str, value: Any) -> bytes:
     """A script, in ASCII, that assigns a value to JavaScript of ours (no name from a record, unless written as JSON).
 
     The value, without NaN and infinity, is parsed as JSON, not as JavaScript: faster for large values, and a name such
@@ -24,8 +24,8 @@ def data_script(target: str, value: Any) -> bytes:
     return f"\"use strict\";\n{target} = JSON.parse('{text}');\n".encode("ascii")
 
 
-def script_data(text: str) -> Any:
-    """The value that a script of `data_script` assigns."""
+def decode_script(text: str) -> Any:
+    """The value that a script of `encode_script` assigns."""
     _, separator, rest = text.partition("JSON.parse('")
     literal, end, _ = rest.rpartition("')")
     if not separator or not end:
@@ -41,16 +41,16 @@ CENTIMETRE: Final = 0.01
 DECIMETRE: Final = 0.1
 MILLIRADIAN: Final = 0.001
 
-Packed = list[int | None]
+PackedSeries = list[int | None]
 """First value, then steps, in whole units; null where there is no value; zeros at the end are left out."""
 
 
-def packed(values: Sequence[float | None], unit: float) -> Packed:
+def pack_series(values: Sequence[float | None], unit: float) -> PackedSeries:
     """A series as steps, as many as values, less the zeros at the end.
 
     Rounding to the unit comes first, so that errors do not add up.
     """
-    steps: Packed = []
+    steps: PackedSeries = []
     before = 0
     for value in values:
         if value is None:
@@ -64,7 +64,7 @@ def packed(values: Sequence[float | None], unit: float) -> Packed:
     return steps
 
 
-def packed_path(points: ArrayLike, unit: float, start: tuple[float, float] = (0.0, 0.0)) -> list[int]:
+def pack_path(points: ArrayLike, unit: float, start: tuple[float, float] = (0.0, 0.0)) -> list[int]:
     """(N, 2) metres as 2 N steps from ``start``, x and y in turn; zeros at the end stay: they tell its length."""
     steps = np.rint(np.vstack([np.array([start]), np.asarray(points, np.float64).reshape(-1, 2)]) / unit)
     return [int(step) for step in np.diff(steps, axis=0).ravel()]

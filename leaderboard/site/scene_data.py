@@ -15,7 +15,7 @@ in milliradians, in the sheet's local frame, unless said otherwise:
   frame at the sample, which then is the local frame of that sample;
 * ``cameras, pictures, media, edges``: cells, frames with a picture, their folder, and for each such frame and number
   of a camera the edges of adversaries' boxes (four whole pixels each);
-* ``protocols``: names; ``models``: `leaderboard.site.scene_plans.planner_samples` of each planner, by name.
+* ``protocols``: names; ``models``: `leaderboard.site.scene_plans.build_planner_samples` of each planner, by name.
 """
 
 from collections import defaultdict
@@ -31,17 +31,17 @@ from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_gap
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import attributes
+from benchmark.metrics.effect import attributes_contacts
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import Polygon, Sheet, SheetAgent, SheetMap, Sheets, StoredSheet, picture_name
-from benchmark.report.birdseye import SceneFromAbove
+from benchmark.records.scenes import PageAgent, PageMap, Polygon, ScenePage, ScenePages, StoredScenePage, picture_name
+from benchmark.report.birdseye import BirdseyeScene
 from benchmark.report.palette import ON_DARK, ON_LIGHT, GroundColours
 from benchmark.report.placing import agent_box, ego_box
 from benchmark.waypoints import points_in_ego
-from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, data_script, packed, packed_path
+from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, encode_script, pack_path, pack_series
 from leaderboard.site.scene_index import SceneName, scene_key
-from leaderboard.site.scene_plans import planner_samples
+from leaderboard.site.scene_plans import build_planner_samples
 
 _MICROSECONDS: Final = 1e6
 _SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"
@@ -51,43 +51,44 @@ _QUALITY: Final = 80
 
 
 @dataclass(frozen=True, slots=True)
-class _Ran:
+class _PlannerRun:
     """One planner in one scene: its record and its rows by sample token."""
 
     record: RunRecord
     rows: Mapping[str, SampleRow]
 
 
-def scene_files(sheets: Sheets, records: Sequence[RunRecord]) -> dict[str, bytes | Path]:
+def build_scene_files(sheets: ScenePages, records: Sequence[RunRecord]) -> dict[str, bytes | Path]:
     """Files of every scene that a record or a sheet names.
 
     Returns:
         ``data/scenes/<key>.js``, ``media/<key>/cameras/<frame>.webp``, ``media/<key>/thumb.webp`` and
         ``media/<key>/thumb-dark.webp`` below the site's folder; a path as value means a copy of that file.
     """
-    ran = _by_scene(records)
+    ran = _group_by_scene(records)
     files: dict[str, bytes | Path] = {}
     for sheet in sheets.scenes.values():
-        _require_whole(sheet)
+        _require_equal_lengths(sheet)
     for name in sorted({*ran, *sheets.scenes}):
         key, stored = scene_key(name), sheets.scenes.get(name)
         # Rows of one scene at a time: those of all would fill memory.
         here = [
-            _Ran(record, {row.sample_token: row for row in record.rows_of(name[2])}) for record in ran.get(name, [])
+            _PlannerRun(record, {row.sample_token: row for row in record.rows_of(name[2])})
+            for record in ran.get(name, [])
         ]
-        data = _scene(name, key, stored, here)
-        files[f"data/scenes/{key}.js"] = data_script(f'({_SCENES})["{key}"]', data)
+        data = _build_scene(name, key, stored, here)
+        files[f"data/scenes/{key}.js"] = encode_script(f'({_SCENES})["{key}"]', data)
         if stored is not None:
             files |= {
                 f"media/{key}/{picture_name(frame)}": stored.picture_path(frame) for frame in stored.sheet.pictures
             }
             if stored.sheet.timestamps_us:
-                files[f"media/{key}/thumb.webp"] = thumbnail(stored.sheet)
-                files[f"media/{key}/thumb-dark.webp"] = thumbnail(stored.sheet, ON_DARK)
+                files[f"media/{key}/thumb.webp"] = draw_thumbnail(stored.sheet)
+                files[f"media/{key}/thumb-dark.webp"] = draw_thumbnail(stored.sheet, ON_DARK)
     return files
 
 
-def _require_whole(stored: StoredSheet) -> None:
+def _require_equal_lengths(stored: StoredScenePage) -> None:
     """Lists that belong together must be of one length; a schema cannot say so."""
     sheet, frames = stored.sheet, len(stored.sheet.timestamps_us)
     is_whole = all(len(values) == frames for values in (sheet.ego.x_m, sheet.ego.y_m, sheet.ego.yaw_rad))
@@ -101,7 +102,7 @@ def _require_whole(stored: StoredSheet) -> None:
         )
 
 
-def _by_scene(records: Sequence[RunRecord]) -> dict[SceneName, list[RunRecord]]:
+def _group_by_scene(records: Sequence[RunRecord]) -> dict[SceneName, list[RunRecord]]:
     records_by_scene: dict[SceneName, list[RunRecord]] = defaultdict(list)
     for record in sorted(records, key=lambda record: record.planner):
         for scene in dict.fromkeys([*record.run.scenes, *record.columns.places_of_scenes]):
@@ -109,7 +110,9 @@ def _by_scene(records: Sequence[RunRecord]) -> dict[SceneName, list[RunRecord]]:
     return records_by_scene
 
 
-def _scene(name: SceneName, key: str, stored: StoredSheet | None, ran: Sequence[_Ran]) -> dict[str, Any]:
+def _build_scene(
+    name: SceneName, key: str, stored: StoredScenePage | None, ran: Sequence[_PlannerRun]
+) -> dict[str, Any]:
     data_name, split, scene = name
     protocols = sorted(
         {protocol for planner_run in ran for protocol in planner_run.record.run.protocols},
@@ -121,12 +124,12 @@ def _scene(name: SceneName, key: str, stored: StoredSheet | None, ran: Sequence[
         "split": split,
         "scene": scene,
         "hasSheet": stored is not None,
-        "adversarial": any(attributes(planner_run.record) for planner_run in ran),
+        "adversarial": any(attributes_contacts(planner_run.record) for planner_run in ran),
         "protocols": protocols,
         "body": {"length": EGO_LENGTH_M, "width": EGO_WIDTH_M, "ahead": EGO_BOX_FROM_LIDAR_M},
     }
-    drawn = _without_sheet(name, ran) if stored is None else _of_sheet(stored.sheet, key)
-    tokens, poses = _samples_without_sheet(ran) if stored is None else _samples_of_sheet(stored, ran)
+    drawn = _build_plain_data(name, ran) if stored is None else _build_page_data(stored.sheet, key)
+    tokens, poses = _list_plain_samples(ran) if stored is None else _list_page_samples(stored, ran)
     agents = {agent.id: number for number, agent in enumerate(stored.sheet.agents)} if stored is not None else {}
     seconds, frames = drawn["frames"], range(len(tokens)) if stored is None else stored.sheet.keyframes
     commands = {token: row.command for planner_run in ran for token, row in planner_run.rows.items()}
@@ -135,39 +138,40 @@ def _scene(name: SceneName, key: str, stored: StoredSheet | None, ran: Sequence[
         for token, frame in zip(tokens, frames, strict=True)
     ]
     models = [
-        planner_samples(planner_run.record, planner_run.rows, tokens, poses, protocols, agents) for planner_run in ran
+        build_planner_samples(planner_run.record, planner_run.rows, tokens, poses, protocols, agents)
+        for planner_run in ran
     ]
     return {**facts, **drawn, "samples": samples, "models": models}
 
 
-def _of_sheet(sheet: Sheet, key: str) -> dict[str, Any]:
+def _build_page_data(sheet: ScenePage, key: str) -> dict[str, Any]:
     return {
         "source": sheet.source,
         "manoeuvre": sheet.manoeuvre,
         "description": sheet.description,
         "labels": list(sheet.labels),
         "origin": list(sheet.origin_m),
-        "frames": _seconds(sheet.timestamps_us),
+        "frames": _to_seconds(sheet.timestamps_us),
         "ego": {
-            "x": packed(sheet.ego.x_m, CENTIMETRE),
-            "y": packed(sheet.ego.y_m, CENTIMETRE),
-            "yaw": packed(sheet.ego.yaw_rad, MILLIRADIAN),
+            "x": pack_series(sheet.ego.x_m, CENTIMETRE),
+            "y": pack_series(sheet.ego.y_m, CENTIMETRE),
+            "yaw": pack_series(sheet.ego.yaw_rad, MILLIRADIAN),
             "length": sheet.ego.length_m,
             "width": sheet.ego.width_m,
             "ahead": sheet.ego.centre_ahead_m,
         },
-        "agents": [agent_data(agent) for agent in sheet.agents],
-        "road": _road(sheet.road),
+        "agents": [build_agent(agent) for agent in sheet.agents],
+        "road": _build_road(sheet.road),
         "cameras": [camera.model_dump() for camera in sheet.cameras],
         "pictures": list(sheet.pictures),
         "media": f"media/{key}/cameras/",
-        "edges": _edges(sheet),
+        "edges": _build_edges(sheet),
     }
 
 
-def _without_sheet(name: SceneName, ran: Sequence[_Ran]) -> dict[str, Any]:
+def _build_plain_data(name: SceneName, ran: Sequence[_PlannerRun]) -> dict[str, Any]:
     """Each sample by itself in the ego's frame; its poses in the world are in no record."""
-    rows = _rows_in_order(ran)
+    rows = _sort_rows(ran)
     facts = next(
         (
             planner_run.record.run.scene_facts[name[2]]
@@ -182,11 +186,11 @@ def _without_sheet(name: SceneName, ran: Sequence[_Ran]) -> dict[str, Any]:
         "description": "",
         "labels": [],
         "origin": None,
-        "frames": _seconds([row.timestamp_us for row in rows]),
+        "frames": _to_seconds([row.timestamp_us for row in rows]),
         "ego": None,
         "agents": [],
-        "road": _road(SheetMap()),
-        "recorded": [_recorded_way(row) for row in rows],
+        "road": _build_road(PageMap()),
+        "recorded": [_pack_recorded_path(row) for row in rows],
         "cameras": [],
         "pictures": [],
         "media": None,
@@ -194,7 +198,7 @@ def _without_sheet(name: SceneName, ran: Sequence[_Ran]) -> dict[str, Any]:
     }
 
 
-def _samples_of_sheet(stored: StoredSheet, ran: Sequence[_Ran]) -> tuple[Sequence[str], Floats]:
+def _list_page_samples(stored: StoredScenePage, ran: Sequence[_PlannerRun]) -> tuple[Sequence[str], Floats]:
     sheet = stored.sheet
     for planner_run in ran:
         unknown = next((token for token in planner_run.rows if token not in sheet.sample_tokens), None)
@@ -207,27 +211,27 @@ def _samples_of_sheet(stored: StoredSheet, ran: Sequence[_Ran]) -> tuple[Sequenc
     return sheet.sample_tokens, ego[list(sheet.keyframes)]
 
 
-def _samples_without_sheet(ran: Sequence[_Ran]) -> tuple[Sequence[str], Floats]:
-    tokens = [row.sample_token for row in _rows_in_order(ran)]
+def _list_plain_samples(ran: Sequence[_PlannerRun]) -> tuple[Sequence[str], Floats]:
+    tokens = [row.sample_token for row in _sort_rows(ran)]
     return tokens, np.zeros((len(tokens), 3))
 
 
-def _rows_in_order(ran: Sequence[_Ran]) -> list[SampleRow]:
+def _sort_rows(ran: Sequence[_PlannerRun]) -> list[SampleRow]:
     """One row for each sample of any planner, by time."""
     by_token = {token: row for planner_run in ran for token, row in planner_run.rows.items()}
     return sorted(by_token.values(), key=lambda row: (row.timestamp_us, row.index))
 
 
-def _recorded_way(row: SampleRow) -> list[int]:
+def _pack_recorded_path(row: SampleRow) -> list[int]:
     known = [pose[:2] for pose in row.recorded_future if pose is not None]
-    return packed_path(points_in_ego(np.array(known).reshape(-1, 2), row.lidar_ahead_m), CENTIMETRE)
+    return pack_path(points_in_ego(np.array(known).reshape(-1, 2), row.lidar_ahead_m), CENTIMETRE)
 
 
-def _seconds(timestamps_us: Sequence[int]) -> list[float]:
+def _to_seconds(timestamps_us: Sequence[int]) -> list[float]:
     return [round((time - timestamps_us[0]) / _MICROSECONDS, 3) for time in timestamps_us]
 
 
-def agent_data(agent: SheetAgent) -> dict[str, Any]:
+def build_agent(agent: PageAgent) -> dict[str, Any]:
     """A member of ``agents``."""
     return {
         "id": agent.id,
@@ -236,26 +240,26 @@ def agent_data(agent: SheetAgent) -> dict[str, Any]:
         "adversary": agent.adversary,
         "first": agent.first,
         "count": len(agent.x_m),
-        "x": packed(agent.x_m, CENTIMETRE),
-        "y": packed(agent.y_m, CENTIMETRE),
-        "yaw": packed(agent.yaw_rad, MILLIRADIAN),
+        "x": pack_series(agent.x_m, CENTIMETRE),
+        "y": pack_series(agent.y_m, CENTIMETRE),
+        "yaw": pack_series(agent.yaw_rad, MILLIRADIAN),
     }
 
 
-def _road(road: SheetMap) -> dict[str, Any]:
+def _build_road(road: PageMap) -> dict[str, Any]:
     def rings(polygons: Sequence[Polygon]) -> list[list[list[int]]]:
-        return [[packed_path(ring, CENTIMETRE) for ring in polygon] for polygon in polygons]
+        return [[pack_path(ring, CENTIMETRE) for ring in polygon] for polygon in polygons]
 
     return {
         "drivable": rings(road.drivable),
         "crossings": rings(road.crossings),
         "walkways": rings(road.walkways),
         "carparks": rings(road.carparks),
-        "dividers": [{"paint": line.paint, "points": packed_path(line.points, CENTIMETRE)} for line in road.dividers],
+        "dividers": [{"paint": line.paint, "points": pack_path(line.points, CENTIMETRE)} for line in road.dividers],
     }
 
 
-def _edges(sheet: Sheet) -> dict[str, dict[str, list[int]]]:
+def _build_edges(sheet: ScenePage) -> dict[str, dict[str, list[int]]]:
     number = {camera.name: str(index) for index, camera in enumerate(sheet.cameras)}
     return {
         frame: {
@@ -267,10 +271,10 @@ def _edges(sheet: Sheet) -> dict[str, dict[str, list[int]]]:
     }
 
 
-def thumbnail(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> bytes:
-    """A WebP picture of 320 x 320 pixels: the scene, which has frames, from above in its `closest_frame`."""
-    image, _ = SceneFromAbove(sheet, colours).draw(
-        closest_frame(sheet), width_px=THUMBNAIL_PX, height_px=THUMBNAIL_PX, extent_m=THUMBNAIL_EXTENT_M
+def draw_thumbnail(sheet: ScenePage, colours: GroundColours = ON_LIGHT) -> bytes:
+    """A WebP picture of 320 x 320 pixels: the scene, which has frames, from above in its `find_closest_frame`."""
+    image, _ = BirdseyeScene(sheet, colours).draw(
+        find_closest_frame(sheet), width_px=THUMBNAIL_PX, height_px=THUMBNAIL_PX, extent_m=THUMBNAIL_EXTENT_M
     )
     succeeded, encoded = cv2.imencode(".webp", image[:, :, ::-1], [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
     if not succeeded:
@@ -278,7 +282,7 @@ def thumbnail(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> bytes:
     return encoded.tobytes()
 
 
-def closest_frame(sheet: Sheet) -> int:
+def find_closest_frame(sheet: ScenePage) -> int:
     """First frame in which an adversary's box is closest to the recorded ego's; the middle one without adversaries."""
     adversaries = [agent for agent in sheet.agents if agent.adversary]
     best = (np.inf, len(sheet.timestamps_us) // 2)

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import content_key, file_name
-from benchmark.metrics.attacks import SceneAttack, scene_attacks
+from benchmark.machine.storage import content_key, sanitise_file_name
+from benchmark.metrics.attacks import SceneAttack, collect_scene_attacks
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import FirstTouches, attributes, first_touches, touched_scenes
-from benchmark.metrics.scores import registered_version, source_of_scenes
-from benchmark.records.judgement import DRIVER_NAMES, JudgementSummary
+from benchmark.metrics.effect import FirstContactFlags, attributes_contacts, find_first_contacts, find_touched_scenes
+from benchmark.metrics.scores import find_protocol_version, map_scenes_to_sources
+from benchmark.records.judgement import DRIVER_NAMES, AssessmentSummary
 from benchmark.records.quality import QualityRecord
 from benchmark.records.row_schema import BriefRow
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import Sheet, Sheets
-from benchmark.report.words import split_of
-from leaderboard.frame.rows import split_place
+from benchmark.records.scenes import ScenePage, ScenePages
+from benchmark.report.words import format_split
+from leaderboard.frame.rows import split_sort_key
 
 SceneName = tuple[str, str, str]
 """Data set, split and scene."""
@@ -31,12 +31,12 @@ _DIGITS: Final = 3
 
 
 @dataclass(slots=True)
-class _Seen:
+class _SceneSummary:
     """Facts of run records about one scene, by planner where they are of one.
 
     Attributes:
         adversarial: Whether its split has adversaries, so that contacts with others are counted by themselves.
-        verdicts: By protocol whether the planner fails it (`benchmark.metrics.effect.touched_scenes`).
+        verdicts: By protocol whether the planner fails it (`benchmark.metrics.effect.find_touched_scenes`).
         others: Protocols under which a plan touches somebody else first.
         unsaid: Protocols under which a plan collides and nobody says with whom.
         colliding: Samples that touch the adversary first under ``exact``, anybody without adversaries; ``None`` where
@@ -66,36 +66,36 @@ def scene_key(name: SceneName) -> str:
     return content_key(*name)[:16]
 
 
-def scene_index(
-    records: Sequence[RunRecord], sheets: Sheets, quality: Sequence[QualityRecord], written: frozenset[str]
+def build_scene_index(
+    records: Sequence[RunRecord], sheets: ScenePages, quality: Sequence[QualityRecord], written: frozenset[str]
 ) -> list[dict[str, Any]]:
     """One entry for each scene that a record or a sheet names, by data set, split (the paper's three first) and name.
 
     ``written`` are paths of the site's files; they tell which scenes have a thumbnail.
     """
-    summaries: dict[SceneName, _Seen] = {}
+    summaries: dict[SceneName, _SceneSummary] = {}
     for record in records:
         _add_record(summaries, record)
     _require_same_content(records, sheets)
-    qualities = _qualities(quality)
-    names = sorted({*summaries, *sheets.scenes}, key=lambda name: (name[0], split_place(name[1]), name[2]))
-    return [_entry(name, summaries.get(name), sheets, qualities.get(name, []), written) for name in names]
+    qualities = _group_quality(quality)
+    names = sorted({*summaries, *sheets.scenes}, key=lambda name: (name[0], split_sort_key(name[1]), name[2]))
+    return [_build_entry(name, summaries.get(name), sheets, qualities.get(name, []), written) for name in names]
 
 
-def _entry(
+def _build_entry(
     name: SceneName,
-    summary: _Seen | None,
-    sheets: Sheets,
+    summary: _SceneSummary | None,
+    sheets: ScenePages,
     quality: list[dict[str, Any]],
     written: frozenset[str],
 ) -> dict[str, Any]:
     data_name, split, scene = name
     stored = sheets.scenes.get(name)
     sheet = stored.sheet if stored else None
-    known = summary or _Seen(scene)
+    known = summary or _SceneSummary(scene)
     key = scene_key(name)
     thumbnail, dark = f"media/{key}/thumb.webp", f"media/{key}/thumb-dark.webp"
-    rounds = f"figures/{file_name(data_name)}/{file_name(f'refinement-{split}-{scene}')}.svg"
+    rounds = f"figures/{sanitise_file_name(data_name)}/{sanitise_file_name(f'refinement-{split}-{scene}')}.svg"
     return {
         "key": key,
         "data": data_name,
@@ -104,7 +104,7 @@ def _entry(
         "source": sheet.source if sheet else known.source,
         "manoeuvre": sheet.manoeuvre if sheet else known.manoeuvre,
         "description": sheet.description if sheet else "",
-        "labels": [label_words(label) for label in sheet.labels] if sheet else [],
+        "labels": [describe_label(label) for label in sheet.labels] if sheet else [],
         "hasSheet": sheet is not None,
         "drawnBy": sheet.drawn_by if sheet else None,
         "thumb": thumbnail if thumbnail in written else None,
@@ -125,29 +125,29 @@ def _entry(
     }
 
 
-def _duration_s(sheet: Sheet) -> float:
+def _duration_s(sheet: ScenePage) -> float:
     return (sheet.timestamps_us[-1] - sheet.timestamps_us[0]) / _MICROSECONDS if sheet.timestamps_us else 0.0
 
 
-def _add_record(summaries: dict[SceneName, _Seen], record: RunRecord) -> None:
+def _add_record(summaries: dict[SceneName, _SceneSummary], record: RunRecord) -> None:
     """Add what one record says of its scenes."""
     data_name, split, planner = record.run.data.name, record.run.split, record.planner
     columns = record.columns
     rows_of = columns.places_of_scenes
-    sources = source_of_scenes(record)
+    sources = map_scenes_to_sources(record)
     for scene in (*record.run.scenes, *rows_of):
         facts = record.run.scene_facts.get(scene)
-        summary = summaries.setdefault((data_name, split, scene), _Seen(sources.get(scene, scene)))
-        summary.adversarial |= attributes(record)
+        summary = summaries.setdefault((data_name, split, scene), _SceneSummary(sources.get(scene, scene)))
+        summary.adversarial |= attributes_contacts(record)
         if facts is not None:
             summary.source, summary.manoeuvre = facts.source, facts.manoeuvre
-            summary.judgement = summary.judgement or judgement_entry(facts.judgement)
+            summary.judgement = summary.judgement or assessment_entry(facts.judgement)
     for protocol in sorted(record.summary.protocols):
         # A newer version's protocol cannot be asked what a failed scene is; the tables below it say so.
-        if registered_version(protocol) is None:
+        if find_protocol_version(protocol) is None:
             continue
-        verdicts = touched_scenes(record, protocol)
-        touches = first_touches(record, protocol)
+        verdicts = find_touched_scenes(record, protocol)
+        touches = find_first_contacts(record, protocol)
         for scene, failed in verdicts.items():
             summary = summaries[data_name, split, scene]
             summary.verdicts.setdefault(planner, {})[protocol] = failed
@@ -156,14 +156,16 @@ def _add_record(summaries: dict[SceneName, _Seen], record: RunRecord) -> None:
                     lists.setdefault(planner, []).append(protocol)
     judged = columns.values("judged")
     everywhere = all(EXACT in judged[place] for place in columns.planned.tolist())
-    touches_exact = first_touches(record) if everywhere else None
+    touches_exact = find_first_contacts(record) if everywhere else None
     for scene, places in rows_of.items():
         _add_samples(summaries[data_name, split, scene], record, places, touches_exact)
     for scene, severity in severity_entries(record).items():
         summaries[data_name, split, scene].severity[planner] = severity
 
 
-def _add_samples(summary: _Seen, record: RunRecord, places: NDArray[np.int64], touches: FirstTouches | None) -> None:
+def _add_samples(
+    summary: _SceneSummary, record: RunRecord, places: NDArray[np.int64], touches: FirstContactFlags | None
+) -> None:
     """Add one planner's samples of a scene."""
     rows, planner = record.columns.brief_at(places.tolist()), record.planner
     times = [row.timestamp_us for row in rows]
@@ -186,7 +188,7 @@ def _add_samples(summary: _Seen, record: RunRecord, places: NDArray[np.int64], t
             counts[planner] = None if unsaid else int(samples[places].sum())
 
 
-def label_words(label: Mapping[str, Any]) -> str:
+def describe_label(label: Mapping[str, Any]) -> str:
     """Words for the labels (docs/manoeuvres.md) of one adversary; what a stranger's labels lack is left out.
 
     For example ``cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking``.
@@ -195,7 +197,7 @@ def label_words(label: Mapping[str, Any]) -> str:
     words = [manoeuvre if isinstance(manoeuvre, str) else "", f"on: {place}" if isinstance(place, str) else ""]
     closest = label.get("closest_approach")
     if isinstance(closest, Mapping):
-        words.append(_approach(closest))
+        words.append(_describe_approach(closest))
     occurred = label.get("occurred")
     if isinstance(occurred, list | tuple):
         kinds = [
@@ -208,7 +210,7 @@ def label_words(label: Mapping[str, Any]) -> str:
     return "; ".join(word for word in words if word)
 
 
-def _approach(closest: Mapping[str, Any]) -> str:
+def _describe_approach(closest: Mapping[str, Any]) -> str:
     gap, side, time = closest.get("gap_m"), closest.get("side"), closest.get("time_s")
     words = [
         f"closest {gap:.2f} m" if isinstance(gap, float | int) else "",
@@ -218,38 +220,38 @@ def _approach(closest: Mapping[str, Any]) -> str:
     return ", ".join(word for word in words if word)
 
 
-def _qualities(records: Sequence[QualityRecord]) -> dict[SceneName, list[dict[str, Any]]]:
+def _group_quality(records: Sequence[QualityRecord]) -> dict[SceneName, list[dict[str, Any]]]:
     quality_rows: dict[SceneName, list[dict[str, Any]]] = defaultdict(list)
     for record in sorted(records, key=lambda record: (record.masks, record.directory.as_posix())):
         for scene, summary in record.facts.summary.scenes.items():
             quality_rows[record.facts.data.name, record.facts.split, scene].append(
                 {
                     "masks": record.masks,
-                    "consistency": _rounded(summary.consistency),
-                    "imaging": _rounded(summary.imaging),
+                    "consistency": _round_value(summary.consistency),
+                    "imaging": _round_value(summary.imaging),
                 }
             )
     return quality_rows
 
 
-def _rounded(value: float | None) -> float | None:
+def _round_value(value: float | None) -> float | None:
     return None if value is None else round(value, _QUALITY_DIGITS)
 
 
-def _require_same_content(records: Sequence[RunRecord], sheets: Sheets) -> None:
+def _require_same_content(records: Sequence[RunRecord], sheets: ScenePages) -> None:
     """Plans drawn over other content than they were made on would be a picture of nothing."""
     content = {(record.run.data.name, record.run.split): record for record in records}
     for (data_name, split, scene), stored in sheets.scenes.items():
         record = content.get((data_name, split))
         if record is not None and record.run.data.fingerprint != stored.sheet.data.fingerprint:
             raise InputError(
-                f"the sheet of {scene} ({stored.directory}) shows other content of {split_of(split, data_name)} than "
+                f"the sheet of {scene} ({stored.directory}) shows other content of {format_split(split, data_name)} than "
                 "the run records saw (the data fingerprints differ); run challenger-bench sheets again, or eval again "
                 "if the data is newer"
             )
 
 
-def judgement_entry(judgement: JudgementSummary | None) -> dict[str, Any] | None:
+def assessment_entry(judgement: AssessmentSummary | None) -> dict[str, Any] | None:
     """Judgement of a scene.
 
     Returns:
@@ -261,12 +263,12 @@ def judgement_entry(judgement: JudgementSummary | None) -> dict[str, Any] | None
     return {
         "survives": [name for name in DRIVER_NAMES if judgement.survives.get(name)],
         "unsolvable": judgement.unsolvable is True,
-        "margin": _short(judgement.margin_s),
-        "gap": _short(judgement.least_gap_m),
-        "ttc": _short(judgement.least_ttc_s),
-        "tet": _short(judgement.tet_s),
-        "pet": _short(judgement.pet_s),
-        "btn": _short(judgement.max_btn),
+        "margin": _round_short(judgement.margin_s),
+        "gap": _round_short(judgement.least_gap_m),
+        "ttc": _round_short(judgement.least_ttc_s),
+        "tet": _round_short(judgement.tet_s),
+        "pet": _round_short(judgement.pet_s),
+        "btn": _round_short(judgement.max_btn),
         "faults": [name.replace("_", " ") for name in judgement.faults],
         "unknown": [name.replace("_", " ") for name in judgement.unknown_faults],
         "map": judgement.has_map,
@@ -283,7 +285,7 @@ def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
         ``contacts`` its ``kind``, ``speed``, ``deltaV`` and ``fatal``, and of samples without contact ``ttc`` and
         ``gap``.
     """
-    attacks, rows_of, adversarial = scene_attacks(record), _rows_of(record), attributes(record)
+    attacks, rows_of, adversarial = collect_scene_attacks(record), _group_rows(record), attributes_contacts(record)
     return {
         scene: _severity_entry(rows, attacks[scene], adversarial)
         for scene, rows in rows_of.items()
@@ -291,7 +293,7 @@ def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
     }
 
 
-def _rows_of(record: RunRecord) -> dict[str, list[BriefRow]]:
+def _group_rows(record: RunRecord) -> dict[str, list[BriefRow]]:
     rows_by_scene: dict[str, list[BriefRow]] = {}
     for row in record.columns.brief:
         if row.status == "ok" and row.complete and row.severity is not None:
@@ -311,13 +313,13 @@ def _severity_entry(rows: Sequence[BriefRow], attack: SceneAttack, adversarial: 
         "atFault": attack.verdicts["at_fault"],
         "attributable": attack.verdicts["attributable"],
         "kind": None if worst is None else worst.kind.replace("_", " "),
-        "speed": None if worst is None else _short(worst.impact_speed_m_s),
-        "deltaV": None if worst is None else _short(worst.delta_v_ego_m_s),
+        "speed": None if worst is None else _round_short(worst.impact_speed_m_s),
+        "deltaV": None if worst is None else _round_short(worst.delta_v_ego_m_s),
         "fatal": None if worst is None else float(f"{worst.fatal_probability:.3g}"),
-        "ttc": _short(min((item.least_ttc_s for item in near if item.least_ttc_s is not None), default=None)),
-        "gap": _short(min((item.least_gap_m for item in near), default=None)),
+        "ttc": _round_short(min((item.least_ttc_s for item in near if item.least_ttc_s is not None), default=None)),
+        "gap": _round_short(min((item.least_gap_m for item in near), default=None)),
     }
 
 
-def _short(value: float | None) -> float | None:
+def _round_short(value: float | None) -> float | None:
     return None if value is None else round(value, _DIGITS)

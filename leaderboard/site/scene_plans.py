@@ -9,11 +9,11 @@ from benchmark.constants import PLAN_STEP_S
 from benchmark.geometry import Floats, to_global
 from benchmark.metrics.attacks import knows_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import attributes
+from benchmark.metrics.effect import attributes_contacts
 from benchmark.records.row_schema import OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.report.placing import PlacedForecasts, placed_plan
-from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, packed, packed_path
+from benchmark.report.placing import PlacedForecasts, place_plan
+from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, pack_path, pack_series
 
 MODES_SHOWN: Final = 12
 """Alternatives of a plan, most likely first; some models have thousands."""
@@ -27,7 +27,7 @@ COUNTED: Final = 64
 _CENTIRADIAN: Final = 0.01
 
 
-def planner_samples(
+def build_planner_samples(
     record: RunRecord,
     rows: Mapping[str, SampleRow],
     tokens: Sequence[str],
@@ -46,14 +46,14 @@ def planner_samples(
 
     Returns:
         ``name``, ``privileged``, ``miniature``, ``native`` and ``samples``: null where the record has no row, else
-        `sample_entry`.
+        `build_sample`.
 
     Raises:
         InputError: If a plan has lists of the wrong lengths.
     """
-    known = knows_adversaries(record) if attributes(record) else None
+    known = knows_adversaries(record) if attributes_contacts(record) else None
     entries = [
-        None if token not in rows else sample_entry(rows[token], pose, protocols, agents, known=known)
+        None if token not in rows else build_sample(rows[token], pose, protocols, agents, known=known)
         for token, pose in zip(tokens, poses, strict=True)
     ]
     return {
@@ -65,7 +65,7 @@ def planner_samples(
     }
 
 
-def sample_entry(
+def build_sample(
     row: SampleRow, axle: Floats, protocols: Sequence[str], agents: Mapping[str, int], *, known: bool | None = None
 ) -> dict[str, Any]:
     """Entry of a planner's sample.
@@ -90,33 +90,33 @@ def sample_entry(
     Raises:
         InputError: If the plan has lists of the wrong lengths.
     """
-    placed = placed_plan(_most_likely_first(row), axle)
+    placed = place_plan(_sort_modes(row), axle)
     if placed is None:
-        return {"failed": _last_line(row.error)}
+        return {"failed": _find_last_line(row.error)}
     start = to_global(np.array([row.lidar_ahead_m, 0.0]), axle)
     begin = (float(start[0]), float(start[1]))
     judged = [row.outcomes.get(name) for name in protocols]
     # A packed series may be empty and still be one: headings that are all zero, of a plan straight ahead.
     always: dict[str, Any] = {
-        "path": packed_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
-        "yaw": packed(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
-        "verdicts": [_bits(name, outcome) for name, outcome in zip(protocols, judged)],
-        "contact": [_first_contact(name, outcome, row) for name, outcome in zip(protocols, judged, strict=True)],
+        "path": pack_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
+        "yaw": pack_series(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
+        "verdicts": [_encode_verdict(name, outcome) for name, outcome in zip(protocols, judged)],
+        "contact": [_find_first_contact(name, outcome, row) for name, outcome in zip(protocols, judged, strict=True)],
     }
     sometimes: dict[str, Any] = {
-        "modes": [packed_path(mode, CENTIMETRE, begin) for mode in placed.modes[:MODES_SHOWN]],
-        "forecasts": [] if placed.forecasts is None else _forecasts(placed.forecasts, axle),
-        "l2": _displacements(judged),
+        "modes": [pack_path(mode, CENTIMETRE, begin) for mode in placed.modes[:MODES_SHOWN]],
+        "forecasts": [] if placed.forecasts is None else _pack_forecasts(placed.forecasts, axle),
+        "l2": _find_displacements(judged),
     }
     if known is not None and any(contact is not None for contact in always["contact"]):
-        sometimes["whom"] = [_whom(outcome) if known else None for outcome in judged]
+        sometimes["whom"] = [_find_contact_object(outcome) if known else None for outcome in judged]
     if row.diagnosis is not None:
         sometimes |= {"cause": row.diagnosis.cause, "reason": row.diagnosis.reason}
         sometimes["hit"] = agents.get(row.diagnosis.hit)
     return always | {name: value for name, value in sometimes.items() if value is not None and value != []}
 
 
-def _most_likely_first(row: SampleRow) -> SampleRow:
+def _sort_modes(row: SampleRow) -> SampleRow:
     """The row with the modes that can be shown; in their order where they have no scores."""
     plan: PlanRow | None = row.plan
     if plan is None or not plan.modes:
@@ -130,7 +130,7 @@ def _most_likely_first(row: SampleRow) -> SampleRow:
     return row.model_copy(update={"plan": plan.model_copy(update={"modes": modes})})
 
 
-def _forecasts(forecasts: PlacedForecasts, axle: Floats) -> list[list[Any]]:
+def _pack_forecasts(forecasts: PlacedForecasts, axle: Floats) -> list[list[Any]]:
     distance = np.hypot(forecasts.boxes[:, 0] - axle[0], forecasts.boxes[:, 1] - axle[1])
     packed = []
     for index in np.argsort(distance, kind="stable")[:FORECASTS_SHOWN].tolist():
@@ -140,12 +140,12 @@ def _forecasts(forecasts: PlacedForecasts, axle: Floats) -> list[list[Any]]:
         forecast: list[Any] = [*(round(value / DECIMETRE) for value in (x, y, length, width))]
         forecast.append(round(turned / _CENTIRADIAN))
         if np.hypot(path[:, 0] - x, path[:, 1] - y).max() >= STANDING_M:
-            forecast.append(packed_path(path, DECIMETRE, (x, y)))
+            forecast.append(pack_path(path, DECIMETRE, (x, y)))
         packed.append(forecast)
     return packed
 
 
-def _bits(protocol: str, outcome: OutcomeRow | None) -> int | None:
+def _encode_verdict(protocol: str, outcome: OutcomeRow | None) -> int | None:
     if outcome is None or outcome.collision is None:
         return None
     steps = sum(1 << step for step, collides in enumerate(outcome.collision) if collides)
@@ -154,7 +154,7 @@ def _bits(protocol: str, outcome: OutcomeRow | None) -> int | None:
     return steps + (COUNTED if outcome.counted and not unknown else 0)
 
 
-def _first_contact(protocol: str, outcome: OutcomeRow | None, row: SampleRow) -> float | None:
+def _find_first_contact(protocol: str, outcome: OutcomeRow | None, row: SampleRow) -> float | None:
     """Seconds from the sample; protocols other than ``exact`` look at waypoints only."""
     if outcome is None or outcome.collision is None or not any(outcome.collision):
         return None
@@ -163,17 +163,17 @@ def _first_contact(protocol: str, outcome: OutcomeRow | None, row: SampleRow) ->
     return PLAN_STEP_S * (outcome.collision.index(True) + 1)
 
 
-def _whom(outcome: OutcomeRow | None) -> int | None:
+def _find_contact_object(outcome: OutcomeRow | None) -> int | None:
     adversary = None if outcome is None else outcome.touches_adversary
     return None if adversary is None else int(adversary)
 
 
-def _displacements(judged: Sequence[OutcomeRow | None]) -> list[float | None] | None:
+def _find_displacements(judged: Sequence[OutcomeRow | None]) -> list[float | None] | None:
     """L2 at the steps: the same for all protocols, which differ in how they average it."""
     first = next((outcome for outcome in judged if outcome is not None), None)
     return None if first is None else [None if metres is None else round(metres, 2) for metres in first.l2]
 
 
-def _last_line(error: str | None) -> str:
+def _find_last_line(error: str | None) -> str:
     lines = (error or "").strip().splitlines()
     return lines[-1][:ERROR_CHARACTERS] if lines else "no reason was recorded"

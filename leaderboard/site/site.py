@@ -4,25 +4,25 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from leaderboard.frame.results import Results
-from leaderboard.site.drive_data import drive_files
-from leaderboard.site.index_data import PlacedFigure, PlacedTable, index_data
-from leaderboard.site.packing import data_script
-from leaderboard.site.scene_data import scene_files
+from leaderboard.frame.results import LeaderboardResults
+from leaderboard.site.drive_data import build_drive_files
+from leaderboard.site.index_data import PlacedFigure, PlacedTable, build_index
+from leaderboard.site.packing import encode_script
+from leaderboard.site.scene_data import build_scene_files
 
 INDEX_PATH: Final = "data/index.js"
 """Written first: where it is, the folder is a site of ours."""
-PLAYED: Final[Sequence[Callable[[Results], Mapping[str, bytes | Path]]]] = (
-    lambda results: scene_files(results.sheets, results.runs),
-    lambda results: drive_files(results.drives, results.sheets),
+PLAYER_FILES: Final[Sequence[Callable[[LeaderboardResults], Mapping[str, bytes | Path]]]] = (
+    lambda results: build_scene_files(results.sheets, results.runs),
+    lambda results: build_drive_files(results.drives, results.sheets),
 )
 """Files of what the player shows."""
 _ASSETS: Final = (".html", ".css", ".js")
 _ASSETS_FOLDER: Final = Path(__file__).parent / "assets"
 
 
-def site_files(
-    results: Results,
+def build_site_files(
+    results: LeaderboardResults,
     tables: Sequence[PlacedTable],
     figures: Sequence[PlacedFigure] = (),
     downloads: Mapping[str, bytes] | None = None,
@@ -37,7 +37,7 @@ def site_files(
         Bytes by path below the site's folder; a path as value means a copy of that file.
     """
     copied = downloads or {}
-    scenes = {path: content for files in PLAYED for path, content in files(results).items()}
-    index = index_data(results, tables, figures, frozenset({*copied, *scenes}))
+    scenes = {path: content for files in PLAYER_FILES for path, content in files(results).items()}
+    index = build_index(results, tables, figures, frozenset({*copied, *scenes}))
     assets = {path.name: path.read_bytes() for path in sorted(_ASSETS_FOLDER.iterdir()) if path.suffix in _ASSETS}
-    return {INDEX_PATH: data_script("window.CHALLENGER", index), **assets, **copied, **scenes}
+    return {INDEX_PATH: encode_script("window.CHALLENGER", index), **assets, **copied, **scenes}

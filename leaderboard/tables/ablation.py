@@ -6,11 +6,18 @@ from typing import Final
 
 from benchmark.published import ABLATION_SOURCE
 from benchmark.records.ablation import VARIANTS, AblationReport, AblationRow
-from benchmark.report.cells import PERCENT, RANKS_NOTHING, Origin, Shown, named_record
+from benchmark.report.cells import PERCENT, RANKS_NOTHING, TableCell, ValueSource, format_record_name
 from benchmark.report.table import Table
-from benchmark.report.words import counted
-from leaderboard.frame.specification import Values, estimates, numbers, tabulate, texts, under
-from leaderboard.tables.published import quoted
+from benchmark.report.words import pluralise
+from leaderboard.frame.specification import (
+    Values,
+    estimate_columns,
+    group_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
+from leaderboard.tables.published import quote_number
 
 _BY_NAME: Final = {variant.name: variant for variant in VARIANTS}
 
@@ -35,19 +42,19 @@ def _table(study: AblationReport, suffix: str) -> Table:
         f"{study.data.name}: ablation of the search with {study.planner.name} (collision rate in %), protocol {judge} "
         f"(version {version})",
         [
-            *texts("search"),
-            *under("vehicles", numbers("tried", "kept", "discarded")),
-            *under(
+            *text_columns("search"),
+            *group_columns("vehicles", number_columns("tried", "kept", "discarded")),
+            *group_columns(
                 f"collision rate in %, {judge}",
-                numbers("collisions"),
-                estimates("of tried", "of kept", digits=2, ends=2, beside="95 % {}"),
+                number_columns("collisions"),
+                estimate_columns("of tried", "of kept", digits=2, ends=2, beside="95 % {}"),
             ),
-            *under("smallest gap in m", numbers("mean gap, m", digits=2)),
-            *under("paper, collision rate in %, uniad", numbers("paper")),
+            *group_columns("smallest gap in m", number_columns("mean gap, m", digits=2)),
+            *group_columns("paper, collision rate in %, uniad", number_columns("paper")),
         ],
         [_row(study, row) for row in study.rows],
         (
-            f"{counted(len(study.scenes), 'recorded scene')}; every row tries the same vehicles. MTR: multi-round "
+            f"{pluralise(len(study.scenes), 'recorded scene')}; every row tries the same vehicles. MTR: multi-round "
             "refinement, TS: scoring. Collisions: colliding samples / samples of kept attempts; of tried: the same "
             "over the samples of all tried vehicles, the paper's reading. Brackets: 95 % bootstrap interval over "
             "recorded scenes.",
@@ -64,13 +71,13 @@ def _table(study: AblationReport, suffix: str) -> Table:
 
 
 def _row(study: AblationReport, row: AblationRow) -> Values:
-    record = named_record(study.content_id, study.planner.name, f"ablation {row.name}")
-    judged, plain = Origin(study.protocol[0], record), Origin(record=record)
+    record = format_record_name(study.content_id, study.planner.name, f"ablation {row.name}")
+    judged, plain = ValueSource(study.protocol[0], record), ValueSource(record=record)
     variant = _BY_NAME.get(row.name)
     colliding = judged.count(row.colliding_samples, "samples", row.samples_kept)
-    paper = Origin("uniad", source=ABLATION_SOURCE)
+    paper = ValueSource("uniad", source=ABLATION_SOURCE)
     return {
-        "search": Shown(row.name if variant is None else variant.label, miniature=study.planner.miniature),
+        "search": TableCell(row.name if variant is None else variant.label, miniature=study.planner.miniature),
         "tried": plain.count(row.attempted, "vehicles"),
         "kept": plain.count(row.kept, "vehicles", row.attempted),
         "discarded": plain.count(sum(row.discarded.values()), "vehicles", row.attempted),
@@ -78,5 +85,5 @@ def _row(study: AblationReport, row: AblationRow) -> Values:
         "of tried": judged.percent(row.rate_attempted),
         "of kept": judged.percent(row.rate_kept),
         "mean gap, m": plain.cell(row.mean_gap_m, "m", row.kept, "vehicles"),
-        "paper": None if variant is None else quoted(variant.published, PERCENT, paper),
+        "paper": None if variant is None else quote_number(variant.published, PERCENT, paper),
     }

@@ -3,15 +3,24 @@
 from collections.abc import Sequence
 from typing import Final
 
-from benchmark.metrics.attacks import AttackRates, Reading, attack_rates, counts_attacks
-from benchmark.metrics.judgements import Spread, contacts_of, near_passes_of
+from benchmark.metrics.attacks import AttackRates, Reading, can_count_attacks, compute_attack_rates
+from benchmark.metrics.judgements import Spread, summarise_contacts, summarise_near_passes
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import PERCENT, Cell, Origin
+from benchmark.report.cells import PERCENT, CellSource, ValueSource
 from benchmark.report.table import Table
-from benchmark.report.words import counted
-from leaderboard.frame.rows import notes_of_marks
-from leaderboard.frame.runs import Frame, Row, row_notes
-from leaderboard.frame.specification import Columns, Values, estimates, numbers, share, tabulate, texts, under
+from benchmark.report.words import pluralise
+from leaderboard.frame.rows import list_run_marks
+from leaderboard.frame.runs import DataSetRuns, RunRow, row_notes
+from leaderboard.frame.specification import (
+    Columns,
+    Values,
+    estimate_columns,
+    group_columns,
+    number_columns,
+    share_cell,
+    tabulate,
+    text_columns,
+)
 
 SEVERITY: Final = "severity"
 """The definition behind these numbers (docs/severity.md), as groups and cells name it."""
@@ -39,51 +48,56 @@ _NEAR_NOTE: Final = (
 )
 
 
-def _spread(name: str, digits: int, unit: str = "") -> Columns:
+def _spread_columns(name: str, digits: int, unit: str = "") -> Columns:
     """Columns of a `Spread`: median, and what the worst tenth reaches."""
-    return numbers(f"{name}, {unit}" if unit else name, f"{name}, worst tenth", digits=digits)
+    return number_columns(f"{name}, {unit}" if unit else name, f"{name}, worst tenth", digits=digits)
 
 
 _SAMPLES, _BYSTANDERS = "samples with the adversary first", "samples with a bystander first"
-_WHO: Final = texts("planner", "split")
+_PLANNER_COLUMNS: Final = text_columns("planner", "split")
 _READINGS: Final = (*HEADS.values(), "bystander")
 _SUCCESS: Final = [
-    *_WHO,
-    *under(f"of samples in %, {SEVERITY}", estimates(*_READINGS)),
-    *under(f"of scenes in %, {SEVERITY}", estimates(*(f"{head}, scenes" for head in _READINGS))),
-    *under(f"counted, {SEVERITY}", numbers("samples", "scenes", "judged", "careful survives")),
+    *_PLANNER_COLUMNS,
+    *group_columns(f"of samples in %, {SEVERITY}", estimate_columns(*_READINGS)),
+    *group_columns(f"of scenes in %, {SEVERITY}", estimate_columns(*(f"{head}, scenes" for head in _READINGS))),
+    *group_columns(f"counted, {SEVERITY}", number_columns("samples", "scenes", "judged", "careful survives")),
 ]
 _CONTACTS: Final = [
-    *_WHO,
-    *under(f"{_SAMPLES}, {SEVERITY}", numbers("samples")),
-    *under(f"share of them, {SEVERITY}", numbers("at fault %", "front %", "side %", "rear %", "standing %", digits=1)),
-    *under(f"m/s, {SEVERITY}", *(_spread(name, 1) for name in ("impact speed", "delta-v ego", "delta-v other"))),
-    *under(f"%, {SEVERITY}", numbers("P(fatal) mean", "P(fatal) most", digits=2)),
-    *under(
+    *_PLANNER_COLUMNS,
+    *group_columns(f"{_SAMPLES}, {SEVERITY}", number_columns("samples")),
+    *group_columns(
+        f"share of them, {SEVERITY}",
+        number_columns("at fault %", "front %", "side %", "rear %", "standing %", digits=1),
+    ),
+    *group_columns(
+        f"m/s, {SEVERITY}", *(_spread_columns(name, 1) for name in ("impact speed", "delta-v ego", "delta-v other"))
+    ),
+    *group_columns(f"%, {SEVERITY}", number_columns("P(fatal) mean", "P(fatal) most", digits=2)),
+    *group_columns(
         f"{_BYSTANDERS}, {SEVERITY}",
-        numbers("samples, bystander"),
-        numbers("at fault %, bystander", "impact speed, bystander", "delta-v ego, bystander", digits=1),
-        numbers("P(fatal) mean, bystander", digits=2),
+        number_columns("samples, bystander"),
+        number_columns("at fault %, bystander", "impact speed, bystander", "delta-v ego, bystander", digits=1),
+        number_columns("P(fatal) mean, bystander", digits=2),
     ),
 ]
 _UNITS: Final = {"gap": "m", "TTC": "s", "TET": "s", "TIT": "s^2", "PET": "s", "BTN": ""}
 _NEAR: Final = [
-    *_WHO,
-    *under(f"without contact, {SEVERITY}", numbers("samples")),
-    *under(
+    *_PLANNER_COLUMNS,
+    *group_columns(f"without contact, {SEVERITY}", number_columns("samples")),
+    *group_columns(
         f"plan and adversary, {SEVERITY}",
-        *(_spread(name, 1 if name == "PET" else 2, unit) for name, unit in _UNITS.items()),
-        numbers("BTN >= 1, %", digits=1),
+        *(_spread_columns(name, 1 if name == "PET" else 2, unit) for name, unit in _UNITS.items()),
+        number_columns("BTN >= 1, %", digits=1),
     ),
 ]
 
 
-def attack_tables(frame: Frame) -> list[Table]:
+def attack_tables(frame: DataSetRuns) -> list[Table]:
     """Attack success on each planner on splits with adversaries, and severity with contact and without.
 
-    Runs that cannot tell (`counts_attacks`) are left out; there are no tables where no other run has adversaries.
+    Runs that cannot tell (`can_count_attacks`) are left out; there are no tables where no other run has adversaries.
     """
-    rows = frame.rows(SEVERITY, _rates)
+    rows = frame.rows(SEVERITY, _compute_rates)
     if not rows:
         return []
     notes, unknown = row_notes(rows), _unknown_notes(rows)
@@ -95,7 +109,7 @@ def attack_tables(frame: Frame) -> list[Table]:
         (READINGS_NOTE, RULES_NOTE, *unknown, *notes),
         brief=("planner", "split", *(f"{head}, scenes" for head in _READINGS), "judged"),
         # The rest of what has to be said of the runs stands below the rates already.
-        brief_notes=(READINGS_NOTE, *notes_of_marks(row.record for row in rows), *unknown),
+        brief_notes=(READINGS_NOTE, *list_run_marks(row.record for row in rows), *unknown),
     )
     contacts = f"{frame.data_name}: how severe the first contact of a plan is"
     near = f"{frame.data_name}: how near plans without contact come to an adversary"
@@ -106,27 +120,27 @@ def attack_tables(frame: Frame) -> list[Table]:
     ]
 
 
-def success_table(frame: Frame) -> Table | None:
+def success_table(frame: DataSetRuns) -> Table | None:
     """Attack success alone, as ``challenger-bench eval`` prints it; ``None`` where no run has adversaries."""
     return next(iter(attack_tables(frame)), None)
 
 
-def _rates(record: RunRecord) -> AttackRates | None:
-    return attack_rates(record) if counts_attacks(record) else None
+def _compute_rates(record: RunRecord) -> AttackRates | None:
+    return compute_attack_rates(record) if can_count_attacks(record) else None
 
 
-def _who(row: Row[AttackRates]) -> Values:
+def _planner_values(row: RunRow[AttackRates]) -> Values:
     return {"planner": row.with_caveats, "split": row.split}
 
 
-def _success_values(row: Row[AttackRates]) -> Values:
+def _success_values(row: RunRow[AttackRates]) -> Values:
     rates, percent = row.found, row.origin.percent
     samples, scenes = (
         (*rates.samples.values(), rates.bystander_samples),
         (*rates.scenes.values(), rates.bystander_scenes),
     )
     return {
-        **_who(row),
+        **_planner_values(row),
         **{head: percent(rate) for head, rate in zip(_READINGS, samples, strict=True)},
         **{f"{head}, scenes": percent(rate, "scenes") for head, rate in zip(_READINGS, scenes, strict=True)},
         "samples": row.samples(rates.samples["contact"].denominator),
@@ -136,25 +150,29 @@ def _success_values(row: Row[AttackRates]) -> Values:
     }
 
 
-def _unknown_notes(rows: Sequence[Row[AttackRates]]) -> list[str]:
+def _unknown_notes(rows: Sequence[RunRow[AttackRates]]) -> list[str]:
     """Runs of which something is unknown; what concerns all planners of a split is said once."""
     sentences: dict[str, None] = {}
     for row in rows:
         scenes, judged = len(row.record.run.scenes), row.found.judged
         if judged < scenes:
-            some = f"{judged} of {counted(scenes, 'scene')} were judged: attributable is of these alone"
+            some = f"{judged} of {pluralise(scenes, 'scene')} were judged: attributable is of these alone"
             sentences[f"{row.split}: {some if judged else 'nobody judged its scenes: attributable is unknown'}."] = None
     for row in rows:
-        if row.found.unknown_blame:
+        if row.found.unknown_fault:
             sentences[
-                f"{row.who}: {counted(row.found.unknown_blame, 'contact')} at the ego's sides "
+                f"{row.describe_run}: {pluralise(row.found.unknown_fault, 'contact')} at the ego's sides "
                 "without a map of lanes, so that nobody can tell whose fault they are."
             ] = None
     return list(sentences)
 
 
-def _contact_values(row: Row[AttackRates]) -> Values:
-    origin, severity, others = row.origin, contacts_of(row.record), contacts_of(row.record, bystanders=True)
+def _contact_values(row: RunRow[AttackRates]) -> Values:
+    origin, severity, others = (
+        row.origin,
+        summarise_contacts(row.record),
+        summarise_contacts(row.record, bystanders=True),
+    )
     kinds = severity.kinds
     # A contact with what stands, or while the ego itself stands.
     standing = kinds.get("stopped_track", 0) + kinds.get("stopped_ego", 0)
@@ -162,41 +180,41 @@ def _contact_values(row: Row[AttackRates]) -> Values:
     parts |= {"rear": kinds.get("rear", 0), "standing": standing}
     fatal = {"mean": severity.mean_fatal, "most": severity.most_fatal}
     return {
-        **_who(row),
+        **_planner_values(row),
         "samples": row.samples(severity.samples),
-        **{f"{name} %": share(origin, count, severity.samples, _SAMPLES) for name, count in parts.items()},
-        **_cells(origin, "impact speed", "m/s", severity.impact_speed),
-        **_cells(origin, "delta-v ego", "m/s", severity.delta_v_ego),
-        **_cells(origin, "delta-v other", "m/s", severity.delta_v_other),
+        **{f"{name} %": share_cell(origin, count, severity.samples, _SAMPLES) for name, count in parts.items()},
+        **_spread_cells(origin, "impact speed", "m/s", severity.impact_speed),
+        **_spread_cells(origin, "delta-v ego", "m/s", severity.delta_v_ego),
+        **_spread_cells(origin, "delta-v other", "m/s", severity.delta_v_other),
         **{
             f"P(fatal) {name}": origin.cell(value, PERCENT, severity.samples, _SAMPLES, scale=100.0)
             for name, value in fatal.items()
         },
         "samples, bystander": row.samples(others.samples),
-        "at fault %, bystander": share(origin, others.at_fault, others.samples, _BYSTANDERS),
+        "at fault %, bystander": share_cell(origin, others.at_fault, others.samples, _BYSTANDERS),
         "impact speed, bystander": origin.cell(others.impact_speed.median, "m/s", others.samples),
         "delta-v ego, bystander": origin.cell(others.delta_v_ego.median, "m/s", others.samples),
         "P(fatal) mean, bystander": origin.cell(others.mean_fatal, PERCENT, others.samples, _BYSTANDERS, scale=100.0),
     }
 
 
-def _near_values(row: Row[AttackRates]) -> Values:
-    passes = near_passes_of(row.record)
+def _near_values(row: RunRow[AttackRates]) -> Values:
+    passes = summarise_near_passes(row.record)
     spreads = {"gap": passes.gap, "TTC": passes.ttc, "TET": passes.tet, "TIT": passes.tit, "PET": passes.pet}
-    cells: dict[str, Cell] = {}
+    cells: dict[str, CellSource] = {}
     for name, spread in spreads.items():
-        cells |= _cells(row.origin, name, _UNITS[name], spread, f", {_UNITS[name]}")
+        cells |= _spread_cells(row.origin, name, _UNITS[name], spread, f", {_UNITS[name]}")
     return {
-        **_who(row),
+        **_planner_values(row),
         "samples": row.samples(passes.samples),
         **cells,
-        **_cells(row.origin, "BTN", "BTN", passes.btn),
-        "BTN >= 1, %": share(row.origin, passes.critical, passes.samples, "samples without contact"),
+        **_spread_cells(row.origin, "BTN", "BTN", passes.btn),
+        "BTN >= 1, %": share_cell(row.origin, passes.critical, passes.samples, "samples without contact"),
     }
 
 
-def _cells(origin: Origin, name: str, unit: str, spread: Spread, after: str = "") -> dict[str, Cell]:
-    """Cells of a `_spread`."""
+def _spread_cells(origin: ValueSource, name: str, unit: str, spread: Spread, after: str = "") -> dict[str, CellSource]:
+    """Cells of a `_spread_columns`."""
     return {
         f"{name}{after}": origin.cell(spread.median, unit, spread.samples),
         f"{name}, worst tenth": origin.cell(spread.worst_tenth, unit, spread.samples),

@@ -6,18 +6,26 @@ from benchmark.metrics.rates import HORIZONS
 from benchmark.metrics.scores import leaves_out_samples, takes_maxima
 from benchmark.published import TABLE_1_SOURCE
 from benchmark.records.driving import PDM
-from benchmark.records.run import NATIVE, RunRecord, protocol_of
+from benchmark.records.run import NATIVE, RunRecord, resolve_protocol
 from benchmark.records.run_schema import ProtocolSummary
 from benchmark.report.table import Table
 from leaderboard.frame.rows import run_notes, stale_notes
-from leaderboard.frame.runs import Frame, Row, judged, shown_protocols, whose
-from leaderboard.frame.specification import Value, Values, intervals, numbers, tabulate, texts, under
+from leaderboard.frame.runs import DataSetRuns, RunRow, choose_protocols, list_judged_rows, name_judges
+from leaderboard.frame.specification import (
+    Value,
+    Values,
+    group_columns,
+    interval_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
 from leaderboard.tables.attacks import success_table
 from leaderboard.tables.driving import driving_table
 from leaderboard.tables.effect import effect_table
 from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.longer_plans import longer_table
-from leaderboard.tables.published import is_variant, published_rate, published_rates
+from leaderboard.tables.published import find_published_rate, is_model_variant, quote_rates
 
 BRIEF_NOTE = (
     "Brackets: 95 % bootstrap interval over recorded scenes; a dash where there are fewer than two or all of them "
@@ -39,7 +47,7 @@ _PAPER_NOTE = (
 )
 
 
-def collision_table(frame: Frame, protocol: str) -> Table:
+def collision_table(frame: DataSetRuns, protocol: str) -> Table:
     """Collision rates and L2 of our runs under one protocol, or the paper's Table 1.
 
     Args:
@@ -99,10 +107,10 @@ def run_tables(
         further rates where it has some, and unasked one for plans that go on beyond 3 s and one for attack success
         where there are adversaries; none if there are no runs to show.
     """
-    chosen_runs = Frame(data_name, [record for record in records if allow_partial or record.complete], against)
+    chosen_runs = DataSetRuns(data_name, [record for record in records if allow_partial or record.complete], against)
     unasked = protocols is None
     tables: list[Table | None] = [effect_table(chosen_runs)] if unasked else []
-    for name in shown_protocols(chosen_runs, protocols) if chosen_runs.runs else ():
+    for name in choose_protocols(chosen_runs, protocols) if chosen_runs.runs else ():
         tables += (
             [driving_table(chosen_runs)]
             if name == PDM
@@ -113,32 +121,38 @@ def run_tables(
 
 
 def _table(runs: Sequence[RunRecord], protocol: str, title: str, notes: Sequence[str]) -> Table:
-    rows, judge_words, own = judged(runs, protocol), whose(protocol), protocol == NATIVE
-    has_mask = any(map(_is_masked, rows))
-    has_paper = any(published_rate(row.record, row.judge) is not None for row in rows)
+    rows, judge_words, own = list_judged_rows(runs, protocol), name_judges(protocol), protocol == NATIVE
+    has_mask = any(map(_has_mask, rows))
+    has_paper = any(find_published_rate(row.record, row.judge) is not None for row in rows)
     columns = [
-        *texts("planner", "split", *(("protocol",) if own else ())),
-        *under(
+        *text_columns("planner", "split", *(("protocol",) if own else ())),
+        *group_columns(
             f"collision rate in %, {judge_words}",
-            numbers(*(f"col. {horizon}" for horizon in HORIZONS), digits=2),
-            intervals({"95 % of avg": "col. avg"}),
+            number_columns(*(f"col. {horizon}" for horizon in HORIZONS), digits=2),
+            interval_columns({"95 % of avg": "col. avg"}),
         ),
         *(
-            under(f"mask, {judge_words}", numbers(MASK_COLUMNS[0], digits=2), numbers(*MASK_COLUMNS[1:]))
+            group_columns(
+                f"mask, {judge_words}", number_columns(MASK_COLUMNS[0], digits=2), number_columns(*MASK_COLUMNS[1:])
+            )
             if has_mask
             else ()
         ),
-        *under(f"L2 in m, {judge_words}", numbers(*(f"L2 {horizon}" for horizon in HORIZONS), digits=2)),
-        *under(f"counted, {judge_words}", numbers("samples", "scenes", "scenes failed"), numbers("coverage", digits=1)),
-        *under(
+        *group_columns(f"L2 in m, {judge_words}", number_columns(*(f"L2 {horizon}" for horizon in HORIZONS), digits=2)),
+        *group_columns(
+            f"counted, {judge_words}",
+            number_columns("samples", "scenes", "scenes failed"),
+            number_columns("coverage", digits=1),
+        ),
+        *group_columns(
             f"paper, collision rate in %, {judge_words}",
-            numbers(*(f"paper {horizon}" for horizon in HORIZONS if has_paper)),
+            number_columns(*(f"paper {horizon}" for horizon in HORIZONS if has_paper)),
         ),
     ]
     further_notes = _run_notes(runs, protocol)
     of_columns = [
         *([_PAPER_NOTE] if has_paper else []),
-        *_variants(runs, protocol),
+        *_list_variant_notes(runs, protocol),
         *([_MASK_NOTE] if has_mask else []),
     ]
     return tabulate(
@@ -148,20 +162,20 @@ def _table(runs: Sequence[RunRecord], protocol: str, title: str, notes: Sequence
         map(_values, rows),
         (*notes, BRIEF_NOTE, *of_columns, *further_notes),
         brief=_BRIEF,
-        brief_notes=(*notes, BRIEF_NOTE, *_masked_in_words(rows), *further_notes),
+        brief_notes=(*notes, BRIEF_NOTE, *_list_mask_notes(rows), *further_notes),
         sources=(TABLE_1_SOURCE,) if has_paper else (),
     )
 
 
-def _values(row: Row[ProtocolSummary]) -> Values:
+def _values(row: RunRow[ProtocolSummary]) -> Values:
     summary, origin = row.found, row.origin
-    paper = published_rates(published_rate(row.record, row.judge))
+    paper = quote_rates(find_published_rate(row.record, row.judge))
     decided = summary.scenes_decided
     return {
         **row.names,
         "protocol": row.judge,
         **row.by_horizon("col. {}", "collision", summary.columns["collision"]),
-        **(_mask_values(row) if _is_masked(row) else {}),
+        **(_mask_values(row) if _has_mask(row) else {}),
         **row.by_horizon("L2 {}", "l2", summary.columns["l2"]),
         "samples": row.samples(summary.counted),
         "scenes": row.scenes_of_split(),
@@ -171,32 +185,32 @@ def _values(row: Row[ProtocolSummary]) -> Values:
     }
 
 
-def _mask_values(row: Row[ProtocolSummary]) -> dict[str, Value]:
+def _mask_values(row: RunRow[ProtocolSummary]) -> dict[str, Value]:
     """Values of a mask; where whole samples are left out there is no rate of the same samples without that."""
     summary, masked = row.found, row.found.mask_removed_steps
     before = summary.columns.get(BEFORE_MASK)
-    counts = (masked, summary.mask_removed_for_adversary, _masked_for_others(summary))
+    counts = (masked, summary.mask_removed_for_adversary, _count_masked(summary))
     return {
         MASK_COLUMNS[0]: None if before is None else row.origin.percent(before["avg"]),
         **{head: row.origin.count(count, "steps", masked) for head, count in zip(MASK_COLUMNS[1:], counts)},
     }
 
 
-def _is_masked(row: Row[ProtocolSummary]) -> bool:
+def _has_mask(row: RunRow[ProtocolSummary]) -> bool:
     return BEFORE_MASK in row.found.columns or leaves_out_samples(row.judge)
 
 
-def _masked_for_others(summary: ProtocolSummary) -> int | None:
+def _count_masked(summary: ProtocolSummary) -> int | None:
     masked, for_adversary = summary.mask_removed_steps, summary.mask_removed_for_adversary
     return None if masked is None or for_adversary is None else masked - for_adversary
 
 
-def _masked_in_words(rows: Sequence[Row[ProtocolSummary]]) -> list[str]:
+def _list_mask_notes(rows: Sequence[RunRow[ProtocolSummary]]) -> list[str]:
     """Notes on masked steps for a terminal, which does not show the columns."""
     mask_texts = [
-        f"{row.who} {row.found.mask_removed_for_adversary} / {_masked_for_others(row.found)}"
+        f"{row.describe_run} {row.found.mask_removed_for_adversary} / {_count_masked(row.found)}"
         if row.found.mask_removed_for_adversary is not None
-        else f"{row.who} {row.found.mask_removed_steps} in all"
+        else f"{row.describe_run} {row.found.mask_removed_steps} in all"
         for row in rows
         if row.found.mask_removed_steps
     ]
@@ -209,15 +223,15 @@ def _masked_in_words(rows: Sequence[Row[ProtocolSummary]]) -> list[str]:
 def _run_notes(runs: Sequence[RunRecord], protocol: str) -> list[str]:
     sentences = []
     for record in runs:
-        judge, run_name = protocol_of(record, protocol), f"{record.planner} on {record.run.split}"
+        judge, run_name = resolve_protocol(record, protocol), f"{record.planner} on {record.run.split}"
         if judge not in record.summary.protocols:
             sentences.append(f"{run_name}: no verdicts under protocol {judge}; run challenger-bench rescore.")
         sentences += stale_notes(record, (judge,))
     return run_notes(runs, sentences)
 
 
-def _variants(runs: Sequence[RunRecord], protocol: str) -> list[str]:
+def _list_variant_notes(runs: Sequence[RunRecord], protocol: str) -> list[str]:
     """Beside whom the paper's numbers do not stand."""
-    variants = {run.run.planner.name for run in runs if is_variant(run, protocol_of(run, protocol))}
+    variants = {run.run.planner.name for run in runs if is_model_variant(run, resolve_protocol(run, protocol))}
     some = f"No published row stands beside {', '.join(sorted(variants))}"
     return [f"{some}: a miniature or a variant is not the model that the paper ran."] if variants else []

@@ -7,25 +7,33 @@ from typing import TypeVar
 
 from benchmark.errors import InputError
 from benchmark.metrics.rates import HORIZONS, Estimate
-from benchmark.metrics.scores import Scored
+from benchmark.metrics.scores import ScoredSamples
 from benchmark.metrics.significance import PlannerComparison, SplitComparison, compare_planners, compare_splits
 from benchmark.records.run import NATIVE, RunRecord
-from benchmark.report.cells import Cell, Origin, Shown, record_name
+from benchmark.report.cells import CellSource, TableCell, ValueSource, join_record_names
 from benchmark.report.table import Table
-from benchmark.report.words import counted, titled
+from benchmark.report.words import format_title, pluralise
 from leaderboard.frame.rows import (
     FEW_NOTE,
     FEW_SCENES,
     completeness_notes,
-    judges,
+    count_recordings,
+    list_run_marks,
     name_cell,
-    notes_of_marks,
-    recordings,
+    name_judge,
 )
-from leaderboard.frame.runs import Frame, whose
-from leaderboard.frame.specification import Columns, Values, estimates, numbers, tabulate, texts, under
+from leaderboard.frame.runs import DataSetRuns, name_judges
+from leaderboard.frame.specification import (
+    Columns,
+    Values,
+    estimate_columns,
+    group_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
 
-Found = TypeVar("Found")
+ComparisonResult = TypeVar("ComparisonResult")
 Pair = tuple[RunRecord, RunRecord]
 
 AVERAGE = HORIZONS[-1]
@@ -41,7 +49,7 @@ REDRAWN_NOTE = (
 )
 
 
-def split_table(frame: Frame, protocol: str) -> Table | None:
+def split_table(frame: DataSetRuns, protocol: str) -> Table | None:
     """Losses of planners from one split to another: a row for each planner and pair of splits.
 
     ``native`` stands for each planner's own protocol. ``None`` if no planner ran on two splits.
@@ -55,17 +63,19 @@ def split_table(frame: Frame, protocol: str) -> Table | None:
     ]
     if not pairs:
         return None
-    compared, refused = _compared(frame, pairs, protocol, partial(compare_splits, horizons=(AVERAGE,)))
-    comparisons, judge_words = [comparison for _, comparison in compared], whose(protocol)
+    compared, refused = _compare_pairs(frame, pairs, protocol, partial(compare_splits, horizons=(AVERAGE,)))
+    comparisons, judge_words = [comparison for _, comparison in compared], name_judges(protocol)
     columns = [
-        *texts("planner", "splits", "protocol"),
-        *under(f"average collision rate in %, {judge_words}", numbers("from (%)", "to (%)", digits=2)),
-        *under(f"paired difference in points, {judge_words}", _difference("paired difference (points)")),
-        *under(f"counted, {judge_words}", numbers("scenes paired", "not paired", "failed samples")),
+        *text_columns("planner", "splits", "protocol"),
+        *group_columns(f"average collision rate in %, {judge_words}", number_columns("from (%)", "to (%)", digits=2)),
+        *group_columns(
+            f"paired difference in points, {judge_words}", _difference_columns("paired difference (points)")
+        ),
+        *group_columns(f"counted, {judge_words}", number_columns("scenes paired", "not paired", "failed samples")),
     ]
     return tabulate(
         f"changes-{protocol}",
-        f"{frame.data_name}: change of the average collision rate between splits, {judges(protocol)}",
+        f"{frame.data_name}: change of the average collision rate between splits, {name_judge(protocol)}",
         columns,
         [_split_row(pair, comparison) for pair, comparison in compared],
         (
@@ -77,14 +87,14 @@ def split_table(frame: Frame, protocol: str) -> Table | None:
                 if any((comparison.baseline_split, comparison.split) == SPLIT_PAIRS[-1] for comparison in comparisons)
                 else []
             ),
-            *_unpaired(comparisons),
+            *_list_unpaired_scenes(comparisons),
             *_notes(frame.runs, min((len(comparison.sources) for comparison in comparisons), default=FEW_SCENES)),
             *refused,
         ),
     )
 
 
-def planner_table(frame: Frame, protocol: str, split: str) -> Table | None:
+def planner_table(frame: DataSetRuns, protocol: str, split: str) -> Table | None:
     """Comparison of planners on a split: a row for each pair.
 
     ``None`` if fewer than two ran on the whole split, and under ``native``, by which no two planners compare.
@@ -93,36 +103,39 @@ def planner_table(frame: Frame, protocol: str, split: str) -> Table | None:
     pairs = list(itertools.combinations([record for record in here if record.covers_split], 2))
     if not pairs or protocol == NATIVE:
         return None
-    compared, refused = _compared(frame, pairs, protocol, partial(compare_planners, horizons=(AVERAGE,)))
+    compared, refused = _compare_pairs(frame, pairs, protocol, partial(compare_planners, horizons=(AVERAGE,)))
     columns = [
-        *texts("first", "second"),
-        *under(f"average collision rate in %, {protocol}", numbers("first (%)", "second (%)", digits=2)),
-        *under(f"difference in points, {protocol}", _difference("second − first (points)")),
-        *under(f"counted, {protocol}", numbers("samples", "failed samples", "scenes not shared")),
+        *text_columns("first", "second"),
+        *group_columns(f"average collision rate in %, {protocol}", number_columns("first (%)", "second (%)", digits=2)),
+        *group_columns(f"difference in points, {protocol}", _difference_columns("second − first (points)")),
+        *group_columns(f"counted, {protocol}", number_columns("samples", "failed samples", "scenes not shared")),
     ]
-    title = f"{titled(frame.data_name, split)}: difference of the average collision rate between planners"
+    title = f"{format_title(frame.data_name, split)}: difference of the average collision rate between planners"
     return tabulate(
         f"planners-{split}-{protocol}",
-        f"{title}, {judges(protocol)}",
+        f"{title}, {name_judge(protocol)}",
         columns,
         [_planner_row(pair, comparison) for pair, comparison in compared],
         (
             "Both rates are over the samples that both planners planned; samples that one of them failed on are left "
             "out of both.",
             DRAWN_NOTE,
-            *_notes(here, min(recordings(record) for record in here)),
+            *_notes(here, min(count_recordings(record) for record in here)),
             *refused,
         ),
     )
 
 
-def _difference(head: str) -> Columns:
-    return estimates(head, digits=2, ends=2, beside="95 % of difference", signed=True)
+def _difference_columns(head: str) -> Columns:
+    return estimate_columns(head, digits=2, ends=2, beside="95 % of difference", signed=True)
 
 
-def _compared(
-    frame: Frame, pairs: Sequence[Pair], protocol: str, compare: Callable[[Scored, Scored], Found]
-) -> tuple[list[tuple[Pair, Found]], tuple[str, ...]]:
+def _compare_pairs(
+    frame: DataSetRuns,
+    pairs: Sequence[Pair],
+    protocol: str,
+    compare: Callable[[ScoredSamples, ScoredSamples], ComparisonResult],
+) -> tuple[list[tuple[Pair, ComparisonResult]], tuple[str, ...]]:
     """Pairs that can be compared, and one sentence for each reason why a pair is left out."""
     comparisons, refused = [], []
     for pair in pairs:
@@ -134,19 +147,21 @@ def _compared(
 
 
 def _split_row(runs: Pair, comparison: SplitComparison) -> Values:
-    everything, both = comparison.everything[AVERAGE], Origin(comparison.protocol, record_name(*runs))
+    everything, both = comparison.everything[AVERAGE], ValueSource(comparison.protocol, join_record_names(*runs))
     samples = sum(run.summary.samples for run in runs)
     return {
         "planner": _name(runs[0]),
         "splits": f"{comparison.baseline_split} → {comparison.split}",
         "protocol": comparison.protocol,
         **{
-            head: Origin(comparison.protocol, record_name(run)).cell(
+            head: ValueSource(comparison.protocol, join_record_names(run)).cell(
                 rate, "%", run.summary.protocols[comparison.protocol].counted, scale=100.0
             )
             for head, run, rate in zip(("from (%)", "to (%)"), runs, (everything.first, everything.second))
         },
-        "paired difference (points)": _points(both, comparison.paired[AVERAGE].difference, len(comparison.sources)),
+        "paired difference (points)": _points_cell(
+            both, comparison.paired[AVERAGE].difference, len(comparison.sources)
+        ),
         "scenes paired": both.count(len(comparison.sources), "recorded scenes"),
         "not paired": both.count(len(comparison.only_baseline) + len(comparison.only_split), "scenes"),
         "failed samples": both.count(comparison.failed, "samples", samples),
@@ -154,30 +169,32 @@ def _split_row(runs: Pair, comparison: SplitComparison) -> Values:
 
 
 def _planner_row(runs: Pair, comparison: PlannerComparison) -> Values:
-    rates, both = comparison.by_horizon[AVERAGE], Origin(comparison.protocol, record_name(*runs))
+    rates, both = comparison.by_horizon[AVERAGE], ValueSource(comparison.protocol, join_record_names(*runs))
     return {
         "first": _name(runs[0]),
         "second": _name(runs[1]),
         **{
-            head: Origin(comparison.protocol, record_name(run)).cell(rate, "%", comparison.samples, scale=100.0)
+            head: ValueSource(comparison.protocol, join_record_names(run)).cell(
+                rate, "%", comparison.samples, scale=100.0
+            )
             for head, run, rate in zip(("first (%)", "second (%)"), runs, (rates.first, rates.second))
         },
-        "second − first (points)": _points(both, rates.difference, comparison.samples, "samples"),
+        "second − first (points)": _points_cell(both, rates.difference, comparison.samples, "samples"),
         "samples": both.count(comparison.samples, "samples"),
         "failed samples": both.count(comparison.failed, "samples"),
         "scenes not shared": both.count(len(comparison.unshared), "scenes"),
     }
 
 
-def _name(record: RunRecord) -> Shown:
+def _name(record: RunRecord) -> TableCell:
     return name_cell(record.planner, record.run.planner)
 
 
-def _points(origin: Origin, estimate: Estimate, n: int, of: str = "recorded scenes") -> Cell:
+def _points_cell(origin: ValueSource, estimate: Estimate, n: int, of: str = "recorded scenes") -> CellSource:
     return origin.cell(estimate.value, "points", n, of, low=estimate.low, high=estimate.high, scale=100.0)
 
 
-def _unpaired(comparisons: Sequence[SplitComparison]) -> list[str]:
+def _list_unpaired_scenes(comparisons: Sequence[SplitComparison]) -> list[str]:
     """Names the scenes that are in no paired difference, once for all planners that leave out the same."""
     notes = []
     for comparison in comparisons:
@@ -188,10 +205,10 @@ def _unpaired(comparisons: Sequence[SplitComparison]) -> list[str]:
         ):
             if names:
                 some = f"{', '.join(names[:3])}{', …' if len(names) > 3 else ''}"
-                notes.append(f"{pair}: {counted(len(names), 'scene')} only in {split} ({some}).")
+                notes.append(f"{pair}: {pluralise(len(names), 'scene')} only in {split} ({some}).")
     return list(dict.fromkeys(notes))
 
 
 def _notes(records: Sequence[RunRecord], scenes: int) -> list[str]:
     few = [FEW_NOTE] if scenes < FEW_SCENES else []
-    return [*few, *notes_of_marks(records), *completeness_notes(records)]
+    return [*few, *list_run_marks(records), *completeness_notes(records)]

@@ -10,33 +10,33 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from benchmark.errors import InputError
-from benchmark.metrics.attacks import has_adversaries, says_severity
-from benchmark.metrics.consistency import INSTANTS, MEAN, Consistency, consistency
+from benchmark.metrics.attacks import has_adversaries, has_severity
+from benchmark.metrics.consistency import INSTANTS, MEAN, Consistency, measure_consistency
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.drawn_seeds import over_seeds, seeds_in_words
+from benchmark.metrics.drawn_seeds import combine_seeds, format_seeds
 from benchmark.metrics.rates import HORIZONS, SceneSums
-from benchmark.metrics.scores import scored, source_of_scenes
+from benchmark.metrics.scores import map_scenes_to_sources, score_record
 from benchmark.records.ablation import AblationReport
-from benchmark.records.attempts import seed_of
+from benchmark.records.attempts import parse_seed
 from benchmark.records.drives import DriveRecord
 from benchmark.records.driving import PDM
-from benchmark.records.run import RunRecord, protocol_of
-from benchmark.records.scenes import Sheets
-from benchmark.report.cells import PERCENT, AnyRate, Origin, record_name
+from benchmark.records.run import RunRecord, resolve_protocol
+from benchmark.records.scenes import ScenePages
+from benchmark.report.cells import PERCENT, AnyRate, ValueSource, join_record_names
 from benchmark.report.table import Table
-from leaderboard.frame.rows import judges, name_cell, run_notes
-from leaderboard.frame.runs import Frame, Row, row_notes, whose
+from leaderboard.frame.rows import name_cell, name_judge, run_notes
+from leaderboard.frame.runs import DataSetRuns, RunRow, name_judges, row_notes
 from leaderboard.frame.specification import (
-    OfSplits,
+    SplitTables,
     Values,
-    by_data_set,
-    by_name,
-    estimates,
-    intervals,
-    numbers,
+    estimate_columns,
+    group_by_data_set,
+    group_columns,
+    interval_columns,
+    merge_by_data_set,
+    number_columns,
     tabulate,
-    texts,
-    under,
+    text_columns,
 )
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.attacks import attack_tables
@@ -48,11 +48,11 @@ from leaderboard.tables.drives import drive_tables, loop_tables
 from leaderboard.tables.driving import driving_tables
 from leaderboard.tables.effect import effect_table
 from leaderboard.tables.further_columns import further_table
-from leaderboard.tables.judgements import judgement_tables
+from leaderboard.tables.judgements import assessment_tables
 from leaderboard.tables.longer_plans import longer_table
 from leaderboard.tables.pressure import pressure_tables
 from leaderboard.tables.runtime import cost_table, drive_cost_table, runtime_tables
-from leaderboard.tables.slices import DIAGNOSIS, slices_of
+from leaderboard.tables.slices import DIAGNOSIS, build_slice_tables
 from leaderboard.tables.statistics import manoeuvre_tables, seed_spread_table, statistics_tables
 from leaderboard.tables.transfer import transfer_tables
 
@@ -66,7 +66,7 @@ _RULE = (
 )
 
 
-def drawn_seeds_table(frame: Frame, protocol: str) -> Table | None:
+def drawn_seeds_table(frame: DataSetRuns, protocol: str) -> Table | None:
     """Average collision rate of each planner on the splits ``adv-seed-N`` of several seeds.
 
     A row a seed, and one for all, for each planner that ran on at least two; ``None`` where there is none. ``native``
@@ -74,8 +74,8 @@ def drawn_seeds_table(frame: Frame, protocol: str) -> Table | None:
     """
     rows: list[Values] = []
     notes, shown_runs = [_RULE], []
-    for runs in _by_planner(frame.runs):
-        comparable, refused = _comparable(runs, protocol)
+    for runs in _group_by_planner(frame.runs):
+        comparable, refused = _select_comparable(runs, protocol)
         if len(comparable) < 2:
             continue
         notes += refused
@@ -84,40 +84,40 @@ def drawn_seeds_table(frame: Frame, protocol: str) -> Table | None:
     if not rows:
         return None
     columns = [
-        *texts("planner", "protocol", "seed"),
-        *under("counted", numbers("scenes", "recordings")),
-        *under(
-            f"average collision rate in %, {whose(protocol)}",
-            estimates("avg", digits=2, beside="over scenes"),
-            numbers("deviation", digits=2),
-            intervals({"over seeds": "over seeds"}),
+        *text_columns("planner", "protocol", "seed"),
+        *group_columns("counted", number_columns("scenes", "recordings")),
+        *group_columns(
+            f"average collision rate in %, {name_judges(protocol)}",
+            estimate_columns("avg", digits=2, beside="over scenes"),
+            number_columns("deviation", digits=2),
+            interval_columns({"over seeds": "over seeds"}),
         ),
     ]
     return tabulate(
         f"drawn-seeds-{protocol}",
-        f"{frame.data_name}: average collision rate (%) over seeds of the search, {judges(protocol)}",
+        f"{frame.data_name}: average collision rate (%) over seeds of the search, {name_judge(protocol)}",
         columns,
         rows,
         (*notes, *run_notes(shown_runs, ())),
     )
 
 
-def _by_planner(records: Sequence[RunRecord]) -> list[dict[int, RunRecord]]:
+def _group_by_planner(records: Sequence[RunRecord]) -> list[dict[int, RunRecord]]:
     """Runs on splits of seeds, by planner and then by seed."""
     runs_by_planner: dict[str, dict[int, RunRecord]] = {}
     for record in records:
-        seed = seed_of(record.run.split)
+        seed = parse_seed(record.run.split)
         if seed is not None:
             runs_by_planner.setdefault(record.planner, {})[seed] = record
     return [dict(sorted(runs.items())) for runs in runs_by_planner.values()]
 
 
-def _comparable(runs: dict[int, RunRecord], protocol: str) -> tuple[dict[int, RunRecord], list[str]]:
+def _select_comparable(runs: dict[int, RunRecord], protocol: str) -> tuple[dict[int, RunRecord], list[str]]:
     """Runs that differ in the seed of the search alone, and why the others do not count."""
     comparable: dict[int, RunRecord] = {}
     refused = []
     for seed, run in runs.items():
-        reason = _refusal(seed, run, next(iter(comparable.values()), None), protocol)
+        reason = _explain_refusal(seed, run, next(iter(comparable.values()), None), protocol)
         if reason is None:
             comparable[seed] = run
         else:
@@ -125,7 +125,7 @@ def _comparable(runs: dict[int, RunRecord], protocol: str) -> tuple[dict[int, Ru
     return comparable, refused
 
 
-def _refusal(seed: int, run: RunRecord, first: RunRecord | None, protocol: str) -> str | None:
+def _explain_refusal(seed: int, run: RunRecord, first: RunRecord | None, protocol: str) -> str | None:
     generated = run.run.generated
     if generated is None or generated.seed != seed:
         return "its data set does not say that it was searched with this seed"
@@ -137,7 +137,7 @@ def _refusal(seed: int, run: RunRecord, first: RunRecord | None, protocol: str) 
     if weights is not None and weights != run.run.planner:
         return f"the planner has other weights, settings, code or seed than on {first.run.split if first else ''}"
     try:
-        scored(run, protocol=protocol)
+        score_record(run, protocol=protocol)
     except InputError as refusal:
         return str(refusal)
     return None
@@ -145,24 +145,24 @@ def _refusal(seed: int, run: RunRecord, first: RunRecord | None, protocol: str) 
 
 def _rows(runs: dict[int, RunRecord], protocol: str) -> list[Values]:
     """A row a seed, and one of all, which alone has a deviation and an interval over seeds."""
-    spread = over_seeds({seed: _sums(run, protocol) for seed, run in runs.items()})
+    spread = combine_seeds({seed: _compute_sums(run, protocol) for seed, run in runs.items()})
     first = next(iter(runs.values()))
-    judge = protocol_of(first, protocol)
+    judge = resolve_protocol(first, protocol)
     identity: Values = {"planner": name_cell(first.planner, first.run.planner), "protocol": judge}
 
     def row(seed: str, of: Sequence[RunRecord], recordings: int, rate: AnyRate) -> Values:
-        origin = Origin(judge, record_name(*of))
+        origin = ValueSource(judge, join_record_names(*of))
         scenes = origin.count(sum(len(run.run.scenes) for run in of), "scenes")
         counted = {"scenes": scenes, "recordings": origin.count(recordings, "recorded scenes")}
         return {**identity, "seed": seed, **counted, "avg": origin.percent(rate)}
 
     of_each = [
-        (seed_rate, run, len(set(source_of_scenes(run).values())))
+        (seed_rate, run, len(set(map_scenes_to_sources(run).values())))
         for seed_rate, run in zip(spread.seeds, runs.values())
     ]
     rows = [row(str(seed_rate.seed), [run], recordings, seed_rate.rate) for seed_rate, run, recordings in of_each]
-    origin, count = Origin(judge, record_name(*runs.values())), len(spread.seeds)
-    of_seeds = f"seeds {seeds_in_words(list(runs))}"
+    origin, count = ValueSource(judge, join_record_names(*runs.values())), len(spread.seeds)
+    of_seeds = f"seeds {format_seeds(list(runs))}"
     every = {
         **row("all", list(runs.values()), spread.recordings, spread.mean),
         "deviation": origin.cell(spread.deviation, PERCENT, count, of_seeds, scale=100.0),
@@ -173,18 +173,18 @@ def _rows(runs: dict[int, RunRecord], protocol: str) -> list[Values]:
     return [*rows, every]
 
 
-def _sums(run: RunRecord, protocol: str) -> SceneSums:
+def _compute_sums(run: RunRecord, protocol: str) -> SceneSums:
     """Sums that each recording adds to the average rate."""
-    scene_sums = scored(run, protocol=protocol).sums(source_of_scenes(run))
+    scene_sums = score_record(run, protocol=protocol).sums(map_scenes_to_sources(run))
     column = slice(_AVERAGE, _AVERAGE + 1)
     return SceneSums(scene_sums.names, scene_sums.numerators[:, column], scene_sums.denominators[:, column])
 
 
 _AFTER = {instant: f"after {instant}" for instant in INSTANTS}
 _COLUMNS = [
-    *texts("planner", "split"),
-    *under("distance in m", estimates(MEAN, digits=2), numbers(*_AFTER.values(), digits=2)),
-    *under("counted", numbers("pairs")),
+    *text_columns("planner", "split"),
+    *group_columns("distance in m", estimate_columns(MEAN, digits=2), number_columns(*_AFTER.values(), digits=2)),
+    *group_columns("counted", number_columns("pairs")),
 ]
 _NOTE = (
     "Two plans half a second apart, the recorded motion between them taken out: distance at the same instants, by "
@@ -193,13 +193,13 @@ _NOTE = (
 )
 
 
-def consistency_table(frame: Frame) -> Table | None:
+def consistency_table(frame: DataSetRuns) -> Table | None:
     """Distances between consecutive plans; ``None`` where no two consecutive samples have plans."""
-    rows = [row for row in frame.rows("", consistency) if row.found.pairs]
+    rows = [row for row in frame.rows("", measure_consistency) if row.found.pairs]
     if not rows:
         return None
     title = f"{frame.data_name}: how far consecutive plans disagree about the same place and time (m)"
-    without = [(row.who, row.found.without) for row in rows if row.found.without]
+    without = [(row.describe_run, row.found.without) for row in rows if row.found.without]
     sentences = [f"{run_name}: {count} pairs are left out because a plan is missing." for run_name, count in without]
     brief = ("planner", "split", MEAN, f"95 % of {MEAN}", "pairs")
     return tabulate(
@@ -207,7 +207,7 @@ def consistency_table(frame: Frame) -> Table | None:
     )
 
 
-def _values(row: Row[Consistency]) -> Values:
+def _values(row: RunRow[Consistency]) -> Values:
     consistency, origin = row.found, row.origin
     return {
         "planner": row.planner,
@@ -217,9 +217,9 @@ def _values(row: Row[Consistency]) -> Values:
     }
 
 
-Made = Table | None | Iterable[Table]
-FIRST: Final[tuple[Callable[[Frame], Made], ...]] = (effect_table,)
-UNDER: Final[tuple[Callable[[Frame, str], Made], ...]] = (
+OptionalTables = Table | None | Iterable[Table]
+FIRST_TABLES: Final[tuple[Callable[[DataSetRuns], OptionalTables], ...]] = (effect_table,)
+JUDGE_TABLES: Final[tuple[Callable[[DataSetRuns, str], OptionalTables], ...]] = (
     collision_table,
     further_table,
     seed_spread_table,
@@ -227,11 +227,11 @@ UNDER: Final[tuple[Callable[[Frame, str], Made], ...]] = (
     split_table,
 )
 """Under a protocol, or ``native``."""
-ON: Final[tuple[Callable[[Frame, str, str], Made], ...]] = (planner_table, transfer_tables)
+SPLIT_TABLES: Final[tuple[Callable[[DataSetRuns, str, str], OptionalTables], ...]] = (planner_table, transfer_tables)
 """Under a protocol on a split."""
-LAST: Final[tuple[Callable[[Frame], Made], ...]] = (
+LAST_TABLES: Final[tuple[Callable[[DataSetRuns], OptionalTables], ...]] = (
     attack_tables,
-    judgement_tables,
+    assessment_tables,
     longer_table,
     consistency_table,
     diagnosis_tables,
@@ -239,7 +239,7 @@ LAST: Final[tuple[Callable[[Frame], Made], ...]] = (
     driving_tables,
     cost_table,
 )
-OF_GENERATION: Final[tuple[OfSplits, ...]] = (
+GENERATION_TABLES: Final[tuple[SplitTables, ...]] = (
     statistics_tables,
     manoeuvre_tables,
     runtime_tables,
@@ -257,7 +257,7 @@ class DataSetTables:
         others: Under each other protocol; the collision table comes first.
     """
 
-    frame: Frame = field(compare=False, repr=False)
+    frame: DataSetRuns = field(compare=False, repr=False)
     front: tuple[Table, ...]
     slices: tuple[Table, ...]
     others: dict[str, tuple[Table, ...]]
@@ -268,36 +268,36 @@ class DataSetTables:
         return (*self.front, *self.slices, *(table for tables in self.others.values() for table in tables))
 
 
-def data_set_tables(frame: Frame) -> DataSetTables:
+def build_data_set_tables(frame: DataSetRuns) -> DataSetTables:
     """Every table that the records of one data set allow: at most one for each planner and split."""
     front = (
-        *(frame.once(make) for make in FIRST),
-        *_under(frame, frame.judges),
-        *(make(frame) for make in LAST),
+        *(frame.once(make) for make in FIRST_TABLES),
+        *_build_judge_tables(frame, frame.judges),
+        *(make(frame) for make in LAST_TABLES),
     )
     others = {}
     for name in sorted(frame.protocols - {EXACT}):
         # Verdicts of one protocol at a time are in memory.
         frame.forget_verdicts()
-        others[name] = (*_flat(_under(frame, [name])), *_slices(frame, name))
+        others[name] = (*_flatten(_build_judge_tables(frame, [name])), *_build_slice_tables(frame, name))
     frame.forget_verdicts()
-    return DataSetTables(frame, _flat(front), _slices(frame, *frame.judges, PDM, DIAGNOSIS), others)
+    return DataSetTables(frame, _flatten(front), _build_slice_tables(frame, *frame.judges, PDM, DIAGNOSIS), others)
 
 
-def _under(frame: Frame, judges: Sequence[str]) -> Iterable[Made]:
-    yield from (frame.once(make, judge) for make in UNDER for judge in judges)
-    yield from (make(frame, judge, split) for split in frame.splits for make in ON for judge in judges)
+def _build_judge_tables(frame: DataSetRuns, judges: Sequence[str]) -> Iterable[OptionalTables]:
+    yield from (frame.once(make, judge) for make in JUDGE_TABLES for judge in judges)
+    yield from (make(frame, judge, split) for split in frame.splits for make in SPLIT_TABLES for judge in judges)
 
 
-def _flat(table_groups: Iterable[Made]) -> tuple[Table, ...]:
+def _flatten(table_groups: Iterable[OptionalTables]) -> tuple[Table, ...]:
     """Tables, one after the other."""
     parts = ([part] if isinstance(part, Table) else part or () for part in table_groups)
     return tuple(table for part in parts for table in part)
 
 
-def _slices(frame: Frame, *asked: str) -> tuple[Table, ...]:
+def _build_slice_tables(frame: DataSetRuns, *asked: str) -> tuple[Table, ...]:
     """Tables by slice that have rows; what old records lack is said once, in the notes."""
-    return tuple(table for table in slices_of(frame, asked) if table.rows)
+    return tuple(table for table in build_slice_tables(frame, asked) if table.rows)
 
 
 def closed_loop_tables(data_name: str, drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> tuple[Table, ...]:
@@ -308,15 +308,17 @@ def closed_loop_tables(data_name: str, drives: Sequence[DriveRecord], runs: Sequ
         pressure_tables(drives),
         drive_cost_table(data_name, drives),
     )
-    return _flat(table_groups)
+    return _flatten(table_groups)
 
 
-def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
+def generation_tables(sheets: ScenePages, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
     """Statistics, manoeuvres, search, runtime, ablation: tables of no run record, by data set in the order of names."""
-    return by_name([*(by_data_set(sheets, make) for make in OF_GENERATION), ablation_tables(ablations)])
+    return merge_by_data_set(
+        [*(group_by_data_set(sheets, make) for make in GENERATION_TABLES), ablation_tables(ablations)]
+    )
 
 
-def missing_notes(frame: Frame) -> list[str]:
+def missing_notes(frame: DataSetRuns) -> list[str]:
     """Sentences on what old records do not say."""
     notes = []
     for record in frame.runs:
@@ -330,7 +332,7 @@ def missing_notes(frame: Frame) -> list[str]:
                 f"{run_name}: the record does not say where its samples are, in what light and how fast, so that it is in "
                 "no table by place, light or speed; run challenger-bench rescore."
             )
-        if has_adversaries(record) and not says_severity(record):
+        if has_adversaries(record) and not has_severity(record):
             notes.append(
                 f"{run_name}: the record does not say how severe its plans are, so that it is in no table of attack success "
                 "or severity; run challenger-bench rescore."

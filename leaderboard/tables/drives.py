@@ -8,22 +8,32 @@ from typing import Final
 
 from benchmark.metrics.loops import (
     OPEN_LOOP,
-    PlannerLoops,
+    PlannerLoopComparison,
     RankCorrelation,
-    SceneLoops,
-    planner_loops,
-    rank_correlation,
-    run_of,
+    SceneLoopComparison,
+    compare_loops,
+    compute_rank_correlation,
+    find_run,
 )
-from benchmark.metrics.scores import source_of_scenes
-from benchmark.records.drive_schema import UntilName
+from benchmark.metrics.scores import map_scenes_to_sources
+from benchmark.records.drive_schema import StopCondition
 from benchmark.records.drives import ATTRIBUTABLE, BYSTANDER, COLLISION_RATE, NNS, DriveRecord
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import PERCENT, Cell, Origin, record_name
+from benchmark.report.cells import PERCENT, CellSource, ValueSource, join_record_names
 from benchmark.report.table import Table
-from benchmark.report.words import counted
-from leaderboard.frame.drives import Driven, World, worlds
-from leaderboard.frame.specification import Column, Columns, Value, Values, estimates, numbers, tabulate, texts, under
+from benchmark.report.words import pluralise
+from leaderboard.frame.drives import ComparableDrives, DriveTableRow, group_comparable_drives
+from leaderboard.frame.specification import (
+    Columns,
+    TableColumn,
+    Value,
+    Values,
+    estimate_columns,
+    group_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
 
 DISAGREEMENTS = "loops-scenes"
 """How names of tables of single scenes begin."""
@@ -37,18 +47,23 @@ _SCENES_NOTE = (
     f"of the recording collides under {OPEN_LOOP}. Contact: of the first run that has one, seconds after the drive "
     "began."
 )
-_Both = tuple[Driven, PlannerLoops]
+_LoopPair = tuple[DriveTableRow, PlannerLoopComparison]
 """A planner in closed loop, and in both."""
 _RATES = [
-    *texts("planner", "sensor"),
-    *under("open", estimates("open loop %", beside="95 %")),
-    *under("closed", estimates("contact %", "at fault %", beside="95 %")),
-    *under("both", numbers("only open", "only closed"), numbers("agree %", digits=1), numbers("scenes")),
+    *text_columns("planner", "sensor"),
+    *group_columns("open", estimate_columns("open loop %", beside="95 %")),
+    *group_columns("closed", estimate_columns("contact %", "at fault %", beside="95 %")),
+    *group_columns(
+        "both",
+        number_columns("only open", "only closed"),
+        number_columns("agree %", digits=1),
+        number_columns("scenes"),
+    ),
 ]
 _BRIEF_RATES = ("planner", "open loop %", "contact %", "at fault %", "only open", "only closed", "agree %", "scenes")
 _SCENES = [
-    *texts("planner", "scene", "recording", "fails", "contact with", "at fault"),
-    *numbers("contact s", digits=1),
+    *text_columns("planner", "scene", "recording", "fails", "contact with", "at fault"),
+    *number_columns("contact s", digits=1),
 ]
 _BRIEF_SCENES = ("planner", "scene", "fails", "contact with", "at fault", "contact s")
 
@@ -57,8 +72,10 @@ def loop_tables(drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> lis
     """Rates of every world in which a planner drove that ran in open loop, then scenes of those with disagreements."""
     rates, scenes = [], []
     # Scenarios put actors into scenes that the recording, and so open loop, does not have.
-    for group in worlds([record for record in drives if record.facts.measured.scenarios == "recorded"]):
-        loop_pairs, missing = _loops_of(group, runs)
+    for group in group_comparable_drives(
+        [record for record in drives if record.facts.measured.scenarios == "recorded"]
+    ):
+        loop_pairs, missing = _pair_loops(group, runs)
         if loop_pairs:
             rates.append(_rates_table(group, loop_pairs, missing))
         if any(scene.disagrees for _, loops in loop_pairs for scene in loops.scenes):
@@ -66,35 +83,35 @@ def loop_tables(drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> lis
     return [*rates, *scenes]
 
 
-def _loops_of(group: World, runs: Sequence[RunRecord]) -> tuple[list[_Both], list[str]]:
+def _pair_loops(group: ComparableDrives, runs: Sequence[RunRecord]) -> tuple[list[_LoopPair], list[str]]:
     """Planners of a world in both loops, and names of those without an open loop."""
     loop_pairs, missing = [], []
     for row in group.rows:
-        run = run_of(row.record, runs)
+        run = find_run(row.record, runs)
         if run is None:
             missing.append(row.name)
         else:
-            loop_pairs.append((row, planner_loops(row.record, run)))
+            loop_pairs.append((row, compare_loops(row.record, run)))
     return loop_pairs, missing
 
 
-def _rates_table(group: World, loop_pairs: Sequence[_Both], missing: Sequence[str]) -> Table:
+def _rates_table(group: ComparableDrives, loop_pairs: Sequence[_LoopPair], missing: Sequence[str]) -> Table:
     loops = [loops_of_planner for _, loops_of_planner in loop_pairs]
-    ranks = rank_correlation(loops), rank_correlation(loops, at_fault=True)
+    ranks = compute_rank_correlation(loops), compute_rank_correlation(loops, at_fault=True)
     left_out = [
-        f"{row.name}: {counted(len(loops_of_planner.without), 'scene')} left out because a drive or a sample failed."
+        f"{row.name}: {pluralise(len(loops_of_planner.without), 'scene')} left out because a drive or a sample failed."
         for row, loops_of_planner in loop_pairs
         if loops_of_planner.without
     ]
     absent = [f"Without a run record of the same planner and scenes: {', '.join(missing)}."] if missing else []
-    notes = (_RATES_NOTE, *_ranked(*ranks), *left_out, *absent, *group.notes)
+    notes = (_RATES_NOTE, *_describe_ranking(*ranks), *left_out, *absent, *group.notes)
     rows = [_rates_values(row, loops_of_planner) for row, loops_of_planner in loop_pairs]
     return tabulate(f"loops-{group.name}", f"{group.title}: beside open loop", _RATES, rows, notes, brief=_BRIEF_RATES)
 
 
-def _ranked(contact: RankCorrelation, at_fault: RankCorrelation) -> list[str]:
+def _describe_ranking(contact: RankCorrelation, at_fault: RankCorrelation) -> list[str]:
     """Whether closed loop ranks planners as open loop does, in words."""
-    where = f"{contact.planners} planners on the {counted(contact.scenes, 'scene')} that all of them have"
+    where = f"{contact.planners} planners on the {pluralise(contact.scenes, 'scene')} that all of them have"
     if contact.planners and not contact.scenes:
         where = f"{contact.planners} planners, which have no scene in common"
     correlations = ", ".join(
@@ -105,10 +122,10 @@ def _ranked(contact: RankCorrelation, at_fault: RankCorrelation) -> list[str]:
     return [f"Kendall's tau-b between open loop and closed loop: {correlations} (over {where}{miniatures})."]
 
 
-def _rates_values(row: Driven, loops: PlannerLoops) -> Values:
+def _rates_values(row: DriveTableRow, loops: PlannerLoopComparison) -> Values:
     here, count = row.origin, len(loops.scenes)
-    opened = Origin(OPEN_LOOP, record_name(loops.run))
-    closed = Origin(here.protocol, f"{record_name(loops.run)}; {here.record}")
+    opened = ValueSource(OPEN_LOOP, join_record_names(loops.run))
+    closed = ValueSource(here.protocol, f"{join_record_names(loops.run)}; {here.record}")
     only_open = sum(scene.open_fails and not scene.closed_fails for scene in loops.scenes)
     only_closed = sum(scene.closed_fails and not scene.open_fails for scene in loops.scenes)
     agree = None if not count else 100.0 * (count - only_open - only_closed) / count
@@ -120,14 +137,14 @@ def _rates_values(row: Driven, loops: PlannerLoops) -> Values:
         "at fault %": closed.percent(loops.at_fault, "scenes"),
         "only open": closed.count(only_open, "scenes", count),
         "only closed": closed.count(only_closed, "scenes", count),
-        "agree %": Cell(agree, "%", count, "scenes"),
+        "agree %": CellSource(agree, "%", count, "scenes"),
         "scenes": closed.count(count, "scenes", count + len(loops.without)),
     }
 
 
-def _scenes_table(group: World, loop_pairs: Sequence[_Both]) -> Table:
+def _scenes_table(group: ComparableDrives, loop_pairs: Sequence[_LoopPair]) -> Table:
     rows = [
-        {"planner": row.planner, "recording": source_of_scenes(loops.run)[scene.scene], **_scene_values(scene)}
+        {"planner": row.planner, "recording": map_scenes_to_sources(loops.run)[scene.scene], **_scene_values(scene)}
         for row, loops in loop_pairs
         for scene in loops.scenes
         if scene.disagrees
@@ -137,7 +154,7 @@ def _scenes_table(group: World, loop_pairs: Sequence[_Both]) -> Table:
     return tabulate(f"{DISAGREEMENTS}-{group.name}", title, _SCENES, rows, notes, brief=_BRIEF_SCENES)
 
 
-def _scene_values(scene: SceneLoops) -> dict[str, Value]:
+def _scene_values(scene: SceneLoopComparison) -> dict[str, Value]:
     touched = scene.first.first_contact if scene.first is not None else None
     adversary = ", the adversary" if touched is not None and touched.adversary else ""
     return {
@@ -145,13 +162,13 @@ def _scene_values(scene: SceneLoops) -> dict[str, Value]:
         "fails": "only open" if scene.open_fails else "only closed",
         "contact with": None if touched is None else f"{touched.category}{adversary}",
         "at fault": None if touched is None else ("yes" if touched.at_fault else "no"),
-        "contact s": Cell(None if touched is None else touched.seconds, "s", 1, "drives"),
+        "contact s": CellSource(None if touched is None else touched.seconds, "s", 1, "drives"),
     }
 
 
-_Measured = tuple[str, str, str, bool]
+_MeasuredColumn = tuple[str, str, str, bool]
 """Column of a summary, head, unit, and whether its interval stands beside it."""
-_DEFAULT: Final[tuple[_Measured, ...]] = (
+_DEFAULT: Final[tuple[_MeasuredColumn, ...]] = (
     ("contact", "contact %", PERCENT, True),
     ("at_fault", "at fault %", PERCENT, True),
     ("with_adversary", "adversary %", PERCENT, False),
@@ -170,7 +187,7 @@ _DEFAULT: Final[tuple[_Measured, ...]] = (
     ("nuplan_c", "C", "", False),
     ("hd_score", "HD formula", "", True),
 )
-_NEURONCAP: Final[tuple[_Measured, ...]] = (
+_NEURONCAP: Final[tuple[_MeasuredColumn, ...]] = (
     (NNS, "NNS", "points", True),
     (COLLISION_RATE, "CR %", PERCENT, True),
     ("impact_speed", "impact m/s", "m/s", False),
@@ -205,7 +222,7 @@ _NOTE_CONTACT: Final = (
     "Contact: any, whoever it is with; at fault: by nuPlan's rules (docs/severity.md). Impact speed and delta-v: means "
     "over contacts. Route: share of the recorded way. "
 )
-_NOTE_UNTIL: Final[dict[UntilName, str]] = {
+_NOTE_STOP_ON: Final[dict[StopCondition, str]] = {
     "contact": "A drive ends at its first contact.",
     "fault": "A drive ends at the first contact that is its fault; whoever touches the ego otherwise is gone from the "
     "next planning instant on. Impact speed and delta-v are of the first contact of a drive, whoever's fault it is.",
@@ -235,22 +252,24 @@ def drive_tables(records: Sequence[DriveRecord]) -> list[Table]:
     Raises:
         InputError: If two records would share a row.
     """
-    return [_table(group) for group in worlds(records)]
+    return [_table(group) for group in group_comparable_drives(records)]
 
 
-def _table(group: World) -> Table:
+def _table(group: ComparableDrives) -> Table:
     first, own = group.records[0].facts, group.records[0].facts.measured.engine == "default"
     fair = any("survives_cc" in record.summary.columns for record in group.records)
-    measured = (*_DEFAULT[:2], *(_FAIRNESS if fair else ()), *_DEFAULT[2:]) if own else _of_neuroncap(group.records)
+    measured = (
+        (*_DEFAULT[:2], *(_FAIRNESS if fair else ()), *_DEFAULT[2:]) if own else _neuroncap_columns(group.records)
+    )
     published = any(record.summary.published is not None for record in group.records)
     columns = [
-        *texts("planner", "sensor"),
+        *text_columns("planner", "sensor"),
         *(column for column_values in measured for column in _columns(*column_values)),
-        *(numbers(_PUBLISHED[0], digits=3) if published else ()),
-        *(numbers(_PUBLISHED[1], digits=1) if published else ()),
-        *numbers("failed", "drives"),
+        *(number_columns(_PUBLISHED[0], digits=3) if published else ()),
+        *(number_columns(_PUBLISHED[1], digits=1) if published else ()),
+        *number_columns("failed", "drives"),
     ]
-    own_notes = (_NOTE_CONTACT + _NOTE_UNTIL[first.measured.until], _NOTE_SCORES)
+    own_notes = (_NOTE_CONTACT + _NOTE_STOP_ON[first.measured.until], _NOTE_SCORES)
     notes = (*(own_notes if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
     notes = (*notes, *([_NOTE_FAIRNESS] if fair else []), _FAILED_NOTE, *group.notes)
     rows = [_values(row, {name: unit for name, _, unit, _ in measured}) for row in group.rows]
@@ -258,7 +277,7 @@ def _table(group: World) -> Table:
     return tabulate(f"drives-{group.name}", group.title, columns, rows, notes, brief=brief)
 
 
-def _of_neuroncap(records: Sequence[DriveRecord]) -> Sequence[_Measured]:
+def _neuroncap_columns(records: Sequence[DriveRecord]) -> Sequence[_MeasuredColumn]:
     """Columns of NeuroNCAP's engines, with those of the families of scenarios that were driven."""
     named = {row.family for record in records for row in record.rows if row.family}
     families = [family for family in _FAMILIES if family in named]
@@ -269,11 +288,11 @@ def _of_neuroncap(records: Sequence[DriveRecord]) -> Sequence[_Measured]:
 
 def _columns(name: str, head: str, unit: str, with_interval: bool) -> Columns:
     digits = 1 if unit == PERCENT else 2
-    ends = [Column("95 %", name, digits=digits, interval=True)] if with_interval else []
-    return [Column(head, name, digits=digits), *ends]
+    ends = [TableColumn("95 %", name, digits=digits, interval=True)] if with_interval else []
+    return [TableColumn(head, name, digits=digits), *ends]
 
 
-def _values(row: Driven, units: Mapping[str, str]) -> Values:
+def _values(row: DriveTableRow, units: Mapping[str, str]) -> Values:
     summary, origin = row.record.summary, row.origin
     cells: dict[str, Value] = {name: row.cell(name, unit) for name, unit in units.items()}
     if summary.published is not None:
@@ -285,13 +304,13 @@ def _values(row: Driven, units: Mapping[str, str]) -> Values:
     return {**cells, **identity, "failed": failed, "drives": row.drives()}
 
 
-def said_of_failures(record: DriveRecord) -> str:
+def describe_failures(record: DriveRecord) -> str:
     """Sentence on how many drives failed and why."""
     reasons = ", ".join(f"{count} {reason}" for reason, count in record.summary.reasons.items())
     first = next(row for row in record.rows if row.failure is not None)
     assert first.failure is not None
     lines = first.failure.text.strip().splitlines() or [first.failure.reason]
     return (
-        f"{record.planner} failed in {record.summary.failed} of {counted(record.summary.drives, 'drive')} ({reasons}; "
+        f"{record.planner} failed in {record.summary.failed} of {pluralise(record.summary.drives, 'drive')} ({reasons}; "
         f"the first, {first.scene}: {lines[-1]})"
     )

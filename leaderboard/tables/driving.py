@@ -6,25 +6,34 @@ from typing import Any, Final
 from benchmark.records.driving import DEFINITION, NOTE, PDM, SUB_SCORES, VERSION
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DrivingSummary
-from benchmark.report.cells import Shown
+from benchmark.report.cells import TableCell
 from benchmark.report.table import Table
 from leaderboard.frame.rows import STALE_MARK, run_notes
-from leaderboard.frame.runs import Frame, Row
-from leaderboard.frame.specification import Values, estimates, numbers, tabulate, texts, under
+from leaderboard.frame.runs import DataSetRuns, RunRow
+from leaderboard.frame.specification import (
+    Values,
+    estimate_columns,
+    group_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
 
 HEADS: Final = {"score": "score", "score_without_ec": "without EC", **{name: name.upper() for name in SUB_SCORES}}
 _SUB_HEADS: Final = [HEADS[name] for name in SUB_SCORES]
 _FILTERED: Final = [head for name, head in HEADS.items() if name != "ec"]
 _COLUMNS: Final = [
-    *texts("planner", "split"),
-    *under(f"total in %, {DEFINITION}", estimates("score"), numbers("without EC", digits=1)),
-    *under(f"mean in %, {DEFINITION}", numbers(*_SUB_HEADS, digits=1)),
-    *under(f"share of ones in %, {DEFINITION}", numbers(*(f"{head} = 1" for head in _SUB_HEADS), digits=1)),
-    *under(
-        f"filtered by the recorded driver, mean in %, {DEFINITION}",
-        numbers(*(f"filtered {head}" for head in _FILTERED), digits=1),
+    *text_columns("planner", "split"),
+    *group_columns(f"total in %, {DEFINITION}", estimate_columns("score"), number_columns("without EC", digits=1)),
+    *group_columns(f"mean in %, {DEFINITION}", number_columns(*_SUB_HEADS, digits=1)),
+    *group_columns(
+        f"share of ones in %, {DEFINITION}", number_columns(*(f"{head} = 1" for head in _SUB_HEADS), digits=1)
     ),
-    *under(f"counted, {DEFINITION}", numbers("samples", "scenes")),
+    *group_columns(
+        f"filtered by the recorded driver, mean in %, {DEFINITION}",
+        number_columns(*(f"filtered {head}" for head in _FILTERED), digits=1),
+    ),
+    *group_columns(f"counted, {DEFINITION}", number_columns("samples", "scenes")),
 ]
 WORDS_NOTE: Final = (
     "NC no collision at fault, DAC drivable area, DDC driving direction, EP progress beside the recorded future, TTC "
@@ -38,9 +47,9 @@ FULL_NOTE: Final = (
 )
 
 
-def driving_table(frame: Frame) -> Table:
+def driving_table(frame: DataSetRuns) -> Table:
     """Driving scores, one row per planner and split; runs without them are named below."""
-    rows = frame.rows(DEFINITION, _driving)
+    rows = frame.rows(DEFINITION, _find_driving)
     versions = ", ".join(str(version) for version in sorted({row.found.version for row in rows} or {VERSION}))
     title = f"{frame.data_name}: driving scores (%), {DEFINITION} (version {versions})"
     run_notes = _notes(frame)
@@ -55,15 +64,15 @@ def driving_table(frame: Frame) -> Table:
     )
 
 
-def driving_tables(frame: Frame) -> list[Table]:
+def driving_tables(frame: DataSetRuns) -> list[Table]:
     """`driving_table`, where any run has driving scores."""
     return [driving_table(frame)] if any(record.summary.driving is not None for record in frame.runs) else []
 
 
-def _values(row: Row[DrivingSummary]) -> Values:
+def _values(row: RunRow[DrivingSummary]) -> Values:
     rates, percent = row.found.columns, row.origin.percent
     return {
-        "planner": driver_name(row),
+        "planner": format_planner_name(row),
         "split": row.split,
         **{head: percent(rates[name]["mean"]) for name, head in HEADS.items()},
         **{f"{HEADS[name]} = 1": percent(rates[name]["ones"]) for name in SUB_SCORES},
@@ -73,18 +82,18 @@ def _values(row: Row[DrivingSummary]) -> Values:
     }
 
 
-def driver_name(row: Row[Any]) -> Shown:
+def format_planner_name(row: RunRow[Any]) -> TableCell:
     """The planner's name with its marks, among them that of an earlier version of the definition."""
     name, summary = row.with_caveats, row.record.summary.driving
     earlier = summary is not None and summary.version != VERSION
     return replace(name, text=f"{name.text} {STALE_MARK}") if earlier else name
 
 
-def _driving(record: RunRecord) -> DrivingSummary | None:
+def _find_driving(record: RunRecord) -> DrivingSummary | None:
     return record.summary.driving
 
 
-def _notes(frame: Frame) -> list[str]:
+def _notes(frame: DataSetRuns) -> list[str]:
     sentences = []
     for record in frame.runs:
         run_name, summary = f"{record.planner} on {record.run.split}", record.summary.driving

@@ -6,16 +6,23 @@ from typing import Final
 from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries, knows_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import AT_3_S, AdversaryEffect, PairedEffect, effect_of, says_whom
+from benchmark.metrics.effect import AT_3_S, AdversaryEffect, PairedEffect, compute_effect, knows_contact_partners
 from benchmark.metrics.rates import PairedDifference
-from benchmark.metrics.unchanged import sees_images, unchanged_record
+from benchmark.metrics.unchanged import find_unchanged_record, sees_images
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import PERCENT, Cell, Origin, record_name
+from benchmark.report.cells import PERCENT, CellSource, ValueSource, join_record_names
 from benchmark.report.table import Table
-from benchmark.report.words import counted
-from leaderboard.frame.rows import FEW_NOTE, notes_of_marks, row_name, run_notes
-from leaderboard.frame.runs import Frame
-from leaderboard.frame.specification import Values, estimates, numbers, tabulate, texts, under
+from benchmark.report.words import pluralise
+from leaderboard.frame.rows import FEW_NOTE, list_run_marks, row_name, run_notes
+from leaderboard.frame.runs import DataSetRuns
+from leaderboard.frame.specification import (
+    Values,
+    estimate_columns,
+    group_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
 
 _NOTE: Final = (
     "Adversary: samples whose plan touches the adversary before anything else within 3 s (avg: mean of 1, 2 and 3 s); "
@@ -28,19 +35,19 @@ _OTHERS_NOTE: Final = (
     "lost others: the reverse."
 )
 _COLUMNS: Final = [
-    *texts("planner", "split"),
-    *under(
+    *text_columns("planner", "split"),
+    *group_columns(
         f"touches the adversary first, in %, {EXACT}",
-        numbers("adversary avg", "adversary 3s", "at fault avg", "at fault 3s", digits=1),
+        number_columns("adversary avg", "adversary 3s", "at fault avg", "at fault 3s", digits=1),
     ),
-    *under(
+    *group_columns(
         f"paired with the unchanged recordings, {EXACT}",
-        numbers("any, adv", "any, unchanged", digits=1),
-        estimates("difference", signed=True),
-        numbers("ratio", digits=1, after=" times"),
-        numbers("new others", "lost others", digits=1),
+        number_columns("any, adv", "any, unchanged", digits=1),
+        estimate_columns("difference", signed=True),
+        number_columns("ratio", digits=1, after=" times"),
+        number_columns("new others", "lost others", digits=1),
     ),
-    *under(f"counted, {EXACT}", numbers("pairs", "recordings", "differing", "compared with")),
+    *group_columns(f"counted, {EXACT}", number_columns("pairs", "recordings", "differing", "compared with")),
 ]
 _BRIEF: Final = (
     "planner",
@@ -53,7 +60,7 @@ _BRIEF: Final = (
 )
 
 
-def effect_table(frame: Frame) -> Table | None:
+def effect_table(frame: DataSetRuns) -> Table | None:
     """Effect of adversaries: a row for each planner and split with adversaries; ``None`` without any."""
     runs = [record for record in frame.runs if has_adversaries(record)]
     if not runs:
@@ -64,12 +71,12 @@ def effect_table(frame: Frame) -> Table | None:
     for record in runs:
         effect = None
         try:
-            effect = effect_of(record, unchanged_record(record, (*frame.against, *frame.given)))
+            effect = compute_effect(record, find_unchanged_record(record, (*frame.against, *frame.given)))
         except InputError as refusal:
             refused[f"Left out: {refusal}."] = None
         effects += [] if effect is None else [effect]
         rows.append({"planner": row_name(record, EXACT), "split": record.run.split, **_values(effect)})
-    lacking = (*_missing(runs, effects), *refused)
+    lacking = (*_list_missing(runs, effects), *refused)
     # Of other tables' intervals: this one's hold over few recordings, or are not given.
     run_sentences = [note for note in run_notes(runs, ()) if note != FEW_NOTE]
     return tabulate(
@@ -80,7 +87,7 @@ def effect_table(frame: Frame) -> Table | None:
         (_NOTE, _OTHERS_NOTE, *lacking, *run_sentences),
         brief=_BRIEF,
         # The rest of what has to be said of the runs stands below the rates already.
-        brief_notes=(_NOTE, *lacking, *notes_of_marks(runs)),
+        brief_notes=(_NOTE, *lacking, *list_run_marks(runs)),
     )
 
 
@@ -88,9 +95,9 @@ def _values(effect: AdversaryEffect | None) -> Values:
     if effect is None:
         return {}
     paired, unchanged = effect.paired, effect.unchanged
-    origin = Origin(EXACT, record_name(*(run for run in (effect.record, unchanged) if run is not None)))
+    origin = ValueSource(EXACT, join_record_names(*(run for run in (effect.record, unchanged) if run is not None)))
 
-    def percent(value: float | None, count: int) -> Cell:
+    def percent(value: float | None, count: int) -> CellSource:
         return origin.cell(value, PERCENT, count, scale=100.0)
 
     touched = {
@@ -127,22 +134,22 @@ def _values(effect: AdversaryEffect | None) -> Values:
     }
 
 
-def _missing(runs: Sequence[RunRecord], effects: Sequence[AdversaryEffect]) -> list[str]:
+def _list_missing(runs: Sequence[RunRecord], effects: Sequence[AdversaryEffect]) -> list[str]:
     """Sentences on what cannot be said and what would help, each once."""
     notes: dict[str, None] = {}
     for record in runs:
-        if not says_whom(record):
-            notes[unsaid_whom(record)] = None
+        if not knows_contact_partners(record):
+            notes[explain_unknown_contacts(record)] = None
     for effect in effects:
         record, paired = effect.record, effect.paired
         split = record.run.split
         if paired is None:
             notes[
-                f"{split}: not run by the same planner on the unchanged recordings: {_who(effects, split)}; "
-                f"{_how(record)}."
+                f"{split}: not run by the same planner on the unchanged recordings: {_name_planners(effects, split)}; "
+                f"{_describe_remedy(record)}."
             ] = None
             continue
-        notes |= dict.fromkeys(_said_of_pairs(record, paired))
+        notes |= dict.fromkeys(_list_pair_notes(record, paired))
         if effect.unchanged is not None and effect.unchanged.run.split == "val" and sees_images(record.run.planner):
             notes[
                 "Compared with val: planners that see images also react to how adv was rendered; val-r is free of it."
@@ -150,7 +157,7 @@ def _missing(runs: Sequence[RunRecord], effects: Sequence[AdversaryEffect]) -> l
     return list(notes)
 
 
-def _how(record: RunRecord) -> str:
+def _describe_remedy(record: RunRecord) -> str:
     """Advice on how to make the record that is missing."""
     if knows_adversaries(record):
         return "challenger-bench eval --split val --split adv runs both"
@@ -159,13 +166,13 @@ def _how(record: RunRecord) -> str:
     )
 
 
-def _who(effects: Sequence[AdversaryEffect], split: str) -> str:
+def _name_planners(effects: Sequence[AdversaryEffect], split: str) -> str:
     return ", ".join(
         effect.record.planner for effect in effects if effect.paired is None and effect.record.run.split == split
     )
 
 
-def unsaid_whom(record: RunRecord) -> str:
+def explain_unknown_contacts(record: RunRecord) -> str:
     """Reason why a record on a split with adversaries does not say whom contacts are with, in a sentence."""
     facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
     why = "older records do not say whom contacts are with; challenger-bench rescore brings that to them"
@@ -174,20 +181,20 @@ def unsaid_whom(record: RunRecord) -> str:
     return f"{record.run.split}: {why}."
 
 
-def _said_of_pairs(record: RunRecord, paired: PairedEffect) -> list[str]:
+def _list_pair_notes(record: RunRecord, paired: PairedEffect) -> list[str]:
     notes = []
     if paired.unpaired:
         some = f" ({', '.join(paired.unpaired_scenes[:3])})" if paired.unpaired_scenes else ""
         notes.append(
-            f"{record.planner} on {record.run.split}: {counted(paired.unpaired, 'sample')} without a partner on the "
+            f"{record.planner} on {record.run.split}: {pluralise(paired.unpaired, 'sample')} without a partner on the "
             f"unchanged recordings{some}: in no pair."
         )
-    if (reason := _too_few(paired.difference)) is not None:
+    if (reason := _explain_too_few(paired.difference)) is not None:
         notes.append(f"{record.planner} on {record.run.split}: {reason}.")
     return notes
 
 
-def _too_few(difference: PairedDifference) -> str | None:
+def _explain_too_few(difference: PairedDifference) -> str | None:
     if difference.value is None or difference.low is not None:
         return None
     verb = "differs" if difference.differing == 1 else "differ"

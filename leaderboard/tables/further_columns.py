@@ -8,8 +8,15 @@ from benchmark.metrics.rates import HORIZONS
 from benchmark.records.run import NATIVE
 from benchmark.report.cells import AnyRate
 from benchmark.report.table import Table
-from leaderboard.frame.runs import Frame, Row, row_notes
-from leaderboard.frame.specification import Value, intervals, numbers, tabulate, texts, under
+from leaderboard.frame.runs import DataSetRuns, RunRow, row_notes
+from leaderboard.frame.specification import (
+    Value,
+    group_columns,
+    interval_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +42,7 @@ COLUMNS: Final = (
 """Each is one average and never another: no column here is comparable with one beside it."""
 
 
-def further_table(frame: Frame, protocol: str) -> Table | None:
+def further_table(frame: DataSetRuns, protocol: str) -> Table | None:
     """Rates of a protocol beside its collision rates; ``None`` where it has no such columns, and under ``native``."""
     rows = [] if protocol == NATIVE else frame.judged(protocol)
     there = {name for row in rows for name in row.found.columns}
@@ -44,16 +51,17 @@ def further_table(frame: Frame, protocol: str) -> Table | None:
         return None
     heads = [column.head for column in further]
     columns = [
-        *texts("planner", "split"),
+        *text_columns("planner", "split"),
         *(
             column
             for head in heads
-            for column in under(
-                f"{head} in %, {protocol}", numbers(*(f"{head} {horizon}" for horizon in HORIZONS), digits=2)
+            for column in group_columns(
+                f"{head} in %, {protocol}", number_columns(*(f"{head} {horizon}" for horizon in HORIZONS), digits=2)
             )
         ),
-        *under(
-            f"intervals of the averages, {protocol}", intervals({f"95 % of {head}": f"{head} avg" for head in heads})
+        *group_columns(
+            f"intervals of the averages, {protocol}",
+            interval_columns({f"95 % of {head}": f"{head} avg" for head in heads}),
         ),
     ]
     return tabulate(
@@ -67,7 +75,7 @@ def further_table(frame: Frame, protocol: str) -> Table | None:
 
 
 def further_values(
-    row: Row[Any], further: Sequence[FurtherColumn], rates: Mapping[str, Mapping[str, AnyRate]]
+    row: RunRow[Any], further: Sequence[FurtherColumn], rates: Mapping[str, Mapping[str, AnyRate]]
 ) -> dict[str, Value]:
     """Values of a row in some of the columns, at every horizon."""
     column_values = [row.by_horizon(f"{column.head} {{}}", column.name, rates[column.name]) for column in further]

@@ -1,18 +1,27 @@
 """What plans that go on beyond 3 s come to at 4, 5 and 6 s."""
 
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.longer_plans import HORIZONS, LongerRates, longer_rates
+from benchmark.metrics.longer_plans import HORIZONS, LongerRates, compute_longer_rates
 from benchmark.report.table import Table
-from leaderboard.frame.runs import Frame, Row, row_notes
-from leaderboard.frame.specification import Values, intervals, numbers, tabulate, texts, under
+from leaderboard.frame.runs import DataSetRuns, RunRow, row_notes
+from leaderboard.frame.specification import (
+    Values,
+    group_columns,
+    interval_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
 
 _COLLISIONS = [f"col. {horizon}" for horizon in HORIZONS]
 _COLUMNS = [
-    *texts("planner", "split"),
-    *under(f"collision rate in %, {EXACT}", numbers(*_COLLISIONS, digits=2)),
-    *under(f"intervals, {EXACT}", intervals({f"95 % of {horizon}": f"col. {horizon}" for horizon in HORIZONS})),
-    *under(f"L2 in m, {EXACT}", numbers(*(f"L2 {horizon}" for horizon in HORIZONS), digits=2)),
-    *under(f"counted, {EXACT}", numbers(*(f"samples {horizon}" for horizon in HORIZONS))),
+    *text_columns("planner", "split"),
+    *group_columns(f"collision rate in %, {EXACT}", number_columns(*_COLLISIONS, digits=2)),
+    *group_columns(
+        f"intervals, {EXACT}", interval_columns({f"95 % of {horizon}": f"col. {horizon}" for horizon in HORIZONS})
+    ),
+    *group_columns(f"L2 in m, {EXACT}", number_columns(*(f"L2 {horizon}" for horizon in HORIZONS), digits=2)),
+    *group_columns(f"counted, {EXACT}", number_columns(*(f"samples {horizon}" for horizon in HORIZONS))),
 ]
 _NOTE = (
     "Any contact up to the horizon, and displacement there, of plans and recordings that both reach it: the "
@@ -20,9 +29,9 @@ _NOTE = (
 )
 
 
-def longer_table(frame: Frame) -> Table | None:
+def longer_table(frame: DataSetRuns) -> Table | None:
     """Collision rates and L2 beyond 3 s; ``None`` where no plan reaches 4 s."""
-    rows = frame.rows(EXACT, longer_rates)
+    rows = frame.rows(EXACT, compute_longer_rates)
     if not rows:
         return None
     title = f"{frame.data_name}: collision rate (%) and L2 (m) of plans beyond 3 s, protocol {EXACT}"
@@ -31,7 +40,7 @@ def longer_table(frame: Frame) -> Table | None:
     return tabulate("longer-plans", title, _COLUMNS, map(_values, rows), notes, brief=brief)
 
 
-def _values(row: Row[LongerRates]) -> Values:
+def _values(row: RunRow[LongerRates]) -> Values:
     rates = row.found
     return {
         **row.names,

@@ -11,12 +11,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.metrics.rates import ratios_over_scenes
+from benchmark.metrics.rates import compute_ratios_over_scenes
 from benchmark.records.drives import ATTRIBUTABLE, BYSTANDER, DriveRecord
-from benchmark.report.cells import Cell, Origin
+from benchmark.report.cells import CellSource, ValueSource
 from benchmark.report.table import Table
-from leaderboard.frame.drives import Driven, worlds
-from leaderboard.frame.specification import Column, Value, Values, numbers, places, tabulate, texts
+from leaderboard.frame.drives import DriveTableRow, group_comparable_drives
+from leaderboard.frame.specification import (
+    TableColumn,
+    Value,
+    Values,
+    number_columns,
+    numbered_columns,
+    tabulate,
+    text_columns,
+)
 
 BUDGET: Final = ("every_s", "rounds", "candidates")
 """What a budget is, by the names of a record's `agents_facts`."""
@@ -43,21 +51,21 @@ _SHARES: Final = {
     "survives_cc": "careful survives %",
 }
 _COLUMNS: Final = [
-    *texts("planner", "every s", "rounds", "candidates"),
+    *text_columns("planner", "every s", "rounds", "candidates"),
     *(
         column
         for name, head, digits in (*((*each, 1) for each in _SHARES.items()), ("impact_speed", "impact m/s", 2))
-        for column in (Column(head, name, digits=digits), Column("95 %", name, digits=digits, interval=True))
+        for column in (TableColumn(head, name, digits=digits), TableColumn("95 %", name, digits=digits, interval=True))
     ),
-    *numbers("drives"),
+    *number_columns("drives"),
 ]
 
 
 @dataclass(frozen=True, slots=True)
-class Pressure:
+class DrivePressure:
     """Drives of one planner against one budget: seconds between plans, rounds, candidates."""
 
-    row: Driven
+    row: DriveTableRow
     budget: tuple[float, int, int]
 
     @property
@@ -67,24 +75,24 @@ class Pressure:
         return (1 + rounds) * candidates / every_s
 
 
-def pressures(records: Sequence[DriveRecord]) -> list[tuple[str, list[Pressure]]]:
+def group_by_pressure(records: Sequence[DriveRecord]) -> list[tuple[str, list[DrivePressure]]]:
     """Drives against an adversary, by everything that was measured but its budget.
 
     A title each, and its planners and budgets, the weakest budget first; only where there are several budgets.
     """
-    kinds: dict[str, list[Pressure]] = {}
+    kinds: dict[str, list[DrivePressure]] = {}
     titles: dict[str, str] = {}
-    for world in worlds([drive for drive in records if _budget(drive) is not None]):
+    for world in group_comparable_drives([drive for drive in records if _find_budget(drive) is not None]):
         for row in world.rows:
-            facts, budget = row.record.facts, _budget(row.record)
+            facts, budget = row.record.facts, _find_budget(row.record)
             assert budget is not None
-            rest = _without(facts.measured.agents_facts, (*BUDGET, *_OF_SEARCH))
+            rest = _remove_names(facts.measured.agents_facts, (*BUDGET, *_OF_SEARCH))
             key = json.dumps([facts.data.fingerprint, facts.split, facts.scenes, facts.runs, rest, world.sensor])
             measured_texts = ", ".join(f"{word.replace('_', ' ')} {value}" for word, value in rest.items())
             titles[key] = (
                 f"{facts.data.name} {facts.split}: pressure of an adversary that is planned anew ({measured_texts})"
             )
-            kinds.setdefault(key, []).append(Pressure(row, budget))
+            kinds.setdefault(key, []).append(DrivePressure(row, budget))
     several = {key: group for key, group in kinds.items() if len({drive.budget for drive in group}) > 1}
     return [
         (titles[key], sorted(group, key=lambda each: (each.row.name, each.candidates, each.budget)))
@@ -92,21 +100,21 @@ def pressures(records: Sequence[DriveRecord]) -> list[tuple[str, list[Pressure]]
     ]
 
 
-def pressure_name(number: int) -> str:
-    """Name of the table and the figure of one of `pressures`, by its place."""
+def name_pressure(number: int) -> str:
+    """Name of the table and the figure of one of `group_by_pressure`, by its place."""
     return "drives-pressure" if not number else f"drives-pressure-{number + 1}"
 
 
 def pressure_tables(records: Sequence[DriveRecord]) -> list[Table]:
     """A table of every adversary that was given several budgets, then transfer between drives."""
     tables = [
-        tabulate(pressure_name(number), title, _COLUMNS, map(_values, rows), (_PRESSURE_NOTE,))
-        for number, (title, rows) in enumerate(pressures(records))
+        tabulate(name_pressure(number), title, _COLUMNS, map(_values, rows), (_PRESSURE_NOTE,))
+        for number, (title, rows) in enumerate(group_by_pressure(records))
     ]
     return [*tables, *transfer_tables(records)]
 
 
-def _values(pressure: Pressure) -> Values:
+def _values(pressure: DrivePressure) -> Values:
     row, (every_s, rounds, candidates) = pressure.row, pressure.budget
     budget: Values = {"every s": f"{every_s:g}", "rounds": str(rounds), "candidates": str(candidates)}
     rates = {name: row.cell(name) for name in _SHARES}
@@ -119,7 +127,7 @@ def transfer_tables(records: Sequence[DriveRecord]) -> list[Table]:
 
     Only where a planner drove against tracks of a record that is among these.
     """
-    sources = {record.content_id: record for record in records if _budget(record) is not None}
+    sources = {record.content_id: record for record in records if _find_budget(record) is not None}
     kinds: dict[str, list[tuple[DriveRecord, DriveRecord]]] = {}
     for record in records:
         facts = record.facts.measured.agents_facts
@@ -138,26 +146,26 @@ def _transfer_table(number: int, pairs: Sequence[tuple[DriveRecord, DriveRecord]
     rows: list[dict[str, Value]] = []
     for name in rows_of:
         source = next(pair[0] for (by, _), pair in by_name.items() if by == name)
-        failed = _failed(source)
-        rows.append({"planned against": name, "fails": Origin().count(len(failed), "drives", len(source.rows))})
+        failed = _find_failures(source)
+        rows.append({"planned against": name, "fails": ValueSource().count(len(failed), "drives", len(source.rows))})
         for place, column in enumerate(columns_of):
             pair = by_name.get((name, column), (source, source) if column == name else None)
-            rows[-1][f"#{place}"] = None if pair is None else _transferred(*pair, column)
+            rows[-1][f"#{place}"] = None if pair is None else _transfer_cell(*pair, column)
     name = "drives-transfer" if not number else f"drives-transfer-{number + 1}"
     title = f"{first.data.name} {first.split}: transfer in closed loop, {first.measured.world}"
-    columns = [*texts("planned against"), *numbers("fails"), *places(columns_of, 1)]
+    columns = [*text_columns("planned against"), *number_columns("fails"), *numbered_columns(columns_of, 1)]
     return tabulate(name, title, columns, rows, (_TRANSFER_NOTE,))
 
 
-def _failed(record: DriveRecord) -> set[tuple[str, int]]:
+def _find_failures(record: DriveRecord) -> set[tuple[str, int]]:
     """Encounters with a contact at fault with the adversary."""
     known = [(row, row.contact) for row in record.rows if row.contact is not None and not row.unlabelled]
     return {(row.scene, row.run) for row, contact in known if contact.at_fault and contact.adversary}
 
 
-def _transferred(source: DriveRecord, victim: DriveRecord, name: str) -> Cell | None:
+def _transfer_cell(source: DriveRecord, victim: DriveRecord, name: str) -> CellSource | None:
     """Share of the source's failures that the victim fails too, with scenes as what is drawn."""
-    failed, also = _failed(source), _failed(victim)
+    failed, also = _find_failures(source), _find_failures(victim)
     drove = {(row.scene, row.run) for row in victim.rows if row.status == "ok" and not row.unlabelled}
     counted = sorted(failed & drove)
     if not counted:
@@ -165,16 +173,16 @@ def _transferred(source: DriveRecord, victim: DriveRecord, name: str) -> Cell | 
     known = source.facts.scene_facts
     scenes = [known[scene].source if scene in known else scene for scene, _ in counted]
     hits = np.array([[float(encounter in also)] for encounter in counted])
-    (rate,) = ratios_over_scenes(hits, np.ones_like(hits), scenes, seed=source.facts.seed)
-    return Driven(victim, name).origin.percent(rate, "drives")
+    (rate,) = compute_ratios_over_scenes(hits, np.ones_like(hits), scenes, seed=source.facts.seed)
+    return DriveTableRow(victim, name).origin.percent(rate, "drives")
 
 
-def _budget(record: DriveRecord) -> tuple[float, int, int] | None:
+def _find_budget(record: DriveRecord) -> tuple[float, int, int] | None:
     facts = record.facts.measured.agents_facts
     if any(name not in facts for name in BUDGET):
         return None
     return float(facts["every_s"]), int(facts["rounds"]), int(facts["candidates"])
 
 
-def _without(facts: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+def _remove_names(facts: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
     return {name: value for name, value in facts.items() if name not in names}

@@ -6,26 +6,44 @@ from typing import Final
 from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import says_whom
+from benchmark.metrics.effect import knows_contact_partners
 from benchmark.metrics.rates import HORIZONS
 from benchmark.metrics.scores import takes_maxima
-from benchmark.metrics.slices import ADVERSARY, KINDS, Slice, SliceKind, causes_by, driving_by, rates_by, slicing
+from benchmark.metrics.slices import (
+    ADVERSARY,
+    KINDS,
+    Slice,
+    SliceKind,
+    compute_causes_by,
+    compute_driving_by,
+    compute_rates_by,
+    slice_samples,
+)
 from benchmark.records.driving import DEFINITION, PDM
 from benchmark.records.row_schema import CAUSES
-from benchmark.records.run import NATIVE, RunRecord, protocol_of
+from benchmark.records.run import NATIVE, RunRecord, resolve_protocol
 from benchmark.report.table import Table
-from leaderboard.frame.rows import judges, run_notes
-from leaderboard.frame.runs import Frame, Row, shown_protocols, whose
-from leaderboard.frame.specification import Columns, Values, estimates, intervals, numbers, tabulate, texts, under
-from leaderboard.tables.driving import HEADS, driver_name
-from leaderboard.tables.effect import unsaid_whom
+from leaderboard.frame.rows import name_judge, run_notes
+from leaderboard.frame.runs import DataSetRuns, RunRow, choose_protocols, name_judges
+from leaderboard.frame.specification import (
+    Columns,
+    Values,
+    estimate_columns,
+    group_columns,
+    interval_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
+from leaderboard.tables.driving import HEADS, format_planner_name
+from leaderboard.tables.effect import explain_unknown_contacts
 from leaderboard.tables.further_columns import COLUMNS, FurtherColumn, further_values
 
 SLICES: Final = "slices"
 """First word of the names of these tables."""
 DIAGNOSIS: Final = "diagnosis"
 """Who is asked for why plans collide, beside protocols and ``pdm``."""
-_SAYS: Final[dict[SliceKind, str]] = {
+_SLICE_WORDS: Final[dict[SliceKind, str]] = {
     "place": "Place: what the recorded car is on at the sample, from the map (docs/manoeuvres.md); unknown: on no lane "
     "that the map knows.",
     "light": "Light: what the description of the scene names, in words; a scene may have several, and nuScenes never "
@@ -34,7 +52,7 @@ _SAYS: Final[dict[SliceKind, str]] = {
     "speed": "Speed: of the recorded car at the sample; below 1 m/s it stands.",
     "command": "Command: where the route goes, read from where the recorded car will be in 3 s.",
 }
-_LACKING: Final[dict[SliceKind, str]] = {
+_LACKING_WORDS: Final[dict[SliceKind, str]] = {
     "place": "does not say at which places its samples are",
     "light": "does not say in what light its scenes are",
     "speed": "does not say how fast the recorded car is",
@@ -62,10 +80,10 @@ def slice_tables(
         For each kind one table for each that is asked; a table without rows says which records lack what it sorts by,
         and there is none where nothing can be sorted, as where no scene has an adversary.
     """
-    return slices_of(Frame(data_name, records), asked, kinds)
+    return build_slice_tables(DataSetRuns(data_name, records), asked, kinds)
 
 
-def slices_of(frame: Frame, asked: Sequence[str], kinds: Sequence[SliceKind] = KINDS) -> list[Table]:
+def build_slice_tables(frame: DataSetRuns, asked: Sequence[str], kinds: Sequence[SliceKind] = KINDS) -> list[Table]:
     """`slice_tables` of a frame."""
     makers = {PDM: _driving_table, DIAGNOSIS: _causes_table}
     tables = [
@@ -91,56 +109,64 @@ def run_slices(
             own.
         allow_partial: Whether runs count in which the planner failed on samples.
     """
-    chosen_runs = Frame(data_name, [record for record in records if allow_partial or record.complete])
-    return slices_of(chosen_runs, shown_protocols(chosen_runs, protocols), kinds)
+    chosen_runs = DataSetRuns(data_name, [record for record in records if allow_partial or record.complete])
+    return build_slice_tables(chosen_runs, choose_protocols(chosen_runs, protocols), kinds)
 
 
-def _rates_table(frame: Frame, kind: SliceKind, protocol: str) -> Table:
+def _rates_table(frame: DataSetRuns, kind: SliceKind, protocol: str) -> Table:
     """Collision rates, L2 and the further rates of a protocol."""
-    own, judge_words = protocol == NATIVE, whose(protocol)
+    own, judge_words = protocol == NATIVE, name_judges(protocol)
     # As in the whole table: maxima share no column with means, and who has no protocol stands under exact.
     runs = [run for run in frame.runs if run.run.planner.native_protocol and not takes_maxima(run.native_protocol)]
-    rows, notes = _rows(runs if own else frame.runs, protocol, kind, lambda record: rates_by(record, kind, protocol))
+    rows, notes = _rows(
+        runs if own else frame.runs, protocol, kind, lambda record: compute_rates_by(record, kind, protocol)
+    )
     further = [column for column in COLUMNS if not own and any(column.name in row.found.columns for row in rows)]
     pursued = [row.record for row in rows if protocol == EXACT and has_adversaries(row.record)]
-    notes += dict.fromkeys(unsaid_whom(record) for record in pursued if not says_whom(record))
+    notes += dict.fromkeys(explain_unknown_contacts(record) for record in pursued if not knows_contact_partners(record))
     collision, contact = ("any", "any contact") if pursued else ("col.", "collision rate")
     columns = [
-        *texts("planner", "split", kind, *(("protocol",) if own else ())),
-        *under(
+        *text_columns("planner", "split", kind, *(("protocol",) if own else ())),
+        *group_columns(
             f"touches the adversary first, in %, {judge_words}",
-            numbers(*_ADVERSARY[:2], digits=2) if pursued else [],
-            intervals({_ADVERSARY[2]: _ADVERSARY[1]}) if pursued else [],
+            number_columns(*_ADVERSARY[:2], digits=2) if pursued else [],
+            interval_columns({_ADVERSARY[2]: _ADVERSARY[1]}) if pursued else [],
         ),
-        *under(f"{contact} in %, {judge_words}", _at_horizons(collision, 1)),
-        *under(f"L2 in m, {judge_words}", _at_horizons("L2", 2)),
+        *group_columns(f"{contact} in %, {judge_words}", _horizon_columns(collision, 1)),
+        *group_columns(f"L2 in m, {judge_words}", _horizon_columns("L2", 2)),
         *(
             column
             for further_column in further
-            for column in under(
+            for column in group_columns(
                 f"{further_column.head} in %, {judge_words}",
-                numbers(f"{further_column.head} avg", digits=2),
-                intervals({f"95 % of {further_column.head}": f"{further_column.head} avg"}),
+                number_columns(f"{further_column.head} avg", digits=2),
+                interval_columns({f"95 % of {further_column.head}": f"{further_column.head} avg"}),
             )
         ),
-        *under(f"counted, {judge_words}", numbers("samples", "scenes")),
+        *group_columns(f"counted, {judge_words}", number_columns("samples", "scenes")),
     ]
     # A terminal has no room for everything, and L2 does not ask who is in the way.
     first = (
         ("adversary avg", "95 % of adversary avg", "any avg") if pursued else ("col. avg", "95 % of col. avg", "L2 avg")
     )
-    title = f"{frame.data_name}: collision rate (%) and L2 (m) by {kind}, {judges(protocol)}"
-    notes = [_SAYS[kind], *((_WHOM,) if pursued else ()), *(column.says for column in further), _INTERVALS, *notes]
+    title = f"{frame.data_name}: collision rate (%) and L2 (m) by {kind}, {name_judge(protocol)}"
+    notes = [
+        _SLICE_WORDS[kind],
+        *((_WHOM,) if pursued else ()),
+        *(column.says for column in further),
+        _INTERVALS,
+        *notes,
+    ]
     values = [_rate_values(row, kind, collision, further) for row in rows]
     return _table(f"{SLICES}-{kind}-{protocol}", title, columns, values, notes, first)
 
 
-def _at_horizons(head: str, ends: int) -> Columns:
+def _horizon_columns(head: str, ends: int) -> Columns:
     rates = [f"{head} {horizon}" for horizon in HORIZONS]
-    return [*numbers(*rates, digits=2), *intervals({f"95 % of {head} avg": f"{head} avg"}, ends)]
+    return [*number_columns(*rates, digits=2), *interval_columns({f"95 % of {head} avg": f"{head} avg"}, ends)]
 
 
-def _rate_values(row: Row[Slice], kind: SliceKind, collision: str, further: Sequence[FurtherColumn]) -> Values:
+def _rate_values(row: RunRow[Slice], kind: SliceKind, collision: str, further: Sequence[FurtherColumn]) -> Values:
     rates = row.found.columns
     return {
         **row.names,
@@ -155,17 +181,17 @@ def _rate_values(row: Row[Slice], kind: SliceKind, collision: str, further: Sequ
     }
 
 
-def _driving_table(frame: Frame, kind: SliceKind) -> Table:
+def _driving_table(frame: DataSetRuns, kind: SliceKind) -> Table:
     """Driving scores."""
-    rows, notes = _rows(frame.runs, DEFINITION, kind, lambda record: driving_by(record, kind))
+    rows, notes = _rows(frame.runs, DEFINITION, kind, lambda record: compute_driving_by(record, kind))
     columns = [
-        *texts("planner", "split", kind),
-        *under(f"mean in %, {DEFINITION}", estimates(*HEADS.values())),
-        *under(f"counted, {DEFINITION}", numbers("samples", "scenes")),
+        *text_columns("planner", "split", kind),
+        *group_columns(f"mean in %, {DEFINITION}", estimate_columns(*HEADS.values())),
+        *group_columns(f"counted, {DEFINITION}", number_columns("samples", "scenes")),
     ]
     values: list[Values] = [
         {
-            "planner": driver_name(row),
+            "planner": format_planner_name(row),
             "split": row.split,
             kind: row.found.name,
             **{head: row.origin.percent(row.found.columns[name]["mean"]) for name, head in HEADS.items()},
@@ -176,16 +202,18 @@ def _driving_table(frame: Frame, kind: SliceKind) -> Table:
     ]
     title = f"{frame.data_name}: driving scores (%) by {kind}, {DEFINITION}"
     shown_heads = [head for head in HEADS.values() if head != HEADS["score_without_ec"]]
-    return _table(f"{SLICES}-{kind}-{PDM}", title, columns, values, (_SAYS[kind], _INTERVALS, *notes), shown_heads)
+    return _table(
+        f"{SLICES}-{kind}-{PDM}", title, columns, values, (_SLICE_WORDS[kind], _INTERVALS, *notes), shown_heads
+    )
 
 
-def _causes_table(frame: Frame, kind: SliceKind) -> Table:
+def _causes_table(frame: DataSetRuns, kind: SliceKind) -> Table:
     """Reasons why plans collide."""
-    rows, notes = _rows(frame.runs, EXACT, kind, lambda record: causes_by(record, kind))
+    rows, notes = _rows(frame.runs, EXACT, kind, lambda record: compute_causes_by(record, kind))
     columns = [
-        *texts("planner", "split", kind),
-        *under(f"% of the colliding samples, {EXACT}", estimates(*CAUSES)),
-        *under(f"colliding samples and their scenes, {EXACT}", numbers("colliding", "scenes")),
+        *text_columns("planner", "split", kind),
+        *group_columns(f"% of the colliding samples, {EXACT}", estimate_columns(*CAUSES)),
+        *group_columns(f"colliding samples and their scenes, {EXACT}", number_columns("colliding", "scenes")),
     ]
     values: list[Values] = [
         {
@@ -201,25 +229,27 @@ def _causes_table(frame: Frame, kind: SliceKind) -> Table:
         for row in rows
     ]
     title = f"{frame.data_name}: why plans collide (% of the colliding samples) by {kind}, protocol {EXACT}"
-    notes = [_SAYS[kind], "The causes are those of docs/diagnosis.md.", _INTERVALS, *notes]
+    notes = [_SLICE_WORDS[kind], "The causes are those of docs/diagnosis.md.", _INTERVALS, *notes]
     return _table(f"{SLICES}-{kind}-{DIAGNOSIS}", title, columns, values, notes, CAUSES)
 
 
 def _rows(
     runs: Sequence[RunRecord], protocol: str, kind: SliceKind, sliced: Callable[[RunRecord], list[Slice]]
-) -> tuple[list[Row[Slice]], list[str]]:
+) -> tuple[list[RunRow[Slice]], list[str]]:
     """A row for each slice of each run, and what has to be said of the runs."""
-    rows: list[Row[Slice]] = []
+    rows: list[RunRow[Slice]] = []
     sentences = []
     for record in runs:
         run_name = f"{record.planner} on {record.run.split}"
-        if slicing(record, kind) is None:
+        if slice_samples(record, kind) is None:
             sentences += (
-                [f"{run_name}: the record {_LACKING[kind]}; run challenger-bench rescore."] if kind in _LACKING else []
+                [f"{run_name}: the record {_LACKING_WORDS[kind]}; run challenger-bench rescore."]
+                if kind in _LACKING_WORDS
+                else []
             )
             continue
         try:
-            rows += [Row(record, protocol_of(record, protocol), part) for part in sliced(record)]
+            rows += [RunRow(record, resolve_protocol(record, protocol), part) for part in sliced(record)]
         except InputError as refusal:
             sentences.append(f"Left out: {refusal}.")
     shown_records = {id(row.record): row.record for row in rows}

@@ -7,26 +7,35 @@ from typing import Final
 from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import says_whom
+from benchmark.metrics.effect import knows_contact_partners
 from benchmark.metrics.rates import Estimate, Rate
 from benchmark.metrics.scores import require_current
 from benchmark.metrics.transfer import Agreement, TransferMatrix, transfer
-from benchmark.records.planner_versions import labelled
-from benchmark.records.run import NATIVE, RunRecord, protocol_of
-from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, interval, named_record
+from benchmark.records.planner_versions import label_versions
+from benchmark.records.run import NATIVE, RunRecord, resolve_protocol
+from benchmark.report.cells import UNDEFINED, CellSource, TableCell, ValueSource, format_interval, format_record_name
 from benchmark.report.table import Table
-from benchmark.report.words import counted, titled
+from benchmark.report.words import format_title, pluralise
 from leaderboard.frame.rows import (
     FEW_NOTE,
     FEW_SCENES,
-    in_table_order,
-    judges,
+    describe_split_part,
     mark_notes,
-    marked,
-    part_of_split,
+    mark_planner_name,
+    name_judge,
+    sort_for_tables,
 )
-from leaderboard.frame.runs import Frame
-from leaderboard.frame.specification import Value, Values, estimates, numbers, places, tabulate, texts, under
+from leaderboard.frame.runs import DataSetRuns
+from leaderboard.frame.specification import (
+    Value,
+    Values,
+    estimate_columns,
+    group_columns,
+    number_columns,
+    numbered_columns,
+    tabulate,
+    text_columns,
+)
 
 
 def transfer_matrices(
@@ -52,10 +61,10 @@ def transfer_matrices(
     Raises:
         InputError: If records of one data set cannot be compared (`benchmark.metrics.transfer.transfer`).
     """
-    of_split = [record for record in labelled(records) if record.run.split == split and record.covers_split]
+    of_split = [record for record in label_versions(records) if record.run.split == split and record.covers_split]
     return {
         name: transfer(
-            in_table_order([run for run in of_split if run.run.data.name == name]),
+            sort_for_tables([run for run in of_split if run.run.data.name == name]),
             protocol=protocol,
             adversary_only=adversary_only,
         )
@@ -64,20 +73,20 @@ def transfer_matrices(
     }
 
 
-def both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferMatrix]:
+def build_both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferMatrix]:
     """The paper's matrix and, under ``exact``, that of contacts with the adversary alone.
 
     The second is of the planners whose records say whom contacts are with, if two do.
     """
     matrices = [transfer(records, protocol=protocol)]
-    telling = [record for record in records if says_whom(record)]
+    telling = [record for record in records if knows_contact_partners(record)]
     if protocol == EXACT and len(telling) > 1 and any(map(has_adversaries, telling)):
         matrices.append(transfer(telling, adversary_only=True))
     return matrices
 
 
-def frame_matrices(frame: Frame, protocol: str, split: str) -> tuple[list[TransferMatrix], list[str]]:
-    """`both_matrices` of the planners that ran on the whole split, and sentences on those who are left out.
+def build_frame_matrices(frame: DataSetRuns, protocol: str, split: str) -> tuple[list[TransferMatrix], list[str]]:
+    """`build_both_matrices` of the planners that ran on the whole split, and sentences on those who are left out.
 
     No matrix where fewer than two planners remain.
     """
@@ -86,21 +95,21 @@ def frame_matrices(frame: Frame, protocol: str, split: str) -> tuple[list[Transf
         if record.run.split != split:
             continue
         if not record.covers_split:
-            ran = part_of_split(len(record.run.scenes), record.run.scenes_in_split)
+            ran = describe_split_part(len(record.run.scenes), record.run.scenes_in_split)
             refused.append(f"Left out: {record.planner} ran on {ran}.")
             continue
         try:
-            require_current(record, protocol_of(record, protocol))
+            require_current(record, resolve_protocol(record, protocol))
         except InputError as refusal:
             refused.append(f"Left out: {refusal}.")
             continue
         complete.append(record)
-    return (both_matrices(complete, protocol) if len(complete) > 1 else []), refused
+    return (build_both_matrices(complete, protocol) if len(complete) > 1 else []), refused
 
 
-def transfer_tables(frame: Frame, protocol: str, split: str) -> list[Table]:
-    """Tables of each of `frame_matrices`: one of shares and one of lift and φ."""
-    matrices, refused = frame.once(frame_matrices, protocol, split)
+def transfer_tables(frame: DataSetRuns, protocol: str, split: str) -> list[Table]:
+    """Tables of each of `build_frame_matrices`: one of shares and one of lift and φ."""
+    matrices, refused = frame.once(build_frame_matrices, protocol, split)
     tables = [make(frame.data_name, matrix) for matrix in matrices for make in (transfer_table, lift_table)]
     return [replace(table, notes=(*table.notes, *refused)) for table in tables]
 
@@ -115,25 +124,27 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
     Returns:
         One row per surrogate; cells are percentages with their interval and ``victim fails / surrogate fails``.
     """
-    names = planner_names(matrix)
+    names = format_planner_names(matrix)
     rows: list[Values] = []
     for own, (surrogate, cells) in enumerate(zip(names, matrix.cells)):
-        failed = _origin(matrix, own).count(round(cells[own].numerator), "scenes")
+        failed = _find_origin(matrix, own).count(round(cells[own].numerator), "scenes")
         shares = {
-            f"#{victim}": _share(cell, _origin(matrix, own, victim))
+            f"#{victim}": _share_cell(cell, _find_origin(matrix, own, victim))
             for victim, cell in enumerate(cells)
             if victim != own
         }
-        name = Shown(surrogate, miniature=matrix.miniatures[own])
+        name = TableCell(surrogate, miniature=matrix.miniatures[own])
         rows.append({"surrogate": name, "its failed scenes": failed, **shares})
-    rates = {f"#{victim}": _share(rate, _origin(matrix, victim)) for victim, rate in enumerate(matrix.base_rates)}
+    rates = {
+        f"#{victim}": _share_cell(rate, _find_origin(matrix, victim)) for victim, rate in enumerate(matrix.base_rates)
+    }
     columns = [
-        *texts("surrogate"),
-        *under(f"surrogate, {_who(matrix)}", numbers("its failed scenes")),
-        *under(f"failed by the victim in %, {_who(matrix)}", places(names)),
+        *text_columns("surrogate"),
+        *group_columns(f"surrogate, {_describe_failures(matrix)}", number_columns("its failed scenes")),
+        *group_columns(f"failed by the victim in %, {_describe_failures(matrix)}", numbered_columns(names)),
     ]
     return tabulate(
-        *name_of_transfer(data_name, matrix),
+        *name_transfer(data_name, matrix),
         columns,
         [*rows, {"surrogate": "all scenes", **rates}],
         (
@@ -142,7 +153,7 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
             f"{UNDEFINED}: the diagonal (100 by construction), or undefined because the surrogate fails no scene.",
             f"A scene fails a planner if {_FAILS[matrix.adversary_only]}. Last row: the victim's failure rate over "
             "all scenes; transfer is what exceeds it.",
-            *_undecided(matrix),
+            *_list_undecided(matrix),
             *_common_notes(matrix),
         ),
     )
@@ -159,13 +170,16 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
         One row per pair of planners: counts, phi with its interval, lift.
     """
     columns = [
-        *texts("first", "second"),
-        *under(f"scenes that fail, {_who(matrix)}", numbers("both", "only first", "only second", "neither")),
-        *under(f"agreement, {_who(matrix)}", estimates("φ", "lift", digits=2, ends=2)),
+        *text_columns("first", "second"),
+        *group_columns(
+            f"scenes that fail, {_describe_failures(matrix)}",
+            number_columns("both", "only first", "only second", "neither"),
+        ),
+        *group_columns(f"agreement, {_describe_failures(matrix)}", estimate_columns("φ", "lift", digits=2, ends=2)),
     ]
-    _, title = name_of_lift(data_name, matrix)
+    _, title = name_lift(data_name, matrix)
     return tabulate(
-        f"agreement-{matrix.split}-{_kind(matrix)}",
+        f"agreement-{matrix.split}-{_name_contacts(matrix)}",
         title,
         columns,
         [_agreement_values(matrix, agreement) for agreement in matrix.agreements],
@@ -174,7 +188,7 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
             f"chance, below 0 other ones; {UNDEFINED} where one of them fails all or none.",
             "Lift: how many times more often they fail together than by chance. It is near 1 where both fail nearly "
             "everything, whatever the transfer matrix says.",
-            *_undecided(matrix),
+            *_list_undecided(matrix),
             *_common_notes(matrix),
         ),
     )
@@ -185,28 +199,28 @@ def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
 
     One row and one column per planner: lift with its interval above the diagonal, phi with its below it.
     """
-    names = planner_names(matrix)
+    names = format_planner_names(matrix)
     rows: list[dict[str, Value]] = [
         {
-            "planner": Shown(name, miniature=matrix.miniatures[own]),
-            "fails %": _origin(matrix, own).percent(matrix.base_rates[own], "scenes"),
+            "planner": TableCell(name, miniature=matrix.miniatures[own]),
+            "fails %": _find_origin(matrix, own).percent(matrix.base_rates[own], "scenes"),
         }
         for own, name in enumerate(names)
     ]
     for agreement in matrix.agreements:
         first, second = (matrix.planners.index(name) for name in agreement.planners)
-        origin, scenes = _origin(matrix, first, second), agreement.scenes
+        origin, scenes = _find_origin(matrix, first, second), agreement.scenes
         lift = Estimate(agreement.lift, agreement.lift_low, agreement.lift_high)
         for row, column, estimate, unit in ((first, second, lift, "×"), (second, first, agreement.phi, "φ")):
             cell = origin.cell(estimate.value, unit, scenes, "scenes", low=estimate.low, high=estimate.high)
-            rows[row][f"#{column}"] = cell.shown(1, after=_ends(cell, 1))
+            rows[row][f"#{column}"] = cell.shown(1, after=_format_interval(cell, 1))
     columns = [
-        *texts("planner"),
-        *under(f"scenes in %, {_who(matrix)}", numbers("fails %")),
-        *under(f"lift and φ, {_who(matrix)}", places(names)),
+        *text_columns("planner"),
+        *group_columns(f"scenes in %, {_describe_failures(matrix)}", number_columns("fails %")),
+        *group_columns(f"lift and φ, {_describe_failures(matrix)}", numbered_columns(names)),
     ]
     return tabulate(
-        *name_of_lift(data_name, matrix),
+        *name_lift(data_name, matrix),
         columns,
         rows,
         (
@@ -214,27 +228,29 @@ def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
             "chance (1: as by chance). Below it: φ, the correlation of the two verdicts (0: as by chance). Brackets: "
             f"95 % bootstrap interval over recorded scenes. {UNDEFINED}: one of them fails all scenes, or none.",
             f"A scene fails a planner if {_FAILS[matrix.adversary_only]}.",
-            *_undecided(matrix),
+            *_list_undecided(matrix),
             *_common_notes(matrix),
         ),
     )
 
 
-def name_of_transfer(data_name: str, matrix: TransferMatrix) -> tuple[str, str]:
+def name_transfer(data_name: str, matrix: TransferMatrix) -> tuple[str, str]:
     """Name and title of what shows a matrix."""
     failures = "contacts with the adversary" if matrix.adversary_only else "failures"
-    title = f"{titled(data_name, matrix.split)}: transfer of {failures} (%), {judges(matrix.protocol)}"
-    return f"transfer-{matrix.split}-{_kind(matrix)}", title
+    title = f"{format_title(data_name, matrix.split)}: transfer of {failures} (%), {name_judge(matrix.protocol)}"
+    return f"transfer-{matrix.split}-{_name_contacts(matrix)}", title
 
 
-def name_of_lift(data_name: str, matrix: TransferMatrix) -> tuple[str, str]:
+def name_lift(data_name: str, matrix: TransferMatrix) -> tuple[str, str]:
     """Name and title of what shows lift and φ of a matrix."""
     by = " by contacts with the adversary" if matrix.adversary_only else ""
-    title = f"{titled(data_name, matrix.split)}: do planners fail the same scenes{by}, {judges(matrix.protocol)}"
-    return f"lift-{matrix.split}-{_kind(matrix)}", title
+    title = (
+        f"{format_title(data_name, matrix.split)}: do planners fail the same scenes{by}, {name_judge(matrix.protocol)}"
+    )
+    return f"lift-{matrix.split}-{_name_contacts(matrix)}", title
 
 
-def _kind(matrix: TransferMatrix) -> str:
+def _name_contacts(matrix: TransferMatrix) -> str:
     """Part of the names of a matrix's files: which contacts count."""
     return "adversary" if matrix.adversary_only else matrix.protocol
 
@@ -245,18 +261,18 @@ _FAILS: Final = {
 }
 
 
-def planner_names(matrix: TransferMatrix) -> list[str]:
+def format_planner_names(matrix: TransferMatrix) -> list[str]:
     """Names as they are shown: with their marks, and the judge where judges differ."""
     judged = matrix.protocol == NATIVE
     return [
-        f"{marked(name, privileged=privileged, miniature=small)}{f' ({judge})' if judged else ''}"
+        f"{mark_planner_name(name, privileged=privileged, miniature=small)}{f' ({judge})' if judged else ''}"
         for name, privileged, small, judge in zip(matrix.planners, matrix.privileged, matrix.miniatures, matrix.judges)
     ]
 
 
-def _undecided(matrix: TransferMatrix) -> list[str]:
+def _list_undecided(matrix: TransferMatrix) -> list[str]:
     return [
-        f"{planner}: no verdict on {counted(len(scenes), 'scene')} ({', '.join(scenes[:3])}"
+        f"{planner}: no verdict on {pluralise(len(scenes), 'scene')} ({', '.join(scenes[:3])}"
         f"{', …' if len(scenes) > 3 else ''}), in no denominator."
         for planner, scenes in zip(matrix.planners, matrix.undecided)
         if scenes
@@ -269,35 +285,37 @@ def _common_notes(matrix: TransferMatrix) -> list[str]:
     return [*few, *marks, *matrix.file_notes]
 
 
-def _who(matrix: TransferMatrix) -> str:
+def _describe_failures(matrix: TransferMatrix) -> str:
     return "own protocols" if matrix.protocol == NATIVE else matrix.protocol
 
 
-def _origin(matrix: TransferMatrix, *planners: int) -> Origin:
+def _find_origin(matrix: TransferMatrix, *planners: int) -> ValueSource:
     """Origin of numbers of some of the planners, by their places in the matrix."""
     judged = " and ".join(dict.fromkeys(matrix.judges[place] for place in planners))
-    records = (named_record(matrix.records[place], matrix.planners[place], matrix.split) for place in planners)
-    return Origin(judged, "; ".join(records))
+    records = (format_record_name(matrix.records[place], matrix.planners[place], matrix.split) for place in planners)
+    return ValueSource(judged, "; ".join(records))
 
 
-def _share(rate: Rate, origin: Origin) -> Shown:
+def _share_cell(rate: Rate, origin: ValueSource) -> TableCell:
     cell = origin.percent(rate, "scenes")
-    return cell.shown(0, after=f"{_ends(cell, 0)} ({round(rate.numerator)}/{rate.denominator})")
+    return cell.shown(0, after=f"{_format_interval(cell, 0)} ({round(rate.numerator)}/{rate.denominator})")
 
 
-def _ends(cell: Cell, digits: int) -> str:
-    ends = interval(cell.low, cell.high, digits=digits)
+def _format_interval(cell: CellSource, digits: int) -> str:
+    ends = format_interval(cell.low, cell.high, digits=digits)
     return "" if ends == UNDEFINED else f" {ends}"
 
 
 def _agreement_values(matrix: TransferMatrix, agreement: Agreement) -> Values:
     places = [matrix.planners.index(name) for name in agreement.planners]
-    names, origin = planner_names(matrix), _origin(matrix, *places)
+    names, origin = format_planner_names(matrix), _find_origin(matrix, *places)
     counts = {"both": agreement.both, "only first": agreement.only_first, "only second": agreement.only_second}
     counts |= {"neither": agreement.neither}
     among = sum(counts.values())
     return {
-        **{head: Shown(names[at], miniature=matrix.miniatures[at]) for head, at in zip(("first", "second"), places)},
+        **{
+            head: TableCell(names[at], miniature=matrix.miniatures[at]) for head, at in zip(("first", "second"), places)
+        },
         **{head: origin.count(count, "scenes", among) for head, count in counts.items()},
         "φ": origin.cell(agreement.phi.value, "φ", among, "scenes", low=agreement.phi.low, high=agreement.phi.high),
         "lift": origin.cell(agreement.lift, "×", among, "scenes", low=agreement.lift_low, high=agreement.lift_high),

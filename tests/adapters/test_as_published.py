@@ -13,16 +13,16 @@ from adapters.networks.sparse.planner import SparsePlanner
 from adapters.networks.uniad.planner import UniADPlanner
 from adapters.networks.vad.model import VAD
 from adapters.networks.vad.planner import VADPlanner
-from adapters.planner import ALL, CAN_AFTER, CAN_ONCE, MEMORY, NativePlanner, options_of
-from adapters.registry import planner, planner_factory
+from adapters.planner import ALL, CAN_AFTER, CAN_ONCE, MEMORY, NativePlanner, select_options
+from adapters.registry import build_planner, planner_factory
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.geometry import Floats
 from benchmark.planning import EgoState, SceneInfo, reads_message_after, remembers_across_scenes
-from benchmark.records.planner_versions import labelled
+from benchmark.records.planner_versions import label_versions
 from benchmark.runs.plan_rows import scene_key
-from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.runs.run_directory import run_directory
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 from tests.adapters.networks.uniad.small_uniad import SMALL as SMALL_UNIAD
@@ -58,29 +58,31 @@ def plans(built: NativePlanner[Any], data: NuScenesData, name: str) -> Floats:
 
 
 def test_what_is_asked_for_and_what_a_model_does() -> None:
-    assert options_of("uniad", MODELS["uniad"].net.as_published, [ALL]) == (CAN_ONCE, CAN_AFTER)
-    assert options_of("vad", MODELS["vad"].net.as_published, [CAN_AFTER]) == (CAN_AFTER,)
-    assert options_of("sparsedrive", MODELS["sparsedrive"].net.as_published, []) == ()
+    assert select_options("uniad", MODELS["uniad"].net.as_published, [ALL]) == (CAN_ONCE, CAN_AFTER)
+    assert select_options("vad", MODELS["vad"].net.as_published, [CAN_AFTER]) == (CAN_AFTER,)
+    assert select_options("sparsedrive", MODELS["sparsedrive"].net.as_published, []) == ()
     with pytest.raises(InputError, match="vad-tiny does nothing with --as-published memory; it has can-after"):
-        options_of("vad-tiny", MODELS["vad-tiny"].net.as_published, [MEMORY])
+        select_options("vad-tiny", MODELS["vad-tiny"].net.as_published, [MEMORY])
     with pytest.raises(InputError, match="idm does nothing with --as-published all"):
-        options_of("idm", {}, [ALL])
+        select_options("idm", {}, [ALL])
     with pytest.raises(InputError, match="did you mean memory"):
-        options_of("uniad", {MEMORY}, ["memry"])
+        select_options("uniad", {MEMORY}, ["memry"])
     with pytest.raises(InputError, match="takes no as-published; leave --as-published out"):
-        planner("constant-velocity", as_published=[MEMORY])
+        build_planner("constant-velocity", as_published=[MEMORY])
 
 
 @pytest.mark.parametrize("model", ["sparsedrive-mini", "diffusiondrive-mini", "uniad-mini", "vad-mini"])
 def test_a_built_model_is_another_one_with_its_options(model: str) -> None:
     plain, published = planner_factory(model), planner_factory(model, as_published=[ALL])
     facts = published.facts
-    assert facts.settings["as_published"] == "+".join(options_of(model, MODELS[model].net.as_published, [ALL]))
+    assert facts.settings["as_published"] == "+".join(select_options(model, MODELS[model].net.as_published, [ALL]))
     assert scene_key("d", "val", "scene-1", facts) != scene_key("d", "val", "scene-1", plain.facts)
     one, other = (run_directory(Path("runs"), "mini", "val", each) for each in (plain.facts, facts))
     assert one != other and one.name == model
     built: Any = published()
-    assert facts_of(built).settings == {key: facts.settings[key] for key in facts_of(built).settings}
+    assert build_planner_facts(built).settings == {
+        key: facts.settings[key] for key in build_planner_facts(built).settings
+    }
     assert remembers_across_scenes(built) is (model != "vad-mini")
     assert reads_message_after(built) is (model in ("vad-mini", "uniad-mini"))
     if model == "uniad-mini":
@@ -138,5 +140,5 @@ def test_a_split_is_evaluated_as_published_beside_the_run_without(data: NuScenes
     ]
     half = len(moved) // 2
     assert max(moved[:half]) == 0.0 < moved[half]
-    names = [record.planner for record in labelled([plain, published])]
+    names = [record.planner for record in label_versions([plain, published])]
     assert names == ["small (as_published none)", "small (as_published memory)"]

@@ -16,8 +16,8 @@ from adapters.camera_inputs import (
     BGR_MEAN,
     RGB_MEAN_STD,
     SPARSE_DRIVE_IMAGE,
-    ImageFormat,
-    Normalisation,
+    NetworkImageFormat,
+    PixelNormalisation,
     camera_images,
     can_bus_vector,
     lidar_pose,
@@ -29,14 +29,14 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.planning import CameraView, EgoState, Observation
-from generation.sources.rig import default_cameras
+from generation.sources.rig import build_default_cameras
 from tests.adapters.real_sample import FRAME, SCENE, boxes_in_lidar, info, real_root
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.benchmark.fake_data import observation
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 from tests.hand_made import scene_on_straight_road
 
-TINY, BASE, FULL = ImageFormat.scaled(0.4), ImageFormat.scaled(0.8), ImageFormat.scaled(1.0)
+TINY, BASE, FULL = NetworkImageFormat.scaled(0.4), NetworkImageFormat.scaled(0.8), NetworkImageFormat.scaled(1.0)
 real = pytest.mark.skipif(not FRAME.is_dir(), reason="no shared material beside the repository")
 
 
@@ -45,7 +45,7 @@ def seen(size: tuple[int, int] = (1600, 900), *, seed: int = 0, tilt: bool = Tru
     generator = np.random.default_rng(seed)
     scene = scene_on_straight_road()
     views = {}
-    for index, camera in enumerate(default_cameras()):
+    for index, camera in enumerate(build_default_cameras()):
         wobble = generator.normal(0, 0.02 if tilt else 0.0, 4)
         rotation = np.array([1.0, 0, 0, 0]) + wobble
         pixels = generator.integers(0, 256, (size[1], size[0], 3)).astype(np.uint8)
@@ -80,7 +80,7 @@ def pixel_of(point: Floats, sample: Observation, name: str) -> Floats:
     seed=st.integers(0, 100),
 )
 def test_projections_are_the_pinhole_of_each_camera_at_its_exposure(
-    point: tuple[float, float, float], size: tuple[int, int], image_format: ImageFormat, seed: int
+    point: tuple[float, float, float], size: tuple[int, int], image_format: NetworkImageFormat, seed: int
 ) -> None:
     sample = seen(size, seed=seed)
     for name, matrix in zip(CAMERA_NAMES, lidar_to_image(sample, image_format)):
@@ -93,7 +93,7 @@ def test_projections_are_the_pinhole_of_each_camera_at_its_exposure(
         assert found[:2] / found[2] == pytest.approx([across, down], rel=1e-9, abs=1e-6)
 
 
-def slow_image(rgb: Any, image_format: ImageFormat, normalisation: Normalisation) -> Floats:
+def slow_image(rgb: Any, image_format: NetworkImageFormat, normalisation: PixelNormalisation) -> Floats:
     """The published order: channels, normalisation, resizing, padding."""
     pixels = rgb.astype(np.float64) if normalisation.rgb else rgb[..., ::-1].astype(np.float64)
     pixels = (pixels - normalisation.mean) / normalisation.std
@@ -106,7 +106,7 @@ def slow_image(rgb: Any, image_format: ImageFormat, normalisation: Normalisation
 
 @pytest.mark.parametrize("size", [(1600, 900), (448, 256), (1920, 1080)])
 @pytest.mark.parametrize("normalisation", [BGR_MEAN, RGB_MEAN_STD])
-def test_images_are_those_of_the_published_pipeline(size: tuple[int, int], normalisation: Normalisation) -> None:
+def test_images_are_those_of_the_published_pipeline(size: tuple[int, int], normalisation: PixelNormalisation) -> None:
     sample = seen(size)
     images = camera_images(sample, TINY, normalisation)
     assert images.shape == (6, 3, 384, 640) and images.dtype == np.float32

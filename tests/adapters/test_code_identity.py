@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 from adapters.models import MODELS, baselines, miniatures, resolve
-from adapters.registry import made_by, planner, planner_factory
+from adapters.registry import build_planner, describe_maker, planner_factory
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.evaluation import evaluate
 from benchmark.planning import PrivilegedPlanner, SceneInfo
 from benchmark.runs.code_identity import APART, code_sha256
-from generation.sources.mini import TownSettings, build_town
+from generation.sources.mini import TownSettings, build_town_data_set
 from tests.benchmark.fake_data import town_of_two
 
 LONELY = """
@@ -67,12 +67,14 @@ def class_of(name: str) -> type:
 
 def test_a_planner_that_is_made_by_its_own_class_has_one_identity() -> None:
     made = class_of("constant-velocity")
-    assert code_sha256(made, made_by=made_by("constant-velocity")) == code_sha256(made)
+    assert code_sha256(made, made_by=describe_maker("constant-velocity")) == code_sha256(made)
 
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
-    root = build_town(tmp_path_factory.mktemp("town"), TownSettings(val_scenes=1, frames="keyframes"), workers=1)
+    root = build_town_data_set(
+        tmp_path_factory.mktemp("town"), TownSettings(val_scenes=1, frames="keyframes"), workers=1
+    )
     return NuScenesData.open(root)
 
 
@@ -86,7 +88,7 @@ def test_all_that_runs_while_a_planner_plans_is_in_its_identity(town: NuScenesDa
         if event == "call":
             ran.add(frame.f_globals.get("__name__", ""))
 
-    driver = planner(name)
+    driver = build_planner(name)
     sys.setprofile(note)
     try:
         driver.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))

@@ -8,13 +8,13 @@ import pytest
 from typer.testing import CliRunner
 
 from adapters.checkpoints.cache import Provenance, write_weights
-from adapters.known_planners import KnownPlanner, known_planners, planners_table, planners_text
+from adapters.known_planners import PlannerListing, known_planners, planners_table, planners_text
 from adapters.models import MODELS, miniatures, published_models
 from benchmark.cli.app import app
 from benchmark.report.cells import RANKS_NOTHING
 
 
-def by_name(cache: Path, **options: object) -> dict[str, KnownPlanner]:
+def by_name(cache: Path, **options: object) -> dict[str, PlannerListing]:
     return {each.name: each for each in known_planners(cache, {})}
 
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from adapters.checkpoints.cache import read_provenance, write_weights
 from adapters.checkpoints.importing import resolve_checkpoint
-from adapters.checkpoints.loading import planner_of
+from adapters.checkpoints.loading import build_native_planner
 from adapters.checkpoints.stand_in import stand_in
 from adapters.models import MODELS, baselines, miniature, miniatures, published_as, published_models, resolve
-from adapters.registry import planner, planner_factory
+from adapters.registry import build_planner, planner_factory
 from benchmark.api import load_planner
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
@@ -26,7 +26,7 @@ from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED
 from benchmark.planning import CameraView, Observation, SceneInfo
-from generation.sources.mini import TownSettings, build_town
+from generation.sources.mini import TownSettings, build_town_data_set
 from tests.whole_product import is_installed
 
 MOST_BYTES = 20_000_000
@@ -45,7 +45,9 @@ NATIVE = {
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
     """Two scenes of mini itself, without the frames between the key frames."""
-    root = build_town(tmp_path_factory.mktemp("town"), TownSettings(val_scenes=2, frames="keyframes"), workers=1)
+    root = build_town_data_set(
+        tmp_path_factory.mktemp("town"), TownSettings(val_scenes=2, frames="keyframes"), workers=1
+    )
     return NuScenesData.open(root)
 
 
@@ -73,7 +75,7 @@ def grey(view: CameraView) -> NDArray[np.uint8]:
 
 def plans(name: str, data: NuScenesData, images: str, samples: int = SAMPLES) -> tuple[Floats, Floats]:
     """Plans for the first samples of each scene, and what was driven, (S, 6, 2)."""
-    driver, found, driven = planner(name), [], []
+    driver, found, driven = build_planner(name), [], []
     scenes = data.scene_names("val")
     for number, scene_name in enumerate(scenes):
         scene = data.scene(scene_name)
@@ -143,7 +145,7 @@ def test_it_drives_and_looks_at_the_images(town: NuScenesData, name: str) -> Non
 @pytest.mark.parametrize("name", miniatures())
 def test_it_says_what_it_is(name: str) -> None:
     small = miniature(name)
-    driver = planner(name)
+    driver = build_planner(name)
     assert driver.name == name and driver.native_protocol == NATIVE[name]  # type: ignore[attr-defined]
     assert read_provenance(small.packaged).model == name
     facts = planner_factory(name).facts
@@ -217,11 +219,11 @@ def test_a_miniature_without_its_file_and_with_another_is_a_sentence(
 ) -> None:
     monkeypatch.setattr("adapters.models.PACKAGED", tmp_path)
     with pytest.raises(InputError, match="not in this installation; train them with"):
-        planner_of(miniature("vad-mini"))
+        build_native_planner(miniature("vad-mini"))
     assert stand_in("vad", None, EMBEDDED) == "vad"
     monkeypatch.undo()
     with pytest.raises(InputError, match=r"holds the weights of vad-mini, not of uniad-mini"):
-        planner_of(miniature("uniad-mini"), miniature("vad-mini").packaged)
+        build_native_planner(miniature("uniad-mini"), miniature("vad-mini").packaged)
     with pytest.raises(InputError, match="'nonsense' is no miniature; those are uniad-mini"):
         miniature("nonsense")
 
@@ -234,7 +236,7 @@ def test_a_miniature_is_a_value() -> None:
 def test_the_command_says_once_which_model_runs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("benchmark.api.opening._said", set())
+    monkeypatch.setattr("benchmark.api.opening._notified", set())
     assert load_planner("vad", data=EMBEDDED).name == "vad-mini"
     said = capsys.readouterr()
     assert said.out == "" and said.err.startswith("there are no weights for vad: vad-mini runs in its place")

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from adapters.models import baselines
-from adapters.registry import planner, planner_factory
+from adapters.registry import build_planner, planner_factory
 from benchmark.errors import InputError
 from benchmark.planning import PrivilegedPlanner
 
@@ -15,15 +15,15 @@ HERE = "tests.adapters.strangers"
 
 def test_every_built_in_planner_is_built_under_its_own_name() -> None:
     for name in baselines():
-        assert planner(name).name == name
-    privileged = {name for name in baselines() if isinstance(planner(name), PrivilegedPlanner)}
+        assert build_planner(name).name == name
+    privileged = {name for name in baselines() if isinstance(build_planner(name), PrivilegedPlanner)}
     assert privileged == {"log-replay", "idm", "constant-velocity-on-path"}
 
 
 def test_a_strangers_class_gets_the_arguments_it_takes(tmp_path: Path) -> None:
     weights = tmp_path / "weights.bin"
     weights.write_bytes(b"1")
-    built = planner(f"{HERE}:Good", checkpoint=weights, seed=5)
+    built = build_planner(f"{HERE}:Good", checkpoint=weights, seed=5)
     assert built.seed == 5 and built.checkpoint == weights  # type: ignore[attr-defined]
 
 
@@ -43,17 +43,17 @@ def test_a_strangers_class_gets_the_arguments_it_takes(tmp_path: Path) -> None:
 )
 def test_what_is_no_planner_is_one_sentence(name: str, says: str) -> None:
     with pytest.raises(InputError, match=says):
-        planner(name)
+        build_planner(name)
 
 
 def test_checkpoints_must_exist_and_be_wanted(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no checkpoint"):
-        planner("ego-status", checkpoint=tmp_path / "none.safetensors")
+        build_planner("ego-status", checkpoint=tmp_path / "none.safetensors")
     (tmp_path / "some").write_bytes(b"x")
     with pytest.raises(InputError, match="takes no checkpoint"):
-        planner("idm", checkpoint=tmp_path / "some")
+        build_planner("idm", checkpoint=tmp_path / "some")
     with pytest.raises(InputError, match="cannot read the weights of ego-status"):
-        planner("ego-status", checkpoint=tmp_path / "some")
+        build_planner("ego-status", checkpoint=tmp_path / "some")
 
 
 def test_a_factory_travels_and_knows_what_it_builds(tmp_path: Path) -> None:

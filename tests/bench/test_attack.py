@@ -18,14 +18,14 @@ import bench.attacking.campaign
 import bench.attacking.children
 import bench.attacking.verdicts
 from bench.attacking.campaign import Campaign, known_results, run_campaign
-from bench.attacking.children import Ended, run_command
+from bench.attacking.children import CommandOutcome, run_command
 from bench.attacking.targets import TARGETS
 from bench.attacking.verdicts import FALLEN, Verdict, is_one_sentence, verdict
 from tests.benchmark.untrusted.mutations import FORMS
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANS = tuple(target for target in TARGETS if target.command == "eval --plans, CSV")
-FINISHED = Ended(0, "", "", 1.0, 1.0, 20.0, 1 << 28)
+FINISHED = CommandOutcome(0, "", "", 1.0, 1.0, 20.0, 1 << 28)
 
 
 def test_a_hundred_variants_of_files_and_doors_are_answered(tmp_path: Path) -> None:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.attacking.children import Ended
+from bench.attacking.children import CommandOutcome
 from bench.attacking.doors import (
     ABSURD,
     BASES,
     REQUESTS,
-    Doors,
+    DoorCampaign,
     commands_of,
     option_tries,
     planner_tries,
@@ -25,29 +25,29 @@ from bench.attacking.verdicts import FINE, Verdict, door_verdict, is_sentence
 from benchmark.cli.app import app
 from benchmark.extensions.http import model
 
-ENDED = Ended(2, "", "error: --limit must be at least 1, got 0\n", 1.0, 1.0, 20.0, 1 << 28)
+ENDED = CommandOutcome(2, "", "error: --limit must be at least 1, got 0\n", 1.0, 1.0, 20.0, 1 << 28)
 LEFT_OUT = {"demo"}
 
 
 @pytest.fixture(scope="module")
-def doors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Doors]:
+def doors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DoorCampaign]:
     with pytest.MonkeyPatch.context() as patch:
         # What it sets for its children shall not hold for the tests that follow.
         for name in ("RETURN_S", "ALIVE_S"):
             patch.setattr(model, name, getattr(model, name))
-        made = Doors(tmp_path_factory.mktemp("doors"), 0)
+        made = DoorCampaign(tmp_path_factory.mktemp("doors"), 0)
         yield made
         if made.server is not None:
             made.server.end()
 
 
-def test_a_good_planner_of_others_runs_and_a_failing_one_is_a_partial_run(doors: Doors) -> None:
+def test_a_good_planner_of_others_runs_and_a_failing_one_is_a_partial_run(doors: DoorCampaign) -> None:
     places = {(tried.name, *tried.arguments[:1]): number for number, tried in enumerate(doors.tries)}
     codes = [doors.run(places[name, "eval"]).code for name in ("a good one", "plans nothing", "cannot be imported")]
     assert codes == [0, 1, 2]
 
 
-def test_who_would_serve_for_ever_is_interrupted(doors: Doors) -> None:
+def test_who_would_serve_for_ever_is_interrupted(doors: DoorCampaign) -> None:
     serving = ("serve", "--seed is a number of 400 digits"), ("serve", "--seed is a billion")
     places = {(tried.command, tried.name): place for place, tried in enumerate(doors.tries)}
     refused, interrupted = (doors.run(places[each]).code for each in serving)
@@ -55,7 +55,7 @@ def test_who_would_serve_for_ever_is_interrupted(doors: Doors) -> None:
     assert refused == 2 and interrupted in (0, 130)
 
 
-def test_our_server_refuses_requests_that_are_none_and_a_server_that_died_is_seen(doors: Doors) -> None:
+def test_our_server_refuses_requests_that_are_none_and_a_server_that_died_is_seen(doors: DoorCampaign) -> None:
     numbers = [place for place, tried in enumerate(doors.tries) if tried.request is not None]
     assert len(numbers) == REQUESTS and numbers[-1] == len(doors.tries) - 1
     assert {doors.run(number).verdict for number in numbers[:12]} <= {Verdict.ANSWERED, Verdict.OTHER_INPUT}
@@ -81,18 +81,18 @@ def test_what_is_attacked_and_what_is_left_out_are_commands() -> None:
     ("ended", "found"),
     [
         (ENDED, Verdict.ANSWERED),
-        (Ended(0, "", "", 1.0, 1.0, 20.0, 0), Verdict.OTHER_INPUT),
-        (Ended(1, "", "3 of 4 samples failed\n", 1.0, 1.0, 20.0, 0), Verdict.ANSWERED),
-        (Ended(1, "", "", 1.0, 1.0, 20.0, 0), Verdict.UNCLEAR),
-        (Ended(2, "", "error: a\nb\n", 1.0, 1.0, 20.0, 0), Verdict.UNCLEAR),
-        (Ended(3, "", "error: a\n", 1.0, 1.0, 20.0, 0), Verdict.UNCLEAR),
-        (Ended(-11, "", "", 1.0, 1.0, 20.0, 0), Verdict.DEATH),
-        (Ended(2, "", "error: a\n", 1.0, 30.0, 20.0, 0), Verdict.HANG),
-        (Ended(2, "", "error: a\n", 1.0, 1.0, 20.0, 3 << 30), Verdict.MEMORY),
-        (Ended(1, "", "Traceback (most recent call last)\n", 1.0, 1.0, 20.0, 0), Verdict.TRACEBACK),
+        (CommandOutcome(0, "", "", 1.0, 1.0, 20.0, 0), Verdict.OTHER_INPUT),
+        (CommandOutcome(1, "", "3 of 4 samples failed\n", 1.0, 1.0, 20.0, 0), Verdict.ANSWERED),
+        (CommandOutcome(1, "", "", 1.0, 1.0, 20.0, 0), Verdict.UNCLEAR),
+        (CommandOutcome(2, "", "error: a\nb\n", 1.0, 1.0, 20.0, 0), Verdict.UNCLEAR),
+        (CommandOutcome(3, "", "error: a\n", 1.0, 1.0, 20.0, 0), Verdict.UNCLEAR),
+        (CommandOutcome(-11, "", "", 1.0, 1.0, 20.0, 0), Verdict.DEATH),
+        (CommandOutcome(2, "", "error: a\n", 1.0, 30.0, 20.0, 0), Verdict.HANG),
+        (CommandOutcome(2, "", "error: a\n", 1.0, 1.0, 20.0, 3 << 30), Verdict.MEMORY),
+        (CommandOutcome(1, "", "Traceback (most recent call last)\n", 1.0, 1.0, 20.0, 0), Verdict.TRACEBACK),
     ],
 )
-def test_every_way_to_fall_is_seen(ended: Ended, found: Verdict, tmp_path: Path) -> None:
+def test_every_way_to_fall_is_seen(ended: CommandOutcome, found: Verdict, tmp_path: Path) -> None:
     assert door_verdict(ended, tmp_path / "out") == found
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from bench.gpu import PIECES, main
 from bench.gpu_day import networks, pieces, training
-from bench.gpu_day.pieces import Setting, kept_outcome, kept_path, markdown, piece_named, run_piece
+from bench.gpu_day.pieces import Setting, cached_outcome, cached_path, find_piece, markdown, run_piece
 from tests.bench.made_up_pieces import BREAKS, COUNT, LONG, ODD, WHOLE
 from tests.generation.extensions.denoiser_training.test_loop import tracks as made_up_tracks
 
@@ -26,15 +26,15 @@ def test_pieces_are_run_once_and_what_failed_again(tmp_path: Path, capsys: pytes
     two, setting = (COUNT, BREAKS), trial(tmp_path)
     assert main([*TRIAL, str(tmp_path)], two) == 1
     assert "count: counted 3" in (said := capsys.readouterr().out) and "breaks: failed: ValueError: no memory (" in said
-    kept = json.loads(kept_path(setting, COUNT).read_text())
+    kept = json.loads(cached_path(setting, COUNT).read_text())
     assert kept["machine"].keys() >= {"card", "driver", "torch", "commit", "processor", "device", "tiny"}
-    before = kept_path(setting, COUNT).stat().st_mtime_ns
+    before = cached_path(setting, COUNT).stat().st_mtime_ns
     assert main([*TRIAL, str(tmp_path)], two) == 1
-    assert "counted" not in capsys.readouterr().out and kept_path(setting, COUNT).stat().st_mtime_ns == before
+    assert "counted" not in capsys.readouterr().out and cached_path(setting, COUNT).stat().st_mtime_ns == before
     assert main([*TRIAL, str(tmp_path), "--list"], two) == 0
     assert capsys.readouterr().out.splitlines()[0].endswith("done: counted 3, no GPU")
-    kept_path(setting, COUNT).write_text("{")
-    assert kept_outcome(setting, COUNT) is None
+    cached_path(setting, COUNT).write_text("{")
+    assert cached_outcome(setting, COUNT) is None
     assert "| count | not run | | | |" in markdown(setting, two)
 
 
@@ -43,10 +43,10 @@ def test_a_piece_that_takes_too_long_is_ended_and_gone_on_with(tmp_path: Path, m
     outcome = run_piece(setting, LONG, 0.5)
     assert outcome.unfinished and not outcome.finished and outcome.figures == {"step": 7}
     assert "unfinished: step 7 |" in markdown(setting, (LONG,))
-    assert run_piece(setting, WHOLE, 0.5).failure == "ended after 0 s" and kept_outcome(setting, WHOLE) is None
+    assert run_piece(setting, WHOLE, 0.5).failure == "ended after 0 s" and cached_outcome(setting, WHOLE) is None
     monkeypatch.setattr(pieces, "PIECE_LIMIT_S", 0.5)
     run_piece(setting, WHOLE, 0.5)
-    kept = kept_outcome(setting, WHOLE)
+    kept = cached_outcome(setting, WHOLE)
     assert kept is not None and not kept[0].finished
 
 
@@ -93,31 +93,31 @@ def test_every_network_is_there_in_every_way() -> None:
 def test_a_network_is_timed_and_agrees_with_itself(tmp_path: Path) -> None:
     setting = trial(tmp_path)
     for name in ("vad-tiny-float32", "vad-tiny-bfloat16"):
-        piece = piece_named(PIECES, name)
+        piece = find_piece(PIECES, name)
         figures = piece.work(setting)
         assert figures["frames_per_s"] > 0 and "random weights" in piece.said(figures)
-    piece = piece_named(PIECES, "sparsedrive-agreement")
+    piece = find_piece(PIECES, "sparsedrive-agreement")
     figures = piece.work(setting)
     assert figures["plan_m"] == 0.0 and figures["frames"] == networks.COMPARED_FRAMES
     assert "against the processor" in piece.said(figures)
 
 
 def test_the_photorealistic_network_is_timed(tmp_path: Path) -> None:
-    for piece in (piece_named(PIECES, f"magicdrive-{mode}-224x400") for mode in ("kept", "decoder")):
+    for piece in (find_piece(PIECES, f"magicdrive-{mode}-224x400") for mode in ("kept", "decoder")):
         figures = piece.work(trial(tmp_path))
         assert figures["scene_s"] > 0 and figures["frames"] == 9 and "random weights" in piece.said(figures)
 
 
 def test_the_prior_is_timed_and_trained_to_the_end(tracks: Path, tmp_path: Path) -> None:
     setting = Setting(tmp_path / "gpu", "cpu", tiny=True, tracks=tracks)
-    assert training.prior_so_far(setting)["step"] == 0
+    assert training.read_prior_progress(setting)["step"] == 0
     timed = training.prior_speed(setting)
     assert timed["tracks"] == "given" and timed.get("step_ms", 1.0) > 0 and timed["parameters"] > 1000
     for known, says in (({"step_ms": 5.0, "whole_s": 90.0}, "5.0 ms a step (of 2 steps)"), ({}, "too few steps")):
         unknown = {name: value for name, value in timed.items() if name not in ("step_ms", "whole_s")}
-        assert says in training.training_said(unknown | known)
-    done = training.prior_to_the_end(setting)
-    assert (done["step"], done["of"]) == (4, 4) and "4 of 4 steps" in training.trained_said(done)
+        assert says in training.describe_timing(unknown | known)
+    done = training.finish_prior(setting)
+    assert (done["step"], done["of"]) == (4, 4) and "4 of 4 steps" in training.describe_training(done)
     assert sorted(path.name for path in setting.kept.iterdir()) == ["prior.log.jsonl", "prior.safetensors"]
 
 

@@ -8,18 +8,20 @@ import pytest
 from bench.attacking import children
 from bench.attacking.campaign import preload
 from bench.killing.commands import COMMANDS
-from bench.killing.series import Bench, differences, listing
+from bench.killing.series import KillBench, differences, listing
 from bench.kills import table
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> KillBench:
     preload()
-    return Bench(tmp_path_factory.mktemp("kills"), seed=1)
+    return KillBench(tmp_path_factory.mktemp("kills"), seed=1)
 
 
 @pytest.mark.parametrize(("name", "how"), [("generate", "kill"), ("drive", "kill"), ("drive over HTTP", "server")])
-def test_a_command_that_is_disturbed_leaves_what_an_undisturbed_one_leaves(bench: Bench, name: str, how: str) -> None:
+def test_a_command_that_is_disturbed_leaves_what_an_undisturbed_one_leaves(
+    bench: KillBench, name: str, how: str
+) -> None:
     found = bench.disturbed(COMMANDS[name], how, 1, 0)
     assert found.same and found.files > 10, found
     assert table([found]).splitlines()[2].endswith("| 1 |")
@@ -27,7 +29,7 @@ def test_a_command_that_is_disturbed_leaves_what_an_undisturbed_one_leaves(bench
     assert not any(path.startswith("out/timings") for path in listing(bench.case))
 
 
-def test_a_command_that_leaves_a_trace_of_a_kill_is_found(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_that_leaves_a_trace_of_a_kill_is_found(bench: KillBench, monkeypatch: pytest.MonkeyPatch) -> None:
     honest = bench.disturbed(COMMANDS["drive"], "kill", 1, 1)
 
     def untidy() -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench.speed import __main__ as command
-from bench.speed.case import Case, in_words, measure, said
+from bench.speed.case import Case, format_line, format_seconds, measure
 from bench.speed.cases import CASES
 
 MADE_UP = Case(
@@ -40,8 +40,8 @@ def test_the_least_of_each_side_counts(tmp_path: Path) -> None:
     figures = measure(MADE_UP, tmp_path, repeat=2, clock=clock(2.0, 5.0, 1.0, 9.0))
     assert (figures["ours_s"], figures["other_s"], figures["ratio"]) == (0.25, 5.0, 20.0) and figures["wrong"] == []
     assert figures["more"] == "from [(False, '0')]" and json.loads(json.dumps(figures)) == figures
-    assert said(figures).startswith(f"{MADE_UP.name:<32} 250 ms per thing; slow version 5 s: 20 times; from ")
-    assert [in_words(seconds) for seconds in (90.0, 1.5e-3, 2e-6)] == ["90 s", "1.5 ms", "2 us"]
+    assert format_line(figures).startswith(f"{MADE_UP.name:<32} 250 ms per thing; slow version 5 s: 20 times; from ")
+    assert [format_seconds(seconds) for seconds in (90.0, 1.5e-3, 2e-6)] == ["90 s", "1.5 ms", "2 us"]
 
 
 def test_a_fresh_state_is_made_for_each_turn(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_another_tree_is_measured_in_turns(monkeypatch: pytest.MonkeyPatch, caps
     def found(tree: Path, _case: Case, _given: object) -> dict[str, object]:
         return figures | (next(here) if tree == command.ROOT else {"ours_s": 5.0, "digest": "b"})
 
-    monkeypatch.setattr(command, "measured_in", found)
+    monkeypatch.setattr(command, "measure_in_tree", found)
     assert command.main(["--against", "elsewhere"], (MADE_UP,)) == 1
     shown = capsys.readouterr().out
     assert "in the other tree 5 s: 2.50 times" in shown and "the other tree comes to something else" in shown

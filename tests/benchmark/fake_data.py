@@ -9,11 +9,11 @@ import numpy as np
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
 from benchmark.datasets.annotated import AnnotationCount
-from benchmark.datasets.can_bus import CanBus, ego_state
+from benchmark.datasets.can_bus import CanBus, compute_ego_state
 from benchmark.datasets.categories import CategoryNames
-from benchmark.datasets.scene_facts import scene_facts_of
+from benchmark.datasets.scene_facts import build_scene_facts
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
-from benchmark.machine.storage import content_key, token
+from benchmark.machine.storage import content_key, make_token
 from benchmark.planning import CameraView, Command, Observation
 from benchmark.records.review import SplitReview
 from benchmark.records.run_schema import SceneFacts
@@ -70,7 +70,7 @@ class FakeData:
         return self.scenes[name]
 
     def keyframe_rows(self, name: str) -> dict[str, str]:
-        return {token("CAM_FRONT", truth.sample_token): truth.sample_token for truth in self.truth(name)}
+        return {make_token("CAM_FRONT", truth.sample_token): truth.sample_token for truth in self.truth(name)}
 
     def has_map(self, name: str) -> bool:
         return True
@@ -82,7 +82,7 @@ class FakeData:
         return None
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        return {name: scene_facts_of(name, {}, self.scenes[name].description) for name in names}
+        return {name: build_scene_facts(name, {}, self.scenes[name].description) for name in names}
 
     def fingerprint(self) -> str:
         return content_key([(name, self.scenes[name].agents.position.tolist()) for name in sorted(self.scenes)])
@@ -125,7 +125,7 @@ def sample_truth(scene: Scene, index: int) -> SampleTruth:
     points = scene.annotations.num_lidar_pts[rows][:, at] > 0
     return SampleTruth(
         scene=scene.name,
-        sample_token=token(scene.name, index),
+        sample_token=make_token(scene.name, index),
         index=index,
         timestamp_us=int(scene.timestamps_us[scene.keyframes[index]]),
         lidar_pose=lidar[index],
@@ -153,12 +153,12 @@ def observation(scene: Scene, index: int, views: dict[str, CameraView]) -> Obser
     past = np.arange(index - HISTORY + 1, index + 1)
     return Observation(
         scene=scene.name,
-        sample_token=token(scene.name, index),
+        sample_token=make_token(scene.name, index),
         index=index,
         timestamp_us=int(scene.timestamps_us[frame]),
         views=views,
         lidar=scene.lidar,
-        ego=ego_state(scene.ego, scene.timestamps_us, frame, CanBus(None, None)),
+        ego=compute_ego_state(scene.ego, scene.timestamps_us, frame, CanBus(None, None)),
         past_poses=pose[np.maximum(past, 0)],
         past_valid=past >= 0,
         command=sample_truth(scene, index).command,

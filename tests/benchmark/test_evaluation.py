@@ -24,10 +24,10 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global
 from benchmark.planning import CameraView, Observation, SceneInfo
 from benchmark.protocols import STANDARD
-from benchmark.protocols.exact import Exact
+from benchmark.protocols.exact import ExactProtocol
 from benchmark.records.run import find_records, load_record
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.scene import Camera, EgoTrack, Scene
 from tests.benchmark.fake_data import FakeData, sample_truth, town_of_two
 from tests.benchmark.planners import Factory, Failing, LooksAtImages, Remembering, Straight
@@ -141,13 +141,13 @@ def test_what_tables_say_of_a_planner_changes_neither_directory_nor_kept_plans(t
 
 def test_a_planner_names_its_native_protocol_itself() -> None:
     planner = Straight()
-    assert facts_of(planner).native_protocol is None
+    assert build_planner_facts(planner).native_protocol is None
     planner.native_protocol = "sparsedrive"  # type: ignore[attr-defined]
-    assert facts_of(planner).native_protocol == "sparsedrive"
+    assert build_planner_facts(planner).native_protocol == "sparsedrive"
     for wrong in ("nuplan", 3, ["vad"]):
         planner.native_protocol = wrong  # type: ignore[attr-defined]
         with pytest.raises(InputError, match=r"planner 'straight' has the unknown native protocol .*known are exact"):
-            facts_of(planner)
+            build_planner_facts(planner)
 
 
 def test_plans_of_a_file_have_the_native_protocol_that_is_given(tmp_path: Path) -> None:
@@ -241,7 +241,7 @@ def test_moving_and_turning_the_whole_scene_changes_no_verdict(turn: float, x: f
     moved = moved_scene(scene, turn, np.array([x, y]))
     plans = [straight_plan(8.0 + 0.3 * index) for index in range(len(scene.keyframes))]
     truths = [[sample_truth(here, index) for index in range(len(plans))] for here in (scene, moved)]
-    before, after = (Exact().evaluate(those, np.array(plans)) for those in truths)
+    before, after = (ExactProtocol().evaluate(those, np.array(plans)) for those in truths)
     assert before.collision.any() and not before.collision.all()
     assert (before.collision == after.collision).all()
     assert after.l2 == pytest.approx(before.l2, abs=1e-6)

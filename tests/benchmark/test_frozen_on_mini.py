@@ -13,7 +13,7 @@ from adapters.registry import planner_factory
 from benchmark import api
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.machine.storage import only_writer
+from benchmark.machine.storage import lock_folder
 from benchmark.machine.workspace import is_finished
 from benchmark.protocols import STANDARD
 from benchmark.records.run import load_record
@@ -21,7 +21,7 @@ from benchmark.runs.rescoring import rescore_all
 from generation.pipeline.split import build_split
 from generation.search.hyperparameters import HyperParameters
 from generation.sources.mini import TownSettings
-from generation.splits.packaged import NamedSplit, frozen_split
+from generation.splits.packaged import NamedSplit, read_frozen_split
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.generation.splits.frozen_files import BUILT
 
@@ -36,7 +36,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def small(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[NamedSplit]:
     """A town of one scene without cameras, and a frozen split of one scene."""
-    packaged = frozen_split("mini-adv-1")
+    packaged = read_frozen_split("mini-adv-1")
     one = next(scene for scene in packaged.frozen.scenes if scene.source == "scene-8000")
     few = NamedSplit("mini-adv-7", packaged.frozen.model_copy(update={"scenes": (one,)}))
     monkeypatch.setattr("generation.sources.mini.TownSettings", partial(TownSettings, val_scenes=1, images=False))
@@ -54,7 +54,7 @@ def test_it_is_built_into_the_cache_without_a_search_and_the_record_says_so(
 ) -> None:
     monkeypatch.setattr("generation.search.chains.search_chains", no_search)
     monkeypatch.setattr("generation.pipeline.split.search_chains", no_search)
-    monkeypatch.setattr("generation.search.definition._loaded", no_search)
+    monkeypatch.setattr("generation.search.definition._load_prior", no_search)
     source = api.open_data("mini", workers=1)
     data = api.open_split(source, "adv", tmp_path / "out", workers=1)
     assert data.root.parent == cache and data.root.name.startswith("mini-adv-7-")
@@ -79,7 +79,7 @@ def test_an_interrupted_build_goes_on_and_two_at_once_do_not_disturb_each_other(
     before = bytes_below(root)
     next(root.glob("*/challenger.json")).unlink()
     next(root.glob("*/sample.json")).unlink()
-    with only_writer(root), pytest.raises(InputError, match="another command is writing"):
+    with lock_folder(root), pytest.raises(InputError, match="another command is writing"):
         api.open_split(source, "adv", tmp_path / "out", workers=1)
     assert not is_finished(root)
     assert api.open_split(source, "adv", tmp_path / "out", workers=1).root == root

@@ -18,7 +18,7 @@ import typer
 import benchmark
 from benchmark.cli.app import app
 from generation.sources.mini import TownSettings
-from generation.splits.packaged import NamedSplit, newest_split
+from generation.splits.packaged import NamedSplit, read_newest_split
 from tests.whole_product import command_is_installed, is_installed
 
 PLACES: dict[str, str] = vars(benchmark)["_PLACES"]
@@ -132,7 +132,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_examples_run(page: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = partial(TownSettings, val_scenes=2, width=96, height=54, frames="keyframes")
     monkeypatch.setattr("generation.sources.mini.TownSettings", tiny)
-    whole = newest_split("mini")
+    whole = read_newest_split("mini")
     of_each = {scene.source: scene for scene in whole.frozen.scenes if scene.source in ("scene-8000", "scene-8001")}
     assert of_each, "the examples open a split that has scenes"
     few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": tuple(of_each.values())}))

@@ -17,8 +17,8 @@ import typer
 
 import benchmark
 from benchmark.cli.app import app
-from generation.sources.mini import TownSettings, build_town
-from generation.splits.packaged import NamedSplit, newest_split
+from generation.sources.mini import TownSettings, build_town_data_set
+from generation.splits.packaged import NamedSplit, read_newest_split
 from tests.documentation.lines_of_code import LONGER, NOT_HERE, PAGES, ROOT, Line, typed_lines
 from tests.whole_product import ABSENT
 
@@ -58,7 +58,7 @@ PLACES = {
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A cache of its own and a town, for all pages."""
     folder = tmp_path_factory.mktemp("tiny")
-    build_town(folder / "town", TownSettings(val_scenes=1, width=96, height=54, frames="keyframes"), workers=1)
+    build_town_data_set(folder / "town", TownSettings(val_scenes=1, width=96, height=54, frames="keyframes"), workers=1)
     return folder
 
 
@@ -66,7 +66,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def desk(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder where a reader sits, with what pages speak of: a data set, a demo, a planner."""
     small = partial(TownSettings, val_scenes=1, width=96, height=54, frames="keyframes")
-    whole = newest_split("mini")
+    whole = read_newest_split("mini")
     first = next(scene for scene in whole.frozen.scenes if scene.name == PLACES["NAME"])
     few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": (first,)}))
     monkeypatch.setattr("generation.sources.mini.TownSettings", small)

@@ -6,8 +6,8 @@ from typing import Any
 from benchmark.metrics.rates import Rate
 from benchmark.records.ablation import VARIANTS, AblationReport, AblationRow
 from benchmark.records.run_schema import DataFacts, PlannerFacts
-from benchmark.records.scenes import AttemptFacts, Sheets, SplitSheet
-from benchmark.records.statistics import Runtime, SplitStatistics
+from benchmark.records.scenes import AttemptFacts, ScenePages, SplitPage
+from benchmark.records.statistics import BuildRuntime, SplitStatistics
 
 STATISTICS: dict[str, Any] = {
     "split": "adv",
@@ -51,9 +51,9 @@ def split_sheet(
     statistics: dict[str, Any] | None = None,
     runtime: dict[str, Any] | None = None,
     attempts: Sequence[tuple[str, str | None]] = (),
-) -> SplitSheet:
+) -> SplitPage:
     """A split in numbers; attempts are recorded scenes with why they were discarded."""
-    return SplitSheet(
+    return SplitPage(
         schema=1,
         data=DataFacts(name=data, version="v", fingerprint=f"{split:f<64}"),
         split=split,
@@ -63,16 +63,16 @@ def split_sheet(
             AttemptFacts(source=source, agent=str(place), scene=None, discarded=why, manoeuvre=None)
             for place, (source, why) in enumerate(attempts)
         ),
-        runtime=None if runtime is None else Runtime.model_validate(runtime),
+        runtime=None if runtime is None else BuildRuntime.model_validate(runtime),
     )
 
 
-def sheets_of(*splits: SplitSheet) -> Sheets:
+def sheets_of(*splits: SplitPage) -> ScenePages:
     """Sheets of splits without any scene."""
-    return Sheets({(sheet.data.name, sheet.split): sheet for sheet in splits}, {})
+    return ScenePages({(sheet.data.name, sheet.split): sheet for sheet in splits}, {})
 
 
-def workspace_sheets(data: str = "d") -> Sheets:
+def workspace_sheets(data: str = "d") -> ScenePages:
     """A recorded split and a generated one with everything."""
     adv = split_sheet("adv", data=data, statistics=STATISTICS, runtime=RUNTIME, attempts=ATTEMPTS)
     return sheets_of(adv, split_sheet("val", data=data))

@@ -17,10 +17,10 @@ from benchmark.published import TABLE_1
 from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.run_schema import SceneFacts
-from leaderboard.build import leaderboard_files, leaderboard_tables, stale_files, write_leaderboard
+from leaderboard.build import build_leaderboard_files, build_leaderboard_tables, find_stale_files, write_leaderboard
 from leaderboard.figures.contents import attack_figures
 from leaderboard.frame.results import read_results
-from leaderboard.results import one_run_each
+from leaderboard.results import select_runs
 from leaderboard.tables.published import published_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing, Straight
@@ -46,7 +46,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunRecord, ...]:
 def few_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures have tests of their own; here one test has them drawn, because each takes half a second."""
     if "drawn" not in request.fixturenames:
-        monkeypatch.setattr("leaderboard.figures.contents.OF_RUNS", (attack_figures,))
+        monkeypatch.setattr("leaderboard.figures.contents.RUN_FIGURES", (attack_figures,))
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def texts(records: Sequence[RunRecord]) -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("heat_maps", "lift_maps"):
             patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", lambda: b""))
-        files = leaderboard_files(read_results(records)).items()
+        files = build_leaderboard_files(read_results(records)).items()
     return {name: content.decode() for name, content in files if not name.endswith(".png")}
 
 
@@ -72,12 +72,12 @@ def named(record: RunRecord, *, data: str | None = None, planner: str | None = N
 @settings(max_examples=8, deadline=None)
 @given(order=st.permutations(range(4)))
 def test_the_order_of_the_records_does_not_matter(runs: tuple[RunRecord, ...], order: list[int]) -> None:
-    assert leaderboard_tables([runs[index] for index in order]) == leaderboard_tables(runs)
+    assert build_leaderboard_tables([runs[index] for index in order]) == build_leaderboard_tables(runs)
 
 
 def test_the_same_records_give_the_same_bytes(runs: tuple[RunRecord, ...], drawn: None) -> None:
-    files = leaderboard_files(read_results(runs))
-    assert leaderboard_files(read_results(runs[::-1])) == files
+    files = build_leaderboard_files(read_results(runs))
+    assert build_leaderboard_files(read_results(runs[::-1])) == files
     assert [name for name in files if name.endswith(".png")] == [
         "figures/fake/transfer-val-exact.png",
         "figures/fake/transfer-adv-exact.png",
@@ -106,16 +106,16 @@ def test_one_row_for_each_planner_and_split_with_what_was_counted(runs: tuple[Ru
 def test_what_is_written_is_current_until_something_changes(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
     written = write_leaderboard(read_results(runs), tmp_path)
     assert all(path.is_file() for path in written)
-    assert stale_files(read_results(runs), tmp_path) == []
-    assert len(stale_files(read_results(runs[:3]), tmp_path)) > 0
+    assert find_stale_files(read_results(runs), tmp_path) == []
+    assert len(find_stale_files(read_results(runs[:3]), tmp_path)) > 0
     (tmp_path / "README.md").write_text("edited")
     (tmp_path / "published" / "published.csv").unlink()
-    assert sorted(sentence.rpartition("/")[2] for sentence in stale_files(read_results(runs), tmp_path)) == [
+    assert sorted(sentence.rpartition("/")[2] for sentence in find_stale_files(read_results(runs), tmp_path)) == [
         "README.md differs from what the run records say",
         "published.csv is missing",
     ]
     write_leaderboard(read_results(runs), tmp_path)
-    assert stale_files(read_results(runs), tmp_path) == []
+    assert find_stale_files(read_results(runs), tmp_path) == []
 
 
 def test_a_table_that_is_no_longer_made_is_stale_and_goes_when_written_again(
@@ -123,9 +123,11 @@ def test_a_table_that_is_no_longer_made_is_stale_and_goes_when_written_again(
 ) -> None:
     write_leaderboard(read_results([*runs, *(named(record, data="gone") for record in runs)]), tmp_path)
     (tmp_path / "tables" / "fake" / "notes.txt").write_text("mine")
-    assert any("gone" in sentence and "no longer" in sentence for sentence in stale_files(read_results(runs), tmp_path))
+    assert any(
+        "gone" in sentence and "no longer" in sentence for sentence in find_stale_files(read_results(runs), tmp_path)
+    )
     write_leaderboard(read_results(runs), tmp_path)
-    assert stale_files(read_results(runs), tmp_path) == []
+    assert find_stale_files(read_results(runs), tmp_path) == []
     assert not list((tmp_path / "tables" / "gone").iterdir())
     assert not list((tmp_path / "figures" / "gone").iterdir())
     assert (tmp_path / "tables" / "fake" / "notes.txt").read_text() == "mine"
@@ -136,7 +138,11 @@ def test_a_run_of_some_scenes_does_not_displace_or_clash_with_the_whole(
 ) -> None:
     part = evaluate(town_of_two(), "val", Straight(), tmp_path, FIRST_SCENE)
     assert not part.covers_split
-    assert leaderboard_tables([*runs, part]) == leaderboard_tables([part, *runs]) == leaderboard_tables(runs)
+    assert (
+        build_leaderboard_tables([*runs, part])
+        == build_leaderboard_tables([part, *runs])
+        == build_leaderboard_tables(runs)
+    )
 
 
 def test_where_there_is_only_a_part_the_largest_stands_and_says_so(tmp_path: Path) -> None:
@@ -146,7 +152,7 @@ def test_where_there_is_only_a_part_the_largest_stands_and_says_so(tmp_path: Pat
         evaluate(data, "val", Straight(), tmp_path, replace(FIRST_SCENE, scenes=scenes))
         for scenes in (("scene-9901",), ("scene-9901", "scene-9902"), ("scene-9903",))
     ]
-    assert one_run_each(parts) == one_run_each(parts[::-1]) == [parts[1]]
+    assert select_runs(parts) == select_runs(parts[::-1]) == [parts[1]]
     files = texts(parts)
     assert "straight on val: 2 of 3 scenes of the split." in files["README.md"]
     assert not any("transfer" in name for name in files)
@@ -163,25 +169,25 @@ def test_a_planner_that_failed_on_samples_is_noted(tmp_path: Path) -> None:
 def test_two_whole_runs_of_one_planner_are_refused(runs: tuple[RunRecord, ...]) -> None:
     again = replace(runs[0], directory=runs[0].directory.with_name("again"))
     with pytest.raises(InputError, match="both hold log-replay on split adv"):
-        leaderboard_files(read_results([*runs, again]))
+        build_leaderboard_files(read_results([*runs, again]))
 
 
 def test_records_of_different_content_under_one_name_are_refused(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
     other = evaluate(town_of_two(slow_leader=True), "val", Failing(), tmp_path)
     with pytest.raises(InputError, match=r"different content of split val of fake .*run challenger-bench eval again"):
-        leaderboard_files(read_results([*runs, other]))
-    assert leaderboard_tables([*runs, named(other, data="another")])
+        build_leaderboard_files(read_results([*runs, other]))
+    assert build_leaderboard_tables([*runs, named(other, data="another")])
 
 
 def test_adversarial_scenes_under_the_name_of_another_split_are_refused() -> None:
     adversarial, recorded = (hand_made("p", {"a": [HIT]}, split=split) for split in ("adv", "val"))
-    assert len(one_run_each([adversarial, recorded])) == 2
+    assert len(select_runs([adversarial, recorded])) == 2
     same = recorded.run.model_copy(update={"data": adversarial.run.data})
     with pytest.raises(InputError, match="the same scenes of d as split val and as split adv"):
-        one_run_each([adversarial, replace(recorded, run=same)])
+        select_runs([adversarial, replace(recorded, run=same)])
     facts = {"a": SceneFacts(source="a", manoeuvre="cut-in-left")}
     with pytest.raises(InputError, match="have a generated adversary"):
-        one_run_each([replace(recorded, run=recorded.run.model_copy(update={"scene_facts": facts}))])
+        select_runs([replace(recorded, run=recorded.run.model_copy(update={"scene_facts": facts}))])
 
 
 def test_the_published_increases_follow_from_the_published_averages() -> None:
@@ -260,7 +266,7 @@ def test_a_note_is_said_once_in_the_readme_and_below_every_table_elsewhere(runs:
 
 def test_drives_have_tables_beside_open_loop(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
     driven = driven_beside(runs, tmp_path / "drives")
-    files = leaderboard_files(read_results(runs, drives=driven))
+    files = build_leaderboard_files(read_results(runs, drives=driven))
     read = files["README.md"].decode()
     assert "## fake: closed loop" in read and "closed loop, engine default, agents replay" in read
     assert "beside open loop" in read and "tables/fake/closed-loop.md" in read
@@ -269,17 +275,17 @@ def test_drives_have_tables_beside_open_loop(runs: tuple[RunRecord, ...], tmp_pa
     for kind in ("drives", "loops", "loops-scenes"):
         (row, *_) = csv_rows(files[f"tables/fake/{kind}-adv-default-replay.csv"].decode())
         assert row["planner"].startswith("straight")
-    assert leaderboard_files(read_results(runs[::-1], drives=driven[::-1])) == files
-    assert set(leaderboard_files(read_results(runs))) < set(files)
+    assert build_leaderboard_files(read_results(runs[::-1], drives=driven[::-1])) == files
+    assert set(build_leaderboard_files(read_results(runs))) < set(files)
 
 
 def test_drives_alone_make_a_leaderboard_and_go_stale(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
     driven = driven_beside(runs, tmp_path / "drives")
     folder = tmp_path / "board"
     write_leaderboard(read_results((), drives=driven), folder)
-    assert stale_files(read_results((), drives=driven), folder) == []
+    assert find_stale_files(read_results((), drives=driven), folder) == []
     assert b'"closed loop"' in (folder / "site/data/index.js").read_bytes()
-    fewer = stale_files(read_results(runs), folder)
+    fewer = find_stale_files(read_results(runs), folder)
     assert any("drives-adv-default-replay.csv" in one and "no longer give" in one for one in fewer)
     scenes = driven[0].facts.scenes
     hits = [drive_row(scene, end="contact", contact=contact()) for scene in scenes]
@@ -287,7 +293,7 @@ def test_drives_alone_make_a_leaderboard_and_go_stale(runs: tuple[RunRecord, ...
     changed = written(tmp_path / "changed", *hits, **facts)
     assert any(
         "drives-adv-default-replay.csv differs" in one
-        for one in stale_files(read_results((), drives=[changed]), folder)
+        for one in find_stale_files(read_results((), drives=[changed]), folder)
     )
 
 

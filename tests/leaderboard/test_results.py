@@ -8,7 +8,7 @@ import pytest
 from benchmark.cli.demo import stale_demo
 from benchmark.machine.storage import read_json
 from benchmark.records.run import RunRecord
-from leaderboard.results import NUMBERS, PAGE, stale_results, write_results
+from leaderboard.results import NUMBERS, PAGE, find_stale_results, write_results
 from tests.benchmark.cli.cli_runs import challenger_bench
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.made_up import study
@@ -46,27 +46,27 @@ def test_the_page_has_all_that_is_measured_and_the_same_bytes_twice(records: lis
 
 def test_what_was_just_written_is_current(records: list[RunRecord], tmp_path: Path) -> None:
     written(records, tmp_path)
-    assert stale_results(tmp_path, MADE_FROM) == []
+    assert find_stale_results(tmp_path, MADE_FROM) == []
 
 
 @pytest.mark.parametrize("name", MADE_FROM)
 def test_anything_that_has_changed_is_named(records: list[RunRecord], tmp_path: Path, name: str) -> None:
     written(records, tmp_path)
-    assert stale_results(tmp_path, MADE_FROM | {name: "other"}) == [
+    assert find_stale_results(tmp_path, MADE_FROM | {name: "other"}) == [
         f"{name} has changed since {tmp_path / NUMBERS} was written"
     ]
-    assert len(stale_results(tmp_path, {key: value for key, value in MADE_FROM.items() if key != name})) == 1
+    assert len(find_stale_results(tmp_path, {key: value for key, value in MADE_FROM.items() if key != name})) == 1
 
 
 def test_a_page_that_was_edited_or_lost_is_stale(records: list[RunRecord], tmp_path: Path) -> None:
     written(records, tmp_path)
     page = tmp_path / PAGE
     page.write_text(page.read_text() + "and more\n")
-    assert stale_results(tmp_path, MADE_FROM) == [f"{page} is not what was written with {tmp_path / NUMBERS}"]
+    assert find_stale_results(tmp_path, MADE_FROM) == [f"{page} is not what was written with {tmp_path / NUMBERS}"]
     page.unlink()
-    assert len(stale_results(tmp_path, MADE_FROM)) == 1
+    assert len(find_stale_results(tmp_path, MADE_FROM)) == 1
     (tmp_path / NUMBERS).write_text("{")
-    assert stale_results(tmp_path, MADE_FROM) == [f"there are no results in {tmp_path}"]
+    assert find_stale_results(tmp_path, MADE_FROM) == [f"there are no results in {tmp_path}"]
 
 
 def test_checking_without_full_is_wrong_use_and_nothing_there_is_stale(tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ class Options:
         self.choices = {(row[0], row[1]): row[2] for row in rows if len(row) == 3 and ", " not in row[2]}
         self.needed: dict[str, list[tuple[str, str]]] = {}
         for command, name, kind in (row for row in rows if len(row) == 3 and ", required" in row[2]):
-            self.needed.setdefault(command, []).append((name, self._value(command, name, kind)))
+            self.needed.setdefault(command, []).append((name, self._compare_value(command, name, kind)))
 
     def of(self, line: str) -> str | None:
         """Whether a command, an option or a choice is taken by the parser; else the refusal of the command line."""
@@ -124,10 +124,10 @@ class Options:
         if rest[0].startswith("bool, "):
             tries = [[each] for each in name.split("/")]
         else:
-            tries = [_said(name, self._value(command, name, rest[0]) if ", " in rest[0] else rest[0])]
+            tries = [_said(name, self._compare_value(command, name, rest[0]) if ", " in rest[0] else rest[0])]
         return next((said for each in tries if (said := refusal(*words, *each, *needed)) is not None), None)
 
-    def _value(self, command: str, name: str, kind: str) -> str:
+    def _compare_value(self, command: str, name: str, kind: str) -> str:
         return self.choices.get((command, name)) or _VALUES[kind.split(", ")[0]]
 
 

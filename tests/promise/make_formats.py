@@ -34,10 +34,10 @@ def make_run(out: Path) -> Any:
 
 def make_drives(out: Path) -> Any:
     """A drive straight into the slow car."""
-    from benchmark.closed_loop.default_engine import DefaultRides
+    from benchmark.closed_loop.default_engine import DefaultBackend
     from benchmark.runs.driving import DriveSettings, drive_split
 
-    return drive_split(short_road(), "val", Straight(), out, DriveSettings("default", DefaultRides()))
+    return drive_split(short_road(), "val", Straight(), out, DriveSettings("default", DefaultBackend()))
 
 
 def keep(directory: Path, head: str, kind: str, out: Path) -> None:

@@ -11,13 +11,13 @@ from benchmark.machine.storage import file_sha256
 from benchmark.records import drive_schema, run_schema
 from benchmark.records.drives import DriveRecord, load_drives
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.run import RunRecord, load_record, summarise
+from benchmark.records.run import RunRecord, load_record, summarise_rows
 from benchmark.runs.rescoring import rescore
 from benchmark.runs.rescoring_drives import rescore_drives
 from generation.splits import format as frozen_format
 from generation.splits.building import build_frozen
 from generation.splits.format import read_frozen
-from generation.splits.packaged import frozen_split
+from generation.splits.packaged import read_frozen_split
 from tests.generation.splits.frozen_files import BUILT, recordings
 from tests.promise.make_formats import make_drives, make_run, short_road
 
@@ -51,7 +51,7 @@ def test_a_run_record_loads_and_its_plans_are_judged_as_they_are_today(
     old = load_record(kept)
     assert [row.plan for row in old.rows] == [row.plan for row in run_of_today.rows]
     assert old.summary.failed == 1 and old.run.status == "partial"
-    said_again = summarise(old.rows, old.run.protocols, seed=old.run.seed, scene_facts=old.run.scene_facts)
+    said_again = summarise_rows(old.rows, old.run.protocols, seed=old.run.seed, scene_facts=old.run.scene_facts)
     for name, summary in old.summary.protocols.items():
         assert said_again.protocols[name].columns["collision"] == summary.columns["collision"]
     directory = Path(shutil.copytree(kept, tmp_path / "runs"))
@@ -94,7 +94,7 @@ def test_a_frozen_split_reads_keeps_its_bytes_and_builds_the_scenes_that_were_fr
     frozen = read_frozen(kept)
     assert frozen.text() == kept.read_text()
     one = replace(BUILT, out=tmp_path / "built", renderer=None, scenes=(frozen.scenes[0].name,))
-    report = build_frozen(source, frozen_split(kept), one)
+    report = build_frozen(source, read_frozen_split(kept), one)
     assert report.written == (frozen.scenes[0].name,) and report.other_tables == ()
     assert open_data(tmp_path / "built").scene_names("adv") == report.written
 

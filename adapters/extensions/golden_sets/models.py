@@ -26,6 +26,6 @@ def verify_model(name: str, golden: Path, device: str = "cpu", *, noise: bool = 
     if not noise:
         return cast("list[Check]", verify())
     # It imports torch, which a refusal does not wait for.
-    from adapters.extensions.golden_sets.parity_set import with_own_rounding
+    from adapters.extensions.golden_sets.parity_set import add_floating_point_noise
 
-    return with_own_rounding(verify)
+    return add_floating_point_noise(verify)

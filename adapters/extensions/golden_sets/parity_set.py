@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor, nn
 
-from adapters.extensions.golden_sets.tensors import Quantity, Whole, compare_tensor, same_lengths
+from adapters.extensions.golden_sets.tensors import Quantity, TensorDifferences, compare_tensor, have_same_lengths
 from adapters.models import Model, resolve
 from benchmark.geometry import Floats
 from benchmark.machine.devices import single_precision
 from benchmark.verification.checks import ROUNDING, Check, Comparison
-from benchmark.verification.filled_networks import fill, same_names_and_shapes
-from benchmark.verification.golden import GoldenArrays, GoldenFolder, golden_directory, one_sentence
-from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes, seeded_normal
+from benchmark.verification.filled_networks import fill_network, have_same_names_and_shapes
+from benchmark.verification.golden import GoldenArrays, GoldenFolder, find_golden_directory, raise_input_error
+from benchmark.verification.synthetic_weights import WeightsRecipe, draw_seeded_normal, read_shapes
 
 IMAGE_NOISE: Final = 1e-7
 """What images are changed by: about the last bit of numbers around one, which normalised images are."""
@@ -32,7 +32,7 @@ NOTABLE: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class VerificationRun:
     """One way of running a network while it is compared; images are changed by `image_noise`."""
 
     comparison: Comparison = field(default_factory=Comparison)
@@ -59,18 +59,22 @@ class Run:
                 handle.remove()
 
 
-def other_threads() -> int:
+def choose_other_thread_count() -> int:
     """Another number of threads than the present one."""
     return 2 if torch.get_num_threads() == 1 else 1
 
 
-def with_own_rounding(verify: Callable[[Run], Sequence[Check]]) -> list[Check]:
+def add_floating_point_noise(verify: Callable[[VerificationRun], Sequence[Check]]) -> list[Check]:
     """Checks of the plain run, each with the larger of the two movements by the network's own rounding.
 
     Notes name the movements of those that are past their tolerance, and of those that rounding moves by half of it or
     more.
     """
-    plain, images, threads = Run(), Run(image_noise=IMAGE_NOISE), Run(threads=other_threads())
+    plain, images, threads = (
+        VerificationRun(),
+        VerificationRun(image_noise=IMAGE_NOISE),
+        VerificationRun(threads=choose_other_thread_count()),
+    )
     for run in (plain, images, threads):
         run.comparison.remembers = True
     checks = list(verify(plain))
@@ -78,10 +82,12 @@ def with_own_rounding(verify: Callable[[Run], Sequence[Check]]) -> list[Check]:
     verify(threads)
     by_images = plain.comparison.moved_by(images.comparison)
     by_threads = plain.comparison.moved_by(threads.comparison)
-    return [_told(check, by_images.get(check.quantity, 0.0), by_threads.get(check.quantity, 0.0)) for check in checks]
+    return [
+        _add_note(check, by_images.get(check.quantity, 0.0), by_threads.get(check.quantity, 0.0)) for check in checks
+    ]
 
 
-def _told(check: Check, by_images: float, by_threads: float) -> Check:
+def _add_note(check: Check, by_images: float, by_threads: float) -> Check:
     moved = replace(check, moved=max(by_images, by_threads))
     assert moved.moved is not None
     if moved.ok and moved.moved <= NOTABLE * moved.tolerance:
@@ -130,7 +136,9 @@ class GoldenNetwork(Generic[S]):
     build: Callable[[Model, S], nn.Module]
     compare: Callable[[Comparison, Any, S], None]
 
-    def verify(self, model: Model, golden: Path, device: str = "cpu", run: Run | None = None) -> list[Check]:
+    def verify(
+        self, model: Model, golden: Path, device: str = "cpu", run: VerificationRun | None = None
+    ) -> list[Check]:
         """Fill a network for each golden set and compare it.
 
         Args:
@@ -139,16 +147,16 @@ class GoldenNetwork(Generic[S]):
         Returns:
             One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
         """
-        run = run or Run()
+        run = run or VerificationRun()
         comparison = run.comparison
         for folder in _set_folders(golden):
-            golden_directory(folder, "dev", *FILES)
-            with one_sentence(folder, model.name):
+            find_golden_directory(folder, "dev", *FILES)
+            with raise_input_error(folder, model.name):
                 golden_set = self.read(GoldenFolder(folder), model)
                 network = self.build(model, golden_set).to(device)
-                if not same_names_and_shapes(comparison, network, golden_set.shapes):
+                if not have_same_names_and_shapes(comparison, network, golden_set.shapes):
                     break
-                fill(
+                fill_network(
                     comparison,
                     network,
                     golden_set.recipe,
@@ -180,7 +188,7 @@ class ImageRecipe(BaseModel):
     sha256: list[str] = Field(default_factory=list)
 
 
-class StoredTensor(BaseModel):
+class TensorLayout(BaseModel):
     """Stored form of a quantity: shape of the tensor, and stride of its flat numbers where only a part of them is."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -195,7 +203,7 @@ class ParityManifest(WeightsRecipe):
     weights_sha256: str | None = None
     image: ImageRecipe
     scene_tokens: list[str]
-    tensors: dict[str, StoredTensor | dict[str, StoredTensor]] = Field(default_factory=dict)
+    tensors: dict[str, TensorLayout | dict[str, TensorLayout]] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +224,9 @@ class ParitySet:
         """Read a set: ``keys.json`` is in its folder or the one above, ``outputs_frame0.npz`` and so on in its own."""
         outputs = [folder.arrays(f"outputs_frame{at}.npz") for at in range(len(folder.named("outputs_frame*.npz")))]
         recipe = ParityManifest.model_validate(folder.facts("manifest.json", gaps=True))
-        return cls(folder.path, recipe, read_shapes(folder.nearby("keys.json")), folder.arrays("inputs.npz"), outputs)
+        return cls(
+            folder.path, recipe, read_shapes(folder.read_json_nearby("keys.json")), folder.arrays("inputs.npz"), outputs
+        )
 
     def camera_images(self, frame: int, cameras: int) -> Tensor:
         """Images as of `images`, for a network that has so many cameras."""
@@ -230,24 +240,26 @@ class ParitySet:
         image, salt = self.recipe.image, self.recipe.salt
         cameras, channels, rows, columns = image.shape
         coarse = (cameras, channels, rows // COARSE, columns // COARSE)
-        squares = np.kron(seeded_normal(f"input:image_coarse:frame{frame}", coarse, salt), np.ones((COARSE, COARSE)))
-        images = seeded_normal(f"input:image:frame{frame}", image.shape, salt) + 2 * squares
+        squares = np.kron(
+            draw_seeded_normal(f"input:image_coarse:frame{frame}", coarse, salt), np.ones((COARSE, COARSE))
+        )
+        images = draw_seeded_normal(f"input:image:frame{frame}", image.shape, salt) + 2 * squares
         images[:, :, image.valid_rows :] = 0
-        return recorded_images(images.astype(np.float32), image.sha256[frame] if image.sha256 else None, frame)
+        return require_recorded_images(images.astype(np.float32), image.sha256[frame] if image.sha256 else None, frame)
 
-    def stored(self, quantity: str, frame: int) -> StoredTensor:
+    def stored(self, quantity: str, frame: int) -> TensorLayout:
         """Stored form of a quantity."""
         layout = self.recipe.tensors[quantity]
-        return layout if isinstance(layout, StoredTensor) else layout[f"frame{frame}"]
+        return layout if isinstance(layout, TensorLayout) else layout[f"frame{frame}"]
 
 
-def built(model: Model, golden: ParitySet) -> nn.Module:
+def build_network(model: Model, golden: ParitySet) -> nn.Module:
     """The network that a set is about, whose official files may differ in shapes."""
     network: nn.Module = resolve(model.net.build)(model.configuration(golden.shapes))
     return network
 
 
-def recorded_images(images: NDArray[np.float32], sha256: str | None, frame: int) -> Tensor:
+def require_recorded_images(images: NDArray[np.float32], sha256: str | None, frame: int) -> Tensor:
     """Images as a tensor, if they are those that a set was made with, where it says."""
     if sha256 is not None and hashlib.sha256(images.tobytes()).hexdigest() != sha256:
         raise ValueError(f"the images of frame {frame} made here are not those whose SHA-256 it has")
@@ -278,7 +290,7 @@ def _compare(comparison: Comparison, golden: ParitySet, frame: int, name: str, q
             return
     else:
         layout = golden.stored(name, frame)
-        if not same_lengths(values.shape, layout.shape):
+        if not have_same_lengths(values.shape, layout.shape):
             # How many tracks there are is the network's to say.
             comparison.errors(f"shape of {name}", np.inf, 0.0)
             return
@@ -292,7 +304,9 @@ def _compare(comparison: Comparison, golden: ParitySet, frame: int, name: str, q
         statistics, all_of_it = stored.floats(f"{name}{STATISTICS}", 3), values.astype(np.float64)
         differences = np.array([all_of_it.mean(), all_of_it.std(), np.abs(all_of_it).max(initial=0.0)]) - statistics
         few: Floats = differences if quantity.tolerance.share < 1 else differences[:0]
-        whole_tensor = Whole(differences[:2] if len(few) else differences, few, spread := float(statistics[1]) or 1.0)
+        whole_tensor = TensorDifferences(
+            differences[:2] if len(few) else differences, few, spread := float(statistics[1]) or 1.0
+        )
     hanging = quantity.undecided
     if hanging is not None:
         hanging = np.repeat(hanging, values.size // len(hanging))[selection] if len(hanging) else np.zeros(0, np.bool_)

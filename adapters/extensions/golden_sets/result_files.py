@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from adapters.result_files.contract import FileFrame
 from adapters.result_files.frames import ego_waypoints, lidar_waypoints
 from adapters.result_files.importing import ImportedPlans, import_results
-from adapters.result_files.made_up import PRECISION_M, SINGLE_M, made_up_plans, made_up_samples
+from adapters.result_files.made_up import PRECISION_M, SINGLE_M, make_synthetic_plans, make_synthetic_samples
 from adapters.result_files.recognition import recognise
 from adapters.result_files.samples import RecordedSamples
 from adapters.result_files.writing.formats import WRITERS
-from adapters.result_files.writing.pickles import DumpedPlans
+from adapters.result_files.writing.pickles import PlansToWrite
 from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
-from benchmark.extensions.golden_sets.protocols.golden_set import truths_of
+from benchmark.extensions.golden_sets.protocols.golden_set import read_truths
 from benchmark.geometry import Floats
 from benchmark.protocols import PROTOCOLS
 from benchmark.truth import SampleTruth
@@ -30,10 +30,10 @@ from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
 
 
-def compare_made_here(comparison: Comparison) -> None:
+def compare_synthetic(comparison: Comparison) -> None:
     """Write the made-up plans in every format and read them back."""
-    samples = made_up_samples()
-    dumped = DumpedPlans(samples, tuple(dict.fromkeys(samples.scenes)), made_up_plans(samples), PLAN_STEPS)
+    samples = make_synthetic_samples()
+    dumped = PlansToWrite(samples, tuple(dict.fromkeys(samples.scenes)), make_synthetic_plans(samples), PLAN_STEPS)
     with tempfile.TemporaryDirectory() as folder:
         for name, write in WRITERS.items():
             imported, at = import_results([recognise(write(Path(folder) / name, dumped))], samples), comparison.at(name)
@@ -49,7 +49,7 @@ _REFUSALS: Final = "refusals by category"
 
 
 @dataclass(frozen=True, slots=True)
-class _Known:
+class _KnownSamples:
     """Samples for an importer, and what happened in each scene, from the set ``protocols`` beside this one.
 
     `index_in_scene` is the (S,) number of each sample in its scene.
@@ -65,13 +65,13 @@ def _compare_files(comparison: Comparison, folder: GoldenFolder) -> None:
     stored = folder.arrays(FACTS)
     samples = _samples(folder, stored)
     index = stored.integers("index_in_scene", len(samples.tokens))
-    known = _Known(samples, index, _truths(folder, samples, index))
+    known = _KnownSamples(samples, index, _truths(folder, samples, index))
     comparison.same("commands of samples", samples.commands, stored.integers("command", len(samples.tokens)))
     files = folder.facts(MANIFEST)["files"]
     if not files:
         raise ValueError(f"{MANIFEST} lists no files")
     for entry in files:
-        path = _inside(folder, entry["path"])
+        path = _resolve_inside(folder, entry["path"])
         started, accepted, at = time.perf_counter(), entry["outcome"] == "accept", comparison.at(entry["name"])
         try:
             imported = import_results([recognise(path)], samples)
@@ -114,11 +114,11 @@ def _truths(folder: GoldenFolder, samples: RecordedSamples, index: NDArray[np.in
             stored = GoldenArrays.read(path)
             count = len(stored.floats("ego_fut", None, PLAN_STEPS, 3))
             if count > index[np.array(samples.scenes) == scene].max():
-                truths[scene] = truths_of(stored, count)
+                truths[scene] = read_truths(stored, count)
     return truths
 
 
-def _inside(folder: GoldenFolder, name: str) -> Path:
+def _resolve_inside(folder: GoldenFolder, name: str) -> Path:
     path = folder.path / name
     if not path.resolve().is_relative_to(folder.path.resolve()):
         raise ValueError(f"{MANIFEST} names {name}, which leaves the set")
@@ -137,7 +137,7 @@ def _compare_refusal(comparison: Comparison, entry: dict[str, Any], refusal: Inp
 
 
 def _compare_plans(
-    comparison: Comparison, entry: dict[str, Any], imported: ImportedPlans, known: _Known, expected: GoldenArrays
+    comparison: Comparison, entry: dict[str, Any], imported: ImportedPlans, known: _KnownSamples, expected: GoldenArrays
 ) -> None:
     file_plans, samples = imported.found, known.samples
     tokens, golden_tokens = [samples.tokens[row] for row in file_plans.rows.tolist()], expected.texts("tokens")
@@ -204,5 +204,5 @@ GOLDEN: Final = GoldenSet(
     files=(FACTS, MANIFEST),
     compare=(_compare_files,),
     quantities={"longest refusal (s)": 10.0, "* L2 (m)": 1e-4},
-    made_here=compare_made_here,
+    made_here=compare_synthetic,
 )

@@ -20,16 +20,16 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 from torch import Tensor, nn
 
-from adapters.extensions.golden_sets.parity_set import GoldenNetwork, recorded_images
+from adapters.extensions.golden_sets.parity_set import GoldenNetwork, require_recorded_images
 from adapters.extensions.golden_sets.sparse_quantities import (
     OTHERS,
     SHARE_OF_SPREAD,
-    Order,
-    follow,
+    RowOrder,
     frame_quantities,
     map_quantities,
+    reorder_memory,
 )
-from adapters.extensions.golden_sets.tensors import Quantity, Whole, compare_tensor, hooked
+from adapters.extensions.golden_sets.tensors import Quantity, TensorDifferences, compare_tensor, hook_modules
 from adapters.models import Model, resolve
 from adapters.networks.sparse.boxes import KeyframeMotion
 from adapters.networks.sparse.config import SparseConfig, image_length_fits
@@ -37,7 +37,7 @@ from adapters.networks.sparse.model import DiffusionDrive, SparseInputs, SparseN
 from benchmark.geometry import Floats
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder
-from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes, seeded_normal
+from benchmark.verification.synthetic_weights import WeightsRecipe, draw_seeded_normal, read_shapes
 
 COARSE = 16
 """Pixels along a side of the squares of synthetic images."""
@@ -118,7 +118,7 @@ class SparseSet:
         manifest = SetManifest.model_validate(folder.facts("manifest.json"))
         if manifest.model != model.name:
             raise ValueError(f"it is a golden set of {manifest.model}; pass one of {model.name}")
-        shapes = read_shapes(folder.nearby("keys.json"))
+        shapes = read_shapes(folder.read_json_nearby("keys.json"))
         frames = [f"frame{frame}" for frame in range(manifest.n_frames)]
         statistics = _by_frame(folder, "stats_full.json", TypeAdapter(dict[str, dict[str, Statistic]]))
         calls = _by_frame(folder, "trace.json", TypeAdapter(dict[str, list[ModuleStatistic]]))
@@ -162,11 +162,13 @@ class SparseSet:
         height, width = self.manifest.image_hw
         salt, shape = self.manifest.salt, (cameras, 3, height, width)
         coarse = (cameras, 3, height // COARSE, width // COARSE)
-        squares = np.kron(seeded_normal(f"input:image:coarse:frame{frame}", coarse, salt), np.ones((COARSE, COARSE)))
-        images = (squares + 0.5 * seeded_normal(f"input:image:fine:frame{frame}", shape, salt)).astype(np.float32)
+        squares = np.kron(
+            draw_seeded_normal(f"input:image:coarse:frame{frame}", coarse, salt), np.ones((COARSE, COARSE))
+        )
+        images = (squares + 0.5 * draw_seeded_normal(f"input:image:fine:frame{frame}", shape, salt)).astype(np.float32)
         recorded = self.manifest.image_sha256
         sha256 = recorded if isinstance(recorded, str) else recorded.get(f"frame{frame}")
-        return recorded_images(images, sha256, frame)
+        return require_recorded_images(images, sha256, frame)
 
 
 def _by_frame(folder: GoldenFolder, name: str, adapter: TypeAdapter[dict[str, T]]) -> dict[str, T]:
@@ -183,7 +185,7 @@ def _recipe(folder: GoldenFolder, salt: str, shapes: dict[str, tuple[int, ...]])
 
 
 @dataclass(frozen=True, slots=True)
-class Trace:
+class ModuleTrace:
     """Feature maps of one frame by name, and means, standard deviations, largest sizes and counts of each call."""
 
     maps: dict[str, list[Tensor]] = field(default_factory=dict)
@@ -191,9 +193,9 @@ class Trace:
 
 
 @contextmanager
-def traced(network: nn.Module, calls: list[ModuleStatistic]) -> Iterator[Trace]:
+def trace_modules(network: nn.Module, calls: list[ModuleStatistic]) -> Iterator[ModuleTrace]:
     """Record a frame of the network that runs within the context; modules that it does not have are passed over."""
-    trace = Trace()
+    trace = ModuleTrace()
     modules = {name for name, _ in network.named_modules()}
 
     def keep_maps(name: str) -> tuple[str, Callable[[Any], None]]:
@@ -209,7 +211,7 @@ def traced(network: nn.Module, calls: list[ModuleStatistic]) -> Iterator[Trace]:
         return name, keep
 
     named = sorted({call.module for call in calls} & modules)
-    with hooked(network, [keep_maps("img_backbone"), keep_maps("img_neck"), *map(keep_statistics, named)]):
+    with hook_modules(network, [keep_maps("img_backbone"), keep_maps("img_neck"), *map(keep_statistics, named)]):
         yield trace
 
 
@@ -230,10 +232,10 @@ LARGEST: Final = "modules: largest number that they give (of the deviation)"
 
 def sparse_sets(config: SparseConfig) -> GoldenNetwork[SparseSet]:
     """Golden sets of networks of other sizes, but for those of images, than the published ones."""
-    return GoldenNetwork(SparseSet.read, partial(_built, config), _compare_frames)
+    return GoldenNetwork(SparseSet.read, partial(_build_network, config), _compare_frames)
 
 
-def _built(config: SparseConfig, model: Model, golden: SparseSet) -> nn.Module:
+def _build_network(config: SparseConfig, model: Model, golden: SparseSet) -> nn.Module:
     height, width = golden.manifest.image_hw
     sizes = replace(config, image_height_px=height, image_width_px=width)
     network: nn.Module = resolve(model.net.build)(sizes)
@@ -252,11 +254,11 @@ def _compare_frame(comparison: Comparison, network: SparseNetwork, golden: Spars
     if isinstance(network, DiffusionDrive) and noise is None:
         raise ValueError(f"no array frame{frame}_diffusion_noise")
     device = next(network.parameters()).device
-    with traced(network, golden.calls[frame]) as trace:
+    with trace_modules(network, golden.calls[frame]) as trace:
         predictions = network.predict(replace(inputs, images=inputs.images.to(device)), noise)
-    order = Order.of(network, predictions, stored)
+    order = RowOrder.of(network, predictions, stored)
     fresh = past is not None and KeyframeMotion.between(past.pose, pose_of(inputs), device).fresh
-    follow(network, predictions, past if fresh else None, order, stored)
+    reorder_memory(network, predictions, past if fresh else None, order, stored)
     ours = map_quantities(trace.maps["img_backbone"], trace.maps["img_neck"])
     ours |= frame_quantities(network, predictions, order, inputs.command, None if past is None else fresh)
     comparison.errors(MOVED, order.moved, SWAPPED)
@@ -265,24 +267,24 @@ def _compare_frame(comparison: Comparison, network: SparseNetwork, golden: Spars
     for name, quantity in ours.items():
         if name in stored.names:
             statistic = golden.statistics[frame].get(name)
-            whole_tensor = None if statistic is None else _whole(quantity, statistic)
-            compare_tensor(comparison, name, quantity, _stored(name, quantity.values, stored), whole_tensor)
+            whole_tensor = None if statistic is None else _tensor_differences(quantity, statistic)
+            compare_tensor(comparison, name, quantity, _select_stored(name, quantity.values, stored), whole_tensor)
     if unknown := sorted(stored.names - ours.keys()):
         comparison.note(MOVED, f"not compared in {comparison.where}: {', '.join(unknown)}")
     _compare_calls(comparison, trace, golden, frame)
 
 
-def _whole(quantity: Quantity, statistic: Statistic) -> Whole:
+def _tensor_differences(quantity: Quantity, statistic: Statistic) -> TensorDifferences:
     """Differences over the whole of an array, most of which may not be stored."""
     values = quantity.values.astype(np.float64)
     if values.size != math.prod(statistic.shape):
         raise ValueError(f"an array has the shape {statistic.shape}, the network's {list(values.shape)}")
     most = np.array([values.mean() - statistic.mean, values.std(ddof=1) - statistic.std])
     first = values.reshape(-1)[: len(statistic.first)] - np.array(statistic.first)
-    return Whole(most, np.array([np.abs(values).max() - statistic.absmax, *first]), statistic.std or 1.0)
+    return TensorDifferences(most, np.array([np.abs(values).max() - statistic.absmax, *first]), statistic.std or 1.0)
 
 
-def _stored(name: str, values: NDArray[Any], stored: GoldenArrays) -> tuple[NDArray[Any], Floats]:
+def _select_stored(name: str, values: NDArray[Any], stored: GoldenArrays) -> tuple[NDArray[Any], Floats]:
     """The part of our numbers that is stored, all or every n-th along an axis, and the stored ones."""
     numbers = stored.floats(name, *[None] * values.ndim)
     steps = [
@@ -294,7 +296,7 @@ def _stored(name: str, values: NDArray[Any], stored: GoldenArrays) -> tuple[NDAr
     return part, numbers
 
 
-def _compare_calls(comparison: Comparison, trace: Trace, golden: SparseSet, frame: int) -> None:
+def _compare_calls(comparison: Comparison, trace: ModuleTrace, golden: SparseSet, frame: int) -> None:
     """Compare what modules gave, in the order of their calls, as far as they are called alike here."""
     taken: dict[str, int] = {}
     compared = 0

@@ -14,9 +14,9 @@ from torch import Tensor
 
 from adapters.extensions.golden_sets.tensors import Quantity, Tolerance
 from adapters.networks.sparse.boxes import decode_boxes
-from adapters.networks.sparse.decoder import Decoded, Remembered, SparseDecoder
+from adapters.networks.sparse.decoder import DecodedInstances, InstanceMemory, SparseDecoder
 from adapters.networks.sparse.diffusion import TIMESTEPS
-from adapters.networks.sparse.model import Memory, SparseNetwork, Tracks
+from adapters.networks.sparse.model import SparseMemory, SparseNetwork, TrackIds
 from adapters.networks.sparse.selection import (
     SparsePredictions,
     forecast_centres,
@@ -35,7 +35,7 @@ MOVED: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class RowOrder:
     """Rows of ours for each row of the golden set.
 
     `agents` and `lines` are of all instances, from the second stage on; `boxes` and `vectors` of the reported ones.
@@ -47,7 +47,7 @@ class Order:
     vectors: Rows
 
     @classmethod
-    def of(cls, network: SparseNetwork, predictions: SparsePredictions, stored: GoldenArrays) -> "Order":
+    def of(cls, network: SparseNetwork, predictions: SparsePredictions, stored: GoldenArrays) -> "RowOrder":
         """Find the order of a frame's rows; what a set does not store stays as it is."""
         agents, lines = predictions.agents, predictions.lines
         boxes, vectors = select_boxes(network.config, agents), select_lines(network.config, lines)
@@ -60,10 +60,10 @@ class Order:
             points = stored.floats("result_map_vectors", *vectors.points.shape).reshape(len(vectors.points), -1)
             drawn = np.concatenate([points, stored.integers("result_map_labels", len(points))[:, None]], 1)
         return cls(
-            _order(agents.anchors, codes),
-            _order(lines.anchors, places),
-            _order(agents.anchors[boxes.rows, :3], reported),
-            _order(torch.cat([vectors.points.flatten(1), vectors.labels[:, None]], 1), drawn),
+            _match_rows(agents.anchors, codes),
+            _match_rows(lines.anchors, places),
+            _match_rows(agents.anchors[boxes.rows, :3], reported),
+            _match_rows(torch.cat([vectors.points.flatten(1), vectors.labels[:, None]], 1), drawn),
         )
 
     @property
@@ -73,11 +73,11 @@ class Order:
         return max(float((rows != np.arange(len(rows))).mean()) for rows in parts)
 
 
-def follow(
+def reorder_memory(
     network: SparseNetwork,
     predictions: SparsePredictions,
-    before: Memory | None,
-    order: Order,
+    before: SparseMemory | None,
+    order: RowOrder,
     stored: GoldenArrays,
 ) -> None:
     """Put what a network remembers into the golden order, so that later frames can be compared row by row.
@@ -92,12 +92,14 @@ def follow(
     count, queue = len(order.agents), memory.queue
     ids = stored.integers("det_instance_id", 1, count)[0]
     cached_ids = stored.integers("state_cached_instance_id", 1, count)[0, : head.det_head.remembered]
-    rows = _rows_of(cached_ids, ids, predictions.track_ids.cpu().numpy(), order.agents)
-    line_rows = _nearest(predictions.lines, stored.floats("state_map_cached_anchor", 1, *memory.lines.anchors.shape)[0])
+    rows = _find_rows(cached_ids, ids, predictions.track_ids.cpu().numpy(), order.agents)
+    line_rows = _find_nearest(
+        predictions.lines, stored.floats("state_map_cached_anchor", 1, *memory.lines.anchors.shape)[0]
+    )
     if rows is None or line_rows is None:
         return
-    agents = _kept(head.det_head, predictions.agents, before.agents if before else None, rows)
-    lines = _kept(head.map_head, predictions.lines, before.lines if before else None, line_rows)
+    agents = _reorder_instances(head.det_head, predictions.agents, before.agents if before else None, rows)
+    lines = _reorder_instances(head.map_head, predictions.lines, before.lines if before else None, line_rows)
     for ours, theirs in ((memory.agents, agents), (memory.lines, lines)):
         if not bool(((ours.confidence - theirs.confidence).abs() <= TIED).all()):
             return
@@ -107,7 +109,7 @@ def follow(
         memory,
         agents=agents,
         lines=lines,
-        tracks=Tracks(torch.from_numpy(cached_ids).to(device), memory.tracks.next_id),
+        tracks=TrackIds(torch.from_numpy(cached_ids).to(device), memory.tracks.next_id),
         queue=replace(
             queue,
             features=queue.features[:, places],
@@ -119,7 +121,7 @@ def follow(
     )
 
 
-def _rows_of(cached_ids: Rows, ids: Rows, our_ids: Rows, order: Rows) -> Rows | None:
+def _find_rows(cached_ids: Rows, ids: Rows, our_ids: Rows, order: Rows) -> Rows | None:
     """Our rows that have the golden numbers `kept`; nothing if numbers differ where nothing changed places."""
     settled = order == np.arange(len(order))
     same = np.array_equal(our_ids[settled], ids[settled]) and np.array_equal(np.sort(our_ids), np.sort(ids))
@@ -129,7 +131,7 @@ def _rows_of(cached_ids: Rows, ids: Rows, our_ids: Rows, order: Rows) -> Rows | 
     return rows
 
 
-def _order(ours: torch.Tensor, golden: Floats | None) -> Rows:
+def _match_rows(ours: torch.Tensor, golden: Floats | None) -> Rows:
     """Order of ours for the golden rows: the same row, or where that differs, the nearest of those that differ."""
     order = np.arange(len(ours))
     if golden is None:
@@ -144,7 +146,7 @@ def _order(ours: torch.Tensor, golden: Floats | None) -> Rows:
     return order if len(np.unique(order)) == len(order) else np.arange(len(ours))
 
 
-def _nearest(decoded: Decoded, golden: Floats) -> Rows | None:
+def _find_nearest(decoded: DecodedInstances, golden: Floats) -> Rows | None:
     """Instances that golden places are of; nothing if that is not clear."""
     anchors = decoded.anchors.detach().cpu().numpy().astype(np.float64)
     apart = np.abs(golden[:, None] - anchors).max(-1)
@@ -153,7 +155,9 @@ def _nearest(decoded: Decoded, golden: Floats) -> Rows | None:
     return rows if clear else None
 
 
-def _kept(decoder: SparseDecoder, decoded: Decoded, past: Remembered | None, rows: Rows) -> Remembered:
+def _reorder_instances(
+    decoder: SparseDecoder, decoded: DecodedInstances, past: InstanceMemory | None, rows: Rows
+) -> InstanceMemory:
     return decoder.remember(decoded, past, torch.from_numpy(rows).to(decoded.features.device))
 
 
@@ -172,19 +176,19 @@ EQUAL: Final = SPREAD
 
 
 def frame_quantities(
-    network: SparseNetwork, predictions: SparsePredictions, order: Order, command: int, fresh: bool | None
+    network: SparseNetwork, predictions: SparsePredictions, order: RowOrder, command: int, fresh: bool | None
 ) -> dict[str, Quantity]:
     """Everything but feature maps that a set may store of a frame, in the golden order of rows.
 
     By the names of the sets, with the axes that these have: what a head gives has one more in front. `fresh` says
     whether what was remembered was used; ``None`` where nothing was.
     """
-    quantities = _stages(predictions, order)
-    quantities |= _planner(predictions, order)
-    quantities |= _reported(network, predictions, order, command)
-    quantities |= _denoising(predictions)
+    quantities = _stage_quantities(predictions, order)
+    quantities |= _planner_quantities(predictions, order)
+    quantities |= _output_quantities(network, predictions, order, command)
+    quantities |= _denoising_quantities(predictions)
     if network.memory is not None:
-        quantities |= _remembered(network.memory, len(order.agents))
+        quantities |= _memory_quantities(network.memory, len(order.agents))
         if fresh is not None:
             quantities["state_det_bank_mask"] = Quantity(np.array([fresh], np.bool_), EQUAL)
     return quantities
@@ -205,7 +209,7 @@ def _batch(tensor: Tensor, tolerance: Tolerance, rows: Rows | None = None) -> Qu
     return replace(quantity := _numbers(tensor, tolerance, rows), values=quantity.values[None])
 
 
-def _stages(predictions: SparsePredictions, order: Order) -> dict[str, Quantity]:
+def _stage_quantities(predictions: SparsePredictions, order: RowOrder) -> dict[str, Quantity]:
     agents, lines = predictions.agents, predictions.lines
     quantities = {
         "det_instance_feature": _batch(agents.features, ROWS, order.agents),
@@ -225,7 +229,7 @@ def _stages(predictions: SparsePredictions, order: Order) -> dict[str, Quantity]
     return quantities
 
 
-def _planner(predictions: SparsePredictions, order: Order) -> dict[str, Quantity]:
+def _planner_quantities(predictions: SparsePredictions, order: RowOrder) -> dict[str, Quantity]:
     planner = predictions.planner
     return {
         "motion_cls": _batch(planner.motion_logits, FORECASTS, order.agents),
@@ -236,8 +240,8 @@ def _planner(predictions: SparsePredictions, order: Order) -> dict[str, Quantity
     }
 
 
-def _reported(
-    network: SparseNetwork, predictions: SparsePredictions, order: Order, command: int
+def _output_quantities(
+    network: SparseNetwork, predictions: SparsePredictions, order: RowOrder, command: int
 ) -> dict[str, Quantity]:
     config, planner = network.config, predictions.planner
     boxes, lines = select_boxes(config, predictions.agents), select_lines(config, predictions.lines)
@@ -245,7 +249,7 @@ def _reported(
     rows, drawn = boxes.rows[torch.from_numpy(order.boxes)], order.vectors
     past = decode_boxes(planner.queue.boxes.transpose(0, 1))
     # After a frame that was followed, numbers of rows that changed places are those of the set.
-    numbers = predictions.track_ids if network.memory is None else _numbers_of(network.memory, order)
+    numbers = predictions.track_ids if network.memory is None else _track_ids_of(network.memory, order)
     return {
         "result_boxes_3d": _numbers(decode_boxes(predictions.agents.anchors)[rows], ROWS),
         # Scores as they fall: of rows that changed places they are nearly the same, or the order is wrong.
@@ -270,14 +274,14 @@ def _reported(
     }
 
 
-def _numbers_of(memory: Memory, order: Order) -> Tensor:
+def _track_ids_of(memory: SparseMemory, order: RowOrder) -> Tensor:
     """(N,) track numbers of our rows; what is remembered is in the golden order."""
     numbers = torch.empty_like(memory.queue.ids)
     numbers[torch.from_numpy(order.agents)] = memory.queue.ids
     return numbers
 
 
-def _denoising(predictions: SparsePredictions) -> dict[str, Quantity]:
+def _denoising_quantities(predictions: SparsePredictions) -> dict[str, Quantity]:
     steps: Mapping[str, Tensor] = predictions.planner.denoising
     if not steps:
         return {}
@@ -295,7 +299,7 @@ def _denoising(predictions: SparsePredictions) -> dict[str, Quantity]:
     return quantities
 
 
-def _remembered(memory: Memory, agents: int) -> dict[str, Quantity]:
+def _memory_quantities(memory: SparseMemory, agents: int) -> dict[str, Quantity]:
     queue, tracks = memory.queue, memory.tracks
     ids = np.full(agents, -1, np.int64)
     ids[: len(tracks.ids)] = tracks.ids.cpu().numpy()

@@ -18,7 +18,7 @@ from benchmark.verification.checks import Comparison
 
 
 @contextmanager
-def hooked(network: nn.Module, hooks: Iterable[tuple[str, Callable[[Any], None]]]) -> Iterator[None]:
+def hook_modules(network: nn.Module, hooks: Iterable[tuple[str, Callable[[Any], None]]]) -> Iterator[None]:
     """Hand on the outputs of modules, by their names, of the network that runs within the context."""
     handles = []
     try:
@@ -35,7 +35,7 @@ def hooked(network: nn.Module, hooks: Iterable[tuple[str, Callable[[Any], None]]
 
 
 @contextmanager
-def tapped(network: nn.Module, head: str = "", parts: Iterable[str] = ()) -> Iterator[dict[str, Tensor]]:
+def tap_features(network: nn.Module, head: str = "", parts: Iterable[str] = ()) -> Iterator[dict[str, Tensor]]:
     """Feature maps of images, and what `parts` of a `head` give, of the network that runs within the context.
 
     Tensors come by the names of the sets.
@@ -50,7 +50,7 @@ def tapped(network: nn.Module, head: str = "", parts: Iterable[str] = ()) -> Ite
     def tokens(name: str) -> tuple[str, Callable[[Any], None]]:
         return f"{head}.{name}", lambda states: taps.update({name: states})
 
-    with hooked(network, [levels("backbone"), levels("neck"), *map(tokens, parts)]):
+    with hook_modules(network, [levels("backbone"), levels("neck"), *map(tokens, parts)]):
         yield taps
 
 
@@ -120,7 +120,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
+class TensorDifferences:
     """Differences of a whole tensor, of which a part may be stored, from the statistics of the set.
 
     Attributes:
@@ -139,7 +139,7 @@ def compare_tensor(
     name: str,
     quantity: Quantity,
     stored: tuple[NDArray[Any], Floats],
-    whole: Whole | None = None,
+    whole: TensorDifferences | None = None,
     spread: float | None = None,
     hanging: Bools | None = None,
 ) -> None:
@@ -181,6 +181,6 @@ def _rows(errors: Floats) -> Floats:
     return np.asarray(rows.reshape(len(rows), -1).max(1))
 
 
-def same_lengths(ours: Sequence[int], golden: Sequence[int]) -> bool:
+def have_same_lengths(ours: Sequence[int], golden: Sequence[int]) -> bool:
     """Whether two shapes are the same but for axes of length one."""
     return [length for length in ours if length != 1] == [length for length in golden if length != 1]

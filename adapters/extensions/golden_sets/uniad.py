@@ -15,16 +15,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from adapters.extensions.golden_sets.parity_set import GoldenNetwork, ParitySet, built, compare_frame
-from adapters.extensions.golden_sets.tensors import Quantity, Tolerance, tapped
+from adapters.extensions.golden_sets.parity_set import GoldenNetwork, ParitySet, build_network, compare_frame
+from adapters.extensions.golden_sets.tensors import Quantity, Tolerance, tap_features
 from adapters.networks.layers.deformable_decoder import extent_corners
 from adapters.networks.uniad.collision_optimiser import Solver, cost, move_plan, nearby_cells
 from adapters.networks.uniad.config import UniADConfig
-from adapters.networks.uniad.map_masks import INSIDE, paste_masks, ranked
+from adapters.networks.uniad.map_masks import INSIDE, paste_masks, rank_masks
 from adapters.networks.uniad.model import UniAD, UniADInputs
-from adapters.networks.uniad.occupancy import SEEN
+from adapters.networks.uniad.occupancy import ATTENDED_ABOVE
 from adapters.networks.uniad.planning import UniADPredictions
-from adapters.networks.uniad.tracking import Boxes, decoded, strongest_boxes
+from adapters.networks.uniad.tracking import Boxes, decode_instances, select_strongest_boxes
 from benchmark.geometry import Bools, Floats
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays
@@ -65,8 +65,8 @@ def frame_quantities(
     positions = network.pts_bbox_head.positional_encoding().T
     quantities["bev_pos"] = Quantity.of(positions.reshape(-1, *network.config.grid.shape), EXACT)
     quantities |= _decoder(network, p)
-    quantities |= _life_cycle(network, p)
-    order = _places_of(p.tracks.track_ids, stored, "track_ids")
+    quantities |= _track_quantities(network, p)
+    order = _match_ids(p.tracks.track_ids, stored, "track_ids")
     quantities |= _boxes(network, p, order, stored)
     quantities |= _map(p)
     quantities |= _masks(network, p, stored)
@@ -91,7 +91,7 @@ def _decoder(network: UniAD, p: UniADPredictions) -> dict[str, Quantity]:
     }
 
 
-def _life_cycle(network: UniAD, p: UniADPredictions) -> dict[str, Quantity]:
+def _track_quantities(network: UniAD, p: UniADPredictions) -> dict[str, Quantity]:
     after, following, of = p.after, p.next_instances, Quantity.of
     fresh, active = network.config.queries + 1, p.after.track_ids >= 0
     return {
@@ -110,7 +110,7 @@ def _life_cycle(network: UniAD, p: UniADPredictions) -> dict[str, Quantity]:
     }
 
 
-def _places_of(ids: Tensor, stored: GoldenArrays, name: str) -> Tensor:
+def _match_ids(ids: Tensor, stored: GoldenArrays, name: str) -> Tensor:
     """(N,) where the entries of a golden list are in ours: lists are ordered by scores, which may nearly tie."""
     our_ids = ids.tolist()
     golden = stored.floats(name, None).astype(int).tolist() if name in stored.names else our_ids
@@ -122,28 +122,34 @@ def _places_of(ids: Tensor, stored: GoldenArrays, name: str) -> Tensor:
 
 def _boxes(network: UniAD, p: UniADPredictions, order: Tensor, stored: GoldenArrays) -> dict[str, Quantity]:
     tracks = Boxes(*(getattr(p.tracks, name)[order] for name in p.tracks.__slots__))
-    quantities = _listed(tracks, "track") | {"track_ids": replace(Quantity.of(tracks.track_ids, EXACT), listed=True)}
+    quantities = _box_quantities(tracks, "track") | {
+        "track_ids": replace(Quantity.of(tracks.track_ids, EXACT), listed=True)
+    }
     instances = p.after
     if "track_scores" in stored.names:
         golden = torch.from_numpy(stored.floats("track_scores", None)).float()
         if len(golden) == len(instances.scores):
             # The most certain ones as the set sees them; that our scores are the same is another comparison.
             chosen = golden.topk(min(network.config.max_boxes, len(golden))).indices.to(instances.scores.device)
-            all_boxes = decoded(instances.kept(chosen))
-            inside = torch.isin(chosen, _inside(network, p))
+            all_boxes = decode_instances(instances.kept(chosen))
+            inside = torch.isin(chosen, _in_range(network, p))
             detected = Boxes(*(getattr(all_boxes, name)[inside] for name in all_boxes.__slots__))
-            return quantities | _listed(detected, "det") | _listed(p.ego, "sdc")
-    return quantities | _listed(strongest_boxes(instances, network.config), "det") | _listed(p.ego, "sdc")
+            return quantities | _box_quantities(detected, "det") | _box_quantities(p.ego, "sdc")
+    return (
+        quantities
+        | _box_quantities(select_strongest_boxes(instances, network.config), "det")
+        | _box_quantities(p.ego, "sdc")
+    )
 
 
-def _inside(network: UniAD, p: UniADPredictions) -> Tensor:
+def _in_range(network: UniAD, p: UniADPredictions) -> Tensor:
     """Indices of the instances whose boxes may be reported."""
     config = replace(network.config, max_boxes=len(p.after.scores))
     numbered = replace(p.after, track_ids=torch.arange(len(p.after.scores), device=p.after.scores.device))
-    return strongest_boxes(numbered, config).track_ids
+    return select_strongest_boxes(numbered, config).track_ids
 
 
-def _listed(boxes: Boxes, kind: str) -> dict[str, Quantity]:
+def _box_quantities(boxes: Boxes, kind: str) -> dict[str, Quantity]:
     quantities = {
         f"{kind}_boxes_3d": Quantity.of(boxes.boxes, DECODED),
         f"{kind}_scores_3d": Quantity.of(boxes.scores, SCORES),
@@ -171,7 +177,7 @@ def _masks(network: UniAD, p: UniADPredictions, stored: GoldenArrays) -> dict[st
         logits = torch.from_numpy(stored.floats("seg_outputs_classes", *shape)[:, 0]).float()
         elements = replace(elements, class_logits=logits.to(elements.class_logits))
     masks = network.seg_head.masks(elements)
-    scores, order = ranked(masks.values, masks.scores)
+    scores, order = rank_masks(masks.values, masks.scores)
     size = torch.tensor([config.bev_columns, config.bev_rows] * 2, device=scores.device)
     corners = (extent_corners(masks.rectangles) * size).clamp(min=0).minimum(size)
     by_element = torch.empty_like(scores).scatter_(0, order, scores)
@@ -188,8 +194,8 @@ def _masks(network: UniAD, p: UniADPredictions, stored: GoldenArrays) -> dict[st
         "seg_lane": Quantity.of(road.lanes.byte(), EXACT, hanging.reshape(-1)),
         "seg_lane_score": Quantity.of(road.lane_values, MASKS, hanging.reshape(-1)),
         "seg_drivable": Quantity.of(road.drivable.byte(), EXACT, shore.reshape(-1)),
-        "seg_lane_area": _area(road.lanes, hanging, stored, "seg_lane_area", len(road.lanes)),
-        "seg_drivable_area": _area(road.drivable[None], shore[None], stored, "seg_drivable_area"),
+        "seg_lane_area": _area_quantity(road.lanes, hanging, stored, "seg_lane_area", len(road.lanes)),
+        "seg_drivable_area": _area_quantity(road.drivable[None], shore[None], stored, "seg_drivable_area"),
     }
 
 
@@ -203,7 +209,7 @@ def _golden_order(boxes: Tensor, order: Tensor, stored: GoldenArrays) -> Tensor:
     return torch.from_numpy(nearest).to(order) if len(set(nearest.tolist())) == len(nearest) else order
 
 
-def _area(inside: Tensor, hanging: Bools, stored: GoldenArrays, name: str, *shape: int) -> Quantity:
+def _area_quantity(inside: Tensor, hanging: Bools, stored: GoldenArrays, name: str, *shape: int) -> Quantity:
     """Cells of (K, ...) masks, stored in `shape`; undecided if cells too close to call explain a difference."""
     areas = inside.flatten(1).sum(1).cpu().numpy()
     doubtful = hanging.reshape(len(areas), -1).sum(1)
@@ -240,7 +246,7 @@ def _occupancy(p: UniADPredictions, order: Tensor, stored: GoldenArrays) -> dict
     steps = p.occupancy.occupied.shape[0]
     flips = np.zeros(steps, np.bool_)
     if len(masks):
-        close = ((masks.sigmoid() - SEEN).abs() < TOO_CLOSE_SEEN).flatten(2).any(2).any(0)
+        close = ((masks.sigmoid() - ATTENDED_ABOVE).abs() < TOO_CLOSE_SEEN).flatten(2).any(2).any(0)
         flips = np.maximum.accumulate(close.cpu().numpy())
     undecided = np.tile(flips, len(vehicles))
     hanging = ((occupancy.margin.abs() < TOO_CLOSE_OCCUPANCY).cpu().numpy()) | flips[:, None, None]
@@ -250,7 +256,7 @@ def _occupancy(p: UniADPredictions, order: Tensor, stored: GoldenArrays) -> dict
         "occ_ins_logits": Quantity.of(logits, EXACT, undecided),
         "occ_mask_preds": Quantity.of(upsampled, EXACT, undecided),
         "occ_seg_out_bits": Quantity(packed, EXACT, doubtful),
-        "occ_seg_out_area": _area(occupancy.occupied, hanging, stored, "occ_seg_out_area", 1, steps),
+        "occ_seg_out_area": _area_quantity(occupancy.occupied, hanging, stored, "occ_seg_out_area", 1, steps),
     }
 
 
@@ -314,7 +320,7 @@ def compare_uniad(comparison: Comparison, network: UniAD, golden: ParitySet) -> 
     network.motion_head.load_anchors(inputs.anchors)
     for number, stored in enumerate(golden.outputs):
         at, key_frame = comparison.at(f"{golden.folder.name}, frame {number}"), inputs.frame(golden, number, device)
-        with tapped(network) as taps:
+        with tap_features(network) as taps:
             can_bus = network.ego_motion(key_frame).can_bus
             predictions = network.predict(key_frame)
             ours = frame_quantities(network, predictions, can_bus, taps, stored)
@@ -366,4 +372,4 @@ class _Inputs:
         )
 
 
-GOLDEN: Final = GoldenNetwork(ParitySet.read, built, compare_uniad)
+GOLDEN: Final = GoldenNetwork(ParitySet.read, build_network, compare_uniad)

@@ -8,13 +8,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from adapters.extensions.golden_sets.parity_set import GoldenNetwork, ParitySet, built, compare_frame
-from adapters.extensions.golden_sets.tensors import Quantity, Tolerance, tapped
+from adapters.extensions.golden_sets.parity_set import GoldenNetwork, ParitySet, build_network, compare_frame
+from adapters.extensions.golden_sets.tensors import Quantity, Tolerance, tap_features
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.selection import (
-    SelectedBoxes,
-    SelectedLines,
+    VADBoxSelection,
+    VADLineSelection,
     VADPredictions,
     select,
     select_boxes,
@@ -50,13 +50,13 @@ def compare_vad(comparison: Comparison, network: VAD, golden: ParitySet) -> None
     device = next(network.parameters()).device
     for frame, stored in enumerate(golden.outputs):
         inputs = _inputs(golden, network.config, frame, device)
-        with tapped(network, "pts_bbox_head", PARTS) as taps:
+        with tap_features(network, "pts_bbox_head", PARTS) as taps:
             can_bus = network.ego_motion(inputs).can_bus
             predictions = network.predict(inputs)
         ours = {name: Quantity.of(tensor, EXACT) for name, tensor in taps.items()}
         ours["can_bus_seen_by_model"] = Quantity.of(can_bus, EXACT)
         undecided = _undecided_agents(network.config, predictions)
-        ours |= _raw(predictions, undecided, taps)
+        ours |= _raw_quantities(predictions, undecided, taps)
         ours["plan"] = Quantity.of(select(network.config, predictions, inputs.command).plan, PLAN)
         ours |= _listed_boxes(select_boxes(network.config, predictions), predictions, undecided, stored)
         ours |= _listed_lines(select_lines(network.config, predictions), stored)
@@ -90,7 +90,7 @@ def _undecided_agents(config: VADConfig, predictions: VADPredictions) -> Bools:
     return undecided
 
 
-def _raw(predictions: VADPredictions, undecided: Bools, taps: dict[str, Tensor]) -> dict[str, Quantity]:
+def _raw_quantities(predictions: VADPredictions, undecided: Bools, taps: dict[str, Tensor]) -> dict[str, Quantity]:
     """Everything that is not a list, under the names of the set."""
     p, of = predictions, Quantity.of
     modes = predictions.mode_logits.shape[1]
@@ -117,7 +117,7 @@ def _raw(predictions: VADPredictions, undecided: Bools, taps: dict[str, Tensor])
 
 
 def _listed_boxes(
-    boxes: SelectedBoxes, predictions: VADPredictions, undecided: Bools, stored: GoldenArrays
+    boxes: VADBoxSelection, predictions: VADPredictions, undecided: Bools, stored: GoldenArrays
 ) -> dict[str, Quantity]:
     """Reported boxes in the order of the set."""
     trajectories = predictions.mode_offsets[boxes.agents].flatten(2)
@@ -127,10 +127,10 @@ def _listed_boxes(
         "dec_labels_3d": Quantity.of(boxes.labels, EXACT),
         "dec_scores_3d": Quantity.of(boxes.scores, SCORES),
     }
-    return _in_golden_order(ours, stored, "dec_boxes_3d", "dec_scores_3d")
+    return _reorder_ties(ours, stored, "dec_boxes_3d", "dec_scores_3d")
 
 
-def _listed_lines(lines: SelectedLines, stored: GoldenArrays) -> dict[str, Quantity]:
+def _listed_lines(lines: VADLineSelection, stored: GoldenArrays) -> dict[str, Quantity]:
     """Reported map elements in the order of the set."""
     ours = {
         "dec_map_pts": Quantity.of(lines.points, PLACES),
@@ -138,10 +138,10 @@ def _listed_lines(lines: SelectedLines, stored: GoldenArrays) -> dict[str, Quant
         "dec_map_labels": Quantity.of(lines.labels, EXACT),
         "dec_map_scores": Quantity.of(lines.scores, SCORES),
     }
-    return _in_golden_order(ours, stored, "dec_map_boxes", "dec_map_scores")
+    return _reorder_ties(ours, stored, "dec_map_boxes", "dec_map_scores")
 
 
-def _in_golden_order(ours: dict[str, Quantity], stored: GoldenArrays, boxes: str, scores: str) -> dict[str, Quantity]:
+def _reorder_ties(ours: dict[str, Quantity], stored: GoldenArrays, boxes: str, scores: str) -> dict[str, Quantity]:
     """Lists in which neighbours with tied scores have the places that the set gives them."""
     listed = {name: replace(quantity, listed=True) for name, quantity in ours.items()}
     if boxes not in stored.names or scores not in stored.names:
@@ -153,7 +153,7 @@ def _in_golden_order(ours: dict[str, Quantity], stored: GoldenArrays, boxes: str
         return listed
     apart = np.abs(golden_boxes[:, None] - own_boxes[None]).max(-1)
     apart[(np.abs(golden_scores[:, None] - own_scores[None]) > TIED) | (apart > SAME_M)] = np.inf
-    order, paired = _pairs(apart)
+    order, paired = _match_pairs(apart)
     # Which of two with tied scores comes last and which is no longer reported is as open as their order.
     last = ~paired & (golden_scores < golden_scores.min(initial=1.0) + TIED)
     return {
@@ -166,7 +166,7 @@ def _in_golden_order(ours: dict[str, Quantity], stored: GoldenArrays, boxes: str
     }
 
 
-def _pairs(apart: NDArray[np.float64]) -> tuple[NDArray[np.int64], Bools]:
+def _match_pairs(apart: NDArray[np.float64]) -> tuple[NDArray[np.int64], Bools]:
     """Nearest column for each row, closest pairs first, each column once; and whether the two are a pair at all.
 
     Rows that pair with nothing get the columns that are left, in order.
@@ -183,4 +183,4 @@ def _pairs(apart: NDArray[np.float64]) -> tuple[NDArray[np.int64], Bools]:
     return order, paired
 
 
-GOLDEN: Final = GoldenNetwork(ParitySet.read, built, compare_vad)
+GOLDEN: Final = GoldenNetwork(ParitySet.read, build_network, compare_vad)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from adapters.extensions.training.plan_figures import Loss
+from adapters.extensions.training.plan_figures import ImageAblation
 from adapters.models import Model
 
 _TEXT: Final = """\
@@ -50,12 +50,12 @@ Of {vehicles:,} vehicles within 30 m (annotated, at least one lidar point) {reca
 diagnosis of collisions matches (`docs/diagnosis.md`); {precision:.0%} of the forecasts there are of something that is
 annotated. Mean error over 3 s of the matched ones: {least_error_m:.2f} m (best mode), {likeliest_error_m:.2f} m (most
 likely mode), {standing_error_m:.2f} m if everybody were expected to stay where it is."""
-_SEEN: Final = """\
+_VISIBLE_TEXT: Final = """\
 Of the {vehicles:,} that are at least 40 % visible {recall:.0%} have a forecast whose present box is within 2 m, and
 {precision:.0%} of the forecasts there are of something that is annotated. Mean error over 3 s of the matched ones:
 {least_error_m:.2f} m (best mode), {likeliest_error_m:.2f} m (most likely mode), {standing_error_m:.2f} m for
 standing still."""
-_LOST: Final = """\
+_ABLATION_TEXT: Final = """\
 With {shown} images, against its own, with the 95 % interval of the paired difference over scenes: {said}.
 
 """
@@ -68,7 +68,7 @@ _TITLES: Final = {
 }
 
 
-def card_of(small: Model, facts: Mapping[str, Any]) -> str:
+def format_card(small: Model, facts: Mapping[str, Any]) -> str:
     """The card as Markdown."""
     source = facts["source"]
     commit = source["commit"] or "unknown"
@@ -101,7 +101,12 @@ def card_of(small: Model, facts: Mapping[str, Any]) -> str:
         sha256=facts["sha256"],
         judged=f"{len(facts['judged_on']['scenes'])} scenes of `{facts['judged_on']['data']}`",
         forecasts=_FORECASTS.format(**facts["forecasts"]) if facts["forecasts"] else "Forecasts: not measured.",
-        seen=_SEEN.format(**facts["seen"]) if facts.get("seen") else "Forecasts of what is visible: not measured.",
-        lost="".join(_LOST.format(shown=name, said=Loss.from_log(ablation).said()) for name, ablation in lost.items()),
+        seen=_VISIBLE_TEXT.format(**facts["seen"])
+        if facts.get("seen")
+        else "Forecasts of what is visible: not measured.",
+        lost="".join(
+            _ABLATION_TEXT.format(shown=name, said=ImageAblation.from_log(ablation).said())
+            for name, ablation in lost.items()
+        ),
         rows="\n".join(rows) or "| not measured | | | | | |",
     )

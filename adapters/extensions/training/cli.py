@@ -8,12 +8,12 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.help import WholeSummaries
-from benchmark.cli.options import name_list
+from benchmark.cli.help import FullSummaryGroup
+from benchmark.cli.options import parse_name_list
 from benchmark.cli.output import print_json
 from benchmark.cli.settings import Option, command
 
-app = typer.Typer(cls=WholeSummaries, help="Train the small models that this package carries.", no_args_is_help=True)
+app = typer.Typer(cls=FullSummaryGroup, help="Train the small models that this package carries.", no_args_is_help=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,8 +46,8 @@ def train_denoiser_command(options: TrainDenoiserOptions) -> None:
 
     default = TrainingConfig(
         tracks=options.tracks, out=options.out, seed=options.seed, device=options.device
-    ).of_architecture(options.architecture)
-    checking = default.held_out if options.held_out is None else name_list(options.held_out) or ()
+    ).for_architecture(options.architecture)
+    checking = default.held_out if options.held_out is None else parse_name_list(options.held_out) or ()
     weights = train_denoiser(replace(default, steps=options.steps or default.steps, held_out=checking))
     write_bank(weights, device=options.device)
     typer.echo(f"{weights}, {write_model_card(weights, options.tracks)}")
@@ -90,7 +90,7 @@ class TrainPlannerOptions:
 def train_planner_command(options: TrainPlannerOptions) -> None:
     """Train a miniature of a native model on a data set; the same command resumes."""
     from adapters.models import miniature
-    from benchmark.datasets.statistics import listed_scenes
+    from benchmark.datasets.statistics import list_scenes
     from benchmark.machine.places import require_file, require_output_file
 
     if options.model != "image-encoder":
@@ -100,18 +100,18 @@ def train_planner_command(options: TrainPlannerOptions) -> None:
     require_file(options.image_encoder, "--image-encoder")
     for path in options.start_from or ():
         require_file(path, "--start-from")
-    listed_scenes(options.data, options.split)
+    list_scenes(options.data, options.split)
     if options.judged_on is not None:
-        listed_scenes(options.judged_on, "val")
+        list_scenes(options.judged_on, "val")
     for root in options.adversarial or ():
-        listed_scenes(root, "adv")
+        list_scenes(root, "adv")
     for root in options.also or ():
-        listed_scenes(root, options.split)
+        list_scenes(root, options.split)
     from adapters.extensions.training.planners import PlannerTraining, train_planner
 
     repeated = {name: getattr(options, name) or () for name in ("start_from", "adversarial", "also", "only")}
     special = {"data_root": options.data, "workers": api.worker_count(options.workers), **repeated}
-    print_json(train_planner(PlannerTraining(**{**api.named_alike(PlannerTraining, options), **special})))
+    print_json(train_planner(PlannerTraining(**{**api.select_matching_options(PlannerTraining, options), **special})))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,11 +125,11 @@ class TrainJudgeOptions:
 @command(TrainJudgeOptions, app, "judge")
 def train_judge_command(options: TrainJudgeOptions) -> None:
     """Measure a trained miniature again, and write its facts and its card anew."""
-    from benchmark.datasets.statistics import listed_scenes
+    from benchmark.datasets.statistics import list_scenes
     from benchmark.machine.places import require_file
 
     require_file(options.weights, "the weights")
-    listed_scenes(options.data, "val")
+    list_scenes(options.data, "val")
     from adapters.extensions.training.planners import judge_again
 
     print_json(judge_again(options.weights, options.data))

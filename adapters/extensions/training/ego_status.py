@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from safetensors.torch import save
 
-from adapters.planners.ego_status import PAST_STEPS, EgoMotion, EgoStatusNetwork
+from adapters.planners.ego_status import PAST_STEPS, EgoStatusInputs, EgoStatusNetwork
 from benchmark.constants import COMMAND_LATERAL_M, HORIZON_STEPS, LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
 from benchmark.datasets.tracks import RecordedTracks, read_recorded_tracks
 from benchmark.errors import InputError
@@ -35,27 +35,27 @@ _SMOOTHED_FRAMES = 9
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
+class EgoStatusSamples:
     """B training samples. `future` are (B, 6, 2) rear-axle positions, ego frame, metres."""
 
-    motion: EgoMotion
+    motion: EgoStatusInputs
     future: Floats
 
     def __len__(self) -> int:
         return len(self.future)
 
-    def rows(self, chosen: NDArray[np.int64]) -> "Samples":
+    def rows(self, chosen: NDArray[np.int64]) -> "EgoStatusSamples":
         """Some of the samples."""
-        motion = {field.name: getattr(self.motion, field.name)[chosen] for field in fields(EgoMotion)}
-        return Samples(EgoMotion(**motion), self.future[chosen])
+        motion = {field.name: getattr(self.motion, field.name)[chosen] for field in fields(EgoStatusInputs)}
+        return EgoStatusSamples(EgoStatusInputs(**motion), self.future[chosen])
 
 
-def read_samples(folder: Path, sources: Sequence[str]) -> dict[str, Samples]:
+def read_samples(folder: Path, sources: Sequence[str]) -> dict[str, EgoStatusSamples]:
     """Samples by source, from a folder of ``SOURCE.npz`` files in the neutral track format."""
     return {source: _read(folder / f"{source}.npz") for source in sources}
 
 
-def _read(path: Path) -> Samples:
+def _read(path: Path) -> EgoStatusSamples:
     if not path.is_file():
         raise InputError(
             f"there is no track file {path}; name the folder that holds the SOURCE.npz files with --tracks"
@@ -63,7 +63,7 @@ def _read(path: Path) -> Samples:
     windows = [samples for poses in _vehicle_paths(read_recorded_tracks(path), path) for samples in _windows(poses)]
     if not windows:
         raise InputError(f"{path} holds no vehicle that moves for at least five seconds")
-    return _joined(windows)
+    return _join_samples(windows)
 
 
 def _vehicle_paths(tracks: RecordedTracks, path: Path) -> Iterator[Floats]:
@@ -96,7 +96,7 @@ def _smooth(values: Floats) -> Floats:
     return np.convolve(padded, kernel[::-1], mode="valid")
 
 
-def _windows(path: Floats) -> Iterator[Samples]:
+def _windows(path: Floats) -> Iterator[EgoStatusSamples]:
     """One sample each half second of a path, as far as its motion is physically possible."""
     starts = np.arange(_PAST, len(path) - _FUTURE, _STEP)
     if len(starts) == 0:
@@ -111,8 +111,8 @@ def _windows(path: Floats) -> Iterator[Samples]:
     past = np.concatenate(
         [to_local(history[..., :2], now[:, None]), wrap_angle(history[..., 2:] - now[:, None, 2:])], axis=-1
     )
-    samples = Samples(
-        EgoMotion(
+    samples = EgoStatusSamples(
+        EgoStatusInputs(
             past=past,
             past_valid=np.ones(past.shape[:2], dtype=np.bool_),
             velocity=velocity,
@@ -122,7 +122,7 @@ def _windows(path: Floats) -> Iterator[Samples]:
         ),
         future,
     )
-    yield samples.rows(np.flatnonzero(_possible(samples)))
+    yield samples.rows(np.flatnonzero(_are_drivable(samples)))
 
 
 def _motion(local: Floats, yaw: Floats) -> tuple[Floats, Floats, Floats]:
@@ -144,7 +144,7 @@ def _command(left_m: Floats) -> NDArray[np.int64]:
     return np.where(left_m <= -COMMAND_LATERAL_M, int(Command.RIGHT), turned)
 
 
-def _possible(samples: Samples) -> NDArray[np.bool_]:
+def _are_drivable(samples: EgoStatusSamples) -> NDArray[np.bool_]:
     """Whether a car could have driven it, and drove forwards."""
     start = np.zeros_like(samples.future[:, :1])
     velocity = np.diff(np.concatenate([start, samples.future], axis=1), axis=1) * 2
@@ -160,16 +160,17 @@ def _possible(samples: Samples) -> NDArray[np.bool_]:
     )
 
 
-def _joined(parts: Sequence[Samples]) -> Samples:
+def _join_samples(parts: Sequence[EgoStatusSamples]) -> EgoStatusSamples:
     motion = {
-        field.name: np.concatenate([getattr(part.motion, field.name) for part in parts]) for field in fields(EgoMotion)
+        field.name: np.concatenate([getattr(part.motion, field.name) for part in parts])
+        for field in fields(EgoStatusInputs)
     }
-    return Samples(EgoMotion(**motion), np.concatenate([part.future for part in parts]))
+    return EgoStatusSamples(EgoStatusInputs(**motion), np.concatenate([part.future for part in parts]))
 
 
-def joined(samples: dict[str, Samples]) -> Samples:
+def join_sources(samples: dict[str, EgoStatusSamples]) -> EgoStatusSamples:
     """Samples of several sources in one batch, by the name of the source."""
-    return _joined([samples[source] for source in sorted(samples)])
+    return _join_samples([samples[source] for source in sorted(samples)])
 
 
 TRAINING_SOURCES = (
@@ -236,7 +237,7 @@ def train_ego_status(
         raise InputError(f"steps and batch must be at least 1, got {settings.steps} and {settings.batch}")
     # What it is measured on is read first: nothing is trained and written that then cannot be measured.
     held_out = read_samples(tracks, settings.held_out)
-    samples = joined(read_samples(tracks, settings.sources))
+    samples = join_sources(read_samples(tracks, settings.sources))
     network = _fit(samples, settings, seed)
     weights = {name: value.contiguous() for name, value in network.state_dict().items()}
     write_bytes(out, save(weights))
@@ -253,7 +254,7 @@ def train_ego_status(
     return figures
 
 
-def measure(network: EgoStatusNetwork, samples: Samples) -> dict[str, float]:
+def measure(network: EgoStatusNetwork, samples: EgoStatusSamples) -> dict[str, float]:
     """L2 of a network and of constant velocity, mean metres at 1, 2 and 3 s, and the number of samples."""
     straight = samples.motion.constant_velocity()
     network.eval()
@@ -268,7 +269,7 @@ def measure(network: EgoStatusNetwork, samples: Samples) -> dict[str, float]:
     return figures
 
 
-def _fit(samples: Samples, settings: TrainingSettings, seed: int) -> EgoStatusNetwork:
+def _fit(samples: EgoStatusSamples, settings: TrainingSettings, seed: int) -> EgoStatusNetwork:
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     rng = np.random.default_rng(seed)
@@ -276,7 +277,7 @@ def _fit(samples: Samples, settings: TrainingSettings, seed: int) -> EgoStatusNe
     optimiser = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
     for _ in range(settings.steps):
-        batch = _augmented(samples.rows(rng.integers(len(samples), size=settings.batch)), settings, rng)
+        batch = _augment(samples.rows(rng.integers(len(samples), size=settings.batch)), settings, rng)
         target = torch.from_numpy((batch.future - batch.motion.constant_velocity()).astype(np.float32))
         distance = torch.linalg.vector_norm(network(batch.motion.features()) - target, dim=-1)
         loss = torch.sqrt(distance**2 + 0.01).mean()
@@ -287,7 +288,7 @@ def _fit(samples: Samples, settings: TrainingSettings, seed: int) -> EgoStatusNe
     return network
 
 
-def _augmented(samples: Samples, settings: TrainingSettings, rng: np.random.Generator) -> Samples:
+def _augment(samples: EgoStatusSamples, settings: TrainingSettings, rng: np.random.Generator) -> EgoStatusSamples:
     """Half of the samples mirrored, some with a past that is cut off, all with noisy accelerations as on a CAN bus."""
     mirror = np.where(rng.random(len(samples)) < 0.5, -1.0, 1.0)
     swap = {Command.RIGHT: Command.LEFT, Command.LEFT: Command.RIGHT, Command.STRAIGHT: Command.STRAIGHT}
@@ -295,7 +296,7 @@ def _augmented(samples: Samples, settings: TrainingSettings, rng: np.random.Gene
     side: Floats = np.stack([np.ones_like(mirror), mirror], axis=-1)
     known = np.where(rng.random(len(samples)) < settings.blind_start_share, rng.integers(0, 5, len(samples)), 4)
     motion = samples.motion
-    mirrored = EgoMotion(
+    mirrored = EgoStatusInputs(
         past=motion.past * np.concatenate([side, mirror[:, None]], axis=-1)[:, None],
         past_valid=np.arange(4)[::-1] < known[:, None],
         velocity=motion.velocity * side + rng.normal(0.0, 0.05, motion.velocity.shape),
@@ -303,4 +304,4 @@ def _augmented(samples: Samples, settings: TrainingSettings, rng: np.random.Gene
         yaw_rate=motion.yaw_rate * mirror + rng.normal(0.0, 0.005, motion.yaw_rate.shape),
         command=np.where(mirror < 0, swapped, motion.command),
     )
-    return Samples(mirrored, samples.future * side[:, None])
+    return EgoStatusSamples(mirrored, samples.future * side[:, None])

@@ -13,12 +13,12 @@ from typing import Any, Final, Protocol, Self, runtime_checkable
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.ego_motion import READ, EgoMotion
+from adapters.networks.layers.ego_motion import CAN_BUS_INDICES, BEVMotion
 from benchmark.constants import PLAN_STEP_S
-from benchmark.machine.progress import Count, progress
+from benchmark.machine.progress import CountedUnits, track_progress
 
 
-def turned_can_bus(can_bus: Tensor, turn_rad: float) -> Tensor:
+def rotate_can_bus(can_bus: Tensor, turn_rad: float) -> Tensor:
     """The same motion, (18,), in a world that is turned counter-clockwise around its origin.
 
     As `adapters.camera_inputs.can_bus_vector` gives it; motion itself is measured in the frame of the car and stays.
@@ -33,7 +33,7 @@ def turned_can_bus(can_bus: Tensor, turn_rad: float) -> Tensor:
     return turned
 
 
-def untold(motion: EgoMotion) -> EgoMotion:
+def mask_ego_status(motion: BEVMotion) -> BEVMotion:
     """The same motion, of which a network is not told; its view of before is aligned all the same."""
     silent = motion.can_bus.clone()
     silent[:3], silent[7:16] = 0.0, 0.0
@@ -50,7 +50,7 @@ DRIVABLE_HALF_M = 51.2
 """Half the side of the square around the lidar that the drivable raster covers."""
 
 
-KEPT_ON_PROCESSOR = frozenset({"lidar2img", "global_T_lidar", "can_bus"})
+PROCESSOR_FIELDS = frozenset({"lidar2img", "global_T_lidar", "can_bus"})
 """What planners give their networks on the processor, whatever these run on: matrices in double precision."""
 
 
@@ -106,7 +106,7 @@ class TrainingFrame:
         moved: dict[str, Any] = {
             field.name: value.to(device)
             for field in fields(self)
-            if isinstance(value := getattr(self, field.name), Tensor) and field.name not in KEPT_ON_PROCESSOR
+            if isinstance(value := getattr(self, field.name), Tensor) and field.name not in PROCESSOR_FIELDS
         }
         return replace(self, **moved)
 
@@ -194,7 +194,7 @@ class BatchObjective(Objective, Protocol):
 
 
 @runtime_checkable
-class ForesightedObjective(Objective, Protocol):
+class CachingObjective(Objective, Protocol):
     """An objective part of whose network does not learn: what that makes of the frames is made once."""
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
@@ -218,15 +218,15 @@ NOT_STRAIGHT_ON_M: Final = 3.0
 """Who is so far from where constant velocity leads after 3 s does something that a plan has to learn."""
 SHORT_WAY_M: Final = 3.0
 """Who gets no further in 3 s stands, or is about to."""
-OFTEN: Final = 3
+REPEATS: Final = 3
 """How often a round of learning has a frame of either."""
-SPEED: Final = READ[0]
+SPEED: Final = CAN_BUS_INDICES[0]
 """Place in the CAN bus vector."""
-FORGOTTEN: Final = 0.15
+MEMORY_DROPOUT: Final = 0.15
 """Share of what is remembered that a step does not have (dropout): a small network would know frames by heart."""
 
 
-class LookedAt:
+class CachedFrames:
     """Frames without their images, in memory."""
 
     def __init__(self, store: Frames, frames: Sequence[int], look: Callable[[Sequence[TrainingFrame]], None]) -> None:
@@ -239,7 +239,9 @@ class LookedAt:
         self.scenes = tuple(name for name in store.scenes if not learned.isdisjoint(store.frames_of(name)))
         self._numbers = {name: store.frames_of(name) for name in self.scenes}
         self._frames: dict[int, TrainingFrame] = {}
-        for name in progress(self.scenes, total=len(self.scenes), label="looking at scenes", count=Count("scene")):
+        for name in track_progress(
+            self.scenes, total=len(self.scenes), label="looking at scenes", count=CountedUnits("scene")
+        ):
             scene_frames = [store.frame(number) for number in self._numbers[name]]
             look(scene_frames)
             blind = (replace(frame, images=torch.empty(0, dtype=torch.uint8)) for frame in scene_frames)
@@ -262,12 +264,12 @@ class LookedAt:
         return [self.frame(frame_number) for frame_number in range(first, number + 1)]
 
 
-def weighed(frames: Frames, numbers: Sequence[int]) -> list[int]:
+def oversample_changes(frames: Frames, numbers: Sequence[int]) -> list[int]:
     """Numbers of frames, several times those in which the ego does not just drive on: most of a drive is driving on."""
-    return [number for number in numbers for _ in range(OFTEN if _changes(frames.frame(number)) else 1)]
+    return [number for number in numbers for _ in range(REPEATS if _changes_motion(frames.frame(number)) else 1)]
 
 
-def _changes(frame: TrainingFrame) -> bool:
+def _changes_motion(frame: TrainingFrame) -> bool:
     if not bool(frame.ego_future_valid[-1]):
         return False
     end = frame.ego_future[-1]

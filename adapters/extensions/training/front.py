@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from adapters.extensions.training.dense_targets import LANE_NUMBERS, lane_loss
 from adapters.extensions.training.frames import TrainingFrame
 from adapters.extensions.training.image_encoder import RARE, centre_loss, front_heat, miniature_images
-from adapters.extensions.training.losses import aside_loss
+from adapters.extensions.training.losses import lateral_loss
 from adapters.extensions.training.trainer import Phase, Recipe
 from adapters.networks.layers.front_reader import FRONT, FrontReader
 from benchmark.constants import DETECTION_CLASS_OF_CATEGORY, DETECTION_CLASSES, VEHICLE_CATEGORIES
@@ -32,7 +32,7 @@ WALKER_REACH_M: Final = 25.0
 """Walkers farther ahead than this do not matter yet."""
 WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0, "gap": 1.0, "walkers": 5.0}
 """What each loss of what is read counts."""
-THINGS_WEIGHT: Final = 0.3
+HEAT_WEIGHT: Final = 0.3
 """What that of the maps of own eyes counts."""
 RARE_WALKER: Final = 4.0
 """How many times more a strip with somebody in it counts: most have nobody."""
@@ -42,19 +42,19 @@ _VEHICLES: Final = tuple(
     for name in dict.fromkeys(DETECTION_CLASS_OF_CATEGORY.get(category) for category in VEHICLE_CATEGORIES)
     if name is not None
 )
-THINGS: Final = ((_WALKER,), _VEHICLES)
+HEAT_CLASSES: Final = ((_WALKER,), _VEHICLES)
 """Classes of what the first channels of own eyes' maps stand for."""
 
 
 @dataclass(frozen=True, slots=True)
-class Eyes:
+class FrontEncoder:
     """Eyes that make the map of the front camera that a plan looks at.
 
     `see` takes normalised images (B, 3, H, W) to maps (B, channels, h, w). With `own` they are the plan's own; then
-    the first channels have to say where things are (`things_loss`).
+    the first channels have to say where things are (`object_heat_loss`).
     """
 
-    see: Callable[[Tensor], Tensor]
+    encode: Callable[[Tensor], Tensor]
     own: bool = False
 
 
@@ -66,7 +66,7 @@ class FrontObjective:
 
     clip_frames = 32
 
-    def __init__(self, network: nn.Module, reader: FrontReader, eyes: Eyes) -> None:
+    def __init__(self, network: nn.Module, reader: FrontReader, eyes: FrontEncoder) -> None:
         self.network, self.reader, self._eyes = network, reader, eyes
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
@@ -78,12 +78,12 @@ class FrontObjective:
         brightness = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(-0.3, 0.3)
         contrast = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(0.8, 1.2)
         images = images * contrast + brightness
-        maps = self._eyes.see(images.contiguous(memory_format=torch.channels_last))
+        maps = self._eyes.encode(images.contiguous(memory_format=torch.channels_last))
         losses = mean_front_losses(self.reader(maps), clip)
-        return losses | {"things": THINGS_WEIGHT * things_loss(maps, clip)} if self._eyes.own else losses
+        return losses | {"things": HEAT_WEIGHT * object_heat_loss(maps, clip)} if self._eyes.own else losses
 
 
-def of_all_cameras(network: nn.Module, kept: tuple[str, ...]) -> Eyes:
+def shared_front_encoder(network: nn.Module, kept: tuple[str, ...]) -> FrontEncoder:
     """Eyes of a network that sees all cameras with the same: its finest feature map.
 
     The network has `img_backbone`, which stays as it is, and a pyramid `img_neck`; parameters of that whose names
@@ -100,17 +100,17 @@ def of_all_cameras(network: nn.Module, kept: tuple[str, ...]) -> Eyes:
         features: Tensor = neck(stages)[0]
         return features
 
-    return Eyes(see)
+    return FrontEncoder(see)
 
 
-def things_loss(seen: Tensor, frames: Sequence[TrainingFrame]) -> Tensor:
+def object_heat_loss(seen: Tensor, frames: Sequence[TrainingFrame]) -> Tensor:
     """Loss of the first channels of (F, channels, h, w) maps as logits of where things are.
 
     `centre_loss` of walkers and of vehicles, as many as in a mean frame.
     """
     heats = torch.from_numpy(np.stack([front_heat(frame) for frame in frames])).to(seen.device)
-    targets = torch.stack([heats[:, list(kinds)].amax(1) for kinds in THINGS], 1)
-    return centre_loss(seen[:, : len(THINGS)], targets)
+    targets = torch.stack([heats[:, list(kinds)].amax(1) for kinds in HEAT_CLASSES], 1)
+    return centre_loss(seen[:, : len(HEAT_CLASSES)], targets)
 
 
 def mean_front_losses(said: Tensor, frames: Sequence[TrainingFrame]) -> dict[str, Tensor]:
@@ -142,7 +142,7 @@ def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
     return {
         "gap": predicted_gap * 0 if gap_m is None else (predicted_gap - gap_m / GAP_UNIT_M).abs(),
         "lane": lane_loss(front[:LANE_NUMBERS], frame),
-        "ahead": aside_loss(aside, frame.ego_future[:, 0], counted),
+        "ahead": lateral_loss(aside, frame.ego_future[:, 0], counted),
         "walkers": ((walkers - nearness).square() * (1 + RARE_WALKER * (nearness > 0))).sum(),
     }
 
@@ -186,7 +186,7 @@ def gap_ahead(frame: TrainingFrame) -> float | None:
     return min(FARTHEST_GAP_M, max(0.0, float(gaps.min()))) if len(gaps) else FARTHEST_GAP_M
 
 
-def front_phase(reader_of: Callable[[Any], FrontReader | None], eyes_of: Callable[[Any], Eyes]) -> Phase:
+def front_phase(reader_of: Callable[[Any], FrontReader | None], eyes_of: Callable[[Any], FrontEncoder]) -> Phase:
     """First part of the training of a miniature whose plan sees the front camera.
 
     `reader_of` gives the part of the network that does, `eyes_of` the eyes that make the maps for it; that may keep
@@ -202,53 +202,54 @@ def front_phase(reader_of: Callable[[Any], FrontReader | None], eyes_of: Callabl
     return Phase("front", objective, recipe)
 
 
-OWN_EYES: Final = "front_eyes."
+FRONT_BACKBONE_PREFIX: Final = "front_eyes."
 """How the names of their layers begin, in all networks."""
-LEARNED_BY_OTHERS: Final = {
-    "img_backbone.": f"{OWN_EYES}backbone.",
-    "img_neck.lateral_convs.0.conv.": f"{OWN_EYES}fine.",
-    "img_neck.lateral_convs.1.conv.": f"{OWN_EYES}coarse.",
-    "img_neck.fpn_convs.0.conv.": f"{OWN_EYES}joined.",
+SHARED_LAYER_PREFIXES: Final = {
+    "img_backbone.": f"{FRONT_BACKBONE_PREFIX}backbone.",
+    "img_neck.lateral_convs.0.conv.": f"{FRONT_BACKBONE_PREFIX}fine.",
+    "img_neck.lateral_convs.1.conv.": f"{FRONT_BACKBONE_PREFIX}coarse.",
+    "img_neck.fpn_convs.0.conv.": f"{FRONT_BACKBONE_PREFIX}joined.",
 }
 """How names of layers begin that own eyes start from, and of theirs."""
-SPARSE_READER: Final = "head.motion_plan_head.front_reader."
+SPARSE_READER_PREFIX: Final = "head.motion_plan_head.front_reader."
 """How the names begin of what reads their map in the sparse miniatures."""
-TOLD: Final = "tell"
+MESSAGE_LAYER_PREFIX: Final = "tell"
 """How names go on of what tells the plan of it: the numbers are those of one plan, and mean nothing to another."""
 
 
-def seen_with_own_eyes(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def add_front_backbone(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of a network whose plan looked at the maps of all cameras, for one with eyes of its own.
 
     Returns:
         The same, and what the eyes begin with: the layers that made those maps, which say of no place that anything is
-        there (`adapters.extensions.training.front.things_loss`).
+        there (`adapters.extensions.training.front.object_heat_loss`).
     """
-    if any(name.startswith(OWN_EYES) for name in trunk):
+    if any(name.startswith(FRONT_BACKBONE_PREFIX) for name in trunk):
         return dict(trunk)
     eyes = {
         begun + name.removeprefix(learned): value.clone()
         for name, value in trunk.items()
-        for learned, begun in LEARNED_BY_OTHERS.items()
+        for learned, begun in SHARED_LAYER_PREFIXES.items()
         if name.startswith(learned)
     }
     for part, least in (("weight", 0.0), ("bias", RARE)):
-        joined = eyes.get(f"{OWN_EYES}joined.{part}")
+        joined = eyes.get(f"{FRONT_BACKBONE_PREFIX}joined.{part}")
         if joined is not None:
-            joined[: len(THINGS)] = least
+            joined[: len(HEAT_CLASSES)] = least
     return dict(trunk) | eyes
 
 
-def eyes_of_sparse(trunk: Mapping[str, Tensor], reader: str) -> dict[str, Tensor]:
+def transfer_sparse_front_backbone(trunk: Mapping[str, Tensor], reader: str) -> dict[str, Tensor]:
     """The eyes of the plan of a sparse miniature and what reads their map, for another miniature.
 
     `reader` is how the names begin of what reads the map of the front camera in the network that they are for. None
     where the weights are of another network, or their plan has no eyes of its own.
     """
     read = {
-        reader + name.removeprefix(SPARSE_READER): value
+        reader + name.removeprefix(SPARSE_READER_PREFIX): value
         for name, value in trunk.items()
-        if name.startswith(SPARSE_READER) and not name.startswith(f"{SPARSE_READER}{TOLD}")
+        if name.startswith(SPARSE_READER_PREFIX)
+        and not name.startswith(f"{SPARSE_READER_PREFIX}{MESSAGE_LAYER_PREFIX}")
     }
-    eyes = {name: value for name, value in trunk.items() if name.startswith(OWN_EYES)}
+    eyes = {name: value for name, value in trunk.items() if name.startswith(FRONT_BACKBONE_PREFIX)}
     return eyes | read if eyes and read else {}

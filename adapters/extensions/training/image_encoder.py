@@ -64,7 +64,7 @@ class ImageTargets:
 
 
 @dataclass(frozen=True, slots=True)
-class _SeenBoxes:
+class _VisibleBoxes:
     """S pairs of image and box, the farthest first.
 
     Attributes:
@@ -87,7 +87,7 @@ class _SeenBoxes:
 def image_targets(frame: TrainingFrame) -> ImageTargets:
     """Targets of the images of a frame."""
     height, width = frame.images.shape[-2:]
-    seen_boxes = _seen_boxes(frame, width, height)
+    seen_boxes = _find_visible_boxes(frame, width, height)
     heat, boxes, has_box = _box_maps(seen_boxes, len(frame.images), height // CELL_PX, width // CELL_PX)
     ground, sees_ground = _ground_maps(frame, seen_boxes, height // GROUND_PX, width // GROUND_PX)
     return ImageTargets(heat, boxes, has_box, ground, sees_ground)
@@ -97,11 +97,11 @@ def front_heat(frame: TrainingFrame) -> NDArray[np.float32]:
     """Centres of boxes in the front camera's image alone: (classes, h, w) as `ImageTargets.heat`."""
     front = replace(frame, images=frame.images[FRONT : FRONT + 1], lidar2img=frame.lidar2img[FRONT : FRONT + 1])
     height, width = frame.images.shape[-2:]
-    heat, _, _ = _box_maps(_seen_boxes(front, width, height), 1, height // CELL_PX, width // CELL_PX)
+    heat, _, _ = _box_maps(_find_visible_boxes(front, width, height), 1, height // CELL_PX, width // CELL_PX)
     return np.asarray(heat[0], np.float32)
 
 
-def _seen_boxes(frame: TrainingFrame, width: int, height: int) -> _SeenBoxes:
+def _find_visible_boxes(frame: TrainingFrame, width: int, height: int) -> _VisibleBoxes:
     boxes = frame.boxes.double().cpu().numpy()
     matrices = frame.lidar2img.numpy()
     cos, sin = np.cos(boxes[:, 6]), np.sin(boxes[:, 6])
@@ -126,11 +126,11 @@ def _seen_boxes(frame: TrainingFrame, width: int, height: int) -> _SeenBoxes:
     )
     outline = pixels[image, box, 1:].clip([0, 0], [width, height])
     label = frame.labels.cpu().numpy()[box]
-    return _SeenBoxes(image, label, centre[image, box], outline.min(1), outline.max(1), numbers)
+    return _VisibleBoxes(image, label, centre[image, box], outline.min(1), outline.max(1), numbers)
 
 
 def _box_maps(
-    seen_boxes: _SeenBoxes, images: int, rows: int, columns: int
+    seen_boxes: _VisibleBoxes, images: int, rows: int, columns: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], Bools]:
     heat = np.zeros((images, len(DETECTION_CLASSES), rows, columns), np.float32)
     boxes = np.zeros((images, BOX_NUMBERS, rows, columns), np.float32)
@@ -154,7 +154,7 @@ def _box_maps(
 
 
 def _ground_maps(
-    frame: TrainingFrame, seen_boxes: _SeenBoxes, rows: int, columns: int
+    frame: TrainingFrame, seen_boxes: _VisibleBoxes, rows: int, columns: int
 ) -> tuple[NDArray[np.float32], Bools]:
     """Kinds of ground where rays through the cells meet it; asked for where no box is in the way."""
     matrices = frame.lidar2img.numpy()
@@ -176,13 +176,13 @@ def _ground_maps(
     within = falls & (np.abs(points[..., 0]) < _ASIDE_M) & (np.abs(points[..., 1]) < _AHEAD_M)
     drivable = frame.drivable.cpu().numpy()
     cell_m = 2 * DRIVABLE_HALF_M / len(drivable)
-    kinds = [_looked_up(drivable, points, -DRIVABLE_HALF_M, -DRIVABLE_HALF_M, cell_m)]
-    kinds += [_looked_up(lines, points, -_ASIDE_M, -_AHEAD_M, _LINE_CELL_M) for lines in _line_rasters(frame)]
+    kinds = [_look_up(drivable, points, -DRIVABLE_HALF_M, -DRIVABLE_HALF_M, cell_m)]
+    kinds += [_look_up(lines, points, -_ASIDE_M, -_AHEAD_M, _LINE_CELL_M) for lines in _line_rasters(frame)]
     sees = np.stack([near, within, within, within], axis=1)
     return (np.stack(kinds, axis=1) & sees).astype(np.float32), sees
 
 
-def _looked_up(raster: Bools, points: Floats, low_x_m: float, low_y_m: float, cell_m: float) -> Bools:
+def _look_up(raster: Bools, points: Floats, low_x_m: float, low_y_m: float, cell_m: float) -> Bools:
     rows, columns = raster.shape
     column = np.floor((points[..., 0].clip(-100, 100) - low_x_m) / cell_m).astype(np.int64).clip(0, columns - 1)
     row = np.floor((points[..., 1].clip(-100, 100) - low_y_m) / cell_m).astype(np.int64).clip(0, rows - 1)
@@ -270,17 +270,18 @@ class ImageEncoderObjective:
         images = torch.cat([frame.images for frame in clip])
         targets = [image_targets(frame) for frame in clip]
         by_name = {
-            name: torch.from_numpy(_joined(targets, name)).to(device) for name in ImageTargets.__dataclass_fields__
+            name: torch.from_numpy(_join_targets(targets, name)).to(device)
+            for name in ImageTargets.__dataclass_fields__
         }
         mirrored = torch.rand(len(images)) < 0.5
-        images, by_name = _mirrored(images, by_name, mirrored.to(device))
+        images, by_name = _mirror(images, by_name, mirrored.to(device))
         brightness = torch.empty(len(images), 1, 1, 1).uniform_(-0.3, 0.3).to(device)
         contrast = torch.empty(len(images), 1, 1, 1).uniform_(0.8, 1.2).to(device)
         heat, boxes, ground = self.network(miniature_images(images) * contrast + brightness)
         return _losses(heat, boxes, ground, by_name)
 
 
-def _joined(targets: Sequence[ImageTargets], name: str) -> NDArray[np.generic]:
+def _join_targets(targets: Sequence[ImageTargets], name: str) -> NDArray[np.generic]:
     return np.concatenate([getattr(target, name) for target in targets])
 
 
@@ -311,7 +312,7 @@ def centre_loss(logits: Tensor, heat: Tensor) -> Tensor:
     return (positive + negative).sum() / centres.sum().clamp(min=1)
 
 
-def _mirrored(images: Tensor, targets: dict[str, Tensor], chosen: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+def _mirror(images: Tensor, targets: dict[str, Tensor], chosen: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
     """Left and right exchanged in the chosen images and in what is asked of them."""
     flipped = {name: value.flip(-1) for name, value in targets.items()}
     # The offset to the right and the angle of view turn round.

@@ -35,7 +35,7 @@ class Matches:
     wanted: Tensor
 
 
-def assigned(cost: Tensor, queries: int | None = None, counts: Sequence[int] | None = None) -> Matches:
+def assign(cost: Tensor, queries: int | None = None, counts: Sequence[int] | None = None) -> Matches:
     """Pairs with the least sum of costs (Kuhn 1955), within each key frame.
 
     Args:
@@ -65,7 +65,7 @@ def class_cost(logits: Tensor, labels: Tensor) -> Tensor:
     return (positive - negative)[:, labels]
 
 
-def normalised_boxes(boxes: Tensor) -> Tensor:
+def normalise_boxes(boxes: Tensor) -> Tensor:
     """Boxes in the form in which they are compared, with the yaw as given.
 
     Returns:
@@ -89,11 +89,11 @@ def match_boxes(
 ) -> Matches:
     """Match predicted and annotated boxes by class and weighted L1 of codes.
 
-    `logits` are (Q, C), `codes` (Q, D) in the same form as the (G, D) `wanted`, for example of `normalised_boxes`;
+    `logits` are (Q, C), `codes` (Q, D) in the same form as the (G, D) `wanted`, for example of `normalise_boxes`;
     `code_weights` (D,) are zero for what matching leaves out. Predictions that are not finite are an `InputError`.
     """
     distance = torch.cdist(codes.detach().float() * code_weights, wanted.float() * code_weights, p=1)
-    return assigned(class_weight * class_cost(logits, labels) + box_weight * distance)
+    return assign(class_weight * class_cost(logits, labels) + box_weight * distance)
 
 
 def focal_loss(logits: Tensor, targets: Tensor, *, count: float | None = None) -> Tensor:
@@ -165,7 +165,7 @@ def match_lines(
     distance = torch.cdist((points.detach() / scale).flatten(1).float()[None], scaled.flatten(0, 1).float()[None], p=1)
     distance = distance.view(len(points), len(wanted), orders.shape[1]) / points.shape[1]
     nearest, order = distance.min(-1)
-    matches = assigned(class_weight * class_cost(logits, labels) + line_weight * nearest)
+    matches = assign(class_weight * class_cost(logits, labels) + line_weight * nearest)
     return matches, orders[matches.wanted, order[matches.queries, matches.wanted]]
 
 
@@ -189,7 +189,7 @@ def direction_loss(points: Tensor, matched: Tensor, matches: Matches) -> Tensor:
     )
 
 
-def winners(trajectories: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
+def find_winning_modes(trajectories: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
     """Mode, (N,), that is nearest on average over the steps that are annotated.
 
     Of (N, M, T, 2) trajectories to (N, T, 2) metres, where (N, T) are valid.
@@ -208,7 +208,7 @@ def trajectory_losses(trajectories: Tensor, logits: Tensor, wanted: Tensor, vali
     """
     counted = valid.any(-1)
     trajectories, logits, wanted, valid = trajectories[counted], logits[counted], wanted[counted], valid[counted]
-    best = winners(trajectories, wanted, valid)
+    best = find_winning_modes(trajectories, wanted, valid)
     error = (trajectories[torch.arange(len(best), device=best.device), best] - wanted).abs().sum(-1) * valid
     entropy = F.cross_entropy(logits, best, reduction="sum")
     return error.sum() / max(int(valid.sum()), 1), entropy / max(len(best), 1)
@@ -219,7 +219,7 @@ def plan_loss(plan: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
     return ((plan - wanted).abs().sum(-1) * valid).sum() / max(int(valid.sum()), 1)
 
 
-def aside_loss(found: Tensor, wanted: Tensor, counted: Tensor) -> Tensor:
+def lateral_loss(found: Tensor, wanted: Tensor, counted: Tensor) -> Tensor:
     """Squared offset to the side in metres, up to a metre; mean over the steps that count.
 
     L1 asks for the median, which is to stay where one is: most of those who drive straight on do.

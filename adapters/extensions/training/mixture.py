@@ -15,10 +15,10 @@ from safetensors.numpy import save
 from torch import Tensor
 
 from adapters.extensions.training.frames import Frames, TrainingFrame
-from adapters.extensions.training.scene_frames import ENDLESS, scene_arrays
+from adapters.extensions.training.scene_frames import VARIABLE_LENGTH, scene_arrays
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.machine.storage import content_key, file_name, only_writer, read_json, write_bytes, write_json
+from benchmark.machine.storage import content_key, lock_folder, read_json, sanitise_file_name, write_bytes, write_json
 from benchmark.machine.workers import map_ordered
 from benchmark.machine.workspace import cache_root
 
@@ -80,7 +80,7 @@ class FrameStore:
         name, index = self._places[number]
         path = _scene_file(self.folder, name)
         try:
-            return _frame_of(self._scene(name, path), name, index)
+            return _read_frame(self._scene(name, path), name, index)
         except (OSError, SafetensorError) as error:
             raise InputError(f"cannot read the training frames {path} ({error}); remove it and build again") from error
 
@@ -89,7 +89,7 @@ class FrameStore:
         _, index = self._places[number]
         return [self.frame(frame_number) for frame_number in range(number - min(index, length - 1), number + 1)]
 
-    def followed(self, scene: str, index: int) -> Tensor:
+    def learnable_steps(self, scene: str, index: int) -> Tensor:
         """Steps, (6,) bool, of the ego's future that a planner learns from, as `TrainingFrame.ego_future_valid`.
 
         Reads no image.
@@ -118,7 +118,7 @@ def build_frames(data_root: Path, split: str, folder: Path, *, workers: int = 1)
     identity = frames_key(data, split)
     if _is_complete(folder, identity, names):
         return FrameStore.open(folder)
-    with only_writer(folder):
+    with lock_folder(folder):
         (folder / INDEX).unlink(missing_ok=True)
         work = functools.partial(_build_scene, data_root, folder, identity)
         counts = list(map_ordered(work, names, workers=workers, label="training frames"))
@@ -143,20 +143,20 @@ def _is_complete(folder: Path, identity: str, names: tuple[str, ...]) -> bool:
 
 def _build_scene(data_root: Path, folder: Path, identity: str, name: str) -> int:
     path = _scene_file(folder, name)
-    count = _kept(path, identity)
+    count = _count_cached_frames(path, identity)
     if count is not None:
         return count
-    arrays = scene_arrays(_opened(data_root), name)
+    arrays = scene_arrays(_open_data(data_root), name)
     write_bytes(path, save(arrays, {"identity": identity}), durable=False)
     return len(arrays["command"])
 
 
 @functools.lru_cache(maxsize=1)
-def _opened(data_root: Path) -> Any:
+def _open_data(data_root: Path) -> Any:
     return open_data(data_root)
 
 
-def _kept(path: Path, identity: str) -> int | None:
+def _count_cached_frames(path: Path, identity: str) -> int | None:
     """Frames in a scene's file; ``None`` if it is absent, broken, or made from something else."""
     try:
         with safe_open(path, "pt") as stored:
@@ -168,17 +168,17 @@ def _kept(path: Path, identity: str) -> int | None:
 
 
 def _scene_file(folder: Path, name: str) -> Path:
-    return folder / f"{file_name(name)}.safetensors"
+    return folder / f"{sanitise_file_name(name)}.safetensors"
 
 
-def _frame_of(scene: _OpenScene, name: str, index: int) -> TrainingFrame:
+def _read_frame(scene: _OpenScene, name: str, index: int) -> TrainingFrame:
     values: dict[str, Any] = {"images": scene.images[index : index + 1][0]}
     for field in fields(TrainingFrame):
         if field.name in ("scene", "index", "images"):
             continue
         array = scene.arrays[field.name]
-        if field.name in ENDLESS:
-            first, end = scene.arrays[ENDLESS[field.name]][index : index + 2].tolist()
+        if field.name in VARIABLE_LENGTH:
+            first, end = scene.arrays[VARIABLE_LENGTH[field.name]][index : index + 2].tolist()
             values[field.name] = array[first:end].clone()
         else:
             values[field.name] = array[index].clone()
@@ -232,12 +232,12 @@ class MixedFrames:
         return self._stores[which], number - self._firsts[which]
 
 
-class ApartScenes:
+class PrefixedScenes:
     """A store whose scenes have another name in front: two roots of the town name their scenes alike."""
 
     def __init__(self, store: Frames, name: str) -> None:
         self._store, self._name = store, name
-        self.scenes = tuple(self._apart(scene) for scene in store.scenes)
+        self.scenes = tuple(self._add_prefix(scene) for scene in store.scenes)
         self.identity = content_key("scenes apart", store.identity, name)
 
     def __len__(self) -> int:
@@ -245,24 +245,24 @@ class ApartScenes:
 
     def frames_of(self, scene: str) -> range:
         """Numbers of the frames of a scene, in time order."""
-        return self._store.frames_of(scene.removeprefix(self._apart("")))
+        return self._store.frames_of(scene.removeprefix(self._add_prefix("")))
 
     def frame(self, number: int) -> TrainingFrame:
         """One frame; raises as the store."""
-        return self._renamed(self._store.frame(number))
+        return self._rename_scene(self._store.frame(number))
 
     def clip(self, number: int, length: int) -> list[TrainingFrame]:
         """A frame and those before it in its scene; raises as the store."""
-        return [self._renamed(frame) for frame in self._store.clip(number, length)]
+        return [self._rename_scene(frame) for frame in self._store.clip(number, length)]
 
-    def _apart(self, scene: str) -> str:
+    def _add_prefix(self, scene: str) -> str:
         return f"{self._name}/{scene}"
 
-    def _renamed(self, frame: TrainingFrame) -> TrainingFrame:
-        return replace(frame, scene=self._apart(frame.scene))
+    def _rename_scene(self, frame: TrainingFrame) -> TrainingFrame:
+        return replace(frame, scene=self._add_prefix(frame.scene))
 
 
-class FollowedAsRecorded:
+class RecordedFutureFrames:
     """Adversarial scenes, of whose ego a planner learns what it learns from the scene that each was made from.
 
     The ego of both drives the same way; what the recorded data set says of departures from the path holds for both.
@@ -290,11 +290,11 @@ class FollowedAsRecorded:
         return [self._followed(frame) for frame in self._store.clip(number, length)]
 
     def _followed(self, frame: TrainingFrame) -> TrainingFrame:
-        follows = self._recorded.followed(self._sources[frame.scene], frame.index)
-        return replace(frame, ego_future_valid=frame.ego_future_valid & follows & _clear(frame))
+        follows = self._recorded.learnable_steps(self._sources[frame.scene], frame.index)
+        return replace(frame, ego_future_valid=frame.ego_future_valid & follows & _clear_steps(frame))
 
 
-def _clear(frame: TrainingFrame) -> Tensor:
+def _clear_steps(frame: TrainingFrame) -> Tensor:
     """Steps, (6,) bool, of the ego's future before it is where another is."""
     steps = len(frame.ego_future)
     distance = (frame.futures[:, :steps, :2] - frame.ego_future).norm(dim=-1)
@@ -303,13 +303,13 @@ def _clear(frame: TrainingFrame) -> Tensor:
     return clear
 
 
-def gathered(data_root: Path, split: str, *, workers: int) -> FrameStore:
+def cached_frames_of(data_root: Path, split: str, *, workers: int) -> FrameStore:
     """The frames of a split, in the user's cache; raises as `build_frames`."""
     folder = cache_root() / "training" / frames_key(open_data(data_root), split)[:16]
     return build_frames(data_root, split, folder, workers=workers)
 
 
-def require_others(roots: Sequence[Path], data: DataSet) -> None:
+def require_distinct_data(roots: Sequence[Path], data: DataSet) -> None:
     """Refuse a data set that would be learned from twice."""
     known = {data.fingerprint(): data.root}
     for root in roots:
@@ -319,7 +319,7 @@ def require_others(roots: Sequence[Path], data: DataSet) -> None:
         known[fingerprint] = root
 
 
-def require_made_from(root: Path, data: DataSet, split: str) -> dict[str, str]:
+def require_source_scenes(root: Path, data: DataSet, split: str) -> dict[str, str]:
     """The recorded scene of each adversarial one; refuse scenes that were not made from those that are learned from.
 
     A scene that planners are judged on must never be learned from.

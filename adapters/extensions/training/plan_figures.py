@@ -16,12 +16,12 @@ from benchmark.datasets.roots import DataSet
 from benchmark.datasets.sample_truth import HIDDEN
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.metrics.diagnosis import MATCH_WITHIN_M, forecasts_in_lidar, matched_forecasts
-from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.metrics.diagnosis import MATCH_WITHIN_M, match_forecasts, to_lidar_frame
+from benchmark.metrics.rates import Rate, compute_ratios_over_scenes
 from benchmark.planning import CameraView, Forecasts, Observation, Plan, Planner, SceneInfo
-from benchmark.protocols import protocol
-from benchmark.protocols.contract import Outcomes
-from benchmark.report.words import counted
+from benchmark.protocols import find_protocol
+from benchmark.protocols.contract import ProtocolOutcomes
+from benchmark.report.words import pluralise
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
@@ -55,10 +55,10 @@ class ForecastFigures:
 
 
 @dataclass(frozen=True, slots=True)
-class _Compared:
+class _MatchedForecasts:
     """One sample by one of the rules: forecasts in its lidar frame.
 
-    `matched` are rows of the forecast by instance, `counted` numbers of the vehicles that count.
+    `matched` are rows of the forecast by instance, `pluralise` numbers of the vehicles that count.
     """
 
     truth: SampleTruth
@@ -76,13 +76,13 @@ def forecast_figures(truths: Sequence[SampleTruth], plans: Sequence[Plan]) -> Fo
     for truth, plan in zip(truths, plans, strict=True):
         if plan.forecasts is None:
             continue
-        forecasts = forecasts_in_lidar(plan.forecasts, plan.frame, truth.lidar_ahead_m)
+        forecasts = to_lidar_frame(plan.forecasts, plan.frame, truth.lidar_ahead_m)
         lit = tuple(number for number in _vehicles_near(truth) if truth.has_lidar_points[number, 0])
-        compared.append(_Compared(truth, forecasts, matched_forecasts(truth, forecasts), lit))
+        compared.append(_MatchedForecasts(truth, forecasts, match_forecasts(truth, forecasts), lit))
     return _figures(compared)
 
 
-def seen_figures(
+def visible_forecast_figures(
     truths: Sequence[SampleTruth], plans: Sequence[Plan], visible: Sequence[frozenset[str]]
 ) -> ForecastFigures | None:
     """Figures of forecasts against the recording, as seen: `visible` are S sets of `visible_instances`.
@@ -93,9 +93,9 @@ def seen_figures(
     for truth, plan, instances in zip(truths, plans, visible, strict=True):
         if plan.forecasts is None:
             continue
-        forecasts = forecasts_in_lidar(plan.forecasts, plan.frame, truth.lidar_ahead_m)
+        forecasts = to_lidar_frame(plan.forecasts, plan.frame, truth.lidar_ahead_m)
         counted = tuple(number for number in _vehicles_near(truth) if truth.instances[number] in instances)
-        compared.append(_Compared(truth, forecasts, _nearest(truth, forecasts), counted))
+        compared.append(_MatchedForecasts(truth, forecasts, _match_nearest(truth, forecasts), counted))
     return _figures(compared)
 
 
@@ -112,7 +112,7 @@ def visible_instances(scene: Scene) -> tuple[frozenset[str], ...]:
     )
 
 
-def _figures(compared: Sequence[_Compared]) -> ForecastFigures | None:
+def _figures(compared: Sequence[_MatchedForecasts]) -> ForecastFigures | None:
     vehicles = matches = claimed = confirmed = 0
     errors_m: list[tuple[float, float, float]] = []
     for sample in compared:
@@ -142,7 +142,7 @@ def _errors(boxes: Floats, forecasts: Forecasts, row: int) -> tuple[float, float
     return float(modes.min()), float(modes[int(np.argmax(forecasts.scores[row]))]), float(standing)
 
 
-def _nearest(truth: SampleTruth, forecasts: Forecasts) -> dict[str, int]:
+def _match_nearest(truth: SampleTruth, forecasts: Forecasts) -> dict[str, int]:
     """Row of the forecast by instance annotated now: one to one, nearest first, at most `MATCH_WITHIN_M` apart."""
     present = np.flatnonzero(truth.annotated[:, 0])
     offset = truth.boxes[present, None, 0, :2] - _centres(forecasts)
@@ -174,7 +174,7 @@ def _centres(forecasts: Forecasts) -> Floats:
 _BLANK_GREY: Final = 128
 
 
-class Images(StrEnum):
+class ImageCondition(StrEnum):
     """Images that a planner is shown.
 
     ``own``: what its cameras saw. ``blank``: grey. ``shuffled``: what the same cameras saw in another scene at a sample
@@ -205,7 +205,7 @@ class PlanFigures:
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedPlans:
+class EvaluatedPlans:
     """S plans beside what happened, of samples whose recording reaches 3 s.
 
     `visible` are instances that can be seen (`adapters.extensions.training.plan_figures.visible_instances`).
@@ -215,11 +215,11 @@ class JudgedPlans:
     plans: Sequence[Plan]
     visible: Sequence[frozenset[str]]
 
-    def outcomes(self) -> Outcomes:
+    def outcomes(self) -> ProtocolOutcomes:
         """Outcomes of the plans under the protocol ``exact``."""
         pairs = zip(self.truths, self.plans, strict=True)
         waypoints = [plan.waypoints_in_lidar(truth.lidar_ahead_m) for truth, plan in pairs]
-        return protocol("exact").evaluate(self.truths, np.array(waypoints))
+        return find_protocol("exact").evaluate(self.truths, np.array(waypoints))
 
     def figures(self) -> PlanFigures:
         """Figures of the plans."""
@@ -228,17 +228,17 @@ class JudgedPlans:
         collisions = float(outcomes.collision.any(-1).mean())
         return PlanFigures(len(self.truths), l2["1s"], l2["2s"], l2["3s"], collisions)
 
-    def as_diagnosed(self) -> ForecastFigures | None:
+    def diagnosed_forecasts(self) -> ForecastFigures | None:
         """Figures of the forecasts as collisions are diagnosed; ``None`` as in `forecast_figures`."""
         return forecast_figures(self.truths, self.plans)
 
-    def as_seen(self) -> ForecastFigures | None:
-        """Figures of the forecasts of what can be seen; ``None`` as in `seen_figures`."""
-        return seen_figures(self.truths, self.plans, self.visible)
+    def visible_forecasts(self) -> ForecastFigures | None:
+        """Figures of the forecasts of what can be seen; ``None`` as in `visible_forecast_figures`."""
+        return visible_forecast_figures(self.truths, self.plans, self.visible)
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class PairedMeanDifference:
     """A mean difference over paired samples, with its 95 % interval over scenes; ``None`` for fewer than two scenes."""
 
     value: float
@@ -258,17 +258,17 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class Loss:
+class ImageAblation:
     """Losses of plans when a planner is shown something else than what its cameras saw.
 
     `collisions_pt` are more plans that touch anything within 3 s, percentage points.
     """
 
-    l2_3s_m: Difference
-    collisions_pt: Difference
+    l2_3s_m: PairedMeanDifference
+    collisions_pt: PairedMeanDifference
 
     @classmethod
-    def between(cls, own: JudgedPlans, other: JudgedPlans) -> Self:
+    def between(cls, own: EvaluatedPlans, other: EvaluatedPlans) -> Self:
         """Loss between the plans of the same samples with its own images and with others."""
         pairs = [
             np.stack([outcomes.l2[:, -1], 100.0 * outcomes.collision.any(-1)], axis=-1)
@@ -276,7 +276,12 @@ class Loss:
         ]
         lost = pairs[1] - pairs[0]
         scenes = [truth.scene for truth in own.truths]
-        return cls(*(Difference.of(rate) for rate in ratios_over_scenes(lost, np.ones_like(lost), scenes, seed=0)))
+        return cls(
+            *(
+                PairedMeanDifference.of(rate)
+                for rate in compute_ratios_over_scenes(lost, np.ones_like(lost), scenes, seed=0)
+            )
+        )
 
     def said(self) -> str:
         """Text for readers."""
@@ -285,19 +290,29 @@ class Loss:
     @classmethod
     def from_log(cls, log: Mapping[str, Mapping[str, Any]]) -> Self:
         """Read what `dataclasses.asdict` made of one."""
-        return cls(**{name: Difference(**values) for name, values in log.items()})
+        return cls(**{name: PairedMeanDifference(**values) for name, values in log.items()})
 
 
 def plan_figures(
-    planner: Planner, data: DataSet, scenes: Sequence[str], *, images: Images = Images.OWN, every: int = 1
+    planner: Planner,
+    data: DataSet,
+    scenes: Sequence[str],
+    *,
+    images: ImageCondition = ImageCondition.OWN,
+    every: int = 1,
 ) -> PlanFigures:
-    """The figures of plans alone; arguments and errors as of `judged_plans`."""
-    return judged_plans(planner, data, scenes, images=images, every=every).figures()
+    """The figures of plans alone; arguments and errors as of `evaluate_plans`."""
+    return evaluate_plans(planner, data, scenes, images=images, every=every).figures()
 
 
-def judged_plans(
-    planner: Planner, data: DataSet, scenes: Sequence[str], *, images: Images = Images.OWN, every: int = 1
-) -> JudgedPlans:
+def evaluate_plans(
+    planner: Planner,
+    data: DataSet,
+    scenes: Sequence[str],
+    *,
+    images: ImageCondition = ImageCondition.OWN,
+    every: int = 1,
+) -> EvaluatedPlans:
     """Plans of a planner, beside what happened.
 
     One in `every` samples is judged; planners with memory see all of them. An `InputError` says that no sample is
@@ -308,7 +323,7 @@ def judged_plans(
         scene = data.scene(name)
         visible_by_frame = visible_instances(scene)
         planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
-        for observation, truth in zip(shown(data, scenes, number, images), data.truth(name), strict=True):
+        for observation, truth in zip(observe_with_images(data, scenes, number, images), data.truth(name), strict=True):
             plan = planner.plan(observation)
             if truth.complete and truth.index % every == 0:
                 truths.append(truth)
@@ -316,21 +331,23 @@ def judged_plans(
                 visible.append(visible_by_frame[truth.index])
     if not truths:
         raise InputError(
-            f"none of the {counted(len(scenes), 'scene')} has a sample with three recorded seconds after it"
+            f"none of the {pluralise(len(scenes), 'scene')} has a sample with three recorded seconds after it"
         )
-    return JudgedPlans(truths, plans, visible)
+    return EvaluatedPlans(truths, plans, visible)
 
 
-def shown(data: DataSet, scenes: Sequence[str], number: int, images: Images) -> Iterator[Observation]:
+def observe_with_images(
+    data: DataSet, scenes: Sequence[str], number: int, images: ImageCondition
+) -> Iterator[Observation]:
     """Observations of a scene, in time order, with the images that a planner is to be shown.
 
     `number` is the place of the scene among `scenes`; images are those of its own cameras, blank ones, or those of
     another scene.
     """
-    if images is Images.OWN:
+    if images is ImageCondition.OWN:
         yield from data.observations(scenes[number])
         return
-    if images is Images.BLANK:
+    if images is ImageCondition.BLANK:
         for observation in data.observations(scenes[number]):
             yield replace(observation, views={key: _blank(view) for key, view in observation.views.items()})
         return

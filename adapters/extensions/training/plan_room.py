@@ -106,7 +106,7 @@ _CIRCLES: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Around:
+class NearbyBodies:
     """N bodies, at most, in each of F key frames.
 
     Attributes:
@@ -118,7 +118,7 @@ class Around:
     there: Tensor
 
     @classmethod
-    def of(cls, frames: Sequence[TrainingFrame], steps: int) -> "Around":
+    def of(cls, frames: Sequence[TrainingFrame], steps: int) -> "NearbyBodies":
         """All that is annotated in F frames, for T steps."""
         boxes, present = [], []
         for frame in frames:
@@ -127,12 +127,12 @@ class Around:
             present.append(frame.futures_valid[:, :steps])
         return cls(*(pad_sequence(parts, batch_first=True) for parts in (boxes, present)))
 
-    def on(self, device: torch.device) -> "Around":
+    def on(self, device: torch.device) -> "NearbyBodies":
         """Bodies on a device."""
-        return Around(self.boxes.to(device), self.there.to(device))
+        return NearbyBodies(self.boxes.to(device), self.there.to(device))
 
 
-def missing_room(plans: Tensor, around: Around) -> Tensor:
+def missing_room(plans: Tensor, around: NearbyBodies) -> Tensor:
     """Room that plans lack, (F, M) metres, to the body they lack it most to at each step.
 
     Means over the steps; 0 where there is room to all. `plans` are (F, M, T, 2) positions of the lidar, metres, in the
@@ -161,7 +161,7 @@ def missing_room(plans: Tensor, around: Around) -> Tensor:
 
 def room_loss(plan: Tensor, frame: TrainingFrame) -> Tensor:
     """Room that one plan, (T, 2), lacks, as a scalar."""
-    return missing_room(plan[None, None], Around.of([frame], len(plan)))[0, 0]
+    return missing_room(plan[None, None], NearbyBodies.of([frame], len(plan)))[0, 0]
 
 
 def _directions(plans: Tensor) -> Tensor:

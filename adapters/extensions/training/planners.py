@@ -11,26 +11,32 @@ from torch import Tensor, nn
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.checkpoints.cache import Provenance, load_weights, write_weights
 from adapters.checkpoints.importing import resolve_checkpoint
-from adapters.extensions.training.card import card_of
+from adapters.extensions.training.card import format_card
 from adapters.extensions.training.frames import Frames, TrainingFrame
 from adapters.extensions.training.image_encoder import ImageEncoder, ImageEncoderObjective
 from adapters.extensions.training.mixture import (
     ADVERSARIAL_SPLIT,
-    ApartScenes,
-    FollowedAsRecorded,
     MixedFrames,
-    gathered,
-    require_made_from,
-    require_others,
+    PrefixedScenes,
+    RecordedFutureFrames,
+    cached_frames_of,
+    require_distinct_data,
+    require_source_scenes,
 )
-from adapters.extensions.training.plan_figures import Images, JudgedPlans, Loss, judged_plans, plan_figures
+from adapters.extensions.training.plan_figures import (
+    EvaluatedPlans,
+    ImageAblation,
+    ImageCondition,
+    evaluate_plans,
+    plan_figures,
+)
 from adapters.extensions.training.trainer import IMAGE_ENCODER, Phase, Recipe, fit
 from adapters.models import Model, miniature, resolve
 from adapters.planners.constant_velocity import ConstantVelocity
 from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.machine.environment import source_state
+from benchmark.machine.environment import read_source_state
 from benchmark.machine.storage import (
     content_seed,
     file_sha256,
@@ -38,7 +44,7 @@ from benchmark.machine.storage import (
     write_bytes,
     write_json,
 )
-from benchmark.weights.tensors import read_tensors, tensors_key
+from benchmark.weights.tensors import hash_tensors, read_tensors
 
 ENCODER_NAME: Final = "image-encoder"
 """What ``--model`` calls the network that all miniatures start from."""
@@ -49,7 +55,7 @@ HELD_OUT_EVERY: Final = 75
 """Of the scenes of a split, one in so many is not trained on and measures."""
 ANCHORS_EVERY, ANCHOR_FRAMES = 10, 400
 """Of the frames, one in so many gives first values (anchors, places of queries); more of them in small splits."""
-JUDGED_SPLIT: Final = "val"
+VALIDATION_SPLIT: Final = "val"
 """Split of the data set that the result is measured on."""
 HALF_FROM: Final = 256
 """Tensors of at least so many numbers are stored in half precision."""
@@ -128,21 +134,23 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
             the progress file belongs to another run, the losses are no longer finite, or a file cannot be written.
     """
     # What cannot be used is said at once, not after minutes of gathering frames.
-    _phases(training)
-    given_weights = _given_weights(training)
+    _select_phases(training)
+    given_weights = _read_start_weights(training)
     data = open_data(training.data_root)
     judge = None if training.judged_on is None else open_data(training.judged_on)
-    sources = {root: require_made_from(root, data, training.split) for root in training.adversarial}
-    require_others(training.also, data)
-    recorded = gathered(training.data_root, training.split, workers=training.workers)
+    sources = {root: require_source_scenes(root, data, training.split) for root in training.adversarial}
+    require_distinct_data(training.also, data)
+    recorded = cached_frames_of(training.data_root, training.split, workers=training.workers)
     held_out = recorded.scenes[::HELD_OUT_EVERY] if len(recorded.scenes) > 1 else ()
     more: list[Frames] = [
-        FollowedAsRecorded(gathered(root, ADVERSARIAL_SPLIT, workers=training.workers), recorded, made_from_of)
+        RecordedFutureFrames(
+            cached_frames_of(root, ADVERSARIAL_SPLIT, workers=training.workers), recorded, made_from_of
+        )
         for root, made_from_of in sources.items()
     ]
     for place, root in enumerate(training.also, start=1):
         # By its place, not by the folder's name: the same data give the same weights wherever they lie.
-        more.append(ApartScenes(gathered(root, training.split, workers=training.workers), f"also-{place}"))
+        more.append(PrefixedScenes(cached_frames_of(root, training.split, workers=training.workers), f"also-{place}"))
     store: Frames = MixedFrames([recorded, *more]) if more else recorded
     # What was made from a held-out scene is held out as well.
     made_from = {name: source for of_root in sources.values() for name, source in of_root.items()}
@@ -151,8 +159,8 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
     ]
     if training.model == ENCODER_NAME:
         return _train_encoder(training, store, learned)
-    checked = _Checked(miniature(training.model), data, held_out)
-    judged = checked if judge is None else replace(checked, data=judge, scenes=judge.scene_names(JUDGED_SPLIT))
+    checked = _HeldOutEvaluation(miniature(training.model), data, held_out)
+    judged = checked if judge is None else replace(checked, data=judge, scenes=judge.scene_names(VALIDATION_SPLIT))
     return _train_miniature(training, store, learned, given_weights, checked, judged)
 
 
@@ -176,16 +184,16 @@ def judge_again(weights: Path, data_root: Path) -> dict[str, Any]:
     small, data = miniature(str(facts.get("model"))), open_data(data_root)
     network = small.build()
     load_weights(network, resolve_checkpoint(small.name, weights))
-    facts |= _Checked(small, data, data.scene_names(JUDGED_SPLIT)).facts(network.state_dict())
+    facts |= _HeldOutEvaluation(small, data, data.scene_names(VALIDATION_SPLIT)).facts(network.state_dict())
     write_json(path, facts)
-    write_bytes(weights.with_suffix(".md"), card_of(small, facts).encode())
+    write_bytes(weights.with_suffix(".md"), format_card(small, facts).encode())
     return facts
 
 
 def _train_encoder(training: PlannerTraining, store: Frames, learned: Sequence[int]) -> dict[str, Any]:
     torch.manual_seed(content_seed("network", ENCODER_NAME, training.seed))
     network = ImageEncoder()
-    phase = _scaled(_phases(training), training)[0]
+    phase = _scale_phases(_select_phases(training), training)[0]
     weights = fit(phase.objective(network), store, learned, phase.recipe, training.out, device=training.device)
     encoder_weights = {
         name.replace(ENCODER_PYRAMID, PYRAMID): value
@@ -195,8 +203,8 @@ def _train_encoder(training: PlannerTraining, store: Frames, learned: Sequence[i
     write_weights(training.out, encoder_weights, _provenance(training, store, encoder_weights))
     # What the card of a miniature that starts from this file names, by the option that it is given with.
     encoder = {name: value for name, value in encoder_weights.items() if name.startswith(IMAGE_ENCODER)}
-    keys = {"image_encoder": tensors_key(encoder), "start_from": tensors_key(encoder_weights)}
-    facts = _facts(training, store, learned, (phase,), encoder_weights) | {"keys": keys}
+    keys = {"image_encoder": hash_tensors(encoder), "start_from": hash_tensors(encoder_weights)}
+    facts = _collect_metadata(training, store, learned, (phase,), encoder_weights) | {"keys": keys}
     write_json(training.out.with_suffix(".json"), facts)
     training.out.with_suffix(".progress.safetensors").unlink(missing_ok=True)
     return facts
@@ -207,18 +215,18 @@ def _train_miniature(
     store: Frames,
     learned: Sequence[int],
     given_weights: Mapping[str, Mapping[str, Tensor]],
-    checked: "_Checked",
-    judged: "_Checked",
+    checked: "_HeldOutEvaluation",
+    judged: "_HeldOutEvaluation",
 ) -> dict[str, Any]:
     small = miniature(training.model)
     network = resolve(small.small.untrained)(small.configuration(), _frames_for_anchors(store, learned), training.seed)
-    phases = _scaled(_phases(training), training)
+    phases = _scale_phases(_select_phases(training), training)
     weights: Mapping[str, Tensor] = {name: value for taken in given_weights.values() for name, value in taken.items()}
     parts = [training.out.with_name(f"{training.out.stem}.{phase.name}.safetensors") for phase in phases]
     start: dict[str, Tensor] = {}
     for phase, part in zip(phases, parts, strict=True):
         objective = phase.objective(network)
-        _take(network, weights)
+        _load_matching(network, weights)
         start = start or {name: value.detach().clone() for name, value in network.state_dict().items()}
         weights = fit(
             objective,
@@ -229,8 +237,8 @@ def _train_miniature(
             check=checked.figures if checked.scenes else None,
             device=training.device,
         )
-    weights = {name: _mean(start[name], value, training.kept_of_start) for name, value in weights.items()}
-    started_from = {option: tensors_key(taken) for option, taken in given_weights.items()}
+    weights = {name: _interpolate(start[name], value, training.kept_of_start) for name, value in weights.items()}
+    started_from = {option: hash_tensors(taken) for option, taken in given_weights.items()}
     facts = _write_miniature(training, store, learned, phases, weights, judged, started_from)
     for part in parts:
         part.with_suffix(".progress.safetensors").unlink(missing_ok=True)
@@ -243,23 +251,23 @@ def _write_miniature(
     learned: Sequence[int],
     phases: Sequence[Phase],
     weights: Mapping[str, Tensor],
-    judged: "_Checked",
+    judged: "_HeldOutEvaluation",
     started_from: Mapping[str, str],
 ) -> dict[str, Any]:
     """Weights in half precision, and figures of what the file holds."""
-    stored = {name: _halved(value) for name, value in weights.items()}
+    stored = {name: _to_half_precision(value) for name, value in weights.items()}
     write_weights(training.out, stored, _provenance(training, store, stored))
-    facts = _facts(training, store, learned, phases, stored) | {
+    facts = _collect_metadata(training, store, learned, phases, stored) | {
         "started_from": started_from,
         **({"kept_of_start": training.kept_of_start} if training.kept_of_start else {}),
         **judged.facts(stored),
     }
     write_json(training.out.with_suffix(".json"), facts)
-    write_bytes(training.out.with_suffix(".md"), card_of(judged.small, facts).encode())
+    write_bytes(training.out.with_suffix(".md"), format_card(judged.small, facts).encode())
     return facts
 
 
-def _mean(start: Tensor, learned: Tensor, start_share: float) -> Tensor:
+def _interpolate(start: Tensor, learned: Tensor, start_share: float) -> Tensor:
     """The weighted mean of numbers before and after the training; counters are those after it."""
     return (
         torch.lerp(learned, start.to(learned), start_share) if start_share and learned.is_floating_point() else learned
@@ -267,7 +275,7 @@ def _mean(start: Tensor, learned: Tensor, start_share: float) -> Tensor:
 
 
 @dataclass(frozen=True, slots=True)
-class _Checked:
+class _HeldOutEvaluation:
     """Measures weights of a miniature on scenes that it does not learn from."""
 
     small: Model
@@ -284,16 +292,16 @@ class _Checked:
         if not self.scenes:
             return {"figures": {}, "forecasts": None, "seen": None, "lost": {}, "judged_on": place}
         figures = {"constant-velocity": plan_figures(ConstantVelocity(), self.data, self.scenes).as_log()}
-        by_images: dict[Images, JudgedPlans] = {}
-        for images in Images:
-            if images is Images.SHUFFLED and len(self.scenes) < 2:
+        by_images: dict[ImageCondition, EvaluatedPlans] = {}
+        for images in ImageCondition:
+            if images is ImageCondition.SHUFFLED and len(self.scenes) < 2:
                 continue
-            judged = by_images[images] = judged_plans(self._planner(weights), self.data, self.scenes, images=images)
+            judged = by_images[images] = evaluate_plans(self._planner(weights), self.data, self.scenes, images=images)
             figures[images.value] = judged.figures().as_log()
-        own = by_images.pop(Images.OWN)
-        forecasts = {"forecasts": own.as_diagnosed(), "seen": own.as_seen()}
+        own = by_images.pop(ImageCondition.OWN)
+        forecasts = {"forecasts": own.diagnosed_forecasts(), "seen": own.visible_forecasts()}
         logged = {name: None if forecast is None else forecast.as_log() for name, forecast in forecasts.items()}
-        lost = {images.value: asdict(Loss.between(own, other)) for images, other in by_images.items()}
+        lost = {images.value: asdict(ImageAblation.between(own, other)) for images, other in by_images.items()}
         return {"figures": figures, **logged, "lost": lost, "judged_on": place}
 
     def _planner(self, weights: Mapping[str, Tensor]) -> Any:
@@ -302,7 +310,7 @@ class _Checked:
         return resolve(self.small.planner)(network, name=self.small.name, normalisation=RGB_MEAN_STD, device="cpu")
 
 
-def _given_weights(training: PlannerTraining) -> dict[str, dict[str, Tensor]]:
+def _read_start_weights(training: PlannerTraining) -> dict[str, dict[str, Tensor]]:
     """Weights to start from, by the option that named them."""
     by_option: dict[str, dict[str, Tensor]] = {}
     for path in training.start_from:
@@ -325,7 +333,7 @@ def _read_weights(path: Path) -> dict[str, Tensor]:
     return read_tensors(path, what="the weights ", instead="give a .safetensors file")[0]
 
 
-def _take(network: nn.Module, weights: Mapping[str, Tensor]) -> None:
+def _load_matching(network: nn.Module, weights: Mapping[str, Tensor]) -> None:
     """Put weights into a network wherever name and shape agree."""
     state = network.state_dict()
     fitting = {name: value for name, value in weights.items() if name in state and state[name].shape == value.shape}
@@ -341,7 +349,7 @@ def _frames_for_anchors(store: Frames, learned: Sequence[int]) -> list[TrainingF
     return [replace(frame, images=torch.empty(0, dtype=torch.uint8)) for frame in frames]
 
 
-def _phases(training: PlannerTraining) -> tuple[Phase, ...]:
+def _select_phases(training: PlannerTraining) -> tuple[Phase, ...]:
     """Those that are asked for."""
     if training.model == ENCODER_NAME:
         phases = (Phase("all", ImageEncoderObjective, _ENCODER_RECIPE),)
@@ -354,13 +362,13 @@ def _phases(training: PlannerTraining) -> tuple[Phase, ...]:
     return tuple(phase for phase in phases if not training.only or phase.name in training.only)
 
 
-def _scaled(phases: tuple[Phase, ...], training: PlannerTraining) -> tuple[Phase, ...]:
+def _scale_phases(phases: tuple[Phase, ...], training: PlannerTraining) -> tuple[Phase, ...]:
     total = sum(phase.recipe.steps for phase in phases)
     share = 1.0 if training.steps is None else training.steps / total
     return tuple(phase.changed(share, training.seed, training.learning_rate) for phase in phases)
 
 
-def _halved(value: Tensor) -> Tensor:
+def _to_half_precision(value: Tensor) -> Tensor:
     return value.half() if value.is_floating_point() and value.numel() >= HALF_FROM else value
 
 
@@ -377,7 +385,7 @@ def _provenance(training: PlannerTraining, store: Frames, tensors: Mapping[str, 
     )
 
 
-def _facts(
+def _collect_metadata(
     training: PlannerTraining,
     store: Frames,
     learned: Sequence[int],
@@ -400,6 +408,6 @@ def _facts(
         "parameters": sum(value.numel() for value in tensors.values() if value.is_floating_point()),
         "sha256": file_sha256(training.out),
         "bytes": training.out.stat().st_size,
-        "source": source_state(),
+        "source": read_source_state(),
         "tool": VERSION,
     }

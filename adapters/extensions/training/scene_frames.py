@@ -14,13 +14,13 @@ from adapters.checkpoints.anchor_files import detected_classes, map_lines
 from adapters.extensions.training.frames import DRIVABLE_CELLS, DRIVABLE_HALF_M, FUTURE_STEPS, LINE_POINTS
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.roots import DataSet
-from benchmark.datasets.sample_truth import planar_lidar_poses
+from benchmark.datasets.sample_truth import compute_planar_lidar_poses
 from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, to_global, to_local
 from benchmark.planning import Observation
-from benchmark.records.driven import DrivenEgo, driven_ego
-from benchmark.records.off_path import excursions_of, worth_following
+from benchmark.records.driven import DrivenEgoTargets, read_driven_ego_targets
+from benchmark.records.off_path import find_followable_positions, read_excursions
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
@@ -31,7 +31,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True, slots=True)
-class _Motion:
+class _AgentMotion:
     """N agents at K key frames, global frame.
 
     Attributes:
@@ -53,30 +53,30 @@ def scene_arrays(data: DataSet, name: str) -> Arrays:
     """
     scene, truths = data.scene(name), data.truth(name)
     require_two_hz(scene, "training")
-    excursions, driven = excursions_of(data.provenance(), name), driven_ego(data.provenance(), name)
+    excursions, driven = read_excursions(data.provenance(), name), read_driven_ego_targets(data.provenance(), name)
     if driven is not None and len(driven.commands) != len(truths):
         raise InputError(f"{name} of {data.root} was driven for another number of key frames; build the data again")
     classes = np.array(detected_classes(scene), np.int64)
-    motion = _motion(scene)
-    poses = planar_lidar_poses(scene)
+    motion = _read_agent_motion(scene)
+    poses = compute_planar_lidar_poses(scene)
     frames = [
-        _of_camera(observation)
-        | _of_ego(observation, truth, worth_following(excursions, *_seconds(scene, observation.index)))
-        | ({} if driven is None else _of_driven(driven, observation.index, poses[observation.index]))
-        | _of_agents(scene, motion, classes, observation)
-        | _of_map(scene.road_map, poses[observation.index])
+        _camera_arrays(observation)
+        | _ego_arrays(observation, truth, find_followable_positions(excursions, *_seconds(scene, observation.index)))
+        | ({} if driven is None else _driven_ego_arrays(driven, observation.index, poses[observation.index]))
+        | _agent_arrays(scene, motion, classes, observation)
+        | _map_arrays(scene.road_map, poses[observation.index])
         for observation, truth in zip(data.observations(name), truths, strict=True)
     ]
     arrays: Arrays = {}
     for key in frames[0]:
         parts = [frame[key] for frame in frames]
-        arrays[key] = np.concatenate(parts) if key in ENDLESS else np.stack(parts)
-    arrays["box_starts"] = _starts([len(frame["labels"]) for frame in frames])
-    arrays["line_starts"] = _starts([len(frame["line_labels"]) for frame in frames])
+        arrays[key] = np.concatenate(parts) if key in VARIABLE_LENGTH else np.stack(parts)
+    arrays["box_starts"] = _start_offsets([len(frame["labels"]) for frame in frames])
+    arrays["line_starts"] = _start_offsets([len(frame["line_labels"]) for frame in frames])
     return arrays
 
 
-ENDLESS: Final = {
+VARIABLE_LENGTH: Final = {
     "boxes": "box_starts",
     "labels": "box_starts",
     "instances": "box_starts",
@@ -88,11 +88,11 @@ ENDLESS: Final = {
 """Arrays that differ in length from frame to frame, and where the beginnings of frames are."""
 
 
-def _starts(counts: Sequence[int]) -> NDArray[np.int64]:
+def _start_offsets(counts: Sequence[int]) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def _of_camera(observation: Observation) -> Arrays:
+def _camera_arrays(observation: Observation) -> Arrays:
     normalised = camera_images(observation, MINIATURE_IMAGE, RGB_MEAN_STD)
     mean, std = (np.array(values, np.float32)[:, None, None] for values in (RGB_MEAN_STD.mean, RGB_MEAN_STD.std))
     pixels = np.rint(normalised * std + mean).clip(0, 255).astype(np.uint8)
@@ -105,7 +105,7 @@ def _seconds(scene: Scene, keyframe: int) -> tuple[Floats, Floats]:
     return now, now + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
 
 
-def _of_ego(observation: Observation, truth: SampleTruth, shows: Bools) -> Arrays:
+def _ego_arrays(observation: Observation, truth: SampleTruth, shows: Bools) -> Arrays:
     """Arrays of the ego; ``shows`` (6,) says which steps of its future a planner may learn from."""
     return {
         "timestamp_s": np.array(observation.timestamp_us * 1e-6),
@@ -117,7 +117,7 @@ def _of_ego(observation: Observation, truth: SampleTruth, shows: Bools) -> Array
     }
 
 
-def _of_driven(driven: DrivenEgo, keyframe: int, pose: Floats) -> Arrays:
+def _driven_ego_arrays(driven: DrivenEgoTargets, keyframe: int, pose: Floats) -> Arrays:
     """Arrays of the ego where a planner drove: not where it went, but where it should have gone."""
     local = to_local(driven.wanted[keyframe], pose)
     known = driven.known[keyframe]
@@ -129,7 +129,7 @@ def _of_driven(driven: DrivenEgo, keyframe: int, pose: Floats) -> Arrays:
     }
 
 
-def _of_agents(scene: Scene, motion: _Motion, classes: NDArray[np.int64], observation: Observation) -> Arrays:
+def _agent_arrays(scene: Scene, motion: _AgentMotion, classes: NDArray[np.int64], observation: Observation) -> Arrays:
     """Boxes that lidar or radar have hit, as in the training of the full models, and where they go."""
     known, keyframe = scene.annotations, observation.index
     hit = known.num_lidar_pts[:, keyframe] + known.num_radar_pts[:, keyframe] > 0
@@ -158,7 +158,7 @@ def _yaw(heading: Floats) -> Floats:
     return np.asarray(np.arctan2(heading[..., 1], heading[..., 0]))
 
 
-def _motion(scene: Scene) -> _Motion:
+def _read_agent_motion(scene: Scene) -> _AgentMotion:
     known = scene.annotations
     w, x, y, z = np.moveaxis(known.rotation, -1, 0)
     heading = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
@@ -172,10 +172,10 @@ def _motion(scene: Scene) -> _Motion:
     moved_m = known.position[rows, after] - known.position[rows, before]
     took_s = seconds[after] - seconds[before]
     velocity = np.divide(moved_m, took_s[..., None], out=np.zeros_like(moved_m), where=took_s[..., None] > 0)
-    return _Motion(known.position, heading, velocity)
+    return _AgentMotion(known.position, heading, velocity)
 
 
-def _of_map(road_map: RoadMap, pose: Floats) -> Arrays:
+def _map_arrays(road_map: RoadMap, pose: Floats) -> Arrays:
     lines, labels = map_lines(road_map, pose, LINE_POINTS)
     is_long = np.linalg.norm(np.diff(lines, axis=1), axis=-1).sum(-1) >= SHORTEST_LINE_M
     return {

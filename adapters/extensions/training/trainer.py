@@ -14,13 +14,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from adapters.extensions.training.frames import BatchObjective, ForesightedObjective, Frames, Objective, TrainingFrame
+from adapters.extensions.training.frames import BatchObjective, CachingObjective, Frames, Objective, TrainingFrame
 from benchmark.errors import InputError
-from benchmark.machine.devices import device_of
-from benchmark.machine.progress import Count, progress
+from benchmark.machine.devices import select_device
+from benchmark.machine.progress import CountedUnits, track_progress
 from benchmark.machine.storage import content_key, content_seed, write_json_lines
 from benchmark.machine.workers import single_threaded
-from benchmark.weights.tensors import TrainingRun, read_run, tensors_key, write_run
+from benchmark.weights.tensors import TrainingRun, hash_tensors, read_run, write_run
 
 LOG_EVERY: Final = 50
 """Steps whose mean losses are one row of the log; a run is only ever interrupted between two such rows."""
@@ -97,26 +97,26 @@ def fit(
     if not frames:
         raise InputError("there are no frames to train on; give a split with more scenes")
     single_threaded()
-    place = device_of(device)
+    place = select_device(device)
     network = objective.network.to(place)
-    as_channels_last(network)
+    use_channels_last(network)
     unfinished, log_path = out.with_suffix(".progress.safetensors"), out.with_suffix(".log.jsonl")
-    identity = content_key(asdict(recipe), store.identity, list(frames), tensors_key(network.state_dict()))
-    run = TrainingRun(network, _optimiser(network, recipe), _copied(network.state_dict()), [])
+    identity = content_key(asdict(recipe), store.identity, list(frames), hash_tensors(network.state_dict()))
+    run = TrainingRun(network, _optimiser(network, recipe), _copy_tensors(network.state_dict()), [])
     if unfinished.exists():
         read_run(run, unfinished, identity, "settings, frames or initial weights", entry=_ENTRY)
     # Before the first step: a place that cannot be written to is said at once.
     write_json_lines(log_path, run.log)
-    if run.step < recipe.steps and isinstance(objective, ForesightedObjective):
+    if run.step < recipe.steps and isinstance(objective, CachingObjective):
         store, frames = objective.look(store, frames)
     network.train()
     kept_s = time.monotonic()
     sums: dict[str, float] = {}
-    for step in progress(
+    for step in track_progress(
         range(run.step, recipe.steps),
         total=recipe.steps - run.step,
         label=f"training {out.stem}",
-        count=Count("step", run.step),
+        count=CountedUnits("step", run.step),
     ):
         for name, value in _take_step(run, objective, store, frames, recipe).items():
             sums[name] = sums.get(name, 0.0) + value
@@ -135,29 +135,29 @@ def fit(
     return {name: tensor.cpu() for name, tensor in run.average.items()}
 
 
-def as_channels_last(network: nn.Module) -> None:
+def use_channels_last(network: nn.Module) -> None:
     """Lay out the weights of the image encoder so that its convolutions are a quarter faster on a processor."""
     for name, module in network.named_children():
         if f"{name}." == IMAGE_ENCODER:
             module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
-def clip_of(store: Frames, frames: Sequence[int], recipe: Recipe, length: int, draw: int) -> list[TrainingFrame]:
+def select_clip(store: Frames, frames: Sequence[int], recipe: Recipe, length: int, draw: int) -> list[TrainingFrame]:
     """The clip of a draw: every frame ends one clip before any ends a second one."""
     if not recipe.scattered:
-        return store.clip(_drawn(frames, recipe.seed, draw), length)
-    return [store.frame(_drawn(frames, recipe.seed, draw * length + offset)) for offset in range(length)]
+        return store.clip(_draw_frame(frames, recipe.seed, draw), length)
+    return [store.frame(_draw_frame(frames, recipe.seed, draw * length + offset)) for offset in range(length)]
 
 
-def _drawn(frames: Sequence[int], seed: int, draw: int) -> int:
+def _draw_frame(frames: Sequence[int], seed: int, draw: int) -> int:
     round_number, place = divmod(draw, len(frames))
-    return frames[int(_order(len(frames), seed, round_number)[place])]
+    return frames[int(_shuffled_order(len(frames), seed, round_number)[place])]
 
 
 _orders: dict[tuple[int, int, int], Any] = {}
 
 
-def _order(count: int, seed: int, round_number: int) -> Any:
+def _shuffled_order(count: int, seed: int, round_number: int) -> Any:
     key = (count, seed, round_number)
     if key not in _orders:
         _orders.clear()
@@ -176,7 +176,7 @@ def _optimiser(network: nn.Module, recipe: Recipe) -> torch.optim.AdamW:
     )
 
 
-def _copied(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+def _copy_tensors(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name: tensor.detach().clone() for name, tensor in tensors.items()}
 
 
@@ -196,7 +196,9 @@ def _take_step(
     run.optimiser.zero_grad(set_to_none=True)
     logged: dict[str, float] = {}
     first = run.step * recipe.clips
-    drawn = [clip_of(store, frames, recipe, objective.clip_frames, first + offset) for offset in range(recipe.clips)]
+    drawn = [
+        select_clip(store, frames, recipe, objective.clip_frames, first + offset) for offset in range(recipe.clips)
+    ]
     device = next(iter(run.network.parameters())).device
     clips = [[frame.on(device) for frame in clip] for clip in drawn]
     for losses, share in _losses(objective, clips):

@@ -195,7 +195,7 @@ class ResidualAttention(nn.Module):
         return tokens + attended
 
 
-class FeedForward(nn.Module):
+class ResidualFeedForward(nn.Module):
     """Two linear layers, added to what they came from."""
 
     def __init__(self, channels: int, hidden: int) -> None:
@@ -217,7 +217,7 @@ class CrossAttentionLayer(nn.Module):
     def __init__(self, channels: int, heads: int, hidden: int) -> None:
         super().__init__()
         self.attentions = nn.ModuleList([Attention(channels, heads)])
-        self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
+        self.ffns = nn.ModuleList([ResidualFeedForward(channels, hidden)])
         self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(2)])
 
     def forward(self, tokens: Tensor, *seen: Tensor | None) -> Tensor:

@@ -53,7 +53,7 @@ class BEVGrid:
 
 
 @dataclass(frozen=True, slots=True)
-class CameraHits:
+class VisibleCells:
     """Pairs, P of them, of cells and the cameras that see them, camera after camera.
 
     Attributes:
@@ -73,7 +73,7 @@ class CameraHits:
     cameras_per_cell: Tensor
 
 
-def camera_hits(pillars: Tensor, projections: Tensor, height: int, width: int) -> CameraHits:
+def find_visible_cells(pillars: Tensor, projections: Tensor, height: int, width: int) -> VisibleCells:
     """Pairs of a camera and a cell of whose pillar a point lies in the image and in front of the camera.
 
     With the cameras of nuScenes 18 % of all pairs exist. Keeping those and sampling for them alone costs one wait for
@@ -93,7 +93,7 @@ def camera_hits(pillars: Tensor, projections: Tensor, height: int, width: int) -
     points = torch.stack([u, v], -1)[camera, cell]
     count = hits.sum(0)
     order, starts = cell.argsort(stable=True), count.cumsum(0) - count
-    return CameraHits(camera.to(torch.int32), cell, points, order, starts, count.clamp(min=1)[:, None])
+    return VisibleCells(camera.to(torch.int32), cell, points, order, starts, count.clamp(min=1)[:, None])
 
 
 def previous_cell_matrix(grid: BEVGrid, angle_deg: float, centre: tuple[float, float]) -> Tensor:
@@ -111,7 +111,7 @@ def previous_cell_matrix(grid: BEVGrid, angle_deg: float, centre: tuple[float, f
     )
 
 
-def turned_view(view: Tensor, grid: BEVGrid, matrix: Tensor) -> Tensor:
+def rotate_view(view: Tensor, grid: BEVGrid, matrix: Tensor) -> Tensor:
     """A bird's-eye view, (cells, C), turned in its plane; each cell takes the nearest one of the previous view.
 
     Zero where the previous view has nothing; `matrix` is from `previous_cell_matrix`.

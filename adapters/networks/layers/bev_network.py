@@ -13,12 +13,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from adapters.networks.layers.attention import FeedForward
-from adapters.networks.layers.bev_geometry import BEVGrid, CameraHits, camera_hits, turned_view
+from adapters.networks.layers.attention import ResidualFeedForward
+from adapters.networks.layers.bev_geometry import BEVGrid, VisibleCells, find_visible_cells, rotate_view
 from adapters.networks.layers.deformable_attention import SamplingPattern, Shapes, deformable_sampling, ring_of_offsets
 from adapters.networks.layers.deformable_decoder import DeformableDecoder
-from adapters.networks.layers.ego_motion import CAN_BUS, EgoMotion
-from adapters.networks.layers.reporting import PUBLISHED, Reporting
+from adapters.networks.layers.ego_motion import CAN_BUS, BEVMotion
+from adapters.networks.layers.reporting import PUBLISHED, ReportingRules
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +68,7 @@ class BEVConfig:
     image_points: int = 8
     bev_points: int = 4
     rotation_centre: tuple[float, float] = (100.0, 100.0)
-    reporting: Reporting = PUBLISHED
+    reporting: ReportingRules = PUBLISHED
 
     @property
     def grid(self) -> BEVGrid:
@@ -131,7 +131,7 @@ class SpatialCrossAttention(nn.Module):
         nn.init.xavier_uniform_(self.output_proj.weight)
         nn.init.zeros_(self.output_proj.bias)
 
-    def forward(self, cells: Tensor, features: Tensor, shapes: Shapes, hits: CameraHits) -> Tensor:
+    def forward(self, cells: Tensor, features: Tensor, shapes: Shapes, hits: VisibleCells) -> Tensor:
         """Cells, (cells, C), that have looked at the (cameras, S, C) features of the cameras that see them."""
         pattern = self.deformable_attention
         # Point p belongs to height p modulo heights.
@@ -162,7 +162,7 @@ class BEVFormerLayer(nn.Module):
                 SpatialCrossAttention(channels, heads, levels, image_points),
             ]
         )
-        self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
+        self.ffns = nn.ModuleList([ResidualFeedForward(channels, hidden)])
         self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(3)])
 
     def forward(
@@ -173,7 +173,7 @@ class BEVFormerLayer(nn.Module):
         shape: tuple[int, int],
         views: tuple[Tensor, Tensor] | None,
         images: "ImageFeatures",
-        hits: CameraHits,
+        hits: VisibleCells,
     ) -> Tensor:
         """Arguments as in `TemporalSelfAttention` and `SpatialCrossAttention`; (cells, C) to (cells, C)."""
         cells = self.norms[0](self.attentions[0](cells, positions, references, shape, views))
@@ -241,7 +241,7 @@ class BEVFormerEncoder(nn.Module):
         code adds in place, and its weights have learned it. `previous` is the (cells, C) previous view, turned to the
         present heading.
         """
-        hits = camera_hits(self.pillars, projections, images.height, images.width)
+        hits = find_visible_cells(self.pillars, projections, images.height, images.width)
         references = self.centres + shift
         # With a past, all layers look at the queries of the first one as the present.
         views = None if previous is None else (previous, cells)
@@ -272,7 +272,7 @@ class BEVTransformer(nn.Module):
         maps: list[Tensor],
         images: Tensor,
         projections: Tensor,
-        motion: EgoMotion,
+        motion: BEVMotion,
         previous: Tensor | None,
     ) -> Tensor:
         """Bird's-eye view of one moment, (cells, C).
@@ -281,7 +281,7 @@ class BEVTransformer(nn.Module):
         features for each level, of (cameras, 3, H, W) images; `projections` (cameras, 4, 4) from metres to pixels.
         """
         features = ImageFeatures.of(maps, images, self.cams_embeds, self.level_embeds)
-        turned = None if previous is None else turned_view(previous, self.encoder.grid, motion.previous_cells)
+        turned = None if previous is None else rotate_view(previous, self.encoder.grid, motion.previous_cells)
         cells = queries + self.can_bus_mlp(motion.can_bus.to(queries.dtype))
         result: Tensor = self.encoder(cells, positions, features, projections, motion.shift, turned)
         return result

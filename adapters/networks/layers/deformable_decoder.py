@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.attention import Attention, FeedForward
+from adapters.networks.layers.attention import Attention, ResidualFeedForward
 from adapters.networks.layers.deformable_attention import DeformableAttention, Shapes
 
 
@@ -22,7 +22,7 @@ def logit(shares: Tensor, closest: float = 1e-5) -> Tensor:
     return torch.log(shares.clamp(min=closest) / (1 - shares).clamp(min=closest))
 
 
-def metres(shares: Tensor, lower: Sequence[float], upper: Sequence[float]) -> Tensor:
+def to_metres(shares: Tensor, lower: Sequence[float], upper: Sequence[float]) -> Tensor:
     """Positions in metres from shares, (..., D) of 0 to 1, of a range between two corners of D coordinates."""
     axes = [shares[..., axis] * (high - low) + low for axis, (low, high) in enumerate(zip(lower, upper, strict=True))]
     return torch.stack(axes, -1)
@@ -48,7 +48,7 @@ def decode_boxes(codes: Tensor) -> Tensor:
     return torch.cat([x_y, z, sizes, yaw, codes[..., 8:10]], -1)
 
 
-def strongest(logits: Tensor, limit: int) -> tuple[Tensor, Tensor, Tensor]:
+def select_strongest(logits: Tensor, limit: int) -> tuple[Tensor, Tensor, Tensor]:
     """The most certain pairs of query and class; a query may appear with several classes.
 
     Scores 0 to 1, falling; classes; queries; from (Q, classes) logits.
@@ -70,7 +70,7 @@ def extent_corners(extents: Tensor) -> Tensor:
     return torch.cat([centre - size / 2, centre + size / 2], -1)
 
 
-def within(coordinates: Tensor, lower: Sequence[float], upper: Sequence[float]) -> Tensor:
+def are_within(coordinates: Tensor, lower: Sequence[float], upper: Sequence[float]) -> Tensor:
     """Whether all of (..., D) coordinates lie in a closed range: (...) booleans."""
     inside = [
         (coordinates[..., axis] >= low) & (coordinates[..., axis] <= high)
@@ -90,7 +90,7 @@ class DeformableDecoderLayer(nn.Module):
         self.attentions = nn.ModuleList(
             [Attention(channels, heads), DeformableAttention(channels, heads, levels, points)]
         )
-        self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
+        self.ffns = nn.ModuleList([ResidualFeedForward(channels, hidden)])
         self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(3)])
 
     def forward(
@@ -104,7 +104,7 @@ class DeformableDecoderLayer(nn.Module):
 
 
 @dataclass(frozen=True, slots=True)
-class Decoded:
+class DecoderOutputs:
     """Results of the K layers of a decoder.
 
     Attributes:
@@ -138,7 +138,7 @@ class DeformableDecoder(nn.Module):
         shapes: Shapes,
         branches: nn.ModuleList,
         moved: tuple[int, ...],
-    ) -> Decoded:
+    ) -> DecoderOutputs:
         """Decode (Q, C) tokens against (S, C) cells of all maps; the result holds all that happened on the way.
 
         `references` are (Q, R), R at least 2: x, y first, 0 to 1. `branches` predict (Q, D) corrections from tokens,
@@ -156,4 +156,4 @@ class DeformableDecoder(nn.Module):
             states.append(tokens)
             moved_references.append(references)
             corrections.append(correction)
-        return Decoded(torch.stack(states), first, torch.stack(moved_references), torch.stack(corrections))
+        return DecoderOutputs(torch.stack(states), first, torch.stack(moved_references), torch.stack(corrections))

@@ -17,7 +17,7 @@ radians (16) and in degrees (17)."""
 
 
 @dataclass(frozen=True, slots=True)
-class EgoMotion:
+class BEVMotion:
     """Motion since the previous key frame; zero in the first one.
 
     Attributes:
@@ -33,7 +33,7 @@ class EgoMotion:
     @classmethod
     def between(
         cls, previous: Tensor | None, present: Tensor, grid: BEVGrid, rotation_centre: tuple[float, float]
-    ) -> "EgoMotion":
+    ) -> "BEVMotion":
         """Motion between two absolute CAN bus vectors, (18,) float64; on the processor.
 
         `previous` is ``None`` in the first frame of a scene; `rotation_centre` column and row around which the
@@ -57,19 +57,19 @@ class EgoMotion:
             previous_cell_matrix(grid, turn_deg, rotation_centre),
         )
 
-    def to(self, device: torch.device) -> "EgoMotion":
+    def to(self, device: torch.device) -> "BEVMotion":
         """Motion on a device, in single precision, with one transfer."""
         packed = torch.cat([self.can_bus.float(), self.shift, self.previous_cells.flatten()]).to(device)
-        return EgoMotion(packed[:CAN_BUS], packed[CAN_BUS : CAN_BUS + 2], packed[CAN_BUS + 2 :].view(2, 3))
+        return BEVMotion(packed[:CAN_BUS], packed[CAN_BUS : CAN_BUS + 2], packed[CAN_BUS + 2 :].view(2, 3))
 
 
-READ = (13, 7, 12)
+CAN_BUS_INDICES = (13, 7, 12)
 """Places in the CAN bus vector: speed, acceleration and yaw rate."""
-USUAL = (10.0, 3.0, 0.3)
+TYPICAL_VALUES = (10.0, 3.0, 0.3)
 """How large they are, m/s, m/s^2 and rad/s."""
 
 
-class MotionTeller(nn.Module):
+class EgoStatusEncoder(nn.Module):
     """Message to a plan of speed, acceleration and yaw rate; nothing before it has learned.
 
     Through the cells of a small bird's-eye view it learns the speed to a few tenths of a metre per second only, and
@@ -81,11 +81,11 @@ class MotionTeller(nn.Module):
 
     def __init__(self, told: int) -> None:
         super().__init__()
-        self.tell = nn.Linear(len(READ), told)
+        self.tell = nn.Linear(len(CAN_BUS_INDICES), told)
         nn.init.zeros_(self.tell.weight)
         nn.init.zeros_(self.tell.bias)
-        self.register_buffer("places", torch.tensor(READ), persistent=False)
-        self.register_buffer("usual", torch.tensor(USUAL), persistent=False)
+        self.register_buffer("places", torch.tensor(CAN_BUS_INDICES), persistent=False)
+        self.register_buffer("usual", torch.tensor(TYPICAL_VALUES), persistent=False)
 
     def forward(self, can_bus: Tensor) -> Tensor:
         """(18,) CAN bus vector to (1, told)."""

@@ -15,7 +15,7 @@ FRONT = 0
 """Place of the front camera."""
 FRONT_CELLS = 4, 7
 """Rows and columns of what the plan looks at there; those of images of 224 x 128."""
-KEPT_OF_NOW = 0.5
+NEW_SHARE = 0.5
 """Share of a key frame's numbers in what is left for the next one."""
 NARROW = 32
 """Channels of what the plan makes of the front camera's map."""
@@ -60,15 +60,15 @@ class FrontReader(nn.Module):
     @staticmethod
     def left(numbers: Tensor, before: Tensor | None) -> Tensor:
         """Numbers left for the next key frames: a mean that forgets, since each image errs by itself."""
-        return numbers if before is None else before + KEPT_OF_NOW * (numbers - before)
+        return numbers if before is None else before + NEW_SHARE * (numbers - before)
 
-    def only_tell(self) -> None:
+    def freeze_reading(self) -> None:
         """Let nothing learn but what the plan is told: what is read stays as it is."""
         self.requires_grad_(False).tell.requires_grad_(True)
         if self.tell_change is not None:
             self.tell_change.requires_grad_(True)
 
-    def say_nothing(self) -> None:
+    def zero_message(self) -> None:
         """Begin with nothing to tell, as in weights that never looked there."""
         nn.init.zeros_(self.tell.weight)
         nn.init.zeros_(self.tell.bias)
@@ -76,11 +76,11 @@ class FrontReader(nn.Module):
             nn.init.zeros_(self.tell_change.weight)
 
 
-EYES_STAGES: Final = 3
+BACKBONE_STAGES: Final = 3
 """Of the residual network, up to cells of 16 pixels: the last one would have most of its parameters."""
 
 
-class FrontEyes(nn.Module):
+class FrontBackbone(nn.Module):
     """A residual network without its last stage; what it makes of coarse cells is added to the finer ones.
 
     The maps that boxes and lines of all cameras are found in cannot change for the plan's sake. These can.
@@ -88,7 +88,7 @@ class FrontEyes(nn.Module):
 
     def __init__(self, width: int, channels: int) -> None:
         super().__init__()
-        self.backbone = ResNet((1,) * EYES_STAGES, (1, 2), width)
+        self.backbone = ResNet((1,) * BACKBONE_STAGES, (1, 2), width)
         self.fine = nn.Conv2d(width * EXPANSION * 2, channels, 1)
         self.coarse = nn.Conv2d(width * EXPANSION * 4, channels, 1)
         self.joined = nn.Conv2d(channels, channels, 3, padding=1)
@@ -101,7 +101,7 @@ class FrontEyes(nn.Module):
         return features
 
 
-def seen_ahead(eyes: FrontEyes | None, finest: Tensor, images: Tensor, cameras: int) -> Tensor:
+def compute_front_maps(eyes: FrontBackbone | None, finest: Tensor, images: Tensor, cameras: int) -> Tensor:
     """Maps of the front cameras that plans look at, (B, C, h, w).
 
     From (B * cameras, C, h, w) finest feature maps of all cameras, and normalised (B * cameras, 3, H, W) images.

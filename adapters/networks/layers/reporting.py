@@ -11,7 +11,7 @@ from benchmark.geometry import Floats
 
 
 @dataclass(frozen=True, slots=True)
-class Reporting:
+class ReportingRules:
     """Rules of reporting: which boxes count as forecasts, and which way a short plan leads.
 
     Attributes:
@@ -29,16 +29,16 @@ class Reporting:
     steered_from_m: float = 0.0
 
 
-PUBLISHED: Final = Reporting()
+PUBLISHED: Final = ReportingRules()
 STANDING_M: Final = 1.0
 """A plan of this length has no direction."""
 
 
-def said_once(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float) -> Tensor:
+def find_distinct(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float) -> Tensor:
     """Whether each of N centres is left without those that a more certain one has said (non-maximum suppression).
 
     `centres` are (N, 2) and `lengths` (N,) metres; of equal certainty the first is the earlier; `apart` as in
-    `Reporting`.
+    `ReportingRules`.
     """
     if apart <= 0:
         return torch.ones(len(centres), dtype=torch.bool, device=centres.device)
@@ -54,10 +54,10 @@ def said_once(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float)
     return mask.to(centres.device)
 
 
-def steered(plans: Floats, steered_from_m: float) -> Floats:
+def limit_steering(plans: Floats, steered_from_m: float) -> Floats:
     """Plans, (..., S, 2) to the right and ahead in metres, whose offset aside is smaller where they hardly move.
 
-    `steered_from_m` as in `Reporting`; 0 or more than `STANDING_M`.
+    `steered_from_m` as in `ReportingRules`; 0 or more than `STANDING_M`.
     """
     if steered_from_m <= 0:
         return plans

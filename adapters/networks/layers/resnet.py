@@ -202,7 +202,7 @@ class ResNet(nn.Module):
 Module = TypeVar("Module", bound=nn.Module)
 
 
-def folded(network: Module) -> Module:
+def fold_normalisation(network: Module) -> Module:
     """Fold the normalisation of residual networks, in evaluation mode, into the convolutions before it, in place.
 
     It multiplies and shifts each channel by stored numbers, which the weights of a convolution can do at once. Results
@@ -220,7 +220,7 @@ def folded(network: Module) -> Module:
     return network
 
 
-def channels_last(network: Module) -> Module:
+def use_channels_last(network: Module) -> Module:
     """Lay the weights of residual networks out as the processor's convolutions read them, in place.
 
     Features follow the layout of the weights, so that no convolution has to turn them. Where some are deformable, whose

@@ -57,7 +57,7 @@ def correction_branch(channels: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(*normalised_layers(channels, channels, 2, 2), nn.Linear(channels, outputs), Scale(outputs))
 
 
-class FeedForward(nn.Module):
+class AsymmetricFeedForward(nn.Module):
     """Two linear layers beside a third, all of them on the normalised input."""
 
     def __init__(self, inputs: int, channels: int, hidden: int) -> None:

@@ -32,7 +32,7 @@ CHUNK: Final = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Sightings:
+class AnchorSamples:
     """Sightings in a data set of the things that queries are for; lidar frame, metres.
 
     Attributes:
@@ -48,7 +48,7 @@ class Sightings:
     plans: list[ArrayLike]
 
 
-def anchors_of(sightings: Sightings, config: SparseConfig) -> dict[str, Tensor]:
+def cluster_anchors(sightings: AnchorSamples, config: SparseConfig) -> dict[str, Tensor]:
     """Anchors clustered from the sightings of a data set: float32 tensors under the names of the network.
 
     An agent class that is seen too rarely repeats the futures it has, and one that is never seen stands still.
@@ -56,9 +56,9 @@ def anchors_of(sightings: Sightings, config: SparseConfig) -> dict[str, Tensor]:
     centres = _numbers(sightings.box_centres, "boxes", 3)
     boxes = np.zeros((config.anchors, BOX_CODE))
     near = centres[np.hypot(centres[:, 0], centres[:, 1]) <= FARTHEST_M]
-    boxes[:, :3] = clustered(near, config.anchors, f"boxes within {FARTHEST_M:g} m")
+    boxes[:, :3] = find_cluster_centres(near, config.anchors, f"boxes within {FARTHEST_M:g} m")
     boxes[:, 3:7] = 1.0
-    middles = clustered(_numbers(sightings.line_centres, "map elements", 2), config.lines, "map elements")
+    middles = find_cluster_centres(_numbers(sightings.line_centres, "map elements", 2), config.lines, "map elements")
     along = np.linspace(-LINE_END_M, LINE_END_M, config.points_per_line)
     lines = middles[:, None] + np.stack([np.zeros_like(along), along], -1)
     if len(sightings.futures) != config.agent_classes or len(sightings.plans) != config.commands:
@@ -71,7 +71,7 @@ def anchors_of(sightings: Sightings, config: SparseConfig) -> dict[str, Tensor]:
         for kind, samples in enumerate(sightings.futures)
     ]
     plans = [
-        clustered(_numbers(samples, name, config.steps, 2), config.modes, name)
+        find_cluster_centres(_numbers(samples, name, config.steps, 2), config.modes, name)
         for name, samples in ((f"plans of command {command}", plans) for command, plans in enumerate(sightings.plans))
     ]
     anchors = {
@@ -83,7 +83,7 @@ def anchors_of(sightings: Sightings, config: SparseConfig) -> dict[str, Tensor]:
     return {name: torch.from_numpy(values).float() for name, values in anchors.items()}
 
 
-def with_anchors(checkpoint: Mapping[str, Tensor], anchors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def add_anchors(checkpoint: Mapping[str, Tensor], anchors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Tensors of a checkpoint, with anchors where it has none of its own.
 
     Anchors of another shape, or other ones where training leaves them as they are, are an `InputError`.
@@ -106,7 +106,7 @@ def with_anchors(checkpoint: Mapping[str, Tensor], anchors: Mapping[str, Tensor]
     return {**anchors, **checkpoint}
 
 
-def clustered(points: Floats, clusters: int, what: str) -> Floats:
+def find_cluster_centres(points: Floats, clusters: int, what: str) -> Floats:
     """Centres of clusters (k-means, Lloyd 1982, from spread starts, Arthur and Vassilvitskii 2007).
 
     (clusters, ...) of (N, ...) metres, the same for the same points; `what` they are is for the seed and for messages.
@@ -117,9 +117,9 @@ def clustered(points: Floats, clusters: int, what: str) -> Floats:
         raise InputError(
             f"the data set has {different} different {what} and anchors need {clusters}; take a larger data set"
         )
-    centres = _starts(flat, clusters, np.random.default_rng(content_seed("anchors", what, clusters)))
+    centres = _spread_starts(flat, clusters, np.random.default_rng(content_seed("anchors", what, clusters)))
     for _ in range(ROUNDS):
-        nearest = np.concatenate([_apart(part, centres).argmin(1) for part in _parts(flat)])
+        nearest = np.concatenate([_squared_distances(part, centres).argmin(1) for part in _chunks(flat)])
         counts = np.bincount(nearest, minlength=clusters)
         sums = np.stack([np.bincount(nearest, axis, clusters) for axis in flat.T], 1)
         # A cluster that lost its points keeps its place.
@@ -137,12 +137,12 @@ def _modes(futures: Floats, modes: int, kind: int) -> Floats:
         return np.zeros((modes, *futures.shape[1:]))
     different = np.unique(futures, axis=0)
     if len(different) >= modes:
-        return clustered(futures, modes, f"futures of agent class {kind}")
+        return find_cluster_centres(futures, modes, f"futures of agent class {kind}")
     repeated: Floats = different[np.arange(modes) % len(different)]
     return repeated
 
 
-def _starts(points: Floats, clusters: int, generator: np.random.Generator) -> Floats:
+def _spread_starts(points: Floats, clusters: int, generator: np.random.Generator) -> Floats:
     """Points of which each is likely far from those before it."""
     centres = [points[generator.integers(len(points))]]
     apart = np.square(points - centres[0]).sum(1)
@@ -152,13 +152,13 @@ def _starts(points: Floats, clusters: int, generator: np.random.Generator) -> Fl
     return np.array(centres)
 
 
-def _apart(points: Floats, centres: Floats) -> Floats:
+def _squared_distances(points: Floats, centres: Floats) -> Floats:
     """Squared distances, but for what is the same for all centres."""
     squares: Floats = np.square(centres).sum(1) - 2 * points @ centres.T
     return squares
 
 
-def _parts(points: Floats) -> list[Floats]:
+def _chunks(points: Floats) -> list[Floats]:
     return [points[start : start + CHUNK] for start in range(0, len(points), CHUNK)]
 
 

@@ -131,7 +131,7 @@ def decode_boxes(boxes: Tensor) -> Tensor:
     return torch.cat([boxes[..., :3], boxes[..., 3:6].exp(), heading_of(boxes)[..., None], boxes[..., 8:]], -1)
 
 
-class BoxEncoder(nn.Module):
+class BoxEmbedding(nn.Module):
     """Embedding of boxes: their place, size, heading and velocity, side by side."""
 
     def __init__(self, channels: int) -> None:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
-from adapters.camera_inputs import NUSCENES_IMAGE, ImageFormat
-from adapters.networks.layers.reporting import PUBLISHED, Reporting
+from adapters.camera_inputs import NUSCENES_IMAGE, NetworkImageFormat
+from adapters.networks.layers.reporting import PUBLISHED, ReportingRules
 
 STRIDE = 32
 """Pixels of a cell of the coarsest feature map."""
@@ -27,7 +27,7 @@ class SparseConfig:
     Attributes:
         image_height_px: Of the input images, one of `image_length_fits`.
         image_width_px: Of the input images, one of `image_length_fits`.
-        image_resize: How images are brought to that size; see `adapters.camera_inputs.ImageFormat`.
+        image_resize: How images are brought to that size; see `adapters.camera_inputs.NetworkImageFormat`.
         backbone_blocks: Residual blocks in the four stages of the image network; (3, 4, 6, 3) is ResNet-50.
         backbone_width: Channels after its first convolution; 64 in ResNet-50.
         finest_stage: Of the image network, the first that is read; 0 has a cell for 4 x 4 pixels, 1 for 8 x 8.
@@ -99,7 +99,7 @@ class SparseConfig:
     plan_compares_front: bool = False
     front_eyes: bool = False
     memory_crosses_scenes: bool = True
-    reporting: Reporting = PUBLISHED
+    reporting: ReportingRules = PUBLISHED
 
     def __post_init__(self) -> None:
         if not (image_length_fits(self.image_height_px) and image_length_fits(self.image_width_px)):
@@ -111,17 +111,19 @@ class SparseConfig:
         return STAGES - self.finest_stage
 
     @property
-    def image_format(self) -> ImageFormat:
+    def image_format(self) -> NetworkImageFormat:
         """Format of a network's images: 1600 x 900 scaled to its width, cut off at the top.
 
         It is `adapters.camera_inputs.SPARSE_DRIVE_IMAGE` for the published sizes. The miniatures see the whole images
         instead, brought to their size.
         """
         if self.image_resize == "linear":
-            return ImageFormat(self.image_width_px, self.image_height_px)
+            return NetworkImageFormat(self.image_width_px, self.image_height_px)
         width, height = NUSCENES_IMAGE
         rows = height * self.image_width_px // width
-        return ImageFormat(self.image_width_px, rows, crop_top=max(rows - self.image_height_px, 0), resize="bicubic")
+        return NetworkImageFormat(
+            self.image_width_px, rows, crop_top=max(rows - self.image_height_px, 0), resize="bicubic"
+        )
 
     @classmethod
     def sparsedrive(cls) -> Self:
@@ -175,5 +177,5 @@ class SparseConfig:
             front_eyes=True,
             memory_crosses_scenes=False,
             # On scenes of a town that was not learned from seven of ten vehicles are found from this score on.
-            reporting=Reporting(least_score=0.18, apart=0.5, steered_from_m=6.0),
+            reporting=ReportingRules(least_score=0.18, apart=0.5, steered_from_m=6.0),
         )

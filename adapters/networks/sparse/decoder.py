@@ -13,9 +13,9 @@ from torch import Tensor, nn
 
 from adapters.networks.layers.attention import ResidualAttention
 from adapters.networks.sparse.aggregation import (
+    AsymmetricFeedForward,
     CameraFeatures,
     CameraSampling,
-    FeedForward,
     camera_encoder,
     class_branch,
     correction_branch,
@@ -25,7 +25,7 @@ from adapters.networks.sparse.aggregation import (
 from adapters.networks.sparse.boxes import (
     BOX_CODE,
     USUAL_INTERVAL_S,
-    BoxEncoder,
+    BoxEmbedding,
     BoxRefinement,
     BoxSampling,
     RigidMotion,
@@ -50,7 +50,7 @@ def at_heights(ground: Tensor) -> Tensor:
     return torch.cat([ground, heights.expand(*ground.shape[:-1], 1)], -1)
 
 
-class LineEncoder(nn.Module):
+class LineEmbedding(nn.Module):
     """Embedding of lines."""
 
     def __init__(self, channels: int, points: int) -> None:
@@ -124,13 +124,13 @@ NORM: Final = "norm"
 SAMPLE: Final = "sample images"
 FEED: Final = "feed forward"
 REFINE: Final = "refine"
-STAGE: Final = (PAST, PRESENT, NORM, SAMPLE, FEED, NORM, REFINE)
+STAGE_OPERATIONS: Final = (PAST, PRESENT, NORM, SAMPLE, FEED, NORM, REFINE)
 DECAY: Final = 0.6
 """What is left of the confidence in an instance that is not seen, from frame to frame."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class DecoderStage:
     """Predictions of a stage of the decoder for N instances.
 
     Attributes:
@@ -145,7 +145,7 @@ class Stage:
 
 
 @dataclass(frozen=True, slots=True)
-class Decoded:
+class DecodedInstances:
     """N instances after the last stage.
 
     Attributes:
@@ -155,7 +155,7 @@ class Decoded:
         embeddings: (N, C) of the places.
     """
 
-    stages: tuple[Stage, ...]
+    stages: tuple[DecoderStage, ...]
     features: Tensor
     embeddings: Tensor
 
@@ -176,7 +176,7 @@ class Decoded:
 
 
 @dataclass(frozen=True, slots=True)
-class Remembered:
+class InstanceMemory:
     """The K most certain instances of a frame, the most certain one first.
 
     Attributes:
@@ -192,12 +192,12 @@ class Remembered:
     rows: Tensor
 
 
-def most_certain(scores: Tensor, count: int) -> Tensor:
+def find_most_certain(scores: Tensor, count: int) -> Tensor:
     """(..., N) to the rows of the `count` greatest, falling; of equals the first comes first, on every device."""
     return scores.sort(descending=True, stable=True).indices[..., :count]
 
 
-def rows_of(tokens: Tensor, rows: Tensor) -> Tensor:
+def gather_rows(tokens: Tensor, rows: Tensor) -> Tensor:
     """(..., N, D) tokens and (..., K) rows to (..., K, D)."""
     return tokens.gather(-2, rows[..., None].expand(*rows.shape, tokens.shape[-1]))
 
@@ -248,8 +248,8 @@ class SparseDecoder(nn.Module, ABC):
         """Attention to `key`, features and embeddings, or without it, as on the first frame, to each other."""
 
     def forward(
-        self, cameras: CameraFeatures, past: Remembered | None, motion: RigidMotion | None
-    ) -> tuple[Decoded, Remembered]:
+        self, cameras: CameraFeatures, past: InstanceMemory | None, motion: RigidMotion | None
+    ) -> tuple[DecodedInstances, InstanceMemory]:
         """Instances of a key frame, and what to remember of them.
 
         Gradients stop between stages, at the places of instances: each stage learns how to correct what it is given.
@@ -263,7 +263,7 @@ class SparseDecoder(nn.Module, ABC):
         carried = replace(past, anchors=self.carry(past.anchors, motion)) if past and motion else None
         fresh = carried if motion and motion.fresh else None
         key = (carried.features, self.anchor_encoder(carried.anchors)) if carried else None
-        stages: list[Stage] = []
+        stages: list[DecoderStage] = []
         for operation, layer in zip(self.operations, self.layers, strict=True):
             if operation == PAST:
                 features = self.attend(layer, features, embeddings, key)
@@ -272,22 +272,24 @@ class SparseDecoder(nn.Module, ABC):
             elif operation == SAMPLE:
                 features = layer(features, anchors, embeddings, cameras)
             elif operation == REFINE:
-                stages.append(Stage(*layer(features, anchors, embeddings, interval_s)))
+                stages.append(DecoderStage(*layer(features, anchors, embeddings, interval_s)))
                 anchors = stages[-1].anchors.detach()
                 if len(stages) == 1 and fresh:
-                    rows = most_certain(stages[0].logits.detach().amax(-1), anchors.shape[-2] - self.remembered)
-                    features = torch.cat([fresh.features, rows_of(features, rows)], -2)
-                    anchors = torch.cat([fresh.anchors, rows_of(anchors, rows)], -2)
+                    rows = find_most_certain(stages[0].logits.detach().amax(-1), anchors.shape[-2] - self.remembered)
+                    features = torch.cat([fresh.features, gather_rows(features, rows)], -2)
+                    anchors = torch.cat([fresh.anchors, gather_rows(anchors, rows)], -2)
                 embeddings = self.anchor_encoder(anchors)
                 if len(stages) > 1 and key:
                     # Also where the first rows are not what is remembered: the published models do so.
                     key = (key[0], embeddings[..., : self.remembered, :])
             else:
                 features = layer(features)
-        decoded = Decoded(tuple(stages), features, embeddings)
+        decoded = DecodedInstances(tuple(stages), features, embeddings)
         return decoded, self.remember(decoded, fresh)
 
-    def remember(self, decoded: Decoded, past: Remembered | None, rows: Tensor | None = None) -> Remembered:
+    def remember(
+        self, decoded: DecodedInstances, past: InstanceMemory | None, rows: Tensor | None = None
+    ) -> InstanceMemory:
         """The (K,) `rows` of instances for the next frame, by default the most certain ones.
 
         Their confidence falls slowly where an instance is not seen; nothing is learned through them. `past` is what
@@ -298,25 +300,27 @@ class SparseDecoder(nn.Module, ABC):
             remembered_confidence = torch.maximum(past.confidence * DECAY, confidence[..., : self.remembered])
             confidence = torch.cat([remembered_confidence, confidence[..., self.remembered :]], -1)
         if rows is None:
-            rows = most_certain(confidence, self.remembered)
+            rows = find_most_certain(confidence, self.remembered)
         features, anchors = decoded.features.detach(), decoded.anchors.detach()
-        return Remembered(rows_of(features, rows), rows_of(anchors, rows), confidence.gather(-1, rows), rows)
+        return InstanceMemory(
+            gather_rows(features, rows), gather_rows(anchors, rows), confidence.gather(-1, rows), rows
+        )
 
 
 class BoxDecoder(SparseDecoder):
     """The decoder of boxes; arguments as `SparseConfig`, and how many levels of image features there are."""
 
     def __init__(self, config: SparseConfig, levels: int) -> None:
-        super().__init__(config.remembered_anchors, STAGE[3:] + STAGE * (config.stages - 1))
+        super().__init__(config.remembered_anchors, STAGE_OPERATIONS[3:] + STAGE_OPERATIONS * (config.stages - 1))
         channels = config.channels
         self.instance_bank = InstanceBank(config.anchors, BOX_CODE, channels, handled=True)
-        self.anchor_encoder = BoxEncoder(channels)
+        self.anchor_encoder = BoxEmbedding(channels)
         make: dict[str, Callable[[], nn.Module]] = {
             PAST: lambda: ResidualAttention(2 * channels, config.heads),
             PRESENT: lambda: ResidualAttention(2 * channels, config.heads),
             NORM: lambda: nn.LayerNorm(channels),
             SAMPLE: lambda: BoxSampling(config, levels),
-            FEED: lambda: FeedForward(2 * channels, channels, config.hidden_channels),
+            FEED: lambda: AsymmetricFeedForward(2 * channels, channels, config.hidden_channels),
             REFINE: lambda: BoxRefinement(config),
         }
         self.layers = nn.ModuleList([make[operation]() for operation in self.operations])
@@ -338,16 +342,16 @@ class LineDecoder(SparseDecoder):
     """The decoder of map elements; arguments as in `BoxDecoder`."""
 
     def __init__(self, config: SparseConfig, levels: int) -> None:
-        super().__init__(config.remembered_lines, STAGE[1:] + STAGE * (config.stages - 1))
+        super().__init__(config.remembered_lines, STAGE_OPERATIONS[1:] + STAGE_OPERATIONS * (config.stages - 1))
         channels = config.channels
         self.instance_bank = InstanceBank(config.lines, 2 * config.points_per_line, channels, handled=False)
-        self.anchor_encoder = LineEncoder(channels, config.points_per_line)
+        self.anchor_encoder = LineEmbedding(channels, config.points_per_line)
         make: dict[str, Callable[[], nn.Module]] = {
             PAST: lambda: ResidualAttention(channels, config.heads),
             PRESENT: lambda: ResidualAttention(channels, config.heads),
             NORM: lambda: nn.LayerNorm(channels),
             SAMPLE: lambda: LineSampling(config, levels),
-            FEED: lambda: FeedForward(2 * channels, channels, config.hidden_channels),
+            FEED: lambda: AsymmetricFeedForward(2 * channels, channels, config.hidden_channels),
             REFINE: lambda: LineRefinement(config),
         }
         self.layers = nn.ModuleList([make[operation]() for operation in self.operations])

@@ -12,9 +12,9 @@ from torch import Tensor, nn
 
 from adapters.networks.layers.attention import ResidualAttention, plain_branch
 from adapters.networks.sparse.aggregation import (
+    AsymmetricFeedForward,
     CameraFeatures,
     CameraSampling,
-    FeedForward,
     camera_encoder,
     class_branch,
     point_encoder,
@@ -22,7 +22,12 @@ from adapters.networks.sparse.aggregation import (
 )
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.decoder import HEIGHTS_M, at_heights
-from adapters.networks.sparse.motion_planner import Planner, PlannerPredictions, Scene, interaction_layers
+from adapters.networks.sparse.motion_planner import (
+    MotionPlanner,
+    MotionPlannerInputs,
+    PlannerPredictions,
+    interaction_layers,
+)
 
 STEPS: Final = 1000
 NOISED_AT: Final = 8
@@ -47,7 +52,7 @@ def signal_shares() -> list[float]:
 SIGNAL_SHARES: Final = tuple(signal_shares())
 
 
-def normalised(offsets: Tensor) -> Tensor:
+def normalise(offsets: Tensor) -> Tensor:
     """(..., 2) metres from step to step, x right and y forward, to -1 ... 1; what is longer is cut."""
     x, y = offsets.unbind(-1)
     across = (x / LATERAL_M).clamp(-1, 1)
@@ -55,13 +60,13 @@ def normalised(offsets: Tensor) -> Tensor:
     return torch.stack([across, along], -1)
 
 
-def metres(numbers: Tensor) -> Tensor:
-    """The inverse of `normalised`, of what was not cut."""
+def denormalise(numbers: Tensor) -> Tensor:
+    """The inverse of `normalise`, of what was not cut."""
     x, y = numbers.unbind(-1)
     return torch.stack([x * LATERAL_M, (y + 1) / 2 * FORWARD_SPAN_M - BACKWARD_M], -1)
 
 
-def noised(clean: Tensor, noise: Tensor) -> Tensor:
+def add_noise(clean: Tensor, noise: Tensor) -> Tensor:
     """A plan with the noise that all plans start with; both of one shape."""
     share = SIGNAL_SHARES[NOISED_AT]
     return math.sqrt(share) * clean + math.sqrt(1 - share) * noise
@@ -172,7 +177,7 @@ def denoising_layers(config: SparseConfig, levels: int) -> nn.ModuleList:
             nn.LayerNorm(channels),
             ResidualAttention(channels, heads),
             nn.LayerNorm(channels),
-            FeedForward(channels, channels, config.planner_hidden_channels),
+            AsymmetricFeedForward(channels, channels, config.planner_hidden_channels),
             nn.LayerNorm(channels),
             Modulation(channels),
             PlanRefinement(config),
@@ -180,7 +185,7 @@ def denoising_layers(config: SparseConfig, levels: int) -> nn.ModuleList:
     return nn.ModuleList(layers)
 
 
-class DiffusionPlanner(Planner):
+class DiffusionPlanner(MotionPlanner):
     """Plans for the given driving command only; they stand for all commands in what is returned."""
 
     def __init__(self, config: SparseConfig, levels: int) -> None:
@@ -196,11 +201,11 @@ class DiffusionPlanner(Planner):
         )
         self.diff_layers: nn.ModuleList
 
-    def forward(self, scene: Scene, noise: Tensor) -> PlannerPredictions:
+    def forward(self, scene: MotionPlannerInputs, noise: Tensor) -> PlannerPredictions:
         """Forecasts and plans of a key frame, from (modes, steps, 2) standard normal noise."""
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         interaction = self.interact(scene, queue)
-        ego, front = self.with_front(interaction.tokens[-1:], scene.finest_front, scene.front_before)
+        ego, front = self.add_front(interaction.tokens[-1:], scene.finest_front, scene.front_before)
         context = PlanContext(
             scene.cameras, interaction.embeddings[-1:], interaction.watched, self.plan_queries(ego)[scene.command]
         )
@@ -226,19 +231,19 @@ class DiffusionPlanner(Planner):
         (..., M) logits; (..., M, steps, 2) metres from step to step; and what came on the way, by name. Gradients stop
         between the blocks.
         """
-        clean = normalised(anchors.diff(dim=-2, prepend=torch.zeros_like(anchors[..., :1, :])))
-        sample = noised(clean, noise)
+        clean = normalise(anchors.diff(dim=-2, prepend=torch.zeros_like(anchors[..., :1, :])))
+        sample = add_noise(clean, noise)
         logits, offsets = sample.new_zeros(sample.shape[:-2]), anchors
         trace = {"anchors": clean, "noise": noise, "start": sample}
         for step, timestep in enumerate(TIMESTEPS):
-            offsets = metres(sample.clamp(-1, 1))
+            offsets = denormalise(sample.clamp(-1, 1))
             tokens = self.plan_pos_encoder(sine_of_points(offsets, self.config.channels // 2).flatten(-2))
             time = self.time_mlp(torch.tensor(float(timestep), device=tokens.device))
             for block in range(BLOCKS):
                 tokens, logits, refined = self.clean(block, tokens, offsets, time, context)
                 trace |= {f"logits {block} {step}": logits, f"offsets {block} {step}": refined}
                 offsets = refined.detach()
-            sample = previous_sample(sample, normalised(offsets), timestep)
+            sample = previous_sample(sample, normalise(offsets), timestep)
             trace[f"sample {step}"] = sample
         return logits, offsets, trace
 
@@ -256,7 +261,7 @@ class DiffusionPlanner(Planner):
         tokens = path(tokens, offsets, context.cameras)
         tokens = norm(each_other(tokens, tokens, tokens, tokens))
         ego = context.ego.expand_as(tokens)
-        tokens = agents_norm(self.decoupled(agents, (tokens, ego), context.watched))
+        tokens = agents_norm(self.attend_decoupled(agents, (tokens, ego), context.watched))
         tokens = anchors_norm(anchors(tokens, tokens, context.anchors, context.anchors))
         tokens = modulate(feed_norm(feed(tokens)), time)
         logits, offsets = refine(tokens)

@@ -10,21 +10,26 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.front_reader import FRONT, FrontEyes, seen_ahead
+from adapters.networks.layers.front_reader import FRONT, FrontBackbone, compute_front_maps
 from adapters.networks.layers.resnet import EXPANSION, FeaturePyramid, ResNet
 from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.boxes import KeyframeMotion, KeyframePose
 from adapters.networks.sparse.config import STAGES, SparseConfig
-from adapters.networks.sparse.decoder import BoxDecoder, LineDecoder, Remembered
+from adapters.networks.sparse.decoder import BoxDecoder, InstanceMemory, LineDecoder
 from adapters.networks.sparse.diffusion import DiffusionPlanner
-from adapters.networks.sparse.motion_planner import Planner, PlannerPredictions, Scene, interaction_layers
+from adapters.networks.sparse.motion_planner import (
+    MotionPlanner,
+    MotionPlannerInputs,
+    PlannerPredictions,
+    interaction_layers,
+)
 from adapters.networks.sparse.queue import QueueMemory
 from adapters.networks.sparse.selection import SparseOutputs, SparsePredictions, select
 from benchmark.machine.storage import content_seed
 
 
 @dataclass(frozen=True, slots=True)
-class Tracks:
+class TrackIds:
     """Numbers of the (K,) remembered instances, the most certain one first, and of the next new one.
 
     No number is used twice.
@@ -34,7 +39,7 @@ class Tracks:
     next_id: Tensor
 
 
-def number_instances(past: Tracks | None, fresh: bool, rows: Tensor, instances: int) -> tuple[Tensor, Tracks]:
+def number_instances(past: TrackIds | None, fresh: bool, rows: Tensor, instances: int) -> tuple[Tensor, TrackIds]:
     """Numbers, (instances,) int64, for every instance of a frame, and the tracks to leave.
 
     `fresh` says whether the first instances of this frame are those of the earlier one; `rows` are the (K,) instances
@@ -44,20 +49,20 @@ def number_instances(past: Tracks | None, fresh: bool, rows: Tensor, instances: 
     first = past.next_id if past else rows.new_zeros(())
     new = instances - len(known)
     ids = torch.cat([known, first + torch.arange(new, device=rows.device)])
-    return ids, Tracks(ids[rows], first + new)
+    return ids, TrackIds(ids[rows], first + new)
 
 
-class RegressionPlanner(Planner):
+class RegressionPlanner(MotionPlanner):
     """One plan for each mode and driving command, in one go."""
 
     def __init__(self, config: SparseConfig) -> None:
         super().__init__(config, {"layers": interaction_layers(config, plans=True)})
 
-    def forward(self, scene: Scene, noise: Tensor | None = None) -> PlannerPredictions:
+    def forward(self, scene: MotionPlannerInputs, noise: Tensor | None = None) -> PlannerPredictions:
         """Forecasts and plans of a key frame; only the other planner has noise."""
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         interaction = self.interact(scene, queue)
-        ego, front = self.with_front(interaction.tokens[-1:], scene.finest_front, scene.front_before)
+        ego, front = self.add_front(interaction.tokens[-1:], scene.finest_front, scene.front_before)
         queries = self.plan_queries(ego)
         motion_logits, motion_offsets = self.forecast(scene.agents, interaction.tokens[:-1])
         status = self.refinement.plan_status_branch(ego)[0].float()
@@ -98,13 +103,13 @@ class SparseInputs:
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
+class SparseMemory:
     """Memory that a frame leaves for the next one: the most certain agents and lines, and the queue of the planner."""
 
     pose: KeyframePose
-    agents: Remembered
-    lines: Remembered
-    tracks: Tracks
+    agents: InstanceMemory
+    lines: InstanceMemory
+    tracks: TrackIds
     queue: QueueMemory
 
 
@@ -139,8 +144,8 @@ class SparseHead(nn.Module):
         pose: KeyframePose,
         command: int,
         noise: Tensor,
-        past: Memory | None,
-    ) -> tuple[SparsePredictions, Memory]:
+        past: SparseMemory | None,
+    ) -> tuple[SparsePredictions, SparseMemory]:
         """Predictions for one key frame, and the memory for the next one.
 
         `front` is the (1, C, h, w) coarsest feature map of the front camera, `finest_front` its finest one, or what
@@ -153,7 +158,7 @@ class SparseHead(nn.Module):
         ids, tracks = number_instances(
             past.tracks if past else None, bool(motion and motion.fresh), kept_agents.rows, len(agents.anchors)
         )
-        scene = Scene(
+        scene = MotionPlannerInputs(
             agents=agents,
             lines=lines,
             ids=ids,
@@ -166,7 +171,7 @@ class SparseHead(nn.Module):
             motion=motion,
         )
         planned = self.motion_plan_head(scene, noise)
-        memory = Memory(pose, kept_agents, kept_lines, tracks, planned.memory)
+        memory = SparseMemory(pose, kept_agents, kept_lines, tracks, planned.memory)
         return SparsePredictions(agents, lines, ids, planned), memory
 
 
@@ -184,9 +189,9 @@ class SparseNetwork(nn.Module):
         widths = [config.backbone_width * EXPANSION * 2**stage for stage in read]
         self.img_neck = FeaturePyramid(widths, config.channels, config.levels)
         self.head = SparseHead(config, planner)
-        self.front_eyes = FrontEyes(config.backbone_width, config.channels) if config.front_eyes else None
+        self.front_eyes = FrontBackbone(config.backbone_width, config.channels) if config.front_eyes else None
         self.depth_branch = DepthBranch(config.channels)
-        self.memory: Memory | None = None
+        self.memory: SparseMemory | None = None
         self.eval()
 
     def reset(self) -> None:
@@ -225,7 +230,7 @@ class SparseNetwork(nn.Module):
 
         From (B * cameras, C, h, w) finest feature maps of all cameras, and normalised (B * cameras, 3, H, W) images.
         """
-        return seen_ahead(self.front_eyes, finest, images, self.config.cameras)
+        return compute_front_maps(self.front_eyes, finest, images, self.config.cameras)
 
     def frame_noise(self, inputs: SparseInputs) -> Tensor:
         """(modes, steps, 2) float32 standard normal numbers that depend on the seed and the time of the frame alone.

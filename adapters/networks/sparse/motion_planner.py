@@ -9,8 +9,8 @@ from torch import Tensor, nn
 from adapters.networks.layers.attention import ResidualAttention, plain_branch
 from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.sparse.aggregation import (
+    AsymmetricFeedForward,
     CameraFeatures,
-    FeedForward,
     class_branch,
     decoupled_attention,
     point_encoder,
@@ -18,14 +18,14 @@ from adapters.networks.sparse.aggregation import (
 )
 from adapters.networks.sparse.boxes import KeyframeMotion, heading_of
 from adapters.networks.sparse.config import SparseConfig
-from adapters.networks.sparse.decoder import Decoded, most_certain
+from adapters.networks.sparse.decoder import DecodedInstances, find_most_certain
 from adapters.networks.sparse.queue import STATUS, InstanceQueue, Queue, QueueMemory
 
 LAYERS_OF_A_BLOCK = 7
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class MotionPlannerInputs:
     """Scene of a key frame, as a planner is given it.
 
     `ids` are (N,) numbers of the agents; `front` is the (1, C, h, w) coarsest feature map of the front camera,
@@ -33,8 +33,8 @@ class Scene:
     before.
     """
 
-    agents: Decoded
-    lines: Decoded
+    agents: DecodedInstances
+    lines: DecodedInstances
     ids: Tensor
     cameras: CameraFeatures
     front: Tensor
@@ -110,7 +110,7 @@ class MotionRefinement(nn.Module):
 
 
 def interaction_layers(config: SparseConfig, plans: bool) -> nn.ModuleList:
-    """Layers of the blocks of `Planner.interact`, and a `MotionRefinement`."""
+    """Layers of the blocks of `MotionPlanner.interact`, and a `MotionRefinement`."""
     channels, heads = config.channels, config.heads
     layers: list[nn.Module] = []
     for _ in range(config.interaction_blocks):
@@ -120,13 +120,13 @@ def interaction_layers(config: SparseConfig, plans: bool) -> nn.ModuleList:
             nn.LayerNorm(channels),
             ResidualAttention(channels, heads),
             nn.LayerNorm(channels),
-            FeedForward(channels, channels, config.planner_hidden_channels),
+            AsymmetricFeedForward(channels, channels, config.planner_hidden_channels),
             nn.LayerNorm(channels),
         ]
     return nn.ModuleList([*layers, MotionRefinement(config, plans)])
 
 
-class Planner(nn.Module):
+class MotionPlanner(nn.Module):
     """Base of both planners.
 
     `layers` are lists under their published names, which differ between the planners; the first one is from
@@ -167,7 +167,7 @@ class Planner(nn.Module):
         assert isinstance(last, MotionRefinement)
         return last
 
-    def interact(self, scene: Scene, queue: Queue) -> Interaction:
+    def interact(self, scene: MotionPlannerInputs, queue: Queue) -> Interaction:
         """Agents and the ego look at their past, at the most certain agents and at the map."""
         agents, lines = scene.agents, scene.lines
         features = torch.cat([agents.features, queue.ego_features[-1]])
@@ -177,14 +177,14 @@ class Planner(nn.Module):
         past = past_features, scene.box_encoder(past_boxes)
         allowed = queue.allowed()[:, None]
         ego = features.new_full((1,), len(features) - 1, dtype=torch.int64)
-        rows = torch.cat([most_certain(agents.scores, self.config.watched_agents), ego])
+        rows = torch.cat([find_most_certain(agents.scores, self.config.watched_agents), ego])
         watched = features[rows], embeddings[rows]
-        line_rows = most_certain(lines.scores, self.config.watched_lines)
+        line_rows = find_most_certain(lines.scores, self.config.watched_lines)
         lanes, places = lines.features[line_rows], lines.embeddings[line_rows]
-        features = self.looked(features, embeddings, past, allowed, watched, (lanes, places))
+        features = self.attend_to_scene(features, embeddings, past, allowed, watched, (lanes, places))
         return Interaction(features, embeddings, watched)
 
-    def looked(
+    def attend_to_scene(
         self,
         features: Tensor,
         embeddings: Tensor,
@@ -206,13 +206,13 @@ class Planner(nn.Module):
                 first : first + LAYERS_OF_A_BLOCK
             ]
             query = features[..., None, :], embeddings[..., None, :]
-            features = self.decoupled(look_back, query, past, allowed)[..., 0, :]
-            features = norm(self.decoupled(look_around, (features, embeddings), watched))
+            features = self.attend_decoupled(look_back, query, past, allowed)[..., 0, :]
+            features = norm(self.attend_decoupled(look_around, (features, embeddings), watched))
             features = look_at_map(features, features + embeddings, lines + places, lines)
             features = third_norm(feed(second_norm(features)))
         return features
 
-    def decoupled(
+    def attend_decoupled(
         self,
         layer: nn.Module,
         query: tuple[Tensor, Tensor],
@@ -222,17 +222,17 @@ class Planner(nn.Module):
         """`adapters.networks.sparse.aggregation.decoupled_attention` with the planner's own projections."""
         return decoupled_attention(layer, self.fc_before, self.fc_after, query, key, allowed)
 
-    def forecast(self, agents: Decoded, tokens: Tensor) -> tuple[Tensor, Tensor]:
+    def forecast(self, agents: DecodedInstances, tokens: Tensor) -> tuple[Tensor, Tensor]:
         """Forecasts of N agents: (N, modes) logits and (N, modes, steps, 2) metres from step to step, lidar frame.
 
         From (N, C) features and embeddings added.
         """
-        ends = self.turned_anchors(agents)[:, :, -1]
+        ends = self.rotate_anchors(agents)[:, :, -1]
         queries = self.motion_anchor_encoder(sine_of_points(ends, self.config.channels)) + tokens[:, None]
         logits = self.refinement.motion_cls_branch(queries)[..., 0].float()
         return logits, self.refinement.motion_reg_branch(queries).float().unflatten(-1, (-1, 2))
 
-    def turned_anchors(self, agents: Decoded) -> Tensor:
+    def rotate_anchors(self, agents: DecodedInstances) -> Tensor:
         """(N, modes, steps, 2) typical forecasts of the classes of N agents, turned as they head, from their places."""
         anchors = self.motion_anchor[agents.logits.argmax(-1)]
         heading = heading_of(agents.anchors)[:, None, None]
@@ -240,7 +240,7 @@ class Planner(nn.Module):
         x, y = anchors.unbind(-1)
         return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
-    def with_front(self, ego: Tensor, finest: Tensor, before: Tensor | None) -> tuple[Tensor, Tensor | None]:
+    def add_front(self, ego: Tensor, finest: Tensor, before: Tensor | None) -> tuple[Tensor, Tensor | None]:
         """Tokens of the egos with what their plans take from the front camera, and that, (B, numbers).
 
         `ego` is (1, C), or (B, 1, C) of several key frames; `finest` (B, C, h, w) feature maps of the front cameras;
@@ -259,7 +259,7 @@ class Planner(nn.Module):
         return queries
 
     def remember(
-        self, scene: Scene, queue: Queue, ego_feature: Tensor, status: Tensor, front: Tensor | None
+        self, scene: MotionPlannerInputs, queue: Queue, ego_feature: Tensor, status: Tensor, front: Tensor | None
     ) -> QueueMemory:
         """Memory for the next frame; `ego_feature` (1, C) takes the place of the newest one in the queue."""
         return QueueMemory(

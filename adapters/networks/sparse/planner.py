@@ -6,11 +6,11 @@ import torch
 
 from adapters.camera_inputs import camera_images, lidar_pose, lidar_to_image
 from adapters.networks.example_inputs import example_images, example_projections
-from adapters.networks.layers.reporting import Reporting
+from adapters.networks.layers.reporting import ReportingRules
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseInputs, SparseNetwork
 from adapters.networks.sparse.selection import SparseOutputs
-from adapters.planner import NativePlanner, forecasts_of, numbers
+from adapters.planner import NativePlanner, select_forecasts, to_array
 from benchmark.planning import Command, Observation, Plan, PlanFrame
 
 
@@ -31,7 +31,7 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
     def _own_settings(self) -> dict[str, Any]:
         return {"memory_crosses_scenes": self.memory_crosses_scenes}
 
-    def _computed(self, observation: Observation) -> Plan:
+    def _compute_plan(self, observation: Observation) -> Plan:
         return _plan(self._network(self.inputs(observation)), int(observation.command), self._reporting)
 
     def inputs(self, observation: Observation) -> SparseInputs:
@@ -60,14 +60,14 @@ def example_frame(config: SparseConfig) -> SparseInputs:
     )
 
 
-def _plan(outputs: SparseOutputs, command: int, reporting: Reporting) -> Plan:
+def _plan(outputs: SparseOutputs, command: int, reporting: ReportingRules) -> Plan:
     likely = outputs.trajectory_scores.double()
     # The network scores each mode for itself; as shares they are the probabilities that a forecast has.
     shares = likely / likely.sum(-1, keepdim=True).clamp_min(1e-12)
     return Plan(
-        waypoints=numbers(outputs.plan),
+        waypoints=to_array(outputs.plan),
         frame=PlanFrame.LIDAR,
-        modes=numbers(outputs.plan_modes[command]),
-        mode_scores=numbers(outputs.plan_scores[command]),
-        forecasts=forecasts_of(outputs.boxes, outputs.box_scores, outputs.trajectories, shares, reporting),
+        modes=to_array(outputs.plan_modes[command]),
+        mode_scores=to_array(outputs.plan_scores[command]),
+        forecasts=select_forecasts(outputs.boxes, outputs.box_scores, outputs.trajectories, shares, reporting),
     )

@@ -8,12 +8,12 @@ from torch import Tensor, nn
 
 from adapters.networks.sparse.boxes import BOX_CODE, KeyframeMotion, carry_boxes
 from adapters.networks.sparse.config import STRIDE, SparseConfig
-from adapters.networks.sparse.decoder import GROUND_Z_M, Decoded
+from adapters.networks.sparse.decoder import GROUND_Z_M, DecodedInstances
 from benchmark.constants import EGO_HEIGHT_M
 
 EGO_SIZE_M = (4.08, 1.73, EGO_HEIGHT_M)
 """Along, across, upwards."""
-SURE = 0.2
+CERTAIN_SCORE = 0.2
 """Agents that were less certain than this are not followed."""
 STATUS = 10
 """Acceleration, rotation rate and velocity, three numbers each with x forward, and the steering angle."""
@@ -102,7 +102,12 @@ class InstanceQueue(nn.Module):
         )
 
     def forward(
-        self, past: QueueMemory | None, motion: KeyframeMotion | None, agents: Decoded, ids: Tensor, front: Tensor
+        self,
+        past: QueueMemory | None,
+        motion: KeyframeMotion | None,
+        agents: DecodedInstances,
+        ids: Tensor,
+        front: Tensor,
     ) -> Queue:
         """Agents and the ego over the last frames, this one included.
 
@@ -134,7 +139,7 @@ class InstanceQueue(nn.Module):
 
     def _followed(self, past: QueueMemory, boxes: Tensor, ids: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Rows of the past in the order of this frame's agents, zero for those that were not there or not certain."""
-        same = (ids[:, None] == past.ids) & (past.confidence > SURE)
+        same = (ids[:, None] == past.ids) & (past.confidence > CERTAIN_SCORE)
         known, row = same.any(1), same.to(torch.uint8).argmax(1)
         nobody = ~known[:, None]
         return (

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from adapters.networks.sparse.boxes import decode_boxes, heading_of
 from adapters.networks.sparse.config import SparseConfig
-from adapters.networks.sparse.decoder import Decoded
+from adapters.networks.sparse.decoder import DecodedInstances
 from adapters.networks.sparse.motion_planner import PlannerPredictions
 from adapters.networks.sparse.queue import EGO_SIZE_M
 
@@ -20,7 +20,7 @@ EGO_MARGIN: Final = 1.1
 """The ego is taken to be larger by this factor."""
 STANDING_M: Final = 0.5
 """What moves less than this over the planned time keeps its heading."""
-SURE: Final = 0.5
+CERTAIN_SCORE: Final = 0.5
 """Agents that are less certain are not avoided."""
 FAR_M: Final = 1e6
 SHIFT: Final = 0.5
@@ -28,7 +28,7 @@ BOX: Final = 7
 """Numbers: centre x, y, z, extents along, across and upwards, heading."""
 
 
-def colliding(plans: Tensor, boxes: Tensor, scores: Tensor, forecasts: Tensor) -> Tensor:
+def find_collisions(plans: Tensor, boxes: Tensor, scores: Tensor, forecasts: Tensor) -> Tensor:
     """Collisions of plans, (M,) booleans.
 
     `plans` are (M, S, 2) positions and `forecasts` of agents (N, S, 2), metres, lidar frame; `boxes` are (N, 11) and
@@ -37,7 +37,7 @@ def colliding(plans: Tensor, boxes: Tensor, scores: Tensor, forecasts: Tensor) -
     ego, agents = ego_boxes(plans), agent_boxes(boxes, scores, forecasts)
     ego, agents = ego.expand(len(agents), -1, -1, -1).clone(), agents[:, None].expand(-1, len(plans), -1, -1)
     _shift_as_published(ego)
-    hit = corner_inside(ego, agents) | corner_inside(agents, ego)
+    hit = has_corner_inside(ego, agents) | has_corner_inside(agents, ego)
     return hit.any(-1).any(0)
 
 
@@ -57,7 +57,7 @@ def agent_boxes(boxes: Tensor, scores: Tensor, forecasts: Tensor) -> Tensor:
     heading = _headings(path, heading_of(boxes))
     rest = torch.cat([boxes[:, 2:3], boxes[:, 3:6].exp()], -1)[:, None].expand(-1, forecasts.shape[1], -1)
     future_boxes = torch.cat([forecasts, rest, heading[..., None]], -1)
-    return torch.where((scores < SURE)[:, None, None], torch.full_like(future_boxes, FAR_M), future_boxes)
+    return torch.where((scores < CERTAIN_SCORE)[:, None, None], torch.full_like(future_boxes, FAR_M), future_boxes)
 
 
 def _headings(path: Tensor, at_rest: Tensor) -> Tensor:
@@ -82,7 +82,7 @@ def _shift_as_published(ego: Tensor) -> None:
         rows[1] += SHIFT * rows[sixth].sin()
 
 
-def corner_inside(boxes: Tensor, others: Tensor) -> Tensor:
+def has_corner_inside(boxes: Tensor, others: Tensor) -> Tensor:
     """Whether, (...), a corner of the other box lies in a box or on its edge, seen from above; boxes are (..., 7)."""
     # The published code has corners in double precision.
     boxes, others = boxes.double(), others.double()
@@ -98,7 +98,7 @@ def corner_inside(boxes: Tensor, others: Tensor) -> Tensor:
 
 
 MAP_CLASSES: Final = ("ped_crossing", "divider", "boundary")
-REFUSED: Final = -999.0
+REFUSED_LOGIT: Final = -999.0
 """Logit of a plan that collides."""
 
 
@@ -106,8 +106,8 @@ REFUSED: Final = -999.0
 class SparsePredictions:
     """Everything that a sparse network computed for one key frame, before selection; `track_ids` are (N,) int64."""
 
-    agents: Decoded
-    lines: Decoded
+    agents: DecodedInstances
+    lines: DecodedInstances
     track_ids: Tensor
     planner: PlannerPredictions
 
@@ -148,7 +148,7 @@ class SparseOutputs:
 
 
 @dataclass(frozen=True, slots=True)
-class SelectedBoxes:
+class SparseBoxSelection:
     """The K boxes that are reported.
 
     Attributes:
@@ -165,7 +165,7 @@ class SelectedBoxes:
 
 
 @dataclass(frozen=True, slots=True)
-class SelectedLines:
+class SparseLineSelection:
     """The L map elements that are reported: (L, P, 2) points in metres, with scores of 0 to 1, falling."""
 
     points: Tensor
@@ -174,7 +174,7 @@ class SelectedLines:
 
 
 @dataclass(frozen=True, slots=True)
-class SelectedPlan:
+class SparsePlanSelection:
     """The plan, (S, 2) metres, and what it was chosen from: (commands, M, S, 2), with scores of 0 to 1."""
 
     plan: Tensor
@@ -205,7 +205,7 @@ def select(config: SparseConfig, predictions: SparsePredictions, command: int) -
     )
 
 
-def select_boxes(config: SparseConfig, agents: Decoded) -> SelectedBoxes:
+def select_boxes(config: SparseConfig, agents: DecodedInstances) -> SparseBoxSelection:
     """The boxes of the most certain classes, in the order of the certainty of class and centre together."""
     best, labels = agents.logits.max(-1)
     class_scores, rows = best.sigmoid().sort(descending=True, stable=True)
@@ -214,29 +214,29 @@ def select_boxes(config: SparseConfig, agents: Decoded) -> SelectedBoxes:
     assert qualities is not None
     scores, order = (class_scores * qualities[rows, 0].sigmoid()).sort(descending=True, stable=True)
     rows = rows[order]
-    return SelectedBoxes(rows, scores, labels[rows], class_scores)
+    return SparseBoxSelection(rows, scores, labels[rows], class_scores)
 
 
-def select_lines(config: SparseConfig, lines: Decoded) -> SelectedLines:
+def select_lines(config: SparseConfig, lines: DecodedInstances) -> SparseLineSelection:
     """The most certain pairs of a line and a class."""
     classes = config.map_classes
     scores, pairs = lines.logits.sigmoid().flatten().sort(descending=True, stable=True)
     scores, pairs = scores[: config.reported_lines], pairs[: config.reported_lines]
     points = lines.anchors[pairs.div(classes, rounding_mode="floor")].view(len(pairs), -1, 2)
-    return SelectedLines(points, scores, pairs % classes)
+    return SparseLineSelection(points, scores, pairs % classes)
 
 
-def select_plan(config: SparseConfig, predictions: SparsePredictions, command: int) -> SelectedPlan:
+def select_plan(config: SparseConfig, predictions: SparsePredictions, command: int) -> SparsePlanSelection:
     """The most likely plan for the command that hits no agent; if all of them hit one, the most likely one."""
     planner, agents = predictions.planner, predictions.agents
     modes = planner.plan_offsets.cumsum(-2)
     likely = planner.motion_logits.argmax(-1)
     agent_rows = torch.arange(len(likely), device=likely.device)
     forecasts = forecast_centres(predictions)[agent_rows, likely, : config.steps]
-    hit = colliding(modes[command], agents.anchors, agents.scores, forecasts)
+    hit = find_collisions(modes[command], agents.anchors, agents.scores, forecasts)
     logits = planner.plan_logits.clone()
-    logits[command] = torch.where(hit & ~hit.all(), torch.full_like(logits[command], REFUSED), logits[command])
-    return SelectedPlan(modes[command, logits[command].argmax()], modes, logits.sigmoid())
+    logits[command] = torch.where(hit & ~hit.all(), torch.full_like(logits[command], REFUSED_LOGIT), logits[command])
+    return SparsePlanSelection(modes[command, logits[command].argmax()], modes, logits.sigmoid())
 
 
 def forecast_centres(predictions: SparsePredictions) -> Tensor:

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, Self
 
-from adapters.camera_inputs import MINIATURE_IMAGE, ImageFormat
+from adapters.camera_inputs import MINIATURE_IMAGE, NetworkImageFormat
 from adapters.networks.layers.bev_network import BEVConfig
-from adapters.networks.layers.reporting import Reporting
+from adapters.networks.layers.reporting import ReportingRules
 
-PUBLISHED_IMAGE: Final = ImageFormat.scaled(1.0)
+PUBLISHED_IMAGE: Final = NetworkImageFormat.scaled(1.0)
 MAP_OFFSETS: Final = "seg_head.transformer.encoder.layers.0.attentions.0.sampling_offsets.weight"
 """The tensor whose shape tells for how many levels a checkpoint's map head was made."""
 
@@ -81,7 +81,7 @@ class UniADConfig(BEVConfig):
     born_score: float = 0.4
     asleep_score: float = 0.35
     tracks_apart: float = 0.0
-    image_format: ImageFormat = PUBLISHED_IMAGE
+    image_format: NetworkImageFormat = PUBLISHED_IMAGE
     motion_across_scenes: bool = True
     plan_sees_front: int = 0
     plan_knows_motion: bool = False
@@ -132,7 +132,7 @@ class UniADConfig(BEVConfig):
             # On scenes of a town that was not learned from seven of ten vehicles are followed so.
             born_score=0.28,
             asleep_score=0.25,
-            reporting=Reporting(least_score=0.25),
+            reporting=ReportingRules(least_score=0.25),
             # It finds again what it follows already: tracks would pile up, over twenty of them after 10 s.
             tracks_apart=0.5,
             motion_across_scenes=False,

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.attention import Attention, FeedForward, plain_branch, sine_grid_encoding
+from adapters.networks.layers.attention import Attention, ResidualFeedForward, plain_branch, sine_grid_encoding
 from adapters.networks.layers.deformable_attention import DeformableAttention, Shapes, deformable_sampling
-from adapters.networks.layers.deformable_decoder import logit, strongest
+from adapters.networks.layers.deformable_decoder import logit, select_strongest
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.map_masks import MaskDecoder
 
@@ -18,7 +18,7 @@ LEVEL_EMBEDDINGS = 4
 """Published networks have as many and use the first."""
 
 
-class WalkedAttention(DeformableAttention):
+class PublishedOrderAttention(DeformableAttention):
     """Deformable attention to one map with parameters for `levels`; arguments as for `DeformableAttention`."""
 
     def forward(
@@ -59,8 +59,8 @@ class MapEncoderLayer(nn.Module):
 
     def __init__(self, channels: int, heads: int, hidden: int, levels: int, points: int) -> None:
         super().__init__()
-        self.attentions = nn.ModuleList([WalkedAttention(channels, heads, levels, points)])
-        self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
+        self.attentions = nn.ModuleList([PublishedOrderAttention(channels, heads, levels, points)])
+        self.ffns = nn.ModuleList([ResidualFeedForward(channels, hidden)])
         self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(2)])
 
     def forward(self, cells: Tensor, positions: Tensor, centres: Tensor, shape: tuple[int, int]) -> Tensor:
@@ -75,14 +75,16 @@ class MapDecoderLayer(nn.Module):
 
     def __init__(self, channels: int, heads: int, hidden: int, levels: int, points: int) -> None:
         super().__init__()
-        self.attentions = nn.ModuleList([Attention(channels, heads), WalkedAttention(channels, heads, levels, points)])
-        self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
+        self.attentions = nn.ModuleList(
+            [Attention(channels, heads), PublishedOrderAttention(channels, heads, levels, points)]
+        )
+        self.ffns = nn.ModuleList([ResidualFeedForward(channels, hidden)])
         self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(3)])
 
     def forward(
         self, tokens: Tensor, positions: Tensor, references: Tensor, cells: Tensor, shape: tuple[int, int]
     ) -> Tensor:
-        """Arguments and result as in `WalkedAttention`."""
+        """Arguments and result as in `PublishedOrderAttention`."""
         tokens = self.norms[0](self.attentions[0](tokens, positions))
         tokens = self.norms[1](self.attentions[1](tokens, positions, references, cells, (shape,)))
         result: Tensor = self.norms[2](self.ffns[0](tokens))
@@ -219,7 +221,7 @@ class MapHead(nn.Module):
 
     def masks(self, elements: MapElements) -> MapMasks:
         """Masks of the most certain map elements; the plan does not need them."""
-        scores, labels, chosen = strongest(elements.class_logits[-1], self.config.max_lines)
+        scores, labels, chosen = select_strongest(elements.class_logits[-1], self.config.max_lines)
         # Unlike the queries of elements, this one has its contents first.
         contents, positions = self.stuff_query.weight.chunk(2, -1)
         values = self.things_mask_head(elements.queries[chosen], None, elements.cells)

@@ -14,7 +14,7 @@ LARGEST_OVERLAP = 0.4
 NORM_EPSILON = 1e-6
 
 
-class SelfAttention(nn.Module):
+class MaskSelfAttention(nn.Module):
     """Attention of queries to each other, without residual connection."""
 
     def __init__(self, channels: int, heads: int) -> None:
@@ -102,7 +102,7 @@ class MaskBlock(nn.Module):
         self.head_norm2 = nn.LayerNorm(channels, NORM_EPSILON)
         self.mlp = MaskMLP(channels)
         if attend_each_other:
-            self.self_attention = SelfAttention(channels, heads)
+            self.self_attention = MaskSelfAttention(channels, heads)
             self.norm3 = nn.LayerNorm(channels, NORM_EPSILON)
         self.attend_each_other = attend_each_other
 
@@ -135,7 +135,7 @@ class MaskDecoder(nn.Module):
 
 
 @dataclass(frozen=True, slots=True)
-class RoadMap:
+class PastedMasks:
     """Masks that share the ground.
 
     Attributes:
@@ -153,7 +153,7 @@ class RoadMap:
     drivable: Tensor
 
 
-def ranked(values: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
+def rank_masks(values: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
     """Ranks of (N, rows, columns) masks: (N,) scores, falling, and (N,) the masks they belong to.
 
     Scores, 0 to 1, count the mean value inside too.
@@ -166,8 +166,8 @@ def ranked(values: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
 
 def paste_masks(
     values: Tensor, scores: Tensor, order: Tensor, labels: Tensor, drivable_values: Tensor, classes: int
-) -> RoadMap:
-    """Map of masks pasted one after the other, by falling scores as `ranked` gives them.
+) -> PastedMasks:
+    """Map of masks pasted one after the other, by falling scores as `rank_masks` gives them.
 
     Elements with low scores are not in it, nor are those whose place is taken. As in the published code, elements of
     class 0 take no place: others are pasted over them. `values` are (N, rows, columns), `labels` in their order.
@@ -186,4 +186,4 @@ def paste_masks(
         lanes[label] |= free
         lane_values[label] = torch.where(free, values[element], lane_values[label])
         taken |= free & (label > 0)
-    return RoadMap(order, scores, lanes, lane_values, drivable_values > INSIDE)
+    return PastedMasks(order, scores, lanes, lane_values, drivable_values > INSIDE)

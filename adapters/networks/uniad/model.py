@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.ego_motion import CAN_BUS, EgoMotion
+from adapters.networks.layers.ego_motion import CAN_BUS, BEVMotion
 from adapters.networks.layers.front_reader import FRONT
 from adapters.networks.layers.resnet import EXPANSION, FeaturePyramid, ResNet
 from adapters.networks.uniad.collision_optimiser import MovedPlan, Solver, move_plan
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.map_head import MapHead, MapMasks
-from adapters.networks.uniad.map_masks import RoadMap, paste_masks, ranked
+from adapters.networks.uniad.map_masks import PastedMasks, paste_masks, rank_masks
 from adapters.networks.uniad.motion import MotionHead
 from adapters.networks.uniad.occupancy import OccupancyHead
 from adapters.networks.uniad.planning import PlanningHead, UniADInputs, UniADOutputs, UniADPredictions
@@ -20,11 +20,11 @@ from adapters.networks.uniad.tracking import (
     DetectionHead,
     Instances,
     Pose,
-    chosen_tracks,
-    decoded,
-    headings,
-    moved_references,
-    updated,
+    convert_yaws,
+    decode_instances,
+    move_references,
+    select_tracks,
+    update_tracks,
 )
 
 __all__ = ["UniAD", "UniADInputs", "UniADOutputs"]
@@ -34,7 +34,7 @@ VEHICLE_CLASSES = (0, 1, 2, 3, 4, 6, 7)
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
+class UniADMemory:
     """Memory of a frame for the next one of its scene."""
 
     scene_token: str
@@ -104,7 +104,7 @@ class UniAD(nn.Module):
         A new scene alone forgets less, as in the published code: track numbers go on, and the ego's motion into the
         new scene is measured from the last key frame of the old one (in the very first frame, from the origin).
         """
-        self._memory: Memory | None = None
+        self._memory: UniADMemory | None = None
         self._can_bus = torch.zeros(CAN_BUS, dtype=torch.float64)
         self._next_id = torch.zeros((), dtype=torch.int64)
 
@@ -123,7 +123,7 @@ class UniAD(nn.Module):
             road = self.road(self.seg_head.masks(predictions.elements))
         count = len(tracks.scores)
         offsets = predictions.forecasts.trajectories[-1, :count, ..., :2]
-        heading = headings(tracks.boxes[:, 6:7], self.config)
+        heading = convert_yaws(tracks.boxes[:, 6:7], self.config)
         return UniADOutputs(
             plan=plan,
             plan_before_optimisation=unoptimised,
@@ -144,9 +144,9 @@ class UniAD(nn.Module):
             predictions.plan.positions_m.double().cpu().numpy(), predictions.occupancy.occupied.cpu().numpy(), solver
         )
 
-    def road(self, masks: MapMasks) -> RoadMap:
+    def road(self, masks: MapMasks) -> PastedMasks:
         """Masks that share the ground."""
-        scores, order = ranked(masks.values, masks.scores)
+        scores, order = rank_masks(masks.values, masks.scores)
         classes = self.config.map_classes
         return paste_masks(masks.values, scores, order, masks.labels, masks.drivable_values, classes)
 
@@ -163,10 +163,10 @@ class UniAD(nn.Module):
         entering, moved = self.entering_queries(memory, pose)
         detections = self.pts_bbox_head.detect(bev, entering.queries, entering.reference_logits)
         fresh = self.config.queries + 1
-        instances, next_id = updated(entering, detections, fresh, self._next_id.to(device), self.config)
-        chosen = chosen_tracks(instances, self.vehicle_classes, self.config)
-        tracks = decoded(instances.kept(chosen.reported))
-        ego = decoded(instances.kept(slice(fresh - 1, fresh)))
+        instances, next_id = update_tracks(entering, detections, fresh, self._next_id.to(device), self.config)
+        chosen = select_tracks(instances, self.vehicle_classes, self.config)
+        tracks = decode_instances(instances.kept(chosen.reported))
+        ego = decode_instances(instances.kept(slice(fresh - 1, fresh)))
         after = self.memory_bank(instances)
         surviving = self.query_interact(after.kept(chosen.surviving))
         next_instances = self.fresh_queries().then(surviving)
@@ -190,7 +190,7 @@ class UniAD(nn.Module):
             maps[0][FRONT : FRONT + 1],
             motion.can_bus,
         )
-        self._memory = Memory(inputs.scene_token, bev, next_instances, pose)
+        self._memory = UniADMemory(inputs.scene_token, bev, next_instances, pose)
         self._can_bus = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)
         self._next_id = next_id
         return UniADPredictions(
@@ -209,26 +209,26 @@ class UniAD(nn.Module):
             plan=plan,
         )
 
-    def ego_motion(self, inputs: UniADInputs) -> EgoMotion:
+    def ego_motion(self, inputs: UniADInputs) -> BEVMotion:
         """Motion of the ego since the last frame, whichever scene that was of if the network was trained so."""
         config = self.config
         follows = self._memory is not None and self._memory.scene_token == inputs.scene_token
         known = follows or config.motion_across_scenes
-        return EgoMotion.between(self._can_bus if known else None, inputs.can_bus, config.grid, config.rotation_centre)
+        return BEVMotion.between(self._can_bus if known else None, inputs.can_bus, config.grid, config.rotation_centre)
 
     def fresh_queries(self) -> Instances:
         """Queries that know nothing, the last of which is the ego's."""
         queries = self.query_embedding.weight
         return Instances.fresh(self.config, queries, self.reference_points(queries.chunk(2, -1)[0]))
 
-    def entering_queries(self, memory: Memory | None, pose: Pose) -> tuple[Instances, Tensor]:
+    def entering_queries(self, memory: UniADMemory | None, pose: Pose) -> tuple[Instances, Tensor]:
         """Queries for the decoder: fresh ones, and tracks where they would be now; and these places, (T, 3) logits."""
         if memory is None:
             fresh = self.fresh_queries()
             return fresh, fresh.reference_logits[:0]
         previous, count = memory.instances, self.config.queries + 1
         tracks = previous.kept(slice(count, None))
-        moved = moved_references(tracks, memory.pose, pose, self.config)
+        moved = move_references(tracks, memory.pose, pose, self.config)
         # The published network forgets how high tracks were.
         heights = self.reference_points(tracks.queries.chunk(2, -1)[0]).float()[:, 2:]
         references = torch.cat([previous.reference_logits[:count], torch.cat([moved[:, :2], heights], -1)])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.attention import FeedForward, normalised_branch, plain_branch, sine_features
+from adapters.networks.layers.attention import ResidualFeedForward, normalised_branch, plain_branch, sine_features
 from adapters.networks.layers.deformable_attention import deformable_sampling
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.map_head import MapElements
@@ -88,7 +88,7 @@ class GoalInteraction(nn.Module):
     def __init__(self, channels: int, heads: int, hidden: int, steps: int, points: int) -> None:
         super().__init__()
         self.attentions = nn.ModuleList([GoalAttention(channels, heads, steps, points)])
-        self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
+        self.ffns = nn.ModuleList([ResidualFeedForward(channels, hidden)])
         self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(2)])
 
     def forward(self, tokens: Tensor, positions: Tensor, goals: Tensor, bev: Tensor, shape: tuple[int, int]) -> Tensor:
@@ -126,7 +126,7 @@ GAUSSIAN = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Forecasts:
+class MotionForecasts:
     """Forecasts for A agents, the last of which is the ego; K layers.
 
     Attributes:
@@ -143,7 +143,7 @@ class Forecasts:
     positions: Tensor
 
 
-def turned(offsets: Tensor, angles: Tensor) -> Tensor:
+def rotate(offsets: Tensor, angles: Tensor) -> Tensor:
     """Offsets, (A, ..., 2) metres, turned counter-clockwise by (A,) radians."""
     shape = (-1, *[1] * (offsets.dim() - 2))
     cosine, sine = angles.cos().view(shape), angles.sin().view(shape)
@@ -206,17 +206,17 @@ class MotionHead(nn.Module):
         self.anchors.copy_(anchors)
         self._has_anchors = True
 
-    def forward(self, agents: Boxes, elements: MapElements, bev: Tensor) -> Forecasts:
+    def forward(self, agents: Boxes, elements: MapElements, bev: Tensor) -> MotionForecasts:
         """Forecasts of A agents, the ego last, in a bird's-eye view of (cells, C)."""
         if not self._has_anchors:
             raise InputError(
                 "UniAD has no motion anchors, which are not in its checkpoint; import motion_anchor_infos_mode6.pkl too"
             )
         former, centres = self.motionformer, agents.boxes[:, :2]
-        positions = self.boxes_query_embedding_layer(self._encoded(centres).to(bev.dtype))
+        positions = self.boxes_query_embedding_layer(self._encode(centres).to(bev.dtype))
         places = positions[:, None].expand(-1, self.config.modes, -1)
         placed_agents, placed_lines = agents.states + positions, elements.queries + elements.query_positions
-        goals, anchors, learned = self._anchored(agents)
+        goals, anchors, learned = self._encode_anchors(agents)
         intentions = former.intention_interaction_layers(goals.in_agent)
         goals = _Goals(intentions, goals.in_scene, goals.from_agent)
         static = intentions + goals.from_agent + learned
@@ -230,7 +230,7 @@ class MotionHead(nn.Module):
             attended = [
                 former.track_agent_interaction_layers[layer](tokens + places, placed_agents),
                 former.map_interaction_layers[layer](tokens + places, placed_lines),
-                self._at_goals(layer, tokens, places, centres[:, None] + reference[:, :, -1], bev),
+                self._attend_to_goals(layer, tokens, places, centres[:, None] + reference[:, :, -1], bev),
             ]
             tokens = former.out_query_fuser(torch.cat([*attended, agent_tokens], -1))
             predicted = self.traj_reg_branches[layer](tokens).float()
@@ -243,9 +243,9 @@ class MotionHead(nn.Module):
             branch(states)[..., 0].float() for branch, states in zip(self.traj_cls_branches, queries, strict=True)
         ]
         log_probabilities = torch.stack(logits).log_softmax(-1)
-        return Forecasts(torch.stack(trajectories), log_probabilities, torch.stack(queries), positions)
+        return MotionForecasts(torch.stack(trajectories), log_probabilities, torch.stack(queries), positions)
 
-    def _encoded(self, places: Tensor) -> Tensor:
+    def _encode(self, places: Tensor) -> Tensor:
         """(..., 2) metres to (..., C) sines, those of y first."""
         x_low, y_low, _, x_high, y_high, _ = self.config.perception_range_m
         shares = torch.stack(
@@ -253,30 +253,30 @@ class MotionHead(nn.Module):
         )
         return sine_features(shares.float() * (2 * math.pi), self.config.channels // 2).flatten(-2)
 
-    def _anchored(self, agents: Boxes) -> tuple[_Goals, Tensor, Tensor]:
+    def _encode_anchors(self, agents: Boxes) -> tuple[_Goals, Tensor, Tensor]:
         """Encoded ends of the agents' anchors, the anchors along the lidar's axes, and learned queries for them."""
         group = self.group_of_class[agents.labels]
         group_anchors = self.anchors[group]
-        anchors = turned(group_anchors, agents.boxes[:, 6] - HALF_TURN)
+        anchors = rotate(group_anchors, agents.boxes[:, 6] - HALF_TURN)
         learned = self.learnable_motion_query_embedding.weight
         learned = learned.view(self.config.motion_groups, self.config.modes, -1)[group]
         ends = anchors[:, :, -1]
-        return self._embedded(group_anchors[:, :, -1], agents.boxes[:, None, :2] + ends, ends), anchors, learned
+        return self._embed_goals(group_anchors[:, :, -1], agents.boxes[:, None, :2] + ends, ends), anchors, learned
 
     def _goals(self, agents: Boxes, ends: Tensor) -> _Goals:
         """Encoded (A, modes, 2) ends, metres from the agents along the axes of the lidar."""
-        in_agent = turned(ends, HALF_TURN - agents.boxes[:, 6])
-        return self._embedded(in_agent, agents.boxes[:, None, :2] + ends, ends)
+        in_agent = rotate(ends, HALF_TURN - agents.boxes[:, 6])
+        return self._embed_goals(in_agent, agents.boxes[:, None, :2] + ends, ends)
 
-    def _embedded(self, in_agent: Tensor, in_scene: Tensor, from_agent: Tensor) -> _Goals:
+    def _embed_goals(self, in_agent: Tensor, in_scene: Tensor, from_agent: Tensor) -> _Goals:
         dtype = self.learnable_motion_query_embedding.weight.dtype
         return _Goals(
-            self.agent_level_embedding_layer(self._encoded(in_agent).to(dtype)),
-            self.scene_level_ego_embedding_layer(self._encoded(in_scene).to(dtype)),
-            self.scene_level_offset_embedding_layer(self._encoded(from_agent).to(dtype)),
+            self.agent_level_embedding_layer(self._encode(in_agent).to(dtype)),
+            self.scene_level_ego_embedding_layer(self._encode(in_scene).to(dtype)),
+            self.scene_level_offset_embedding_layer(self._encode(from_agent).to(dtype)),
         )
 
-    def _at_goals(self, layer: int, tokens: Tensor, places: Tensor, ends: Tensor, bev: Tensor) -> Tensor:
+    def _attend_to_goals(self, layer: int, tokens: Tensor, places: Tensor, ends: Tensor, bev: Tensor) -> Tensor:
         """(A, modes, C) after looking at the bird's-eye view around (A, modes, 2) ends in the lidar frame."""
         x_low, y_low, _, x_high, y_high, _ = self.config.perception_range_m
         x, y = ends.unbind(-1)

@@ -7,12 +7,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from adapters.networks.layers.attention import FeedForward, ResidualAttention
+from adapters.networks.layers.attention import ResidualAttention, ResidualFeedForward
 from adapters.networks.uniad.config import UniADConfig
 
 CELL_M = 0.5
 """Side of a cell of the occupancy grid."""
-SEEN = 0.3
+ATTENDED_ABOVE = 0.3
 """Cells attend to the vehicles whose mask is not lower there."""
 
 
@@ -178,7 +178,7 @@ class OccupancyLayer(nn.Module):
     def __init__(self, channels: int, heads: int, hidden: int) -> None:
         super().__init__()
         self.attentions = nn.ModuleList([ResidualAttention(channels, heads) for _ in range(2)])
-        self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
+        self.ffns = nn.ModuleList([ResidualFeedForward(channels, hidden)])
         self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(3)])
 
     def forward(self, cells: Tensor, vehicles: Tensor, allowed: Tensor) -> Tensor:
@@ -253,14 +253,14 @@ class OccupancyHead(nn.Module):
             return Occupancy(nothing, nothing, free.bool(), free - self.config.occupied_above)
         modes = self.mode_fuser(mode_queries).amax(1)
         vehicles = self.multi_query_fuser(torch.cat([modes, states, positions], -1))
-        futures, masks, queries = self._futures(self._resampled(bev), vehicles)
+        futures, masks, queries = self._futures(self._resample(bev), vehicles)
         features = self.dense_decoder(torch.stack(futures))
         logits = torch.einsum("tvc,tchw->vthw", self.query_to_occ_feat(torch.stack(queries)), features).float()
         probability = (logits.sigmoid() * scores[:, None, None, None]).amax(0)
         level = self.config.occupied_above
         return Occupancy(logits, torch.stack(masks, 1).float(), probability > level, probability - level)
 
-    def _resampled(self, bev: Tensor) -> Tensor:
+    def _resample(self, bev: Tensor) -> Tensor:
         """(cells, C) to (1, C, side / 4, side / 4) on the occupancy grid."""
         rows, columns = self.config.grid.shape
         image = bev.view(1, rows, columns, -1).permute(0, 3, 1, 2)
@@ -279,7 +279,7 @@ class OccupancyHead(nn.Module):
             query = self.temporal_mlps[step](vehicles)
             query_of_mask = self.temporal_mlp_for_mask(query)
             mask = torch.einsum("vc,chw->vhw", query_of_mask, coarse[0])
-            allowed = (mask.sigmoid() >= SEEN).flatten(1).T
+            allowed = (mask.sigmoid() >= ATTENDED_ABOVE).flatten(1).T
             allowed = allowed | ~allowed.any(1, keepdim=True)
             cells = coarse[0].flatten(1).T
             cells = self.transformer_decoder.layers[step](cells, query, allowed)

@@ -6,11 +6,11 @@ import torch
 
 from adapters.camera_inputs import camera_images, can_bus_vector, lidar_pose, lidar_to_image
 from adapters.networks.example_inputs import example_images, example_projections
-from adapters.networks.layers.reporting import Reporting
+from adapters.networks.layers.reporting import ReportingRules
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.model import UniAD
 from adapters.networks.uniad.planning import UniADInputs, UniADOutputs
-from adapters.planner import NativePlanner, forecasts_of, numbers
+from adapters.planner import NativePlanner, select_forecasts, to_array
 from benchmark.planning import Command, Observation, Plan, PlanFrame, SceneInfo
 
 
@@ -61,7 +61,7 @@ class UniADPlanner(NativePlanner[UniAD]):
             scene_token=observation.scene,
         )
 
-    def _computed(self, observation: Observation) -> Plan:
+    def _compute_plan(self, observation: Observation) -> Plan:
         self.seen = self._network(self.inputs(observation))
         return _plan(self.seen, self._reporting)
 
@@ -81,13 +81,13 @@ def example_frame(config: UniADConfig) -> UniADInputs:
     )
 
 
-def _plan(outputs: UniADOutputs, reporting: Reporting) -> Plan:
+def _plan(outputs: UniADOutputs, reporting: ReportingRules) -> Plan:
     planned = [outputs.plan_before_optimisation, outputs.plan][: 1 if outputs.collision is None else 2]
     return Plan(
-        waypoints=numbers(outputs.plan),
+        waypoints=to_array(outputs.plan),
         frame=PlanFrame.LIDAR,
-        modes=numbers(torch.stack(planned)),
-        forecasts=forecasts_of(
+        modes=to_array(torch.stack(planned)),
+        forecasts=select_forecasts(
             outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores, reporting
         ),
     )

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.ego_motion import MotionTeller
+from adapters.networks.layers.ego_motion import EgoStatusEncoder
 from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.uniad.collision_optimiser import MovedPlan
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.map_head import MapElements
-from adapters.networks.uniad.map_masks import RoadMap
-from adapters.networks.uniad.motion import Forecasts
+from adapters.networks.uniad.map_masks import PastedMasks
+from adapters.networks.uniad.motion import MotionForecasts
 from adapters.networks.uniad.occupancy import Occupancy
 from adapters.networks.uniad.tracking import Boxes, Detections, Instances
 
@@ -53,7 +53,7 @@ class PlanningHead(nn.Module):
         self.pos_embed = nn.Embedding(1, channels)
         numbers = config.plan_sees_front
         self.front_reader = FrontReader(channels, numbers, 2 * channels) if numbers else None
-        self.motion_teller = MotionTeller(2 * channels) if config.plan_knows_motion else None
+        self.motion_teller = EgoStatusEncoder(2 * channels) if config.plan_knows_motion else None
         self.bev_adapter = nn.Sequential(
             *(
                 nn.Sequential(
@@ -77,7 +77,7 @@ class PlanningHead(nn.Module):
 
         `mode_queries` are (modes, C) forecast states of the ego, `state` (C,) its track; `command` is 0 right, 1 left,
         2 straight; `finest_front` the (1, C, h, w) finest feature map of the front camera; `can_bus` (18,) float32, as
-        `adapters.networks.layers.ego_motion.EgoMotion` has it.
+        `adapters.networks.layers.ego_motion.BEVMotion` has it.
         """
         front: Tensor | None = None
         messages: list[Tensor] = []
@@ -156,7 +156,7 @@ class UniADOutputs:
     trajectories: Tensor
     trajectory_scores: Tensor
     occupied: Tensor
-    road: RoadMap | None
+    road: PastedMasks | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,7 @@ class UniADPredictions:
     tracks: Boxes
     ego: Boxes
     elements: MapElements
-    forecasts: Forecasts
+    forecasts: MotionForecasts
     vehicles: Tensor
     occupancy: Occupancy
     plan: UniADPlan

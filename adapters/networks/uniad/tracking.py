@@ -12,9 +12,9 @@ from torch import Tensor, nn
 
 from adapters.networks.layers.attention import LearnedGridEncoding, normalised_branch, plain_branch
 from adapters.networks.layers.bev_network import BEVTransformer, bev_decoder, can_bus_network
-from adapters.networks.layers.deformable_decoder import box_codes, decode_boxes, logit, metres, within
-from adapters.networks.layers.ego_motion import EgoMotion
-from adapters.networks.layers.reporting import said_once
+from adapters.networks.layers.deformable_decoder import are_within, box_codes, decode_boxes, logit, to_metres
+from adapters.networks.layers.ego_motion import BEVMotion
+from adapters.networks.layers.reporting import find_distinct
 from adapters.networks.uniad.config import UniADConfig
 
 BOX_CODE = 10
@@ -65,7 +65,7 @@ class DetectionHead(nn.Module):
         self.bev_embedding = nn.Embedding(config.grid.cells, channels)
 
     def encode(
-        self, maps: list[Tensor], images: Tensor, projections: Tensor, motion: EgoMotion, previous: Tensor | None
+        self, maps: list[Tensor], images: Tensor, projections: Tensor, motion: BEVMotion, previous: Tensor | None
     ) -> Tensor:
         """(cells, C) bird's-eye view of one moment; arguments as in `BEVTransformer.encode`."""
         return self.transformer.encode(
@@ -85,7 +85,7 @@ class DetectionHead(nn.Module):
         return Detections(
             states=decoded.states,
             class_logits=torch.stack(logits),
-            box_codes=box_codes(metres(decoded.references, lower, upper), decoded.corrections),
+            box_codes=box_codes(to_metres(decoded.references, lower, upper), decoded.corrections),
             reference_logits=logit(decoded.references[-1]),
         )
 
@@ -187,10 +187,10 @@ class Pose:
         return cls(packed[:3], packed[3:6], packed[6], time_s)
 
 
-def moved_references(tracks: Instances, then: Pose, now: Pose, config: UniADConfig) -> Tensor:
+def move_references(tracks: Instances, then: Pose, now: Pose, config: UniADConfig) -> Tensor:
     """Places of T tracks now at the speed they had: (T, 3) logits of shares of the range around the present lidar."""
     low, high = config.perception_range_m[:3], config.perception_range_m[3:]
-    places = metres(tracks.reference_logits.sigmoid(), low, high)
+    places = to_metres(tracks.reference_logits.sigmoid(), low, high)
     step = F.pad(tracks.box_codes[:, 8:10], (0, 1)) * (now.time_s - then.time_s)
     # Hundreds of metres in the global frame leave a tenth of a millimetre in single precision; rotations are exact
     # enough in it only if they are not rounded further, which reduced-precision products would do.
@@ -205,7 +205,7 @@ def _rows_times(rows: Tensor, matrix: Tensor) -> Tensor:
     return (rows[:, :, None] * matrix).sum(1)
 
 
-def updated(
+def update_tracks(
     instances: Instances, detections: Detections, fresh: int, next_id: Tensor, config: UniADConfig
 ) -> tuple[Instances, Tensor]:
     """Instances after the decoder, and the next id: births, naps and ends of tracks.
@@ -218,7 +218,7 @@ def updated(
     ids[fresh - 1 : fresh].fill_(EGO)
     awake = scores >= config.born_score
     if config.tracks_apart > 0:
-        again = _again(detections.box_codes[-1], scores, ids, config)
+        again = _find_duplicates(detections.box_codes[-1], scores, ids, config)
         awake &= ~again
         ids = torch.where(again, NO_TRACK, ids)
     asleep_for = instances.frames_asleep.masked_fill(awake, 0)
@@ -241,12 +241,12 @@ def updated(
     return after, next_id + order[-1]
 
 
-def _again(box_codes: Tensor, scores: Tensor, ids: Tensor, config: UniADConfig) -> Tensor:
+def _find_duplicates(box_codes: Tensor, scores: Tensor, ids: Tensor, config: UniADConfig) -> Tensor:
     """(Q,) which instances follow, or would follow, what another does; tracks that are awake go before all others."""
     boxes, again = decode_boxes(box_codes), torch.zeros_like(ids, dtype=torch.bool)
     alive = ((ids >= 0) | ((ids == NO_TRACK) & (scores >= config.born_score))).nonzero()[:, 0]
     certainty = scores[alive] + ((ids[alive] >= 0) & (scores[alive] >= config.asleep_score))
-    again[alive] = ~said_once(boxes[alive, :2], boxes[alive, 4], certainty, config.tracks_apart)
+    again[alive] = ~find_distinct(boxes[alive, :2], boxes[alive, 4], certainty, config.tracks_apart)
     return again
 
 
@@ -255,7 +255,7 @@ class Boxes:
     """N boxes with the conventions of the network.
 
     Attributes:
-        boxes: (N, 9) centre x, y, z, width, length, height, yaw, velocity x, y; see `headings`.
+        boxes: (N, 9) centre x, y, z, width, length, height, yaw, velocity x, y; see `convert_yaws`.
         scores: (N,) 0 to 1, falling.
         labels: (N,).
         track_ids: (N,).
@@ -274,7 +274,7 @@ class Boxes:
         return Boxes(*(torch.cat(pair) for pair in pairs))
 
 
-def headings(yaws: Tensor, config: UniADConfig) -> Tensor:
+def convert_yaws(yaws: Tensor, config: UniADConfig) -> Tensor:
     """Headings of boxes, counter-clockwise from the x axis, -pi to pi, from yaws in the network's convention.
 
     The published weights were trained with that of mmdet3d before version 1.0: -heading - pi/2.
@@ -283,7 +283,7 @@ def headings(yaws: Tensor, config: UniADConfig) -> Tensor:
     return torch.remainder(turned, 2 * math.pi) - math.pi
 
 
-def decoded(instances: Instances) -> Boxes:
+def decode_instances(instances: Instances) -> Boxes:
     """A box for each instance, in their order."""
     return Boxes(
         boxes=decode_boxes(instances.box_codes),
@@ -294,14 +294,14 @@ def decoded(instances: Instances) -> Boxes:
     )
 
 
-def strongest_boxes(instances: Instances, config: UniADConfig) -> Boxes:
+def select_strongest_boxes(instances: Instances, config: UniADConfig) -> Boxes:
     """Boxes of the most certain instances whose centres are not far outside the perception range."""
     chosen = instances.kept(instances.scores.topk(min(config.max_boxes, len(instances.scores))).indices)
-    return decoded(chosen.kept(_near(chosen.box_codes, config)))
+    return decode_instances(chosen.kept(_are_near(chosen.box_codes, config)))
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class TrackSelection:
     """Indices of the instances that a key frame reports and hands on.
 
     Attributes:
@@ -315,27 +315,27 @@ class Chosen:
     surviving: Tensor
 
 
-def chosen_tracks(instances: Instances, vehicle_classes: Tensor, config: UniADConfig) -> Chosen:
+def select_tracks(instances: Instances, vehicle_classes: Tensor, config: UniADConfig) -> TrackSelection:
     """Choose, with one wait for the device: how many there are of each must be known to go on."""
     living = instances.track_ids >= 0
     awake = living & (instances.scores >= config.asleep_score)
     scores, strongest = torch.where(awake, instances.scores, -1.0).topk(min(config.max_boxes, len(awake)))
-    reported = (scores >= 0) & _near(instances.box_codes[strongest], config)
+    reported = (scores >= 0) & _are_near(instances.box_codes[strongest], config)
     vehicles = reported & vehicle_classes[instances.class_logits[strongest].argmax(-1)]
     masks = reported, vehicles, living
     counts = torch.stack([mask.sum() for mask in masks]).tolist()
-    first, second, third = (_trues(mask, count) for mask, count in zip(masks, counts, strict=True))
-    return Chosen(strongest[first], (reported.cumsum(0) - 1)[second], third)
+    first, second, third = (_true_indices(mask, count) for mask, count in zip(masks, counts, strict=True))
+    return TrackSelection(strongest[first], (reported.cumsum(0) - 1)[second], third)
 
 
-def _near(box_codes: Tensor, config: UniADConfig) -> Tensor:
+def _are_near(box_codes: Tensor, config: UniADConfig) -> Tensor:
     """Whether the centres of (Q, 10) box codes are not far outside the perception range."""
     x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
     lower = (x_low - MARGIN_M, y_low - MARGIN_M, -HIGHEST_M)
     upper = (x_high + MARGIN_M, y_high + MARGIN_M, HIGHEST_M)
-    return within(torch.stack([box_codes[:, axis] for axis in (0, 1, 4)], -1), lower, upper)
+    return are_within(torch.stack([box_codes[:, axis] for axis in (0, 1, 4)], -1), lower, upper)
 
 
-def _trues(mask: Tensor, count: int) -> Tensor:
+def _true_indices(mask: Tensor, count: int) -> Tensor:
     """Places where a mask is true, if it is known how often."""
     return (~mask).to(torch.uint8).argsort(stable=True)[:count]

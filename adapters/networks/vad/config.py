@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Self
 
-from adapters.camera_inputs import ImageFormat
+from adapters.camera_inputs import NetworkImageFormat
 from adapters.networks.layers.bev_network import BEVConfig
-from adapters.networks.layers.reporting import Reporting
+from adapters.networks.layers.reporting import ReportingRules
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,9 +46,13 @@ class VADConfig(BEVConfig):
     plan_knows_motion: bool = False
 
     @property
-    def image_format(self) -> ImageFormat:
+    def image_format(self) -> NetworkImageFormat:
         """Format of the images that the network reads."""
-        return ImageFormat.scaled(self.image_scale) if self.image_size is None else ImageFormat(*self.image_size)
+        return (
+            NetworkImageFormat.scaled(self.image_scale)
+            if self.image_size is None
+            else NetworkImageFormat(*self.image_size)
+        )
 
     @classmethod
     def tiny(cls) -> Self:
@@ -107,5 +111,5 @@ class VADConfig(BEVConfig):
             rotation_centre=(12.0, 16.0),
             max_boxes=50,
             max_lines=20,
-            reporting=Reporting(steered_from_m=6.0),
+            reporting=ReportingRules(steered_from_m=6.0),
         )

@@ -16,12 +16,12 @@ from adapters.networks.layers.attention import (
     plain_branch,
 )
 from adapters.networks.layers.bev_network import BEVTransformer, bev_decoder, can_bus_network
-from adapters.networks.layers.deformable_decoder import Decoded, box_codes, line_extent, metres
-from adapters.networks.layers.ego_motion import EgoMotion, MotionTeller
-from adapters.networks.layers.front_reader import FrontEyes, FrontReader, seen_ahead
+from adapters.networks.layers.deformable_decoder import DecoderOutputs, box_codes, line_extent, to_metres
+from adapters.networks.layers.ego_motion import BEVMotion, EgoStatusEncoder
+from adapters.networks.layers.front_reader import FrontBackbone, FrontReader, compute_front_maps
 from adapters.networks.layers.resnet import EXPANSION, FeaturePyramid, ResNet
 from adapters.networks.vad.config import VADConfig
-from adapters.networks.vad.selection import VADOutlook, VADOutputs, VADPredictions, VADSights, select
+from adapters.networks.vad.selection import VADOutputs, VADPlanInputs, VADPlanPredictions, VADPredictions, select
 from benchmark.errors import InputError
 
 LEVEL_EMBEDDINGS = 4
@@ -39,7 +39,7 @@ class VADTransformer(BEVTransformer):
         self.map_reference_points = nn.Linear(config.channels, 2)
         self.can_bus_mlp = can_bus_network(config.channels)
 
-    def decode_agents(self, queries: Tensor, bev: Tensor, branches: nn.ModuleList) -> Decoded:
+    def decode_agents(self, queries: Tensor, bev: Tensor, branches: nn.ModuleList) -> DecoderOutputs:
         """Agents in a bird's-eye view of (cells, C): their states and x, y, z.
 
         `queries` are (A, 2 C), positions and then contents; `branches` take (A, C) to (A, 10) corrections, one for
@@ -48,15 +48,15 @@ class VADTransformer(BEVTransformer):
         positions, contents = queries.chunk(2, -1)
         references = self.reference_points(positions).float().sigmoid()
         shapes = (self.encoder.grid.shape,)
-        decoded: Decoded = self.decoder(contents, positions, references, bev, shapes, branches, (0, 1, 4))
+        decoded: DecoderOutputs = self.decoder(contents, positions, references, bev, shapes, branches, (0, 1, 4))
         return decoded
 
-    def decode_map(self, queries: Tensor, bev: Tensor, branches: nn.ModuleList) -> Decoded:
+    def decode_map(self, queries: Tensor, bev: Tensor, branches: nn.ModuleList) -> DecoderOutputs:
         """Points of map elements in a bird's-eye view; arguments as in `decode_agents`, corrections (M * P, 2)."""
         positions, contents = queries.chunk(2, -1)
         references = self.map_reference_points(positions).float().sigmoid()
         shapes = (self.encoder.grid.shape,)
-        decoded: Decoded = self.map_decoder(contents, positions, references, bev, shapes, branches, (0, 1))
+        decoded: DecoderOutputs = self.map_decoder(contents, positions, references, bev, shapes, branches, (0, 1))
         return decoded
 
 
@@ -101,7 +101,7 @@ class VADHead(nn.Module):
         numbers = config.plan_sees_front
         compares = config.plan_compares_front
         self.front_reader = FrontReader(channels, numbers, 2 * channels, compares=compares) if numbers else None
-        self.motion_teller = MotionTeller(2 * channels) if config.plan_knows_motion else None
+        self.motion_teller = EgoStatusEncoder(2 * channels) if config.plan_knows_motion else None
         self.agent_fus_mlp = nn.Sequential(
             nn.Linear(config.modes * 2 * channels, channels),
             nn.LayerNorm(channels),
@@ -114,7 +114,7 @@ class VADHead(nn.Module):
         maps: list[Tensor],
         images: Tensor,
         projections: Tensor,
-        motion: EgoMotion,
+        motion: BEVMotion,
         previous: Tensor | None,
         finest_front: Tensor,
         front_before: Tensor | None = None,
@@ -131,9 +131,9 @@ class VADHead(nn.Module):
         queries = self.map_instance_embedding.weight[:, None] + self.map_pts_embedding.weight
         lines = self.transformer.decode_map(queries.flatten(0, 1), bev, self.map_reg_branches)
 
-        map_points = self._by_line(lines.references)
+        map_points = self._group_by_line(lines.references)
         map_logits = self._classes_of_lines(lines)
-        sights = VADSights(
+        sights = VADPlanInputs(
             agent_states=agents.states[-1],
             agent_places=agents.references[-1, :, :2],
             map_states=lines.states[-1],
@@ -143,7 +143,7 @@ class VADHead(nn.Module):
             can_bus=motion.can_bus,
             front_before=front_before,
         )
-        outlook = self.look_ahead(sights)
+        outlook = self.forecast_and_plan(sights)
 
         lower, upper = self.config.perception_range_m[:3], self.config.perception_range_m[3:]
         logits = [branch(states).float() for branch, states in zip(self.cls_branches, agents.states, strict=True)]
@@ -153,7 +153,7 @@ class VADHead(nn.Module):
             agent_first_references=agents.first_references,
             agent_references=agents.references,
             class_logits=torch.stack(logits),
-            box_codes=box_codes(metres(agents.references, lower, upper), agents.corrections),
+            box_codes=box_codes(to_metres(agents.references, lower, upper), agents.corrections),
             mode_offsets=outlook.mode_offsets,
             mode_logits=outlook.mode_logits,
             map_states=lines.states,
@@ -166,21 +166,21 @@ class VADHead(nn.Module):
             front=outlook.front,
         )
 
-    def look_ahead(self, sights: VADSights) -> VADOutlook:
+    def forecast_and_plan(self, sights: VADPlanInputs) -> VADPlanPredictions:
         """Forecasts and plan from what was seen in one key frame."""
         lane_features, lane_places = self._lanes(sights)
         lane_mask = sights.map_scores > self.config.lane_score
         forecasts = self._forecast(sights.agent_states, sights.agent_places, lane_features, lane_places, lane_mask)
         mode_offsets = self.traj_branches[0](forecasts).float()
         front = None if self.front_reader is None else self.front_reader(sights.finest_front)
-        return VADOutlook(
+        return VADPlanPredictions(
             mode_offsets.view(*mode_offsets.shape[:2], self.config.steps, 2),
             self.traj_cls_branches[0](forecasts)[..., 0].float(),
             self._plan(forecasts, sights.agent_places, lane_features, lane_places, self._told(front, sights)),
             front,
         )
 
-    def _told(self, front: Tensor | None, sights: VADSights) -> Tensor | None:
+    def _told(self, front: Tensor | None, sights: VADPlanInputs) -> Tensor | None:
         """(1, 2 C) what the plan is told beside agents and map elements, if anything."""
         messages = []
         if self.front_reader is not None and front is not None:
@@ -189,17 +189,17 @@ class VADHead(nn.Module):
             messages.append(self.motion_teller(sights.can_bus))
         return torch.stack(messages).sum(0) if messages else None
 
-    def _by_line(self, points: Tensor) -> Tensor:
+    def _group_by_line(self, points: Tensor) -> Tensor:
         """(K, M * P, D) to (K, M, P, D)."""
         return points.view(len(points), self.config.map_instances, self.config.points_per_line, -1)
 
-    def _classes_of_lines(self, lines: Decoded) -> Tensor:
+    def _classes_of_lines(self, lines: DecoderOutputs) -> Tensor:
         """(K, M, map classes) logits, from the mean of a line's points."""
-        means = self._by_line(lines.states).mean(2)
+        means = self._group_by_line(lines.states).mean(2)
         logits = [branch(states).float() for branch, states in zip(self.map_cls_branches, means, strict=True)]
         return torch.stack(logits)
 
-    def _lanes(self, sights: VADSights) -> tuple[Tensor, Tensor]:
+    def _lanes(self, sights: VADPlanInputs) -> tuple[Tensor, Tensor]:
         """(M, C) features of the map elements, and (M, 2) where they are, as shares.
 
         An element is where its point nearest to the corner with the least x and y is: the published code takes norms of
@@ -292,7 +292,7 @@ class VADInputs:
 
 
 @dataclass(frozen=True, slots=True)
-class _Memory:
+class _VADMemory:
     """Memory of a frame for the next one.
 
     `can_bus` is its vector (float64, absolute), `front` what `FrontReader.left` leaves.
@@ -314,8 +314,8 @@ class VAD(nn.Module):
         self.img_backbone = ResNet(config.backbone_blocks, config.backbone_outputs, config.backbone_width)
         widths = [config.backbone_width * EXPANSION * 2**stage for stage in config.backbone_outputs]
         self.img_neck = FeaturePyramid(widths, config.channels, config.pyramid_levels)
-        self.front_eyes = FrontEyes(config.backbone_width, config.channels) if config.front_eyes else None
-        self._memory: _Memory | None = None
+        self.front_eyes = FrontBackbone(config.backbone_width, config.channels) if config.front_eyes else None
+        self._memory: _VADMemory | None = None
         self.eval()
 
     def reset(self) -> None:
@@ -354,7 +354,7 @@ class VAD(nn.Module):
         front = predictions.front
         absolute = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)
         front_state = None if front is None else FrontReader.left(front, memory.front if memory else None)
-        self._memory = _Memory(inputs.scene_token, absolute, predictions.bev, front_state)
+        self._memory = _VADMemory(inputs.scene_token, absolute, predictions.bev, front_state)
         return predictions
 
     def finest_front(self, finest: Tensor, images: Tensor) -> Tensor:
@@ -362,10 +362,10 @@ class VAD(nn.Module):
 
         From (cameras, C, h, w) finest feature maps of all cameras, and normalised (cameras, 3, H, W) images.
         """
-        return seen_ahead(self.front_eyes, finest, images, self.config.cameras)
+        return compute_front_maps(self.front_eyes, finest, images, self.config.cameras)
 
-    def ego_motion(self, inputs: VADInputs) -> EgoMotion:
+    def ego_motion(self, inputs: VADInputs) -> BEVMotion:
         """Motion of the ego since the frame that is remembered: zero if it is of another scene, or there is none."""
         memory = self._memory if self._memory and self._memory.scene_token == inputs.scene_token else None
         previous = memory.can_bus if memory else None
-        return EgoMotion.between(previous, inputs.can_bus, self.config.grid, self.config.rotation_centre)
+        return BEVMotion.between(previous, inputs.can_bus, self.config.grid, self.config.rotation_centre)

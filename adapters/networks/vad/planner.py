@@ -4,18 +4,18 @@ import torch
 
 from adapters.camera_inputs import camera_images, can_bus_vector, lidar_to_image
 from adapters.networks.example_inputs import example_images, example_projections
-from adapters.networks.layers.reporting import Reporting
+from adapters.networks.layers.reporting import ReportingRules
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.selection import VADOutputs
-from adapters.planner import NativePlanner, forecasts_of, numbers
+from adapters.planner import NativePlanner, select_forecasts, to_array
 from benchmark.planning import Command, Observation, Plan, PlanFrame
 
 
 class VADPlanner(NativePlanner[VAD]):
     """VAD with given weights; arguments and errors as in `NativePlanner`."""
 
-    def _computed(self, observation: Observation) -> Plan:
+    def _compute_plan(self, observation: Observation) -> Plan:
         return _plan(self._network(self._inputs(observation)), self._reporting)
 
     def _inputs(self, observation: Observation) -> VADInputs:
@@ -41,12 +41,12 @@ def example_frame(config: VADConfig) -> VADInputs:
     )
 
 
-def _plan(outputs: VADOutputs, reporting: Reporting) -> Plan:
+def _plan(outputs: VADOutputs, reporting: ReportingRules) -> Plan:
     return Plan(
-        waypoints=numbers(outputs.plan),
+        waypoints=to_array(outputs.plan),
         frame=PlanFrame.LIDAR,
-        modes=numbers(outputs.plan_modes),
-        forecasts=forecasts_of(
+        modes=to_array(outputs.plan_modes),
+        forecasts=select_forecasts(
             outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores, reporting
         ),
     )

@@ -9,7 +9,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from adapters.networks.layers.deformable_decoder import decode_boxes, extent_corners, metres, strongest, within
+from adapters.networks.layers.deformable_decoder import (
+    are_within,
+    decode_boxes,
+    extent_corners,
+    select_strongest,
+    to_metres,
+)
 from adapters.networks.vad.config import VADConfig
 
 
@@ -57,7 +63,7 @@ class VADPredictions:
 
 
 @dataclass(frozen=True, slots=True)
-class VADSights:
+class VADPlanInputs:
     """Inputs of the forecasts and the plan of one key frame.
 
     Attributes:
@@ -67,7 +73,7 @@ class VADSights:
         map_points: (M, P, 2) as shares.
         map_scores: (M,) of the most likely class.
         finest_front: (1, C, h, w) feature map of the front camera that the plan looks at.
-        can_bus: (18,) float32, as `adapters.networks.layers.ego_motion.EgoMotion` has it.
+        can_bus: (18,) float32, as `adapters.networks.layers.ego_motion.BEVMotion` has it.
         front_before: (1, numbers) what the frames before have left of what their plans took from the front camera.
     """
 
@@ -82,7 +88,7 @@ class VADSights:
 
 
 @dataclass(frozen=True, slots=True)
-class VADOutlook:
+class VADPlanPredictions:
     """Forecasts and plan; the attributes are those of `VADPredictions`."""
 
     mode_offsets: Tensor
@@ -130,7 +136,7 @@ class VADOutputs:
 
 
 @dataclass(frozen=True, slots=True)
-class SelectedBoxes:
+class VADBoxSelection:
     """N boxes with the conventions of the network.
 
     Attributes:
@@ -147,7 +153,7 @@ class SelectedBoxes:
 
 
 @dataclass(frozen=True, slots=True)
-class SelectedLines:
+class VADLineSelection:
     """The L reported map elements: (L, P, 2) points in metres, with scores of 0 to 1, falling.
 
     `corners` are (L, 4) least x, y and greatest x, y, metres.
@@ -180,27 +186,27 @@ def select(config: VADConfig, predictions: VADPredictions, command: int) -> VADO
     )
 
 
-def select_boxes(config: VADConfig, predictions: VADPredictions) -> SelectedBoxes:
+def select_boxes(config: VADConfig, predictions: VADPredictions) -> VADBoxSelection:
     """The most certain boxes whose centres are not far outside the perception range."""
-    scores, labels, agents = strongest(predictions.class_logits[-1], config.max_boxes)
+    scores, labels, agents = select_strongest(predictions.class_logits[-1], config.max_boxes)
     boxes = decode_boxes(predictions.box_codes[-1, agents])
     lower, upper = _reported_range(config)
-    inside = within(boxes[:, :3], (*lower, -HIGHEST_M), (*upper, HIGHEST_M))
+    inside = are_within(boxes[:, :3], (*lower, -HIGHEST_M), (*upper, HIGHEST_M))
     boxes = boxes[inside]
     bottom = boxes[:, 2:3] - boxes[:, 5:6] / 2
     boxes = torch.cat([boxes[:, :2], bottom, boxes[:, 3:]], 1)
-    return SelectedBoxes(boxes, scores[inside], labels[inside], agents[inside])
+    return VADBoxSelection(boxes, scores[inside], labels[inside], agents[inside])
 
 
-def select_lines(config: VADConfig, predictions: VADPredictions) -> SelectedLines:
+def select_lines(config: VADConfig, predictions: VADPredictions) -> VADLineSelection:
     """The most certain map elements that do not reach far outside the perception range."""
-    scores, labels, lines = strongest(predictions.map_class_logits[-1], config.max_lines)
+    scores, labels, lines = select_strongest(predictions.map_class_logits[-1], config.max_lines)
     low, high = config.perception_range_m[:2], config.perception_range_m[3:5]
-    corners = metres(extent_corners(predictions.map_extents[-1, lines]).view(-1, 2, 2), low, high).flatten(-2)
+    corners = to_metres(extent_corners(predictions.map_extents[-1, lines]).view(-1, 2, 2), low, high).flatten(-2)
     lower, upper = _reported_range(config)
-    inside = within(corners, (*lower, *lower), (*upper, *upper))
-    points = metres(predictions.map_points[-1, lines], low, high)
-    return SelectedLines(corners[inside], points[inside], scores[inside], labels[inside])
+    inside = are_within(corners, (*lower, *lower), (*upper, *upper))
+    points = to_metres(predictions.map_points[-1, lines], low, high)
+    return VADLineSelection(corners[inside], points[inside], scores[inside], labels[inside])
 
 
 def _reported_range(config: VADConfig) -> tuple[tuple[float, float], tuple[float, float]]:

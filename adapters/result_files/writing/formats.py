@@ -4,14 +4,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
-from adapters.result_files.recognition import NO_PLANS, no_format
+from adapters.result_files.recognition import NO_PLANS, unknown_format_error
 from adapters.result_files.samples import RecordedSamples
 from adapters.result_files.writing import pickles, texts
-from adapters.result_files.writing.pickles import DumpedPlans
+from adapters.result_files.writing.pickles import PlansToWrite
 from benchmark.errors import InputError
 from benchmark.records.run import RunRecord
 
-WRITERS: Final[Mapping[str, Callable[[Path, DumpedPlans], Path]]] = {
+WRITERS: Final[Mapping[str, Callable[[Path, PlansToWrite], Path]]] = {
     "uniad": pickles.write_uniad,
     "vad-results": pickles.write_vad_results,
     "vad-out": pickles.write_vad_out,
@@ -33,7 +33,7 @@ def require_writable(name: str) -> None:
     if name == NO_PLANS:
         raise InputError(f"{NO_PLANS} holds metrics of LAW and no plan, so none can be written into it; choose another")
     if name not in WRITERS:
-        raise no_format(name, WRITERS)
+        raise unknown_format_error(name, WRITERS)
 
 
 def write_results(record: RunRecord, samples: RecordedSamples, name: str, folder: Path) -> Path:
@@ -52,4 +52,4 @@ def write_results(record: RunRecord, samples: RecordedSamples, name: str, folder
         InputError: If the format is unknown, cannot hold these plans, or the file cannot be written.
     """
     require_writable(name)
-    return WRITERS[name](folder, DumpedPlans.of_record(record, samples))
+    return WRITERS[name](folder, PlansToWrite.of_record(record, samples))

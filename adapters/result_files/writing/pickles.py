@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adapters.result_files.contract import LONG_PLAN_STEPS, FileFrame, Rows
 from adapters.result_files.frames import file_waypoints
-from adapters.result_files.samples import RecordedSamples, turned
+from adapters.result_files.samples import RecordedSamples, rotate
 from adapters.result_files.uniad import MIRRORED
 from adapters.result_files.vad import COMMANDS
 from benchmark.constants import HORIZON_STEPS, PLAN_STEPS
@@ -56,10 +56,10 @@ class PickledTensor:
 
         values = self._values
         strides = tuple(step // values.itemsize for step in values.strides)
-        return _rebuild_tensor_v2, (_Storage(values), 0, values.shape, strides, False, OrderedDict())
+        return _rebuild_tensor_v2, (_PickledStorage(values), 0, values.shape, strides, False, OrderedDict())
 
 
-class _Storage:
+class _PickledStorage:
     """The numbers of a tensor, pickled as PyTorch's storages are."""
 
     def __init__(self, values: NDArray[Any]) -> None:
@@ -75,7 +75,7 @@ class _Storage:
 class _StoragePickler(pickle.Pickler):
     def persistent_id(self, obj: Any) -> Any:
         """Tuple that stands for the storage."""
-        if not isinstance(obj, _Storage):
+        if not isinstance(obj, _PickledStorage):
             return None
         import torch
 
@@ -83,7 +83,7 @@ class _StoragePickler(pickle.Pickler):
         return ("storage", kind, "0", "cpu", obj.values.size, None)
 
 
-def _storage_bytes(storage: _Storage) -> bytes:
+def _storage_bytes(storage: _PickledStorage) -> bytes:
     stream = io.BytesIO()
     for value in (MAGIC, FORMAT, _SYSTEM):
         pickle.dump(value, stream, _PROTOCOL)
@@ -101,7 +101,7 @@ def write_pickle(path: Path, value: Any, protocol: int = _PROTOCOL) -> Path:
 
 
 @dataclass(frozen=True)
-class DumpedPlans:
+class PlansToWrite:
     """Plans to be written, by row and in the order of rows; all have the same `steps`, waypoints."""
 
     samples: RecordedSamples
@@ -110,7 +110,7 @@ class DumpedPlans:
     steps: int
 
     @classmethod
-    def of_record(cls, record: RunRecord, samples: RecordedSamples) -> "DumpedPlans":
+    def of_record(cls, record: RunRecord, samples: RecordedSamples) -> "PlansToWrite":
         """The plans of a record; one without any is an `InputError`."""
         plans = {
             samples.row_of[row.sample_token]: Plan(np.array(row.plan.waypoints), PlanFrame(row.plan.frame))
@@ -125,7 +125,7 @@ class DumpedPlans:
     @cached_property
     def info_rows(self) -> Rows:
         """Rows of the scenes that ran, in the likelier order of an info file that is sorted by time."""
-        return self.samples.in_orders()[0].of_scenes(self.scenes).by_time
+        return self.samples.possible_orders()[0].of_scenes(self.scenes).by_time
 
     def waypoints(self, row: int, frame: FileFrame, steps: int = PLAN_STEPS) -> Floats:
         """(K, 2) waypoints of a sample in the frame of a file, metres."""
@@ -146,7 +146,7 @@ class DumpedPlans:
             )
 
 
-def written(folder: Path, name: str) -> Path:
+def prepare_path(folder: Path, name: str) -> Path:
     """Path of a file to be written in a folder that exists."""
     folder.mkdir(parents=True, exist_ok=True)
     return folder / name
@@ -158,7 +158,7 @@ _PYTHON_3: Final = 4
 """Protocol of a pickle that is written without saying which."""
 
 
-def write_uniad(folder: Path, dumped: DumpedPlans) -> Path:
+def write_uniad(folder: Path, dumped: PlansToWrite) -> Path:
     """``results.pkl`` of UniAD, x mirrored as its metric leaves it."""
     entries = []
     for token, row, plan in dumped.by_token(FileFrame.LIDAR):
@@ -172,20 +172,20 @@ def write_uniad(folder: Path, dumped: DumpedPlans) -> Path:
                 "command": [PickledTensor([dumped.samples.commands[row]], "<i8")],
             }
         )
-    return write_pickle(written(folder, "results.pkl"), {"bbox_results": entries})
+    return write_pickle(prepare_path(folder, "results.pkl"), {"bbox_results": entries})
 
 
-def write_vad_results(folder: Path, dumped: DumpedPlans) -> Path:
+def write_vad_results(folder: Path, dumped: PlansToWrite) -> Path:
     """``results_nusc.pkl`` of VAD: offsets for three commands, those of the others zero."""
     plans = {
         token: [PickledTensor(part) for part in _offsets(dumped, row, plan)]
         for token, row, plan in dumped.by_token(FileFrame.LIDAR)
     }
     content = {"meta": {"use_camera": True}, "results": {}, "map_results": {}, "plan_results": plans}
-    return write_pickle(written(folder, "results_nusc.pkl"), content)
+    return write_pickle(prepare_path(folder, "results_nusc.pkl"), content)
 
 
-def write_vad_out(folder: Path, dumped: DumpedPlans) -> Path:
+def write_vad_out(folder: Path, dumped: PlansToWrite) -> Path:
     """VAD's ``--out``: one entry for each sample, with the displacements that prove their order."""
     dumped.require_all("vad-out")
     entries = []
@@ -197,10 +197,10 @@ def write_vad_out(folder: Path, dumped: DumpedPlans) -> Path:
         metrics: dict[str, Any] = {f"plan_L2_{name}": float(away_m[:end].mean()) for name, end in HORIZON_STEPS.items()}
         held = {"ego_fut_preds": PickledTensor(offsets), "ego_fut_cmd": PickledTensor(command)}
         entries.append({"pts_bbox": held, "metric_results": {**metrics, "fut_valid_flag": complete}})
-    return write_pickle(written(folder, "out.pkl"), entries)
+    return write_pickle(prepare_path(folder, "out.pkl"), entries)
 
 
-def write_sparsedrive(folder: Path, dumped: DumpedPlans) -> Path:
+def write_sparsedrive(folder: Path, dumped: PlansToWrite) -> Path:
     """``results.pkl`` of SparseDrive: the plan as the best one of the command, all other modes zero."""
     dumped.require_all("sparsedrive")
     steps = LONG_PLAN_STEPS if dumped.steps >= LONG_PLAN_STEPS else PLAN_STEPS
@@ -211,50 +211,50 @@ def write_sparsedrive(folder: Path, dumped: DumpedPlans) -> Path:
         modes[command, 0], scores[command, 0] = plan, 1.0
         held = {"planning_score": scores, "planning": modes, "final_planning": plan}
         entries.append({"img_bbox": {name: PickledTensor(values) for name, values in held.items()}})
-    return write_pickle(written(folder, "results.pkl"), entries)
+    return write_pickle(prepare_path(folder, "results.pkl"), entries)
 
 
-def write_bev_planner(folder: Path, dumped: DumpedPlans) -> Path:
+def write_bev_planner(folder: Path, dumped: PlansToWrite) -> Path:
     """BEV-Planner's ``--out``."""
     samples, index_of = dumped.samples, {int(row): index for index, row in enumerate(dumped.samples.by_table)}
     entries = []
     for row in sorted(dumped.plans, key=index_of.__getitem__):
         plan = dumped.waypoints(row, FileFrame.DISPLACEMENT)
-        recorded = turned(samples.future[row], float(samples.lidar_in_ego[row, 2])) * samples.valid[row][:, None]
+        recorded = rotate(samples.future[row], float(samples.lidar_in_ego[row, 2])) * samples.valid[row][:, None]
         held = {
             "pred_ego_fut_trajs": PickledTensor(plan),
             "gt_ego_fut_trajs": PickledTensor(recorded),
             "index_w_scene": f"{samples.scenes[row]}-{index_of[row]}",
-            "ego_trajs_in_global": PickledTensor(global_way(dumped, row, plan)),
+            "ego_trajs_in_global": PickledTensor(global_path(dumped, row, plan)),
             "index": index_of[row],
         }
         entries.append({"pred_ego_traj": held, "index": index_of[row]})
-    return write_pickle(written(folder, "out.pkl"), entries)
+    return write_pickle(prepare_path(folder, "out.pkl"), entries)
 
 
-def global_way(dumped: DumpedPlans, row: int, displacements: Floats) -> Floats:
+def global_path(dumped: PlansToWrite, row: int, displacements: Floats) -> Floats:
     """(7, 2) the ego pose, and displacements from it in global axes, single precision."""
     pose = dumped.samples.ego_pose[row]
-    way = pose[:2] + turned(np.concatenate([np.zeros((1, 2)), displacements]), float(pose[2]))
+    way = pose[:2] + rotate(np.concatenate([np.zeros((1, 2)), displacements]), float(pose[2]))
     return np.asarray(way.astype(np.float32), np.float64)
 
 
-def write_pred_trajs(folder: Path, dumped: DumpedPlans) -> Path:
+def write_pred_trajs(folder: Path, dumped: PlansToWrite) -> Path:
     """``pred_trajs_dict.pkl`` of Agent-Driver."""
     plans = {token: np.ascontiguousarray(plan) for token, _, plan in dumped.by_token(FileFrame.LIDAR)}
-    return write_pickle(written(folder, "pred_trajs_dict.pkl"), plans, _PYTHON_3)
+    return write_pickle(prepare_path(folder, "pred_trajs_dict.pkl"), plans, _PYTHON_3)
 
 
-def write_admlp(folder: Path, dumped: DumpedPlans) -> Path:
+def write_admlp(folder: Path, dumped: PlansToWrite) -> Path:
     """``output_data.pkl`` of AD-MLP: positions and heading."""
     plans = {}
     for token, _, plan in dumped.by_token(FileFrame.LIDAR):
         heading = chord_headings(plan, start_heading_rad=np.pi / 2) - np.pi / 2
         plans[token] = np.column_stack([plan, heading])[None].astype(np.float32)
-    return write_pickle(written(folder, "output_data.pkl"), plans, 3)
+    return write_pickle(prepare_path(folder, "output_data.pkl"), plans, 3)
 
 
-def _offsets(dumped: DumpedPlans, row: int, plan: Floats) -> tuple[Floats, Floats]:
+def _offsets(dumped: PlansToWrite, row: int, plan: Floats) -> tuple[Floats, Floats]:
     """Offsets of three commands, and the command as VAD has it."""
     command = int(dumped.samples.commands[row])
     offsets = np.zeros((COMMANDS, PLAN_STEPS, 2))

@@ -12,25 +12,25 @@ import numpy as np
 from bench.speed.case import Case
 from benchmark import api
 from benchmark.cli.drive import BASELINES, TOGETHER
-from benchmark.closed_loop.courses import course_of, recorded_poses, replay_of
-from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.driving import Stage, drive
-from benchmark.closed_loop.idm import Idm
-from benchmark.closed_loop.scoring import score_drive
-from benchmark.closed_loop.stepping import begin, step, step_together
-from benchmark.closed_loop.world import STEP_US, Course, World
+from benchmark.closed_loop.courses import build_log_replay, build_simulation_config, interpolate_recorded_poses
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.driving import EpisodeSpec, run_episode
+from benchmark.closed_loop.idm import IdmPolicy
+from benchmark.closed_loop.scoring import score_episode
+from benchmark.closed_loop.stepping import begin_simulation, step, step_together
+from benchmark.closed_loop.world import STEP_US, SimulationConfig, WorldState
 from benchmark.extensions.http.model import http_planner
 from benchmark.geometry import Floats, to_local
 from benchmark.machine.workers import map_ordered
 from benchmark.planning import SceneInfo
 from benchmark.records.drives import ROWS_FILE
-from benchmark.runs.drive_estimate import estimate
+from benchmark.runs.drive_estimate import estimate_driving
 from benchmark.runs.driving import drive_planners, drive_split
-from benchmark.runs.redriving import can_of
+from benchmark.runs.redriving import read_recorded_can
 from benchmark.scene import Scene
 from generation.render.schematic import FIRST, SECOND, SchematicRenderer
 from generation.render.sensor import SchematicSensor
-from generation.sources.town import town_scene
+from generation.sources.town import build_town_scene
 from tests.benchmark.closed_loop.staged import staged
 from tests.benchmark.extensions.http.made import Looking, serving
 from tests.hand_made import scene_on_straight_road
@@ -41,24 +41,26 @@ SIZE = (448, 256)
 STYLES = {"first": FIRST, "second": SECOND}
 
 
-def courses(agents: str, quick: bool, _folder: Path) -> tuple[list[Course], list[Floats]]:
+def courses(agents: str, quick: bool, _folder: Path) -> tuple[list[SimulationConfig], list[Floats]]:
     """Courses of the town, and the recorded places that plans are made from."""
     pairs = []
-    for scene in (town_scene("val", number) for number in range(2 if quick else 10)):
-        course = course_of(scene)
+    for scene in (build_town_scene("val", number) for number in range(2 if quick else 10)):
+        course = build_simulation_config(scene)
         if agents == "idm":
-            replay = replay_of(scene, course.start_us, course.end_us)
-            course = replace(course, policy=Idm.of(replay, scene.agents.categories, scene.road_map))
-        pairs.append((course, recorded_poses(scene, course.start_us + STEP_US * np.arange(STEPS + 7))[:, :2]))
+            replay = build_log_replay(scene, course.start_us, course.end_us)
+            course = replace(course, policy=IdmPolicy.of(replay, scene.agents.categories, scene.road_map))
+        pairs.append(
+            (course, interpolate_recorded_poses(scene, course.start_us + STEP_US * np.arange(STEPS + 7))[:, :2])
+        )
     step_through(pairs, together=False)
     pairs *= 10 if agents == "replay" and not quick else 1
     return [course for course, _ in pairs], [places for _, places in pairs]
 
 
-def step_through(found: Any, *, together: bool) -> tuple[float, list[World]]:
+def step_through(found: Any, *, together: bool) -> tuple[float, list[WorldState]]:
     """Scene-seconds, and the worlds at the end."""
     runs, ahead = found if isinstance(found, tuple) else zip(*found)
-    worlds = [begin(course) for course in runs]
+    worlds = [begin_simulation(course) for course in runs]
     for number in range(STEPS):
         plans = [to_local(places[number + 1 : number + 7], world.ego.pose) for places, world in zip(ahead, worlds)]
         worlds = step_together(runs, worlds, plans) if together else list(map(step, runs, worlds, plans))
@@ -74,13 +76,13 @@ def driven_scene(name: str, quick: bool, folder: Path) -> Any:
     planner.reset(about)
     # The first plan of a network makes what later ones have.
     planner.plan(seen[0])
-    stage = Stage(scene, can_of(data, scene.name), 0, DefaultRides(), SchematicSensor(), 600.0)
+    stage = EpisodeSpec(scene, read_recorded_can(data, scene.name), 0, DefaultBackend(), SchematicSensor(), 600.0)
     return (replace(stage, most_plans=2) if quick else stage), planner, seen, about
 
 
 def drive_and_score(state: Any) -> tuple[float, Any]:
-    record = drive(state[0], state[1])
-    score_drive(state[0].scene, record)
+    record = run_episode(state[0], state[1])
+    score_episode(state[0].scene, record)
     return len(record.plans), record
 
 
@@ -118,7 +120,7 @@ def estimates(state: Any, _found: Any) -> str:
     """What `drive --dry-run` says of each planner."""
     data, planners, settings, folder = state
     durations = [
-        estimate(data, "val", planner, settings, folder / "dry").rpartition("about ")[2] for planner in planners
+        estimate_driving(data, "val", planner, settings, folder / "dry").rpartition("about ")[2] for planner in planners
     ]
     return "a dry run says " + ", ".join(durations)
 
@@ -133,12 +135,12 @@ def looking(size: tuple[int, int], quick: bool, _folder: Path) -> Any:
 
 def plan(over_http: str | None, state: Any) -> tuple[float, Any]:
     """Planned by the server, with pictures in a format; or in this process."""
-    drive(state[0], http_planner(state[1], image_format=over_http) if over_http else Looking())
+    run_episode(state[0], http_planner(state[1], image_format=over_http) if over_http else Looking())
     return state[0].most_plans, None
 
 
 def frames_of(step_frames: int, quick: bool, _folder: Path) -> tuple[Scene, range]:
-    scene = town_scene("val", 0)
+    scene = build_town_scene("val", 0)
     return scene, range(0, len(scene.timestamps_us), step_frames)[: 3 if quick else 120]
 
 
@@ -152,7 +154,7 @@ def draw(style: str, state: Any) -> tuple[float, Any]:
 
 
 def draw_part(frames: range) -> int:
-    return sum(1 for _ in SchematicRenderer(*SIZE).render(town_scene("val", 0), frames))
+    return sum(1 for _ in SchematicRenderer(*SIZE).render(build_town_scene("val", 0), frames))
 
 
 def draw_in(processes: int, state: Any) -> tuple[float, Any]:

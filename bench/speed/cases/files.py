@@ -18,7 +18,7 @@ import numpy as np
 from bench.speed.case import Case
 from benchmark import api
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.machine.storage import only_writer, token
+from benchmark.machine.storage import lock_folder, make_token
 from benchmark.machine.user_cache import SETTLED_S
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, write_record
@@ -43,7 +43,7 @@ def write_copies(source: Path, root: Path, copies: int) -> None:
                 stream.write(",\n" if number else "[\n")
                 made = [
                     {
-                        key: token("copy", number, value) if isinstance(value, str) and value in own else value
+                        key: make_token("copy", number, value) if isinstance(value, str) and value in own else value
                         for key, value in row.items()
                     }
                     for row in rows
@@ -68,7 +68,7 @@ def make_records(pattern: RunRecord, folder: Path, planners: int, samples: int) 
             scene, judged = f"made-{copy:04d}", chance.choice(kinds)
             for at, (place, verdict) in enumerate(zip(kind, judged)):
                 own = {key: place[key] for key in _OF_THE_SAMPLE}
-                own |= {"scene": scene, "sample_token": token("growth", copy, at)}
+                own |= {"scene": scene, "sample_token": make_token("growth", copy, at)}
                 rows.append(SampleRow.model_validate({**verdict, **own}))
         rows = rows[:samples]
         scenes = list(dict.fromkeys(row.scene for row in rows))
@@ -79,7 +79,7 @@ def make_records(pattern: RunRecord, folder: Path, planners: int, samples: int) 
             "scene_facts": {scene: facts.model_copy(update={"source": scene}) for scene in scenes},
         }
         directory = folder / pattern.run.data.name / pattern.run.split / name
-        with only_writer(directory):
+        with lock_folder(directory):
             write_record(directory, described, rows, pattern.run.protocols, seed=0)
 
 
@@ -177,7 +177,7 @@ def opening(state: Any, *, kept: bool, fingerprint: bool = False) -> tuple[float
     return 1, data
 
 
-def of_a_scene(_state: Any, data: Any) -> str:
+def time_per_scene(_state: Any, data: Any) -> str:
     started = time.process_time()
     for name in data.scene_names()[:3]:
         data.scene(name)
@@ -269,7 +269,7 @@ CASES = (
             partial(opening, kept=name != "first"),
             "opening",
             other=(beside, partial(opening, kept=False, fingerprint=name == "first")),
-            more=of_a_scene,
+            more=time_per_scene,
             needs=("nuscenes",),
             on_request=name == "whole",
         )

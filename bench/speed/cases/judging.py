@@ -14,23 +14,23 @@ from typing import Any
 import numpy as np
 
 from bench.speed.case import Case
-from benchmark.datasets.sample_truth import truth_of_scene
-from benchmark.fairness.encounter import severity_of
-from benchmark.fairness.features import RoadEdge, recorded_runs, runs_of
-from benchmark.fairness.plan_severity import plan_severities
-from benchmark.fairness.splits import realism_of
-from benchmark.fairness.validity import faults_of
+from benchmark.datasets.sample_truth import compute_truth
+from benchmark.fairness.encounter import measure_severity
+from benchmark.fairness.features import RoadEdge, extract_recorded_runs, extract_runs
+from benchmark.fairness.plan_severity import measure_plan_severities
+from benchmark.fairness.splits import measure_realism
+from benchmark.fairness.validity import find_track_defects
 from benchmark.geometry import Floats, quaternion_from_yaw
-from benchmark.interactions.solvability import SceneLadder
-from benchmark.interactions.tracks import Tracks
-from benchmark.pdm.judging import judge_scene
-from benchmark.pdm.motion import headed
+from benchmark.interactions.solvability import SceneReferenceDrivers
+from benchmark.interactions.tracks import ContinuousTracks
+from benchmark.pdm.judging import score_scene_plans
+from benchmark.pdm.motion import plan_to_poses
 from benchmark.pdm.recording import RecordedScene
 from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
 from benchmark.scene import Annotations, Scene
 from benchmark.truth import SampleTruth
-from generation.sources.town import town_scene
+from generation.sources.town import build_town_scene
 from tests.benchmark.pdm.cases import slow_objects
 from tests.benchmark.pdm.slow_pdm import SlowSample, slow_progress, slow_verdict
 from tests.benchmark.protocols import slow_further_protocols as further
@@ -60,7 +60,7 @@ def adversary_of(scene: Scene) -> int:
     return next(row for row, name in enumerate(scene.agents.categories) if name == "vehicle.car" and moved[row] >= 5.0)
 
 
-def busy(scene: Scene, rng: np.random.Generator, objects: int = 30) -> Scene:
+def crowd_scene(scene: Scene, rng: np.random.Generator, objects: int = 30) -> Scene:
     """A scene of the town with other objects: so many, all the time, near the car's path; the map around it."""
     count, shape = len(scene.keyframes), (objects, len(scene.keyframes))
     path = scene.ego.pose[scene.keyframes]
@@ -86,7 +86,7 @@ def busy(scene: Scene, rng: np.random.Generator, objects: int = 30) -> Scene:
     return replace(scene, annotations=annotations, agents=agents, road_map=near)
 
 
-def wandering(recorded: RecordedScene, rng: np.random.Generator) -> list[Plan]:
+def make_wandering_plans(recorded: RecordedScene, rng: np.random.Generator) -> list[Plan]:
     """Plans that wander off the recorded speed, for every key frame."""
     step = np.maximum(recorded.motion[:, 3], 1.0) / 2
     along = rng.normal(step[:, None], 0.8, (len(step), 6))
@@ -96,16 +96,16 @@ def wandering(recorded: RecordedScene, rng: np.random.Generator) -> list[Plan]:
 
 def busy_scenes(quick: bool, _folder: Path) -> tuple[list[tuple[Scene, list[Plan]]], int]:
     """About 6,019 samples that have a verdict, and how many the slow version judges."""
-    rng, towns = np.random.default_rng(0), [town_scene("val", number) for number in range(1 if quick else 6)]
-    scenes = [busy(towns[number % len(towns)], rng) for number in range(1 if quick else 178)]
-    return [(scene, wandering(RecordedScene(scene), rng)) for scene in scenes], 2 if quick else 8
+    rng, towns = np.random.default_rng(0), [build_town_scene("val", number) for number in range(1 if quick else 6)]
+    scenes = [crowd_scene(towns[number % len(towns)], rng) for number in range(1 if quick else 178)]
+    return [(scene, make_wandering_plans(RecordedScene(scene), rng)) for scene in scenes], 2 if quick else 8
 
 
 def busy_samples(quick: bool, folder: Path) -> tuple[list[SampleTruth], Floats, int]:
     """Truths of those scenes, plans, and how many the slow version judges."""
     truths: list[SampleTruth] = []
     for number, (scene, _) in enumerate(busy_scenes(quick, folder)[0]):
-        truths += truth_of_scene(scene, [f"{number} {index}" for index in range(len(scene.keyframes))])
+        truths += compute_truth(scene, [f"{number} {index}" for index in range(len(scene.keyframes))])
     plans = np.random.default_rng(0).normal([0.0, 4.0], [0.3, 1.0], (len(truths), 6, 2)).cumsum(axis=1)
     return truths, plans, 6 if quick else 60
 
@@ -130,7 +130,7 @@ def protocol_case(name: str) -> Case:
 
 
 def drive_scores(state: Any) -> tuple[float, Any]:
-    verdicts = [judge_scene(scene, plans) for scene, plans in state[0]]
+    verdicts = [score_scene_plans(scene, plans) for scene, plans in state[0]]
     # Samples without 3 s of recording after them cost nothing and do not count.
     return sum(score is not None for scene in verdicts for score in scene), verdicts[0]
 
@@ -139,11 +139,11 @@ def slow_drive_scores(state: Any) -> tuple[float, Any]:
     (scene, plans), few = state[0][0], state[1]
     recorded, ahead_m, scores = RecordedScene(scene), float(scene.lidar.translation[0]), {}
     samples = np.flatnonzero(recorded.complete)[3 : 3 + few]
-    futures, frames = recorded.recorded_plans(samples), recorded.key_frames(samples)
+    futures, frames = recorded.build_recorded_plans(samples), recorded.key_frames(samples)
     for place, sample in enumerate(samples.tolist()):
         now, past = np.append(recorded.motion[sample], np.zeros(3)), recorded.motion[sample - 3 : sample + 1]
         around = SlowSample(now, past, slow_objects(frames, place), recorded.road, recorded.route)
-        verdict = slow_verdict(headed(plans[sample], ahead_m), around)
+        verdict = slow_verdict(plan_to_poses(plans[sample], ahead_m), around)
         scores[sample] = verdict, slow_progress(verdict, slow_verdict(futures[place], around))
     return len(samples), scores
 
@@ -158,25 +158,25 @@ def same_drive_scores(_state: Any, fast: Any, slowly: Any) -> bool:
     )
 
 
-def hurried(quick: bool, _folder: Path) -> list[tuple[list[SampleTruth], Floats]]:
+def make_hurried_plans(quick: bool, _folder: Path) -> list[tuple[list[SampleTruth], Floats]]:
     """Truths with an adversary, and plans that go where the recording goes, half as fast again."""
     samples = []
-    for scene in (town_scene("val", number) for number in range(1 if quick else 10)):
+    for scene in (build_town_scene("val", number) for number in range(1 if quick else 10)):
         tokens = [f"{scene.name} {index}" for index in range(len(scene.keyframes))]
         adversaries = frozenset({scene.agents.ids[adversary_of(scene)]})
-        truths = [replace(truth, adversaries=adversaries) for truth in truth_of_scene(scene, tokens)]
+        truths = [replace(truth, adversaries=adversaries) for truth in compute_truth(scene, tokens)]
         samples.append((truths, np.array([truth.ego_future[:, :2] for truth in truths]) * 1.5))
     return samples
 
 
 def plan_severity(state: Any) -> tuple[float, Any]:
-    severities = [severity for truths, plans in state for severity in plan_severities(truths, plans)]
+    severities = [severity for truths, plans in state for severity in measure_plan_severities(truths, plans)]
     return len(severities), severities
 
 
-def town_scenes(quick: bool, _folder: Path) -> list[tuple[Scene, Tracks, int]]:
-    scenes = [town_scene("val", number) for number in range(2 if quick else 30)]
-    return [(scene, Tracks.of_scene(scene), adversary_of(scene)) for scene in scenes]
+def town_scenes(quick: bool, _folder: Path) -> list[tuple[Scene, ContinuousTracks, int]]:
+    scenes = [build_town_scene("val", number) for number in range(2 if quick else 30)]
+    return [(scene, ContinuousTracks.of_scene(scene), adversary_of(scene)) for scene in scenes]
 
 
 def judge_scenes(state: Any) -> tuple[float, Any]:
@@ -192,19 +192,22 @@ def judge_scenes(state: Any) -> tuple[float, Any]:
     adversaries, recorded = {}, {}
     for scene, tracks, agent in state:
         area = scene.road_map.drivable_area
-        timed("drivers", SceneLadder.of, tracks, agent, None, area)
-        timed("severity", severity_of, tracks, agent)
+        timed("drivers", SceneReferenceDrivers.of, tracks, agent, None, area)
+        timed("severity", measure_severity, tracks, agent)
         road = RoadEdge(area)
-        of_agent, of_all = partial(runs_of, road=road), partial(recorded_runs, road=road)
+        of_agent, of_all = partial(extract_runs, road=road), partial(extract_recorded_runs, road=road)
         adversaries[scene.name] = timed("realism", of_agent, tracks, scene.keyframes, agent)
         recorded[scene.name] = timed("realism", of_all, tracks, scene.keyframes, "vehicle.car")
-        timed("validity", faults_of, tracks, agent, slice(None), scene.road_map)
-    timed("divergences", realism_of, adversaries, recorded)
+        timed("validity", find_track_defects, tracks, agent, slice(None), scene.road_map)
+    timed("divergences", measure_realism, adversaries, recorded)
     return len(state), spent
 
 
 def last_chances(state: Any) -> tuple[float, Any]:
-    ladders = [SceneLadder.of(tracks, agent, None, scene.road_map.drivable_area) for scene, tracks, agent in state[:5]]
+    ladders = [
+        SceneReferenceDrivers.of(tracks, agent, None, scene.road_map.drivable_area)
+        for scene, tracks, agent in state[:5]
+    ]
     return len(ladders), sum(bool(ladder.last_chance.evaluated) for ladder in ladders)
 
 
@@ -233,7 +236,7 @@ CASES = (
     Case(
         "plan-severity",
         "How severe plans are: what `eval` spends on a sample beside protocols and driving scores.",
-        hurried,
+        make_hurried_plans,
         plan_severity,
         "sample",
         more=lambda _, found: f"{sum(each.contact is not None for each in found)} of {len(found)} touch somebody",

@@ -61,9 +61,9 @@ def denoise_calls(other: dict[str, Any], _quick: bool) -> Any:
 
 def first_batches(source: str, _quick: bool) -> Any:
     from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser, sample_actions
-    from generation.diffusion.prior import SamplerSettings, Samples, TrajectoryPrior
+    from generation.diffusion.prior import CandidateSource, SamplerSettings, TrajectoryPrior
 
-    prior = TrajectoryPrior.load(None, SamplerSettings(samples=Samples(source)))
+    prior = TrajectoryPrior.load(None, SamplerSettings(samples=CandidateSource(source)))
     denoiser = load_denoiser(PACKAGED_WEIGHTS)
     return (
         lambda: prior.sample(BATCH, PREVIOUS, np.random.default_rng(0)),
@@ -97,12 +97,12 @@ def planner_network(name: str, quick: bool, folder: Path) -> Any:
 def magicdrive(mode: str, quick: bool) -> Any:
     import torch
 
-    from bench.gpu_day.magicdrive import ready
+    from bench.gpu_day.magicdrive import prepare
     from bench.gpu_day.pieces import Setting
 
     setting, size = Setting(Path(), "cpu", tiny=quick), (32, 64) if quick else (96, 160)
     with torch.no_grad():
-        return [torch.no_grad()(ready(setting, variant, 9, *size)()) for variant in (mode, "plain")]
+        return [torch.no_grad()(prepare(setting, variant, 9, *size)()) for variant in (mode, "plain")]
 
 
 def quality(part: str, device_name: str, quick: bool, folder: Path) -> Any:
@@ -110,18 +110,18 @@ def quality(part: str, device_name: str, quick: bool, folder: Path) -> Any:
     import torch
     from transformers import ViTConfig, ViTModel
 
-    from benchmark.extensions.quality.masks import Mask
+    from benchmark.extensions.quality.masks import CroppedMask
     from benchmark.extensions.quality.musiq import Musiq
-    from benchmark.extensions.quality.scoring import ImagingQuality, SubjectFeatures
-    from benchmark.machine.devices import device_of
+    from benchmark.extensions.quality.scoring import ImagingQuality, SubjectFeatureExtractor
+    from benchmark.machine.devices import select_device
 
     torch.manual_seed(0)
-    device, batch = device_of(device_name), 1 if quick else 16
+    device, batch = select_device(device_name), 1 if quick else 16
     frame = np.random.default_rng(0).integers(0, 256, (*FRAME, 3), dtype=np.uint8)
-    mask = Mask(0, 0, np.ones(SUBJECT, bool))
+    mask = CroppedMask(0, 0, np.ones(SUBJECT, bool))
     if part == "dino":
         ViTModel(ViTConfig(), add_pooling_layer=False).save_pretrained(folder / "dino")
-        dino = SubjectFeatures(folder / "dino", device, 224, batch)
+        dino = SubjectFeatureExtractor(folder / "dino", device, 224, batch)
         return batch, partial(dino.features, [(frame, mask)] * batch)
     torch.save(Musiq().state_dict(), folder / "musiq.pth")
     musiq = ImagingQuality(folder / "musiq.pth", device, 512, batch)

@@ -18,24 +18,24 @@ import shapely
 from bench.speed.case import Case
 from benchmark.dynamics.bicycle import DriverLimits, MotionModel, VehicleState, simulate
 from benchmark.geometry import Floats, box_corners
-from benchmark.machine.metering import keep_pages
+from benchmark.machine.metering import disable_malloc_trim
 from benchmark.published import RUNTIME_S
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.diffusion.prior import TrajectoryPrior, diversify
-from generation.search.adversary import attempts_together
-from generation.search.candidates import eligibility_of, launch_frame
+from generation.search.adversary import search_vehicles
+from generation.search.candidates import compute_eligibility, find_launch_frame
 from generation.search.hyperparameters import HyperParameters
-from generation.search.recorded_motion import initial_state
-from generation.search.scoring import Surroundings, score_terms, surroundings
-from generation.sources.town import town_scene
+from generation.search.recorded_motion import compute_initial_state
+from generation.search.scoring import ScoringSurroundings, build_surroundings, compute_score_terms
+from generation.sources.town import build_town_scene
 from tests.benchmark.dynamics.slow_physics import slow_path, slow_simulate
 
 SLOW_CANDIDATES = 16
 FRAMES = {"usual": HyperParameters(), "every-frame": HyperParameters(lookahead_frames=68, lookahead_stride=1)}
 SI, REFERENCE = MotionModel.si(), MotionModel.reference()
 RECORDED = Path(__file__).resolve().parents[4] / "shared" / "data" / "scenes"
-town = cache(partial(town_scene, "val"))
+town = cache(partial(build_town_scene, "val"))
 
 
 def neighbours(scene: Scene, agent: int, frame: int) -> int:
@@ -44,35 +44,35 @@ def neighbours(scene: Scene, agent: int, frame: int) -> int:
     return int(((np.hypot(*(at - at[agent]).T) < 15.0) & scene.agents.valid[:, frame]).sum())
 
 
-def town_place(hyper: HyperParameters, *, traffic: bool) -> tuple[VehicleState, Floats, Surroundings]:
+def town_place(hyper: HyperParameters, *, traffic: bool) -> tuple[VehicleState, Floats, ScoringSurroundings]:
     """The planning frame of the town with most traffic near the vehicle; or that frame with the ego alone."""
     chosen = [
         (town(number), choice.agent)
         for number in range(4)
-        for choice in eligibility_of(town(number), FRAMES["usual"], 0).chosen
+        for choice in compute_eligibility(town(number), FRAMES["usual"], 0).chosen
     ]
-    places = [(scene, agent, launch_frame(scene, agent, FRAMES["usual"]) or 0) for scene, agent in chosen]
+    places = [(scene, agent, find_launch_frame(scene, agent, FRAMES["usual"]) or 0) for scene, agent in chosen]
     scene, agent, frame = max(places, key=lambda place: neighbours(*place))
     frame = min(frame, len(scene.timestamps_us) - 1 - hyper.scored_frames[-1])
     raster = DrivableRaster.around(scene.road_map, scene.ego.pose[frame])
-    around = surroundings(scene, agent, tuple(frame + offset for offset in hyper.scored_frames), raster)
+    around = build_surroundings(scene, agent, tuple(frame + offset for offset in hyper.scored_frames), raster)
     if not traffic:
-        around = Surroundings(around.boxes[:, -1:], around.present[:, -1:], around.ego_center, raster)
-    return initial_state(scene, agent, frame, DriverLimits()), scene.agents.size[agent, :2], around
+        around = ScoringSurroundings(around.boxes[:, -1:], around.present[:, -1:], around.ego_center, raster)
+    return compute_initial_state(scene, agent, frame, DriverLimits()), scene.agents.size[agent, :2], around
 
 
-def parked_place(hyper: HyperParameters) -> tuple[VehicleState, Floats, Surroundings]:
+def parked_place(hyper: HyperParameters) -> tuple[VehicleState, Floats, ScoringSurroundings]:
     """A standing car in a car park: five rows of 20, 2.7 m apart."""
     x, y = (axis.ravel() for axis in np.meshgrid(2.7 * (np.arange(20.0) - 10.0), 6.0 * (np.arange(5.0) - 2.0)))
     places = np.column_stack([x, y, np.full(100, 4.6), np.full(100, 1.9), np.full(100, np.pi / 2)])
     boxes = np.repeat(places[None, np.hypot(x, y) > 0.1], len(hyper.scored_frames), axis=0)
     raster = DrivableRaster(np.ones((200, 200), dtype=np.bool_), np.zeros(3), 0.5)
     present = np.ones(boxes.shape[:2], dtype=np.bool_)
-    around = Surroundings(boxes, present, np.tile([20.0, 3.0], (len(boxes), 1)), raster)
+    around = ScoringSurroundings(boxes, present, np.tile([20.0, 3.0], (len(boxes), 1)), raster)
     return VehicleState(np.array([0.0, -0.3 * 4.6, np.pi / 2]), 0.0), np.array([4.6, 1.9]), around
 
 
-PLACES: dict[str, Callable[[HyperParameters], tuple[VehicleState, Floats, Surroundings]]] = {
+PLACES: dict[str, Callable[[HyperParameters], tuple[VehicleState, Floats, ScoringSurroundings]]] = {
     "free-road": partial(town_place, traffic=False),
     "dense-traffic": partial(town_place, traffic=True),
     "parked": parked_place,
@@ -91,7 +91,7 @@ def evaluation(state: Any) -> tuple[float, Any]:
     motion = simulate(waypoints, start, float(size[0]), steps=hyper.scored_frames[-1], model=SI)
     at = np.array(hyper.scored_frames)
     center, speed = motion.center[:, at], motion.states[:, at, 3]
-    return len(waypoints), (center, score_terms(center, size, around, hyper, speed=speed))
+    return len(waypoints), (center, compute_score_terms(center, size, around, hyper, speed=speed))
 
 
 def slow_evaluation(state: Any, *, in_python: bool) -> tuple[float, Any]:
@@ -108,7 +108,7 @@ def slow_evaluation(state: Any, *, in_python: bool) -> tuple[float, Any]:
     return SLOW_CANDIDATES, polygon_loop(center, size, around)
 
 
-def polygon_loop(center: Floats, size: Floats, around: Surroundings) -> int:
+def polygon_loop(center: Floats, size: Floats, around: ScoringSurroundings) -> int:
     """The reference's collision test: half edges by arrays, polygons one pair at a time; how many tests."""
     tests = 0
     for step, others in enumerate(around.boxes):
@@ -135,21 +135,21 @@ def evaluation_case(place: str, frames: str, *, in_python: bool = False) -> Case
     )
 
 
-def searched(quick: bool, _folder: Path) -> Any:
-    keep_pages()
+def prepare_search(quick: bool, _folder: Path) -> Any:
+    disable_malloc_trim()
     # One try, so that the trace counts every evaluation that took time.
     hyper = HyperParameters(candidates=16 if quick else 256, tries=1)
     prior, scene = TrajectoryPrior.load(), town(0)
-    agents = [vehicle.agent for vehicle in eligibility_of(scene, hyper, 0).chosen][: 1 if quick else 2]
+    agents = [vehicle.agent for vehicle in compute_eligibility(scene, hyper, 0).chosen][: 1 if quick else 2]
     # The first use of everything pays for matrices that are kept.
-    attempts_together([(scene, agents[0])], 0, HyperParameters(candidates=4, rounds=1, tries=1), prior)
+    search_vehicles([(scene, agents[0])], 0, HyperParameters(candidates=4, rounds=1, tries=1), prior)
     return prior, scene, agents, hyper
 
 
 def search(state: Any) -> tuple[float, Any]:
     """Attempts one by one; a batch that was simulated and scored has an entry in the trace of a vehicle's search."""
     prior, scene, agents, hyper = state
-    results = [attempts_together([(scene, agent)], 0, hyper, prior)[0] for agent in agents]
+    results = [search_vehicles([(scene, agent)], 0, hyper, prior)[0] for agent in agents]
     return sum(len(plan.best_scores) for result in results for plan in result.attempt.plans), results
 
 
@@ -164,7 +164,7 @@ def by_stage(_state: Any, found: Any) -> str:
     return f"an attempt {sum(stages.values()):.2f} s: {paper}"
 
 
-def densest(quick: bool, _folder: Path) -> Any:
+def find_densest_scene(quick: bool, _folder: Path) -> Any:
     """The scene with most objects, of the recordings beside the repository or else of the town, as a worker gets it."""
     from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
 
@@ -173,7 +173,7 @@ def densest(quick: bool, _folder: Path) -> Any:
     else:
         scenes = [town(number) for number in range(1 if quick else 8)]
     scene, hyper = max(scenes, key=lambda scene: len(scene.agents)), HyperParameters(candidates=16 if quick else 256)
-    agents = [vehicle.agent for vehicle in eligibility_of(scene, hyper, 0).chosen]
+    agents = [vehicle.agent for vehicle in compute_eligibility(scene, hyper, 0).chosen]
     units = [(seed, agent) for seed in range(4) for agent in agents][: 1 if quick else 4]
     return pickle.dumps(scene), units, hyper, TrajectoryPrior.load()
 
@@ -181,7 +181,7 @@ def densest(quick: bool, _folder: Path) -> Any:
 def attempts_of_a_worker(state: Any) -> tuple[float, Any]:
     shipped, units, hyper, prior = state
     for seed, agent in units:
-        attempts_together([(pickle.loads(shipped), agent)], seed, hyper, prior)  # noqa: S301 - our own bytes
+        search_vehicles([(pickle.loads(shipped), agent)], seed, hyper, prior)  # noqa: S301 - our own bytes
     return len(units), None
 
 
@@ -191,7 +191,7 @@ CASES = (
     Case(
         "adversaries",
         "Where the processor time of an adversary goes; the paper's seconds are for a scene of about 240 frames.",
-        searched,
+        prepare_search,
         search,
         "evaluation",
         more=by_stage,
@@ -199,7 +199,7 @@ CASES = (
     Case(
         "memory",
         "Most memory of a worker of the search in the densest scene, four attempts one after the other.",
-        densest,
+        find_densest_scene,
         attempts_of_a_worker,
         "attempt",
         more=lambda state, _: f"the scene has {len(state[0]) / 1e6:.1f} MB",

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.schema.rows import shown
+from benchmark.datasets.schema.rows import format_value
 from benchmark.datasets.schema.tables import (
     EARTH_M,
     LINKS_OF_LIST,
@@ -14,7 +14,7 @@ from benchmark.datasets.schema.tables import (
     ROTATION,
     TIME,
     TOKEN,
-    Kind,
+    ValueKind,
     number,
     numbers,
 )
@@ -37,7 +37,7 @@ _LENGTHS: Final = numbers(
     lambda values: ((values >= 0) & (values < _LONGEST_LANE_M)).all(axis=-1),
 )
 
-CAN_BUS: Final[Mapping[str, Mapping[str, Kind]]] = {
+CAN_BUS: Final[Mapping[str, Mapping[str, ValueKind]]] = {
     "pose": {"utime": TIME, "vel": _MOTION, "accel": _MOTION, "rotation_rate": _MOTION},
     "steeranglefeedback": {
         "utime": TIME,
@@ -45,14 +45,14 @@ CAN_BUS: Final[Mapping[str, Mapping[str, Kind]]] = {
     },
 }
 """Fields by message, in the order in which they are read."""
-CAN_BUS_POSE: Final[Mapping[str, Kind]] = {"pos": POSITION, "orientation": ROTATION}
+CAN_BUS_POSE: Final[Mapping[str, ValueKind]] = {"pos": POSITION, "orientation": ROTATION}
 """Further fields of the message ``pose``, which official code reads."""
-MAP_NODE: Final[Mapping[str, Kind]] = {
+MAP_NODE: Final[Mapping[str, ValueKind]] = {
     axis: number("a number, metres within the earth", -EARTH_M, EARTH_M) for axis in ("x", "y")
 }
-MAP_RECORD: Final[Mapping[str, Kind]] = {"token": TOKEN}
-MAP_LINKS: Final[Mapping[str, Kind]] = {"incoming": LINKS_OF_LIST, "outgoing": LINKS_OF_LIST}
-ARC_LINE: Final[Mapping[str, Kind]] = {
+MAP_RECORD: Final[Mapping[str, ValueKind]] = {"token": TOKEN}
+MAP_LINKS: Final[Mapping[str, ValueKind]] = {"incoming": LINKS_OF_LIST, "outgoing": LINKS_OF_LIST}
+ARC_LINE: Final[Mapping[str, ValueKind]] = {
     "start_pose": _PLANAR,
     "end_pose": _PLANAR,
     "radius": number("a number, metres", -EARTH_M, EARTH_M),
@@ -60,7 +60,9 @@ ARC_LINE: Final[Mapping[str, Kind]] = {
 }
 
 
-def require_records(path: Path, what: str, records: Any, fields: Mapping[str, Kind]) -> Sequence[Mapping[str, Any]]:
+def require_records(
+    path: Path, what: str, records: Any, fields: Mapping[str, ValueKind]
+) -> Sequence[Mapping[str, Any]]:
     """Refuse records of a file that lack a field or hold what they must not; ``what`` is the name of one of them."""
     if type(records) is not list or any(type(record) is not dict for record in records):
         raise InputError(f"{path} must hold a list of {what}s, each an object; fetch or make it again")
@@ -72,7 +74,7 @@ def require_records(path: Path, what: str, records: Any, fields: Mapping[str, Ki
                 raise InputError(f"{path}: {what} {index} has no field {name}; fetch or make it again")
             if not kind.holds(record[name]):
                 raise InputError(
-                    f"{path}: {name} of {what} {index} is {shown(record[name])}, it must be {kind.words}; fetch or "
+                    f"{path}: {name} of {what} {index} is {format_value(record[name])}, it must be {kind.words}; fetch or "
                     "make it again"
                 )
     return records

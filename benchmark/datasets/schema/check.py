@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import MAP_LAYERS, NUSCENES_TABLES, OFFICIAL_LOCATIONS
-from benchmark.datasets.annotated import AnnotationCount, has_size, labelled_keyframes
-from benchmark.datasets.categories import KNOWN, names_in
-from benchmark.datasets.devkit_import import FURTHER_TABLES, devkit_with
-from benchmark.datasets.map_layers import expansion_file, read_road_map
+from benchmark.datasets.annotated import AnnotationCount, find_labelled_keyframes, has_size
+from benchmark.datasets.categories import KNOWN, select_category_names
+from benchmark.datasets.devkit_import import FURTHER_TABLES, build_devkit
+from benchmark.datasets.map_layers import find_expansion_file, read_road_map
 from benchmark.datasets.schema import Fault, FaultList
 from benchmark.datasets.schema.files import check_files
 from benchmark.datasets.schema.links import check_chains, check_links, check_sample_chains
@@ -36,26 +36,26 @@ from benchmark.datasets.schema.values import (
     check_sensors,
     check_shared,
 )
-from benchmark.datasets.tables import variant_folders, version_folders
+from benchmark.datasets.tables import find_variant_folders, find_version_folders
 from benchmark.datasets.truth_facts import (
     MISFIT_SHARE,
     MOTIONLESS_S,
-    Steps,
-    in_another_order,
-    lie_across,
-    objects_across,
+    AnnotationSteps,
+    are_boxes_across,
+    are_rotations_xyzw,
+    count_objects_across,
 )
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, yaw_of_quaternion
 from benchmark.machine.storage import read_json
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from benchmark.road_map import RoadMap
 
 _QUATERNIONS = "make sense only if they are read as x, y, z, w; nuScenes has w, x, y, z: reorder them"
 
 
 @dataclass(frozen=True, slots=True)
-class EgoAtSamples:
+class EgoSamplePoses:
     """Poses of the ego at S samples of all scenes, scene by scene, in time order.
 
     Attributes:
@@ -73,7 +73,7 @@ class EgoAtSamples:
     rotation: Floats
 
     @classmethod
-    def of(cls, tables: CheckedTables) -> "EgoAtSamples":
+    def of(cls, tables: CheckedTables) -> "EgoSamplePoses":
         """By any keyframe row of each sample."""
         pose_of: dict[str, Row] = {}
         for row in tables.having("sample_data", "sample_token", "ego_pose_token", "is_key_frame"):
@@ -98,21 +98,21 @@ class EgoAtSamples:
         )
 
 
-def check_motion(tables: CheckedTables, ego: EgoAtSamples, faults: FaultList) -> None:
+def check_motion(tables: CheckedTables, ego: EgoSamplePoses, faults: FaultList) -> None:
     """Note boxes that jump, boxes that lie across their motion, and rotations in the order x, y, z, w."""
-    driven = Steps.of(ego.scene, ego.seconds, ego.position).directions(len(ego.scene))
-    if in_another_order(ego.rotation, driven):
+    driven = AnnotationSteps.of(ego.scene, ego.seconds, ego.position).directions(len(ego.scene))
+    if are_rotations_xyzw(ego.rotation, driven):
         faults.add("rotations in another order", "ego_pose", "", f"the rotations {_QUATERNIONS}", severity="warning")
     rows, times_us = _annotations(tables)
     if not rows:
         return
     rotation = _columns([row["rotation"] for row in rows], 4)
-    if in_another_order(rotation):
+    if are_rotations_xyzw(rotation):
         sentence = f"the rotations {_QUATERNIONS}"
         faults.add("rotations in another order", "sample_annotation", "", sentence, severity="warning")
     places: defaultdict[str, int] = defaultdict(lambda: len(places))
     owner = np.array([places[row["instance_token"]] for row in rows], np.int64)
-    steps = Steps.of(owner, _seconds(times_us), _columns([row["translation"] for row in rows], 3))
+    steps = AnnotationSteps.of(owner, _seconds(times_us), _columns([row["translation"] for row in rows], 3))
     for step in np.flatnonzero(steps.jumps).tolist():
         row = rows[int(steps.row[step]) + 1]
         name = row["instance_token"]
@@ -120,10 +120,10 @@ def check_motion(tables: CheckedTables, ego: EgoAtSamples, faults: FaultList) ->
         faults.add("boxes that jump", "sample_annotation", row["token"], sentence, severity="warning")
     # A table has width before length.
     size = _columns([row["size"] for row in rows], 3)[:, [1, 0]]
-    moving, across = objects_across(steps, yaw_of_quaternion(rotation), size)
-    if lie_across(moving, across):
+    moving, across = count_objects_across(steps, yaw_of_quaternion(rotation), size)
+    if are_boxes_across(moving, across):
         sentence = (
-            f"the boxes of {across} of {counted(moving, 'moving object')} lie across their motion: width and length "
+            f"the boxes of {across} of {pluralise(moving, 'moving object')} lie across their motion: width and length "
             "are exchanged, or headings turned by 90 degrees"
         )
         faults.add("boxes across their motion", "sample_annotation", "", sentence, severity="warning")
@@ -176,14 +176,14 @@ def _check_labels(tables: CheckedTables, faults: FaultList) -> None:
         samples[row["scene_token"]].append((row["timestamp"], row["token"]))
     for scene in tables.having("scene", "name"):
         counts = np.array([boxes[token] for _, token in sorted(samples[scene["token"]])], np.int64)
-        missing = np.flatnonzero(~labelled_keyframes(counts))
+        missing = np.flatnonzero(~find_labelled_keyframes(counts))
         if not len(missing):
             continue
         if not counts.any():
             sentence = f"{scene['name']} has no annotations: no contact there can be judged, and no rate counts it"
         else:
             sentence = (
-                f"{scene['name']} has no annotations at {len(missing)} of {counted(len(counts), 'sample')}, the first "
+                f"{scene['name']} has no annotations at {len(missing)} of {pluralise(len(counts), 'sample')}, the first "
                 f"of them number {missing[0]}: no contact that falls there can be judged"
             )
         faults.add(_LABELS, "scene", scene["token"], sentence, severity="warning")
@@ -205,7 +205,9 @@ def _check_boxes(tables: CheckedTables, faults: FaultList) -> None:
 def _check_categories(tables: CheckedTables, categories: Mapping[str, str], faults: FaultList) -> None:
     """Categories that are not nuScenes', once for the whole data set."""
     names = {row["token"]: row["name"] for row in tables.having("category", "name")}
-    names |= {token: dict(names_in(names.values(), categories)).get(name, name) for token, name in names.items()}
+    names |= {
+        token: dict(select_category_names(names.values(), categories)).get(name, name) for token, name in names.items()
+    }
     category_of = {
         row["token"]: names.get(row["category_token"]) for row in tables.having("instance", "category_token")
     }
@@ -215,7 +217,7 @@ def _check_categories(tables: CheckedTables, categories: Mapping[str, str], faul
     unknown = {name: count for name, count in counts_by_name.items() if name is not None and name not in KNOWN}
     if unknown:
         counts = AnnotationCount(counts_by_name.total(), unknown)
-        consequence = "say nothing of contacts" if counts.foreign else "do not see them"
+        consequence = "say nothing of contacts" if counts.is_mostly_unknown else "do not see them"
         sentence = (
             f"{counts.sentence}: protocols that go by categories {consequence}; say what they mean with --categories"
         )
@@ -244,17 +246,17 @@ _ELSEWHERE: Final = ("../maps/expansion", "maps", "../maps", "expansion", "../ex
 """Folders in which expansions are found that were unpacked in the wrong one."""
 
 
-def check_maps(root: Path, tables: CheckedTables, ego: EgoAtSamples, faults: FaultList) -> None:
+def check_maps(root: Path, tables: CheckedTables, ego: EgoSamplePoses, faults: FaultList) -> None:
     """Note map expansions that are missing, lie in another folder, are broken or of another place."""
     logs: defaultdict[str, set[str]] = defaultdict(set)
     for row in tables.having("log", "location"):
         logs[row["location"]].add(row["token"])
     for location in sorted(logs):
-        path = expansion_file(root, location)
+        path = find_expansion_file(root, location)
         if path is None:
             _note_missing(root, location, faults)
             continue
-        road_map = _checked(path, location, faults)
+        road_map = _read_checked_map(path, location, faults)
         if road_map is not None and not road_map.drivable_area.is_empty:
             _check_fit(road_map, ego, logs[location], faults)
 
@@ -274,7 +276,7 @@ def _note_missing(root: Path, location: str, faults: FaultList) -> None:
     faults.add("missing map expansions", name, "", f"{name} is missing; {consequence}", severity="warning")
 
 
-def _checked(path: Path, location: str, faults: FaultList) -> RoadMap | None:
+def _read_checked_map(path: Path, location: str, faults: FaultList) -> RoadMap | None:
     """The map of a location, unless it cannot be read."""
     name = f"maps/expansion/{location}.json"
     try:
@@ -289,7 +291,7 @@ def _checked(path: Path, location: str, faults: FaultList) -> RoadMap | None:
     return road_map
 
 
-def _check_fit(road_map: RoadMap, ego: EgoAtSamples, logs: set[str], faults: FaultList) -> None:
+def _check_fit(road_map: RoadMap, ego: EgoSamplePoses, logs: set[str], faults: FaultList) -> None:
     """Note logs whose ego drives beside the roads of their map."""
     off = ~road_map.is_drivable(ego.position[:, :2])
     for log in sorted(logs):
@@ -309,7 +311,7 @@ def check_further_tables(folder: Path, root: Path, tables: CheckedTables, faults
     if not present or any(fault.severity == "error" for fault in faults.faults):
         return
     try:
-        devkit_with(root, folder.name, tables.rows)
+        build_devkit(root, folder.name, tables.rows)
     except InputError as error:
         faults.add("tables that the devkit refuses", present[0], "", str(error))
 
@@ -333,8 +335,8 @@ def check_tables(root: Path, *, version: str | None = None, categories: Mapping[
     """
     if not root.is_dir():
         raise InputError(f"there is no folder {root}; give the root of a nuScenes-format data set")
-    variants = variant_folders(root)
-    if variants and not version_folders(root):
+    variants = find_variant_folders(root)
+    if variants and not find_version_folders(root):
         faults = [
             replace(fault, table=f"{variant}/{fault.table}")
             for variant in variants
@@ -358,7 +360,7 @@ def _check(folder: Path, data_root: Path, categories: Mapping[str, str]) -> list
     check_copied_intrinsics(tables, faults)
     check_sensors(tables, faults)
     check_files(data_root, tables, faults)
-    ego = EgoAtSamples.of(tables)
+    ego = EgoSamplePoses.of(tables)
     check_maps(data_root, tables, ego, faults)
     check_motion(tables, ego, faults)
     check_truth(tables, categories, faults)
@@ -372,12 +374,12 @@ def _table_folder(root: Path, version: str | None) -> tuple[Path, Path]:
     """Folder of the tables, and folder that file names are relative to."""
     if version is not None:
         if Path(version).name != version or not (root / version).is_dir():
-            known = ", ".join(version_folders(root)) or "none"
+            known = ", ".join(find_version_folders(root)) or "none"
             raise InputError(f"{root} has no version folder {version!r}; versions there: {known}")
         return root / version, root
     if any((root / f"{table}.json").is_file() for table in NUSCENES_TABLES):
         return root, root.parent
-    versions = version_folders(root)
+    versions = find_version_folders(root)
     if not versions:
         raise InputError(f"{root} holds no nuScenes tables (scene.json and 12 more); give the root of a data set")
     if len(versions) > 1:

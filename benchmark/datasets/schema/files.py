@@ -18,7 +18,7 @@ _LIDAR_POINT_BYTES: Final = 20
 
 def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
     """Note sensor files and map masks that are missing, broken, or of another size."""
-    folders = _Folders(root)
+    folders = _FolderSizes(root)
     owners: dict[str, str] = {}
     undrawn = _without_sweep_images(folders, tables)
     if undrawn:
@@ -56,7 +56,7 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
             faults.add("broken CAN bus files", "can_bus", scene["token"], str(error))
 
 
-def _without_sweep_images(folders: "_Folders", tables: CheckedTables) -> list[Row]:
+def _without_sweep_images(folders: "_FolderSizes", tables: CheckedTables) -> list[Row]:
     """Rows of all images between samples, if not one is there: data sets of samples alone leave them out."""
     rows = [
         row
@@ -66,7 +66,7 @@ def _without_sweep_images(folders: "_Folders", tables: CheckedTables) -> list[Ro
     return [] if any(folders.size(row["filename"]) is not None for row in rows) else rows
 
 
-class _Folders:
+class _FolderSizes:
     """Sizes of files, from one listing a folder."""
 
     def __init__(self, root: Path) -> None:

@@ -7,9 +7,9 @@ from operator import itemgetter
 from typing import TypeVar
 
 from benchmark.datasets.schema import LINKS, FaultList, Link
-from benchmark.datasets.schema.rows import Severity, shown
+from benchmark.datasets.schema.rows import Severity, format_value
 from benchmark.datasets.schema.table_checks import CheckedTables, Row
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 Key = TypeVar("Key")
 
@@ -42,7 +42,7 @@ def check_link(link: Link, rows: Sequence[Row], known: Set[str], faults: FaultLi
 
 def note_dead_link(link: Link, row_token: str, token: str, faults: FaultList, *, among: str = "") -> None:
     """Note that a row names a token that no row of the other table has, or none among some of its rows."""
-    sentence = f"{link.field} {shown(token)} is not in {link.target}.json{among}"
+    sentence = f"{link.field} {format_value(token)} is not in {link.target}.json{among}"
     faults.add(f"{link.field} that lead nowhere", link.table, row_token, sentence)
 
 
@@ -93,7 +93,7 @@ def _check_object(tables: CheckedTables, instance_token: str, rows: list[Row], f
             faults.add("instances annotated twice at a sample", "sample_annotation", row["token"], sentence)
         at.add(row["sample_token"])
     if len(scenes) > 1:
-        sentence = f"its annotations are in {counted(len(scenes), 'scene')}"
+        sentence = f"its annotations are in {pluralise(len(scenes), 'scene')}"
         faults.add("instances of several scenes", "instance", instance_token, sentence)
 
 

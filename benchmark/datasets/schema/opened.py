@@ -13,7 +13,7 @@ from benchmark.datasets.schema.table_checks import CheckedTables, Row
 from benchmark.datasets.schema.values import check_images, check_rates, check_sensors, check_shared
 
 
-def check_opened(tables: CheckedTables, faults: FaultList, rates: FaultList) -> None:
+def check_shared_and_samples(tables: CheckedTables, faults: FaultList, rates: FaultList) -> None:
     """Check what the rows of the shared tables and of all samples say together.
 
     Args:

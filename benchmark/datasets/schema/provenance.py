@@ -8,7 +8,7 @@ from typing import Any, Final
 from benchmark.constants import VEHICLE_CATEGORIES
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.schema.table_checks import CheckedTables, Row
-from benchmark.datasets.tables import splits_file
+from benchmark.datasets.tables import find_splits_file
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 
@@ -18,7 +18,7 @@ PROVENANCE: Final = "challenger.json"
 
 def check_splits(folder: Path, root: Path, tables: CheckedTables, faults: FaultList) -> None:
     """Note splits that name scenes which are not there."""
-    path = splits_file(folder, root)
+    path = find_splits_file(folder, root)
     content = None if path is None else _read(path, faults)
     if content is None:
         return

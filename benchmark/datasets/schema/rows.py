@@ -11,9 +11,9 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from benchmark.datasets.schema.tables import NAME, SCHEMA, Kind
+from benchmark.datasets.schema.tables import NAME, SCHEMA, ValueKind
 from benchmark.errors import InputError
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 
 Severity = Literal["error", "warning"]
 
@@ -57,7 +57,7 @@ class FaultList:
         """
         self.counts[(kind, table, severity)] += 1
         if self.counts[(kind, table, severity)] <= SHOWN_PER_KIND:
-            self.faults.append(Fault(table, token, one_line(sentence, _LONGEST), severity))
+            self.faults.append(Fault(table, token, to_one_line(sentence, _LONGEST), severity))
 
     def told(self) -> list[Fault]:
         """The faults, errors first, each kind that was cut short ended by how many more there are."""
@@ -70,7 +70,7 @@ class FaultList:
 
 
 @dataclass(slots=True)
-class Refusal(FaultList):
+class StrictFaultList(FaultList):
     """Refuses at the first error; warnings are for those who ask for them."""
 
     folder: Path = Path()
@@ -124,14 +124,14 @@ def check_rows(table: str, rows: Sequence[Row], faults: FaultList, *, first: int
         place = f"row {number}: " if not token else ""
         for name in sorted(bad):
             if name in row:
-                sentence = f"{place}{name} is {shown(row[name])}, it must be {fields[name].kind.words}"
+                sentence = f"{place}{name} is {format_value(row[name])}, it must be {fields[name].kind.words}"
                 faults.add(f"wrong {name}", table, token, sentence)
             else:
                 faults.add(f"rows without {name}", table, token, f"{place}the field {name} is missing")
     return unsound
 
 
-def shown(value: Any) -> str:
+def format_value(value: Any) -> str:
     """A value from a stranger's table, in a sentence: short, on one line, in plain characters."""
     try:
         text = json.dumps(value)
@@ -140,7 +140,7 @@ def shown(value: Any) -> str:
     return text if len(text) <= _SHOWN_CHARACTERS else f"{text[: _SHOWN_CHARACTERS - 3]}..."
 
 
-def _column_holds(rows: Sequence[Row], name: str, kind: Kind) -> bool:
+def _column_holds(rows: Sequence[Row], name: str, kind: ValueKind) -> bool:
     try:
         return kind.column(list(map(itemgetter(name), rows)))
     except KeyError:
@@ -166,11 +166,13 @@ def _has(row: Row, name: str, unsound: dict[int, frozenset[str]]) -> bool:
     return name not in unsound.get(id(row), ())
 
 
-def _require_unique(table: str, name: str, kind: Kind, rows: list[Row], faults: FaultList) -> None:
+def _require_unique(table: str, name: str, kind: ValueKind, rows: list[Row], faults: FaultList) -> None:
     """Names of files count as one where they differ in capitals alone: not every system tells these apart."""
     spelled = [row[name].casefold() if kind is NAME else row[name] for row in rows]
     used = Counter(spelled)
     for row, spelling in zip(rows, spelled, strict=True):
         count = used.pop(spelling, 0)
         if count > 1:
-            faults.add(f"{name} used twice", table, row["token"], f"{count} rows have the {name} {shown(row[name])}")
+            faults.add(
+                f"{name} used twice", table, row["token"], f"{count} rows have the {name} {format_value(row[name])}"
+            )

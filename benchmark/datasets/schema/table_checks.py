@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.schema import FaultList, check_table
-from benchmark.datasets.stored_rows import PassOverRows
+from benchmark.datasets.stored_rows import TableScan
 from benchmark.errors import InputError
 
 Row = dict[str, Any]
@@ -81,7 +81,7 @@ def _content(path: Path, table: str, faults: FaultList) -> list[Row] | None:
         )
         return None
     try:
-        return list(chain.from_iterable(PassOverRows(path).batches()))
+        return list(chain.from_iterable(TableScan(path).batches()))
     except InputError as error:
         faults.add("unreadable table", table, "", f"{path.name} cannot be read: {error}")
         return None

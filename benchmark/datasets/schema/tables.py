@@ -40,7 +40,7 @@ ColumnTest = Callable[[list[Any]], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class ValueKind:
     """Contents that a field may have.
 
     Attributes:
@@ -62,7 +62,7 @@ def _is_number(value: Any) -> bool:
     return type(value) in (int, float)
 
 
-def whole_number(words: str, low: int, high: int) -> Kind:
+def whole_number(words: str, low: int, high: int) -> ValueKind:
     """Whole numbers of a range, both ends included."""
 
     def holds(value: Any) -> bool:
@@ -71,10 +71,10 @@ def whole_number(words: str, low: int, high: int) -> Kind:
     def column(values: list[Any]) -> bool:
         return _of_type(values, int) and min(values) >= low and max(values) <= high
 
-    return Kind(words, holds, column)
+    return ValueKind(words, holds, column)
 
 
-def number(words: str, low: float, high: float) -> Kind:
+def number(words: str, low: float, high: float) -> ValueKind:
     """Finite numbers of a range, both ends included."""
 
     def holds(value: Any) -> bool:
@@ -83,10 +83,10 @@ def number(words: str, low: float, high: float) -> Kind:
     def column(values: list[Any]) -> bool:
         return _of_type(values, int, float) and all(low <= value <= high for value in values)
 
-    return Kind(words, holds, column)
+    return ValueKind(words, holds, column)
 
 
-def numbers(words: str, length: int, sound: Callable[[Any], Any]) -> Kind:
+def numbers(words: str, length: int, sound: Callable[[Any], Any]) -> ValueKind:
     """Lists of some finite numbers.
 
     Args:
@@ -113,7 +113,7 @@ def numbers(words: str, length: int, sound: Callable[[Any], Any]) -> Kind:
         except OverflowError:
             return False
 
-    return Kind(words, holds, column)
+    return ValueKind(words, holds, column)
 
 
 def _within(*limits_m: float) -> Callable[[Any], Any]:
@@ -207,19 +207,19 @@ def _list_column(values: list[Any]) -> bool:
     return _of_type(values, list) and _of_type(list(chain.from_iterable(values)), str)
 
 
-FLAG: Final = Kind("true or false", lambda value: type(value) is bool, lambda values: _of_type(values, bool))
-TEXT: Final = Kind("text", _is_text, lambda values: _of_type(values, str) and "".join(values).isascii())
-TOKEN: Final = Kind("a token: printable text that is not empty", _is_token, _token_column)
-LINK: Final = Kind("a token", _is_token, _link_column)
-LINK_OR_NONE: Final = Kind("a token, or empty text", _is_token_or_none, _link_column)
-LINKS_OF_LIST: Final = Kind("a list of tokens", _are_tokens, _list_column)
-NAME: Final = Kind(
+FLAG: Final = ValueKind("true or false", lambda value: type(value) is bool, lambda values: _of_type(values, bool))
+TEXT: Final = ValueKind("text", _is_text, lambda values: _of_type(values, str) and "".join(values).isascii())
+TOKEN: Final = ValueKind("a token: printable text that is not empty", _is_token, _token_column)
+LINK: Final = ValueKind("a token", _is_token, _link_column)
+LINK_OR_NONE: Final = ValueKind("a token, or empty text", _is_token_or_none, _link_column)
+LINKS_OF_LIST: Final = ValueKind("a list of tokens", _are_tokens, _list_column)
+NAME: Final = ValueKind(
     f"a name that a file can have on every system: 1 to {LONGEST_NAME_BYTES} bytes of printable text, no separators, "
     "not reserved",
     is_file_name,
     _one_by_one(is_file_name),
 )
-FILE: Final = Kind(
+FILE: Final = ValueKind(
     "the name of a file, relative to the data set's folder and inside it",
     is_file_inside,
     _file_column,
@@ -230,11 +230,11 @@ POSITION: Final = numbers("three finite numbers, metres within the earth", 3, _w
 MOUNTING: Final = numbers("three finite numbers, metres within the car", 3, _within(CAR_M, CAR_M, CAR_M))
 ROTATION: Final = numbers("four finite numbers (w, x, y, z) of norm one", 4, _of_norm_one)
 SIZE: Final = numbers(f"three numbers from 0 to {LARGEST_M:g} metres", 3, _size)
-MATRIX: Final = Kind("an empty list or three rows of three numbers", _is_matrix, _one_by_one(_is_matrix))
+MATRIX: Final = ValueKind("an empty list or three rows of three numbers", _is_matrix, _one_by_one(_is_matrix))
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class TableField:
     """A field of a row.
 
     Attributes:
@@ -242,7 +242,7 @@ class Field:
         unique: Whether no two rows may have the same.
     """
 
-    kind: Kind
+    kind: ValueKind
     target: str = ""
     unique: bool = False
 
@@ -262,82 +262,87 @@ class Link:
     may_be_empty: bool
 
 
-def _chain(table: str) -> dict[str, Field]:
-    return {"prev": Field(LINK_OR_NONE, table), "next": Field(LINK_OR_NONE, table)}
+def _chain(table: str) -> dict[str, TableField]:
+    return {"prev": TableField(LINK_OR_NONE, table), "next": TableField(LINK_OR_NONE, table)}
 
 
-_TOKEN: Final = {"token": Field(TOKEN, unique=True)}
+_TOKEN: Final = {"token": TableField(TOKEN, unique=True)}
 
-SCHEMA: Final[Mapping[str, Mapping[str, Field]]] = {
-    "attribute": {**_TOKEN, "name": Field(TEXT, unique=True)},
+SCHEMA: Final[Mapping[str, Mapping[str, TableField]]] = {
+    "attribute": {**_TOKEN, "name": TableField(TEXT, unique=True)},
     "calibrated_sensor": {
         **_TOKEN,
-        "sensor_token": Field(LINK, "sensor"),
-        "translation": Field(MOUNTING),
-        "rotation": Field(ROTATION),
-        "camera_intrinsic": Field(MATRIX),
+        "sensor_token": TableField(LINK, "sensor"),
+        "translation": TableField(MOUNTING),
+        "rotation": TableField(ROTATION),
+        "camera_intrinsic": TableField(MATRIX),
     },
-    "category": {**_TOKEN, "name": Field(TEXT, unique=True)},
+    "category": {**_TOKEN, "name": TableField(TEXT, unique=True)},
     "ego_pose": {
         **_TOKEN,
-        "timestamp": Field(TIME),
-        "translation": Field(POSITION),
-        "rotation": Field(ROTATION),
+        "timestamp": TableField(TIME),
+        "translation": TableField(POSITION),
+        "rotation": TableField(ROTATION),
     },
     "instance": {
         **_TOKEN,
-        "category_token": Field(LINK, "category"),
-        "nbr_annotations": Field(COUNT),
-        "first_annotation_token": Field(LINK_OR_NONE, "sample_annotation"),
-        "last_annotation_token": Field(LINK_OR_NONE, "sample_annotation"),
+        "category_token": TableField(LINK, "category"),
+        "nbr_annotations": TableField(COUNT),
+        "first_annotation_token": TableField(LINK_OR_NONE, "sample_annotation"),
+        "last_annotation_token": TableField(LINK_OR_NONE, "sample_annotation"),
     },
     "log": {
         **_TOKEN,
-        "logfile": Field(TEXT),
-        "vehicle": Field(TEXT),
-        "date_captured": Field(TEXT),
-        "location": Field(NAME),
+        "logfile": TableField(TEXT),
+        "vehicle": TableField(TEXT),
+        "date_captured": TableField(TEXT),
+        "location": TableField(NAME),
     },
     # The logs that a map lists may be missing: the maps of the official v1.0-mini list logs that only trainval has.
-    "map": {**_TOKEN, "category": Field(TEXT), "filename": Field(FILE), "log_tokens": Field(LINKS_OF_LIST)},
-    "sample": {**_TOKEN, "timestamp": Field(TIME), "scene_token": Field(LINK, "scene"), **_chain("sample")},
+    "map": {
+        **_TOKEN,
+        "category": TableField(TEXT),
+        "filename": TableField(FILE),
+        "log_tokens": TableField(LINKS_OF_LIST),
+    },
+    "sample": {**_TOKEN, "timestamp": TableField(TIME), "scene_token": TableField(LINK, "scene"), **_chain("sample")},
     "sample_annotation": {
         **_TOKEN,
-        "sample_token": Field(LINK, "sample"),
-        "instance_token": Field(LINK, "instance"),
-        "visibility_token": Field(LINK_OR_NONE, "visibility"),
-        "attribute_tokens": Field(LINKS_OF_LIST, "attribute"),
-        "translation": Field(POSITION),
-        "size": Field(SIZE),
-        "rotation": Field(ROTATION),
-        "num_lidar_pts": Field(COUNT),
-        "num_radar_pts": Field(COUNT),
+        "sample_token": TableField(LINK, "sample"),
+        "instance_token": TableField(LINK, "instance"),
+        "visibility_token": TableField(LINK_OR_NONE, "visibility"),
+        "attribute_tokens": TableField(LINKS_OF_LIST, "attribute"),
+        "translation": TableField(POSITION),
+        "size": TableField(SIZE),
+        "rotation": TableField(ROTATION),
+        "num_lidar_pts": TableField(COUNT),
+        "num_radar_pts": TableField(COUNT),
         **_chain("sample_annotation"),
     },
     "sample_data": {
         **_TOKEN,
-        "sample_token": Field(LINK, "sample"),
-        "ego_pose_token": Field(LINK, "ego_pose"),
-        "calibrated_sensor_token": Field(LINK, "calibrated_sensor"),
-        "timestamp": Field(TIME),
-        "fileformat": Field(TEXT),
-        "is_key_frame": Field(FLAG),
-        "height": Field(COUNT),
-        "width": Field(COUNT),
-        "filename": Field(FILE),
+        "sample_token": TableField(LINK, "sample"),
+        "ego_pose_token": TableField(LINK, "ego_pose"),
+        "calibrated_sensor_token": TableField(LINK, "calibrated_sensor"),
+        "timestamp": TableField(TIME),
+        "fileformat": TableField(TEXT),
+        "is_key_frame": TableField(FLAG),
+        "height": TableField(COUNT),
+        "width": TableField(COUNT),
+        "filename": TableField(FILE),
         **_chain("sample_data"),
     },
     "scene": {
         **_TOKEN,
-        "name": Field(NAME, unique=True),
-        "description": Field(TEXT),
-        "log_token": Field(LINK, "log"),
-        "nbr_samples": Field(COUNT),
-        "first_sample_token": Field(LINK, "sample"),
-        "last_sample_token": Field(LINK, "sample"),
+        "name": TableField(NAME, unique=True),
+        "description": TableField(TEXT),
+        "log_token": TableField(LINK, "log"),
+        "nbr_samples": TableField(COUNT),
+        "first_sample_token": TableField(LINK, "sample"),
+        "last_sample_token": TableField(LINK, "sample"),
     },
-    "sensor": {**_TOKEN, "channel": Field(NAME, unique=True), "modality": Field(TEXT)},
-    "visibility": {**_TOKEN, "level": Field(TEXT)},
+    "sensor": {**_TOKEN, "channel": TableField(NAME, unique=True), "modality": TableField(TEXT)},
+    "visibility": {**_TOKEN, "level": TableField(TEXT)},
 }
 """Fields by table and name. What lies beside the tables has its own readers: masks and map expansion, CAN bus."""
 

@@ -11,13 +11,13 @@ from typing import Any, Final
 from benchmark.constants import LIDAR_NAME
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.schema.table_checks import CheckedTables, Row
-from benchmark.datasets.steps import LONGEST_KNOWN_US, STEP_US, is_step, other_interval_us
+from benchmark.datasets.steps import LONGEST_KNOWN_US, STEP_US, find_irregular_interval_us, is_step
 
 
 def check_rates(tables: CheckedTables, faults: FaultList) -> None:
     """Warn of scenes whose median keyframe interval is not that of nuScenes; samples of all scenes are needed."""
     for scene, times_us in _times_of_scenes(tables):
-        usual_us = other_interval_us(times_us)
+        usual_us = find_irregular_interval_us(times_us)
         if usual_us is None:
             continue
         explanation = (
@@ -36,7 +36,7 @@ def check_gaps(tables: CheckedTables, faults: FaultList) -> None:
     In scenes at another rate only gaps are named across which nothing is known.
     """
     for scene, times_us in _times_of_scenes(tables):
-        usual_us = other_interval_us(times_us)
+        usual_us = find_irregular_interval_us(times_us)
         if usual_us is not None and usual_us > LONGEST_KNOWN_US:
             continue
         for number, (time_us, next_time_us) in enumerate(pairwise(times_us)):

@@ -9,7 +9,7 @@ from benchmark.cli import options as shared
 from benchmark.cli.output import print_result
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from benchmark.extensions.cards.writing import CardSettings, WrittenCard
@@ -47,14 +47,14 @@ def data_card_command(options: DataCardOptions) -> None:
     from benchmark.extensions.cards.writing import CardSettings
     from benchmark.machine.places import require_place
 
-    settings = CardSettings(**api.named_alike(CardSettings, options))
+    settings = CardSettings(**api.select_matching_options(CardSettings, options))
     data = api.DataSource.of(options)
     data.require()
     require_place(options.to, "--to")
     from benchmark.extensions.cards.data_card import write_data_card
 
     written = write_data_card(data.open(), options.to, settings, embedded=data.is_embedded)
-    _say(written, "scene", settings, json_output=options.json_output, named=data.is_embedded)
+    _print_card(written, "scene", settings, json_output=options.json_output, named=data.is_embedded)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +81,7 @@ def records_card_command(options: RecordsCardOptions) -> None:
     from benchmark.records.drives import find_drives
     from benchmark.records.run import find_records
 
-    settings = CardSettings(**api.named_alike(CardSettings, options))
+    settings = CardSettings(**api.select_matching_options(CardSettings, options))
     for place in options.records or ():
         require_folder(place, "--records")
     require_place(options.to, "--to")
@@ -92,16 +92,16 @@ def records_card_command(options: RecordsCardOptions) -> None:
             f"there are no records below {options.out}; run challenger-bench eval first, or name --records"
         )
     written = write_records_card(find_records(*folders), find_drives(*folders), options.to, settings)
-    _say(written, "rate", settings, json_output=options.json_output)
+    _print_card(written, "rate", settings, json_output=options.json_output)
 
 
-def _say(
+def _print_card(
     written: "WrittenCard", rows: str, settings: "CardSettings", *, json_output: bool, named: bool = False
 ) -> None:
     if settings.licence is None and not named:
-        api.tell(
+        api.notify(
             "warning: the card says that its licence is not decided; --licence names one (what was made from "
             "recordings stays under their terms)"
         )
-    text = f"{counted(written.rows, rows)} in {written.files[1]}, beside {written.files[0].name} for a hub"
+    text = f"{pluralise(written.rows, rows)} in {written.files[1]}, beside {written.files[0].name} for a hub"
     print_result(written.as_json(), text, json_output=json_output)

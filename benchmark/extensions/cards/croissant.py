@@ -29,7 +29,7 @@ OTHER: Final = "other"
 _IDENTIFIER: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}")
 
 
-def licence_named(text: str | None) -> str:
+def parse_licence(text: str | None) -> str:
     """Identifier of the licence that a user means; ``unknown`` where none is given."""
     if text is None:
         return UNKNOWN
@@ -38,7 +38,7 @@ def licence_named(text: str | None) -> str:
     return text.lower()
 
 
-def licence_page(identifier: str) -> str:
+def find_licence_page(identifier: str) -> str:
     """Where a licence is to be read; the identifier itself where that is not known here."""
     return PAGES.get(identifier, identifier)
 
@@ -53,7 +53,7 @@ CROISSANT_TYPE: Final[Mapping[Kind, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class IndexColumn:
     """One column of an index: its name, with the unit where it has one, the kind of its values, and a phrase.
 
     Any value may be null.
@@ -64,7 +64,7 @@ class Column:
     meaning: str
 
 
-def write_index(path: Path, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> None:
+def write_index(path: Path, columns: Sequence[IndexColumn], rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows as a Parquet file, in place of the present one; a row has a value or ``None`` for each column."""
     import pyarrow
     from pyarrow import parquet
@@ -77,7 +77,7 @@ def write_index(path: Path, columns: Sequence[Column], rows: Sequence[Mapping[st
     write_bytes(path, stream.getvalue())
 
 
-def column_rows(columns: Sequence[Column]) -> list[str]:
+def format_column_rows(columns: Sequence[IndexColumn]) -> list[str]:
     """Rows of a Markdown table of the columns."""
     return ["| column | type | what |", "|---|---|---|"] + [
         f"| `{column.name}` | {column.kind} | {column.meaning} |" for column in columns
@@ -127,7 +127,7 @@ CONTEXT: Final[Mapping[str, Any]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Described:
+class DataSetDescription:
     """Statements about a data set as a whole.
 
     Attributes:
@@ -149,7 +149,7 @@ class Described:
     responsible: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
 
 
-def croissant(said: Described, index: Path, rows: str, columns: Sequence[Column]) -> dict[str, Any]:
+def build_croissant(said: DataSetDescription, index: Path, rows: str, columns: Sequence[IndexColumn]) -> dict[str, Any]:
     """Croissant metadata (JSON-LD) of a data set whose index is one Parquet file.
 
     Args:
@@ -179,7 +179,7 @@ def croissant(said: Described, index: Path, rows: str, columns: Sequence[Column]
     }
     optional = {
         "url": said.url,
-        "license": None if said.licence == UNKNOWN else licence_page(said.licence),
+        "license": None if said.licence == UNKNOWN else find_licence_page(said.licence),
         "datePublished": said.published,
         "creator": None if said.creator is None else {"@type": "sc:Organization", "name": said.creator},
     }

@@ -12,49 +12,67 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from benchmark.constants import VERSION
-from benchmark.datasets.scene_facts import frozen_split_of
+from benchmark.datasets.scene_facts import find_frozen_split
 from benchmark.errors import InputError
-from benchmark.extensions.cards.croissant import UNKNOWN, Column, Described, column_rows, licence_named, licence_page
-from benchmark.extensions.cards.writing import CITE, CROISSANT_FILE, CardSettings, WrittenCard, ending, write_card
-from benchmark.records.attempts import stored_labels
+from benchmark.extensions.cards.croissant import (
+    UNKNOWN,
+    DataSetDescription,
+    IndexColumn,
+    find_licence_page,
+    format_column_rows,
+    parse_licence,
+)
+from benchmark.extensions.cards.writing import (
+    CITE,
+    CROISSANT_FILE,
+    CardSettings,
+    WrittenCard,
+    format_footer,
+    write_card,
+)
+from benchmark.records.attempts import list_stored_labels
 from benchmark.report.table import escape_markdown
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
     from benchmark.scene import Scene
 
 SCENE_COLUMNS: Final = (
-    Column("scene", "text", "name of the scene"),
-    Column("split", "text", "custom splits that it is in, separated by commas; null where the data set names none"),
-    Column("token", "text", "token of the scene in the tables"),
-    Column("source_scene", "text", "recorded scene that it was made from; its own name if it is a recording"),
-    Column("description", "text", "free text of the tables"),
-    Column("location", "text", "location of the log, whose map is used"),
-    Column("log", "text", "name of the log"),
-    Column("light", "text", "light and weather that the description names, separated by commas"),
-    Column("samples", "count", "2 Hz keyframes"),
-    Column("frames", "count", "12 Hz frames"),
-    Column("seconds", "number", "from the first frame to the last"),
-    Column("ego_metres", "number", "way of the ego"),
-    Column("ego_mean_m_s", "number", "its mean speed"),
-    Column("agents", "count", "objects annotated at any sample"),
-    Column("vehicles", "count", "of them vehicles"),
-    Column("pedestrians", "count", "of them pedestrians"),
-    Column("annotations", "count", "boxes at samples"),
-    Column("cameras", "count", "cameras with calibration"),
-    Column("has_map", "truth", "whether its location has a vector map"),
-    Column("adversaries", "count", "vehicles that were made to be adversaries; null where the data set does not say"),
-    Column("manoeuvre", "text", "what the first adversary does (docs/manoeuvres.md of challenger-bench)"),
-    Column("place", "text", "where it comes closest: junction, straight, ..."),
-    Column("closest_gap_m", "number", "smallest gap between it and the recorded ego"),
-    Column(
+    IndexColumn("scene", "text", "name of the scene"),
+    IndexColumn(
+        "split", "text", "custom splits that it is in, separated by commas; null where the data set names none"
+    ),
+    IndexColumn("token", "text", "token of the scene in the tables"),
+    IndexColumn("source_scene", "text", "recorded scene that it was made from; its own name if it is a recording"),
+    IndexColumn("description", "text", "free text of the tables"),
+    IndexColumn("location", "text", "location of the log, whose map is used"),
+    IndexColumn("log", "text", "name of the log"),
+    IndexColumn("light", "text", "light and weather that the description names, separated by commas"),
+    IndexColumn("samples", "count", "2 Hz keyframes"),
+    IndexColumn("frames", "count", "12 Hz frames"),
+    IndexColumn("seconds", "number", "from the first frame to the last"),
+    IndexColumn("ego_metres", "number", "way of the ego"),
+    IndexColumn("ego_mean_m_s", "number", "its mean speed"),
+    IndexColumn("agents", "count", "objects annotated at any sample"),
+    IndexColumn("vehicles", "count", "of them vehicles"),
+    IndexColumn("pedestrians", "count", "of them pedestrians"),
+    IndexColumn("annotations", "count", "boxes at samples"),
+    IndexColumn("cameras", "count", "cameras with calibration"),
+    IndexColumn("has_map", "truth", "whether its location has a vector map"),
+    IndexColumn(
+        "adversaries", "count", "vehicles that were made to be adversaries; null where the data set does not say"
+    ),
+    IndexColumn("manoeuvre", "text", "what the first adversary does (docs/manoeuvres.md of challenger-bench)"),
+    IndexColumn("place", "text", "where it comes closest: junction, straight, ..."),
+    IndexColumn("closest_gap_m", "number", "smallest gap between it and the recorded ego"),
+    IndexColumn(
         "careful_survives",
         "truth",
         "whether a careful and competent human (docs/severity.md there) survives it; null where nobody judged",
     ),
-    Column("unsolvable", "truth", "whether nobody could have avoided it; null where nobody judged"),
-    Column("review", "text", "accepted by an inspector, or not reviewed"),
+    IndexColumn("unsolvable", "truth", "whether nobody could have avoided it; null where nobody judged"),
+    IndexColumn("review", "text", "accepted by an inspector, or not reviewed"),
 )
 
 
@@ -71,7 +89,7 @@ def scene_rows(data: "DataSet") -> Iterator[dict[str, Any]]:
     for name in names:
         scene, fact = data.scene(name), facts[name]
         judged = fact.judgement
-        place, gap_m = _closest(scene_provenance.get(name, {}))
+        place, gap_m = _find_closest_approach(scene_provenance.get(name, {}))
         yield {
             "scene": name,
             "split": ",".join(sorted(split for split, held in splits.items() if name in held)) or None,
@@ -85,13 +103,13 @@ def scene_rows(data: "DataSet") -> Iterator[dict[str, Any]]:
             "careful_survives": None if judged is None else judged.survives.get("cc"),
             "unsolvable": None if judged is None else judged.unsolvable,
             "review": "not reviewed" if name in waiting else "accepted",
-            **_of_scene(scene),
+            **_compute_table_values(scene),
         }
 
 
-def _closest(scene_provenance: Mapping[str, Any]) -> tuple[str | None, float | None]:
+def _find_closest_approach(scene_provenance: Mapping[str, Any]) -> tuple[str | None, float | None]:
     """Where the first adversary that has labels comes closest, and how close; of a stranger's file anything else."""
-    labels = next(iter(stored_labels(scene_provenance.get("report"))), None)
+    labels = next(iter(list_stored_labels(scene_provenance.get("report"))), None)
     if not isinstance(labels, dict):
         return None, None
     place, approach = labels.get("place"), labels.get("closest_approach")
@@ -102,7 +120,7 @@ def _closest(scene_provenance: Mapping[str, Any]) -> tuple[str | None, float | N
     )
 
 
-def _of_scene(scene: "Scene") -> dict[str, Any]:
+def _compute_table_values(scene: "Scene") -> dict[str, Any]:
     """Index values of a scene from the tables."""
     annotated = scene.annotations.valid
     kinds = [kind for kind, there in zip(scene.agents.categories, annotated.any(axis=1), strict=True) if there]
@@ -132,7 +150,7 @@ _SHORT_HASH: Final = 12
 
 
 @dataclass(frozen=True, slots=True)
-class _Origin:
+class _DataProvenance:
     """Where a data set comes from, in sentences.
 
     Attributes:
@@ -171,14 +189,16 @@ def write_data_card(
     rows = list(scene_rows(data))
     if not rows:
         raise InputError(f"{data.root} has no scenes to describe; name another data set")
-    origin = _origin(data.provenance() or {}, rows, embedded)
-    description = _described(data, rows, origin, settings)
+    origin = _find_provenance(data.provenance() or {}, rows, embedded)
+    description = _describe_data_set(data, rows, origin, settings)
     return write_card(
-        to, description, _page(data, rows, origin, description), INDEX_FILE, "scenes", SCENE_COLUMNS, rows, TAGS
+        to, description, _format_page(data, rows, origin, description), INDEX_FILE, "scenes", SCENE_COLUMNS, rows, TAGS
     )
 
 
-def _origin(provenance: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], embedded: bool) -> _Origin:
+def _find_provenance(
+    provenance: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], embedded: bool
+) -> _DataProvenance:
     source, renderer = provenance.get("source"), provenance.get("renderer")
     generated = any(row["adversaries"] for row in rows) or any(row["scene"] != row["source_scene"] for row in rows)
     if embedded:
@@ -188,7 +208,7 @@ def _origin(provenance: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], em
         collected = f"Made from the recordings {str(source.get('name'))[:80]} (content {print_of}) by challenger-bench."
     else:
         collected = "Recordings in nuScenes format; how they were collected is not said in the data set."
-    frozen = frozen_split_of(provenance)
+    frozen = find_frozen_split(provenance)
     if frozen is not None:
         collected += f" Adversaries are those of the frozen split {frozen[:80]}."
     elif generated:
@@ -201,19 +221,19 @@ def _origin(provenance: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], em
     )
     simulated = ("Software Collection",) if embedded or generated or drawn is not None else ()
     recorded = () if embedded else ("Secondary Data Analysis",)
-    return _Origin(collected, pictures, (*simulated, *recorded), embedded, generated)
+    return _DataProvenance(collected, pictures, (*simulated, *recorded), embedded, generated)
 
 
-def _described(
-    data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, settings: CardSettings
-) -> Described:
-    licence = "apache-2.0" if origin.town and settings.licence is None else licence_named(settings.licence)
+def _describe_data_set(
+    data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _DataProvenance, settings: CardSettings
+) -> DataSetDescription:
+    licence = "apache-2.0" if origin.town and settings.licence is None else parse_licence(settings.licence)
     samples = sum(row["samples"] for row in rows)
     description = (
-        f"{counted(len(rows), 'driving scene')} with {counted(samples, 'sample')} in nuScenes format. "
+        f"{pluralise(len(rows), 'driving scene')} with {pluralise(samples, 'sample')} in nuScenes format. "
         f"{origin.collected} {origin.pictures}"
     )
-    return Described(
+    return DataSetDescription(
         name=settings.title or data.name,
         description=description,
         licence=licence,
@@ -223,11 +243,13 @@ def _described(
         cite=CITE,
         creator=settings.creator,
         keywords=TAGS,
-        responsible=_responsible(rows, origin),
+        responsible=_build_responsible_ai(rows, origin),
     )
 
 
-def _responsible(rows: Sequence[Mapping[str, Any]], origin: _Origin) -> dict[str, str | tuple[str, ...]]:
+def _build_responsible_ai(
+    rows: Sequence[Mapping[str, Any]], origin: _DataProvenance
+) -> dict[str, str | tuple[str, ...]]:
     """Answers to the responsible-AI extension, as far as the data set tells."""
     people = (
         "None: every road user is made up."
@@ -252,8 +274,11 @@ def _responsible(rows: Sequence[Mapping[str, Any]], origin: _Origin) -> dict[str
         "dataAnnotationProtocol": "Boxes are those of the tables; labels of manoeuvre, place and severity are computed "
         f"by challenger-bench {VERSION} by written definitions, and by no person.",
         "machineAnnotationTools": (f"challenger-bench {VERSION}",),
-        "dataBiases": (f"Locations: {_most(rows, 'location')}.", f"Light as described: {_most(rows, 'light')}."),
-        "dataLimitations": _limitations(origin),
+        "dataBiases": (
+            f"Locations: {_find_most_frequent(rows, 'location')}.",
+            f"Light as described: {_find_most_frequent(rows, 'light')}.",
+        ),
+        "dataLimitations": _list_limitations(origin),
         "dataUseCases": use,
         "dataSocialImpact": "Planners that collide here need work; planners that do not are not shown to be safe.",
         "personalSensitiveInformation": (people,),
@@ -261,7 +286,7 @@ def _responsible(rows: Sequence[Mapping[str, Any]], origin: _Origin) -> dict[str
     }
 
 
-def _limitations(origin: _Origin) -> tuple[str, ...]:
+def _list_limitations(origin: _DataProvenance) -> tuple[str, ...]:
     generated = (
         "Recorded road users do not react to the adversary.",
         "Adversaries were verified by the search that made them, by its own rules.",
@@ -271,14 +296,16 @@ def _limitations(origin: _Origin) -> tuple[str, ...]:
     return (plain, *(generated if origin.generated else ()), *(town if origin.town else ()))
 
 
-def _most(rows: Sequence[Mapping[str, Any]], column: str) -> str:
+def _find_most_frequent(rows: Sequence[Mapping[str, Any]], column: str) -> str:
     counts = Counter(str(row[column] or "not named") for row in rows)
     return ", ".join(
         f"{name} {count}" for name, count in sorted(counts.items(), key=lambda one: (-one[1], one[0]))[:12]
     )
 
 
-def _page(data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, description: Described) -> list[str]:
+def _format_page(
+    data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _DataProvenance, description: DataSetDescription
+) -> list[str]:
     """Lines of the page below its head."""
     totals = Counter[str]()
     for row in rows:
@@ -288,9 +315,9 @@ def _page(data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, d
     licence = (
         "Not decided: whoever publishes this must say. What was made from recordings stays under their terms."
         if description.licence == UNKNOWN
-        else f"{description.licence} ({licence_page(description.licence)})."
+        else f"{description.licence} ({find_licence_page(description.licence)})."
     )
-    manoeuvres = _most([row for row in rows if row["manoeuvre"]], "manoeuvre") or "none labelled"
+    manoeuvres = _find_most_frequent([row for row in rows if row["manoeuvre"]], "manoeuvre") or "none labelled"
     lines = [
         f"# {escape_markdown(description.name)}",
         "",
@@ -304,9 +331,9 @@ def _page(data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, d
         f"| annotated boxes | {totals['annotations']:,} |",
         f"| adversaries | {totals['adversaries']:,} |",
         f"| what the first of them do | {escape_markdown(manoeuvres)} |",
-        f"| locations | {escape_markdown(_most(rows, 'location'))} |",
-        f"| light, as described | {escape_markdown(_most(rows, 'light'))} |",
-        f"| inspected by people | {_inspected(review)} |",
+        f"| locations | {escape_markdown(_find_most_frequent(rows, 'location'))} |",
+        f"| light, as described | {escape_markdown(_find_most_frequent(rows, 'light'))} |",
+        f"| inspected by people | {_describe_review(review)} |",
         f"| content | `{data.fingerprint()}` |",
         f"| licence | {escape_markdown(licence)} |",
         "",
@@ -315,7 +342,7 @@ def _page(data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, d
         f"`{INDEX_FILE}` has one row a scene; `{CROISSANT_FILE}` describes it for machines. The tables, maps and",
         "images are the data set itself, a nuScenes-format root that the unmodified nuscenes-devkit opens.",
         "",
-        *column_rows(SCENE_COLUMNS),
+        *format_column_rows(SCENE_COLUMNS),
         "",
         "## Before you use it",
         "",
@@ -325,10 +352,10 @@ def _page(data: "DataSet", rows: Sequence[Mapping[str, Any]], origin: _Origin, d
         lines += [f"- {escape_markdown(text)}" for text in ((answer,) if isinstance(answer, str) else answer)]
     lines += ["", "## Judge a planner on it", "", "With challenger-bench installed:", "", "```"]
     lines += ["challenger-bench eval --data FOLDER --split SPLIT --model my_planner:MyPlanner", "```", ""]
-    return [*lines, *ending()]
+    return [*lines, *format_footer()]
 
 
-def _inspected(review: Any) -> str:
+def _describe_review(review: Any) -> str:
     if review is None:
         return "no"
     return f"{review.accepted} accepted, {review.rejected} rejected and left out, {review.not_reviewed} not reviewed"

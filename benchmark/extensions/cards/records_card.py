@@ -6,47 +6,61 @@ from typing import Any, Final
 
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
-from benchmark.extensions.cards.croissant import UNKNOWN, Column, Described, column_rows, licence_named, licence_page
-from benchmark.extensions.cards.writing import CITE, CROISSANT_FILE, CardSettings, WrittenCard, ending, write_card
+from benchmark.extensions.cards.croissant import (
+    UNKNOWN,
+    DataSetDescription,
+    IndexColumn,
+    find_licence_page,
+    format_column_rows,
+    parse_licence,
+)
+from benchmark.extensions.cards.writing import (
+    CITE,
+    CROISSANT_FILE,
+    CardSettings,
+    WrittenCard,
+    format_footer,
+    write_card,
+)
 from benchmark.machine.storage import content_key
 from benchmark.metrics.rates import Rate
-from benchmark.records.drives import DriveRecord, columns_of
+from benchmark.records.drives import DriveRecord, compute_columns
 from benchmark.records.run import RunRecord
 from benchmark.report.table import escape_markdown
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 INDEX_FILE: Final = "rates.parquet"
 TAGS: Final = ("autonomous-driving", "nuscenes", "motion-planning", "benchmark", "leaderboard")
 RATE_COLUMNS: Final = (
-    Column("data_set", "text", "name of the data set"),
-    Column("data_content", "text", "hash of its content"),
-    Column("split", "text", "split"),
-    Column("frozen_split", "text", "frozen split that it was built from, if it was"),
-    Column("planner", "text", "name of the planner"),
-    Column("privileged", "truth", "whether it saw boxes, the map or the recorded future"),
-    Column("miniature", "truth", "whether it is a small stand-in that ranks nothing"),
-    Column("weights_sha256", "text", "hash of its weights, if it has any"),
-    Column("loop", "text", "open (plans judged against the recording) or closed (plans driven)"),
-    Column("protocol", "text", "definition: a protocol, nuscenes-pdm, or engine and agents of a drive"),
-    Column("protocol_version", "count", "its version"),
-    Column("column", "text", "what was measured: collision, l2, ..."),
-    Column("horizon", "text", "1s, 2s, 3s, avg, ...; null of drives"),
-    Column("value", "number", "mean or rate; null where nothing entered it"),
-    Column("low", "number", "lower end of the 95 % interval over recorded scenes"),
-    Column("high", "number", "upper end"),
-    Column("numerator", "number", "sum that entered"),
-    Column("denominator", "number", "how many samples or drives entered"),
-    Column("coverage", "number", "share of samples or drives on which the planner did not fail"),
-    Column("scenes", "count", "scenes that ran"),
-    Column("scenes_in_split", "count", "of so many"),
-    Column("record", "text", "content id of the record"),
+    IndexColumn("data_set", "text", "name of the data set"),
+    IndexColumn("data_content", "text", "hash of its content"),
+    IndexColumn("split", "text", "split"),
+    IndexColumn("frozen_split", "text", "frozen split that it was built from, if it was"),
+    IndexColumn("planner", "text", "name of the planner"),
+    IndexColumn("privileged", "truth", "whether it saw boxes, the map or the recorded future"),
+    IndexColumn("miniature", "truth", "whether it is a small stand-in that ranks nothing"),
+    IndexColumn("weights_sha256", "text", "hash of its weights, if it has any"),
+    IndexColumn("loop", "text", "open (plans judged against the recording) or closed (plans driven)"),
+    IndexColumn("protocol", "text", "definition: a protocol, nuscenes-pdm, or engine and agents of a drive"),
+    IndexColumn("protocol_version", "count", "its version"),
+    IndexColumn("column", "text", "what was measured: collision, l2, ..."),
+    IndexColumn("horizon", "text", "1s, 2s, 3s, avg, ...; null of drives"),
+    IndexColumn("value", "number", "mean or rate; null where nothing entered it"),
+    IndexColumn("low", "number", "lower end of the 95 % interval over recorded scenes"),
+    IndexColumn("high", "number", "upper end"),
+    IndexColumn("numerator", "number", "sum that entered"),
+    IndexColumn("denominator", "number", "how many samples or drives entered"),
+    IndexColumn("coverage", "number", "share of samples or drives on which the planner did not fail"),
+    IndexColumn("scenes", "count", "scenes that ran"),
+    IndexColumn("scenes_in_split", "count", "of so many"),
+    IndexColumn("record", "text", "content id of the record"),
 )
 
 
 def rate_rows(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> Iterator[dict[str, Any]]:
     """Rows of `RATE_COLUMNS`, one for each rate, record by record."""
     for record in records:
-        whose = {**_whose(record.run, record.content_id), "loop": "open", "coverage": record.summary.coverage}
+        whose = {**_planner_columns(record.run, record.content_id), "loop": "open", "coverage": record.summary.coverage}
         measured = [
             (name, protocol_summary.version, protocol_summary.columns)
             for name, protocol_summary in record.summary.protocols.items()
@@ -57,13 +71,13 @@ def rate_rows(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> It
             by = {"protocol": protocol, "protocol_version": version}
             for column, rates in columns.items():
                 for horizon, rate in rates.items():
-                    yield {**whose, **by, "column": column, "horizon": horizon, **_numbers(rate)}
+                    yield {**whose, **by, "column": column, "horizon": horizon, **_rate_columns(rate)}
     for drive in drives:
         facts = drive.facts
-        whose = {**_whose(facts, drive.content_id), "loop": "closed", "coverage": drive.summary.coverage}
+        whose = {**_planner_columns(facts, drive.content_id), "loop": "closed", "coverage": drive.summary.coverage}
         by = {"protocol": facts.measured.world, "protocol_version": facts.scoring, "horizon": None}
-        for column, rate in columns_of(drive).items():
-            yield {**whose, **by, "column": column, **_numbers(rate)}
+        for column, rate in compute_columns(drive).items():
+            yield {**whose, **by, "column": column, **_rate_columns(rate)}
 
 
 def write_records_card(
@@ -89,26 +103,26 @@ def write_records_card(
         raise InputError("there are no records with numbers to describe; run challenger-bench eval first")
     count = len(records) + len(drives)
     description = (
-        f"{counted(len(rows), 'rate')} from {counted(count, 'record')} of driving models on adversarial and ordinary "
+        f"{pluralise(len(rows), 'rate')} from {pluralise(count, 'record')} of driving models on adversarial and ordinary "
         "scenes, each by a named, versioned protocol, with its sample count and interval."
     )
-    card_description = Described(
+    card_description = DataSetDescription(
         name=settings.title or "challenger-bench results",
         description=description,
-        licence=licence_named(settings.licence),
+        licence=parse_licence(settings.licence),
         url=settings.url,
         published=settings.published,
         version=f"1.0.0+{content_key(sorted({row['record'] for row in rows}))[:12]}",
         cite=CITE,
         creator=settings.creator,
         keywords=TAGS,
-        responsible=_responsible(records, drives),
+        responsible=_build_responsible_ai(records, drives),
     )
-    page = _page(card_description, records, drives)
+    page = _format_page(card_description, records, drives)
     return write_card(to, card_description, page, INDEX_FILE, "rates", RATE_COLUMNS, rows, TAGS)
 
 
-def _whose(facts: Any, content_id: str) -> dict[str, Any]:
+def _planner_columns(facts: Any, content_id: str) -> dict[str, Any]:
     planner = facts.planner
     return {
         "data_set": facts.data.name,
@@ -125,18 +139,20 @@ def _whose(facts: Any, content_id: str) -> dict[str, Any]:
     }
 
 
-def _numbers(rate: Rate) -> dict[str, Any]:
+def _rate_columns(rate: Rate) -> dict[str, Any]:
     return {name: getattr(rate, name) for name in ("value", "low", "high", "numerator", "denominator")}
 
 
-def _responsible(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> dict[str, str | tuple[str, ...]]:
+def _build_responsible_ai(
+    records: Sequence[RunRecord], drives: Sequence[DriveRecord]
+) -> dict[str, str | tuple[str, ...]]:
     failed = sum(record.summary.failed for record in records) + sum(record.summary.failed for record in drives)
     parts = sum(not record.covers_split for record in records) + sum(not record.covers_split for record in drives)
     return {
         "dataCollection": f"Planners were run and judged by challenger-bench ({VERSION} wrote this card).",
         "dataCollectionType": ("Experiments", "Software Collection"),
-        "dataCollectionMissingData": f"{counted(failed, 'sample or drive', 'samples or drives')} on which a planner "
-        f"failed are in no rate; {counted(parts, 'record')} of a part of a split.",
+        "dataCollectionMissingData": f"{pluralise(failed, 'sample or drive', 'samples or drives')} on which a planner "
+        f"failed are in no rate; {pluralise(parts, 'record')} of a part of a split.",
         "dataAnnotationProtocol": "None: numbers are computed from stored plans.",
         "dataBiases": ("A rate is one of these scenes, and of no others.",),
         "dataLimitations": (
@@ -151,7 +167,9 @@ def _responsible(records: Sequence[RunRecord], drives: Sequence[DriveRecord]) ->
     }
 
 
-def _page(description: Described, records: Sequence[RunRecord], drives: Sequence[DriveRecord]) -> list[str]:
+def _format_page(
+    description: DataSetDescription, records: Sequence[RunRecord], drives: Sequence[DriveRecord]
+) -> list[str]:
     rows = [
         (
             "open",
@@ -178,7 +196,7 @@ def _page(description: Described, records: Sequence[RunRecord], drives: Sequence
     licence = (
         "Not decided: whoever publishes this must say."
         if description.licence == UNKNOWN
-        else f"{description.licence} ({licence_page(description.licence)})."
+        else f"{description.licence} ({find_licence_page(description.licence)})."
     )
     lines = [
         f"# {escape_markdown(description.name)}",
@@ -200,8 +218,8 @@ def _page(description: Described, records: Sequence[RunRecord], drives: Sequence
         f"`{INDEX_FILE}` has one row a rate; `{CROISSANT_FILE}` describes it for machines.",
         "",
     ]
-    lines += [*column_rows(RATE_COLUMNS), "", "## Before you use it", ""]
+    lines += [*format_column_rows(RATE_COLUMNS), "", "## Before you use it", ""]
     for field in ("dataUseCases", "dataLimitations", "dataBiases", "dataCollectionMissingData"):
         answer = description.responsible[field]
         lines += [f"- {escape_markdown(text)}" for text in ((answer,) if isinstance(answer, str) else answer)]
-    return [*lines, "", *ending()]
+    return [*lines, "", *format_footer()]

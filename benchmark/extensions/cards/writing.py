@@ -1,4 +1,4 @@
-"""A card on disk: ``README.md`` for people and hubs, an index in Parquet, ``croissant.json`` for search engines.
+"""A card on disk: ``README.md`` for people and hubs, an index in Parquet, ``build_croissant.json`` for search engines.
 
 The head of a card as hubs read it: YAML between lines of dashes. JSON values are YAML, so no package is needed.
 """
@@ -16,10 +16,10 @@ from benchmark.errors import InputError
 from benchmark.extensions.cards.croissant import (
     PAGES,
     UNKNOWN,
-    Column,
-    Described,
-    croissant,
-    licence_named,
+    DataSetDescription,
+    IndexColumn,
+    build_croissant,
+    parse_licence,
     write_index,
 )
 from benchmark.machine.storage import write_bytes, write_json
@@ -28,7 +28,7 @@ from benchmark.published import PAPER
 _SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 
 
-def front_matter(fields: Mapping[str, Any]) -> str:
+def format_front_matter(fields: Mapping[str, Any]) -> str:
     """Front matter of a card, dashes included, in the given order; fields that are ``None`` or empty are left out."""
     lines = [
         f"{name}: {json.dumps(value, ensure_ascii=False, allow_nan=False)}"
@@ -38,7 +38,7 @@ def front_matter(fields: Mapping[str, Any]) -> str:
     return "\n".join(["---", *lines, "---", ""])
 
 
-def size_category(rows: int) -> str:
+def find_size_category(rows: int) -> str:
     """Size category in which hubs put a number of rows."""
     return next((name for most, name in _SIZES if rows < most), "n>1M")
 
@@ -70,7 +70,7 @@ class CardSettings:
     creator: str | None = None
 
     def __post_init__(self) -> None:
-        licence_named(self.licence)
+        parse_licence(self.licence)
         for option, text in (("--title", self.title), ("--creator", self.creator)):
             if text is not None and not (_TITLE.fullmatch(text) and text.strip()):
                 raise InputError(f"{option} must be one line of at most 200 letters, got {text[:40]!r}")
@@ -97,11 +97,11 @@ class WrittenCard:
 
 def write_card(
     to: Path,
-    said: Described,
+    said: DataSetDescription,
     page: Sequence[str],
     index_name: str,
     rows: str,
-    columns: Sequence[Column],
+    columns: Sequence[IndexColumn],
     values: Sequence[Mapping[str, Any]],
     tags: Sequence[str],
 ) -> WrittenCard:
@@ -115,31 +115,31 @@ def write_card(
     Raises:
         InputError: If the folder cannot be written or holds a ``README.md`` that is no card of ours.
     """
-    _require_own(to / CARD_FILE)
+    _require_own_card(to / CARD_FILE)
     index = to / index_name
     write_index(index, columns, values)
     known = said.licence if said.licence in (*PAGES, UNKNOWN) else "other"
-    head = front_matter(
+    head = format_front_matter(
         {
             "pretty_name": said.name,
             "license": known,
             "license_name": said.licence if known != said.licence else None,
             "tags": ["croissant", *tags],
-            "size_categories": [size_category(len(values))],
+            "size_categories": [find_size_category(len(values))],
             "configs": [{"config_name": rows, "data_files": [{"split": "index", "path": index_name}], "default": True}],
         }
     )
-    write_json(to / CROISSANT_FILE, croissant(said, index, rows, columns))
+    write_json(to / CROISSANT_FILE, build_croissant(said, index, rows, columns))
     write_bytes(to / CARD_FILE, (head + "\n".join(page) + "\n").encode())
     return WrittenCard((to / CARD_FILE, index, to / CROISSANT_FILE), len(values))
 
 
-def ending() -> list[str]:
+def format_footer() -> list[str]:
     """The last lines of a card: what to cite, and who wrote the card."""
     return ["## Cite", "", CITE, "", f"{_OURS} {VERSION}."]
 
 
-def _require_own(page: Path) -> None:
+def _require_own_card(page: Path) -> None:
     """Refuse to write over a ``README.md`` that is no card of ours."""
     try:
         theirs = page.exists() and _OURS not in page.read_text(encoding="utf-8", errors="replace")

@@ -17,41 +17,47 @@ import numpy as np
 from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.steps import require_two_hz
-from benchmark.dynamics.bicycle import rear_axle
+from benchmark.dynamics.bicycle import compute_rear_axle
 from benchmark.errors import InputError, did_you_mean
-from benchmark.extensions.challenge.images import Views, faults_of_files, of_another_time, pictures_of, unseen_change
+from benchmark.extensions.challenge.images import (
+    Views,
+    check_change_is_seen,
+    check_image_files,
+    check_image_times,
+    read_thumbnails,
+)
 from benchmark.extensions.challenge.others import (
-    Differing,
+    ChangedObject,
     Nearness,
-    changed_vehicle,
-    differing,
-    labels_of,
-    nearest_ego,
-    nearest_other,
-    off_road,
-    too_near,
-    who_differs,
+    check_changed_objects,
+    check_changed_vehicle,
+    check_drivable_area,
+    check_gap,
+    check_labels,
+    find_changed_objects,
+    find_nearest_ego,
+    find_nearest_object,
 )
 from benchmark.extensions.challenge.recorded_part import (
+    CommonKeyframes,
     Counterparts,
-    Keyframes,
-    counterparts,
-    ego_of,
-    map_of,
+    check_ego,
+    check_map,
+    check_planner_inputs,
+    check_sensors,
+    check_times,
+    match_objects,
     require_comparable,
-    sensors_of,
-    times_of,
-    told_of,
 )
-from benchmark.extensions.challenge.rules import Motion, Rules
+from benchmark.extensions.challenge.rules import ChallengeRules, MotionRules
 from benchmark.geometry import Floats, wrap_angle, yaw_of_quaternion
 from benchmark.interactions.tracks import Integers
 from benchmark.machine.workers import Executor, LocalProcesses
-from benchmark.records.challenge import ChangedVehicle, ComparedData, EntryVerdict, Reason, SceneVerdict
+from benchmark.records.challenge import ChangedVehicle, ComparedData, EntryVerdict, RefusalReason, SceneVerdict
 from benchmark.scene import Scene
 
 
-def broken_limits(seconds: Floats, boxes: Floats, rules: Motion) -> Iterator[Reason]:
+def check_motion_limits(seconds: Floats, boxes: Floats, rules: MotionRules) -> Iterator[RefusalReason]:
     """Limits that a track breaks where it is changed, at most one reason for each.
 
     Takes (K,) seconds from the first keyframe at which the track differs, and (K, 5) boxes there.
@@ -59,7 +65,7 @@ def broken_limits(seconds: Floats, boxes: Floats, rules: Motion) -> Iterator[Rea
     if len(boxes) < 2:
         return
     span = np.diff(seconds)
-    along, across, turn = _steps(seconds, boxes)
+    along, across, turn = _compute_step_motion(seconds, boxes)
     yaw_rate = turn / span
     # A lateral acceleration that changes its sign in the middle displaces the axle by a quarter of it times the time.
     sideways = rules.sideways_m_s + rules.lateral_m_s2 * span / 4
@@ -80,13 +86,13 @@ def broken_limits(seconds: Floats, boxes: Floats, rules: Motion) -> Iterator[Rea
         at = int(np.argmax(excess))
         if excess[at] > 0:
             most = float(np.broadcast_to(limit, values.shape)[at])
-            yield Reason(
+            yield RefusalReason(
                 rule=f"motion.{rule}",
                 sentence=f"asks for {values[at]:.3g} {unit} at {seconds[at]:.1f} s; {most:.3g} are allowed",
             )
 
 
-def broken_launch(seconds: Floats, boxes: Floats, rules: Motion) -> Reason | None:
+def check_launch(seconds: Floats, boxes: Floats, rules: MotionRules) -> RefusalReason | None:
     """Reason why a vehicle jumps where its recorded track ends, or ``None``.
 
     Takes (3,) seconds and (3, 5) boxes: the last two keyframes as recorded, and the first changed one.
@@ -98,16 +104,16 @@ def broken_launch(seconds: Floats, boxes: Floats, rules: Motion) -> Reason | Non
     most = rules.launch_m_s2 * 0.5 * second * (first + second) + rules.launch_m
     if off <= most:
         return None
-    return Reason(
+    return RefusalReason(
         rule="motion.launch_m_s2",
         sentence=f"jumps at {seconds[1]:.1f} s, where its recorded track ends: {off:.3g} m from where it was going; "
         f"{most:.3g} m are allowed",
     )
 
 
-def _steps(seconds: Floats, boxes: Floats) -> tuple[Floats, Floats, Floats]:
+def _compute_step_motion(seconds: Floats, boxes: Floats) -> tuple[Floats, Floats, Floats]:
     """(K - 1,) mean speed of the rear axle along and across its mean heading, and (K - 1,) turn, radians."""
-    axle = rear_axle(boxes[:, [0, 1, 4]], float(boxes[0, 2]))
+    axle = compute_rear_axle(boxes[:, [0, 1, 4]], float(boxes[0, 2]))
     turn = wrap_angle(np.diff(axle[:, 2]))
     heading = axle[:-1, 2] + 0.5 * turn
     step = np.diff(axle[:, :2], axis=0) / np.diff(seconds)[:, None]
@@ -138,7 +144,7 @@ class CheckedScene:
 def check_entry(
     entry: DataSet,
     base: DataSet,
-    rules: Rules,
+    rules: ChallengeRules,
     names: Sequence[str] | None = None,
     executor: Executor | None = None,
 ) -> EntryVerdict:
@@ -157,11 +163,11 @@ def check_entry(
     Raises:
         InputError: If a scene is not of these recordings, is missing, or is broken; nothing can be said then.
     """
-    sources = recordings_of(entry, base, names)
+    sources = find_source_recordings(entry, base, names)
     if names is None:
         _require_scenes(entry, sources, rules)
     work = [(name, sources[name]) for name in sources]
-    check = partial(_checked, entry, base, rules)
+    check = partial(_check_scene, entry, base, rules)
     checked = list((executor or LocalProcesses(1)).map(check, work, total=len(work), label="checking scenes"))
     return EntryVerdict(
         version=VERSION,
@@ -169,12 +175,12 @@ def check_entry(
         base=ComparedData(name=base.name, fingerprint=base.fingerprint()),
         challenge=rules.name,
         rules=rules.fingerprint,
-        reasons=tuple(_of_too_many(sources, rules)),
-        scenes=tuple(_with_repeats(checked, rules)),
+        reasons=tuple(_check_scenes_per_recording(sources, rules)),
+        scenes=tuple(_add_repeat_reasons(checked, rules)),
     )
 
 
-def recordings_of(entry: DataSet, base: DataSet, names: Sequence[str] | None = None) -> dict[str, str]:
+def find_source_recordings(entry: DataSet, base: DataSet, names: Sequence[str] | None = None) -> dict[str, str]:
     """Recorded scene that each scene of an entry was made from, by name of the scene, in the order of the entry.
 
     Raises:
@@ -197,7 +203,7 @@ def recordings_of(entry: DataSet, base: DataSet, names: Sequence[str] | None = N
     return sources
 
 
-def _require_scenes(entry: DataSet, sources: Mapping[str, str], rules: Rules) -> None:
+def _require_scenes(entry: DataSet, sources: Mapping[str, str], rules: ChallengeRules) -> None:
     if missing := sorted(set(rules.scenes.required) - set(sources.values())):
         raise InputError(
             f"{entry.root} has no scene of {', '.join(missing[:5])}{', ...' if len(missing) > 5 else ''}, "
@@ -205,30 +211,30 @@ def _require_scenes(entry: DataSet, sources: Mapping[str, str], rules: Rules) ->
         )
 
 
-def _of_too_many(sources: Mapping[str, str], rules: Rules) -> Iterator[Reason]:
+def _check_scenes_per_recording(sources: Mapping[str, str], rules: ChallengeRules) -> Iterator[RefusalReason]:
     most = rules.scenes.most_of_one
     for recording, count in Counter(sources.values()).items():
         if most and count > most:
-            yield Reason(
+            yield RefusalReason(
                 rule="scenes.most_of_one", sentence=f"has {count} scenes of {recording}; {most} may be made of one"
             )
 
 
-def _with_repeats(checked: Sequence[CheckedScene], rules: Rules) -> Iterator[SceneVerdict]:
+def _add_repeat_reasons(checked: Sequence[CheckedScene], rules: ChallengeRules) -> Iterator[SceneVerdict]:
     """Verdicts, with the reason added to scenes that repeat an earlier one."""
     earlier: dict[tuple[str, tuple[str, ...]], list[CheckedScene]] = {}
     for scene in checked:
         verdict = scene.verdict
         alike = earlier.setdefault((verdict.recording, tuple(token for token, _ in scene.tracks)), [])
-        twin = next((other for other in alike if _same(scene, other, rules.scenes.apart_m)), None)
+        twin = next((other for other in alike if _is_repeat(scene, other, rules.scenes.apart_m)), None)
         if twin is not None:
-            reason = Reason(rule="scenes.apart_m", sentence=f"is the scene {twin.verdict.scene} once more")
+            reason = RefusalReason(rule="scenes.apart_m", sentence=f"is the scene {twin.verdict.scene} once more")
             verdict = verdict.model_copy(update={"reasons": (*verdict.reasons, reason)})
         alike.append(scene)
         yield verdict
 
 
-def _same(scene: CheckedScene, other: CheckedScene, apart_m: float) -> bool:
+def _is_repeat(scene: CheckedScene, other: CheckedScene, apart_m: float) -> bool:
     if not scene.tracks:
         return not other.tracks
     for (_, mine), (_, theirs) in zip(scene.tracks, other.tracks, strict=True):
@@ -239,7 +245,7 @@ def _same(scene: CheckedScene, other: CheckedScene, apart_m: float) -> bool:
     return True
 
 
-def _checked(entry: DataSet, base: DataSet, rules: Rules, work: tuple[str, str]) -> CheckedScene:
+def _check_scene(entry: DataSet, base: DataSet, rules: ChallengeRules, work: tuple[str, str]) -> CheckedScene:
     return _SceneCheck.of(entry, base, rules, *work).result()
 
 
@@ -249,35 +255,36 @@ class _SceneCheck:
 
     entry: DataSet
     base: DataSet
-    rules: Rules
+    rules: ChallengeRules
     scene: Scene
     recorded: Scene
-    common: Keyframes
+    common: CommonKeyframes
     known: Counterparts
-    differing: tuple[Differing, ...]
+    differing: tuple[ChangedObject, ...]
     views: tuple[Views, Views]
     notes: list[str]
 
     @classmethod
-    def of(cls, entry: DataSet, base: DataSet, rules: Rules, name: str, source: str) -> "_SceneCheck":
+    def of(cls, entry: DataSet, base: DataSet, rules: ChallengeRules, name: str, source: str) -> "_SceneCheck":
         scene, recorded = entry.scene(name), base.scene(source)
         require_two_hz(recorded, "the challenge")
-        common = Keyframes.common(scene, recorded)
+        common = CommonKeyframes.common(scene, recorded)
         require_comparable(scene, recorded, common)
-        known = counterparts(scene, recorded, common)
-        changed_objects = differing(scene, recorded, known, common, rules)
+        known = match_objects(scene, recorded, common)
+        changed_objects = find_changed_objects(scene, recorded, known, common, rules)
         views = entry.videos(name, sweeps=False), base.videos(source, sweeps=False)
         return cls(entry, base, rules, scene, recorded, common, known, tuple(changed_objects), views, [])
 
     def result(self) -> CheckedScene:
-        reasons = [*self._as_recorded(), *self._who(), *self._images()]
+        reasons = [*self._check_recorded_part(), *self._who(), *self._images()]
         vehicles = []
         for changed_object in self.differing[: max(self.rules.changed.most, 1)]:
             vehicle_reasons, vehicle = self._vehicle(changed_object)
             reasons += vehicle_reasons
             vehicles.append(vehicle)
         vehicles += [
-            self._described(changed_object) for changed_object in self.differing[max(self.rules.changed.most, 1) :]
+            self._describe_vehicle(changed_object)
+            for changed_object in self.differing[max(self.rules.changed.most, 1) :]
         ]
         verdict = SceneVerdict(
             scene=self.scene.name,
@@ -289,17 +296,17 @@ class _SceneCheck:
         )
         return CheckedScene(verdict, tuple(self._track(changed_object) for changed_object in self.differing))
 
-    def _as_recorded(self) -> Iterator[Reason]:
+    def _check_recorded_part(self) -> Iterator[RefusalReason]:
         rules = self.rules.unchanged
-        yield from times_of(self.scene, self.recorded, self.common)
-        yield from ego_of(self.scene, self.recorded, self.common, rules)
-        yield from sensors_of(
+        yield from check_times(self.scene, self.recorded, self.common)
+        yield from check_ego(self.scene, self.recorded, self.common, rules)
+        yield from check_sensors(
             self.scene, self.recorded, self.common, self.views, rules, required=self.rules.images.required
         )
         if not self.views[1]:
             self.notes.append(NO_CAMERAS)
         if self.base.has_map(self.recorded.name):
-            yield from map_of(self.scene.road_map, self.recorded.road_map, rules)
+            yield from check_map(self.scene.road_map, self.recorded.road_map, rules)
         else:
             self.notes.append(NO_MAP)
         # Observations cannot be had of a scene some of whose images are missing, which is a reason by itself.
@@ -307,58 +314,58 @@ class _SceneCheck:
         if len(there) < 2:
             mine = list(self.entry.observations(self.scene.name))
             theirs = list(self.base.observations(self.recorded.name))
-            yield from told_of(mine, theirs, self.common, rules)
+            yield from check_planner_inputs(mine, theirs, self.common, rules)
 
-    def _who(self) -> Iterator[Reason]:
+    def _who(self) -> Iterator[RefusalReason]:
         arguments = self.scene, self.recorded, self.known, self.differing, self.common, self.rules
-        yield from who_differs(*arguments)
-        yield from labels_of(*arguments)
+        yield from check_changed_objects(*arguments)
+        yield from check_labels(*arguments)
 
-    def _images(self) -> Iterator[Reason]:
+    def _images(self) -> Iterator[RefusalReason]:
         if not self.rules.images.required or not self.views[1]:
             return
-        thumbnails, reasons = faults_of_files(self.views[0], self.rules.images)
+        thumbnails, reasons = check_image_files(self.views[0], self.rules.images)
         yield from reasons
         if not self.rules.images.of_their_time:
             return
-        recorded = pictures_of(self.views[1])
-        yield from of_another_time(thumbnails, recorded, self.common)
+        recorded = read_thumbnails(self.views[1])
+        yield from check_image_times(thumbnails, recorded, self.common)
         for changed_object in self.differing[: self.rules.changed.most]:
             changed = np.flatnonzero(changed_object.at)
-            reason = unseen_change(
+            reason = check_change_is_seen(
                 self.scene, changed_object.agent, changed, self.views, (thumbnails, recorded), self.common
             )
             if reason is not None:
                 yield reason
 
-    def _vehicle(self, changed_object: Differing) -> tuple[list[Reason], ChangedVehicle]:
+    def _vehicle(self, changed_object: ChangedObject) -> tuple[list[RefusalReason], ChangedVehicle]:
         """Verdict on one changed vehicle."""
         rules, scene = self.rules, self.scene
-        reasons = list(changed_vehicle(scene, self.recorded, changed_object, self.common, rules))
-        reasons += self._motion(changed_object)
+        reasons = list(check_changed_vehicle(scene, self.recorded, changed_object, self.common, rules))
+        reasons += self._check_motion(changed_object)
         frames = self._frames(changed_object)
         if not len(frames):
-            return reasons, self._described(changed_object)
+            return reasons, self._describe_vehicle(changed_object)
         boxes = scene.agents.boxes[changed_object.agent, frames]
         if self.base.has_map(self.recorded.name):
-            reasons += off_road(boxes, scene.seconds[frames], self.recorded.road_map, rules.road)
-        other = nearest_other(scene, changed_object.agent, frames)
-        ego = nearest_ego(scene, changed_object.agent, int(self.common.here[changed_object.first]))
+            reasons += check_drivable_area(boxes, scene.seconds[frames], self.recorded.road_map, rules.road)
+        other = find_nearest_object(scene, changed_object.agent, frames)
+        ego = find_nearest_ego(scene, changed_object.agent, int(self.common.here[changed_object.first]))
         reasons += [
-            gap_reason for gap_reason in (too_near(near, scene, rules.gaps) for near in (ego, other)) if gap_reason
+            gap_reason for gap_reason in (check_gap(near, scene, rules.gaps) for near in (ego, other)) if gap_reason
         ]
-        return reasons, self._described(changed_object, ego, other)
+        return reasons, self._describe_vehicle(changed_object, ego, other)
 
-    def _motion(self, changed_object: Differing) -> Iterator[Reason]:
+    def _check_motion(self, changed_object: ChangedObject) -> Iterator[RefusalReason]:
         here = self.common.here
         there = here[changed_object.at & self.scene.annotations.valid[changed_object.agent, here]]
         seconds = self.scene.seconds[self.scene.keyframes]
-        yield from broken_limits(seconds[there], self._boxes(changed_object.agent, there), self.rules.motion)
+        yield from check_motion_limits(seconds[there], self._boxes(changed_object.agent, there), self.rules.motion)
         before = here[: changed_object.first]
         before = before[self.scene.annotations.valid[changed_object.agent, before]][-2:]
         if len(before) == 2 and len(there):
             at = np.concatenate([before, there[:1]])
-            launch = broken_launch(seconds[at], self._boxes(changed_object.agent, at), self.rules.motion)
+            launch = check_launch(seconds[at], self._boxes(changed_object.agent, at), self.rules.motion)
             if launch is not None:
                 yield launch
 
@@ -368,14 +375,14 @@ class _SceneCheck:
         yaw = yaw_of_quaternion(notes.rotation[at])[:, None]
         return np.concatenate([notes.position[at][:, :2], notes.size[at][:, :2], yaw], axis=1)
 
-    def _frames(self, changed_object: Differing) -> Integers:
+    def _frames(self, changed_object: ChangedObject) -> Integers:
         """Frames after the last keyframe before it differs at which it is there."""
         first = int(self.common.here[changed_object.first])
         start = int(self.scene.keyframes[first - 1]) + 1 if first else 0
         return start + np.flatnonzero(self.scene.agents.valid[changed_object.agent, start:])
 
-    def _described(
-        self, changed_object: Differing, ego: Nearness | None = None, other: Nearness | None = None
+    def _describe_vehicle(
+        self, changed_object: ChangedObject, ego: Nearness | None = None, other: Nearness | None = None
     ) -> ChangedVehicle:
         at = self.scene.keyframes[self.common.here[changed_object.first]]
         return ChangedVehicle(
@@ -389,7 +396,7 @@ class _SceneCheck:
             nearest_ego_s=None if ego is None else round(ego.seconds, DIGITS),
         )
 
-    def _track(self, changed_object: Differing) -> tuple[str, Floats]:
+    def _track(self, changed_object: ChangedObject) -> tuple[str, Floats]:
         notes = self.scene.annotations
         places = np.where(
             notes.valid[changed_object.agent, :, None], notes.position[changed_object.agent, :, :2], np.nan

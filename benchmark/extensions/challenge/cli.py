@@ -10,18 +10,18 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.help import WholeSummaries
-from benchmark.cli.options import name_list
-from benchmark.cli.output import print_json, print_result, same_out, say_next
+from benchmark.cli.help import FullSummaryGroup
+from benchmark.cli.options import parse_name_list
+from benchmark.cli.output import print_json, print_next_steps, print_result, repeat_out_option
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from benchmark.records.challenge import EntryVerdict
 
 app = typer.Typer(
-    cls=WholeSummaries,
+    cls=FullSummaryGroup,
     help="Check and rank strangers' adversarial scenes, as the organiser of a challenge.",
     no_args_is_help=True,
 )
@@ -65,10 +65,10 @@ def challenge_check_command(options: ChallengeCheckOptions) -> None:
     """Say which scenes of an entry keep the rules; exit code 1 if one is refused, 2 if nothing can be said."""
     from benchmark.extensions.challenge.checking import check_entry
     from benchmark.extensions.challenge.page import write_page
-    from benchmark.extensions.challenge.pictures import scenes_from_above
+    from benchmark.extensions.challenge.pictures import draw_scenes
     from benchmark.extensions.challenge.rules import read_rules
     from benchmark.machine.places import require_file, require_folder, require_place
-    from benchmark.machine.storage import file_name
+    from benchmark.machine.storage import sanitise_file_name
     from benchmark.machine.workers import LocalProcesses
     from benchmark.records.challenge import write_verdict
 
@@ -80,16 +80,16 @@ def challenge_check_command(options: ChallengeCheckOptions) -> None:
     base.require()
     require_place(options.to or options.out, "--to" if options.to else "--out")
     entry, recordings = api.open_data(options.root, tables=options.tables), base.open()
-    verdict = check_entry(entry, recordings, rules, name_list(options.scenes), LocalProcesses(count))
-    folder = options.to or api.workspace(options.out).challenge_root() / file_name(entry.name)
+    verdict = check_entry(entry, recordings, rules, parse_name_list(options.scenes), LocalProcesses(count))
+    folder = options.to or api.workspace(options.out).challenge_root() / sanitise_file_name(entry.name)
     file = write_verdict(folder, verdict)
-    page = write_page(folder, verdict, rules, scenes_from_above(entry, recordings, verdict)) if options.page else file
+    page = write_page(folder, verdict, rules, draw_scenes(entry, recordings, verdict)) if options.page else file
     if options.json_output:
         print_json(verdict.model_dump(mode="json", by_alias=True))
     else:
-        _say(verdict)
-    again = same_out(options.out)
-    say_next(
+        _print_verdict(verdict)
+    again = repeat_out_option(options.out)
+    print_next_steps(
         f"verdict: {file}{f', {page} in any browser' if options.page else ''}",
         (f"challenge score {options.root} --base {options.base} --model constant-velocity{again}", "planners on it"),
         json_output=options.json_output,
@@ -97,7 +97,7 @@ def challenge_check_command(options: ChallengeCheckOptions) -> None:
     raise typer.Exit(0 if verdict.accepted else 1)
 
 
-def entry_names(roots: Sequence[Path]) -> dict[str, Path]:
+def name_entries(roots: Sequence[Path]) -> dict[str, Path]:
     """Roots of entries by name: the folder, with as many of those above as tell entries apart."""
     resolved = [root.resolve() for root in roots]
     if twice := next((root for root, own in zip(roots, resolved, strict=True) if resolved.count(own) > 1), None):
@@ -109,7 +109,7 @@ def entry_names(roots: Sequence[Path]) -> dict[str, Path]:
     return {"/".join(own[-count:]): root for own, root in zip(parts, roots, strict=True)}
 
 
-def _say(verdict: "EntryVerdict") -> None:
+def _print_verdict(verdict: "EntryVerdict") -> None:
     for reason in verdict.reasons:
         typer.echo(f"refused: {verdict.entry.name} {reason.sentence} [{reason.rule}]")
     for scene in verdict.scenes:
@@ -120,7 +120,7 @@ def _say(verdict: "EntryVerdict") -> None:
         for note in scene.notes:
             typer.echo(f"note: {scene.scene}: {note}")
     accepted = len(verdict.scenes) - len(verdict.refused)
-    typer.echo(f"{accepted} of {counted(len(verdict.scenes), 'scene')} of {verdict.entry.name} accepted")
+    typer.echo(f"{accepted} of {pluralise(len(verdict.scenes), 'scene')} of {verdict.entry.name} accepted")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,7 +151,7 @@ def challenge_score_command(options: ChallengeScoreOptions) -> None:
     from benchmark.extensions.challenge.rules import read_rules
     from benchmark.extensions.challenge.scoring import ScoreSettings, score_entries
     from benchmark.machine.places import require_file, require_folder, require_place
-    from benchmark.protocols import protocol as known_protocol
+    from benchmark.protocols import find_protocol as known_protocol
     from benchmark.records.challenge import write_scores
     from benchmark.records.run import NATIVE
     from leaderboard.extensions.challenge.tables import challenge_tables
@@ -168,7 +168,7 @@ def challenge_score_command(options: ChallengeScoreOptions) -> None:
     base.require()
     require_place(options.out, "--out")
     planners, recordings = named.load(), base.open()
-    entries = {name: api.open_data(root) for name, root in entry_names(options.roots).items()}
+    entries = {name: api.open_data(root) for name, root in name_entries(options.roots).items()}
     folder = api.workspace(options.out).challenge_root()
     settings = ScoreSettings(folder, rules, options.protocol, options.horizon, options.seed, count)
     scores = score_entries(entries, recordings, planners, settings)
@@ -178,9 +178,9 @@ def challenge_score_command(options: ChallengeScoreOptions) -> None:
     else:
         for table in challenge_tables(scores):
             typer.echo(table.plain(wide=options.wide))
-    say_next(
+    print_next_steps(
         f"scores: {file}; verdicts and records of the planners: {folder}",
-        (f"leaderboard{same_out(options.out)}", "the entries beside the planners"),
+        (f"leaderboard{repeat_out_option(options.out)}", "the entries beside the planners"),
         json_output=options.json_output,
     )
     failed = any(planner_score.failed for entry in scores.entries for planner_score in entry.planners.values())
@@ -201,10 +201,10 @@ class ChallengeRulesOptions:
 @command(ChallengeRulesOptions, app, "rules")
 def challenge_rules_command(options: ChallengeRulesOptions) -> None:
     """Print a whole rules.toml, each rule with what it says."""
-    from benchmark.extensions.challenge.rules import RULE_SETS, read_rules, rules_text
+    from benchmark.extensions.challenge.rules import RULE_SETS, format_rules, read_rules
     from benchmark.machine.places import require_file
 
     require_file(options.rules, "rules", (".toml",))
     rule_set = RULE_SETS[options.start] if options.rules is None else read_rules(options.rules)
     rules = {"fingerprint": rule_set.fingerprint, "rules": rule_set.model_dump(mode="json", by_alias=True)}
-    print_result(rules, rules_text(rule_set), json_output=options.json_output)
+    print_result(rules, format_rules(rule_set), json_output=options.json_output)

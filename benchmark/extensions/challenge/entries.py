@@ -10,11 +10,11 @@ import numpy as np
 from benchmark.datasets.annotated import AnnotationCount
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.roots import DataSet
-from benchmark.datasets.scene_facts import scene_facts_of
-from benchmark.fairness.scenes import TracksAtHand, judge_scene
+from benchmark.datasets.scene_facts import build_scene_facts
+from benchmark.fairness.scenes import AdversaryProvenance, assess_scene
 from benchmark.planning import CameraView, Observation
 from benchmark.records.challenge import EntryVerdict, SceneVerdict
-from benchmark.records.judgement import SceneJudgement
+from benchmark.records.judgement import SceneAssessment
 from benchmark.records.review import SplitReview
 from benchmark.records.run_schema import SceneFacts
 from benchmark.scene import Scene
@@ -38,24 +38,24 @@ class CheckedEntry:
     root: Path
     version: str
     verdicts: Mapping[str, SceneVerdict]
-    judgements: Mapping[str, tuple[SceneJudgement, ...]]
+    judgements: Mapping[str, tuple[SceneAssessment, ...]]
 
     @classmethod
     def of(cls, data: DataSet, name: str, root: Path, verdict: EntryVerdict) -> Self:
         """The accepted scenes of an entry, judged."""
         accepted = {scene.scene: scene for scene in verdict.scenes if scene.accepted}
         unjudged = cls(data, name, root, data.version, accepted, {})
-        judged = {scene: judge_scene(unjudged.scene(scene), unjudged.tracks(scene)) for scene in accepted}
+        judged = {scene: assess_scene(unjudged.scene(scene), unjudged.tracks(scene)) for scene in accepted}
         return replace(unjudged, judgements=judged)
 
-    def tracks(self, name: str) -> TracksAtHand:
+    def tracks(self, name: str) -> AdversaryProvenance:
         """Findings on how the changed vehicles of a scene were made."""
         seconds = self.data.scene(name).seconds
         starts = {
             vehicle.instance: int(np.argmin(np.abs(seconds - vehicle.from_s)))
             for vehicle in self.verdicts[name].changed
         }
-        return TracksAtHand(generated=False, launches=starts)
+        return AdversaryProvenance(generated=False, launches=starts)
 
     @property
     def categories(self) -> CategoryNames:
@@ -103,7 +103,7 @@ class CheckedEntry:
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
         """One truth a sample, in time order; the changed vehicles are the adversaries, named by the entry or not."""
         changed = frozenset(vehicle.instance for vehicle in self.verdicts[name].changed)
-        return tuple(_with_adversaries(truth, changed) for truth in self.data.truth(name))
+        return tuple(_mark_adversaries(truth, changed) for truth in self.data.truth(name))
 
     def keyframe_rows(self, name: str) -> dict[str, str]:
         """Sample tokens of a scene by the tokens of their keyframe rows."""
@@ -143,10 +143,10 @@ class CheckedEntry:
                 "adversaries": [vehicle.instance for vehicle in verdict.changed],
             }
             description = self.data.scene(name).description
-            scenes[name] = scene_facts_of(name, origin, description, self.judgements.get(name, ()))
+            scenes[name] = build_scene_facts(name, origin, description, self.judgements.get(name, ()))
         return scenes
 
 
-def _with_adversaries(truth: SampleTruth, adversaries: frozenset[str]) -> SampleTruth:
+def _mark_adversaries(truth: SampleTruth, adversaries: frozenset[str]) -> SampleTruth:
     timed = None if truth.timed is None else replace(truth.timed, adversaries=adversaries)
     return replace(truth, adversaries=adversaries, timed=timed)

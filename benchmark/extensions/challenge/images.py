@@ -14,16 +14,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.box_projection import corners_of_box, to_camera
+from benchmark.box_projection import compute_box_corners, to_camera
 from benchmark.errors import InputError
-from benchmark.extensions.challenge.recorded_part import Keyframes
-from benchmark.extensions.challenge.rules import Images
+from benchmark.extensions.challenge.recorded_part import CommonKeyframes
+from benchmark.extensions.challenge.rules import ImageRules
 from benchmark.geometry import Floats
 from benchmark.interactions.tracks import Integers
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import CameraView
-from benchmark.records.challenge import Reason
-from benchmark.report.words import counted
+from benchmark.records.challenge import RefusalReason
+from benchmark.report.words import pluralise
 from benchmark.scene import Scene
 from benchmark.untrusted.wire_images import read_picture
 
@@ -46,53 +46,53 @@ _LEAST_SEEN: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Pictures:
+class CameraThumbnails:
     """Pictures of one camera at K keyframes: (K, 18, 32) grey values, and K hashes of the files."""
 
     small: Floats
     digests: tuple[str, ...]
 
 
-def faults_of_files(views: Views, rules: Images) -> tuple[dict[str, Pictures], list[Reason]]:
+def check_image_files(views: Views, rules: ImageRules) -> tuple[dict[str, CameraThumbnails], list[RefusalReason]]:
     """Look at every picture.
 
     Returns:
         Pictures of the cameras all of whose files can be read, and reasons: at most one for each camera and rule.
     """
-    thumbnails: dict[str, Pictures] = {}
+    thumbnails: dict[str, CameraThumbnails] = {}
     reasons: dict[tuple[str, str], str] = {}
     for name, of_camera in views.items():
         small, digests = [], []
         for keyframe, view in enumerate(of_camera):
-            faults, picture = _looked_at(view, rules)
+            faults, picture = _check_picture(view, rules)
             for rule, sentence in faults:
                 reasons.setdefault((rule, name), f"{sentence} ({name}, keyframe {keyframe})")
             if picture is not None:
                 small.append(picture)
                 digests.append(file_sha256(view.path))
         if len(small) == len(of_camera):
-            thumbnails[name] = Pictures(np.array(small), tuple(digests))
-    return thumbnails, [Reason(rule=rule, sentence=sentence) for (rule, _), sentence in reasons.items()]
+            thumbnails[name] = CameraThumbnails(np.array(small), tuple(digests))
+    return thumbnails, [RefusalReason(rule=rule, sentence=sentence) for (rule, _), sentence in reasons.items()]
 
 
-def pictures_of(views: Views) -> dict[str, Pictures]:
+def read_thumbnails(views: Views) -> dict[str, CameraThumbnails]:
     """The same of a recording, as far as it has pictures; what cannot be read is left out."""
     thumbnails = {}
     for name, of_camera in views.items():
         try:
-            small = np.array([_small(read_picture(view.path)) for view in of_camera])
+            small = np.array([_shrink(read_picture(view.path)) for view in of_camera])
         except InputError:
             continue
-        thumbnails[name] = Pictures(small, tuple(file_sha256(view.path) for view in of_camera))
+        thumbnails[name] = CameraThumbnails(small, tuple(file_sha256(view.path) for view in of_camera))
     return thumbnails
 
 
-def _looked_at(view: CameraView, rules: Images) -> tuple[list[tuple[str, str]], Floats | None]:
+def _check_picture(view: CameraView, rules: ImageRules) -> tuple[list[tuple[str, str]], Floats | None]:
     """Rules that a picture breaks, each with a sentence, and its small version if it can be read."""
     try:
         picture = view.load()
     except InputError as error:
-        return [("images.required", _without_folder(str(error), view.path))], None
+        return [("images.required", _strip_folder(str(error), view.path))], None
     faults = []
     height, width = picture.shape[:2]
     if (width, height) != (view.camera.width, view.camera.height):
@@ -106,35 +106,39 @@ def _looked_at(view: CameraView, rules: Images) -> tuple[list[tuple[str, str]], 
         faults.append(
             ("images.least_contrast", f"{view.path.name} shows nothing: its grey values vary by {contrast:.2g}")
         )
-    return faults, _small(picture)
+    return faults, _shrink(picture)
 
 
-def _without_folder(sentence: str, path: Path) -> str:
+def _strip_folder(sentence: str, path: Path) -> str:
     return sentence.replace(str(path), path.name)
 
 
-def _small(picture: NDArray[np.uint8]) -> Floats:
+def _shrink(picture: NDArray[np.uint8]) -> Floats:
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     return np.asarray(cv2.resize(grey, _SMALL, interpolation=cv2.INTER_AREA), np.float64)
 
 
-def of_another_time(
-    seen: Mapping[str, Pictures], recorded: Mapping[str, Pictures], common: Keyframes
-) -> Iterator[Reason]:
+def check_image_times(
+    seen: Mapping[str, CameraThumbnails], recorded: Mapping[str, CameraThumbnails], common: CommonKeyframes
+) -> Iterator[RefusalReason]:
     """Reasons against pictures that show another keyframe or camera, at most one for each camera and way to tell."""
     for name, pictures in seen.items():
-        displaced = [(k, other) for k in range(len(pictures.small)) if (other := _shows(pictures, k)) is not None]
+        displaced = [
+            (k, other)
+            for k in range(len(pictures.small))
+            if (other := _find_matching_keyframe(pictures, k)) is not None
+        ]
         if displaced:
             k, other = displaced[0]
-            more = "" if len(displaced) == 1 else f", and so {counted(len(displaced) - 1, 'other')}"
-            yield Reason(
+            more = "" if len(displaced) == 1 else f", and so {pluralise(len(displaced) - 1, 'other')}"
+            yield RefusalReason(
                 rule="images.of_their_time",
                 sentence=f"the picture of {name} at keyframe {k} shows keyframe {other} rather{more}",
             )
-    yield from _unlike_the_recording(seen, recorded, common)
+    yield from _find_shifted_cameras(seen, recorded, common)
 
 
-def _shows(pictures: Pictures, k: int) -> int | None:
+def _find_matching_keyframe(pictures: CameraThumbnails, k: int) -> int | None:
     """The keyframe whose surroundings the picture of keyframe k fits clearly better than its own."""
     small = pictures.small
     count = len(small)
@@ -161,40 +165,42 @@ def _shows(pictures: Pictures, k: int) -> int | None:
     return None
 
 
-def _unlike_the_recording(
-    thumbnails: Mapping[str, Pictures], recorded: Mapping[str, Pictures], common: Keyframes
-) -> Iterator[Reason]:
+def _find_shifted_cameras(
+    thumbnails: Mapping[str, CameraThumbnails], recorded: Mapping[str, CameraThumbnails], common: CommonKeyframes
+) -> Iterator[RefusalReason]:
     """Cameras whose pictures, all together, are the recording's of another time or camera."""
     for name in (camera for camera in thumbnails if camera in recorded):
         mine, theirs = thumbnails[name].small[common.here], recorded[name].small
-        own = _apart(mine, theirs[common.there])
+        own = _median_distance(mine, theirs[common.there])
         others = {
-            other: _apart(mine, pictures.small[common.there])
+            other: _median_distance(mine, pictures.small[common.there])
             for other, pictures in recorded.items()
             if other != name and len(pictures.small) == len(theirs)
         }
         nearest = min(others, key=lambda other: others[other], default=None)
         if nearest is not None and others[nearest] < min(_OF_ONE_STYLE, _CLEARLY * own) and own > _ALIKE:
-            yield Reason(
+            yield RefusalReason(
                 rule="images.of_their_time", sentence=f"the pictures of {name} show what {nearest} saw in the recording"
             )
             continue
-        shifted = {shift: _apart_shifted(mine, theirs, common.there, shift) for shift in _shifts(len(theirs))}
+        shifted = {shift: _shifted_distance(mine, theirs, common.there, shift) for shift in _list_shifts(len(theirs))}
         best = min(shifted, key=lambda shift: shifted[shift], default=0)
         if shifted and shifted[best] < min(_OF_ONE_STYLE, _CLEARLY * own) and own > _ALIKE:
-            when = f"{counted(abs(best), 'keyframe')} {'later' if best > 0 else 'earlier'}"
-            yield Reason(rule="images.of_their_time", sentence=f"the pictures of {name} show what was there {when}")
+            when = f"{pluralise(abs(best), 'keyframe')} {'later' if best > 0 else 'earlier'}"
+            yield RefusalReason(
+                rule="images.of_their_time", sentence=f"the pictures of {name} show what was there {when}"
+            )
             continue
-        if (single := _singly(mine, theirs, common.there)) is not None:
+        if (single := _find_displaced_picture(mine, theirs, common.there)) is not None:
             place, other = single
-            yield Reason(
+            yield RefusalReason(
                 rule="images.of_their_time",
                 sentence=f"the picture of {name} at keyframe {common.here[place]} shows what the recording has at "
                 f"keyframe {other}",
             )
 
 
-def _singly(mine: Floats, theirs: Floats, there: Integers) -> tuple[int, int] | None:
+def _find_displaced_picture(mine: Floats, theirs: Floats, there: Integers) -> tuple[int, int] | None:
     """The first picture that the recording has, as good as equal, at another keyframe: its place, and that keyframe."""
     for place, (picture, own) in enumerate(zip(mine, there.tolist(), strict=True)):
         apart = np.abs(theirs - picture).mean(axis=(1, 2))
@@ -204,29 +210,29 @@ def _singly(mine: Floats, theirs: Floats, there: Integers) -> tuple[int, int] | 
     return None
 
 
-def _shifts(count: int) -> list[int]:
+def _list_shifts(count: int) -> list[int]:
     most = min(_FARTHEST_SHIFT, count // 2)
     return [shift for shift in range(-most, most + 1) if shift]
 
 
-def _apart(first: Floats, second: Floats) -> float:
+def _median_distance(first: Floats, second: Floats) -> float:
     """Median over the keyframes of how far pictures are apart."""
     return float(np.median(np.abs(first - second).mean(axis=(1, 2))))
 
 
-def _apart_shifted(mine: Floats, theirs: Floats, there: Integers, shift: int) -> float:
+def _shifted_distance(mine: Floats, theirs: Floats, there: Integers, shift: int) -> float:
     inside = (there + shift >= 0) & (there + shift < len(theirs))
-    return _apart(mine[inside], theirs[there[inside] + shift]) if inside.any() else np.inf
+    return _median_distance(mine[inside], theirs[there[inside] + shift]) if inside.any() else np.inf
 
 
-def unseen_change(
+def check_change_is_seen(
     entry: Scene,
     agent: int,
     changed: Integers,
     views: tuple[Views, Views],
-    pictures: tuple[Mapping[str, Pictures], Mapping[str, Pictures]],
-    common: Keyframes,
-) -> Reason | None:
+    pictures: tuple[Mapping[str, CameraThumbnails], Mapping[str, CameraThumbnails]],
+    common: CommonKeyframes,
+) -> RefusalReason | None:
     """Reason why a changed vehicle is unseen: all pictures that it must be in are the recording's own files.
 
     ``changed`` holds the indices among the common keyframes at which it is elsewhere; of each pair the entry comes
@@ -239,7 +245,7 @@ def unseen_change(
             if entry.annotations.valid[agent, here] and _is_large(entry, agent, here, views[0][name][here]):
                 same.append(pictures[0][name].digests[here] == pictures[1][name].digests[there])
     if len(same) >= _LEAST_SEEN and all(same):
-        return Reason(
+        return RefusalReason(
             rule="images.of_their_time",
             sentence=f"all {len(same)} pictures that the changed vehicle is large in are the recording's, without it",
         )
@@ -249,7 +255,7 @@ def unseen_change(
 def _is_large(entry: Scene, agent: int, keyframe: int, view: CameraView) -> bool:
     frame = int(entry.keyframes[keyframe])
     size = entry.annotations.size[agent, keyframe]
-    corners = corners_of_box(entry.agents.position[agent, frame], float(entry.agents.yaw[agent, frame]), size)
+    corners = compute_box_corners(entry.agents.position[agent, frame], float(entry.agents.yaw[agent, frame]), size)
     corners_in_camera = to_camera(corners, view.global_T_ego, view.camera)
     if (corners_in_camera[:, 2] < 1.0).any() or corners_in_camera[:, 2].min() > _NEAR_M:
         return False

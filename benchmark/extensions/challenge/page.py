@@ -7,10 +7,10 @@ from html import escape
 from pathlib import Path
 from typing import Final
 
-from benchmark.extensions.challenge.rules import Rules, rules_text
+from benchmark.extensions.challenge.rules import ChallengeRules, format_rules
 from benchmark.machine.storage import write_bytes
-from benchmark.records.challenge import ChangedVehicle, EntryVerdict, Reason, SceneVerdict
-from benchmark.report.words import counted
+from benchmark.records.challenge import ChangedVehicle, EntryVerdict, RefusalReason, SceneVerdict
+from benchmark.report.words import pluralise
 
 PAGE_FILE: Final = "index.html"
 _STYLE: Final = """
@@ -45,27 +45,27 @@ li { overflow-wrap: anywhere; }
 """
 
 
-def write_page(folder: Path, verdict: EntryVerdict, rules: Rules, pictures: Mapping[str, bytes]) -> Path:
+def write_page(folder: Path, verdict: EntryVerdict, rules: ChallengeRules, pictures: Mapping[str, bytes]) -> Path:
     """Write the page of an entry, with PNG files by name of the scene; a scene may have none."""
     path = folder / PAGE_FILE
-    write_bytes(path, page_text(verdict, rules, pictures).encode())
+    write_bytes(path, format_page(verdict, rules, pictures).encode())
     return path
 
 
-def page_text(verdict: EntryVerdict, rules: Rules, pictures: Mapping[str, bytes]) -> str:
+def format_page(verdict: EntryVerdict, rules: ChallengeRules, pictures: Mapping[str, bytes]) -> str:
     """The page; arguments as of `write_page`."""
     return "\n".join(_page(verdict, rules, pictures)) + "\n"
 
 
-def _page(verdict: EntryVerdict, rules: Rules, pictures: Mapping[str, bytes]) -> Iterator[str]:
+def _page(verdict: EntryVerdict, rules: ChallengeRules, pictures: Mapping[str, bytes]) -> Iterator[str]:
     name = escape(verdict.entry.name)
     yield '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">'
     yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
     yield f"<title>{name}: {escape(verdict.challenge)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>"
-    yield f"<h1>{name}: {_said(accepted=verdict.accepted)}</h1>"
+    yield f"<h1>{name}: {_format_verdict(accepted=verdict.accepted)}</h1>"
     accepted = len(verdict.scenes) - len(verdict.refused)
     yield (
-        f"<p>{accepted} of {counted(len(verdict.scenes), 'scene')} accepted under the rules of "
+        f"<p>{accepted} of {pluralise(len(verdict.scenes), 'scene')} accepted under the rules of "
         f"{escape(verdict.challenge)}, held to the recordings {escape(verdict.base.name)}.</p>"
     )
     yield (
@@ -85,7 +85,7 @@ def _page(verdict: EntryVerdict, rules: Rules, pictures: Mapping[str, bytes]) ->
     )
     for scene in sorted(verdict.scenes, key=lambda item: item.accepted):
         yield from _scene(scene, pictures.get(scene.scene))
-    yield f"<h2>Rules</h2>\n<pre>{escape(rules_text(rules))}</pre>\n</body>\n</html>"
+    yield f"<h2>Rules</h2>\n<pre>{escape(format_rules(rules))}</pre>\n</body>\n</html>"
 
 
 def _rule_table(verdict: EntryVerdict) -> Iterator[str]:
@@ -103,8 +103,8 @@ def _scene(scene: SceneVerdict, picture: bytes | None) -> Iterator[str]:
     else:
         data = base64.b64encode(picture).decode()
         yield f'<img alt="{escape(scene.scene)} from above" src="data:image/png;base64,{data}">'
-    yield f"<div>\n<h3>{escape(scene.scene)}: {_said(accepted=scene.accepted)}</h3>"
-    yield f'<p class="quiet">of {escape(scene.recording)}, {counted(scene.images, "image")}</p>'
+    yield f"<div>\n<h3>{escape(scene.scene)}: {_format_verdict(accepted=scene.accepted)}</h3>"
+    yield f'<p class="quiet">of {escape(scene.recording)}, {pluralise(scene.images, "image")}</p>'
     if scene.reasons:
         yield _reasons(scene.reasons)
     if scene.changed:
@@ -129,10 +129,10 @@ def _metres(gap: float | None) -> str:
     return "-" if gap is None else f"{gap:.2f} m"
 
 
-def _reasons(reasons: tuple[Reason, ...]) -> str:
+def _reasons(reasons: tuple[RefusalReason, ...]) -> str:
     items = (f"<li>{escape(reason.sentence)} <code>{escape(reason.rule)}</code></li>" for reason in reasons)
     return f"<ul>{''.join(items)}</ul>"
 
 
-def _said(*, accepted: bool) -> str:
+def _format_verdict(*, accepted: bool) -> str:
     return f'<span class="verdict {"good" if accepted else "bad"}">{"accepted" if accepted else "refused"}</span>'

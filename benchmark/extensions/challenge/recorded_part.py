@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
 from benchmark.errors import InputError
-from benchmark.extensions.challenge.rules import Unchanged
+from benchmark.extensions.challenge.rules import UnchangedRules
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.interactions.tracks import Integers
 from benchmark.planning import CameraView, Observation
-from benchmark.records.challenge import Reason
-from benchmark.report.words import counted
+from benchmark.records.challenge import RefusalReason
+from benchmark.report.words import pluralise
 from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
 
@@ -31,14 +31,14 @@ _SAME_KIND: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Keyframes:
+class CommonKeyframes:
     """Common keyframes of an entry and its recording: (C,) numbers in the entry, (C,) numbers in the recording."""
 
     here: Integers
     there: Integers
 
     @classmethod
-    def common(cls, entry: Scene, recorded: Scene) -> "Keyframes":
+    def common(cls, entry: Scene, recorded: Scene) -> "CommonKeyframes":
         """Those with the same time stamps."""
         mine, theirs = entry.timestamps_us[entry.keyframes], recorded.timestamps_us[recorded.keyframes]
         _, here, there = np.intersect1d(mine, theirs, return_indices=True)
@@ -57,7 +57,7 @@ class Counterparts:
     removed: tuple[int, ...]
 
 
-def counterparts(entry: Scene, recorded: Scene, common: Keyframes) -> Counterparts:
+def match_objects(entry: Scene, recorded: Scene, common: CommonKeyframes) -> Counterparts:
     """Match objects: by instance token, else by places in common, else by where they begin.
 
     Every object occurs once.
@@ -67,8 +67,8 @@ def counterparts(entry: Scene, recorded: Scene, common: Keyframes) -> Counterpar
     for index, name in enumerate(entry.agents.ids):
         if name in known:
             matches[index] = known[name]
-    _by_places(entry, recorded, common, matches)
-    _by_beginning(entry, recorded, common, matches)
+    _match_by_places(entry, recorded, common, matches)
+    _match_by_start(entry, recorded, common, matches)
     matched = set(matches.values())
     return Counterparts(
         pairs=tuple(sorted(matches.items())),
@@ -77,7 +77,7 @@ def counterparts(entry: Scene, recorded: Scene, common: Keyframes) -> Counterpar
     )
 
 
-def _by_places(entry: Scene, recorded: Scene, common: Keyframes, matches: dict[int, int]) -> None:
+def _match_by_places(entry: Scene, recorded: Scene, common: CommonKeyframes, matches: dict[int, int]) -> None:
     """Pair objects that are at the same place at the same time, most such places first."""
     matched = set(matches.values())
     places: dict[tuple[int, bytes], list[int]] = {}
@@ -103,20 +103,20 @@ def _by_places(entry: Scene, recorded: Scene, common: Keyframes, matches: dict[i
             matched.add(other)
 
 
-def _by_beginning(entry: Scene, recorded: Scene, common: Keyframes, matches: dict[int, int]) -> None:
+def _match_by_start(entry: Scene, recorded: Scene, common: CommonKeyframes, matches: dict[int, int]) -> None:
     """Pair what is left by distance at the first keyframe of both, together the least."""
     matched = set(matches.values())
     mine = [index for index in range(len(entry.agents)) if index not in matches]
     theirs = [index for index in range(len(recorded.agents)) if index not in matched]
     if not mine or not theirs:
         return
-    costs = np.array([[_cost(entry, index, recorded, other, common) for other in theirs] for index in mine])
+    costs = np.array([[_match_cost(entry, index, recorded, other, common) for other in theirs] for index in mine])
     for row, column in zip(*linear_sum_assignment(costs), strict=True):
         if costs[row, column] < FARTHEST_M:
             matches[mine[row]] = theirs[column]
 
 
-def _cost(entry: Scene, index: int, recorded: Scene, other: int, common: Keyframes) -> float:
+def _match_cost(entry: Scene, index: int, recorded: Scene, other: int, common: CommonKeyframes) -> float:
     valid = entry.annotations.valid[index, common.here] & recorded.annotations.valid[other, common.there]
     if not valid.any():
         return FARTHEST_M
@@ -139,7 +139,7 @@ _INTRINSIC: Final = 1e-9
 _LAYERS: Final = ("ped_crossings", "walkways", "road_segments", "stop_lines", "carparks", "road_blocks")
 
 
-def require_comparable(entry: Scene, recorded: Scene, common: Keyframes) -> None:
+def require_comparable(entry: Scene, recorded: Scene, common: CommonKeyframes) -> None:
     """Refuse scenes that share no keyframe, since they cannot be compared."""
     if not len(common.here):
         raise InputError(
@@ -148,24 +148,24 @@ def require_comparable(entry: Scene, recorded: Scene, common: Keyframes) -> None
         )
 
 
-def times_of(entry: Scene, recorded: Scene, common: Keyframes) -> Iterator[Reason]:
+def check_times(entry: Scene, recorded: Scene, common: CommonKeyframes) -> Iterator[RefusalReason]:
     """Whether the keyframes are those of the recording."""
     mine, theirs = len(entry.keyframes), len(recorded.keyframes)
     if mine == theirs == len(common.here):
         return
     if mine != theirs:
-        sentence = f"has {counted(mine, 'keyframe')}, its recording has {theirs}"
+        sentence = f"has {pluralise(mine, 'keyframe')}, its recording has {theirs}"
     else:
         times = entry.timestamps_us[entry.keyframes] - recorded.timestamps_us[recorded.keyframes]
         first = int(np.argmax(times != 0))
         sentence = (
-            f"has {counted(theirs - len(common.here), 'keyframe')} at another time than the recording, first keyframe "
+            f"has {pluralise(theirs - len(common.here), 'keyframe')} at another time than the recording, first keyframe "
             f"{first}, by {abs(int(times[first])) * 1e-3:.3g} ms"
         )
-    yield Reason(rule="unchanged.times", sentence=sentence)
+    yield RefusalReason(rule="unchanged.times", sentence=sentence)
 
 
-def ego_of(entry: Scene, recorded: Scene, common: Keyframes, rules: Unchanged) -> Iterator[Reason]:
+def check_ego(entry: Scene, recorded: Scene, common: CommonKeyframes, rules: UnchangedRules) -> Iterator[RefusalReason]:
     """Whether the ego is where it was recorded, at keyframes and between them."""
     mine, theirs = entry.keyframes[common.here], recorded.keyframes[common.there]
     moved = np.abs(entry.ego.position[mine] - recorded.ego.position[theirs]).max(axis=1)
@@ -173,39 +173,39 @@ def ego_of(entry: Scene, recorded: Scene, common: Keyframes, rules: Unchanged) -
     wrong = (moved > rules.position_m) | (turned > rules.rotation)
     if wrong.any():
         at = int(np.argmax(wrong))
-        yield Reason(
+        yield RefusalReason(
             rule="unchanged.position_m" if moved[at] > rules.position_m else "unchanged.rotation",
-            sentence=f"moves the ego at {counted(int(wrong.sum()), 'keyframe')}, first at keyframe {common.here[at]}, "
+            sentence=f"moves the ego at {pluralise(int(wrong.sum()), 'keyframe')}, first at keyframe {common.here[at]}, "
             f"by up to {_metres(float(moved.max()))}",
         )
     elif np.array_equal(entry.timestamps_us, recorded.timestamps_us):
         off = np.abs(entry.ego.position - recorded.ego.position).max(axis=1)
-        straight = np.abs(entry.ego.position - _straight(entry)).max(axis=1)
+        straight = np.abs(entry.ego.position - _interpolate_ego(entry)).max(axis=1)
         between = np.minimum(off, straight) > max(rules.position_m, _BETWEEN_M)
         if between.any():
             at = int(np.argmax(between))
-            yield Reason(
+            yield RefusalReason(
                 rule="unchanged.position_m",
                 sentence=f"moves the ego between keyframes, first at {entry.seconds[at]:.2f} s, by "
                 f"{_metres(float(off[at]))}",
             )
 
 
-def _straight(scene: Scene) -> Floats:
+def _interpolate_ego(scene: Scene) -> Floats:
     """(T, 3) the ego if it went straight from keyframe to keyframe."""
     at = scene.seconds[scene.keyframes]
     return np.column_stack([np.interp(scene.seconds, at, axis) for axis in scene.ego.position[scene.keyframes].T])
 
 
-def sensors_of(
+def check_sensors(
     entry: Scene,
     recorded: Scene,
-    common: Keyframes,
+    common: CommonKeyframes,
     views: tuple[Mapping[str, Sequence[CameraView]], Mapping[str, Sequence[CameraView]]],
-    rules: Unchanged,
+    rules: UnchangedRules,
     *,
     required: bool,
-) -> Iterator[Reason]:
+) -> Iterator[RefusalReason]:
     """Check that lidar and cameras are mounted, calibrated, timed and posed as in the recording.
 
     Yields at most one reason for each camera. ``views`` are of the entry and of the recording, by camera, one a
@@ -215,28 +215,32 @@ def sensors_of(
         required: Whether the entry must have every camera at every keyframe; those that it has are compared in any
             case.
     """
-    if _apart(entry.lidar.translation, recorded.lidar.translation) > rules.position_m or (
-        _apart(entry.lidar.rotation, recorded.lidar.rotation) > rules.rotation
+    if _largest_difference(entry.lidar.translation, recorded.lidar.translation) > rules.position_m or (
+        _largest_difference(entry.lidar.rotation, recorded.lidar.rotation) > rules.rotation
     ):
-        yield Reason(rule="unchanged.position_m", sentence="mounts LIDAR_TOP elsewhere, whose origin plans are told of")
+        yield RefusalReason(
+            rule="unchanged.position_m", sentence="mounts LIDAR_TOP elsewhere, whose origin plans are told of"
+        )
     mine, theirs = views
     if required and (missing := sorted(set(theirs) - set(mine))):
-        yield Reason(rule="images.required", sentence=f"has no {', '.join(missing)}")
+        yield RefusalReason(rule="images.required", sentence=f"has no {', '.join(missing)}")
     if further := sorted(set(mine) - set(theirs)) if theirs else []:
-        yield Reason(rule="images.required", sentence=f"has {', '.join(further)}, which the recording has not")
+        yield RefusalReason(rule="images.required", sentence=f"has {', '.join(further)}, which the recording has not")
     for name in (camera for camera in mine if camera in theirs):
         if len(mine[name]) != len(entry.keyframes) or len(theirs[name]) != len(recorded.keyframes):
             if required:
-                yield Reason(rule="images.required", sentence=f"has {name} not at every keyframe")
+                yield RefusalReason(rule="images.required", sentence=f"has {name} not at every keyframe")
             continue
         for here, there in zip(common.here.tolist(), common.there.tolist(), strict=True):
-            fault = _view_differs(mine[name][here], theirs[name][there], recorded, there, rules)
+            fault = _find_view_fault(mine[name][here], theirs[name][there], recorded, there, rules)
             if fault:
-                yield Reason(rule="unchanged.position_m", sentence=f"{fault} of {name}, first at keyframe {here}")
+                yield RefusalReason(
+                    rule="unchanged.position_m", sentence=f"{fault} of {name}, first at keyframe {here}"
+                )
                 break
 
 
-def _view_differs(mine: CameraView, theirs: CameraView, recorded: Scene, there: int, rules: Unchanged) -> str:
+def _find_view_fault(mine: CameraView, theirs: CameraView, recorded: Scene, there: int, rules: UnchangedRules) -> str:
     """Fault of a camera at one keyframe; empty if there is none."""
     scaled = theirs.camera.resized(mine.camera.width, mine.camera.height)
     if _calibration_differs(mine.camera, scaled, rules):
@@ -247,13 +251,13 @@ def _view_differs(mine: CameraView, theirs: CameraView, recorded: Scene, there: 
     # A picture is of its own exposure, or drawn for the keyframe as the whole data set is here.
     poses = (theirs.global_T_ego, _pose(recorded, frame))
     most = max(rules.position_m, 1e-9)
-    return "" if any(_apart(mine.global_T_ego, pose) <= most for pose in poses) else "alters the ego pose"
+    return "" if any(_largest_difference(mine.global_T_ego, pose) <= most for pose in poses) else "alters the ego pose"
 
 
-def _calibration_differs(mine: Camera, theirs: Camera, rules: Unchanged) -> bool:
+def _calibration_differs(mine: Camera, theirs: Camera, rules: UnchangedRules) -> bool:
     return (
-        _apart(mine.translation, theirs.translation) > rules.position_m
-        or _apart(mine.rotation, theirs.rotation) > rules.rotation
+        _largest_difference(mine.translation, theirs.translation) > rules.position_m
+        or _largest_difference(mine.rotation, theirs.rotation) > rules.rotation
         or bool((np.abs(mine.intrinsic - theirs.intrinsic) > _INTRINSIC * np.abs(theirs.intrinsic)).any())
     )
 
@@ -262,7 +266,7 @@ def _pose(scene: Scene, frame: int) -> Floats:
     return transform_matrix(scene.ego.rotation[frame], scene.ego.position[frame])
 
 
-def map_of(entry: RoadMap, recorded: RoadMap, rules: Unchanged) -> Iterator[Reason]:
+def check_map(entry: RoadMap, recorded: RoadMap, rules: UnchangedRules) -> Iterator[RefusalReason]:
     """Whether the map around the ego is that of the recording: its surfaces and lanes."""
     wrong = []
     if entry.location != recorded.location:
@@ -287,7 +291,7 @@ def map_of(entry: RoadMap, recorded: RoadMap, rules: Unchanged) -> Iterator[Reas
     if entry.intersections != recorded.intersections:
         wrong.append("junctions")
     if wrong:
-        yield Reason(rule="unchanged.map_m2", sentence=f"alters the map around the ego: {', '.join(wrong)}")
+        yield RefusalReason(rule="unchanged.map_m2", sentence=f"alters the map around the ego: {', '.join(wrong)}")
 
 
 def _area(first: shapely.Geometry, second: shapely.Geometry) -> float:
@@ -296,24 +300,24 @@ def _area(first: shapely.Geometry, second: shapely.Geometry) -> float:
     return float(shapely.make_valid(first).symmetric_difference(shapely.make_valid(second)).area)
 
 
-def told_of(
-    entry: Sequence[Observation], recorded: Sequence[Observation], common: Keyframes, rules: Unchanged
-) -> Iterator[Reason]:
+def check_planner_inputs(
+    entry: Sequence[Observation], recorded: Sequence[Observation], common: CommonKeyframes, rules: UnchangedRules
+) -> Iterator[RefusalReason]:
     """Whether planners are told the same of the ego: motion from the CAN bus, past poses, command."""
     for here, there in zip(common.here.tolist(), common.there.tolist(), strict=True):
         mine, theirs = entry[here], recorded[there]
-        wrong = _motion_differs(mine, theirs, rules)
+        wrong = _find_motion_differences(mine, theirs, rules)
         if mine.command != theirs.command:
             wrong.append("command")
         if wrong:
-            yield Reason(
+            yield RefusalReason(
                 rule="unchanged.motion",
                 sentence=f"tells planners another {', '.join(wrong)} of the ego, first at keyframe {here} (CAN bus)",
             )
             return
 
 
-def _motion_differs(mine: Observation, theirs: Observation, rules: Unchanged) -> list[str]:
+def _find_motion_differences(mine: Observation, theirs: Observation, rules: UnchangedRules) -> list[str]:
     if mine.ego.source == theirs.ego.source:
         names = [
             field.name for field in fields(mine.ego) if field.name not in ("pose", "position", "rotation", "source")
@@ -324,16 +328,18 @@ def _motion_differs(mine: Observation, theirs: Observation, rules: Unchanged) ->
             "velocity": (mine.ego.velocity, theirs.ego.velocity, _DERIVED_M_S),
             "yaw_rate": (mine.ego.yaw_rate, theirs.ego.yaw_rate, _DERIVED_RAD_S),
         }
-    return [name.replace("_", " ") for name, (first, other, most) in pairs.items() if not _within(first, other, most)]
+    return [
+        name.replace("_", " ") for name, (first, other, most) in pairs.items() if not _is_within(first, other, most)
+    ]
 
 
-def _within(first: Any, second: Any, most: float) -> bool:
+def _is_within(first: Any, second: Any, most: float) -> bool:
     if first is None or second is None:
         return first is second
-    return _apart(first, second) <= most
+    return _largest_difference(first, second) <= most
 
 
-def _apart(first: ArrayLike, second: ArrayLike) -> float:
+def _largest_difference(first: ArrayLike, second: ArrayLike) -> float:
     """Largest difference of two arrays of the same shape."""
     return float(np.abs(np.asarray(first, np.float64) - np.asarray(second, np.float64)).max(initial=0.0))
 

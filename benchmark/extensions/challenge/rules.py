@@ -14,9 +14,9 @@ from typing import Any, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from benchmark.machine.storage import content_key
-from benchmark.records.store import validated
+from benchmark.records.store import validate_stored
 from benchmark.records.stored import Stored
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 from benchmark.untrusted.text_files import parse_toml, read_toml
 
 SCHEMA: Final = 1
@@ -36,7 +36,7 @@ def _rule(default: Any, says: str, least: float | None = None) -> Any:
     return Field(default=default, description=says, ge=least)
 
 
-class Scenes(Stored):
+class SceneRules(Stored):
     """Which scenes an entry has."""
 
     required: tuple[str, ...] = _rule((), "recordings that an entry must have a scene of; none named: any it likes")
@@ -46,7 +46,7 @@ class Scenes(Stored):
     )
 
 
-class Changed(Stored):
+class ChangedVehicleRules(Stored):
     """Who may differ from the recording, and how."""
 
     least: int = _rule(1, "vehicles of a scene that must differ from the recording", 0)
@@ -62,7 +62,7 @@ class Changed(Stored):
         return self
 
 
-class Unchanged(Stored):
+class UnchangedRules(Stored):
     """How much anything else may differ from the recording: nothing, unless an entry's software rounds."""
 
     position_m: float = _rule(0.0, "positions and sizes of everything else, poses of the ego, mounts of sensors", 0.0)
@@ -72,7 +72,7 @@ class Unchanged(Stored):
     motion: float = _rule(1e-9, "speeds, accelerations and yaw rates that a planner is told (CAN bus)", 0.0)
 
 
-class Images(Stored):
+class ImageRules(Stored):
     """Images at keyframes."""
 
     required: bool = _rule(True, "whether images must be there, where the recording has cameras")
@@ -82,7 +82,7 @@ class Images(Stored):
     of_their_time: bool = _rule(True, "whether a picture that shows another keyframe or camera is looked for")
 
 
-class Motion(Stored):
+class MotionRules(Stored):
     """What a changed vehicle may ask of car and driver: what cars can do on dry asphalt."""
 
     acceleration_m_s2: float = _rule(4.5, "forwards", 0.0)
@@ -96,7 +96,7 @@ class Motion(Stored):
     launch_m: float = _rule(0.2, "and so far it may be off there", 0.0)
 
 
-class Road(Stored):
+class RoadRules(Stored):
     """The drivable area of the recording's map, every 12th of a second where the vehicle differs."""
 
     centre_off_share: float = _rule(0.25, "share of the time that its centre may be off", 0.0)
@@ -105,7 +105,7 @@ class Road(Stored):
     corner_off_m: float = _rule(1.5, "how far a corner may be off at most", 0.0)
 
 
-class Gaps(Stored):
+class GapRules(Stored):
     """Contact, every 12th of a second where the vehicle differs."""
 
     others_m: float = _rule(0.0, "least distance to anybody else; 0: no contact", 0.0)
@@ -113,18 +113,18 @@ class Gaps(Stored):
     rounded_m: float = _rule(0.002, "how far boxes may reach into one another because numbers are rounded", 0.0)
 
 
-class Rules(Stored):
+class ChallengeRules(Stored):
     """The rules of a challenge, in the sections of ``rules.toml``."""
 
     schema_version: Literal[1] = Field(default=SCHEMA, alias="schema")
     name: str = _rule("challenge", "of the challenge, for reports")
-    scenes: Scenes = Field(default_factory=Scenes)
-    changed: Changed = Field(default_factory=Changed)
-    unchanged: Unchanged = Field(default_factory=Unchanged)
-    images: Images = Field(default_factory=Images)
-    motion: Motion = Field(default_factory=Motion)
-    road: Road = Field(default_factory=Road)
-    gaps: Gaps = Field(default_factory=Gaps)
+    scenes: SceneRules = Field(default_factory=SceneRules)
+    changed: ChangedVehicleRules = Field(default_factory=ChangedVehicleRules)
+    unchanged: UnchangedRules = Field(default_factory=UnchangedRules)
+    images: ImageRules = Field(default_factory=ImageRules)
+    motion: MotionRules = Field(default_factory=MotionRules)
+    road: RoadRules = Field(default_factory=RoadRules)
+    gaps: GapRules = Field(default_factory=GapRules)
 
     @property
     def fingerprint(self) -> str:
@@ -133,18 +133,18 @@ class Rules(Stored):
 
 
 _ANY: Final = 1e6
-RULE_SETS: Final[dict[str, Rules]] = {
-    "default": Rules(),
+RULE_SETS: Final[dict[str, ChallengeRules]] = {
+    "default": ChallengeRules(),
     # Limits of `benchmark.dynamics.bicycle.DriverLimits` and of `generation.search.verify`: a hurried driver.
-    "strict": Rules(
+    "strict": ChallengeRules(
         name="strict",
-        motion=Motion(acceleration_m_s2=2.5, braking_m_s2=5.0, lateral_m_s2=4.0, yaw_rate_rad_s=0.9),
-        road=Road(centre_off_share=0.02, corner_off_share=0.15, corner_off_m=1.0),
+        motion=MotionRules(acceleration_m_s2=2.5, braking_m_s2=5.0, lateral_m_s2=4.0, yaw_rate_rad_s=0.9),
+        road=RoadRules(centre_off_share=0.02, corner_off_share=0.15, corner_off_m=1.0),
     ),
     # The paper mentions no such limit among what it drops scenes for; its presets (`generate --preset`) have none.
-    "paper": Rules(
+    "paper": ChallengeRules(
         name="paper",
-        motion=Motion(
+        motion=MotionRules(
             acceleration_m_s2=_ANY,
             braking_m_s2=_ANY,
             lateral_m_s2=_ANY,
@@ -152,13 +152,13 @@ RULE_SETS: Final[dict[str, Rules]] = {
             sideways_m_s=_ANY,
             backwards_m_s=_ANY,
         ),
-        road=Road(centre_off_share=1.0, centre_off_m=_ANY, corner_off_share=1.0, corner_off_m=_ANY),
+        road=RoadRules(centre_off_share=1.0, centre_off_m=_ANY, corner_off_share=1.0, corner_off_m=_ANY),
     ),
 }
 """Rules to start from, by name."""
 
 
-def read_rules(path: Path | None) -> Rules:
+def read_rules(path: Path | None) -> ChallengeRules:
     """Read the rules of a challenge.
 
     Args:
@@ -171,9 +171,9 @@ def read_rules(path: Path | None) -> Rules:
         InputError: If the file cannot be read, is not TOML, or has a rule that there is not or a value that cannot be.
     """
     if path is None:
-        return Rules()
-    return validated(
-        Rules.model_validate,
+        return ChallengeRules()
+    return validate_stored(
+        ChallengeRules.model_validate,
         read_toml(path),
         lambda where, why: (
             f"{path}: {where or 'the rules'}: {why}; see docs/extensions/challenge.md for the rules that there are"
@@ -181,15 +181,15 @@ def read_rules(path: Path | None) -> Rules:
     )
 
 
-def rules_text(rules: Rules) -> str:
+def format_rules(rules: ChallengeRules) -> str:
     """Rules as a TOML file that `read_rules` reads, each with its explanation."""
     return "\n".join(_lines(rules)) + "\n"
 
 
-def _lines(rules: Rules) -> Iterator[str]:
+def _lines(rules: ChallengeRules) -> Iterator[str]:
     yield f"schema = {rules.schema_version}"
-    yield _line("name", rules.name, Rules.model_fields["name"].description)
-    for name in Rules.model_fields:
+    yield _line("name", rules.name, ChallengeRules.model_fields["name"].description)
+    for name in ChallengeRules.model_fields:
         table = getattr(rules, name)
         if isinstance(table, Stored):
             yield f"\n[{name}]  # {(type(table).__doc__ or '').splitlines()[0]}"
@@ -212,11 +212,13 @@ def _value(value: Any) -> str:
     return repr(value)
 
 
-def checked_rules(data: bytes, where: str) -> bytes:
+def validate_rules(data: bytes, where: str) -> bytes:
     """Bytes of a file of rules, returned once they can be read; ``where`` names the file in messages."""
-    validated(
-        Rules.model_validate,
+    validate_stored(
+        ChallengeRules.model_validate,
         parse_toml(data, where),
-        lambda place, why: f"{where}: {place or 'the rules'}: {one_line(why, 120)}; see docs/extensions/challenge.md",
+        lambda place, why: (
+            f"{where}: {place or 'the rules'}: {to_one_line(why, 120)}; see docs/extensions/challenge.md"
+        ),
     )
     return data

@@ -19,25 +19,25 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.extensions.challenge.checking import check_entry
 from benchmark.extensions.challenge.entries import SPLIT, CheckedEntry
-from benchmark.extensions.challenge.rules import Rules
+from benchmark.extensions.challenge.rules import ChallengeRules
 from benchmark.fairness.encounter import CRITICAL_S
-from benchmark.fairness.splits import split_realism
+from benchmark.fairness.splits import measure_split_realism
 from benchmark.geometry import Floats
-from benchmark.machine.storage import file_name
+from benchmark.machine.storage import sanitise_file_name
 from benchmark.machine.workers import LocalProcesses
-from benchmark.metrics.attacks import counted_rows
+from benchmark.metrics.attacks import select_counted_rows
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import says_whom
+from benchmark.metrics.effect import knows_contact_partners
 from benchmark.metrics.entries import (
-    Refused,
-    adversary_sums,
-    attributable_sums,
-    collision_sums,
-    mean_of,
-    mean_over,
-    pairs_of,
-    places_of,
-    rate_of,
+    RefusedScene,
+    average_planners,
+    average_recordings,
+    compare_entries,
+    measure_rate,
+    rank_entries,
+    sum_adversary_contacts,
+    sum_attributable_contacts,
+    sum_collisions,
 )
 from benchmark.metrics.rates import HORIZONS
 from benchmark.protocols import STANDARD
@@ -46,17 +46,17 @@ from benchmark.records.challenge import (
     ComparedData,
     EntryScore,
     EntryVerdict,
-    Measured,
-    PlannerOnEntry,
+    PlannerEntryScore,
     Rank,
-    Reason,
+    RefusalReason,
+    ScoredQuantity,
     write_verdict,
 )
-from benchmark.records.judgement import JudgementSummary, SplitRealism
+from benchmark.records.judgement import AssessmentSummary, SplitRealism
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.runs.plan_rows import PlannerFactory
 
-_NOTHING: Final = Measured()
+_NOTHING: Final = ScoredQuantity()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class ScoreSettings:
     """
 
     out: Path
-    rules: Rules = field(default_factory=Rules)
+    rules: ChallengeRules = field(default_factory=ChallengeRules)
     protocol: str = EXACT
     horizon: str = "avg"
     seed: int = 0
@@ -81,21 +81,21 @@ class ScoreSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class _Scored:
+class _ScoredEntry:
     """An entry with what its score is made of."""
 
     name: str
     verdict: EntryVerdict
-    refused: tuple[Refused, ...]
+    refused: tuple[RefusedScene, ...]
     records: tuple[RunRecord, ...]
-    judged: Mapping[str, JudgementSummary]
+    judged: Mapping[str, AssessmentSummary]
     realism: SplitRealism | None
 
     @property
-    def reasons(self) -> tuple[Reason, ...]:
+    def reasons(self) -> tuple[RefusalReason, ...]:
         if self.verdict.reasons or self.records:
             return self.verdict.reasons
-        return (Reason(rule="scenes.required", sentence="has no scene that is accepted"),)
+        return (RefusalReason(rule="scenes.required", sentence="has no scene that is accepted"),)
 
     @property
     def sources(self) -> dict[str, str]:
@@ -120,17 +120,17 @@ def score_entries(
         InputError: If an entry is bad input, two are the same data, or there is no entry or planner.
     """
     _require_some(entries, planners, settings)
-    scored_entries = [_scored(name, data, base, planners, settings) for name, data in entries.items()]
+    scored_entries = [_score_entry(name, data, base, planners, settings) for name, data in entries.items()]
     recordings = sorted({source for scored in scored_entries for source in scored.sources.values()})
     # Records that are kept from before need not say whom contacts are with; all entries are ranked by the same.
-    knows_contacts = all(says_whom(record) for scored in scored_entries for record in scored.records)
+    knows_contacts = all(knows_contact_partners(record) for scored in scored_entries for record in scored.records)
     by: Rank = "adversary" if knows_contacts and settings.protocol == EXACT else "collision"
-    scores = [_score(scored, recordings, settings, by, told=knows_contacts) for scored in scored_entries]
-    ranked = sorted((scored for scored in scores if not scored[0].reasons), key=lambda each: _order(each[0], by))
+    scores = [_compute_entry_score(scored, recordings, settings, by, told=knows_contacts) for scored in scored_entries]
+    ranked = sorted((scored for scored in scores if not scored[0].reasons), key=lambda each: _sort_key(each[0], by))
     names = [score.entry.name for score, _ in ranked]
-    compared = [(name, _value(score, by), draws) for name, (score, draws) in zip(names, ranked, strict=True)]
-    pairs = pairs_of(compared, enough=len(recordings) > 1)
-    places = places_of(names, pairs)
+    compared = [(name, _rank_value(score, by), draws) for name, (score, draws) in zip(names, ranked, strict=True)]
+    pairs = compare_entries(compared, enough=len(recordings) > 1)
+    places = rank_entries(names, pairs)
     placed = [
         score.model_copy(update=dict(zip(("best_place", "worst_place"), places[score.entry.name], strict=True)))
         for score, _ in ranked
@@ -168,37 +168,38 @@ def _require_some(entries: Mapping[str, DataSet], planners: Sequence[PlannerFact
             raise InputError(f"the entries {earlier} and {name} are the same data; leave one out")
 
 
-def _scored(
+def _score_entry(
     name: str, data: DataSet, base: DataSet, planners: Sequence[PlannerFactory], settings: ScoreSettings
-) -> _Scored:
+) -> _ScoredEntry:
     """Check an entry, and let all planners plan on its accepted scenes."""
     verdict = check_entry(data, base, settings.rules, executor=LocalProcesses(settings.workers))
     verdict = verdict.model_copy(update={"entry": ComparedData(name=name, fingerprint=verdict.entry.fingerprint)})
-    folder = settings.out / file_name(name)
+    folder = settings.out / sanitise_file_name(name)
     write_verdict(folder, verdict)
     refused = tuple(
-        Refused(scene.recording, max(len(base.scene(scene.recording).keyframes) - PLAN_STEPS, 0))
+        RefusedScene(scene.recording, max(len(base.scene(scene.recording).keyframes) - PLAN_STEPS, 0))
         for scene in verdict.refused
     )
     if verdict.reasons or len(refused) == len(verdict.scenes):
-        return _Scored(name, verdict, refused, (), {}, None)
+        return _ScoredEntry(name, verdict, refused, (), {}, None)
     entry = CheckedEntry.of(data, name, folder, verdict)
     records = tuple(
-        evaluate(entry, SPLIT, planner, folder / "runs", _evaluation(planner, settings)) for planner in planners
+        evaluate(entry, SPLIT, planner, folder / "runs", _build_eval_settings(planner, settings))
+        for planner in planners
     )
-    judged = {scene: JudgementSummary.of(judgements) for scene, judgements in entry.judgements.items() if judgements}
-    return _Scored(name, verdict, refused, records, judged, split_realism(entry, entry.judgements, base))
+    judged = {scene: AssessmentSummary.of(judgements) for scene, judgements in entry.judgements.items() if judgements}
+    return _ScoredEntry(name, verdict, refused, records, judged, measure_split_realism(entry, entry.judgements, base))
 
 
-def _evaluation(planner: PlannerFactory, settings: ScoreSettings) -> EvalSettings:
+def _build_eval_settings(planner: PlannerFactory, settings: ScoreSettings) -> EvalSettings:
     """Settings that judge by all standard protocols, and by the one that the challenge asks for."""
     own = planner.facts.native_protocol if settings.protocol == NATIVE else settings.protocol
     judges = dict.fromkeys([*STANDARD, *([] if own is None else [own])])
     return EvalSettings(protocols=tuple(judges), seed=settings.seed)
 
 
-def _score(
-    scored: _Scored, recordings: Sequence[str], settings: ScoreSettings, by: Rank, *, told: bool
+def _compute_entry_score(
+    scored: _ScoredEntry, recordings: Sequence[str], settings: ScoreSettings, by: Rank, *, told: bool
 ) -> tuple[EntryScore, Floats]:
     """The score of an entry, and what ranks it in resamples."""
     about = {
@@ -213,42 +214,44 @@ def _score(
         return EntryScore.model_validate({**about, **nothing}), np.zeros(0)
     seed = settings.seed
     collisions = [
-        collision_sums(record, settings.protocol, settings.horizon, scored.refused) for record in scored.records
+        sum_collisions(record, settings.protocol, settings.horizon, scored.refused) for record in scored.records
     ]
-    attributables = [attributable_sums(record, scored.refused) for record in scored.records]
+    attributables = [sum_attributable_contacts(record, scored.refused) for record in scored.records]
     sums = {"collision": collisions, "attributable": attributables}
     if told:
-        sums["adversary"] = [adversary_sums(record, settings.horizon, scored.refused) for record in scored.records]
+        sums["adversary"] = [
+            sum_adversary_contacts(record, settings.horizon, scored.refused) for record in scored.records
+        ]
     # Shown with the interval of its own recordings; compared in resamples of everybody's.
     own = sorted(set(scored.sources.values()))
-    means = {name: mean_of(of_planners, own, seed)[0] for name, of_planners in sums.items()}
-    _, draws = mean_of(sums[by], recordings, seed)
+    means = {name: average_planners(of_planners, own, seed)[0] for name, of_planners in sums.items()}
+    _, draws = average_planners(sums[by], recordings, seed)
     planners = {
-        record.planner: PlannerOnEntry.model_validate(
-            {name: rate_of(of_planners[place], seed) for name, of_planners in sums.items()}
+        record.planner: PlannerEntryScore.model_validate(
+            {name: measure_rate(of_planners[place], seed) for name, of_planners in sums.items()}
             | {"failed": record.summary.failed}
         )
         for place, record in enumerate(scored.records)
     }
-    measured = {**means, "planners": planners, **_severity(scored, seed), **_realism(scored.realism)}
+    measured = {**means, "planners": planners, **_severity(scored, seed), **_realism_values(scored.realism)}
     return EntryScore.model_validate({**about, **measured}), draws
 
 
-def _severity(scored: _Scored, seed: int) -> dict[str, Measured]:
+def _severity(scored: _ScoredEntry, seed: int) -> dict[str, ScoredQuantity]:
     """How severe the encounters of the accepted scenes are, and the contacts of all plans with changed vehicles."""
     sources, judged = scored.sources, scored.judged
 
-    def mean(values: Iterable[tuple[str, float | bool | None]]) -> Measured:
+    def mean(values: Iterable[tuple[str, float | bool | None]]) -> ScoredQuantity:
         by_recording: dict[str, list[float]] = {}
         for scene, value in values:
             if value is not None:
                 by_recording.setdefault(sources[scene], []).append(float(value))
-        return mean_over(by_recording, seed)
+        return average_recordings(by_recording, seed)
 
     contacts = [
         (row.scene, row.severity.contact.delta_v_ego_m_s)
         for record in scored.records
-        for row in counted_rows(record)
+        for row in select_counted_rows(record)
         if row.severity is not None and row.severity.contact is not None and row.severity.contact.adversary
     ]
     return {
@@ -260,27 +263,27 @@ def _severity(scored: _Scored, seed: int) -> dict[str, Measured]:
     }
 
 
-def _is_critical(summary: JudgementSummary) -> bool | None:
+def _is_critical(summary: AssessmentSummary) -> bool | None:
     """Whether ego and changed vehicle are ever nearly in contact; unknown where it was not measured."""
     if summary.least_gap_m is None:
         return None
     return summary.least_ttc_s is not None and summary.least_ttc_s < CRITICAL_S
 
 
-def _realism(realism: SplitRealism | None) -> dict[str, object]:
+def _realism_values(realism: SplitRealism | None) -> dict[str, object]:
     worst = None if realism is None else realism.headline
     if worst is None or realism is None:
         return {"realism": _NOTHING, "not_compared": None if realism is None else realism.not_compared}
     low, high = worst.interval or (None, None)
     counted = realism.samples[0] if realism.samples else 0
-    value = Measured(value=worst.realism, low=low, high=high, denominator=counted)
+    value = ScoredQuantity(value=worst.realism, low=low, high=high, denominator=counted)
     return {"realism": value, "realism_feature": worst.name}
 
 
-def _value(score: EntryScore, by: Rank) -> float:
+def _rank_value(score: EntryScore, by: Rank) -> float:
     value = (score.adversary if by == "adversary" else score.collision).value
     return 0.0 if value is None else value
 
 
-def _order(score: EntryScore, by: Rank) -> tuple[float, str]:
-    return -_value(score, by), score.entry.name
+def _sort_key(score: EntryScore, by: Rank) -> tuple[float, str]:
+    return -_rank_value(score, by), score.entry.name

@@ -8,10 +8,10 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.options import name_list
+from benchmark.cli.options import parse_name_list
 from benchmark.cli.output import print_json
 from benchmark.cli.settings import Option, command
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,7 +42,7 @@ def export_scenarionet_command(options: ExportOptions) -> None:
 
     dataset, names = _scenes_to_export(options)
     files = export_scenarionet(dataset, names, options.to, workers=api.worker_count(options.workers))
-    _say_exported(files, options.to, options.json_output)
+    _print_exported(files, options.to, options.json_output)
 
 
 @command(ExportOptions)
@@ -56,14 +56,14 @@ def export_openscenario_command(options: ExportOptions) -> None:
 
     dataset, names = _scenes_to_export(options)
     files = export_openscenario(dataset, names, options.to, workers=api.worker_count(options.workers))
-    _say_exported(files, options.to, options.json_output)
+    _print_exported(files, options.to, options.json_output)
 
 
 def _scenes_to_export(options: ExportOptions) -> "tuple[DataSet, tuple[str, ...]]":
     """The data set and the scenes that are exported; what cannot be is refused before anything is built."""
     from benchmark.machine.places import require_place
 
-    data, named, split = api.DataSource.of(options), name_list(options.scenes), options.split
+    data, named, split = api.DataSource.of(options), parse_name_list(options.scenes), options.split
     data.require(named) if split is None else data.require_split(split, named, options.limit)
     require_place(options.to, "--to")
     dataset = data.open() if split is None else data.open_split(split)
@@ -71,11 +71,11 @@ def _scenes_to_export(options: ExportOptions) -> "tuple[DataSet, tuple[str, ...]
     return dataset, tuple(name for name in known if named is None or name in named)[: options.limit]
 
 
-def _say_exported(files: "Sequence[ExportedScene]", to: Path, json_output: bool) -> None:
+def _print_exported(files: "Sequence[ExportedScene]", to: Path, json_output: bool) -> None:
     if json_output:
         file_rows = [{"scene": file.scene, "file": str(file.path), "adversaries": file.adversaries} for file in files]
         print_json({"folder": str(to), "scenes": file_rows})
         return
     adversaries = sum(len(file.adversaries) for file in files)
     named = f"{adversaries} adversar{'y' if adversaries == 1 else 'ies'} named in {'it' if len(files) == 1 else 'them'}"
-    typer.echo(f"{counted(len(files), 'scene')} in {to}, {named}")
+    typer.echo(f"{pluralise(len(files), 'scene')} in {to}, {named}")

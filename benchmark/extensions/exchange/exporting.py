@@ -21,16 +21,16 @@ from benchmark.datasets.scenario_map import (
     IS_ADVERSARY,
     OWN,
     SCHEMA,
-    Exchanged,
-    ego_center,
-    features_of_map,
-    track_digest,
+    ExchangedScene,
+    compute_ego_center,
+    encode_map,
+    hash_track,
 )
 from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.machine.progress import Count
-from benchmark.machine.storage import canonical_json, only_writer, token, write_bytes
+from benchmark.machine.progress import CountedUnits
+from benchmark.machine.storage import canonical_json, lock_folder, make_token, write_bytes
 from benchmark.machine.workers import map_ordered
 from benchmark.scene import Annotations, Scene
 
@@ -48,7 +48,7 @@ _LEAST_MOVED_M: Final = 1.0
 """What counts as moving in ScenarioNet's summaries."""
 
 
-def scenario_of(made: Exchanged) -> Scenario:
+def build_scenario(made: ExchangedScene) -> Scenario:
     """A scene for MetaDrive and ScenarioNet.
 
     Steps are the scene's own frames (12 Hz). Positions are box centres, the ego's too; where an object is not there its
@@ -64,7 +64,7 @@ def scenario_of(made: Exchanged) -> Scenario:
     tracks = {ego: _ego_track(scene, ego, seconds)}
     for index, name in enumerate(scene.agents.ids):
         tracks[name] = _track(scene, index, seconds)
-    features, own_map = features_of_map(scene.road_map)
+    features, own_map = encode_map(scene.road_map)
     return {
         "id": scene.name,
         "version": f"{DATASET} {VERSION}",
@@ -85,8 +85,8 @@ def scenario_of(made: Exchanged) -> Scenario:
             "ts": seconds,
             "sdc_id": ego,
             ADVERSARIES: list(scene.adversaries),
-            **_summaries(tracks, len(features)),
-            OWN: _own(made) | {"map": own_map},
+            **_summarise_tracks(tracks, len(features)),
+            OWN: _build_extra_metadata(made) | {"map": own_map},
         },
     }
 
@@ -101,8 +101,12 @@ def _ego_name(scene: Scene) -> str:
 def _ego_track(scene: Scene, name: str, seconds: Floats) -> dict[str, Any]:
     size = np.array([EGO_LENGTH_M, EGO_BODY_WIDTH_M, EGO_HEIGHT_M])
     there = np.ones(len(seconds), np.bool_)
-    state = _state(ego_center(scene.ego), scene.ego.yaw, size, there, seconds)
-    return {"type": "VEHICLE", "state": state, "metadata": _about(name, "vehicle.car", len(seconds), adversary=False)}
+    state = _build_state(compute_ego_center(scene.ego), scene.ego.yaw, size, there, seconds)
+    return {
+        "type": "VEHICLE",
+        "state": state,
+        "metadata": _build_metadata(name, "vehicle.car", len(seconds), adversary=False),
+    }
 
 
 def _track(scene: Scene, index: int, seconds: Floats) -> dict[str, Any]:
@@ -111,15 +115,15 @@ def _track(scene: Scene, index: int, seconds: Floats) -> dict[str, Any]:
     position, yaw, size, valid = (part[index] for part in (agents.position, agents.yaw, agents.size, agents.valid))
     annotated = {field: getattr(scene.annotations, field)[index] for field in Annotations.__dataclass_fields__}
     annotated["attribute"] = [str(text) for text in annotated["attribute"]]
-    own = {"annotations": annotated, "digest": track_digest(position, yaw, size, valid), "category": category}
+    own = {"annotations": annotated, "digest": hash_track(position, yaw, size, valid), "category": category}
     return {
         "type": _TYPES.get(category) or _KINDS.get(category.partition(".")[0], "OTHER"),
-        "state": _state(position, yaw, size, valid, seconds),
-        "metadata": {**_about(name, category, len(seconds), adversary=name in scene.adversaries), OWN: own},
+        "state": _build_state(position, yaw, size, valid, seconds),
+        "metadata": {**_build_metadata(name, category, len(seconds), adversary=name in scene.adversaries), OWN: own},
     }
 
 
-def _about(name: str, category: str, length: int, *, adversary: bool) -> dict[str, Any]:
+def _build_metadata(name: str, category: str, length: int, *, adversary: bool) -> dict[str, Any]:
     return {
         "track_length": length,
         "type": category,
@@ -129,7 +133,7 @@ def _about(name: str, category: str, length: int, *, adversary: bool) -> dict[st
     }
 
 
-def _state(position: Floats, yaw: Floats, size: Floats, valid: Bools, seconds: Floats) -> dict[str, Any]:
+def _build_state(position: Floats, yaw: Floats, size: Floats, valid: Bools, seconds: Floats) -> dict[str, Any]:
     there = np.asarray(valid, np.bool_)
     sides = {name: np.where(there, side, 0.0) for name, side in zip(("length", "width", "height"), size, strict=True)}
     return {
@@ -151,7 +155,7 @@ def _velocity(position: Floats, there: Bools, seconds: Floats) -> Floats:
     return velocity
 
 
-def _own(exchanged: Exchanged) -> dict[str, Any]:
+def _build_extra_metadata(exchanged: ExchangedScene) -> dict[str, Any]:
     """Facts that ScenarioNet has no place for; `benchmark.datasets.scene_of_own` reads them."""
     scene = exchanged.scene
     sweeps = scene.sweep_poses
@@ -184,9 +188,9 @@ def _own(exchanged: Exchanged) -> dict[str, Any]:
     }
 
 
-def _summaries(tracks: dict[str, dict[str, Any]], features: int) -> dict[str, Any]:
+def _summarise_tracks(tracks: dict[str, dict[str, Any]], features: int) -> dict[str, Any]:
     """Summaries that ScenarioNet's filters look at."""
-    objects = {name: _summary(name, track) for name, track in tracks.items()}
+    objects = {name: _summarise_track(name, track) for name, track in tracks.items()}
     types = sorted({summary["type"] for summary in objects.values()})
     moving = [summary for summary in objects.values() if summary["moving_distance"] > _LEAST_MOVED_M]
 
@@ -212,7 +216,7 @@ def _summaries(tracks: dict[str, dict[str, Any]], features: int) -> dict[str, An
     }
 
 
-def _summary(name: str, track: dict[str, Any]) -> dict[str, Any]:
+def _summarise_track(name: str, track: dict[str, Any]) -> dict[str, Any]:
     there = track["state"]["valid"] > 0
     path = track["state"]["position"][there, :2]
     first = int(there.argmax())
@@ -243,7 +247,7 @@ class ExportedScene:
     adversaries: tuple[str, ...]
 
 
-def exchanged_of(dataset: DataSet, name: str) -> Exchanged:
+def read_exchange_scene(dataset: DataSet, name: str) -> ExchangedScene:
     """A scene of a data set with its recorded scene and the report of its making, where the data set has them.
 
     In variant roots (``v0/scene-0061``) the name becomes one for a file (``scene-0061-v0``), and identifiers of objects
@@ -256,13 +260,13 @@ def exchanged_of(dataset: DataSet, name: str) -> Exchanged:
     facts = dataset.scene_facts([name])[name]
     if "/" in name:
         variant, _, inner = name.partition("/")
-        scene = _as_variant(scene, f"{inner}-{variant}")
-    return Exchanged(scene, facts.source or scene.name, report if isinstance(report, dict) else {})
+        scene = _rename_as_variant(scene, f"{inner}-{variant}")
+    return ExchangedScene(scene, facts.source or scene.name, report if isinstance(report, dict) else {})
 
 
-def _as_variant(scene: Scene, name: str) -> Scene:
+def _rename_as_variant(scene: Scene, name: str) -> Scene:
     """The scene of a variant root as it would be called in one root of all variants."""
-    called = {identifier: token("instance", name, identifier) for identifier in scene.agents.ids}
+    called = {identifier: make_token("instance", name, identifier) for identifier in scene.agents.ids}
     return replace(
         scene,
         name=name,
@@ -286,11 +290,11 @@ def export_scenarionet(dataset: DataSet, names: Sequence[str], to: Path, *, work
     Raises:
         InputError: If a scene is broken, or the folder holds other scenarios or cannot be written.
     """
-    with only_writer(to):
+    with lock_folder(to):
         files = export_scenes(names, to, "pkl", partial(_write_scenario, dataset, to), workers=workers)
         summary = {written.path.name: metadata for written, metadata in files}
-        write_bytes(to / SUMMARY, plain_pickle(summary))
-        write_bytes(to / MAPPING, plain_pickle(dict.fromkeys(summary, "")))
+        write_bytes(to / SUMMARY, pickle_plain(summary))
+        write_bytes(to / MAPPING, pickle_plain(dict.fromkeys(summary, "")))
     return tuple(written for written, _ in files)
 
 
@@ -308,7 +312,7 @@ def export_scenes(
     others = sorted(path.name for path in to.glob(f"*.{ending}") if path.name not in {*own, SUMMARY, MAPPING})
     if others:
         raise InputError(f"{to} holds {others[0]}, which is no scene of this export; choose an empty folder with --to")
-    return list(map_ordered(write, names, workers=workers, label="exporting scenes", count=Count("scene")))
+    return list(map_ordered(write, names, workers=workers, label="exporting scenes", count=CountedUnits("scene")))
 
 
 def scene_file(to: Path, name: str, ending: str) -> Path:
@@ -319,31 +323,31 @@ def scene_file(to: Path, name: str, ending: str) -> Path:
 
 
 def _write_scenario(dataset: DataSet, to: Path, name: str) -> tuple[ExportedScene, dict[str, Any]]:
-    exchanged = exchanged_of(dataset, name)
-    scenario = scenario_of(exchanged)
+    exchanged = read_exchange_scene(dataset, name)
+    scenario = build_scenario(exchanged)
     path = scene_file(to, name, "pkl")
-    write_bytes(path, plain_pickle(scenario))
+    write_bytes(path, pickle_plain(scenario))
     metadata = {key: value for key, value in scenario["metadata"].items() if key != OWN}
     return ExportedScene(path, exchanged.scene.name, exchanged.scene.adversaries), metadata
 
 
-def plain_pickle(value: Any) -> bytes:
+def pickle_plain(value: Any) -> bytes:
     """Pickle plain containers, texts, numbers and arrays: the same bytes for the same values, importing numpy alone."""
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, _PROTOCOL)
     # Without references: whether two equal texts are one object depends on how they came into memory.
     pickler.fast = True
-    pickler.dump(_plain(value))
+    pickler.dump(_to_plain(value))
     return stream.getvalue()
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _to_plain(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_to_plain(item) for item in value]
     if isinstance(value, tuple):
-        return tuple(_plain(item) for item in value)
+        return tuple(_to_plain(item) for item in value)
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):

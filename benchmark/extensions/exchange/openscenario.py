@@ -23,11 +23,11 @@ from benchmark.constants import (
     VERSION,
 )
 from benchmark.datasets.roots import DataSet
-from benchmark.datasets.scenario_map import DATASET, NEEDS_A_PACKAGE, Exchanged
+from benchmark.datasets.scenario_map import DATASET, NEEDS_A_PACKAGE, ExchangedScene
 from benchmark.errors import InputError
-from benchmark.extensions.exchange.exporting import ExportedScene, exchanged_of, export_scenes, scene_file
+from benchmark.extensions.exchange.exporting import ExportedScene, export_scenes, read_exchange_scene, scene_file
 from benchmark.geometry import Bools, Floats
-from benchmark.machine.storage import only_writer, write_bytes
+from benchmark.machine.storage import lock_folder, write_bytes
 from benchmark.scene import Scene
 
 EGO: Final = "ego"
@@ -64,7 +64,7 @@ def export_openscenario(dataset: DataSet, names: Sequence[str], to: Path, *, wor
             scenarios or cannot be written.
     """
     require_package()
-    with only_writer(to):
+    with lock_folder(to):
         return tuple(export_scenes(names, to, "xosc", partial(_write, dataset, to), workers=workers))
 
 
@@ -78,30 +78,30 @@ def require_package() -> Any:
 
 
 def _write(dataset: DataSet, to: Path, name: str) -> ExportedScene:
-    exchanged = exchanged_of(dataset, name)
+    exchanged = read_exchange_scene(dataset, name)
     path = scene_file(to, name, "xosc")
-    write_bytes(path, openscenario_bytes(exchanged))
+    write_bytes(path, encode_openscenario(exchanged))
     return ExportedScene(path, exchanged.scene.name, exchanged.scene.adversaries)
 
 
-def openscenario_bytes(made: Exchanged) -> bytes:
+def encode_openscenario(made: ExchangedScene) -> bytes:
     """A scene as OpenSCENARIO, the same bytes for the same scene.
 
     Every object follows its track in time (polylines with the seconds of its frames, absolute). One that is not there
     at first is deleted in ``Init`` and added when it comes; it is deleted where it goes.
     """
     xosc, scene = require_package(), made.scene
-    entities, init, act = xosc.Entities(), xosc.Init(), xosc.Act("tracks", _at(xosc, 0.0), None)
+    entities, init, act = xosc.Entities(), xosc.Init(), xosc.Act("tracks", _build_time_trigger(xosc, 0.0), None)
     for track in _tracks(scene):
         entities.add_scenario_object(track.name, track.entity(xosc))
         track.begin(xosc, init)
         act.add_maneuver_group(track.maneuvers(xosc))
-    storyboard = xosc.StoryBoard(init, _at(xosc, float(scene.seconds[-1]), trigger="stop"))
+    storyboard = xosc.StoryBoard(init, _build_time_trigger(xosc, float(scene.seconds[-1]), trigger="stop"))
     story = xosc.Story(scene.name)
     story.add_act(act)
     storyboard.add_story(story)
     header = xosc.Properties()
-    for name, value in _said(made).items():
+    for name, value in _describe_scene(made).items():
         header.add_property(name, value)
     scenario = xosc.Scenario(
         scene.name,
@@ -120,7 +120,7 @@ def openscenario_bytes(made: Exchanged) -> bytes:
     return b'<?xml version="1.0" encoding="utf-8"?>\n' + bytes(ElementTree.tostring(element, encoding="utf-8")) + b"\n"
 
 
-def _said(exchanged: Exchanged) -> dict[str, str]:
+def _describe_scene(exchanged: ExchangedScene) -> dict[str, str]:
     """Description of the scene for the header."""
     return {
         "scene": exchanged.scene.name,
@@ -139,24 +139,26 @@ def _date(text: str) -> datetime.datetime:
         return datetime.datetime(1970, 1, 1)  # noqa: DTZ001 - the format has local times
 
 
-def _tracks(scene: Scene) -> Iterator["_Track"]:
+def _tracks(scene: Scene) -> Iterator["_OpenScenarioTrack"]:
     ego = EGO
     while ego in scene.agents.ids:
         ego = f"{ego}_"
     size = np.array([EGO_LENGTH_M, EGO_BODY_WIDTH_M, EGO_HEIGHT_M])
     always = np.ones(len(scene.timestamps_us), np.bool_)
-    yield _Track(ego, "vehicle.car", size, scene.ego.position, scene.ego.yaw, always, scene.seconds, is_ego=True)
+    yield _OpenScenarioTrack(
+        ego, "vehicle.car", size, scene.ego.position, scene.ego.yaw, always, scene.seconds, is_ego=True
+    )
     agents = scene.agents
     for row, name in enumerate(agents.ids):
         ground = agents.position[row] - [0.0, 0.0, 0.5 * agents.size[row, 2]]
-        track = _Track(
+        track = _OpenScenarioTrack(
             name, agents.categories[row], agents.size[row], ground, agents.yaw[row], agents.valid[row], scene.seconds
         )
         track.adversary = name in scene.adversaries
         yield track
 
 
-class _Track:
+class _OpenScenarioTrack:
     """One object as OpenSCENARIO has it: an entity, and what happens with it."""
 
     def __init__(
@@ -213,7 +215,7 @@ class _Track:
     def maneuvers(self, xosc: Any) -> Any:
         """Maneuvers of an object: for each stretch of time that it is there it comes, follows its track, and goes."""
         maneuver = xosc.Maneuver(f"{self.name} maneuver")
-        for number, (first, last) in enumerate(stretches(self._valid)):
+        for number, (first, last) in enumerate(find_stretches(self._valid)):
             if first > 0:
                 self._event(
                     xosc, maneuver, f"comes {number}", first, xosc.AddEntityAction(self.name, self._place(xosc, first))
@@ -230,7 +232,7 @@ class _Track:
     def _event(self, xosc: Any, maneuver: Any, called: str, frame: int, action: Any) -> None:
         name = f"{self.name} {called}"
         event = xosc.Event(name, xosc.Priority.parallel)
-        event.add_trigger(_at(xosc, float(self._seconds[frame])))
+        event.add_trigger(_build_time_trigger(xosc, float(self._seconds[frame])))
         event.add_action(name, action)
         maneuver.add_event(event)
 
@@ -247,13 +249,13 @@ class _Track:
         return xosc.WorldPosition(x, y, z, float(self._yaw[frame]))
 
 
-def stretches(valid: Bools) -> list[tuple[int, int]]:
+def find_stretches(valid: Bools) -> list[tuple[int, int]]:
     """First and last frame of each stretch of frames at which something is there."""
     edges = np.diff(np.concatenate([[0], np.asarray(valid, np.int64), [0]]))
     return list(zip(np.flatnonzero(edges > 0).tolist(), (np.flatnonzero(edges < 0) - 1).tolist(), strict=True))
 
 
-def _at(xosc: Any, seconds: float, trigger: str = "start") -> Any:
+def _build_time_trigger(xosc: Any, seconds: float, trigger: str = "start") -> Any:
     """Once the simulation is so old."""
     condition = xosc.SimulationTimeCondition(seconds, xosc.Rule.greaterOrEqual)
     return xosc.ValueTrigger("time", 0.0, xosc.ConditionEdge.none, condition, triggeringpoint=trigger)

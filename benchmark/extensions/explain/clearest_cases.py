@@ -9,10 +9,10 @@ import shapely
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_corners, box_gap, ego_footprints
-from benchmark.metrics.disagreement import CAUSES, EXACT, FALSE_ALARM, MISS, RUNGS, ladder
+from benchmark.metrics.disagreement import CAUSES, COUNTERFACTUALS, EXACT, FALSE_ALARM, MISS, compute_counterfactuals
 from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
-from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes, object_boxes
+from benchmark.protocols.exact import INSTANTS_PER_STEP, compute_plan_boxes, interpolate_object_boxes
 from benchmark.protocols.stacked import stack
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
@@ -26,7 +26,7 @@ CASES_LOOKED_AT = 60
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class DisagreementCase:
     """One sample on which a protocol and ``exact`` disagree.
 
     Attributes:
@@ -46,7 +46,7 @@ class Case:
     clearness: float
 
 
-def clearest_cases(records: Sequence[RunRecord], data: "DataSet") -> list[Case]:
+def find_clearest_cases(records: Sequence[RunRecord], data: "DataSet") -> list[DisagreementCase]:
     """Clearest case of each cause for each protocol, in the order of `PROTOCOLS` and `CAUSES`.
 
     None for causes without a row.
@@ -55,8 +55,8 @@ def clearest_cases(records: Sequence[RunRecord], data: "DataSet") -> list[Case]:
     cases = []
     for protocol in PROTOCOLS:
         for cause in CAUSES:
-            best: Case | None = None
-            for planner, row in _showing(records, protocol, cause):
+            best: DisagreementCase | None = None
+            for planner, row in _find_samples(records, protocol, cause):
                 if row.scene not in truths:
                     truths[row.scene] = {truth.sample_token: truth for truth in data.truth(row.scene)}
                 if row.sample_token not in truths[row.scene]:
@@ -65,14 +65,14 @@ def clearest_cases(records: Sequence[RunRecord], data: "DataSet") -> list[Case]:
                         "name the data set that it ran on"
                     )
                 truth = truths[row.scene][row.sample_token]
-                case = case_of(planner, protocol, truth, plan_in_lidar(row, truth))
+                case = build_case(planner, protocol, truth, plan_in_lidar(row, truth))
                 if case is not None and case.cause == cause and (best is None or case.clearness > best.clearness):
                     best = case
             cases += [] if best is None else [best]
     return cases
 
 
-def _showing(records: Sequence[RunRecord], protocol: str, cause: str) -> list[tuple[str, SampleRow]]:
+def _find_samples(records: Sequence[RunRecord], protocol: str, cause: str) -> list[tuple[str, SampleRow]]:
     """Planner and row of samples that show a cause, few enough to look at."""
     rows = [
         (record.planner, row)
@@ -92,7 +92,7 @@ def plan_in_lidar(row: SampleRow, truth: SampleTruth) -> Floats:
     return Plan(np.array(row.plan.waypoints), PlanFrame(row.plan.frame)).waypoints_in_lidar(truth.lidar_ahead_m)
 
 
-def case_of(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floats) -> Case | None:
+def build_case(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floats) -> DisagreementCase | None:
     """A sample as a case, at the step that shows the cause best.
 
     ``None`` if the protocol and ``exact`` agree or do not both count the sample. ``plan_lidar`` is (6, 2) waypoints in
@@ -104,7 +104,7 @@ def case_of(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floats)
     )
     if not (exact.counted[0] and official.counted[0]):
         return None
-    rungs = ladder(definition, stack([truth]), plans, exact, official)
+    rungs = compute_counterfactuals(definition, stack([truth]), plans, exact, official)
     (cause,) = rungs.causes()
     if cause is None:
         return None
@@ -114,10 +114,10 @@ def case_of(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floats)
         steps = [step for step in steps if official.step("at_step")[0, step]] or steps
     clearness = {step: _clearness(cause, protocol, truth, plan_lidar, step) for step in steps}
     step = max(steps, key=lambda step: (clearness[step], -step))
-    return Case(planner, protocol, cause, truth, plan_lidar, step, clearness[step])
+    return DisagreementCase(planner, protocol, cause, truth, plan_lidar, step, clearness[step])
 
 
-def contact_instant(truth: SampleTruth, plan_lidar: Floats, step: int) -> int:
+def find_contact_instant(truth: SampleTruth, plan_lidar: Floats, step: int) -> int:
     """Instant of a step (0 to 5) at which the plan overlaps the others most: 0 to 29 for 0.1 s, 0.2 s, ... 3.0 s."""
     instants = range(step * INSTANTS_PER_STEP, (step + 1) * INSTANTS_PER_STEP)
     return max(instants, key=lambda instant: (_overlap_m2(truth, plan_lidar, instant), instant))
@@ -128,9 +128,9 @@ def waypoint_instant(step: int) -> int:
     return (step + 1) * INSTANTS_PER_STEP - 1
 
 
-def objects_at(truth: SampleTruth, instant: int) -> tuple[Floats, list[int]]:
+def select_objects(truth: SampleTruth, instant: int) -> tuple[Floats, list[int]]:
     """Objects at an instant (0 to 29, a tenth of a second each): (N, 5) boxes and their numbers in the truth."""
-    boxes, present = object_boxes(truth.boxes, truth.annotated)
+    boxes, present = interpolate_object_boxes(truth.boxes, truth.annotated)
     there = np.flatnonzero(present[:, instant])
     return boxes[there, instant], there.tolist()
 
@@ -142,15 +142,17 @@ def ego_rectangle(waypoint: Floats, heading_rad: float) -> Floats:
 
 def _clearness(cause: str, protocol: str, truth: SampleTruth, plan_lidar: Floats, step: int) -> float:
     at_waypoint = waypoint_instant(step)
-    if cause == f"{MISS}: {RUNGS[0]}":
-        hit = _overlapped(truth, plan_lidar, contact_instant(truth, plan_lidar, step))
+    if cause == f"{MISS}: {COUNTERFACTUALS[0]}":
+        hit = _find_overlapped(truth, plan_lidar, find_contact_instant(truth, plan_lidar, step))
         around = [instant for instant in (at_waypoint - INSTANTS_PER_STEP, at_waypoint) if instant >= 0]
-        return min((_gap_m(truth, ego_boxes(plan_lidar)[instant], instant, hit) for instant in around), default=0.0)
+        return min(
+            (_gap_m(truth, compute_plan_boxes(plan_lidar)[instant], instant, hit) for instant in around), default=0.0
+        )
     if cause.startswith(MISS):
         return _overlap_m2(truth, plan_lidar, at_waypoint)
     definition = PROTOCOLS[protocol]
     counted = set(np.flatnonzero(definition.counted_objects(stack([truth]))[:, step]).tolist())
-    air = _gap_m(truth, ego_boxes(plan_lidar)[at_waypoint], at_waypoint, counted)
+    air = _gap_m(truth, compute_plan_boxes(plan_lidar)[at_waypoint], at_waypoint, counted)
     if cause.endswith("heading"):
         return air
     # What the raster alone invents is seen best where the ego's heading does not matter.
@@ -158,21 +160,21 @@ def _clearness(cause: str, protocol: str, truth: SampleTruth, plan_lidar: Floats
     return min(air, _gap_m(truth, turned, at_waypoint, counted))
 
 
-def _overlapped(truth: SampleTruth, plan_lidar: Floats, instant: int) -> set[int]:
-    boxes, numbers = objects_at(truth, instant)
-    ego = ego_boxes(plan_lidar)[instant]
+def _find_overlapped(truth: SampleTruth, plan_lidar: Floats, instant: int) -> set[int]:
+    boxes, numbers = select_objects(truth, instant)
+    ego = compute_plan_boxes(plan_lidar)[instant]
     return {number for number, gap in zip(numbers, box_gap(ego, boxes).tolist()) if gap == 0.0}
 
 
 def _gap_m(truth: SampleTruth, ego: Floats, instant: int, objects: set[int]) -> float:
-    boxes, numbers = objects_at(truth, instant)
+    boxes, numbers = select_objects(truth, instant)
     gaps = box_gap(ego, boxes).tolist()
     return min((gap for number, gap in zip(numbers, gaps) if number in objects), default=0.0)
 
 
 def _overlap_m2(truth: SampleTruth, plan_lidar: Floats, instant: int) -> float:
-    boxes, _ = objects_at(truth, instant)
+    boxes, _ = select_objects(truth, instant)
     if not len(boxes):
         return 0.0
-    ego = shapely.Polygon(box_corners(ego_boxes(plan_lidar)[instant]))
+    ego = shapely.Polygon(box_corners(compute_plan_boxes(plan_lidar)[instant]))
     return float(shapely.area(shapely.intersection(ego, shapely.polygons(box_corners(boxes)))).max())

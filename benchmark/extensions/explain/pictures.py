@@ -10,11 +10,11 @@ import shapely
 
 from benchmark.constants import PLAN_STEP_S
 from benchmark.extensions.explain.clearest_cases import (
-    Case,
-    clearest_cases,
-    contact_instant,
+    DisagreementCase,
     ego_rectangle,
-    objects_at,
+    find_clearest_cases,
+    find_contact_instant,
+    select_objects,
     waypoint_instant,
 )
 from benchmark.extensions.explain.views import (
@@ -24,19 +24,19 @@ from benchmark.extensions.explain.views import (
     IGNORED,
     INK,
     OBJECT,
+    build_raster_view,
     draw_cells,
     draw_path,
     fill,
     frame_view,
     outline,
-    raster_view,
     shade_cells,
 )
 from benchmark.geometry import Floats, box_corners
-from benchmark.machine.storage import file_name, write_bytes
-from benchmark.metrics.disagreement import CAUSES, MISS, RUNGS, before_mask, objects_by_filter
+from benchmark.machine.storage import sanitise_file_name, write_bytes
+from benchmark.metrics.disagreement import CAUSES, COUNTERFACTUALS, MISS, filter_objects, find_contacts_before_mask
 from benchmark.protocols import PROTOCOLS, CollisionProtocol
-from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes
+from benchmark.protocols.exact import INSTANTS_PER_STEP, compute_plan_boxes
 from benchmark.protocols.stacked import StackedTruths, stack
 from benchmark.records.run import RunRecord
 from benchmark.report.plots import figure_png
@@ -73,7 +73,7 @@ _REASONS = ("class not counted", "not annotated now or since", "out of range now
 class CasePicture:
     """Picture of a case as a PNG file, with a sentence about it for a terminal."""
 
-    case: Case
+    case: DisagreementCase
     path: Path
     sentence: str
 
@@ -93,14 +93,17 @@ def explain(records: Sequence[RunRecord], data: "DataSet", folder: Path) -> list
         InputError: If a scene cannot be read or a file cannot be written.
     """
     pictures = []
-    for case in clearest_cases(records, data):
-        path = folder / f"{file_name(case.protocol)}-{file_name(case.cause.replace(': ', '-').replace(' ', '-'))}.png"
+    for case in find_clearest_cases(records, data):
+        path = (
+            folder
+            / f"{sanitise_file_name(case.protocol)}-{sanitise_file_name(case.cause.replace(': ', '-').replace(' ', '-'))}.png"
+        )
         write_bytes(path, draw_case(case))
-        pictures.append(CasePicture(case, path, sentence(case)))
+        pictures.append(CasePicture(case, path, describe_case(case)))
     return pictures
 
 
-def sentence(case: Case) -> str:
+def describe_case(case: DisagreementCase) -> str:
     """A case in words: the objects, the place and the fault."""
     kind = "misses a collision of" if case.cause.startswith(MISS) else "reports a collision that is none of"
     return (
@@ -109,7 +112,7 @@ def sentence(case: Case) -> str:
     )
 
 
-def draw_case(case: Case) -> bytes:
+def draw_case(case: DisagreementCase) -> bytes:
     """Draw a case as PNG: the events on the left, the protocol's view on the right.
 
     The same case gives the same bytes.
@@ -121,37 +124,37 @@ def draw_case(case: Case) -> bytes:
     with matplotlib.style.context("default", after_reset=True):
         figure = Figure(figsize=(9.0, 5.6), dpi=_DPI, facecolor="white")
         true_axes, protocol_axes = figure.subplots(1, 2)
-        instant = _shown_instant(case)
-        centre = _middle(case, instant)
+        instant = _choose_instant(case)
+        centre = _find_view_centre(case, instant)
         for axes in (true_axes, protocol_axes):
             frame_view(axes, centre, HALF_VIEW_M)
-        _draw_what_happens(true_axes, case, instant)
-        _draw_what_is_seen(protocol_axes, case)
+        _draw_scene(true_axes, case, instant)
+        _draw_protocol_view(protocol_axes, case)
         true_axes.set_ylabel("metres ahead of the car now", fontsize=7, color="#777777")
-        _write_around(figure, case)
+        _write_captions(figure, case)
         return figure_png(figure)
 
 
-def _middle(case: Case, instant: int) -> Floats:
+def _find_view_centre(case: DisagreementCase, instant: int) -> Floats:
     """Middle of the view: between where the ego is and where the protocol puts it, which a grid's border parts."""
-    centre = ego_boxes(case.plan_lidar)[instant, :2]
-    view = raster_view(PROTOCOLS[case.protocol], case.truth, case.plan_lidar, case.step)
+    centre = compute_plan_boxes(case.plan_lidar)[instant, :2]
+    view = build_raster_view(PROTOCOLS[case.protocol], case.truth, case.plan_lidar, case.step)
     return centre if view is None else 0.5 * (centre + view.ego_middle_m)
 
 
-def _shown_instant(case: Case) -> int:
-    if case.cause == f"{MISS}: {RUNGS[0]}":
-        return contact_instant(case.truth, case.plan_lidar, case.step)
+def _choose_instant(case: DisagreementCase) -> int:
+    if case.cause == f"{MISS}: {COUNTERFACTUALS[0]}":
+        return find_contact_instant(case.truth, case.plan_lidar, case.step)
     return waypoint_instant(case.step)
 
 
-def _draw_what_happens(axes: "Axes", case: Case, instant: int) -> None:
-    ego = ego_boxes(case.plan_lidar)[instant]
-    boxes, numbers = objects_at(case.truth, instant)
+def _draw_scene(axes: "Axes", case: DisagreementCase, instant: int) -> None:
+    ego = compute_plan_boxes(case.plan_lidar)[instant]
+    boxes, numbers = select_objects(case.truth, instant)
     hit = False
     for box, number in zip(boxes, numbers):
         fill(axes, box_corners(box), OBJECT)
-        _name(axes, box, case.truth.categories[number])
+        _label_box(axes, box, case.truth.categories[number])
     draw_path(axes, case.plan_lidar)
     fill(axes, box_corners(ego), EGO)
     for box in boxes:
@@ -162,15 +165,15 @@ def _draw_what_happens(axes: "Axes", case: Case, instant: int) -> None:
     _headline(axes, "What happens", hit, f"{(instant + 1) * PLAN_STEP_S / INSTANTS_PER_STEP:.1f} s")
 
 
-def _draw_what_is_seen(axes: "Axes", case: Case) -> None:
+def _draw_protocol_view(axes: "Axes", case: DisagreementCase) -> None:
     definition, stacked = PROTOCOLS[case.protocol], stack([case.truth])
     official = definition.evaluate([case.truth], case.plan_lidar[None])
-    between = case.cause == f"{MISS}: {RUNGS[0]}" and case.step > 0
+    between = case.cause == f"{MISS}: {COUNTERFACTUALS[0]}" and case.step > 0
     for step, alpha in ((case.step - 1, 0.35), (case.step, 1.0)) if between else ((case.step, 1.0),):
-        _draw_seen_at(axes, definition, stacked, case, step, alpha)
+        _draw_protocol_step(axes, definition, stacked, case, step, alpha)
         if between:
             axes.annotate(_time(step), tuple(case.plan_lidar[step] + [1.1, 0.3]), fontsize=9, color=EGO, clip_on=True)
-    masked = bool((before_mask(official) & ~official.collision)[0, case.step])
+    masked = bool((find_contacts_before_mask(official) & ~official.collision)[0, case.step])
     if masked:
         _draw_recorded(axes, definition, case)
     _headline(
@@ -182,11 +185,11 @@ def _draw_what_is_seen(axes: "Axes", case: Case) -> None:
     )
 
 
-def _draw_seen_at(
-    axes: "Axes", definition: CollisionProtocol, stacked: StackedTruths, case: Case, step: int, alpha: float
+def _draw_protocol_step(
+    axes: "Axes", definition: CollisionProtocol, stacked: StackedTruths, case: DisagreementCase, step: int, alpha: float
 ) -> None:
     waypoint = case.plan_lidar[step]
-    view = raster_view(definition, case.truth, case.plan_lidar, step)
+    view = build_raster_view(definition, case.truth, case.plan_lidar, step)
     _draw_objects(axes, definition, stacked, case, step, None if view is not None else alpha)
     if view is None:
         heading = definition.headings(case.plan_lidar[None])[0, step]
@@ -194,19 +197,19 @@ def _draw_seen_at(
         draw_path(axes, case.plan_lidar)
     else:
         draw_cells(axes, view, alpha=alpha)
-        outline(axes, box_corners(ego_boxes(case.plan_lidar)[waypoint_instant(step)]), EGO, "--")
+        outline(axes, box_corners(compute_plan_boxes(case.plan_lidar)[waypoint_instant(step)]), EGO, "--")
 
 
 def _draw_objects(
     axes: "Axes",
     definition: CollisionProtocol,
     stacked: StackedTruths,
-    case: Case,
+    case: DisagreementCase,
     step: int,
     alpha: float | None,
 ) -> None:
     """Objects that count (outlines only if ``alpha`` is None), and those that do not with the reason."""
-    filters = np.stack([counted[:, step] for counted in objects_by_filter(definition, stacked)])
+    filters = np.stack([counted[:, step] for counted in filter_objects(definition, stacked)])
     for number in np.flatnonzero(stacked.annotated[:, step + 1]).tolist():
         box = stacked.boxes[number, step + 1]
         if filters[-1, number] and alpha is None:
@@ -220,18 +223,18 @@ def _draw_objects(
             if case.cause.endswith(reason) and "range" in reason:
                 now = stacked.boxes[number, 0, :2]
                 note += f"\n(now {abs(now[1]):.0f} m {'ahead' if now[1] > 0 else 'behind'}, {abs(now[0]):.0f} m aside)"
-            _text(axes, box, note, "#555555")
+            _write_above(axes, box, note, "#555555")
 
 
-def _draw_recorded(axes: "Axes", definition: CollisionProtocol, case: Case) -> None:
+def _draw_recorded(axes: "Axes", definition: CollisionProtocol, case: DisagreementCase) -> None:
     recorded = case.truth.ego_future[case.step]
-    view = raster_view(definition, case.truth, case.truth.ego_future[:, :2], case.step)
+    view = build_raster_view(definition, case.truth, case.truth.ego_future[:, :2], case.step)
     if view is not None:
         shade_cells(axes, view, view.ego, GHOST, alpha=0.35)
     heading = definition.headings(case.truth.ego_future[None, :, :2])[0, case.step]
     box = ego_rectangle(recorded[:2], heading if view is None else recorded[2])
     outline(axes, box_corners(box), GHOST, "-")
-    _text(axes, box, "recorded ego", GHOST)
+    _write_above(axes, box, "recorded ego", GHOST)
 
 
 def _headline(axes: "Axes", who: str, collision: bool, when: str, *, suffix: str = "") -> None:
@@ -240,7 +243,7 @@ def _headline(axes: "Axes", who: str, collision: bool, when: str, *, suffix: str
     axes.set_title(f"{who} at {when}: {verdict}{suffix}", fontsize=10, color=colour, fontweight="bold")
 
 
-def _write_around(figure: "Figure", case: Case) -> None:
+def _write_captions(figure: "Figure", case: DisagreementCase) -> None:
     kind = "misses a collision" if case.cause.startswith(MISS) else "reports a collision that is none"
     figure.suptitle(f"{case.protocol} {kind}: {case.cause.partition(': ')[2]}", fontsize=12, fontweight="bold", y=0.985)
     figure.text(0.5, 0.915, WORDS[case.cause], ha="center", fontsize=9.5, color=INK)
@@ -256,12 +259,12 @@ def _write_around(figure: "Figure", case: Case) -> None:
     figure.subplots_adjust(left=0.06, right=0.985, top=0.85, bottom=0.115, wspace=0.12)
 
 
-def _name(axes: "Axes", box: Floats, category: str) -> None:
+def _label_box(axes: "Axes", box: Floats, category: str) -> None:
     if category != "vehicle.car":
-        _text(axes, box, _short(category), INK)
+        _write_above(axes, box, _short(category), INK)
 
 
-def _text(axes: "Axes", box: Floats, text: str, colour: str) -> None:
+def _write_above(axes: "Axes", box: Floats, text: str, colour: str) -> None:
     """A label above an object, if the object is in view."""
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     if not (left < box[0] < right and low < box[1] < high):

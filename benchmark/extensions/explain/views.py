@@ -8,20 +8,20 @@ import numpy as np
 
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols import CollisionProtocol, bev_planner, fine_grid, omnidrive, stp3
-from benchmark.protocols.bev_planner import BEVPlanner
-from benchmark.protocols.omnidrive import OmniDrive
-from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, RasterProtocol, full_rasters
-from benchmark.protocols.safemvdrive import SafeMVDrive
+from benchmark.protocols.bev_planner import BEVPlannerProtocol
+from benchmark.protocols.omnidrive import OmniDriveProtocol
+from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, RasterProtocol, draw_full_rasters
+from benchmark.protocols.safemvdrive import SafeMVDriveProtocol
 from benchmark.protocols.stacked import stack
-from benchmark.protocols.stp3 import STP3
+from benchmark.protocols.stp3 import STP3Protocol
 from benchmark.report import palette
-from benchmark.report.palette import hexadecimal
+from benchmark.report.palette import format_hexadecimal
 from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-EGO, HIT, INK = (hexadecimal(colour) for colour in (palette.EGO, palette.CONTACT, palette.INK))
+EGO, HIT, INK = (format_hexadecimal(colour) for colour in (palette.EGO, palette.CONTACT, palette.INK))
 OBJECT, IGNORED, CELL, GHOST = "#7a8ba6", "#8a8f99", "#a9bcd8", "#8e5bb5"
 
 
@@ -46,24 +46,26 @@ class RasterView:
         return np.array([columns.mean(), rows.mean()]) * self.cell_m + self.first_cell_m
 
 
-def raster_view(definition: CollisionProtocol, truth: SampleTruth, plan_lidar: Floats, step: int) -> RasterView | None:
+def build_raster_view(
+    definition: CollisionProtocol, truth: SampleTruth, plan_lidar: Floats, step: int
+) -> RasterView | None:
     """The cells that a protocol compares at a step (0 to 5), or ``None`` for a protocol without a raster.
 
     ``plan_lidar`` is (6, 2) waypoints in metres.
     """
-    if isinstance(definition, SafeMVDrive):
+    if isinstance(definition, SafeMVDriveProtocol):
         definition = definition.uniad
-    if isinstance(definition, STP3):
-        return _warped_view(definition, truth, plan_lidar, step)
-    if isinstance(definition, BEVPlanner | OmniDrive):
-        return _fine_view(definition, truth, plan_lidar, step)
+    if isinstance(definition, STP3Protocol):
+        return _build_warped_view(definition, truth, plan_lidar, step)
+    if isinstance(definition, BEVPlannerProtocol | OmniDriveProtocol):
+        return _build_fine_view(definition, truth, plan_lidar, step)
     if not isinstance(definition, RasterProtocol):
         return None
     waypoint = plan_lidar[step]
     stacked = stack([truth])
     counted = np.flatnonzero(definition.counted_objects(stacked)[:, step])
     polygons = definition.drawn_polygons(definition.drawn_boxes(stacked, counted, np.full(len(counted), step)))
-    occupied = full_rasters(polygons, np.zeros(len(counted), np.int64), 1)[0] > 0
+    occupied = draw_full_rasters(polygons, np.zeros(len(counted), np.int64), 1)[0] > 0
     ego, at = np.zeros((CELLS, CELLS), dtype=np.bool_), definition.ego_block(waypoint)
     ego[at[:, 0], at[:, 1]] = True
     if definition.first_row_ahead:
@@ -71,35 +73,37 @@ def raster_view(definition: CollisionProtocol, truth: SampleTruth, plan_lidar: F
     return RasterView(occupied, ego, (-EXTENT_M, -EXTENT_M))
 
 
-def _warped_view(definition: STP3, truth: SampleTruth, plan_lidar: Floats, step: int) -> RasterView:
+def _build_warped_view(definition: STP3Protocol, truth: SampleTruth, plan_lidar: Floats, step: int) -> RasterView:
     """ST-P3's picture of a step as it is warped into the present, around the rear axle as it draws its objects."""
     stacked = stack([truth])
-    polygons, place_of = stp3.drawn_polygons(definition, stacked)
-    drawn = full_rasters(polygons[place_of == step], np.zeros(int((place_of == step).sum()), np.int64), 1)[0] > 0
+    polygons, place_of = stp3.draw_polygons(definition, stacked)
+    drawn = draw_full_rasters(polygons[place_of == step], np.zeros(int((place_of == step).sum()), np.int64), 1)[0] > 0
     rows, columns = np.meshgrid(np.arange(CELLS), np.arange(CELLS), indexing="ij")
-    motion = (part[0, step] for part in stp3.warps(stacked.axle_poses))
-    from_row, from_column = stp3.before_warp(rows, columns, *motion)
+    motion = (part[0, step] for part in stp3.compute_warps(stacked.axle_poses))
+    from_row, from_column = stp3.find_cells_before_warp(rows, columns, *motion)
     there = (from_row >= 0) & (from_row < CELLS) & (from_column >= 0) & (from_column < CELLS)
     occupied = drawn[np.clip(from_row, 0, CELLS - 1), np.clip(from_column, 0, CELLS - 1)] & there
-    ego, at = np.zeros((CELLS, CELLS), dtype=np.bool_), stp3.ego_block(plan_lidar[step])
+    ego, at = np.zeros((CELLS, CELLS), dtype=np.bool_), stp3.compute_ego_block(plan_lidar[step])
     ego[at[:, 0], at[:, 1]] = True
     # Columns go to the left; row 0 is 50 m behind the rear axle.
     first = (EXTENT_M - CELL_M * (CELLS - 1), -EXTENT_M - truth.lidar_ahead_m)
     return RasterView(occupied[:, ::-1], ego[:, ::-1], first)
 
 
-def _fine_view(definition: BEVPlanner | OmniDrive, truth: SampleTruth, plan_lidar: Floats, step: int) -> RasterView:
+def _build_fine_view(
+    definition: BEVPlannerProtocol | OmniDriveProtocol, truth: SampleTruth, plan_lidar: Floats, step: int
+) -> RasterView:
     """The cells of 0.1 m that BEV-Planner and OmniDrive compare, around the rear axle as both draw their objects."""
     stacked = stack([truth])
     size, place = fine_grid.CELLS, np.array([step])
     occupied = np.zeros((size, size), np.uint8)
-    if isinstance(definition, BEVPlanner):
-        polygons, place_of = bev_planner.drawn_polygons(definition, stacked)
-        cover = bev_planner.footprint(bev_planner.forward_left(plan_lidar[None]))
+    if isinstance(definition, BEVPlannerProtocol):
+        polygons, place_of = bev_planner.draw_polygons(definition, stacked)
+        cover = bev_planner.build_footprint(bev_planner.to_forward_left(plan_lidar[None]))
     else:
-        polygons, place_of = omnidrive.drawn_polygons(definition, stacked)
-        path = omnidrive.axle_path(plan_lidar[None], stacked.ahead_m)
-        cover = omnidrive.footprint(omnidrive.written(path))
+        polygons, place_of = omnidrive.draw_polygons(definition, stacked)
+        path = omnidrive.to_axle_path(plan_lidar[None], stacked.ahead_m)
+        cover = omnidrive.build_footprint(omnidrive.round_to_text(path))
     cv2.fillPoly(occupied, list(polygons[place_of == step]), (1,))
     ego = np.zeros((size, size), dtype=np.bool_)
     at = cover.cells(place)[0][0]

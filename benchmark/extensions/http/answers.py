@@ -7,12 +7,12 @@ import numpy as np
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
-from benchmark.extensions.http.requests import encoded, parsed
-from benchmark.extensions.http.values import WireError, member, numbers_of
+from benchmark.extensions.http.requests import encode_json, parse_body
+from benchmark.extensions.http.values import NeuroncapHttpError, parse_numbers, read_member
 from benchmark.geometry import Floats
-from benchmark.pdm.motion import headed
+from benchmark.pdm.motion import plan_to_poses
 from benchmark.planning import Forecasts, Plan, PlanFrame
-from benchmark.untrusted.files import WIRE_ANSWER
+from benchmark.untrusted.files import HTTP_ANSWER
 from benchmark.waypoints import points_in_ego
 
 _BODY: Final = "the answer"
@@ -47,23 +47,23 @@ class ModelAnswer:
         Raises:
             WireError: If NeuroNCAP's client would not take it.
         """
-        value = parsed(body, WIRE_ANSWER, _BODY)
-        trajectory = numbers_of(member(value, "trajectory", _BODY), "trajectory")
-        aux = member(value, _AUX, _BODY)
+        value = parse_body(body, HTTP_ANSWER, _BODY)
+        trajectory = parse_numbers(read_member(value, "trajectory", _BODY), "trajectory")
+        aux = read_member(value, _AUX, _BODY)
         if not isinstance(aux, dict):
-            raise WireError(
+            raise NeuroncapHttpError(
                 f"{_AUX} is {'null' if aux is None else type(aux).__name__}; write {{}} where there are none"
             )
         classes = aux.get("object_classes") or []
         if not isinstance(classes, list) or not all(isinstance(class_name, str) for class_name in classes):
-            raise WireError(f"{_AUX}.object_classes is no list of texts")
+            raise NeuroncapHttpError(f"{_AUX}.object_classes is no list of texts")
         return cls(
             trajectory=trajectory,
-            objects=_listed(aux, "objects_in_bev", (0, _BOX_COLUMNS)),
+            objects=_read_optional_list(aux, "objects_in_bev", (0, _BOX_COLUMNS)),
             classes=tuple(classes),
-            scores=_listed(aux, "object_scores", (0,)),
-            ids=_listed(aux, "object_ids", (0,)),
-            futures=_listed(aux, "future_trajs", (0, 0, 0, 2)),
+            scores=_read_optional_list(aux, "object_scores", (0,)),
+            ids=_read_optional_list(aux, "object_ids", (0,)),
+            futures=_read_optional_list(aux, "future_trajs", (0, 0, 0, 2)),
         )
 
     @classmethod
@@ -73,9 +73,9 @@ class ModelAnswer:
         Args:
             lidar_ahead_m: Lidar origin ahead of the rear axle.
         """
-        boxes, futures = _forecasts_in_ego(plan, lidar_ahead_m)
+        boxes, futures = _transform_forecasts(plan, lidar_ahead_m)
         nothing = np.empty(0)
-        return cls(headed(plan, lidar_ahead_m)[:, :2], boxes, (), nothing, nothing, futures)
+        return cls(plan_to_poses(plan, lidar_ahead_m)[:, :2], boxes, (), nothing, nothing, futures)
 
     def encoded(self) -> bytes:
         """The body; lists that are empty are null, because the client refuses empty ones. `ValueError` for NaN."""
@@ -87,7 +87,7 @@ class ModelAnswer:
             "future_trajs": self.futures,
         }
         aux_lists = {name: np.asarray(values).tolist() if len(values) else None for name, values in aux.items()}
-        return encoded({"trajectory": self.trajectory.tolist(), _AUX: aux_lists})
+        return encode_json({"trajectory": self.trajectory.tolist(), _AUX: aux_lists})
 
     def plan(self, frame: PlanFrame = PlanFrame.EGO) -> Plan:
         """The part of an answer that can be driven.
@@ -105,7 +105,7 @@ class ModelAnswer:
         try:
             return Plan(waypoints, frame, forecasts=self._forecasts())
         except InputError as error:
-            raise WireError(str(error)) from error
+            raise NeuroncapHttpError(str(error)) from error
 
     def _forecasts(self) -> Forecasts | None:
         """Forecasts of others, where they can be told: the wire has no probabilities, all modes count alike."""
@@ -120,21 +120,21 @@ class ModelAnswer:
         return Forecasts(self.objects, trajectories, np.full((agents, modes), 1.0 / modes))
 
 
-def _listed(aux: dict[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
+def _read_optional_list(aux: dict[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
     """An optional list; 0 in the shape is any length. A list without elements has one axis, as for the client."""
     if aux.get(name) is None:
         return np.empty(shape)
-    values = numbers_of(aux[name], f"{_AUX}.{name}")
+    values = parse_numbers(aux[name], f"{_AUX}.{name}")
     wrong = values.ndim != len(shape) or any(
         wanted not in (0, length_given) for wanted, length_given in zip(shape, values.shape, strict=True)
     )
     if wrong:
         wanted_shape = " x ".join("N" if not length else str(length) for length in shape)
-        raise WireError(f"{_AUX}.{name} must be {wanted_shape} numbers, or null where there are none")
+        raise NeuroncapHttpError(f"{_AUX}.{name} must be {wanted_shape} numbers, or null where there are none")
     return values
 
 
-def _forecasts_in_ego(plan: Plan, lidar_ahead_m: float) -> tuple[Floats, Floats]:
+def _transform_forecasts(plan: Plan, lidar_ahead_m: float) -> tuple[Floats, Floats]:
     """(A, 5) boxes and (A, M, 6, 2) ways from their centres, of a plan's forecasts, in the ego frame."""
     forecasts = plan.forecasts
     if forecasts is None or not len(forecasts.boxes):

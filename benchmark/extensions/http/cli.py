@@ -12,7 +12,7 @@ from benchmark.cli.settings import Option, command
 if TYPE_CHECKING:
     from benchmark.extensions.http.server import PlannerServer
     from benchmark.planning import Planner
-    from benchmark.sandbox.limits import Supervision
+    from benchmark.sandbox.limits import SandboxLimits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,16 +44,18 @@ def serve_command(options: ServeOptions) -> None:
     named = {name: getattr(options, name) for name in same}
     server = serve_planner(options.model, **named, supervision=supervision)
     if server.is_open:
-        api.tell(
+        api.notify(
             f"warning: {server.host} is open to other machines: whoever reaches port {server.port} can use this "
             "planner, reset it and see what it answers; there is no password and nothing is encrypted"
         )
     if options.accept_torch_tensors:
-        api.tell("warning: saved tensors are pickles; they are read with weights_only, from whoever reaches this port")
-    api.tell(f"{options.model} answers at {server.url}, one scene at a time; Ctrl-C ends it")
+        api.notify(
+            "warning: saved tensors are pickles; they are read with weights_only, from whoever reaches this port"
+        )
+    api.notify(f"{options.model} answers at {server.url}, one scene at a time; Ctrl-C ends it")
     with contextlib.suppress(KeyboardInterrupt):
         server.serve()
-    api.tell("ended")
+    api.notify("ended")
 
 
 def serve_planner(
@@ -66,7 +68,7 @@ def serve_planner(
     device: str | None = None,
     precision: str | None = None,
     seed: int = 0,
-    supervision: "Supervision | None" = None,
+    supervision: "SandboxLimits | None" = None,
 ) -> "PlannerServer":
     """A planner as a model server for NeuroNCAP, or for other clients of its protocol.
 
@@ -87,28 +89,28 @@ def serve_planner(
     Raises:
         InputError: If the planner cannot be built or wants what is not on the wire, or the port is taken.
     """
-    from adapters.registry import is_foreign, planner, planner_factory
+    from adapters.registry import build_planner, is_third_party, planner_factory
     from benchmark.extensions.http.server import PlannerServer
-    from benchmark.extensions.http.session import Session
-    from benchmark.machine.metering import keep_pages_of
+    from benchmark.extensions.http.session import PlannerSession
+    from benchmark.machine.metering import disable_malloc_trim_for
 
-    runs = api.model_that_runs(name, checkpoint, data="")
+    runs = api.find_runnable_model(name, checkpoint, data="")
     built: Planner
-    if is_foreign(runs):
+    if is_third_party(runs):
         built = planner_factory(
             runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision, supervision=supervision
         )()
     else:
-        built = planner(runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
-    keep_pages_of(getattr(built, "weights_sha256", None))
-    return PlannerServer(Session(built, tensors=accept_torch_tensors, seed=seed), host, port)
+        built = build_planner(runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
+    disable_malloc_trim_for(getattr(built, "weights_sha256", None))
+    return PlannerServer(PlannerSession(built, tensors=accept_torch_tensors, seed=seed), host, port)
 
 
 def _require_server(host: str, port: int) -> None:
     """Refuse to serve where nothing can listen, or without the packages that do."""
-    from benchmark.extensions.http.listening import listening
+    from benchmark.extensions.http.listening import open_listening_socket
     from benchmark.machine.extension import require_package
 
     for package in ("uvicorn", "starlette"):
         require_package(package, api.NEEDS_SERVE.format(what="serving", package=package))
-    listening(host, port).close()
+    open_listening_socket(host, port).close()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.planning import PlannerAwayError, PlannerGoneError, PlannerLateError
-from benchmark.untrusted.files import WIRE_ANSWER, in_words, one_line
+from benchmark.untrusted.files import HTTP_ANSWER, format_bytes, to_one_line
 
 if TYPE_CHECKING:
     import httpx2
@@ -25,7 +25,7 @@ _AGENT: Final = "challenger-bench"
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class HttpReply:
     """An HTTP answer: status and body."""
 
     status: int
@@ -39,11 +39,11 @@ class Reply:
     @property
     def said(self) -> str:
         """Its beginning, fit for a sentence."""
-        return one_line(self.body[:400].decode("utf-8", "replace").strip(), 200) or "nothing"
+        return to_one_line(self.body[:400].decode("utf-8", "replace").strip(), 200) or "nothing"
 
 
 @dataclass(frozen=True, slots=True)
-class Connection:
+class HttpConnection:
     """Asks one server.
 
     Attributes:
@@ -55,11 +55,11 @@ class Connection:
     what: str
     deadline_s: float
 
-    def get(self, path: str, deadline_s: float | None = None) -> Reply:
+    def get(self, path: str, deadline_s: float | None = None) -> HttpReply:
         """Ask for something; errors as of `post`."""
         return self._exchange("GET", path, None, deadline_s)
 
-    def post(self, path: str, body: bytes, deadline_s: float | None = None) -> Reply:
+    def post(self, path: str, body: bytes, deadline_s: float | None = None) -> HttpReply:
         """Send JSON, once; any status is an answer.
 
         Raises:
@@ -85,7 +85,7 @@ class Connection:
                     raise
             time.sleep(0.1)
 
-    def _exchange(self, method: str, path: str, body: bytes | None, deadline_s: float | None) -> Reply:
+    def _exchange(self, method: str, path: str, body: bytes | None, deadline_s: float | None) -> HttpReply:
         import httpx2
 
         seconds = self.deadline_s if deadline_s is None else deadline_s
@@ -93,7 +93,7 @@ class Connection:
         # Neither proxies nor passwords of the environment have any business here.
         limits = httpx2.Timeout(seconds, connect=min(CONNECT_S, seconds))
         # Limits are of each read alone, and what drips in byte by byte would never be late.
-        watch = _Watch(seconds)
+        watch = _DeadlineWatch(seconds)
         try:
             # Plain HTTP: loading certificates for every request would take longer than the request.
             with watch, httpx2.Client(trust_env=False, verify=False, follow_redirects=False, timeout=limits) as client:
@@ -105,65 +105,65 @@ class Connection:
                 with client.stream(
                     method, f"{self.url}{path}", content=body, headers=headers, extensions=trace_extension
                 ) as response:
-                    reply = Reply(response.status_code, self._body(response, path))
+                    reply = HttpReply(response.status_code, self._read_body(response, path))
             # A body without a length ends where its connection is cut, and looks whole.
             if watch.cut:
-                raise self._late(path, seconds)
+                raise self._build_late_error(path, seconds)
             return reply
         except httpx2.TimeoutException as error:
             if isinstance(error, httpx2.ConnectTimeout):
                 raise PlannerAwayError(f"{where} cannot be reached; start it, and name where it listens") from error
-            raise self._late(path, seconds) from error
+            raise self._build_late_error(path, seconds) from error
         except httpx2.ConnectError as error:
             raise PlannerAwayError(
-                f"nobody answers at {self.url} ({one_line(error, 80)}); start {self.what}, then the same command again"
+                f"nobody answers at {self.url} ({to_one_line(error, 80)}); start {self.what}, then the same command again"
             ) from error
         except httpx2.TransportError as error:
             if watch.cut:
-                raise self._late(path, seconds) from error
+                raise self._build_late_error(path, seconds) from error
             disconnected = "disconnected" in str(error) or "closed" in str(error)
             if disconnected or not isinstance(error, httpx2.RemoteProtocolError):
-                raise self._left(path, error) from error
+                raise self._build_away_error(path, error) from error
             raise PlannerGoneError(
-                f"{where} does not answer {path} as a web server would ({one_line(error, 80)}); name another address"
+                f"{where} does not answer {path} as a web server would ({to_one_line(error, 80)}); name another address"
             ) from error
         except httpx2.HTTPError as error:
-            raise PlannerGoneError(f"{where} cannot be asked for {path} ({one_line(error, 80)})") from error
+            raise PlannerGoneError(f"{where} cannot be asked for {path} ({to_one_line(error, 80)})") from error
 
-    def _body(self, response: "httpx2.Response", path: str) -> bytes:
+    def _read_body(self, response: "httpx2.Response", path: str) -> bytes:
         """All of an answer, within the bound."""
         parts: list[bytes] = []
         size = 0
         for part in response.iter_raw():
             size += len(part)
-            if size > WIRE_ANSWER.file_bytes:
+            if size > HTTP_ANSWER.file_bytes:
                 raise PlannerGoneError(
-                    f"{self.what} at {self.url} answers {path} with more than {in_words(WIRE_ANSWER.file_bytes)}; that "
+                    f"{self.what} at {self.url} answers {path} with more than {format_bytes(HTTP_ANSWER.file_bytes)}; that "
                     "is no answer of this protocol, name another address"
                 )
             parts.append(part)
         return b"".join(parts)
 
-    def _late(self, path: str, seconds: float) -> PlannerLateError:
+    def _build_late_error(self, path: str, seconds: float) -> PlannerLateError:
         return PlannerLateError(
             f"{self.what} at {self.url} did not answer {path} within {seconds:g} s; it hangs or is slow, look at its "
             "own output"
         )
 
-    def _left(self, path: str, error: Any) -> PlannerAwayError:
+    def _build_away_error(self, path: str, error: Any) -> PlannerAwayError:
         return PlannerAwayError(
-            f"{self.what} at {self.url} went away before it had answered {path} ({one_line(error, 80)}); look at its "
+            f"{self.what} at {self.url} went away before it had answered {path} ({to_one_line(error, 80)}); look at its "
             "own output, start it, then the same command again: what is finished is kept"
         )
 
 
-class _Watch:
+class _DeadlineWatch:
     """Cuts a connection whose time is over, in any state, and remembers in ``cut`` that it did."""
 
     def __init__(self, seconds: float) -> None:
         self.cut = False
         self._socket: socket.socket | None = None
-        self._timer = threading.Timer(seconds, self._over)
+        self._timer = threading.Timer(seconds, self._cut_connection)
         self._timer.daemon = True
 
     def __enter__(self) -> None:
@@ -177,7 +177,7 @@ class _Watch:
         if event == "connection.connect_tcp.complete":
             self._socket = info["return_value"].get_extra_info("socket")
 
-    def _over(self) -> None:
+    def _cut_connection(self) -> None:
         self.cut = True
         if self._socket is not None:
             with contextlib.suppress(OSError):

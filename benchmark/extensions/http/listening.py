@@ -9,12 +9,12 @@ LOOPBACK: Final = "127.0.0.1"
 _BACKLOG: Final = 128
 
 
-def is_open(host: str) -> bool:
+def is_open_address(host: str) -> bool:
     """Whether other machines can reach what listens there."""
     return not (host in (LOOPBACK, "localhost", "::1") or host.startswith("127."))
 
 
-def listening(host: str, port: int) -> socket.socket:
+def open_listening_socket(host: str, port: int) -> socket.socket:
     """A listening socket at an address of this machine; port 0 takes a free one."""
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]

@@ -7,12 +7,12 @@ import sys
 from typing import Any, Final
 
 from benchmark.extensions.http.answers import ModelAnswer
-from benchmark.extensions.http.connection import ALIVE_S, Connection, Reply
-from benchmark.extensions.http.session import request_of
-from benchmark.extensions.http.values import ImageFormat, WireError
+from benchmark.extensions.http.connection import ALIVE_S, HttpConnection, HttpReply
+from benchmark.extensions.http.session import build_request
+from benchmark.extensions.http.values import HttpImageFormat, NeuroncapHttpError
 from benchmark.machine.address import Address
 from benchmark.planning import Observation, Plan, PlanFrame, PlannerGoneError, PlannerLateError, SceneInfo
-from benchmark.untrusted.files import WIRE_ANSWER, one_line
+from benchmark.untrusted.files import HTTP_ANSWER, to_one_line
 from benchmark.untrusted.text_files import parse_json
 
 DEADLINE_S: Final = 120.0
@@ -34,7 +34,7 @@ class HttpPlanner:
     """A planner that is asked over HTTP, with its pictures in one form and its answers in one frame."""
 
     def __init__(
-        self, address: Address, form: ImageFormat, deadline_s: float, frame: PlanFrame = PlanFrame.EGO
+        self, address: Address, form: HttpImageFormat, deadline_s: float, frame: PlanFrame = PlanFrame.EGO
     ) -> None:
         """Nothing is asked yet. The frame of the protocol's answers is ``ego``."""
         self.name = address.name
@@ -44,7 +44,7 @@ class HttpPlanner:
         self.address = address
         self.form = form
         self.frame = frame
-        self._connection = Connection(address.url, "the model server", deadline_s)
+        self._connection = HttpConnection(address.url, "the model server", deadline_s)
         self._told = False
 
     def reset(self, scene: SceneInfo) -> None:
@@ -52,7 +52,7 @@ class HttpPlanner:
         reply = self._connection.post("/reset", RESET_BODY)
         self._require_server(reply, "/reset")
         if reply.status >= _LEAST_FAILURE:
-            raise ModelFailedError(f"{self._who} failed to reset (status {reply.status}): {_detail(reply)}")
+            raise ModelFailedError(f"{self._who} failed to reset (status {reply.status}): {_read_detail(reply)}")
 
     def plan(self, observation: Observation) -> Plan:
         """Ask for a plan, once; it is in the frame of the model's answers.
@@ -63,12 +63,12 @@ class HttpPlanner:
             PlannerLateError: If it takes too long.
             ModelFailedError: If it answers anything that NeuroNCAP would not take, or that is no plan.
         """
-        reply = self._connection.post("/infer", request_of(observation, self.form).encoded())
+        reply = self._connection.post("/infer", build_request(observation, self.form).encoded())
         try:
             answer = ModelAnswer.read(reply.body)
-        except WireError as error:
+        except NeuroncapHttpError as error:
             self._require_server(reply, "/infer")
-            failure = f"status {reply.status}: {_detail(reply)}" if reply.status >= _LEAST_ERROR else str(error)
+            failure = f"status {reply.status}: {_read_detail(reply)}" if reply.status >= _LEAST_ERROR else str(error)
             raise ModelFailedError(f"{self._who} answered no plan ({failure})") from error
         if reply.status >= _LEAST_ERROR and not self._told:
             self._told = True
@@ -78,7 +78,7 @@ class HttpPlanner:
             )
         try:
             return answer.plan(self.frame)
-        except WireError as error:
+        except NeuroncapHttpError as error:
             raise ModelFailedError(f"{self._who} answered what cannot be driven: {error}") from error
 
     def come_back(self) -> None:
@@ -94,10 +94,12 @@ class HttpPlanner:
     def _who(self) -> str:
         return f"the model server at {self.address.url}"
 
-    def _require_server(self, reply: Reply, path: str) -> None:
+    def _require_server(self, reply: HttpReply, path: str) -> None:
         """Tell a server that cannot be meant from a model that failed."""
         if reply.status in _BUSY:
-            raise PlannerLateError(f"{self._who} was too busy for {path} (status {reply.status}): {_detail(reply)}")
+            raise PlannerLateError(
+                f"{self._who} was too busy for {path} (status {reply.status}): {_read_detail(reply)}"
+            )
         if reply.is_page:
             raise PlannerGoneError(
                 f"{self._who} answers {path} with a web page (status {reply.status}); that is no model server, name "
@@ -105,7 +107,7 @@ class HttpPlanner:
             )
         if _LEAST_ERROR <= reply.status < _LEAST_FAILURE:
             raise PlannerGoneError(
-                f"{self._who} refuses {path} (status {reply.status}: {_detail(reply)}); it speaks another version of "
+                f"{self._who} refuses {path} (status {reply.status}: {_read_detail(reply)}); it speaks another version of "
                 f"NeuroNCAP's protocol, wants other pictures (--image-format), or is something else"
             )
 
@@ -113,7 +115,7 @@ class HttpPlanner:
 def http_planner(
     address: str,
     *,
-    image_format: str = ImageFormat.TORCH,
+    image_format: str = HttpImageFormat.TORCH,
     deadline_s: float = DEADLINE_S,
     frame: str = PlanFrame.EGO,
 ) -> HttpPlanner:
@@ -123,14 +125,14 @@ def http_planner(
         image_format: ``torch``, as NeuroNCAP sends pictures, or ``png``.
         frame: Frame of its answers: ``ego``, as the protocol has it, or ``lidar``.
     """
-    return HttpPlanner(Address.of(address, _OPTION), ImageFormat(image_format), deadline_s, PlanFrame(frame))
+    return HttpPlanner(Address.of(address, _OPTION), HttpImageFormat(image_format), deadline_s, PlanFrame(frame))
 
 
-def _detail(reply: Reply) -> str:
+def _read_detail(reply: HttpReply) -> str:
     """A server's words about an error, without the object that frameworks put around them."""
     try:
-        value = parse_json(reply.body, WIRE_ANSWER)
+        value = parse_json(reply.body, HTTP_ANSWER)
     except ValueError:
         return reply.said
     detail = value.get("detail") if isinstance(value, dict) else None
-    return one_line(detail, 300) if isinstance(detail, str) else reply.said
+    return to_one_line(detail, 300) if isinstance(detail, str) else reply.said

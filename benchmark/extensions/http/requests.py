@@ -5,9 +5,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
-from benchmark.extensions.http.values import WireError, matrix_of, member, pose_of, whole_number
+from benchmark.extensions.http.values import (
+    NeuroncapHttpError,
+    parse_matrix,
+    parse_pose,
+    parse_whole_number,
+    read_member,
+)
 from benchmark.geometry import Floats
-from benchmark.untrusted.files import WIRE_REQUEST, Limits, one_line
+from benchmark.untrusted.files import HTTP_REQUEST, Limits, to_one_line
 from benchmark.untrusted.text_files import parse_json
 
 CAMERAS: Final = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
@@ -46,7 +52,7 @@ class InferRequest:
 
     def encoded(self) -> bytes:
         """The body, as Python's ``json`` writes it."""
-        return encoded(
+        return encode_json(
             {
                 "images": dict(self.images),
                 "ego2world": self.ego2world.tolist(),
@@ -64,43 +70,44 @@ class InferRequest:
     @classmethod
     def read(cls, body: bytes) -> Self:
         """Read a posted body; its images stay texts, and members that the protocol does not have are passed over."""
-        value = parsed(body, WIRE_REQUEST, _BODY)
-        images, calibration = member(value, "images", _BODY), member(value, "calibration", _BODY)
-        inside, outside = (member(calibration, name, "calibration") for name in ("camera2image", "camera2ego"))
-        texts = {name: member(images, name, "images") for name in CAMERAS}
+        value = parse_body(body, HTTP_REQUEST, _BODY)
+        images, calibration = read_member(value, "images", _BODY), read_member(value, "calibration", _BODY)
+        inside, outside = (read_member(calibration, name, "calibration") for name in ("camera2image", "camera2ego"))
+        texts = {name: read_member(images, name, "images") for name in CAMERAS}
         for name, text in texts.items():
             if not isinstance(text, str):
-                raise WireError(f"images.{name} is {type(text).__name__}, not base64 text")
+                raise NeuroncapHttpError(f"images.{name} is {type(text).__name__}, not base64 text")
         return cls(
             images=texts,
-            ego2world=pose_of(member(value, "ego2world", _BODY), "ego2world"),
-            canbus=matrix_of(member(value, "canbus", _BODY), (CANBUS,), "canbus"),
-            timestamp=whole_number(member(value, "timestamp", _BODY), _LATEST_US, "timestamp"),
-            command=whole_number(member(value, "command", _BODY), _COMMANDS, "command"),
-            camera2image={name: _pinhole(inside, name) for name in CAMERAS},
+            ego2world=parse_pose(read_member(value, "ego2world", _BODY), "ego2world"),
+            canbus=parse_matrix(read_member(value, "canbus", _BODY), (CANBUS,), "canbus"),
+            timestamp=parse_whole_number(read_member(value, "timestamp", _BODY), _LATEST_US, "timestamp"),
+            command=parse_whole_number(read_member(value, "command", _BODY), _COMMANDS, "command"),
+            camera2image={name: _parse_pinhole(inside, name) for name in CAMERAS},
             camera2ego={
-                name: pose_of(member(outside, name, "camera2ego"), f"calibration.camera2ego.{name}") for name in CAMERAS
+                name: parse_pose(read_member(outside, name, "camera2ego"), f"calibration.camera2ego.{name}")
+                for name in CAMERAS
             },
-            lidar2ego=pose_of(member(calibration, "lidar2ego", "calibration"), "calibration.lidar2ego"),
+            lidar2ego=parse_pose(read_member(calibration, "lidar2ego", "calibration"), "calibration.lidar2ego"),
         )
 
 
-def encoded(value: Any) -> bytes:
+def encode_json(value: Any) -> bytes:
     """JSON as Python's ``json`` writes it, with spaces; raises `ValueError` for NaN and infinity."""
     return json.dumps(value, allow_nan=False).encode()
 
 
-def parsed(body: bytes, limits: Limits, what: str) -> Any:
+def parse_body(body: bytes, limits: Limits, what: str) -> Any:
     """The JSON value of a body within limits."""
     try:
         return parse_json(body, limits)
     except ValueError as error:
-        raise WireError(f"{what} is no JSON that can be read ({one_line(error, 120)})") from error
+        raise NeuroncapHttpError(f"{what} is no JSON that can be read ({to_one_line(error, 120)})") from error
 
 
-def _pinhole(matrices: Any, name: str) -> Floats:
+def _parse_pinhole(matrices: Any, name: str) -> Floats:
     where = f"calibration.camera2image.{name}"
-    matrix = matrix_of(member(matrices, name, "camera2image"), (3, 3), where)
+    matrix = parse_matrix(read_member(matrices, name, "camera2image"), (3, 3), where)
     if matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
-        raise WireError(f"{where} is no pinhole matrix: focal lengths above zero, last row 0 0 1")
+        raise NeuroncapHttpError(f"{where} is no pinhole matrix: focal lengths above zero, last row 0 0 1")
     return matrix

@@ -16,26 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.extensions.http.connection import ALIVE_S, Connection, Reply
-from benchmark.extensions.http.requests import CAMERAS, encoded, parsed
-from benchmark.extensions.http.session import camera_pose
+from benchmark.extensions.http.connection import ALIVE_S, HttpConnection, HttpReply
+from benchmark.extensions.http.requests import CAMERAS, encode_json, parse_body
+from benchmark.extensions.http.session import compute_camera_pose
 from benchmark.extensions.http.values import (
     FARTHEST_M,
     TENSOR_FLAG,
-    ImageFormat,
-    WireError,
-    image_from,
-    matrix_of,
-    member,
-    numbers_of,
-    picture_from,
+    HttpImageFormat,
+    NeuroncapHttpError,
+    decode_image_file,
+    decode_image_text,
+    parse_matrix,
+    parse_numbers,
+    read_member,
 )
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
 from benchmark.machine.address import Address
 from benchmark.planning import CameraView, PlannerGoneError, PlannerLateError
 from benchmark.scene import Camera, Scene
-from benchmark.untrusted.files import WIRE_ANSWER
-from benchmark.untrusted.wire_images import TensorRefused
+from benchmark.untrusted.files import HTTP_ANSWER
+from benchmark.untrusted.wire_images import TensorRefusedError
 
 _BODY: Final = "the answer of /get_actors"
 _LONGEST_ID: Final = 200
@@ -60,21 +60,24 @@ class RendererActor:
     @classmethod
     def read(cls, value: Any, where: str) -> Self:
         """Read one."""
-        uuid = member(value, "uuid", where)
+        uuid = read_member(value, "uuid", where)
         if not isinstance(uuid, str) or not 0 < len(uuid) <= _LONGEST_ID:
-            raise WireError(f"{where}.uuid is no text of 1 to {_LONGEST_ID} characters")
-        times = member(value, "timestamps", where)
+            raise NeuroncapHttpError(f"{where}.uuid is no text of 1 to {_LONGEST_ID} characters")
+        times = read_member(value, "timestamps", where)
         if (
             not isinstance(times, list)
             or not times
             or not all(type(timestamp) is int and abs(timestamp) < 1 << 53 for timestamp in times)
         ):
-            raise WireError(f"{where}.timestamps is no list of whole microseconds")
-        poses = numbers_of(member(value, "poses", where), f"{where}.poses")
+            raise NeuroncapHttpError(f"{where}.timestamps is no list of whole microseconds")
+        poses = parse_numbers(read_member(value, "poses", where), f"{where}.poses")
         if poses.shape != (len(times), 4, 4) or not np.isfinite(poses).all() or np.abs(poses).max() > FARTHEST_M:
-            raise WireError(f"{where}.poses is not a pose of 4 x 4 for each of {len(times)} timestamps")
+            raise NeuroncapHttpError(f"{where}.poses is not a pose of 4 x 4 for each of {len(times)} timestamps")
         return cls(
-            uuid, np.array(times, np.int64), poses, matrix_of(member(value, "dims", where), (3,), f"{where}.dims")
+            uuid,
+            np.array(times, np.int64),
+            poses,
+            parse_matrix(read_member(value, "dims", where), (3,), f"{where}.dims"),
         )
 
 
@@ -96,17 +99,17 @@ class MovedActor:
     is_target: bool
 
 
-def actors_in(body: bytes) -> tuple[RendererActor, ...]:
+def parse_actors(body: bytes) -> tuple[RendererActor, ...]:
     """Actors of an answer to ``/get_actors``."""
-    value = parsed(body, WIRE_ANSWER, _BODY)
+    value = parse_body(body, HTTP_ANSWER, _BODY)
     if not isinstance(value, list) or len(value) > _MOST_ACTORS:
-        raise WireError(f"{_BODY} is no list of at most {_MOST_ACTORS} actors")
+        raise NeuroncapHttpError(f"{_BODY} is no list of at most {_MOST_ACTORS} actors")
     return tuple(RendererActor.read(actor, f"actor {number}") for number, actor in enumerate(value))
 
 
-def moved(actors: Iterable[MovedActor]) -> bytes:
+def encode_moved_actors(actors: Iterable[MovedActor]) -> bytes:
     """The body of ``/update_actors``."""
-    return encoded(
+    return encode_json(
         [
             {
                 "timestamps": actor.timestamps.tolist(),
@@ -120,14 +123,14 @@ def moved(actors: Iterable[MovedActor]) -> bytes:
     )
 
 
-def picture_wanted(pose: Floats, timestamp: int, camera: str, image_format: str | None = None) -> bytes:
+def encode_image_request(pose: Floats, timestamp: int, camera: str, image_format: str | None = None) -> bytes:
     """The body of ``/render_image``: (4, 4) global pose of a camera, and microseconds.
 
     Args:
         image_format: A member that NeuroNCAP never sends and NeuRAD's server knows: ``png``.
     """
     more = {} if image_format is None else {"image_format": image_format}
-    return encoded({"pose": pose.tolist(), "timestamp": timestamp, "camera_name": camera, **more})
+    return encode_json({"pose": pose.tolist(), "timestamp": timestamp, "camera_name": camera, **more})
 
 
 DEADLINE_S: Final = 120.0
@@ -159,14 +162,14 @@ class HttpSensor:
     @property
     def facts(self) -> Mapping[str, Any]:
         """Known facts about its pictures: the protocol has neither a name nor a version of the renderer."""
-        form = ImageFormat.TORCH if self.tensors else ImageFormat.PNG
+        form = HttpImageFormat.TORCH if self.tensors else HttpImageFormat.PNG
         return {"protocol": "neuroncap", "image_format": form.value, **self.address.settings}
 
     def require_alive(self) -> None:
         """Refuse an address where no server answers; raises `InputError`."""
-        _reply(lambda: self._connection.get("/alive", ALIVE_S))
+        _ask_renderer(lambda: self._connection.get("/alive", ALIVE_S))
 
-    def look(self, scene: Scene) -> "HttpLook":
+    def look(self, scene: Scene) -> "HttpCameraViews":
         """Make ready for a scene.
 
         Raises:
@@ -181,11 +184,11 @@ class HttpSensor:
             )
         answer = self.asked("/get_actors")
         try:
-            known = {actor.uuid: actor for actor in actors_in(answer)}
-        except WireError as error:
-            raise _wrong(self.address, f"{error}") from error
+            known = {actor.uuid: actor for actor in parse_actors(answer)}
+        except NeuroncapHttpError as error:
+            raise _build_error(self.address, f"{error}") from error
         self._require_same(scene, known)
-        return HttpLook(self, tuple(cameras[name] for name in CAMERAS), scene.adversaries, frozenset(known))
+        return HttpCameraViews(self, tuple(cameras[name] for name in CAMERAS), scene.adversaries, frozenset(known))
 
     def asked(self, path: str, body: bytes | None = None) -> bytes:
         """Bytes that the renderer answers; JSON is posted if given.
@@ -195,21 +198,21 @@ class HttpSensor:
         Raises:
             InputError: If there is no answer, or it is an error or a web page.
         """
-        reply = _reply(lambda: self._connection.get(path) if body is None else self._connection.post(path, body))
+        reply = _ask_renderer(lambda: self._connection.get(path) if body is None else self._connection.post(path, body))
         if reply.status >= _LEAST_ERROR or reply.is_page:
             page = ", a web page" if reply.is_page else f": {reply.said}"
-            raise _wrong(self.address, f"it answers {path} with status {reply.status}{page}")
+            raise _build_error(self.address, f"it answers {path} with status {reply.status}{page}")
         return reply.body
 
     @property
-    def _connection(self) -> Connection:
-        return Connection(self.address.url, "the renderer", self.deadline_s)
+    def _connection(self) -> HttpConnection:
+        return HttpConnection(self.address.url, "the renderer", self.deadline_s)
 
     def _require_same(self, scene: Scene, known: Mapping[str, RendererActor]) -> None:
         """Refuse a renderer that shows another scene, or cannot show who threatens the ego in this one."""
         strange = sorted(set(known) - set(scene.agents.ids))
         if strange:
-            raise _wrong(
+            raise _build_error(
                 self.address,
                 f"it shows actor {strange[0]}, which scene {scene.name} has not; choose the scene that it shows with "
                 "--scenes",
@@ -217,14 +220,14 @@ class HttpSensor:
         first, last = int(scene.timestamps_us[0]) - _OTHER_SCENE_US, int(scene.timestamps_us[-1]) + _OTHER_SCENE_US
         for actor in known.values():
             if actor.timestamps[-1] < first or actor.timestamps[0] > last:
-                raise _wrong(
+                raise _build_error(
                     self.address,
                     f"its actor {actor.uuid} is there from {actor.timestamps[0]} to {actor.timestamps[-1]} us, outside "
                     f"of scene {scene.name}; choose the scene that it shows with --scenes",
                 )
         unknown = [name for name in scene.adversaries if name not in known]
         if unknown:
-            raise _wrong(
+            raise _build_error(
                 self.address,
                 f"it does not know {unknown[0]}, the adversary of scene {scene.name}, and would show an empty road; "
                 "drive scenes whose adversaries it knows",
@@ -232,7 +235,7 @@ class HttpSensor:
 
 
 @dataclass(frozen=True, slots=True)
-class HttpLook:
+class HttpCameraViews:
     """A scene that a renderer shows: its rig in the order of the wire, and the actors that the renderer can move."""
 
     sensor: HttpSensor
@@ -248,36 +251,38 @@ class HttpLook:
         """
         now = len(driven.timestamps_us) - 1
         time_us = int(driven.timestamps_us[now])
-        self.sensor.asked("/update_actors", moved(moved_actors(driven, self.known, self.adversaries)))
+        self.sensor.asked(
+            "/update_actors", encode_moved_actors(build_moved_actors(driven, self.known, self.adversaries))
+        )
         pose = transform_matrix(driven.ego.rotation[now], driven.ego.position[now])
         return {camera.name: self._view(camera, pose, time_us) for camera in self.cameras}
 
     def _view(self, camera: Camera, pose: Floats, time_us: int) -> CameraView:
-        form = None if self.sensor.tensors else ImageFormat.PNG.value
-        body = picture_wanted(pose @ camera_pose(camera), time_us, camera.name, form)
+        form = None if self.sensor.tensors else HttpImageFormat.PNG.value
+        body = encode_image_request(pose @ compute_camera_pose(camera), time_us, camera.name, form)
         pixels = self._picture(self.sensor.asked("/render_image", body), camera.name)
         if pixels.shape[:2] != (camera.height, camera.width):
-            raise _wrong(
+            raise _build_error(
                 self.sensor.address,
                 f"its picture of {camera.name} has {pixels.shape[1]} x {pixels.shape[0]} pixels, and the calibration "
                 f"is of {camera.width} x {camera.height}; let it draw at that size",
             )
-        return CameraView(camera, Path(camera.name), time_us, pose.copy(), partial(_copy, pixels))
+        return CameraView(camera, Path(camera.name), time_us, pose.copy(), partial(_copy_writable, pixels))
 
     def _picture(self, body: bytes, camera: str) -> NDArray[np.uint8]:
         """A picture: bare base64 of a file, as NeuroNCAP has it, or the file itself."""
         tensors, address = self.sensor.tensors, self.sensor.address
         try:
             if body[:16] and set(body[:16]) <= _BASE64:
-                return image_from(body, f"the picture of {camera}", tensors=tensors)
-            return picture_from(body, f"the picture of {camera}", tensors=tensors)
-        except TensorRefused as refused:
-            raise _wrong(address, f"{refused}; add {TENSOR_FLAG} if you trust it") from refused
-        except WireError as error:
-            raise _wrong(address, str(error)) from error
+                return decode_image_text(body, f"the picture of {camera}", tensors=tensors)
+            return decode_image_file(body, f"the picture of {camera}", tensors=tensors)
+        except TensorRefusedError as refused:
+            raise _build_error(address, f"{refused}; add {TENSOR_FLAG} if you trust it") from refused
+        except NeuroncapHttpError as error:
+            raise _build_error(address, str(error)) from error
 
 
-def moved_actors(driven: Scene, known: frozenset[str], adversaries: tuple[str, ...]) -> list[MovedActor]:
+def build_moved_actors(driven: Scene, known: frozenset[str], adversaries: tuple[str, ...]) -> list[MovedActor]:
     """Known actors where they are, up to now (the last frame), and half a second on as they went last; in scene order.
 
     An actor that is absent now is left out, and so vanishes from the renderer's pictures.
@@ -309,7 +314,7 @@ def moved_actors(driven: Scene, known: frozenset[str], adversaries: tuple[str, .
     return placed_actors
 
 
-def _reply(ask: Callable[[], Reply]) -> Reply:
+def _ask_renderer(ask: Callable[[], HttpReply]) -> HttpReply:
     """An answer; a renderer that is away is no planner that went away."""
     try:
         return ask()
@@ -317,10 +322,10 @@ def _reply(ask: Callable[[], Reply]) -> Reply:
         raise InputError(str(error)) from error
 
 
-def _wrong(address: Address, mismatch: str) -> InputError:
+def _build_error(address: Address, mismatch: str) -> InputError:
     return InputError(f"the renderer at {address.url} does not fit: {mismatch}")
 
 
-def _copy(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _copy_writable(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A picture that its reader may change."""
     return pixels.copy()

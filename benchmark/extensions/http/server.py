@@ -20,10 +20,10 @@ from starlette.responses import Response
 from starlette.routing import Route
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from benchmark.extensions.http.listening import LOOPBACK, is_open, listening
-from benchmark.extensions.http.requests import encoded
-from benchmark.extensions.http.session import Refused, Session
-from benchmark.untrusted.files import WIRE_REQUEST, in_words
+from benchmark.extensions.http.listening import LOOPBACK, is_open_address, open_listening_socket
+from benchmark.extensions.http.requests import encode_json
+from benchmark.extensions.http.session import PlannerSession, PlanRequestError
+from benchmark.untrusted.files import HTTP_REQUEST, format_bytes
 
 _RESET_BYTES: Final = 64 * 1024
 _BODIES: Final = 4
@@ -31,7 +31,7 @@ _BODIES: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class RequestBounds:
     """Limits on a request.
 
     Attributes:
@@ -39,12 +39,12 @@ class Bounds:
         answer_s: How long an answer may take, waiting for the one before included.
     """
 
-    body_bytes: int = WIRE_REQUEST.file_bytes
+    body_bytes: int = HTTP_REQUEST.file_bytes
     body_s: float = 30.0
     answer_s: float = 300.0
 
 
-def application(session: Session, bounds: Bounds) -> Starlette:
+def build_application(session: PlannerSession, bounds: RequestBounds) -> Starlette:
     """The routes of a session as an ASGI application.
 
     The planner is asked in one thread, request after request, so that ``/alive`` answers meanwhile.
@@ -53,47 +53,47 @@ def application(session: Session, bounds: Bounds) -> Starlette:
     bodies = asyncio.Semaphore(_BODIES)
 
     async def alive(_: Request) -> bytes:
-        return encoded(True)
+        return encode_json(True)
 
     async def reset(request: Request) -> bytes:
         # Whatever it says: it is always obeyed.
-        await _body(request, _RESET_BYTES, bounds.body_s)
-        return await _in_thread(thread, session.reset, bounds.answer_s)
+        await _read_body(request, _RESET_BYTES, bounds.body_s)
+        return await _run_in_thread(thread, session.reset, bounds.answer_s)
 
     async def infer(request: Request) -> bytes:
         async with bodies:
-            body = await _body(request, bounds.body_bytes, bounds.body_s)
-            return await _in_thread(thread, lambda: session.infer(body), bounds.answer_s)
+            body = await _read_body(request, bounds.body_bytes, bounds.body_s)
+            return await _run_in_thread(thread, lambda: session.infer(body), bounds.answer_s)
 
     return Starlette(
         routes=[
-            Route("/alive", _answered(alive), methods=["GET"]),
-            Route("/reset", _answered(reset), methods=["POST"]),
-            Route("/infer", _answered(infer), methods=["POST"]),
+            Route("/alive", _wrap_route(alive), methods=["GET"]),
+            Route("/reset", _wrap_route(reset), methods=["POST"]),
+            Route("/infer", _wrap_route(infer), methods=["POST"]),
         ],
-        exception_handlers={HTTPException: _no_route},
+        exception_handlers={HTTPException: _answer_unknown_route},
     )
 
 
-def _answered(work: Callable[[Request], Awaitable[bytes]]) -> Callable[[Request], Awaitable[Response]]:
+def _wrap_route(work: Callable[[Request], Awaitable[bytes]]) -> Callable[[Request], Awaitable[Response]]:
     """A route whose refusals are JSON with a sentence under ``detail``."""
 
     async def answer(request: Request) -> Response:
         try:
-            _require_welcome(request)
-            return _response(HTTPStatus.OK, await work(request))
-        except Refused as refused:
-            return _sentence(refused.status, str(refused))
+            _require_trusted_client(request)
+            return _build_response(HTTPStatus.OK, await work(request))
+        except PlanRequestError as refused:
+            return _build_error_response(refused.status, str(refused))
         except ClientDisconnect:
             # Nobody is there to be answered.
-            return _sentence(HTTPStatus.BAD_REQUEST, "the request broke off")
+            return _build_error_response(HTTPStatus.BAD_REQUEST, "the request broke off")
 
     return answer
 
 
-async def _body(request: Request, most: int, seconds: float) -> bytes:
+async def _read_body(request: Request, most: int, seconds: float) -> bytes:
     """A body, counted while it arrives; what it says of its length is only good for refusing it sooner."""
-    too_long = Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a body has at most {in_words(most)}")
+    too_long = PlanRequestError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a body has at most {format_bytes(most)}")
     content_length = request.headers.get("content-length", "")
     if content_length.isdigit() and int(content_length[:20]) > most:
         raise too_long
@@ -107,37 +107,37 @@ async def _body(request: Request, most: int, seconds: float) -> bytes:
                     raise too_long
                 parts.append(part)
     except TimeoutError:
-        raise Refused(HTTPStatus.REQUEST_TIMEOUT, f"the body did not arrive within {seconds:g} s") from None
+        raise PlanRequestError(HTTPStatus.REQUEST_TIMEOUT, f"the body did not arrive within {seconds:g} s") from None
     return b"".join(parts)
 
 
-async def _in_thread(thread: ThreadPoolExecutor, work: Callable[[], bytes], seconds: float) -> bytes:
+async def _run_in_thread(thread: ThreadPoolExecutor, work: Callable[[], bytes], seconds: float) -> bytes:
     """Let the planner's thread work. What has begun is not broken off: the next request waits for it."""
     waiting = asyncio.get_running_loop().run_in_executor(thread, work)
     try:
         return await asyncio.wait_for(waiting, seconds)
     except TimeoutError:
-        raise Refused(HTTPStatus.GATEWAY_TIMEOUT, f"there was no answer within {seconds:g} s") from None
+        raise PlanRequestError(HTTPStatus.GATEWAY_TIMEOUT, f"there was no answer within {seconds:g} s") from None
 
 
-def _require_welcome(request: Request) -> None:
+def _require_trusted_client(request: Request) -> None:
     """Refuse pages in a browser, which a stranger may have made, and bodies that would have to be unpacked."""
     if "origin" in request.headers:
-        raise Refused(HTTPStatus.FORBIDDEN, "pages of a browser are not answered")
+        raise PlanRequestError(HTTPStatus.FORBIDDEN, "pages of a browser are not answered")
     if request.headers.get("content-encoding", "identity") != "identity":
-        raise Refused(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "a body is sent as it is, not packed")
+        raise PlanRequestError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "a body is sent as it is, not packed")
 
 
-async def _no_route(request: Request, error: Exception) -> Response:
+async def _answer_unknown_route(request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else HTTPStatus.INTERNAL_SERVER_ERROR
-    return _sentence(status, "there are GET /alive, POST /reset and POST /infer")
+    return _build_error_response(status, "there are GET /alive, POST /reset and POST /infer")
 
 
-def _sentence(status: int, sentence: str) -> Response:
-    return _response(status, encoded({"detail": sentence}))
+def _build_error_response(status: int, sentence: str) -> Response:
+    return _build_response(status, encode_json({"detail": sentence}))
 
 
-def _response(status: int, body: bytes) -> Response:
+def _build_response(status: int, body: bytes) -> Response:
     # One connection a request, as NeuroNCAP has it: nothing is left open that somebody could hold on to.
     return Response(body, status, {"connection": "close"}, "application/json")
 
@@ -148,7 +148,7 @@ _CONNECTIONS: Final = 64
 _ENDS_S: Final = 3
 
 
-class _Bounded(H11Protocol):
+class _BoundedConnection(H11Protocol):
     """A connection that is closed if no request comes on it."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -168,16 +168,18 @@ class _Bounded(H11Protocol):
 class PlannerServer:
     """Serves a session, here (`serve`) or in a thread (``with``)."""
 
-    def __init__(self, session: Session, host: str = LOOPBACK, port: int = 0, bounds: Bounds | None = None) -> None:
+    def __init__(
+        self, session: PlannerSession, host: str = LOOPBACK, port: int = 0, bounds: RequestBounds | None = None
+    ) -> None:
         """Listen, on this machine alone by default; requests from now on are answered once it serves.
 
         Port 0 takes a free one.
         """
         self.host = host
-        self._socket = listening(host, port)
+        self._socket = open_listening_socket(host, port)
         self.port: int = self._socket.getsockname()[1]
         settings: dict[str, Any] = {
-            "http": _Bounded,
+            "http": _BoundedConnection,
             "ws": "none",
             "lifespan": "off",
             "log_config": None,
@@ -188,7 +190,7 @@ class PlannerServer:
             "limit_concurrency": _CONNECTIONS,
             "timeout_graceful_shutdown": _ENDS_S,
         }
-        self._server = uvicorn.Server(uvicorn.Config(application(session, bounds or Bounds()), **settings))
+        self._server = uvicorn.Server(uvicorn.Config(build_application(session, bounds or RequestBounds()), **settings))
         self._thread = threading.Thread(target=self.serve, name="server", daemon=True)
 
     @property
@@ -199,7 +201,7 @@ class PlannerServer:
     @property
     def is_open(self) -> bool:
         """Whether other machines can reach it."""
-        return is_open(self.host)
+        return is_open_address(self.host)
 
     def serve(self) -> None:
         """Answer until interrupted, or until `__exit__`; raises `KeyboardInterrupt` once everything is closed."""

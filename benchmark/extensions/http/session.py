@@ -16,13 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.closed_loop.observing import PAST_TICKS
-from benchmark.closed_loop.riding import can_row
+from benchmark.closed_loop.riding import build_can_row
 from benchmark.errors import InputError
 from benchmark.extensions.http.answers import ModelAnswer
-from benchmark.extensions.http.requests import CAMERAS, InferRequest, encoded
-from benchmark.extensions.http.values import TENSOR_FLAG, ImageFormat, WireError, image_from, image_text
+from benchmark.extensions.http.requests import CAMERAS, InferRequest, encode_json
+from benchmark.extensions.http.values import (
+    TENSOR_FLAG,
+    HttpImageFormat,
+    NeuroncapHttpError,
+    decode_image_text,
+    encode_image,
+)
 from benchmark.geometry import Floats, quaternion_of, transform_matrix, yaw_of_quaternion
-from benchmark.machine.storage import token
+from benchmark.machine.storage import make_token
 from benchmark.planning import (
     CameraView,
     Command,
@@ -36,8 +42,8 @@ from benchmark.planning import (
 )
 from benchmark.runs.plan_rows import FAILURES, seed_everything
 from benchmark.scene import Camera, LidarMount
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.wire_images import TensorRefused
+from benchmark.untrusted.files import to_one_line
+from benchmark.untrusted.wire_images import TensorRefusedError
 
 _POSITION, _ROTATION, _ACCELERATION, _RATE, _VELOCITY = (
     slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13), slice(13, 16),
@@ -49,7 +55,7 @@ SCENE: Final = "over-http"
 the name of its scene does not depend on how often somebody has asked before."""
 
 
-def request_of(observation: Observation, form: ImageFormat) -> InferRequest:
+def build_request(observation: Observation, form: HttpImageFormat) -> InferRequest:
     """An observation with all six cameras as a request.
 
     Its numbers are those of the observation in double precision. The engine `neuroncap@code` gives single ones, as the
@@ -63,25 +69,25 @@ def request_of(observation: Observation, form: ImageFormat) -> InferRequest:
             f"carry {', '.join(CAMERAS)}; drive with --sensor schematic, or take a data set with these cameras"
         )
     ego, lidar = observation.ego, observation.lidar
-    velocity, acceleration, rate = can_row(ego).reshape(3, 3)
+    velocity, acceleration, rate = build_can_row(ego).reshape(3, 3)
     return InferRequest(
-        images={name: image_text(view.load(), form) for name, view in views.items()},
+        images={name: encode_image(view.load(), form) for name, view in views.items()},
         ego2world=transform_matrix(ego.rotation, ego.position),
         canbus=np.concatenate([ego.position, ego.rotation, acceleration, rate, velocity]),
         timestamp=observation.timestamp_us,
         command=int(observation.command),
         camera2image={name: view.camera.intrinsic for name, view in views.items()},
-        camera2ego={name: camera_pose(view.camera) for name, view in views.items()},
+        camera2ego={name: compute_camera_pose(view.camera) for name, view in views.items()},
         lidar2ego=transform_matrix(lidar.rotation, lidar.translation),
     )
 
 
-def camera_pose(camera: Camera) -> Floats:
+def compute_camera_pose(camera: Camera) -> Floats:
     """(4, 4) camera frame (x right, y down, z forward) to ego frame."""
     return transform_matrix(camera.rotation, camera.translation)
 
 
-class Memory:
+class ObservationHistory:
     """Number, times and places of samples since the reset, which the wire does not carry and a planner wants."""
 
     def __init__(self) -> None:
@@ -95,17 +101,19 @@ class Memory:
         Raises:
             WireError: If a picture cannot be read; then nothing is remembered.
         """
-        pictures = {name: image_from(text, f"images.{name}", tensors=tensors) for name, text in request.images.items()}
-        ego = ego_of(request)
+        pictures = {
+            name: decode_image_text(text, f"images.{name}", tensors=tensors) for name, text in request.images.items()
+        }
+        ego = read_ego_state(request)
         index, self._index, self.last_us = self._index, self._index + 1, request.timestamp
         self._poses.append(ego.pose)
         unknown = PAST_TICKS - len(self._poses)
         return Observation(
             scene=SCENE,
-            sample_token=token("wire", SCENE, index),
+            sample_token=make_token("wire", SCENE, index),
             index=index,
             timestamp_us=request.timestamp,
-            views={name: _view(request, name, pixels) for name, pixels in pictures.items()},
+            views={name: _build_view(request, name, pixels) for name, pixels in pictures.items()},
             lidar=LidarMount(request.lidar2ego[:3, 3].copy(), quaternion_of(request.lidar2ego[:3, :3])),
             ego=ego,
             past_poses=np.array([*[self._poses[0]] * unknown, *self._poses]),
@@ -114,10 +122,10 @@ class Memory:
         )
 
 
-def ego_of(request: InferRequest) -> EgoState:
+def read_ego_state(request: InferRequest) -> EgoState:
     """The car's motion; the angle of the steering wheel is not on the wire."""
     row, position = request.canbus, request.ego2world[:3, 3].copy()
-    rotation = _rotation(request)
+    rotation = _compute_rotation(request)
     motion = np.concatenate([row[_VELOCITY], row[_ACCELERATION], row[_RATE]])
     return EgoState(
         pose=np.array([position[0], position[1], float(yaw_of_quaternion(rotation))]),
@@ -134,7 +142,7 @@ def ego_of(request: InferRequest) -> EgoState:
     )
 
 
-def _rotation(request: InferRequest) -> Floats:
+def _compute_rotation(request: InferRequest) -> Floats:
     """The pose's rotation; of the two quaternions that mean the same, the one that the CAN row has.
 
     Networks were trained on the scalar part of the data set's own quaternions, whose sign a matrix does not keep.
@@ -146,7 +154,7 @@ def _rotation(request: InferRequest) -> Floats:
     return -computed if alike < 0.0 else computed
 
 
-def _view(request: InferRequest, name: str, pixels: NDArray[np.uint8]) -> CameraView:
+def _build_view(request: InferRequest, name: str, pixels: NDArray[np.uint8]) -> CameraView:
     pose = request.camera2ego[name]
     height, width = pixels.shape[:2]
     return CameraView(
@@ -156,11 +164,11 @@ def _view(request: InferRequest, name: str, pixels: NDArray[np.uint8]) -> Camera
         path=Path(name),
         timestamp_us=request.timestamp,
         global_T_ego=request.ego2world.copy(),
-        load=partial(_copy, pixels),
+        load=partial(_copy_writable, pixels),
     )
 
 
-def _copy(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _copy_writable(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A picture that its reader may change."""
     return pixels.copy()
 
@@ -169,7 +177,7 @@ UNSUPPORTED, UNREADABLE, CONFLICT, FAILED = 415, 422, 409, 500
 """Statuses of HTTP."""
 
 
-class Refused(Exception):
+class PlanRequestError(Exception):
     """A request that is not answered with a plan: an HTTP status, and a sentence for the client."""
 
     def __init__(self, status: int, sentence: str) -> None:
@@ -177,7 +185,7 @@ class Refused(Exception):
         self.status = status
 
 
-class Session:
+class PlannerSession:
     """One planner and the scene that it is in. Nothing here is safe to call from two threads at once."""
 
     def __init__(self, planner: Planner, *, tensors: bool = False, seed: int = 0) -> None:
@@ -197,7 +205,7 @@ class Session:
         self.planner = planner
         self._tensors = tensors
         self._seed = seed
-        self._memory = Memory()
+        self._memory = ObservationHistory()
         self._begun = False
 
     def reset(self) -> bytes:
@@ -206,13 +214,13 @@ class Session:
         Raises:
             Refused: If the planner fails in it.
         """
-        self._memory = Memory()
+        self._memory = ObservationHistory()
         self._begun = False
         try:
             self._begin()
         except FAILURES as error:
-            raise self._failed("reset", error) from error
-        return encoded(True)
+            raise self._report_failure("reset", error) from error
+        return encode_json(True)
 
     def infer(self, body: bytes) -> bytes:
         """Answer one posted observation with a body.
@@ -224,13 +232,13 @@ class Session:
             request = InferRequest.read(body)
             self._require_later(request.timestamp)
             observation = self._memory.observation(request, tensors=self._tensors)
-        except TensorRefused as refused:
-            raise Refused(
+        except TensorRefusedError as refused:
+            raise PlanRequestError(
                 UNSUPPORTED,
                 f"{refused}; send PNG or JPEG, or start the server with {TENSOR_FLAG} if you trust who asks",
             ) from refused
-        except WireError as error:
-            raise Refused(UNREADABLE, str(error)) from error
+        except NeuroncapHttpError as error:
+            raise PlanRequestError(UNREADABLE, str(error)) from error
         try:
             if not self._begun:
                 self._begin()
@@ -239,7 +247,7 @@ class Session:
                 raise TypeError(f"answered {type(plan).__name__}, a planner answers benchmark.planning.Plan")
             return ModelAnswer.of_plan(plan, float(request.lidar2ego[0, 3])).encoded()
         except FAILURES as error:
-            raise self._failed("plan", error) from error
+            raise self._report_failure("plan", error) from error
 
     def _begin(self) -> None:
         # As in this process: what draws from global generators draws the same in every scene's place.
@@ -250,14 +258,14 @@ class Session:
     def _require_later(self, timestamp: int) -> None:
         last = self._memory.last_us
         if last is not None and timestamp <= last:
-            raise Refused(
+            raise PlanRequestError(
                 CONFLICT,
                 f"timestamp {timestamp} does not go on from {last}, which was asked last: this server holds one scene "
                 "at a time; post /reset before another scene, and no request twice",
             )
 
-    def _failed(self, doing: str, error: BaseException) -> Refused:
+    def _report_failure(self, doing: str, error: BaseException) -> PlanRequestError:
         """The planner's failure in a sentence, here and for the client."""
-        sentence = f"{self.planner.name} failed to {doing}: {type(error).__name__}: {one_line(error) or 'no reason'}"
+        sentence = f"{self.planner.name} failed to {doing}: {type(error).__name__}: {to_one_line(error) or 'no reason'}"
         print(sentence, file=sys.stderr, flush=True)
-        return Refused(FAILED, sentence)
+        return PlanRequestError(FAILED, sentence)

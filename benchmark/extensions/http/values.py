@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
-from benchmark.untrusted.files import one_line
-from benchmark.untrusted.wire_images import TensorRefused, image_of
+from benchmark.untrusted.files import to_one_line
+from benchmark.untrusted.wire_images import TensorRefusedError, decode_image
 
 FARTHEST_M: Final = 1e8
 """Of a position; maps end long before."""
@@ -23,59 +23,59 @@ _ROTATION_TOLERANCE: Final = 1e-3
 """Calibrations are single precision at times."""
 
 
-class WireError(Exception):
+class NeuroncapHttpError(Exception):
     """A message over the wire breaks the protocol; the sentence says how, and where."""
 
 
-def numbers_of(value: Any, where: str) -> Floats:
+def parse_numbers(value: Any, where: str) -> Floats:
     """Array of any rectangular nesting of lists of numbers from JSON; NaN and infinity stay."""
     _require_numbers(value, where)
     try:
         return np.array(value, np.float64)
     except (ValueError, OverflowError, TypeError) as error:
-        raise WireError(f"{where} is no rectangular list of numbers ({one_line(error, 80)})") from error
+        raise NeuroncapHttpError(f"{where} is no rectangular list of numbers ({to_one_line(error, 80)})") from error
 
 
-def matrix_of(value: Any, shape: tuple[int, ...], where: str) -> Floats:
+def parse_matrix(value: Any, shape: tuple[int, ...], where: str) -> Floats:
     """Finite numbers of one shape."""
-    matrix = numbers_of(value, where)
+    matrix = parse_numbers(value, where)
     if matrix.shape != shape:
-        raise WireError(f"{where} has the shape {_said(matrix.shape)}, not {_said(shape)}")
+        raise NeuroncapHttpError(f"{where} has the shape {_format_shape(matrix.shape)}, not {_format_shape(shape)}")
     if not np.isfinite(matrix).all():
-        raise WireError(f"{where} has NaN or infinity in it")
+        raise NeuroncapHttpError(f"{where} has NaN or infinity in it")
     return matrix
 
 
-def pose_of(value: Any, where: str) -> Floats:
+def parse_pose(value: Any, where: str) -> Floats:
     """(4, 4) rigid motion.
 
     Raises:
         WireError: If its rotation is none, its last row is another, or it is farther away than any map.
     """
-    pose = matrix_of(value, (4, 4), where)
+    pose = parse_matrix(value, (4, 4), where)
     turn = pose[:3, :3]
     # Only numbers that cannot overflow are multiplied.
     sound = np.abs(turn).max() < 2.0 and np.abs(turn @ turn.T - np.eye(3)).max() < _ROTATION_TOLERANCE
     if not sound or np.linalg.det(turn) < 0.0 or np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > _ROTATION_TOLERANCE:
-        raise WireError(f"{where} is no pose: four rows, a rotation and a translation, then 0 0 0 1")
+        raise NeuroncapHttpError(f"{where} is no pose: four rows, a rotation and a translation, then 0 0 0 1")
     if np.abs(pose[:3, 3]).max() > FARTHEST_M:
-        raise WireError(f"{where} is {np.abs(pose[:3, 3]).max():.3g} m away")
+        raise NeuroncapHttpError(f"{where} is {np.abs(pose[:3, 3]).max():.3g} m away")
     return pose
 
 
-def whole_number(value: Any, most: int, where: str) -> int:
-    """A whole number from 0 on; raises `WireError` for anything else."""
+def parse_whole_number(value: Any, most: int, where: str) -> int:
+    """A whole number from 0 on; raises `NeuroncapHttpError` for anything else."""
     if type(value) is not int or not 0 <= value <= most:
-        raise WireError(f"{where} must be a whole number from 0 to {most}, not {one_line(repr(value), 40)}")
+        raise NeuroncapHttpError(f"{where} must be a whole number from 0 to {most}, not {to_one_line(repr(value), 40)}")
     return value
 
 
-def member(value: Any, name: str, where: str) -> Any:
-    """A member of an object; raises `WireError` if there is none."""
+def read_member(value: Any, name: str, where: str) -> Any:
+    """A member of an object; raises `NeuroncapHttpError` if there is none."""
     if not isinstance(value, dict):
-        raise WireError(f"{where} is no object of JSON")
+        raise NeuroncapHttpError(f"{where} is no object of JSON")
     if name not in value:
-        raise WireError(f"{where} has no {name}")
+        raise NeuroncapHttpError(f"{where} has no {name}")
     return value[name]
 
 
@@ -87,10 +87,10 @@ def _require_numbers(value: Any, where: str) -> None:
         if type(item) is list:
             waiting += item
         elif type(item) not in (int, float):
-            raise WireError(f"{where} holds {one_line(repr(item), 40)}, which is no number")
+            raise NeuroncapHttpError(f"{where} holds {to_one_line(repr(item), 40)}, which is no number")
 
 
-def _said(shape: Sequence[int]) -> str:
+def _format_shape(shape: Sequence[int]) -> str:
     return " x ".join(map(str, shape)) or "a single number"
 
 
@@ -98,20 +98,20 @@ TENSOR_FLAG: Final = "--accept-torch-tensors"
 """What allows pickles, named by every refusal of one."""
 
 
-class ImageFormat(StrEnum):
+class HttpImageFormat(StrEnum):
     """How pictures are sent."""
 
     TORCH = "torch"
     PNG = "png"
 
 
-def image_text(pixels: NDArray[np.uint8], form: ImageFormat) -> str:
+def encode_image(pixels: NDArray[np.uint8], form: HttpImageFormat) -> str:
     """A (height, width, 3) RGB picture as standard base64 without line breaks.
 
     In the form ``torch`` it is what ``torch.save`` writes of the tensor, which is NeuroNCAP's only form.
     """
     file = io.BytesIO()
-    if form is ImageFormat.TORCH:
+    if form is HttpImageFormat.TORCH:
         import torch
 
         # A copy: pictures from files may not be written to, of which torch warns.
@@ -123,7 +123,7 @@ def image_text(pixels: NDArray[np.uint8], form: ImageFormat) -> str:
     return base64.b64encode(file.getvalue()).decode("ascii")
 
 
-def image_from(text: str | bytes, where: str, *, tensors: bool) -> NDArray[np.uint8]:
+def decode_image_text(text: str | bytes, where: str, *, tensors: bool) -> NDArray[np.uint8]:
     """(height, width, 3) RGB picture from base64 text: PNG, JPEG, an array of numpy, or a saved tensor.
 
     Args:
@@ -136,16 +136,16 @@ def image_from(text: str | bytes, where: str, *, tensors: bool) -> NDArray[np.ui
     try:
         data = base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise WireError(f"{where} is no base64 ({one_line(error, 80)})") from error
-    return picture_from(data, where, tensors=tensors)
+        raise NeuroncapHttpError(f"{where} is no base64 ({to_one_line(error, 80)})") from error
+    return decode_image_file(data, where, tensors=tensors)
 
 
-def picture_from(data: bytes, where: str, *, tensors: bool) -> NDArray[np.uint8]:
-    """A picture from the bytes of a file; arguments and errors as of `image_from`."""
+def decode_image_file(data: bytes, where: str, *, tensors: bool) -> NDArray[np.uint8]:
+    """A picture from the bytes of a file; arguments and errors as of `decode_image_text`."""
     try:
-        picture: NDArray[Any] = image_of(data, tensors=tensors)
-    except TensorRefused as refused:
-        raise TensorRefused(f"{where} {refused}") from refused
+        picture: NDArray[Any] = decode_image(data, tensors=tensors)
+    except TensorRefusedError as refused:
+        raise TensorRefusedError(f"{where} {refused}") from refused
     except ValueError as error:
-        raise WireError(f"{where} {one_line(error)}") from error
+        raise NeuroncapHttpError(f"{where} {to_one_line(error)}") from error
     return picture

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from benchmark.constants import DETECTION_CLASS_OF_CATEGORY
 from benchmark.datasets.tables import Row
-from benchmark.extensions.infos.frames import SensorFrame, tilted_angle
-from benchmark.extensions.infos.scene_rows import SceneRows
+from benchmark.extensions.infos.frames import SensorFrame, compute_tilted_angle
+from benchmark.extensions.infos.scene_rows import SceneTableRows
 from benchmark.geometry import Bools, Floats, rotation_matrix
 
 Indices = NDArray[np.int64]
@@ -41,7 +41,7 @@ class SceneBoxes:
     next: Indices
 
     @classmethod
-    def of(cls, rows: SceneRows) -> Self:
+    def of(cls, rows: SceneTableRows) -> Self:
         """All annotations of a scene."""
         annotations = tuple(rows.annotations.values())
         index = {row["token"]: number for number, row in enumerate(annotations)}
@@ -87,7 +87,9 @@ class SceneBoxes:
         return np.where(known[:, None], moved / seconds[:, None], np.nan)
 
 
-def annotation_keys(scene: SceneRows, boxes: SceneBoxes, here: Indices, lidar: SensorFrame) -> dict[str, Any]:
+def build_annotation_keys(
+    scene: SceneTableRows, boxes: SceneBoxes, here: Indices, lidar: SensorFrame
+) -> dict[str, Any]:
     """Keys of the N boxes of a sample that all three repositories share; ``here`` is (N,) in the order of the file.
 
     Returns:
@@ -95,7 +97,7 @@ def annotation_keys(scene: SceneRows, boxes: SceneBoxes, here: Indices, lidar: S
         two counts of points and ``valid_flag``. Lists of nothing become floats there, as numpy makes them.
     """
     rows = [boxes.rows[number] for number in here]
-    angle = tilted_angle(lidar.local_rotation(boxes.rotation[here]))
+    angle = compute_tilted_angle(lidar.local_rotation(boxes.rotation[here]))
     centre = lidar.local(boxes.position[here])
     velocity = boxes.velocity(here)
     velocity[:, 2] = 0.0

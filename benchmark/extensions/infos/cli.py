@@ -10,7 +10,7 @@ from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.output import print_json
 from benchmark.cli.settings import Option, command
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 InfoReader = Literal["uniad", "vad", "sparsedrive"]
 """Whose info files are written."""
@@ -52,12 +52,12 @@ def export_infos_command(options: ExportInfosOptions) -> None:
     exported = export_infos(folder, options.to, settings)
     if options.json_output:
         files = {str(path): count for path, count in exported.files.items()}
-        departures = [difference.as_json() for difference in exported.departures]
-        print_json({"files": files, "departures": departures, "not_cured": list(exported.not_cured)})
+        departures = [difference.as_json() for difference in exported.differences]
+        print_json({"files": files, "departures": departures, "not_cured": list(exported.unrepaired)})
         return
     for path, count in exported.files.items():
-        typer.echo(f"{counted(count, 'info')} in {path}")
-    for difference in exported.departures:
+        typer.echo(f"{pluralise(count, 'info')} in {path}")
+    for difference in exported.differences:
         typer.echo(f"otherwise than converted: {difference.what}")
-    for sentence in exported.not_cured:
+    for sentence in exported.unrepaired:
         typer.echo(f"not to be cured here: {sentence}")

@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import CAMERA_NAMES, NUMBERED_CATEGORIES, OFFICIAL_LOCATIONS
-from benchmark.datasets.map_layers import expansion_file
+from benchmark.datasets.map_layers import find_expansion_file
 from benchmark.errors import InputError
 from benchmark.extensions.infos.making import Info
 from benchmark.extensions.infos.repositories import Repository, RepositoryName
-from benchmark.extensions.infos.scene_rows import SceneRows
-from benchmark.report.words import counted
+from benchmark.extensions.infos.scene_rows import SceneTableRows
+from benchmark.report.words import pluralise
 
 DEFAULT_VISIBILITY: Final = 4
 """nuScenes' level of what is fully visible."""
-_NEEDS_A_FUTURE: Final = 2
+_NEEDS_FUTURE: Final = 2
 AROUND_M: Final = 50.0
 """UniAD's reader takes map elements and drivable cells within about so far."""
 _TRAINED_SIZE: Final = (1600, 900)
@@ -35,7 +35,7 @@ _SIZE_OPTIONS: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Departure:
+class ConverterDifference:
     """Something that an export has otherwise than the converter would write it.
 
     Attributes:
@@ -55,7 +55,7 @@ class Departure:
         return {**asdict(self), "keys": list(self.keys), "scenes": dict(self.scenes)}
 
 
-def require_cameras(rows: SceneRows) -> None:
+def require_cameras(rows: SceneTableRows) -> None:
     """Refuse scenes without the six cameras, which no converter writes either."""
     for sample in rows.samples:
         missing = [name for name in CAMERA_NAMES if name not in rows.key_frames[sample["token"]]]
@@ -66,7 +66,7 @@ def require_cameras(rows: SceneRows) -> None:
             )
 
 
-def require_usable(root: Path, repository: Repository, rows: SceneRows) -> None:
+def require_usable(root: Path, repository: Repository, rows: SceneTableRows) -> None:
     """Refuse what official code would fail at, or see nothing of.
 
     Raises:
@@ -74,7 +74,7 @@ def require_usable(root: Path, repository: Repository, rows: SceneRows) -> None:
             or the scene is too short.
     """
     _require_map(root, rows)
-    if len(rows.samples) < _NEEDS_A_FUTURE:
+    if len(rows.samples) < _NEEDS_FUTURE:
         raise InputError(
             f"{rows.name} has a single sample, which official code does not evaluate; leave the scene out with --split"
         )
@@ -87,7 +87,7 @@ def require_usable(root: Path, repository: Repository, rows: SceneRows) -> None:
             _require_file(root, rows.lidar(sample)["filename"], "VAD opens it; an empty file is enough")
 
 
-def _require_size(repository: Repository, rows: SceneRows) -> None:
+def _require_size(repository: Repository, rows: SceneTableRows) -> None:
     if repository.image_size is None:
         return
     wanted = "x".join(map(str, repository.image_size))
@@ -102,13 +102,13 @@ def _require_size(repository: Repository, rows: SceneRows) -> None:
                 )
 
 
-def _require_map(root: Path, rows: SceneRows) -> None:
+def _require_map(root: Path, rows: SceneTableRows) -> None:
     if rows.location not in OFFICIAL_LOCATIONS:
         raise InputError(
             f"{rows.name} lies in {rows.location}, and official code knows the maps of {', '.join(OFFICIAL_LOCATIONS)} "
             "alone; leave the scene out with --split, or call its place one of these in log.json and in maps/expansion"
         )
-    if expansion_file(root, rows.location) is None:
+    if find_expansion_file(root, rows.location) is None:
         raise InputError(
             f"{rows.name} lies in {rows.location}, and {root} has no maps/expansion/{rows.location}.json, which "
             "official code opens; fetch the map expansion or make it again"
@@ -127,10 +127,10 @@ def shift_times(infos: Iterable[Info], shift_us: int) -> None:
             timed["timestamp"] += shift_us
 
 
-def shifted(shifts: Mapping[str, int]) -> Departure:
+def describe_shifts(shifts: Mapping[str, int]) -> ConverterDifference:
     """The departure that moved times are."""
-    return Departure(
-        f"times of {counted(len(shifts), 'scene')} are moved, those of cameras and sweeps with them (the table keeps "
+    return ConverterDifference(
+        f"times of {pluralise(len(shifts), 'scene')} are moved, those of cameras and sweeps with them (the table keeps "
         "its own; readers use order and differences alone)",
         "readers sort by time: variants of one recording have the same times and would be mixed sample by sample, so "
         "that temporal models begin anew at each or remember another variant",
@@ -139,7 +139,7 @@ def shifted(shifts: Mapping[str, int]) -> Departure:
     )
 
 
-def category_numbers(own: Mapping[str, int]) -> dict[str, int]:
+def build_category_numbers(own: Mapping[str, int]) -> dict[str, int]:
     """VAD's numbers of categories: rows of the table of 32, in place of the root's own rows.
 
     Names that the table of 32 lacks get numbers behind it, which no code counts.
@@ -148,13 +148,13 @@ def category_numbers(own: Mapping[str, int]) -> dict[str, int]:
     return {name: numbers.get(name, len(numbers) + number) for name, number in own.items()}
 
 
-def numbered(own: Mapping[str, int]) -> list[Departure]:
+def describe_category_numbers(own: Mapping[str, int]) -> list[ConverterDifference]:
     """The departure that other numbers than the table's are; none where the table has them itself."""
-    changed = {name: number for name, number in category_numbers(own).items() if own[name] != number}
+    changed = {name: number for name, number in build_category_numbers(own).items() if own[name] != number}
     if not changed:
         return []
     return [
-        Departure(
+        ConverterDifference(
             "categories have the numbers of nuScenes' table of 32 rows, not their rows in this root's category.json of "
             f"{len(own)}",
             "VAD's collision rule takes 2-8 for people and 14-23 for vehicles; by this root's rows adults and bicycles "
@@ -164,9 +164,9 @@ def numbered(own: Mapping[str, int]) -> list[Departure]:
     ]
 
 
-def paths(prefix: str) -> Departure:
+def describe_paths(prefix: str) -> ConverterDifference:
     """The departure that absolute names of files are."""
-    return Departure(
+    return ConverterDifference(
         f"files are named from {prefix} on",
         "the converters' names begin with their own working directory's ./data/nuscenes/, which UniAD joins with its "
         "data_root once more",
@@ -174,9 +174,9 @@ def paths(prefix: str) -> Departure:
     )
 
 
-def read_can_bus(repository: Repository, names: Collection[str]) -> Departure:
+def describe_can_bus_names(repository: Repository, names: Collection[str]) -> ConverterDifference:
     """The departure that the CAN bus of names is which the devkit refuses."""
-    return Departure(
+    return ConverterDifference(
         "the CAN bus is read from the root's own files",
         "the devkit takes names like scene-0061 alone; all others would silently get zeros, which models then see",
         _MOTION_KEYS[repository.name],
@@ -184,12 +184,12 @@ def read_can_bus(repository: Repository, names: Collection[str]) -> Departure:
     )
 
 
-def in_val_file(split: str, elsewhere: Collection[str], others: int) -> list[Departure]:
+def describe_scene_choice(split: str, elsewhere: Collection[str], others: int) -> list[ConverterDifference]:
     """The departure that another choice of scenes is than the converter's by official names."""
     differences = []
     if elsewhere:
         differences.append(
-            Departure(
+            ConverterDifference(
                 f"scenes of {split} that nuScenes names among its training scenes are in the val file",
                 "official configurations evaluate the val file alone",
                 (),
@@ -198,8 +198,8 @@ def in_val_file(split: str, elsewhere: Collection[str], others: int) -> list[Dep
         )
     if others:
         differences.append(
-            Departure(
-                f"{counted(others, 'scene')} of the root that {split} does not have are left out",
+            ConverterDifference(
+                f"{pluralise(others, 'scene')} of the root that {split} does not have are left out",
                 "the converters put every scene into one of their two files",
                 (),
             )
@@ -207,9 +207,9 @@ def in_val_file(split: str, elsewhere: Collection[str], others: int) -> list[Dep
     return differences
 
 
-def seen_in_full(boxes: Mapping[str, int]) -> Departure:
+def describe_default_visibility(boxes: Mapping[str, int]) -> ConverterDifference:
     """The departure that a visibility is which the root does not know."""
-    return Departure(
+    return ConverterDifference(
         f"boxes without a visibility have level {DEFAULT_VISIBILITY}",
         "the converter fails at them",
         ("visibility_tokens",),
@@ -217,9 +217,9 @@ def seen_in_full(boxes: Mapping[str, int]) -> Departure:
     )
 
 
-def empty_maps(cities: Sequence[str]) -> Departure:
+def describe_empty_maps(cities: Sequence[str]) -> ConverterDifference:
     """The departure that maps are of cities that do not occur."""
-    return Departure(
+    return ConverterDifference(
         f"the folder nuscenes/ beside the infos has empty maps of {', '.join(cities)}",
         "official code opens the maps of all four cities when it starts",
         (),
@@ -227,7 +227,7 @@ def empty_maps(cities: Sequence[str]) -> Departure:
 
 
 @dataclass(slots=True)
-class Seen:
+class ExportObservations:
     """Observations made while infos were written.
 
     Attributes:
@@ -245,7 +245,7 @@ class Seen:
     without_visibility: dict[str, int] = field(default_factory=dict)
 
 
-def not_cured(repository: Repository, seen: Seen) -> list[str]:
+def list_unrepaired(repository: Repository, seen: ExportObservations) -> list[str]:
     """Sentences on what a reader of the results should know, since no info file can change it."""
     last = repository.name == "sparsedrive"
     sentences = [
@@ -267,7 +267,7 @@ def not_cured(repository: Repository, seen: Seen) -> list[str]:
             f"({_SIZE_OPTIONS.format(size=trained)})"
         )
     if seen.without_points:
-        boxes = counted(seen.without_points, "box has", "boxes have")
+        boxes = pluralise(seen.without_points, "box has", "boxes have")
         known = (
             "UniAD sees these objects in its occupancy alone"
             if repository.name == "uniad"
@@ -275,14 +275,14 @@ def not_cured(repository: Repository, seen: Seen) -> list[str]:
         )
         sentences.append(f"{boxes} no lidar point: {known}")
     if seen.without_can_bus:
-        scenes = counted(len(seen.without_can_bus), "scene has", "scenes have")
+        scenes = pluralise(len(seen.without_can_bus), "scene has", "scenes have")
         sentences.append(
             f"{scenes} no CAN bus, so that models see zeros for "
             f"the motion of the ego: {', '.join(seen.without_can_bus[:3])}"
         )
     if seen.off_the_map:
         sentences.append(
-            f"{counted(seen.off_the_map, 'sample has', 'samples have')} nothing of the map within {AROUND_M:g} m, "
+            f"{pluralise(seen.off_the_map, 'sample has', 'samples have')} nothing of the map within {AROUND_M:g} m, "
             "which UniAD's reader fails at"
         )
     return sentences

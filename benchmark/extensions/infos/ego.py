@@ -14,11 +14,11 @@ import numpy as np
 from benchmark.constants import COMMAND_LATERAL_M, EGO_LENGTH_M, EGO_WHEELBASE_M, EGO_WIDTH_M, PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.schema.beside import CAN_BUS, CAN_BUS_POSE, require_records
 from benchmark.errors import InputError
-from benchmark.extensions.infos.frames import SensorFrame, roll
-from benchmark.extensions.infos.scene_rows import SceneRows
+from benchmark.extensions.infos.frames import SensorFrame, compute_roll
+from benchmark.extensions.infos.scene_rows import SceneTableRows
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 
 OFFICIAL_NAME: Final = re.compile(r"scene-\d\d\d\d")
 """Names of scenes that the devkit's reader takes."""
@@ -31,7 +31,7 @@ _MEASURED: Final = 16
 Message = Mapping[str, Any]
 
 
-class Measured(NamedTuple):
+class NearestMessages(NamedTuple):
     """The messages nearest to a time: three numbers each, and the angle of the steering wheel."""
 
     acceleration: Sequence[float]
@@ -41,7 +41,7 @@ class Measured(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class CanMessages:
+class ConverterCanMessages:
     """Messages of a scene in the order of the files; none where a file is missing.
 
     Attributes:
@@ -96,19 +96,19 @@ class CanMessages:
         if vector.shape != (VECTOR_VALUES,):
             raise InputError(
                 f"pose messages of the CAN bus at {last['utime']} do not hold the {_MEASURED} numbers that official "
-                f"code takes ({', '.join(map(one_line, last))}); fetch or make the files again"
+                f"code takes ({', '.join(map(to_one_line, last))}); fetch or make the files again"
             )
         return vector
 
-    def nearest(self, time_us: int) -> Measured | None:
+    def nearest(self, time_us: int) -> NearestMessages | None:
         """The messages that are nearest in time, the later one of two; ``None`` where a kind is missing."""
         if not self.pose or not self.steering:
             return None
-        pose, wheel = (_nearest(messages, time_us) for messages in (self.pose, self.steering))
-        return Measured(pose["accel"], pose["rotation_rate"], pose["vel"], wheel["value"])
+        pose, wheel = (_find_nearest(messages, time_us) for messages in (self.pose, self.steering))
+        return NearestMessages(pose["accel"], pose["rotation_rate"], pose["vel"], wheel["value"])
 
 
-def _nearest(messages: Sequence[Message], time_us: int) -> Message:
+def _find_nearest(messages: Sequence[Message], time_us: int) -> Message:
     away = np.abs(np.array([message["utime"] for message in messages], np.int64) - time_us)
     return messages[len(away) - 1 - int(np.argmin(away[::-1]))]
 
@@ -120,7 +120,7 @@ STATUS_VALUES: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class EgoTrajectory:
     """The ego at all S samples of a scene, in time order.
 
     Attributes:
@@ -134,14 +134,14 @@ class Drive:
     times_us: tuple[int, ...]
 
     @classmethod
-    def of(cls, rows: SceneRows) -> Self:
+    def of(cls, rows: SceneTableRows) -> Self:
         """Raises `InputError` if a sample has no lidar."""
-        frames = tuple(rows.frame(rows.lidar(sample)) for sample in rows.in_time)
+        frames = tuple(rows.frame(rows.lidar(sample)) for sample in rows.samples_in_time_order)
         return cls(
             frames=frames,
             origin=np.array([frame.origin for frame in frames]),
-            place={sample["token"]: number for number, sample in enumerate(rows.in_time)},
-            times_us=tuple(sample["timestamp"] for sample in rows.in_time),
+            place={sample["token"]: number for number, sample in enumerate(rows.samples_in_time_order)},
+            times_us=tuple(sample["timestamp"] for sample in rows.samples_in_time_order),
         )
 
     def path(self, at: int) -> dict[str, Floats]:
@@ -155,7 +155,7 @@ class Drive:
         planar = self.frames[at].local(self.origin)[:, :2]
         ahead = planar[[min(at + step, last) for step in range(PLAN_STEPS + 1)]]
         command = np.zeros(3)
-        command[_command(float(ahead[-1, 0]))] = 1.0
+        command[_compute_command(float(ahead[-1, 0]))] = 1.0
         steps = np.diff(planar, axis=0) if last else np.zeros((1, 2))
         return {
             # What was before the recording is made up: the step after it once more.
@@ -165,10 +165,10 @@ class Drive:
             "gt_ego_fut_cmd": command,
         }
 
-    def features(self, at: int, path: dict[str, Floats], can: CanMessages, location: str) -> Floats:
+    def features(self, at: int, path: dict[str, Floats], can: ConverterCanMessages, location: str) -> Floats:
         """VAD's nine numbers of the ego at a sample.
 
-        Times between samples are taken for half a second, long or short, and the angle is a roll (`roll`), so that on
+        Times between samples are taken for half a second, long or short, and the angle is a roll (`compute_roll`), so that on
         flat roads the car seems to drive along the y axis and never to turn.
 
         Returns:
@@ -177,8 +177,8 @@ class Drive:
         first = max(at - 1, 0)
         poses = [self.frames[number].pose for number in (first, min(first + 1, len(self.frames) - 1))]
         speed = np.linalg.norm(poses[1][1][:2] - poses[0][1][:2]) / PLAN_STEP_S
-        angles = [float(roll(rotation)) for rotation, _ in poses]
-        ahead = float(roll(self.frames[at].pose[0])) + np.pi / 2
+        angles = [float(compute_roll(rotation)) for rotation, _ in poses]
+        ahead = float(compute_roll(self.frames[at].pose[0])) + np.pi / 2
         measured = can.nearest(self.times_us[at])
         if measured is None:
             travelled = path["gt_ego_his_trajs"][-1] + path["gt_ego_fut_trajs"][0]
@@ -201,13 +201,13 @@ class Drive:
         )
 
 
-def _command(lateral_m: float) -> int:
+def _compute_command(lateral_m: float) -> int:
     if lateral_m >= COMMAND_LATERAL_M:
         return _RIGHT
     return _LEFT if lateral_m <= -COMMAND_LATERAL_M else _STRAIGHT
 
 
-def ego_status(can: CanMessages, time_us: int) -> Floats:
+def compute_ego_status(can: ConverterCanMessages, time_us: int) -> Floats:
     """SparseDrive's ten numbers of the ego.
 
     Returns:
@@ -219,6 +219,6 @@ def ego_status(can: CanMessages, time_us: int) -> Floats:
     return np.array([*messages.acceleration, *messages.rotation_rate, *messages.velocity, messages.steering])
 
 
-def in_single_precision(values: dict[str, Any]) -> dict[str, Any]:
+def to_single_precision(values: dict[str, Any]) -> dict[str, Any]:
     """Arrays as they are stored: cast at the very end."""
     return {name: np.asarray(value, np.float32) for name, value in values.items()}

@@ -14,26 +14,26 @@ from typing import Final, Self
 import shapely
 
 from benchmark.constants import OFFICIAL_LOCATIONS
-from benchmark.datasets.map_layers import empty_expansion, expansion_file, read_road_map
-from benchmark.datasets.schema import FaultList, Refusal
-from benchmark.datasets.split_names import evaluated_split, read_splits, scenes_of_split, shifts_us
-from benchmark.datasets.tables import find_version, variant_folders
+from benchmark.datasets.map_layers import find_expansion_file, make_empty_expansion, read_road_map
+from benchmark.datasets.schema import FaultList, StrictFaultList
+from benchmark.datasets.split_names import compute_shifts_us, find_default_split, read_splits, select_scenes
+from benchmark.datasets.tables import find_variant_folders, find_version
 from benchmark.errors import InputError
 from benchmark.extensions.infos import cures
 from benchmark.extensions.infos.boxes import SceneBoxes
-from benchmark.extensions.infos.ego import OFFICIAL_NAME, CanMessages, Drive
-from benchmark.extensions.infos.making import Info, SceneSources, is_level, scene_infos
+from benchmark.extensions.infos.ego import OFFICIAL_NAME, ConverterCanMessages, EgoTrajectory
+from benchmark.extensions.infos.making import Info, SceneSources, build_scene_infos, is_level
 from benchmark.extensions.infos.map_lines import MapLines
 from benchmark.extensions.infos.repositories import (
     TEST,
     Part,
     Repository,
-    official_training_scenes,
-    repository,
+    find_repository,
+    list_official_training_scenes,
     require_version,
 )
-from benchmark.extensions.infos.scene_rows import InfoTables, SceneRows
-from benchmark.machine.progress import Count, progress
+from benchmark.extensions.infos.scene_rows import InfoTables, SceneTableRows
+from benchmark.machine.progress import CountedUnits, track_progress
 from benchmark.machine.storage import read_json, write_bytes, write_json, writing_to
 
 FOLDER: Final = "nuscenes"
@@ -42,13 +42,13 @@ _LINKED: Final = ("samples", "sweeps", "can_bus")
 _MAPS: Final = "maps/expansion"
 
 
-def missing_cities(root: Path) -> list[str]:
+def find_missing_cities(root: Path) -> list[str]:
     """Cities that official code opens the maps of and a root has none of."""
-    return [city for city in OFFICIAL_LOCATIONS if expansion_file(root, city) is None]
+    return [city for city in OFFICIAL_LOCATIONS if find_expansion_file(root, city) is None]
 
 
 @dataclass(frozen=True, slots=True)
-class StandIn:
+class StandInRoot:
     """The folder before it is written: its links with their targets, and its empty maps."""
 
     folder: Path
@@ -69,7 +69,7 @@ class StandIn:
         parts += [f"maps/{path.name}" for path in sorted((root / "maps").glob("*")) if path.name != "expansion"]
         parts += [f"{_MAPS}/{path.name}" for path in sorted((root / _MAPS).glob("*.json"))]
         links = {folder / part: source / part for part in parts} | {folder / name: Path("..") / name for name in beside}
-        stand_in = cls(folder, links, [folder / _MAPS / f"{city}.json" for city in missing_cities(root)])
+        stand_in = cls(folder, links, [folder / _MAPS / f"{city}.json" for city in find_missing_cities(root)])
         stand_in._require_free()
         return stand_in
 
@@ -81,7 +81,7 @@ class StandIn:
                 path.unlink(missing_ok=True)
                 path.symlink_to(target)
         for path in self.maps:
-            write_json(path, empty_expansion(), indent=None)
+            write_json(path, make_empty_expansion(), indent=None)
 
     def _require_free(self) -> None:
         """Maps are plain files where a former export had none to link to."""
@@ -125,12 +125,12 @@ class InfoSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Exported:
+class ExportedInfos:
     """Written files with the number of infos in each, departures from the converter's, and faults that stay."""
 
     files: dict[Path, int]
-    departures: tuple[cures.Departure, ...] = ()
-    not_cured: tuple[str, ...] = ()
+    differences: tuple[cures.ConverterDifference, ...] = ()
+    unrepaired: tuple[str, ...] = ()
 
 
 @dataclass
@@ -139,11 +139,11 @@ class InfoFiles:
 
     version: str
     parts: dict[Part, list[Info]] = field(default_factory=dict)
-    departures: list[cures.Departure] = field(default_factory=list)
-    not_cured: list[str] = field(default_factory=list)
+    differences: list[cures.ConverterDifference] = field(default_factory=list)
+    unrepaired: list[str] = field(default_factory=list)
 
 
-def export_infos(root: Path, to: Path, settings: InfoSettings) -> Exported:
+def export_infos(root: Path, to: Path, settings: InfoSettings) -> ExportedInfos:
     """Write info files, and beside them what official code needs and what is departed from.
 
     Args:
@@ -158,55 +158,55 @@ def export_infos(root: Path, to: Path, settings: InfoSettings) -> Exported:
         InputError: If there is no such data set or split, or it holds something that official code would fail at or
             see nothing of.
     """
-    reader = repository(settings.repository)
-    variants = variant_folders(root)
+    reader = find_repository(settings.repository)
+    variants = find_variant_folders(root)
     roots = {to / name: root / name for name in variants} or {to: root}
-    settings_by_target = {target: _settings_for(target.name, settings) if variants else settings for target in roots}
+    settings_by_target = {target: _narrow_settings(target.name, settings) if variants else settings for target in roots}
     infos_by_target = {
-        target: info_files(source, reader, settings_by_target[target]) for target, source in roots.items()
+        target: build_info_files(source, reader, settings_by_target[target]) for target, source in roots.items()
     }
     folders = {} if settings.as_converted else {
-        target: _folder_for(reader, roots[target], target, infos, settings_by_target[target]) for target, infos in infos_by_target.items()
+        target: _build_stand_in_root(reader, roots[target], target, infos, settings_by_target[target]) for target, infos in infos_by_target.items()
     }  # fmt: skip
     files: dict[Path, int] = {}
     for target, infos in infos_by_target.items():
         files |= _write(target, reader, infos)
     for target, folder in folders.items():
         folder.write()
-        _write_departures(target, reader, infos_by_target[target])
-    differences = tuple(difference for infos in infos_by_target.values() for difference in infos.departures)
-    return Exported(
+        _write_differences(target, reader, infos_by_target[target])
+    differences = tuple(difference for infos in infos_by_target.values() for difference in infos.differences)
+    return ExportedInfos(
         files,
         differences,
-        tuple(dict.fromkeys(sentence for infos in infos_by_target.values() for sentence in infos.not_cured)),
+        tuple(dict.fromkeys(sentence for infos in infos_by_target.values() for sentence in infos.unrepaired)),
     )
 
 
-def info_files(root: Path, reader: Repository, settings: InfoSettings) -> InfoFiles:
+def build_info_files(root: Path, reader: Repository, settings: InfoSettings) -> InfoFiles:
     """Infos of one root; arguments and errors as in `export_infos`, which writes them."""
     version = find_version(root, settings.version)
     require_version(version, str(root))
     if settings.as_converted:
         if settings.split is not None:
             raise InputError("--as-converted takes the whole root, as the converters do; leave --split out")
-        return _Converting(root, version, reader, settings).files()
-    return _Curing(root, version, reader, settings).files()
+        return _InfoConverter(root, version, reader, settings).files()
+    return _RepairingInfoConverter(root, version, reader, settings).files()
 
 
-class _Converting:
+class _InfoConverter:
     """A root as a converter writes it."""
 
     def __init__(self, root: Path, version: str, reader: Repository, settings: InfoSettings) -> None:
         self.root, self.reader, self.settings = root, reader, settings
         self.found = InfoFiles(version)
         cured = not settings.as_converted
-        self.tables = InfoTables(root, version, Refusal(folder=root / version) if cured else FaultList())
+        self.tables = InfoTables(root, version, StrictFaultList(folder=root / version) if cured else FaultList())
         self.prefix = CONVERTED_PREFIX if settings.root_as is None else f"{settings.root_as.rstrip('/')}/"
         self._maps: dict[str, MapLines] = {}
 
     def files(self) -> InfoFiles:
         """All infos."""
-        training = official_training_scenes(self.found.version)
+        training = list_official_training_scenes(self.found.version)
         self._put([row["name"] for row in self.tables.scenes], lambda name: "train" if name in training else "val")
         if self.found.version == TEST:
             self.found.parts = {"test": self.found.parts["train"]}
@@ -215,8 +215,8 @@ class _Converting:
     def _put(self, names: Sequence[str], part_of: Callable[[str], Part]) -> None:
         """Make the infos of scenes and put them into files, each in the order of the sample table."""
         numbered: list[tuple[int, Part, Info]] = []
-        scenes = progress(
-            self.tables.of_scenes(frozenset(names)), total=len(names), label="infos", count=Count("scene")
+        scenes = track_progress(
+            self.tables.of_scenes(frozenset(names)), total=len(names), label="infos", count=CountedUnits("scene")
         )
         for rows in scenes:
             part = part_of(rows.name)
@@ -229,31 +229,31 @@ class _Converting:
                 frame = frame + 1 if info["next"] else 0
             self.found.parts[part].append(info)
 
-    def _scene(self, rows: SceneRows) -> list[Info]:
+    def _scene(self, rows: SceneTableRows) -> list[Info]:
         if self.reader.name == "vad" and len(rows.samples) < 2:
             raise InputError(f"{rows.name} has a single sample, which VAD's converter fails at; leave the scene out")
         cures.require_cameras(rows)
         sources = SceneSources(
             rows=rows,
             boxes=SceneBoxes.of(rows),
-            drive=Drive.of(rows),
+            drive=EgoTrajectory.of(rows),
             can=self._can_bus(rows),
             map_lines=self._map(rows) if self.reader.name == "sparsedrive" else None,
             prefix=self.prefix,
             category_numbers=self._category_numbers(),
             default_visibility=None if self.settings.as_converted else cures.DEFAULT_VISIBILITY,
         )
-        return list(scene_infos(self.reader, self.found.version, sources))
+        return list(build_scene_infos(self.reader, self.found.version, sources))
 
-    def _can_bus(self, rows: SceneRows) -> CanMessages:
-        return CanMessages.read(self.root, rows.name, as_converted=self.settings.as_converted)
+    def _can_bus(self, rows: SceneTableRows) -> ConverterCanMessages:
+        return ConverterCanMessages.read(self.root, rows.name, as_converted=self.settings.as_converted)
 
     def _category_numbers(self) -> dict[str, int]:
         return self.tables.category_numbers
 
-    def _map(self, rows: SceneRows) -> MapLines:
+    def _map(self, rows: SceneTableRows) -> MapLines:
         if rows.location not in self._maps:
-            path = expansion_file(self.root, rows.location)
+            path = find_expansion_file(self.root, rows.location)
             if path is None:
                 raise InputError(
                     f"{rows.name} lies in {rows.location}, and {self.root} has no maps/expansion/{rows.location}.json, "
@@ -263,7 +263,7 @@ class _Converting:
         return self._maps[rows.location]
 
 
-class _Curing(_Converting):
+class _RepairingInfoConverter(_InfoConverter):
     """The same with what official code trips on cured, and refused where it cannot be."""
 
     def __init__(self, root: Path, version: str, reader: Repository, settings: InfoSettings) -> None:
@@ -274,20 +274,20 @@ class _Curing(_Converting):
         self._infos: dict[str, list[Info]] = {}
         if not Path(here).is_absolute():
             raise InputError(f"--root-as {here} must be an absolute path; it is what files are named by")
-        self._seen = cures.Seen()
+        self._seen = cures.ExportObservations()
         self._surroundings: dict[str, shapely.Geometry] = {}
 
     def files(self) -> InfoFiles:
         """Infos of the split, all in the file that official configurations evaluate."""
         split, names = self._split()
         self._put(names, lambda _: "val")
-        shifts = shifts_us(self._times)
+        shifts = compute_shifts_us(self._times)
         for name, shift in shifts.items():
             cures.shift_times(self._infos[name], shift)
         if self.found.version == TEST:
             self.found.parts = {"test": self.found.parts["val"]}
-        self.found.departures = self._departures(split, names, shifts)
-        self.found.not_cured = cures.not_cured(self.reader, self._seen)
+        self.found.differences = self._list_differences(split, names, shifts)
+        self.found.unrepaired = cures.list_unrepaired(self.reader, self._seen)
         return self.found
 
     def _split(self) -> tuple[str, tuple[str, ...]]:
@@ -296,10 +296,10 @@ class _Curing(_Converting):
         provenance = self.root / self.found.version / "challenger.json"
         provenance_values = read_json(provenance) if provenance.is_file() else None
         built_as = provenance_values.get("split") if isinstance(provenance_values, dict) else None
-        split = self.settings.split or evaluated_split(present, custom, where=str(self.root), built_as=built_as)
-        return split, scenes_of_split(split, present, custom, where=str(self.root), built_as=built_as)
+        split = self.settings.split or find_default_split(present, custom, where=str(self.root), built_as=built_as)
+        return split, select_scenes(split, present, custom, where=str(self.root), built_as=built_as)
 
-    def _scene(self, rows: SceneRows) -> list[Info]:
+    def _scene(self, rows: SceneTableRows) -> list[Info]:
         cures.require_cameras(rows)
         cures.require_usable(self.root, self.reader, rows)
         infos = super()._scene(rows)
@@ -318,47 +318,54 @@ class _Curing(_Converting):
             observations.off_the_map += self._samples_off_the_map(rows)
         return infos
 
-    def _samples_off_the_map(self, rows: SceneRows) -> int:
+    def _samples_off_the_map(self, rows: SceneTableRows) -> int:
         """Samples with no drivable area around the lidar; where there is some, there are edges of it."""
         if rows.location not in self._surroundings:
-            path = expansion_file(self.root, rows.location)
+            path = find_expansion_file(self.root, rows.location)
             area = read_road_map(path).drivable_area if path is not None else shapely.MultiPolygon()
             shapely.prepare(area)
             self._surroundings[rows.location] = area
-        places = shapely.points(Drive.of(rows).origin[:, :2])
+        places = shapely.points(EgoTrajectory.of(rows).origin[:, :2])
         return int((~shapely.dwithin(self._surroundings[rows.location], places, cures.AROUND_M)).sum())
 
     def _category_numbers(self) -> dict[str, int]:
-        return cures.category_numbers(super()._category_numbers())
+        return cures.build_category_numbers(super()._category_numbers())
 
-    def _departures(self, split: str, names: Sequence[str], shifts: dict[str, int]) -> list[cures.Departure]:
-        training = official_training_scenes(self.found.version)
+    def _list_differences(
+        self, split: str, names: Sequence[str], shifts: dict[str, int]
+    ) -> list[cures.ConverterDifference]:
+        training = list_official_training_scenes(self.found.version)
         others = len(self.tables.scenes) - len(names)
-        differences = [cures.paths(self.prefix), *cures.in_val_file(split, training & set(names), others)]
+        differences = [
+            cures.describe_paths(self.prefix),
+            *cures.describe_scene_choice(split, training & set(names), others),
+        ]
         refused = {name for name in names if not OFFICIAL_NAME.fullmatch(name)} - set(self._seen.without_can_bus)
         if refused:
-            differences.append(cures.read_can_bus(self.reader, refused))
+            differences.append(cures.describe_can_bus_names(self.reader, refused))
         if shifts:
-            differences.append(cures.shifted(shifts))
+            differences.append(cures.describe_shifts(shifts))
         if self.reader.name == "vad":
-            differences += cures.numbered(super()._category_numbers())
+            differences += cures.describe_category_numbers(super()._category_numbers())
         if self.reader.name == "uniad" and self._seen.without_visibility:
-            differences.append(cures.seen_in_full(self._seen.without_visibility))
-        cities = missing_cities(self.root)
+            differences.append(cures.describe_default_visibility(self._seen.without_visibility))
+        cities = find_missing_cities(self.root)
         if cities:
-            differences.append(cures.empty_maps(cities))
+            differences.append(cures.describe_empty_maps(cities))
         return differences
 
 
-def _settings_for(variant: str, settings: InfoSettings) -> InfoSettings:
+def _narrow_settings(variant: str, settings: InfoSettings) -> InfoSettings:
     """Settings of one of several roots that lie side by side."""
     return settings if settings.root_as is None else replace(settings, root_as=f"{settings.root_as}/{variant}")
 
 
-def _folder_for(reader: Repository, root: Path, to: Path, infos: InfoFiles, settings: InfoSettings) -> StandIn:
+def _build_stand_in_root(
+    reader: Repository, root: Path, to: Path, infos: InfoFiles, settings: InfoSettings
+) -> StandInRoot:
     """VAD looks for its info files in the root, the others beside it."""
     beside = [reader.file_name(infos.version, part) for part in infos.parts] if reader.name == "vad" else []
-    return StandIn.of(root, to, infos.version, root_as=settings.root_as, beside=beside)
+    return StandInRoot.of(root, to, infos.version, root_as=settings.root_as, beside=beside)
 
 
 def _write(to: Path, reader: Repository, info_files_of_root: InfoFiles) -> dict[Path, int]:
@@ -371,7 +378,7 @@ def _write(to: Path, reader: Repository, info_files_of_root: InfoFiles) -> dict[
     return files
 
 
-def _write_departures(to: Path, reader: Repository, info_files_of_root: InfoFiles) -> None:
-    differences = [difference.as_json() for difference in info_files_of_root.departures]
-    report = {"for": reader.title, "departures": differences, "not_cured": info_files_of_root.not_cured}
+def _write_differences(to: Path, reader: Repository, info_files_of_root: InfoFiles) -> None:
+    differences = [difference.as_json() for difference in info_files_of_root.differences]
+    report = {"for": reader.title, "departures": differences, "not_cured": info_files_of_root.unrepaired}
     write_json(to / f"{reader.name}_departures.json", report)

@@ -26,7 +26,7 @@ class SensorFrame:
     @classmethod
     def of(cls, calibrated_sensor: Row, ego_pose: Row) -> Self:
         """From rows of the two tables."""
-        return cls(_motion(calibrated_sensor), _motion(ego_pose))
+        return cls(_read_motion(calibrated_sensor), _read_motion(ego_pose))
 
     @property
     def rotation(self) -> Floats:
@@ -47,7 +47,7 @@ class SensorFrame:
         """Global rotations (..., 3, 3) in the sensor's frame."""
         return np.asarray(self.rotation.T @ rotation)
 
-    def seen_from(self, other: "SensorFrame") -> tuple[Floats, Floats]:
+    def transform_to(self, other: "SensorFrame") -> tuple[Floats, Floats]:
         """Rotation (3, 3) and translation (3,) from this sensor's points to another's.
 
         By way of the global frame, so that the motion of the ego between their two times is contained.
@@ -58,16 +58,16 @@ class SensorFrame:
         return np.asarray(rotation), np.asarray(other.mount[0].T @ (moved - other.mount[1]))
 
 
-def _motion(row: Row) -> tuple[Floats, Floats]:
+def _read_motion(row: Row) -> tuple[Floats, Floats]:
     return rotation_matrix(np.array(row["rotation"], np.float64)), np.array(row["translation"], np.float64)
 
 
-def heading(rotation: Floats) -> Floats:
+def compute_heading(rotation: Floats) -> Floats:
     """Direction of the turned x axis in the plane, radians, of rotations (..., 3, 3)."""
     return np.asarray(np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]))
 
 
-def tilted_angle(rotation: Floats) -> Floats:
+def compute_tilted_angle(rotation: Floats) -> Floats:
     """Angle of a box in the info files: the first of pyquaternion's yaw, pitch and roll.
 
     atan2(2 (wz - xy), 1 - 2 (yy + zz)), with a minus where the heading has a plus: the two are equal only without tilt.
@@ -75,12 +75,12 @@ def tilted_angle(rotation: Floats) -> Floats:
     return np.asarray(np.arctan2(-rotation[..., 0, 1], rotation[..., 0, 0]))
 
 
-def roll(rotation: Floats) -> Floats:
+def compute_roll(rotation: Floats) -> Floats:
     """Roll that VAD's converter takes for the heading of the ego, since it reads w, x, y, z as x, y, z, w."""
     return np.asarray(np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2]))
 
 
-def turned(points: Floats, angle_rad: Floats) -> Floats:
+def rotate_points(points: Floats, angle_rad: Floats) -> Floats:
     """(..., 2) points of a plane turned counter-clockwise, by radians that go with the leading axes."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     x, y = points[..., 0], points[..., 1]

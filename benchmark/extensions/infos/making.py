@@ -14,12 +14,12 @@ import numpy as np
 from benchmark.constants import CAMERA_NAMES, KEYFRAME_HZ, PLAN_STEPS
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
-from benchmark.extensions.infos.boxes import NO_BOX, Indices, SceneBoxes, annotation_keys
-from benchmark.extensions.infos.ego import CanMessages, Drive, ego_status, in_single_precision
-from benchmark.extensions.infos.frames import SensorFrame, heading, turned
+from benchmark.extensions.infos.boxes import NO_BOX, Indices, SceneBoxes, build_annotation_keys
+from benchmark.extensions.infos.ego import ConverterCanMessages, EgoTrajectory, compute_ego_status, to_single_precision
+from benchmark.extensions.infos.frames import SensorFrame, compute_heading, rotate_points
 from benchmark.extensions.infos.map_lines import MapLines
 from benchmark.extensions.infos.repositories import TEST, Repository, RepositoryName
-from benchmark.extensions.infos.scene_rows import SceneRows
+from benchmark.extensions.infos.scene_rows import SceneTableRows
 from benchmark.geometry import Bools, Floats
 
 _MARGIN_S: Final = 0.15
@@ -29,7 +29,7 @@ _GOALS: Final = 8
 STATIC_GOAL: Final = 9
 
 
-def in_own_frame(boxes: SceneBoxes, here: Indices, seconds: int) -> tuple[Floats, Bools]:
+def compute_own_frame_futures(boxes: SceneBoxes, here: Indices, seconds: int) -> tuple[Floats, Bools]:
     """Future positions of objects as nuscenes-devkit's ``PredictHelper`` gives them.
 
     Entries are packed: where a track has a hole, later positions stand in earlier places.
@@ -42,26 +42,26 @@ def in_own_frame(boxes: SceneBoxes, here: Indices, seconds: int) -> tuple[Floats
     elapsed_s = np.abs(boxes.time_us[chain] - boxes.time_us[here][:, None]) / 1e6
     there = np.logical_and.accumulate((chain != NO_BOX) & (elapsed_s < seconds + _MARGIN_S), axis=1)
     moved = (boxes.position[chain] - boxes.position[here][:, None])[..., :2]
-    own = turned(moved, (np.pi / 2 - heading(boxes.rotation[here]))[:, None])
+    own = rotate_points(moved, (np.pi / 2 - compute_heading(boxes.rotation[here]))[:, None])
     return np.where(there[..., None], own, 0.0), there
 
 
-def offsets_from_own_frame(boxes: SceneBoxes, here: Indices, lidar: SensorFrame, seconds: int) -> tuple[Floats, Bools]:
-    """Offsets step by step in the frame of the lidar, as SparseDrive's converter turns `in_own_frame` back.
+def compute_lidar_offsets(boxes: SceneBoxes, here: Indices, lidar: SensorFrame, seconds: int) -> tuple[Floats, Bools]:
+    """Offsets step by step in the frame of the lidar, as SparseDrive's converter turns `compute_own_frame_futures` back.
 
     It turns by the heading in the global frame and back by that in the lidar frame, which differ for tilted boxes.
 
     Returns:
         (N, 2 seconds, 2) offsets, 0 where there are none; (N, 2 seconds) which there are.
     """
-    own, there = in_own_frame(boxes, here, seconds)
-    back = heading(lidar.local_rotation(boxes.rotation[here])) - np.pi / 2
+    own, there = compute_own_frame_futures(boxes, here, seconds)
+    back = compute_heading(lidar.local_rotation(boxes.rotation[here])) - np.pi / 2
     centre = lidar.local(boxes.position[here])[:, None, :2]
-    path = np.concatenate([centre, turned(own, back[:, None]) + centre], axis=1)
+    path = np.concatenate([centre, rotate_points(own, back[:, None]) + centre], axis=1)
     return np.where(there[..., None], np.diff(path, axis=1), 0.0), there
 
 
-def vad_futures(boxes: SceneBoxes, here: Indices, lidar: SensorFrame) -> dict[str, Any]:
+def compute_vad_futures(boxes: SceneBoxes, here: Indices, lidar: SensorFrame) -> dict[str, Any]:
     """VAD's futures of N objects: the next annotation is the next step, however long the gap.
 
     Returns:
@@ -72,18 +72,18 @@ def vad_futures(boxes: SceneBoxes, here: Indices, lidar: SensorFrame) -> dict[st
     there = chain != NO_BOX
     path = np.concatenate([here[:, None], chain], axis=1)
     position = lidar.local(boxes.position[path])[..., :2]
-    angle = heading(lidar.local_rotation(boxes.rotation[path]))
+    angle = compute_heading(lidar.local_rotation(boxes.rotation[path]))
     offsets = np.where(there[..., None], np.diff(position, axis=1), 0.0)
     return {
         "gt_agent_fut_trajs": offsets.reshape(len(here), 2 * PLAN_STEPS),
         "gt_agent_fut_masks": there.astype(np.float64),
         # Differences are not wrapped: a heading that passes half a turn jumps by a whole one.
         "gt_agent_fut_yaw": np.where(there, np.diff(angle, axis=1), 0.0),
-        "gt_agent_fut_goal": goals(offsets),
+        "gt_agent_fut_goal": classify_goals(offsets),
     }
 
 
-def goals(offsets: Floats) -> Floats:
+def classify_goals(offsets: Floats) -> Floats:
     """Classes of where objects go, from (N, 6, 2) offsets: (N,) eighths of a turn 0 to 8, or 9 for those that stand.
 
     An object stands if neither coordinate grows by a metre; growing is meant with its sign, so that one that goes 20 m
@@ -101,7 +101,7 @@ SWEEPS: Final = 10
 SensorInfo = dict[str, Any]
 
 
-def camera_infos(rows: SceneRows, sample: Row, lidar: SensorFrame, prefix: str) -> dict[str, SensorInfo]:
+def build_camera_infos(rows: SceneTableRows, sample: Row, lidar: SensorFrame, prefix: str) -> dict[str, SensorInfo]:
     """Cameras of a sample by channel, in the order that networks take them.
 
     Raises:
@@ -111,25 +111,25 @@ def camera_infos(rows: SceneRows, sample: Row, lidar: SensorFrame, prefix: str) 
     for channel in CAMERA_NAMES:
         data = rows.key_frames[sample["token"]][channel]
         intrinsic = rows.mounts[data["calibrated_sensor_token"]]["camera_intrinsic"]
-        infos[channel] = sensor_info(rows, data, channel, lidar, prefix)
+        infos[channel] = build_sensor_info(rows, data, channel, lidar, prefix)
         infos[channel]["cam_intrinsic"] = np.array(intrinsic, np.float64)
     return infos
 
 
-def sweep_infos(rows: SceneRows, data: Row, lidar: SensorFrame, prefix: str) -> list[SensorInfo]:
-    """Lidar measurements before that of a sample, newest first; arguments as in `camera_infos`."""
+def build_sweep_infos(rows: SceneTableRows, data: Row, lidar: SensorFrame, prefix: str) -> list[SensorInfo]:
+    """Lidar measurements before that of a sample, newest first; arguments as in `build_camera_infos`."""
     sweeps: list[SensorInfo] = []
     while data["prev"] and len(sweeps) < SWEEPS:
         data = rows.data[data["prev"]]
-        sweeps.append(sensor_info(rows, data, "lidar", lidar, prefix))
+        sweeps.append(build_sensor_info(rows, data, "lidar", lidar, prefix))
     return sweeps
 
 
-def sensor_info(rows: SceneRows, data: Row, kind: str, lidar: SensorFrame, prefix: str) -> SensorInfo:
+def build_sensor_info(rows: SceneTableRows, data: Row, kind: str, lidar: SensorFrame, prefix: str) -> SensorInfo:
     """One measurement: its file, where the sensor was, and how its points come to the lidar of the sample."""
     mount = rows.mounts[data["calibrated_sensor_token"]]
     pose = rows.poses[data["ego_pose_token"]]
-    rotation, translation = rows.frame(data).seen_from(lidar)
+    rotation, translation = rows.frame(data).transform_to(lidar)
     return {
         "data_path": prefix + data["filename"],
         "type": kind,
@@ -162,10 +162,10 @@ class SceneSources:
         default_visibility: What stands for a visibility that is not known; ``None`` refuses it.
     """
 
-    rows: SceneRows
+    rows: SceneTableRows
     boxes: SceneBoxes
-    drive: Drive
-    can: CanMessages
+    drive: EgoTrajectory
+    can: ConverterCanMessages
     map_lines: MapLines | None
     prefix: str
     category_numbers: Mapping[str, int]
@@ -173,7 +173,7 @@ class SceneSources:
 
 
 @dataclass(frozen=True)
-class _Moment:
+class _InfoSample:
     """A sample: its row, its place in the scene, its lidar's row and frame, its boxes in the order of the file."""
 
     sample: Row
@@ -183,7 +183,7 @@ class _Moment:
     here: Indices
 
 
-def scene_infos(repository: Repository, version: str, sources: SceneSources) -> Iterator[Info]:
+def build_scene_infos(repository: Repository, version: str, sources: SceneSources) -> Iterator[Info]:
     """Infos of a scene in the order of the sample table; ``frame_idx`` stays 0 until scenes are put together.
 
     Infos of v1.0-test have no annotations. Fails where the converter itself would.
@@ -193,15 +193,15 @@ def scene_infos(repository: Repository, version: str, sources: SceneSources) -> 
     for sample in rows.samples:
         at = sources.drive.place[sample["token"]]
         here = np.array([index[row["token"]] for row in rows.annotations_of.get(sample["token"], ())], np.int64)
-        moment = _Moment(sample, at, rows.lidar(sample), sources.drive.frames[at], here)
+        moment = _InfoSample(sample, at, rows.lidar(sample), sources.drive.frames[at], here)
         yield {
-            **_shared_keys(repository, sources, moment),
+            **_build_shared_keys(repository, sources, moment),
             **_BEFORE_BOXES[repository.name](sources, moment),
-            **({} if version == TEST else _annotations(repository, sources, moment)),
+            **({} if version == TEST else _build_annotations(repository, sources, moment)),
         }
 
 
-def _shared_keys(repository: Repository, sources: SceneSources, moment: _Moment) -> Info:
+def _build_shared_keys(repository: Repository, sources: SceneSources, moment: _InfoSample) -> Info:
     rows, sample = sources.rows, moment.sample
     mount = rows.mounts[moment.data["calibrated_sensor_token"]]
     pose = rows.poses[moment.data["ego_pose_token"]]
@@ -210,8 +210,8 @@ def _shared_keys(repository: Repository, sources: SceneSources, moment: _Moment)
         "lidar_path": sources.prefix + moment.data["filename"],
         "token": sample["token"],
         **({**in_scene, "frame_idx": 0} if repository.has_can_bus else {}),
-        "sweeps": sweep_infos(rows, moment.data, moment.lidar, sources.prefix),
-        "cams": camera_infos(rows, sample, moment.lidar, sources.prefix),
+        "sweeps": build_sweep_infos(rows, moment.data, moment.lidar, sources.prefix),
+        "cams": build_camera_infos(rows, sample, moment.lidar, sources.prefix),
         "scene_token": sample["scene_token"],
         "lidar2ego_translation": mount["translation"],
         "lidar2ego_rotation": mount["rotation"],
@@ -221,31 +221,31 @@ def _shared_keys(repository: Repository, sources: SceneSources, moment: _Moment)
     }
 
 
-def _vad_before_boxes(sources: SceneSources, moment: _Moment) -> Info:
+def _build_vad_ego_keys(sources: SceneSources, moment: _InfoSample) -> Info:
     ahead = len(sources.rows.samples) - 1 - moment.at
     return {"fut_valid_flag": ahead >= _FUTURE_SAMPLES, "map_location": sources.rows.location}
 
 
-def _sparsedrive_before_boxes(sources: SceneSources, moment: _Moment) -> Info:
+def _build_sparsedrive_ego_keys(sources: SceneSources, moment: _InfoSample) -> Info:
     assert sources.map_lines is not None
     return {"map_location": sources.rows.location, "map_annos": sources.map_lines.around(moment.lidar)}
 
 
-_BEFORE_BOXES: Final[Mapping[RepositoryName, Callable[[SceneSources, _Moment], Info]]] = {
+_BEFORE_BOXES: Final[Mapping[RepositoryName, Callable[[SceneSources, _InfoSample], Info]]] = {
     "uniad": lambda sources, moment: {},
-    "vad": _vad_before_boxes,
-    "sparsedrive": _sparsedrive_before_boxes,
+    "vad": _build_vad_ego_keys,
+    "sparsedrive": _build_sparsedrive_ego_keys,
 }
 
 
-def _annotations(repository: Repository, sources: SceneSources, moment: _Moment) -> Info:
-    keys = annotation_keys(sources.rows, sources.boxes, moment.here, moment.lidar)
+def _build_annotations(repository: Repository, sources: SceneSources, moment: _InfoSample) -> Info:
+    keys = build_annotation_keys(sources.rows, sources.boxes, moment.here, moment.lidar)
     further = _OF_BOXES[repository.name](sources, moment, keys)
-    keys["gt_boxes"] = _boxes_for(repository.name, keys["gt_boxes"])
+    keys["gt_boxes"] = _convert_boxes(repository.name, keys["gt_boxes"])
     return {**keys, **further}
 
 
-def _boxes_for(name: RepositoryName, boxes: Any) -> Any:
+def _convert_boxes(name: RepositoryName, boxes: Any) -> Any:
     """(N, 7) boxes as a repository's version of mmdet3d wants them, or as it believes that it does."""
     if name == "sparsedrive":
         return boxes[:, [0, 1, 2, 4, 3, 5, 6]]
@@ -254,20 +254,20 @@ def _boxes_for(name: RepositoryName, boxes: Any) -> Any:
     return boxes
 
 
-def _instances(sources: SceneSources, moment: _Moment) -> Sequence[str]:
+def _list_instances(sources: SceneSources, moment: _InfoSample) -> Sequence[str]:
     return [str(sources.boxes.rows[number]["instance_token"]) for number in moment.here]
 
 
-def _of_uniad(sources: SceneSources, moment: _Moment, _: Info) -> Info:
-    tokens = _instances(sources, moment)
-    future, there = in_own_frame(sources.boxes, moment.here, _UNIAD_SECONDS)
+def _build_uniad_keys(sources: SceneSources, moment: _InfoSample, _: Info) -> Info:
+    tokens = _list_instances(sources, moment)
+    future, there = compute_own_frame_futures(sources.boxes, moment.here, _UNIAD_SECONDS)
     levels = [sources.boxes.rows[number]["visibility_token"] for number in moment.here]
     return {
         "gt_inds": np.array([sources.rows.instance_numbers[token] for token in tokens]),
         "gt_ins_tokens": np.array(tokens),
         "fut_traj": future,
         "fut_traj_valid_mask": np.repeat(there[..., None], 2, axis=-1).astype(np.float64),
-        "visibility_tokens": np.array([_visibility(sources, moment, level) for level in levels]),
+        "visibility_tokens": np.array([_find_visibility(sources, moment, level) for level in levels]),
     }
 
 
@@ -276,7 +276,7 @@ def is_level(visibility: str) -> bool:
     return visibility.isascii() and visibility.isdigit()
 
 
-def _visibility(sources: SceneSources, moment: _Moment, level: str) -> int:
+def _find_visibility(sources: SceneSources, moment: _InfoSample, level: str) -> int:
     if is_level(level):
         return int(level)
     if sources.default_visibility is not None:
@@ -287,14 +287,14 @@ def _visibility(sources: SceneSources, moment: _Moment, level: str) -> int:
     )
 
 
-def _of_vad(sources: SceneSources, moment: _Moment, box_keys: Info) -> Info:
+def _build_vad_keys(sources: SceneSources, moment: _InfoSample, box_keys: Info) -> Info:
     path = sources.drive.path(moment.at)
-    boxes, names = box_keys["gt_boxes"], [sources.rows.categories[token] for token in _instances(sources, moment)]
+    boxes, names = box_keys["gt_boxes"], [sources.rows.categories[token] for token in _list_instances(sources, moment)]
     categories = np.array([sources.category_numbers[name] for name in names], np.float64)
     features = [boxes[:, :2], boxes[:, 6:], box_keys["gt_velocity"], boxes[:, 3:6], categories[:, None]]
-    futures = vad_futures(sources.boxes, moment.here, moment.lidar)
+    futures = compute_vad_futures(sources.boxes, moment.here, moment.lidar)
     ego = sources.drive.features(moment.at, path, sources.can, sources.rows.location)
-    return in_single_precision(
+    return to_single_precision(
         {
             "gt_agent_fut_trajs": futures["gt_agent_fut_trajs"],
             "gt_agent_fut_masks": futures["gt_agent_fut_masks"],
@@ -307,26 +307,26 @@ def _of_vad(sources: SceneSources, moment: _Moment, box_keys: Info) -> Info:
     )
 
 
-def _of_sparsedrive(sources: SceneSources, moment: _Moment, _: Info) -> Info:
-    offsets, there = offsets_from_own_frame(sources.boxes, moment.here, moment.lidar, _SPARSEDRIVE_SECONDS)
+def _build_sparsedrive_keys(sources: SceneSources, moment: _InfoSample, _: Info) -> Info:
+    offsets, there = compute_lidar_offsets(sources.boxes, moment.here, moment.lidar, _SPARSEDRIVE_SECONDS)
     path = sources.drive.path(moment.at)
     return {
-        "instance_inds": [sources.rows.instance_numbers[token] for token in _instances(sources, moment)],
-        **in_single_precision(
+        "instance_inds": [sources.rows.instance_numbers[token] for token in _list_instances(sources, moment)],
+        **to_single_precision(
             {
                 "gt_agent_fut_trajs": offsets,
                 "gt_agent_fut_masks": there,
                 "gt_ego_fut_trajs": path["gt_ego_fut_trajs"],
                 "gt_ego_fut_masks": path["gt_ego_fut_masks"],
                 "gt_ego_fut_cmd": path["gt_ego_fut_cmd"],
-                "ego_status": ego_status(sources.can, moment.sample["timestamp"]),
+                "ego_status": compute_ego_status(sources.can, moment.sample["timestamp"]),
             }
         ),
     }
 
 
-_OF_BOXES: Final[Mapping[RepositoryName, Callable[[SceneSources, _Moment, Info], Info]]] = {
-    "uniad": _of_uniad,
-    "vad": _of_vad,
-    "sparsedrive": _of_sparsedrive,
+_OF_BOXES: Final[Mapping[RepositoryName, Callable[[SceneSources, _InfoSample, Info], Info]]] = {
+    "uniad": _build_uniad_keys,
+    "vad": _build_vad_keys,
+    "sparsedrive": _build_sparsedrive_keys,
 }

@@ -15,10 +15,10 @@ from shapely.ops import linemerge, unary_union
 
 from benchmark.datasets.schema.beside import MAP_NODE, MAP_RECORD, require_records
 from benchmark.errors import InputError
-from benchmark.extensions.infos.frames import SensorFrame, heading
+from benchmark.extensions.infos.frames import SensorFrame, compute_heading
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 
 DIVIDER, CROSSING, BOUNDARY = 1, 0, 2
 PATCH_M: Final = (30.0, 60.0)
@@ -33,7 +33,7 @@ _CROSSINGS: Final = "ped_crossing"
 MapElements = dict[int, list[Floats]]
 
 
-class _Layer:
+class _MapLayer:
     """Shapes of a layer in the order of its records, found by where they are."""
 
     def __init__(self, shapes: Iterable[shapely.Geometry]) -> None:
@@ -59,10 +59,10 @@ class MapLines:
             require_records(path, "node", stored["node"], MAP_NODE)
             for layer in ("polygon", "line"):
                 require_records(path, f"{layer} record", stored[layer], MAP_RECORD)
-            self._layers = _layers(stored)
+            self._layers = _build_layers(stored)
         except KeyError as error:
             raise InputError(
-                f"{path}: layer or record {one_line(repr(error.args[0]))} is missing; the map expansion is incomplete, "
+                f"{path}: layer or record {to_one_line(repr(error.args[0]))} is missing; the map expansion is incomplete, "
                 "fetch or make it again"
             ) from error
         except (TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:
@@ -70,7 +70,7 @@ class MapLines:
 
     def _malformed(self, error: Exception) -> InputError:
         return InputError(
-            f"{self._path} is not a well-formed map expansion ({one_line(error)}); fetch or make it again"
+            f"{self._path} is not a well-formed map expansion ({to_one_line(error)}); fetch or make it again"
         )
 
     def around(self, lidar: SensorFrame) -> MapElements:
@@ -85,16 +85,18 @@ class MapLines:
             raise self._malformed(error) from error
 
     def _around(self, lidar: SensorFrame) -> MapElements:
-        patch = _Patch(lidar)
+        patch = _LidarPatch(lidar)
         roads = [patch.local(piece) for name in _ROADS for piece in self._layers[name].cut(patch.area)]
         return {
-            DIVIDER: _points(patch.local(piece) for name in _DIVIDERS for piece in self._layers[name].cut(patch.area)),
-            CROSSING: _crossings([patch.local(piece) for piece in self._layers[_CROSSINGS].cut(patch.area)]),
-            BOUNDARY: _boundaries(roads),
+            DIVIDER: _to_points(
+                patch.local(piece) for name in _DIVIDERS for piece in self._layers[name].cut(patch.area)
+            ),
+            CROSSING: _merge_crossings([patch.local(piece) for piece in self._layers[_CROSSINGS].cut(patch.area)]),
+            BOUNDARY: _find_boundaries(roads),
         }
 
 
-def _layers(stored: Mapping[str, Any]) -> dict[str, _Layer]:
+def _build_layers(stored: Mapping[str, Any]) -> dict[str, _MapLayer]:
     nodes = {row["token"]: (row["x"], row["y"]) for row in stored["node"]}
     lines = {row["token"]: row["node_tokens"] for row in stored["line"]}
     polygons = {row["token"]: row for row in stored["polygon"]}
@@ -112,17 +114,17 @@ def _layers(stored: Mapping[str, Any]) -> dict[str, _Layer]:
         return outline if outline.is_valid else Polygon()
 
     return {
-        **{name: _Layer(line(row["line_token"]) for row in stored[name]) for name in _DIVIDERS},
-        **{name: _Layer(polygon(row["polygon_token"]) for row in stored[name]) for name in (*_ROADS, _CROSSINGS)},
+        **{name: _MapLayer(line(row["line_token"]) for row in stored[name]) for name in _DIVIDERS},
+        **{name: _MapLayer(polygon(row["polygon_token"]) for row in stored[name]) for name in (*_ROADS, _CROSSINGS)},
     }
 
 
-class _Patch:
+class _LidarPatch:
     """The rectangle around a lidar, turned with its x axis in the plane."""
 
     def __init__(self, lidar: SensorFrame) -> None:
         self._x, self._y = lidar.origin[:2].tolist()
-        self._degrees = float(np.degrees(heading(lidar.rotation)))
+        self._degrees = float(np.degrees(compute_heading(lidar.rotation)))
         half_x, half_y = PATCH_M[0] / 2, PATCH_M[1] / 2
         upright = shapely.box(self._x - half_x, self._y - half_y, self._x + half_x, self._y + half_y)
         self.area = affinity.rotate(upright, self._degrees, origin=(self._x, self._y))
@@ -133,7 +135,7 @@ class _Patch:
         return affinity.translate(turned, -self._x, -self._y)
 
 
-def _pieces(shapes: Iterable[shapely.Geometry], kind: type[shapely.Geometry]) -> list[Any]:
+def _split_pieces(shapes: Iterable[shapely.Geometry], kind: type[shapely.Geometry]) -> list[Any]:
     """Single lines or polygons; points, which are left where shapes touch the patch, are none."""
     pieces: list[shapely.Geometry] = []
     for shape in shapes:
@@ -143,8 +145,8 @@ def _pieces(shapes: Iterable[shapely.Geometry], kind: type[shapely.Geometry]) ->
     return pieces
 
 
-def _points(lines: Iterable[shapely.Geometry]) -> list[Floats]:
-    return [np.array(line.coords)[:, :2] for line in _pieces(lines, LineString)]
+def _to_points(lines: Iterable[shapely.Geometry]) -> list[Floats]:
+    return [np.array(line.coords)[:, :2] for line in _split_pieces(lines, LineString)]
 
 
 def _local_area(margin_m: float) -> Polygon:
@@ -152,20 +154,20 @@ def _local_area(margin_m: float) -> Polygon:
     return shapely.box(-half_x, -half_y, half_x, half_y)
 
 
-def _crossings(shapes: Sequence[shapely.Geometry]) -> list[Floats]:
+def _merge_crossings(shapes: Sequence[shapely.Geometry]) -> list[Floats]:
     """Outlines of crossings, of which those that run alike and meet are one."""
     area, outlines = _local_area(0.0), []
-    for crossing in _pieces(_joined(_pieces(shapes, Polygon)), Polygon):
-        outline = _wound(crossing.exterior, clockwise=False).intersection(area)
+    for crossing in _split_pieces(_join_crossings(_split_pieces(shapes, Polygon)), Polygon):
+        outline = _orient_ring(crossing.exterior, clockwise=False).intersection(area)
         if isinstance(outline, MultiLineString):
             outline = linemerge(outline)
-        parts = _points([outline])
+        parts = _to_points([outline])
         if parts:
             outlines.append(np.concatenate(parts))
     return outlines
 
 
-def _joined(crossings: Sequence[Polygon]) -> list[Polygon | MultiPolygon]:
+def _join_crossings(crossings: Sequence[Polygon]) -> list[Polygon | MultiPolygon]:
     """Crossings, each with all later ones whose bounding box overlaps its own and whose long side is parallel."""
     if not crossings:
         return []
@@ -194,15 +196,15 @@ def _long_side(crossing: Polygon) -> Floats:
     return np.asarray(sides[longer] / lengths[longer])
 
 
-def _boundaries(roads: Sequence[shapely.Geometry]) -> list[Floats]:
+def _find_boundaries(roads: Sequence[shapely.Geometry]) -> list[Floats]:
     """Edges of the united roads: outlines first, then holes."""
-    united = _pieces([unary_union(_pieces(roads, Polygon))], Polygon)
-    outlines = [_wound(road.exterior, clockwise=True) for road in united]
-    holes = [_wound(hole, clockwise=False) for road in united for hole in road.interiors]
+    united = _split_pieces([unary_union(_split_pieces(roads, Polygon))], Polygon)
+    outlines = [_orient_ring(road.exterior, clockwise=True) for road in united]
+    holes = [_orient_ring(hole, clockwise=False) for road in united for hole in road.interiors]
     area = _local_area(_EDGE_M)
     cut = (ring.intersection(area) for ring in (*outlines, *holes))
-    return _points(linemerge(line) if isinstance(line, MultiLineString) else line for line in cut)
+    return _to_points(linemerge(line) if isinstance(line, MultiLineString) else line for line in cut)
 
 
-def _wound(ring: LinearRing, *, clockwise: bool) -> LinearRing:
+def _orient_ring(ring: LinearRing, *, clockwise: bool) -> LinearRing:
     return LinearRing(ring.coords[::-1]) if ring.is_ccw == clockwise else ring

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from benchmark.datasets.devkit_import import devkit_module
+from benchmark.datasets.devkit_import import import_devkit_module
 from benchmark.errors import InputError
 
 RepositoryName = Literal["uniad", "vad", "sparsedrive"]
@@ -58,7 +58,7 @@ REPOSITORIES: Final = {
 }
 
 
-def repository(name: str) -> Repository:
+def find_repository(name: str) -> Repository:
     """A repository by name; raises `InputError` for any other name."""
     for candidate in REPOSITORIES.values():
         if candidate.name == name:
@@ -75,7 +75,7 @@ def require_version(version: str, where: str) -> None:
         )
 
 
-def official_training_scenes(version: str) -> frozenset[str]:
+def list_official_training_scenes(version: str) -> frozenset[str]:
     """Scenes that a converter puts into the first file of a version: all others go into the second."""
-    splits = devkit_module("nuscenes.utils.splits")
+    splits = import_devkit_module("nuscenes.utils.splits")
     return frozenset({MINI: splits.mini_train, TRAINVAL: splits.train, TEST: splits.test}[version])

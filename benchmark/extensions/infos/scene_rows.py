@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 from benchmark.constants import LIDAR_NAME
-from benchmark.datasets.kept_tables import read_or_kept
+from benchmark.datasets.kept_tables import read_tables_cached
 from benchmark.datasets.scene_tables import SceneTables
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.tables import Row
@@ -18,7 +18,7 @@ ByToken = Mapping[str, Row]
 
 
 @dataclass(frozen=True)
-class SceneRows:
+class SceneTableRows:
     """Rows of one scene, in the order of the files.
 
     Attributes:
@@ -48,7 +48,7 @@ class SceneRows:
         return str(self.scene["name"])
 
     @cached_property
-    def in_time(self) -> tuple[Row, ...]:
+    def samples_in_time_order(self) -> tuple[Row, ...]:
         """The samples as their chain goes."""
         by_token = {row["token"]: row for row in self.samples}
         chain, token = [], self.scene["first_sample_token"]
@@ -97,7 +97,7 @@ class InfoTables:
     """
 
     def __init__(self, root: Path, version: str, rates: FaultList) -> None:
-        tables = read_or_kept(root / version, rates)
+        tables = read_tables_cached(root / version, rates)
         if tables is None:
             # Texts hash differently in each process.
             raise InputError(f"two tokens of {root / version} were taken for one by chance; run the same command again")
@@ -117,14 +117,14 @@ class InfoTables:
         """Where a scene was recorded."""
         return str(self._logs[scene["log_token"]]["location"])
 
-    def of_scenes(self, names: frozenset[str]) -> Iterator[SceneRows]:
+    def of_scenes(self, names: frozenset[str]) -> Iterator[SceneTableRows]:
         """Scenes by name, in the order of the table."""
-        return (self._of_scene(scene) for scene in self.scenes if scene["name"] in names)
+        return (self._read_scene(scene) for scene in self.scenes if scene["name"] in names)
 
-    def _of_scene(self, scene: Row) -> SceneRows:
+    def _read_scene(self, scene: Row) -> SceneTableRows:
         rows = self._tables.of_scene(scene["token"])
         numbers = {table: self._tables.numbers_of_scene(table, scene["token"]) for table in ("sample", "instance")}
-        return SceneRows(
+        return SceneTableRows(
             scene=scene,
             location=self.location(scene),
             samples=tuple(rows["sample"]),

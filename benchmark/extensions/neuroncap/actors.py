@@ -16,12 +16,12 @@ _NEARLY_EQUAL: Final = 0.999
 """Cosine of two quaternions above which the arc is not worth a sine."""
 
 
-def heading_of(pose: Floats) -> float:
+def compute_heading(pose: Floats) -> float:
     """Direction of a (4, 4) pose's x axis seen from above, radians."""
     return float(np.arctan2(pose[1, 0], pose[0, 0]))
 
 
-def pose_between(first: Floats, second: Floats, fraction: float) -> Floats:
+def interpolate_pose(first: Floats, second: Floats, fraction: float) -> Floats:
     """(4, 4) pose between two, 0 at the first and 1 at the second: linear in position, the shorter arc in rotation."""
     pose = np.eye(4)
     pose[:3, 3] = first[:3, 3] + fraction * (second[:3, 3] - first[:3, 3])
@@ -103,7 +103,7 @@ class Actor:
     def pose_at(self, time_us: int) -> Floats:
         """(4, 4) its pose at a time."""
         left, right, fraction = self.neighbours(time_us)
-        return pose_between(self.poses[left], self.poses[right], fraction)
+        return interpolate_pose(self.poses[left], self.poses[right], fraction)
 
     def velocity_at(self, time_us: int) -> Floats:
         """(3,) m/s of the step between stamps that a time lies in; standing where there is one stamp alone.

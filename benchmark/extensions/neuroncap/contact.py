@@ -17,17 +17,17 @@ from benchmark.constants import (
     EGO_WHEELBASE_M,
     EGO_WIDTH_M,
 )
-from benchmark.extensions.neuroncap.actors import FURTHER_VEHICLES, HIT_CLASSES, Actor, heading_of
+from benchmark.extensions.neuroncap.actors import FURTHER_VEHICLES, HIT_CLASSES, Actor, compute_heading
 from benchmark.geometry import Floats, box_corners, boxes_overlap
 from benchmark.pdm.definition import COMFORT_CENTER_AHEAD_M, WHEELBASE_M
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 
 SLIPPED_LENGTH_M: Final = 4.018
 """Of the ego's box in the published code: a slip of digits."""
 
 
 @dataclass(frozen=True, slots=True)
-class Car:
+class NeuroncapCar:
     """Numbers of the car.
 
     Attributes:
@@ -45,7 +45,7 @@ class Car:
     width_m: float
 
     @classmethod
-    def of(cls, switches: Switches) -> Self:
+    def of(cls, switches: NeuroncapSwitches) -> Self:
         """The car of a reading."""
         as_code = switches.vehicle == "code"
         rounded = switches.ego_length == "code"
@@ -77,7 +77,7 @@ class EgoMoment:
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class NeuroncapContact:
     """The first touch of a run.
 
     Attributes:
@@ -96,39 +96,41 @@ class Contact:
     actor_velocity: Floats
     is_target: bool
 
-    def impact_speed(self, switches: Switches) -> float:
+    def impact_speed(self, switches: NeuroncapSwitches) -> float:
         """Size of the difference of velocities, m/s; with ``impact_norm`` as paper in the plane."""
         difference = self.ego_velocity - self.actor_velocity
         return float(np.linalg.norm(difference if switches.impact_norm == "code" else difference[:2]))
 
 
-def box_of(pose: Floats, length: float, width: float, ahead: float = 0.0) -> Floats:
+def compute_box(pose: Floats, length: float, width: float, ahead: float = 0.0) -> Floats:
     """(5,) box of a (4, 4) pose, its centre so far ahead of it."""
     centre = pose[:2, 3] + ahead * pose[:2, 0]
-    return np.array([*centre, length, width, heading_of(pose)])
+    return np.array([*centre, length, width, compute_heading(pose)])
 
 
-def can_be_hit(kind: str, switches: Switches) -> bool:
+def can_be_hit(kind: str, switches: NeuroncapSwitches) -> bool:
     """Whether actors of a class count."""
     return kind in HIT_CLASSES or (switches.classes == "paper" and kind in FURTHER_VEHICLES)
 
 
-def touched(ego: EgoMoment, actors: Sequence[Actor], car: Car, switches: Switches) -> Contact | None:
+def find_contact(
+    ego: EgoMoment, actors: Sequence[Actor], car: NeuroncapCar, switches: NeuroncapSwitches
+) -> NeuroncapContact | None:
     """The first actor of the list, in the engine's order, that the ego's box meets; touching counts."""
-    own = box_of(ego.pose, car.length_m, car.width_m, car.box_ahead_m)
+    own = compute_box(ego.pose, car.length_m, car.width_m, car.box_ahead_m)
     for index, actor in enumerate(actors):
         if not can_be_hit(actor.kind, switches) or not actor.is_there(ego.time_us):
             continue
         if switches.contact_prefilter == "code" and _is_far(ego, actor, car):
             continue
         width, length = actor.size[:2].tolist()
-        other = box_of(actor.pose_at(ego.time_us), length, width)
+        other = compute_box(actor.pose_at(ego.time_us), length, width)
         if bool(boxes_overlap(own, other)):
-            return Contact(
+            return NeuroncapContact(
                 index=index,
                 uuid=actor.uuid,
                 time_us=ego.time_us,
-                iou=_iou(own, other),
+                iou=_compute_iou(own, other),
                 ego_velocity=ego.pose[:3, 0] * ego.speed,
                 actor_velocity=actor.velocity_at(ego.time_us),
                 is_target=actor.is_target,
@@ -136,13 +138,13 @@ def touched(ego: EgoMoment, actors: Sequence[Actor], car: Car, switches: Switche
     return None
 
 
-def _is_far(ego: EgoMoment, actor: Actor, car: Car) -> bool:
+def _is_far(ego: EgoMoment, actor: Actor, car: NeuroncapCar) -> bool:
     """Whether the published code leaves an actor out: by distance from the rear axle in space."""
     reach = 0.5 * np.hypot(car.length_m, car.width_m) + 0.5 * np.linalg.norm(actor.size) + _ROOM_M
     return bool(np.linalg.norm(actor.position_at(ego.time_us) - ego.pose[:3, 3]) > reach)
 
 
-def _iou(first: Floats, second: Floats) -> float:
+def _compute_iou(first: Floats, second: Floats) -> float:
     one, other = shapely.polygons(box_corners(np.stack([first, second])))
     shared = shapely.area(shapely.intersection(one, other))
     return float(shared / (shapely.area(one) + shapely.area(other) - shared))

@@ -6,7 +6,7 @@ One step is half a second of whole microseconds. In it the order is fixed:
    contact ends the run, and the plan is dropped;
 2. while priming, the next recorded frame is taken; afterwards the car drives.
 
-So a state is checked one step late, as in the published code, and the last one that was planned from by `finished`.
+So a state is checked one step late, as in the published code, and the last one that was planned from by `finish_run`.
 
 Open-loop rates that NeuroNCAP gives beside its score: each plan laid out rigidly against what actors will do.
 
@@ -21,22 +21,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEP_S, PLAN_STEPS
-from benchmark.extensions.neuroncap.actors import Actor, pose_between
-from benchmark.extensions.neuroncap.contact import Car, Contact, EgoMoment, touched
-from benchmark.extensions.neuroncap.plan_path import WAYPOINT_US, usable_waypoints
-from benchmark.extensions.neuroncap.recording import Recording, Singles
-from benchmark.extensions.neuroncap.staging import Staged
-from benchmark.extensions.neuroncap.vehicle import STEP_US, DrivenStep, Vehicle, driven
+from benchmark.extensions.neuroncap.actors import Actor, interpolate_pose
+from benchmark.extensions.neuroncap.contact import EgoMoment, NeuroncapCar, NeuroncapContact, find_contact
+from benchmark.extensions.neuroncap.plan_path import WAYPOINT_US, read_waypoints
+from benchmark.extensions.neuroncap.recording import NeuroncapRecording, Singles
+from benchmark.extensions.neuroncap.staging import StagedRun
+from benchmark.extensions.neuroncap.vehicle import STEP_US, Vehicle, VehicleStep, drive_plan
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
 from benchmark.planning import Command
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 
 _AHEAD_S: Final = 3.0
 _SLOWEST_M_S: Final = 2.0
 _EXTENSION_M: Final = 100.0
 
 
-def extended_path(path: Floats, switches: Switches) -> Floats:
+def extend_path(path: Floats, switches: NeuroncapSwitches) -> Floats:
     """The recorded (F, 3) path of x, y, yaw, continued for 100 m as (F + 1, 2) positions.
 
     The switches decide whether the continuation divides by the norm of the last step with its turn in it, or follows
@@ -55,13 +55,13 @@ def extended_path(path: Floats, switches: Switches) -> Floats:
     return np.concatenate([path[:, :2], end[None]])
 
 
-def command_at(pose: Floats, speed: float, path: Floats, switches: Switches) -> Command:
+def compute_command(pose: Floats, speed: float, path: Floats, switches: NeuroncapSwitches) -> Command:
     """Command of a state: a (4, 4) pose of the rear axle, m/s, and the recording's (F, 3) path.
 
     Left or right where the point of the path that is nearest to the point three seconds straight ahead lies more than 2
     m to that side.
     """
-    extended = extended_path(path, switches)
+    extended = extend_path(path, switches)
     ahead = (pose @ np.array([_AHEAD_S * max(speed, _SLOWEST_M_S), 0.0, 0.0, 1.0]))[:2]
     start, step = extended[:-1], np.diff(extended, axis=0)
     squared = np.sum(step**2, axis=1)
@@ -81,13 +81,15 @@ _STILL_M: Final = 0.2
 """Next waypoints nearer than this to the origin give no heading."""
 
 
-def future_hits(future: Sequence[EgoMoment], actors: Sequence[Actor], car: Car, switches: Switches) -> tuple[bool, ...]:
-    """Whether a plan touches an actor at 0.5, 1.0 .. 3.0 s: six verdicts on `future_moments`."""
-    contacts = (touched(moment, actors, car, switches) for moment in future)
+def find_future_hits(
+    future: Sequence[EgoMoment], actors: Sequence[Actor], car: NeuroncapCar, switches: NeuroncapSwitches
+) -> tuple[bool, ...]:
+    """Whether a plan touches an actor at 0.5, 1.0 .. 3.0 s: six verdicts on `compute_future_moments`."""
+    contacts = (find_contact(moment, actors, car, switches) for moment in future)
     return tuple(contact is not None for contact in contacts)
 
 
-def future_moments(time_us: int, pose: Floats, plan: ArrayLike, switches: Switches) -> list[EgoMoment]:
+def compute_future_moments(time_us: int, pose: Floats, plan: ArrayLike, switches: NeuroncapSwitches) -> list[EgoMoment]:
     """A plan, (6, 2) x forward and y left, laid out rigidly from the (4, 4) pose of the rear axle.
 
     Args:
@@ -118,7 +120,7 @@ _NO_TIME_S: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class NeuroncapEgoState:
     """The ego at a planning instant.
 
     Attributes:
@@ -137,11 +139,11 @@ class State:
         """Size of the planar velocity that the CAN row has, m/s, in its precision."""
         return np.float32(np.linalg.norm(self.canbus[13:15]))
 
-    def moment(self, switches: Switches) -> EgoMoment:
+    def moment(self, switches: NeuroncapSwitches) -> EgoMoment:
         """The ego as contact sees it."""
         return EgoMoment(self.time_us, self.pose, float(self.impact_speed(switches)))
 
-    def impact_speed(self, switches: Switches) -> np.float32:
+    def impact_speed(self, switches: NeuroncapSwitches) -> np.float32:
         """Speed along the heading that counts at a contact: that of the centre, or of the rear axle."""
         return self.speed if switches.impact_speed_of_ego == "code" else np.float32(self.canbus[13])
 
@@ -158,25 +160,25 @@ class Engine:
         check_futures: Whether plans are laid out against the future too.
     """
 
-    recording: Recording
+    recording: NeuroncapRecording
     path: Floats
     actors: tuple[Actor, ...]
     start_frame: int
     end_us: int
     priming_steps: int
-    switches: Switches
-    car: Car
+    switches: NeuroncapSwitches
+    car: NeuroncapCar
     check_futures: bool = False
 
     @classmethod
     def of(
         cls,
-        recording: Recording,
-        run: Staged,
+        recording: NeuroncapRecording,
+        run: StagedRun,
         *,
         priming_steps: int,
         renderer_knows: frozenset[str],
-        switches: Switches,
+        switches: NeuroncapSwitches,
         check_futures: bool = False,
     ) -> "Engine":
         """An engine for one run.
@@ -197,27 +199,27 @@ class Engine:
             end_us=run.end_us,
             priming_steps=priming_steps,
             switches=switches,
-            car=Car.of(switches),
+            car=NeuroncapCar.of(switches),
             check_futures=check_futures,
         )
 
-    def frame(self, number: int) -> State:
+    def frame(self, number: int) -> NeuroncapEgoState:
         """A recorded frame as a state."""
         recording = self.recording
-        return State(int(recording.times[number]), recording.poses[number], recording.canbus[number], False)
+        return NeuroncapEgoState(int(recording.times[number]), recording.poses[number], recording.canbus[number], False)
 
 
 @dataclass(frozen=True, slots=True)
-class Waiting:
+class UncheckedState:
     """A state that is not checked yet, with the one before and the plan made from it, ``None`` where there is none."""
 
-    before: State | None
-    state: State
+    before: NeuroncapEgoState | None
+    state: NeuroncapEgoState
     plan: Floats | None
 
 
 @dataclass(frozen=True, slots=True)
-class World:
+class NeuroncapWorld:
     """A run at a planning instant.
 
     Attributes:
@@ -230,32 +232,32 @@ class World:
     """
 
     step: int
-    state: State
+    state: NeuroncapEgoState
     vehicle: Vehicle | None = None
-    before: State | None = None
-    waiting: Waiting | None = None
+    before: NeuroncapEgoState | None = None
+    waiting: UncheckedState | None = None
     checked: int = 0
-    contact: Contact | None = None
+    contact: NeuroncapContact | None = None
     future_hits: tuple[int, ...] = (0,) * PLAN_STEPS
-    last: DrivenStep | None = None
+    last: VehicleStep | None = None
 
 
-def begin(engine: Engine) -> World:
+def begin(engine: Engine) -> NeuroncapWorld:
     """The world at the start frame."""
-    return World(step=0, state=engine.frame(engine.start_frame))
+    return NeuroncapWorld(step=0, state=engine.frame(engine.start_frame))
 
 
-def goes_on(engine: Engine, world: World) -> bool:
+def is_running(engine: Engine, world: NeuroncapWorld) -> bool:
     """Whether a plan is wanted: no actor was touched as far as is known, and time is left."""
     return world.contact is None and world.state.time_us < engine.end_us
 
 
-def command_of(engine: Engine, world: World) -> Command:
+def find_command(engine: Engine, world: NeuroncapWorld) -> Command:
     """The driving command of a world's state."""
-    return command_at(world.state.pose, float(world.state.speed), engine.path, engine.switches)
+    return compute_command(world.state.pose, float(world.state.speed), engine.path, engine.switches)
 
 
-def step(engine: Engine, world: World, plan: ArrayLike) -> World:
+def step(engine: Engine, world: NeuroncapWorld, plan: ArrayLike) -> NeuroncapWorld:
     """Advance a world by half a second.
 
     Args:
@@ -268,26 +270,28 @@ def step(engine: Engine, world: World, plan: ArrayLike) -> World:
     Raises:
         UnusablePlanError: If the plan has no numbers to drive by.
     """
-    world = _checked(engine, world)
+    world = _check_waiting(engine, world)
     if world.contact is not None:
         return world
-    waypoints = np.asarray(usable_waypoints(plan, engine.switches), np.float64)
-    waiting = Waiting(world.before, world.state, waypoints)
-    state, vehicle, last = _advanced(engine, world, plan)
+    waypoints = np.asarray(read_waypoints(plan, engine.switches), np.float64)
+    waiting = UncheckedState(world.before, world.state, waypoints)
+    state, vehicle, last = _advance(engine, world, plan)
     return replace(
         world, step=world.step + 1, state=state, vehicle=vehicle, before=world.state, waiting=waiting, last=last
     )
 
 
-def finished(engine: Engine, world: World) -> World:
+def finish_run(engine: Engine, world: NeuroncapWorld) -> NeuroncapWorld:
     """The world after its last state was checked; with ``last_state`` as paper also the state that was reached."""
-    world = _checked(engine, world)
+    world = _check_waiting(engine, world)
     if world.contact is None and engine.switches.last_state == "paper":
-        world = _checked(engine, replace(world, waiting=Waiting(world.before, world.state, None)))
+        world = _check_waiting(engine, replace(world, waiting=UncheckedState(world.before, world.state, None)))
     return world
 
 
-def _advanced(engine: Engine, world: World, plan: ArrayLike) -> tuple[State, Vehicle | None, DrivenStep | None]:
+def _advance(
+    engine: Engine, world: NeuroncapWorld, plan: ArrayLike
+) -> tuple[NeuroncapEgoState, Vehicle | None, VehicleStep | None]:
     if world.step < engine.priming_steps:
         return engine.frame(engine.start_frame + world.step + 1), None, None
     state, switches = world.state, engine.switches
@@ -296,31 +300,33 @@ def _advanced(engine: Engine, world: World, plan: ArrayLike) -> tuple[State, Veh
         frame = engine.priming_steps + (engine.start_frame if switches.steering_index == "paper" else 0)
         wheel = float(engine.recording.steering_wheel[frame])
         vehicle = Vehicle.start(state.pose, state.canbus, wheel, switches)
-    last = driven(vehicle, plan, state.time_us, engine.car, switches)
+    last = drive_plan(vehicle, plan, state.time_us, engine.car, switches)
     row = last.vehicle.canbus(engine.car, switches)
-    return State(state.time_us + STEP_US, last.vehicle.pose, row, True), last.vehicle, last
+    return NeuroncapEgoState(state.time_us + STEP_US, last.vehicle.pose, row, True), last.vehicle, last
 
 
-def _checked(engine: Engine, world: World) -> World:
+def _check_waiting(engine: Engine, world: NeuroncapWorld) -> NeuroncapWorld:
     """The world with the waiting state checked, if there is one."""
     waiting = world.waiting
     if waiting is None:
         return world
     switches, contact = engine.switches, None
-    for moment in moments(waiting.before, waiting.state, switches):
-        contact = touched(moment, engine.actors, engine.car, switches)
+    for moment in compute_moments(waiting.before, waiting.state, switches):
+        contact = find_contact(moment, engine.actors, engine.car, switches)
         if contact is not None:
             break
     hits = world.future_hits
     if engine.check_futures and waiting.plan is not None and len(waiting.plan) == PLAN_STEPS:
         state = waiting.state
-        future = future_moments(state.time_us, state.pose, waiting.plan, switches)
-        plan_hits = future_hits(future, engine.actors, engine.car, switches)
+        future = compute_future_moments(state.time_us, state.pose, waiting.plan, switches)
+        plan_hits = find_future_hits(future, engine.actors, engine.car, switches)
         hits = tuple(count + hit for count, hit in zip(hits, plan_hits))
     return replace(world, waiting=None, checked=world.checked + 1, contact=contact, future_hits=hits)
 
 
-def moments(before: State | None, state: State, switches: Switches) -> list[EgoMoment]:
+def compute_moments(
+    before: NeuroncapEgoState | None, state: NeuroncapEgoState, switches: NeuroncapSwitches
+) -> list[EgoMoment]:
     """Instants at which a state is checked, in order of time: its own, or ten on the way to it.
 
     Args:
@@ -334,6 +340,6 @@ def moments(before: State | None, state: State, switches: Switches) -> list[EgoM
         fraction = instant * _INSTANT_US / 1e6 / (_STEP_S + _NO_TIME_S)
         first, second = before.impact_speed(switches), state.impact_speed(switches)
         speed = np.float32(first + np.float32(instant / _INSTANTS) * np.float32(second - first))
-        pose = pose_between(before.pose, state.pose, fraction)
+        pose = interpolate_pose(before.pose, state.pose, fraction)
         instants.append(EgoMoment(before.time_us + instant * _INSTANT_US, pose, float(speed)))
     return instants

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.dynamics.reference_path import fitted_curvature
+from benchmark.dynamics.reference_path import fit_curvature
 from benchmark.geometry import Floats, wrap_angle
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 
 Waypoints = NDArray[np.floating[Any]]
 """(N, 2 or more), in single or double precision."""
@@ -57,7 +57,7 @@ class PlanPath:
         return np.asarray(np.interp(seconds, starts, profile))
 
 
-def usable_waypoints(plan: ArrayLike, switches: Switches) -> Waypoints:
+def read_waypoints(plan: ArrayLike, switches: NeuroncapSwitches) -> Waypoints:
     """A plan as the engine takes it: (N, 2 or more), x forward and y left of the rear axle, metres, 0.5 s apart.
 
     The switches decide whether it is rounded to single precision.
@@ -78,16 +78,16 @@ def usable_waypoints(plan: ArrayLike, switches: Switches) -> Waypoints:
     return waypoints
 
 
-def means_stopping(waypoints: Waypoints) -> bool:
+def is_stopping_plan(waypoints: Waypoints) -> bool:
     """Whether a plan ends less than 1 m away; columns beyond x and y count, as in the published code."""
     return bool(np.linalg.norm(waypoints[-1]) < NEAREST_M)
 
 
-def path_of(waypoints: Waypoints, plan_us: int, start_us: int) -> PlanPath:
+def build_path(waypoints: Waypoints, plan_us: int, start_us: int) -> PlanPath:
     """Path that a plan describes.
 
     Args:
-        waypoints: From `usable_waypoints`, the last one not near.
+        waypoints: From `read_waypoints`, the last one not near.
         plan_us: Time that the plan was made for; waypoint i is 0.5 (i + 1) s later.
         start_us: Time at which the path leaves the origin of the plan's frame, less than 0.5 s later.
     """
@@ -95,7 +95,7 @@ def path_of(waypoints: Waypoints, plan_us: int, start_us: int) -> PlanPath:
     times = np.concatenate([[start_us], plan_us + WAYPOINT_US * (1 + np.flatnonzero(far_enough))])
     knots = np.zeros((len(times), 3))
     knots[1:, :2] = waypoints[far_enough, :2]
-    knots[1:, 2] = _headings(waypoints)[far_enough]
+    knots[1:, 2] = _compute_headings(waypoints)[far_enough]
     knots[:, 2] = np.unwrap(knots[:, 2])
     offsets_us = np.arange(start_us, int(times[-1]) + 1, SUBSTEP_US) - start_us
     poses = np.column_stack([np.interp(offsets_us, times - start_us, column) for column in knots.T])
@@ -104,11 +104,11 @@ def path_of(waypoints: Waypoints, plan_us: int, start_us: int) -> PlanPath:
     speed = _speed_fit(len(step)) @ (step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading))
     turns = wrap_angle(step[:, 2])
     penalty = _CURVATURE_RATE_PENALTY / SUBSTEP_S**2
-    curvature = fitted_curvature(SUBSTEP_S * speed[:, None], turns[:, None], penalty)[:, 0]
+    curvature = fit_curvature(SUBSTEP_S * speed[:, None], turns[:, None], penalty)[:, 0]
     return PlanPath(start_us, poses, speed, curvature)
 
 
-def _headings(waypoints: Waypoints) -> Floats:
+def _compute_headings(waypoints: Waypoints) -> Floats:
     """(N,) direction from the waypoint before (the origin before the first) to the one after.
 
     In single precision they pass through cosine and sine, as rotations do in the published code.

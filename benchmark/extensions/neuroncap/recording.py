@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.can_bus import CanMessages
 from benchmark.datasets.schema.beside import CAN_BUS, CAN_BUS_POSE
-from benchmark.datasets.schema.tables import Kind
+from benchmark.datasets.schema.tables import ValueKind
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.actors import FURTHER_VEHICLES, KEPT_CLASSES, Actor, Integers, heading_of
+from benchmark.extensions.neuroncap.actors import FURTHER_VEHICLES, KEPT_CLASSES, Actor, Integers, compute_heading
 from benchmark.extensions.neuroncap.scenarios import STEP_S, Jitter, Scenario, ScenarioActor
 from benchmark.geometry import Floats, transform_matrix
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 from benchmark.scene import Scene
 
 Singles = NDArray[np.float32]
@@ -29,7 +29,7 @@ CAN_COLUMNS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class NeuroncapRecording:
     """One scene with F keyframes.
 
     Attributes:
@@ -48,10 +48,10 @@ class Recording:
     @property
     def path(self) -> Floats:
         """(F, 3) x, y, yaw of all frames."""
-        return np.array([[*pose[:2, 3], heading_of(pose)] for pose in self.poses])
+        return np.array([[*pose[:2, 3], compute_heading(pose)] for pose in self.poses])
 
 
-def at_frames(times: Integers, message_times: Integers, values: Floats) -> Singles:
+def select_messages(times: Integers, message_times: Integers, values: Floats) -> Singles:
     """Messages of frames in single precision: the first one at or after each, the last one if none is.
 
     (F,) times of frames, (M,) rising times of messages and (M, ...) values become (F, ...).
@@ -60,14 +60,14 @@ def at_frames(times: Integers, message_times: Integers, values: Floats) -> Singl
     return np.asarray(values[at], np.float32)
 
 
-def steering_at_frames(times: Integers, message_times: Integers, degrees: Floats) -> Singles:
+def select_steering(times: Integers, message_times: Integers, degrees: Floats) -> Singles:
     """(F,) angle of the steering wheel in radians, from (M,) messages in degrees."""
     # Times pi, then by 180, each rounded, as in the published code.
-    return np.asarray(at_frames(times, message_times, degrees) * np.float32(np.pi) / np.float32(180), np.float32)
+    return np.asarray(select_messages(times, message_times, degrees) * np.float32(np.pi) / np.float32(180), np.float32)
 
 
 @dataclass(frozen=True, slots=True)
-class Annotations:
+class NeuroncapAnnotations:
     """A annotations of I instances, in the data set's order.
 
     Attributes:
@@ -89,7 +89,7 @@ class Annotations:
     categories: Sequence[str]
 
 
-def actors_of(annotations: Annotations, times: Integers, switches: Switches) -> tuple[Actor, ...]:
+def build_actors(annotations: NeuroncapAnnotations, times: Integers, switches: NeuroncapSwitches) -> tuple[Actor, ...]:
     """Actors of the recording's own that are of the classes the engine keeps, in order of first appearance.
 
     The size is that of the first annotation, and a gap between annotations is driven through in a straight line. The
@@ -123,7 +123,7 @@ _CROSSING_S: Final = 5.0
 """Before and after the meeting."""
 
 
-def own_scenarios(recording: Recording) -> dict[str, Scenario]:
+def build_own_scenarios(recording: NeuroncapRecording) -> dict[str, Scenario]:
     """Scenarios of a recording by family; none where it is too short, has no car, or its ego hardly moves."""
     meeting = START_FRAME + MEETING_FRAMES
     cars = tuple(actor.uuid for actor in recording.actors if actor.kind == "car")[:_CANDIDATES]
@@ -134,17 +134,17 @@ def own_scenarios(recording: Recording) -> dict[str, Scenario]:
     yaw = float(recording.path[meeting, 2])
     place, seconds = recording.poses[meeting, :3, 3], (recording.times - recording.times[0]) / 1e6
     stands = (np.array([0.0, float(seconds[-1])]), np.stack([place, place]))
-    oncoming = _oncoming(recording, seconds, meeting)
+    oncoming = _build_oncoming_track(recording, seconds, meeting)
     aside = _CROSSING_M_S * _CROSSING_S * np.array([-np.sin(yaw), np.cos(yaw), 0.0])
     crosses = (seconds[meeting] + np.array([-_CROSSING_S, _CROSSING_S]), np.stack([place - aside, place + aside]))
     return {
-        "stationary": _scenario(cars, *stands, yaw, Jitter(3.0, 1.0, yaw, 0.5)),
-        "frontal": _scenario(cars, *oncoming, yaw + np.pi, Jitter(3.0, 0.75, yaw)),
-        "side": _scenario(cars, *crosses, yaw + np.pi / 2, Jitter(1.0, 0.5, yaw + np.pi / 2)),
+        "stationary": _build_scenario(cars, *stands, yaw, Jitter(3.0, 1.0, yaw, 0.5)),
+        "frontal": _build_scenario(cars, *oncoming, yaw + np.pi, Jitter(3.0, 0.75, yaw)),
+        "side": _build_scenario(cars, *crosses, yaw + np.pi / 2, Jitter(1.0, 0.5, yaw + np.pi / 2)),
     }
 
 
-def _oncoming(recording: Recording, seconds: Floats, meeting: int) -> tuple[Floats, Floats]:
+def _build_oncoming_track(recording: NeuroncapRecording, seconds: Floats, meeting: int) -> tuple[Floats, Floats]:
     """Times and places of an actor that comes the ego's way backwards, as fast as the ego came.
 
     Beyond the end of the recording the way goes on straight; it begins so far ahead that it does not appear from
@@ -157,7 +157,7 @@ def _oncoming(recording: Recording, seconds: Floats, meeting: int) -> tuple[Floa
     return times, places + np.maximum(mirrored_times - seconds[-1], 0.0)[:, None] * last
 
 
-def _scenario(cars: tuple[str, ...], times: Floats, positions: Floats, yaw: float, jitter: Jitter) -> Scenario:
+def _build_scenario(cars: tuple[str, ...], times: Floats, positions: Floats, yaw: float, jitter: Jitter) -> Scenario:
     target = ScenarioActor(
         mode="override",
         uuids=cars,
@@ -171,30 +171,33 @@ def _scenario(cars: tuple[str, ...], times: Floats, positions: Floats, yaw: floa
     return Scenario(START_FRAME, PRIMING_STEPS, DURATION_S, start_jitter=1, actors=(target,))
 
 
-_POSE: Final[dict[str, Kind]] = {
+_POSE: Final[dict[str, ValueKind]] = {
     "utime": CAN_BUS["pose"]["utime"],
     **CAN_BUS_POSE,
     **{name: CAN_BUS["pose"][name] for name in ("accel", "rotation_rate", "vel")},
 }
 """Fields of a CAN row, in its order."""
-_WHEEL: Final[dict[str, Kind]] = {
+_WHEEL: Final[dict[str, ValueKind]] = {
     "utime": CAN_BUS["pose"]["utime"],
     "steer_corrected": CAN_BUS["steeranglefeedback"]["value"],
 }
 
 
-def recording_of(scene: Scene, root: Path, switches: Switches) -> Recording:
+def read_recording(scene: Scene, root: Path, switches: NeuroncapSwitches) -> NeuroncapRecording:
     """A scene as the engine reads it, with the CAN bus below the root of its data set, which it must have."""
     times = scene.timestamps_us[scene.keyframes]
-    motion, wheel = _messages(root, scene.name, "pose", _POSE), _messages(root, scene.name, "zoe_veh_info", _WHEEL)
+    motion, wheel = (
+        _read_messages(root, scene.name, "pose", _POSE),
+        _read_messages(root, scene.name, "zoe_veh_info", _WHEEL),
+    )
     ego = scene.ego
     poses = [transform_matrix(ego.rotation[frame], ego.position[frame]) for frame in scene.keyframes]
-    return Recording(
+    return NeuroncapRecording(
         times=times,
         poses=np.array(poses),
-        canbus=at_frames(times, motion.times_us, motion.values),
-        steering_wheel=steering_at_frames(times, wheel.times_us, wheel.values[:, 0]),
-        actors=actors_of(annotations_of(scene), times, switches),
+        canbus=select_messages(times, motion.times_us, motion.values),
+        steering_wheel=select_steering(times, wheel.times_us, wheel.values[:, 0]),
+        actors=build_actors(read_annotations(scene), times, switches),
     )
 
 
@@ -203,7 +206,7 @@ def has_can_bus(scene: str, root: Path) -> bool:
     return all((root / "can_bus" / f"{scene}_{message}.json").is_file() for message in ("pose", "zoe_veh_info"))
 
 
-def _messages(root: Path, scene: str, message: str, fields: dict[str, Kind]) -> CanMessages:
+def _read_messages(root: Path, scene: str, message: str, fields: dict[str, ValueKind]) -> CanMessages:
     path = root / "can_bus" / f"{scene}_{message}.json"
     messages = CanMessages.read(path, fields)
     if messages is None:
@@ -214,12 +217,12 @@ def _messages(root: Path, scene: str, message: str, fields: dict[str, Kind]) -> 
     return messages
 
 
-def annotations_of(scene: Scene) -> Annotations:
+def read_annotations(scene: Scene) -> NeuroncapAnnotations:
     """Annotations keyframe by keyframe, each in the data set's order."""
     known = scene.annotations
     frame, agent = np.nonzero(known.valid.T)
     size: Floats = known.size[agent, frame][:, [1, 0, 2]]
-    return Annotations(
+    return NeuroncapAnnotations(
         frame=frame,
         instance=agent,
         translation=known.position[agent, frame],

@@ -11,46 +11,46 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.closed_loop.default_engine import recorded_motion
+from benchmark.closed_loop.default_engine import build_recorded_motion
 from benchmark.closed_loop.riding import (
     TICK_US,
-    Motion,
+    CollisionEvent,
+    EpisodeMotion,
     RecordedCan,
-    Ride,
-    Touch,
-    UndrivablePlanError,
-    require_room,
+    RejectedPlanError,
+    SimulationState,
+    require_enough_keyframes,
 )
-from benchmark.extensions.neuroncap.actors import Actor, Integers, heading_of
-from benchmark.extensions.neuroncap.contact import box_of
+from benchmark.extensions.neuroncap.actors import Actor, Integers, compute_heading
+from benchmark.extensions.neuroncap.contact import compute_box
 from benchmark.extensions.neuroncap.loop import (
     Engine,
-    State,
-    World,
+    NeuroncapEgoState,
+    NeuroncapWorld,
     begin,
-    command_of,
-    finished,
-    goes_on,
+    find_command,
+    finish_run,
+    is_running,
     step,
 )
 from benchmark.extensions.neuroncap.plan_path import SUBSTEP_US, UnusablePlanError
 from benchmark.extensions.neuroncap.recording import (
-    Recording,
-    actors_of,
-    annotations_of,
+    NeuroncapRecording,
+    build_actors,
+    build_own_scenarios,
     has_can_bus,
-    own_scenarios,
-    recording_of,
+    read_annotations,
+    read_recording,
 )
-from benchmark.extensions.neuroncap.scenarios import Scenario, official_scenarios
-from benchmark.extensions.neuroncap.score import reference_speed, score_of
-from benchmark.extensions.neuroncap.staging import Cast, staged
+from benchmark.extensions.neuroncap.scenarios import Scenario, read_official_scenarios
+from benchmark.extensions.neuroncap.score import compute_reference_speed, score_run
+from benchmark.extensions.neuroncap.staging import RenderableActors, stage_run
 from benchmark.geometry import Floats, transform_matrix
-from benchmark.interactions.tracks import Tracks
-from benchmark.pdm.motion import headed
+from benchmark.interactions.tracks import ContinuousTracks
+from benchmark.pdm.motion import plan_to_poses
 from benchmark.planning import Command, Plan
 from benchmark.records.drive_schema import OWN, RECORDED, NeuroncapScore
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 from benchmark.scene import Scene
 
 _ACCELERATION, _RATE, _VELOCITY = slice(7, 10), slice(10, 13), slice(13, 16)
@@ -63,14 +63,14 @@ _COLUMNS: Final = [0, 1, 2, 3, 4, 6, 5]
 
 
 @dataclass(frozen=True, slots=True)
-class NeuroncapRides:
+class NeuroncapBackend:
     """Makes rides of NeuroNCAP's engine.
 
     Attributes:
         scenarios: ``recorded``: scenes as they are; ``own`` or ``official``: with scenarios, by family.
     """
 
-    switches: Switches
+    switches: NeuroncapSwitches
     scenarios: str = RECORDED
 
     @property
@@ -83,27 +83,29 @@ class NeuroncapRides:
         if self.scenarios == RECORDED:
             return ("",)
         scene, can = read()
-        return tuple(scenarios_of(scene.name, recording_for(scene, can, self.switches), self.scenarios))
+        return tuple(find_scenarios(scene.name, build_recording(scene, can, self.switches), self.scenarios))
 
-    def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> list[Ride | UndrivablePlanError]:
+    def advance_together(
+        self, rides: Sequence[SimulationState], plans: Sequence[Plan]
+    ) -> list[SimulationState | RejectedPlanError]:
         """Half a second of several rides, one after the other: this engine knows one car."""
-        return [_after(state, plan) for state, plan in zip(rides, plans, strict=True)]
+        return [_advance(state, plan) for state, plan in zip(rides, plans, strict=True)]
 
-    def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "NeuroncapRide":
+    def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "NeuroncapSimulationState":
         """The ride at its first planning instant.
 
         Raises:
             InputError: If the scene is too short to be driven and scored.
         """
-        require_room(scene, _FEWEST_TICKS)
-        recording = recording_for(scene, can, self.switches)
+        require_enough_keyframes(scene, _FEWEST_TICKS)
+        recording = build_recording(scene, can, self.switches)
         scenario = WITHOUT_SCENARIO
         if family:
             recording = replace(
                 recording, actors=tuple(replace(recorded_actor, is_target=False) for recorded_actor in recording.actors)
             )
-            scenario = scenarios_of(scene.name, recording, self.scenarios)[family]
-        drawn = staged(scenario, run, recording.times, Cast.of(recording.actors), self.switches)
+            scenario = find_scenarios(scene.name, recording, self.scenarios)[family]
+        drawn = stage_run(scenario, run, recording.times, RenderableActors.of(recording.actors), self.switches)
         engine = Engine.of(
             recording,
             drawn,
@@ -112,21 +114,23 @@ class NeuroncapRides:
             switches=self.switches,
         )
         # A run that could not be scored at its end is refused before anybody plans.
-        reference_speed(recording, engine.start_frame, _target(engine), self.switches)
+        compute_reference_speed(recording, engine.start_frame, _find_target(engine), self.switches)
         world = begin(engine)
-        frame, crowd = int(scene.keyframes[engine.start_frame]), Crowd.of(scene, engine)
-        return NeuroncapRide(scene, engine, world, crowd, crowd.around(recorded_motion(scene, frame, frame)))
+        frame, crowd = int(scene.keyframes[engine.start_frame]), AgentTracks.of(scene, engine)
+        return NeuroncapSimulationState(
+            scene, engine, world, crowd, crowd.around(build_recorded_motion(scene, frame, frame))
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class NeuroncapRide:
-    """Ride of NeuroNCAP's engine; see `benchmark.closed_loop.riding.Ride`."""
+class NeuroncapSimulationState:
+    """Ride of NeuroNCAP's engine; see `benchmark.closed_loop.riding.SimulationState`."""
 
     scene: Scene
     engine: Engine
-    world: World
-    crowd: "Crowd"
-    motion: Motion
+    world: NeuroncapWorld
+    crowd: "AgentTracks"
+    motion: EpisodeMotion
 
     @property
     def start(self) -> int:
@@ -139,14 +143,14 @@ class NeuroncapRide:
         return self.engine.priming_steps + 1
 
     @property
-    def goes_on(self) -> bool:
+    def is_running(self) -> bool:
         """Whether a plan is wanted."""
-        return goes_on(self.engine, self.world)
+        return is_running(self.engine, self.world)
 
     @property
     def command(self) -> Command:
         """The engine's own."""
-        return command_of(self.engine, self.world)
+        return find_command(self.engine, self.world)
 
     @property
     def can(self) -> Floats:
@@ -160,12 +164,12 @@ class NeuroncapRide:
         return
 
     @property
-    def passed(self) -> tuple[Touch, ...]:
+    def passed(self) -> tuple[CollisionEvent, ...]:
         """Every contact ends a run."""
         return ()
 
     @property
-    def touch(self) -> Touch | None:
+    def touch(self) -> CollisionEvent | None:
         """The first contact."""
         contact, car = self.world.contact, self.engine.car
         if contact is None:
@@ -175,94 +179,94 @@ class NeuroncapRide:
         pose = transform_matrix([np.cos(moment[2] / 2), 0.0, 0.0, np.sin(moment[2] / 2)], [*moment[:2], 0.0])
         actor = self.engine.actors[contact.index]
         width, length = actor.size[:2].tolist()
-        return Touch(
+        return CollisionEvent(
             agent=agent,
             uuid=contact.uuid,
             category=self.scene.agents.categories[agent],
             time_us=contact.time_us,
-            ego=box_of(pose, car.length_m, car.width_m, car.box_ahead_m),
+            ego=compute_box(pose, car.length_m, car.width_m, car.box_ahead_m),
             ego_speed=float(np.linalg.norm(contact.ego_velocity)),
-            other=box_of(actor.pose_at(contact.time_us), length, width),
+            other=compute_box(actor.pose_at(contact.time_us), length, width),
             other_velocity=contact.actor_velocity[:2],
         )
 
-    def after(self, plan: Plan) -> "NeuroncapRide":
-        """Half a second later; raises `UndrivablePlanError`."""
-        waypoints = headed(plan, float(self.scene.lidar.translation[0]))[:, :2]
+    def after(self, plan: Plan) -> "NeuroncapSimulationState":
+        """Half a second later; raises `RejectedPlanError`."""
+        waypoints = plan_to_poses(plan, float(self.scene.lidar.translation[0]))[:, :2]
         try:
             world = step(self.engine, self.world, waypoints)
         except UnusablePlanError as error:
-            raise UndrivablePlanError(str(error)) from error
+            raise RejectedPlanError(str(error)) from error
         if world.state is self.world.state:
             return replace(self, world=world)
         if world.last is None:
             last = int(self.scene.keyframes[self.engine.start_frame + world.step])
-            later = self.crowd.around(recorded_motion(self.scene, last - self._frames_before(last) + 1, last))
+            later = self.crowd.around(build_recorded_motion(self.scene, last - self._frames_before(last) + 1, last))
         else:
-            later = self.crowd.motion(*_driven(self.world.state, world))
+            later = self.crowd.motion(*_compute_substeps(self.world.state, world))
         return replace(self, world=world, motion=self.motion.then(later))
 
     def _frames_before(self, frame: int) -> int:
         """Frames since the last instant of the motion."""
         return frame - int(np.searchsorted(self.scene.timestamps_us, self.motion.times_us[-1]))
 
-    def finished(self) -> "NeuroncapRide":
+    def finished(self) -> "NeuroncapSimulationState":
         """The same with its last state checked."""
-        return replace(self, world=finished(self.engine, self.world))
+        return replace(self, world=finish_run(self.engine, self.world))
 
     def neuroncap_score(self) -> NeuroncapScore:
         """The engine's score of a finished ride."""
-        run_score = score_of(self.engine, self.world)
+        run_score = score_run(self.engine, self.world)
         score = None if np.isnan(run_score.score) else run_score.score
         return NeuroncapScore(score, run_score.impact_speed, run_score.reference_speed)
 
 
-def scenarios_of(name: str, recording: Recording, which: str) -> dict[str, Scenario]:
+def find_scenarios(name: str, recording: NeuroncapRecording, which: str) -> dict[str, Scenario]:
     """Scenarios of a scene by family, ``own`` or ``official``, which are for scenes of nuScenes.
 
     None where it has none.
     """
     if which == OWN:
-        return own_scenarios(recording)
+        return build_own_scenarios(recording)
     return {
         official.family: official.scenario
-        for official in official_scenarios()
+        for official in read_official_scenarios()
         if official.evaluated and name == f"scene-{official.sequence}"
     }
 
 
-def recording_for(scene: Scene, can: RecordedCan, switches: Switches) -> Recording:
+def build_recording(scene: Scene, can: RecordedCan, switches: NeuroncapSwitches) -> NeuroncapRecording:
     """Recording that the engine reads of a scene; the scene's first adversary is its target.
 
     It is from the files of the CAN bus where there are any, else from what observations say.
     """
     if can.root is not None and has_can_bus(scene.name, can.root):
-        recording = recording_of(scene, can.root, switches)
+        recording = read_recording(scene, can.root, switches)
     else:
-        recording = _observed(scene, can, switches)
+        recording = _build_observed_recording(scene, can, switches)
     target = scene.adversaries[0] if scene.adversaries else None
     return replace(
         recording, actors=tuple(replace(actor, is_target=actor.uuid == target) for actor in recording.actors)
     )
 
 
-def _observed(scene: Scene, can: RecordedCan, switches: Switches) -> Recording:
+def _build_observed_recording(scene: Scene, can: RecordedCan, switches: NeuroncapSwitches) -> NeuroncapRecording:
     """A recording without files of a CAN bus: motion is that of observations, derived from poses if need be."""
     frames, rows = scene.keyframes, can.motion
     times = scene.timestamps_us[frames]
     position, rotation = scene.ego.position[frames], scene.ego.rotation[frames]
     canbus = np.concatenate([position, rotation, rows[:, 3:6], rows[:, 6:9], rows[:, 0:3]], axis=1)
-    return Recording(
+    return NeuroncapRecording(
         times=times,
         poses=np.array([transform_matrix(turn, place) for turn, place in zip(rotation, position, strict=True)]),
         canbus=canbus.astype(np.float32),
         steering_wheel=can.steering_wheel_rad.astype(np.float32),
-        actors=actors_of(annotations_of(scene), times, switches),
+        actors=build_actors(read_annotations(scene), times, switches),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class Crowd:
+class AgentTracks:
     """Where the scene's agents are: as the engine has them, and as recorded where it does not know them.
 
     Attributes:
@@ -271,23 +275,25 @@ class Crowd:
     """
 
     scene: Scene
-    tracks: Tracks
+    tracks: ContinuousTracks
     actors: dict[int, Actor]
     gone: tuple[int, ...]
 
     @classmethod
-    def of(cls, scene: Scene, engine: Engine) -> "Crowd":
+    def of(cls, scene: Scene, engine: Engine) -> "AgentTracks":
         """The agents of a run."""
         place = {name: number for number, name in enumerate(scene.agents.ids)}
         there = {place[actor.uuid]: actor for actor in engine.actors}
         recorded = (place[actor.uuid] for actor in engine.recording.actors)
-        return cls(scene, Tracks.of_scene(scene), there, tuple(agent for agent in recorded if agent not in there))
+        return cls(
+            scene, ContinuousTracks.of_scene(scene), there, tuple(agent for agent in recorded if agent not in there)
+        )
 
-    def around(self, motion: Motion) -> Motion:
+    def around(self, motion: EpisodeMotion) -> EpisodeMotion:
         """A piece of the recorded ego's motion, with all other objects as they are in this run."""
         return self.motion(motion.times_us, motion.ego)
 
-    def motion(self, times_us: Integers, ego: Floats) -> Motion:
+    def motion(self, times_us: Integers, ego: Floats) -> EpisodeMotion:
         """Motion of the (F, 7) ego and all other objects at (F,) microseconds, the last a planning instant."""
         seconds = (times_us - self.scene.timestamps_us[0]) * 1e-6
         boxes, present = self.tracks.agents_at(seconds)
@@ -299,8 +305,8 @@ class Crowd:
             for row, time_us in enumerate(times_us.tolist()):
                 present[agent, row] = actor.is_there(time_us)
                 pose = actor.pose_at(time_us)
-                position[agent, row], yaw[agent, row] = pose[:3, 3], heading_of(pose)
-        return Motion(times_us, ego, position, yaw, present, np.array([len(times_us) - 1]))
+                position[agent, row], yaw[agent, row] = pose[:3, 3], compute_heading(pose)
+        return EpisodeMotion(times_us, ego, position, yaw, present, np.array([len(times_us) - 1]))
 
     def _heights(self, seconds: Floats) -> Floats:
         """(N, F) heights of box centres at times, those of the nearest frame."""
@@ -308,7 +314,7 @@ class Crowd:
         return np.asarray(self.scene.agents.position[:, frame, 2])
 
 
-def _driven(before: State, world: World) -> tuple[Integers, Floats]:
+def _compute_substeps(before: NeuroncapEgoState, world: NeuroncapWorld) -> tuple[Integers, Floats]:
     """The five sub-steps of a step: times and (5, 7) the ego."""
     assert world.last is not None
     states = world.last.states
@@ -317,17 +323,17 @@ def _driven(before: State, world: World) -> tuple[Integers, Floats]:
     return times, states[:, _COLUMNS]
 
 
-def _after(state: Ride, plan: Plan) -> Ride | UndrivablePlanError:
+def _advance(state: SimulationState, plan: Plan) -> SimulationState | RejectedPlanError:
     try:
         return state.after(plan)
-    except UndrivablePlanError as error:
+    except RejectedPlanError as error:
         return error
 
 
-def _target(engine: Engine) -> Actor | None:
+def _find_target(engine: Engine) -> Actor | None:
     return next((actor for actor in engine.actors if actor.is_target), None)
 
 
-def neuroncap_rides(engine: str, scenarios: str) -> NeuroncapRides:
+def build_neuroncap_backend(engine: str, scenarios: str) -> NeuroncapBackend:
     """Maker of rides of the engine of a name; raises `InputError` if there is no such engine."""
-    return NeuroncapRides(Switches.named(engine), scenarios)
+    return NeuroncapBackend(NeuroncapSwitches.named(engine), scenarios)

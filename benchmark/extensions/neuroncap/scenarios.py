@@ -96,7 +96,7 @@ class Scenario:
 
         Its step must be 0.5 s.
         """
-        general = _Facts(_mapping(facts, where).get("general"), f"{where}, general")
+        general = _ScenarioTable(_require_mapping(facts, where).get("general"), f"{where}, general")
         step = general.number("time_step", STEP_S)
         if step != STEP_S:
             raise InputError(f"{where} asks for steps of {step} s; this engine takes {STEP_S} s")
@@ -104,7 +104,8 @@ class Scenario:
         if not isinstance(actors, list):
             raise InputError(f"{where}: actors is no list")
         listed = tuple(
-            _actor(_Facts(actor_value, f"{where}, actor {number}")) for number, actor_value in enumerate(actors)
+            _read_actor(_ScenarioTable(actor_value, f"{where}, actor {number}"))
+            for number, actor_value in enumerate(actors)
         )
         if sum(actor.is_target for actor in listed) > 1:
             raise InputError(f"{where} has more than one target actor; leave one")
@@ -141,7 +142,7 @@ class OfficialScenario:
 
 
 @functools.cache
-def official_scenarios() -> tuple[OfficialScenario, ...]:
+def read_official_scenarios() -> tuple[OfficialScenario, ...]:
     """NeuroNCAP's scenarios, in the order of its families; numbers (c) the NeuroNCAP authors, MIT licence."""
     rows = read_json(OFFICIAL_FILE)["scenarios"]
     return tuple(
@@ -155,18 +156,18 @@ def official_scenarios() -> tuple[OfficialScenario, ...]:
     )
 
 
-def _mapping(value: Any, where: str) -> Mapping[str, Any]:
+def _require_mapping(value: Any, where: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise InputError(f"{where} is no table of names and values; it is no scenario of NeuroNCAP")
     return value
 
 
-class _Facts:
+class _ScenarioTable:
     """Values of a table, under their names with ``_``; ``null`` is absent."""
 
     def __init__(self, value: Any, where: str) -> None:
         self.where = where
-        self._values = {str(k).replace("-", "_"): v for k, v in _mapping(value, where).items() if v is not None}
+        self._values = {str(k).replace("-", "_"): v for k, v in _require_mapping(value, where).items() if v is not None}
 
     def __contains__(self, name: str) -> bool:
         return name in self._values
@@ -209,11 +210,11 @@ class _Facts:
             raise InputError(f"{self.where}: {name} is missing, or no table of finite numbers of its shape")
         return array
 
-    def inner(self, name: str) -> "_Facts":
-        return _Facts(self._values[name], f"{self.where}, {name}")
+    def inner(self, name: str) -> "_ScenarioTable":
+        return _ScenarioTable(self._values[name], f"{self.where}, {name}")
 
 
-def _actor(facts: _Facts) -> ScenarioActor:
+def _read_actor(facts: _ScenarioTable) -> ScenarioActor:
     mode = next(iter(facts.texts("mode")), "override")
     if mode not in ("override", "optimized"):
         hint = did_you_mean(mode, ("override", "optimized"))
@@ -238,11 +239,11 @@ def _actor(facts: _Facts) -> ScenarioActor:
         flipped=facts.texts("flip_uuids"),
         exclusive_group=next(iter(facts.texts("exclusive_group")), None),
         size=facts.array("dims", 3) if "dims" in facts else None,
-        jitter=_jitter(facts.inner("jitter")) if "jitter" in facts else None,
+        jitter=_read_jitter(facts.inner("jitter")) if "jitter" in facts else None,
     )
 
 
-def _jitter(facts: _Facts) -> Jitter:
+def _read_jitter(facts: _ScenarioTable) -> Jitter:
     return Jitter(
         longitudinal=facts.maybe("longitudinal"),
         lateral=facts.maybe("lateral"),

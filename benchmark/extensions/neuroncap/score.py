@@ -8,10 +8,10 @@ import numpy as np
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.actors import Actor
-from benchmark.extensions.neuroncap.loop import Engine, World
-from benchmark.extensions.neuroncap.recording import Recording
+from benchmark.extensions.neuroncap.loop import Engine, NeuroncapWorld
+from benchmark.extensions.neuroncap.recording import NeuroncapRecording
 from benchmark.extensions.neuroncap.scenarios import STEP_S
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 
 WITHOUT_CONTACT: Final = 5.0
 _BEST_CONTACT: Final = 4.0
@@ -20,7 +20,7 @@ _FRAMES_AHEAD: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
-class RunScore:
+class NeuroncapRunScore:
     """Score of one run.
 
     Attributes:
@@ -37,7 +37,9 @@ class RunScore:
     metrics: dict[str, bool | float]
 
 
-def reference_speed(recording: Recording, start_frame: int, target: Actor | None, switches: Switches) -> float:
+def compute_reference_speed(
+    recording: NeuroncapRecording, start_frame: int, target: Actor | None, switches: NeuroncapSwitches
+) -> float:
     """Impact speed in m/s if no one acts.
 
     Raises:
@@ -64,23 +66,23 @@ def reference_speed(recording: Recording, start_frame: int, target: Actor | None
     return float(np.linalg.norm(velocity))
 
 
-def scored_impact(impact: float, reference: float) -> float:
+def score_impact(impact: float, reference: float) -> float:
     """Score of a contact: 4 for none of the reference speed left, 0 for all of it; NaN for nothing of nothing."""
     if reference == 0.0:
         return 0.0 if impact > 0.0 else float("nan")
     return _BEST_CONTACT * max(0.0, 1.0 - impact / reference)
 
 
-def score_of(engine: Engine, world: World) -> RunScore:
+def score_run(engine: Engine, world: NeuroncapWorld) -> NeuroncapRunScore:
     """Score of a finished run.
 
     Args:
-        world: From `benchmark.extensions.neuroncap.loop.finished`.
+        world: From `benchmark.extensions.neuroncap.loop.finish_run`.
     """
     target = next((actor for actor in engine.actors if actor.is_target), None)
-    reference = reference_speed(engine.recording, engine.start_frame, target, engine.switches)
+    reference = compute_reference_speed(engine.recording, engine.start_frame, target, engine.switches)
     impact = 0.0 if world.contact is None else world.contact.impact_speed(engine.switches)
-    score = WITHOUT_CONTACT if world.contact is None else scored_impact(impact, reference)
+    score = WITHOUT_CONTACT if world.contact is None else score_impact(impact, reference)
     collided = world.contact is not None
     metrics: dict[str, bool | float] = {"any_collide@0.0s": collided}
     metrics["avg_collide@0.0s"] = float(collided) / world.checked
@@ -90,4 +92,4 @@ def score_of(engine: Engine, world: World) -> RunScore:
             metrics[f"any_{name}"] = world.future_hits[number] > 0
             metrics[f"avg_{name}"] = world.future_hits[number] / world.checked
     metrics["ncap_score"] = score
-    return RunScore(score, collided, impact, reference, metrics)
+    return NeuroncapRunScore(score, collided, impact, reference, metrics)

@@ -10,23 +10,23 @@ from typing import Any, Final, Self
 import numpy as np
 
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.actors import Actor, Integers, pose_between
+from benchmark.extensions.neuroncap.actors import Actor, Integers, interpolate_pose
 from benchmark.extensions.neuroncap.scenarios import STEP_S, Scenario, ScenarioActor
 from benchmark.geometry import Floats
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 
 Draw = tuple[Any, ...]
 """Name of the generator's call, its arguments, its result; permutations and choices as indices."""
 
 
-class Draws:
+class LoggedGenerator:
     """PCG64 with a log of all draws in order."""
 
     def __init__(self, seed: int, made: Sequence[Draw] = ()) -> None:
         self._generator = np.random.default_rng(seed)
         self.made: list[Draw] = [*made, ("default_rng", seed)]
 
-    def seeded_again(self, seed: int) -> Self:
+    def reseed(self, seed: int) -> Self:
         """A fresh generator whose log goes on from this one's."""
         return type(self)(seed, self.made)
 
@@ -66,7 +66,7 @@ _NO_TIME_S: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Cast:
+class RenderableActors:
     """Road users that the renderer can show.
 
     Attributes:
@@ -82,18 +82,18 @@ class Cast:
     @classmethod
     def of(cls, actors: Iterable[Actor]) -> Self:
         """A renderer that was made from a recording: it shows all its actors, in single precision like NeuRAD."""
-        tracks = {actor.uuid: _single(actor) for actor in actors}
+        tracks = {actor.uuid: _to_single_precision(actor) for actor in actors}
         kinds = {uuid: track.kind for uuid, track in tracks.items()}
         return cls(kinds, {uuid: track.size for uuid, track in tracks.items()}, tracks)
 
 
-def _single(actor: Actor) -> Actor:
+def _to_single_precision(actor: Actor) -> Actor:
     size, poses = (np.asarray(values.astype(np.float32), np.float64) for values in (actor.size, actor.poses))
     return replace(actor, size=size, poses=poses)
 
 
 @dataclass(frozen=True, slots=True)
-class Staged:
+class StagedRun:
     """One run of a scenario.
 
     Attributes:
@@ -110,9 +110,15 @@ class Staged:
     sizes: Mapping[str, Floats]
 
 
-def staged(
-    scenario: Scenario, run: int, times: Integers, cast: Cast, switches: Switches, *, jitter: bool = True
-) -> Staged:
+def stage_run(
+    scenario: Scenario,
+    run: int,
+    times: Integers,
+    cast: RenderableActors,
+    switches: NeuroncapSwitches,
+    *,
+    jitter: bool = True,
+) -> StagedRun:
     """Set up one run; its index is the seed.
 
     Args:
@@ -121,7 +127,7 @@ def staged(
     """
     draws, start = None, scenario.start_frame
     if scenario.start_jitter:
-        draws = Draws(run)
+        draws = LoggedGenerator(run)
         start = max(0, start + draws.integers(-scenario.start_jitter, scenario.start_jitter + 1))
     if start + scenario.priming_steps >= len(times) or scenario.start_frame >= len(times):
         raise InputError(
@@ -130,11 +136,11 @@ def staged(
         )
     end = int(times[start]) + int(scenario.duration_s * 1e6)
     if not scenario.actors:
-        return Staged(start, end, (), tuple(draws.made if draws else ()), None, cast.sizes)
+        return StagedRun(start, end, (), tuple(draws.made if draws else ()), None, cast.sizes)
     if draws is None or switches.start_jitter_stream == "code":
-        draws = draws.seeded_again(run) if draws else Draws(run)
+        draws = draws.reseed(run) if draws else LoggedGenerator(run)
     scale = 1.0 + draws.uniform(scenario.dim_jitter) if scenario.dim_jitter and jitter else None
-    stage = _Stage(times, cast, _asked_seconds(scenario, start, times, switches), scale, jitter, switches)
+    stage = _RunSetup(times, cast, _compute_pose_times(scenario, start, times, switches), scale, jitter, switches)
     order = draws.permutation(len(scenario.actors)) if jitter else range(len(scenario.actors))
     actors, groups = [], set()
     for index in order:
@@ -143,29 +149,29 @@ def staged(
             if scenario_actor.exclusive_group in groups:
                 continue
             groups.add(scenario_actor.exclusive_group)
-        actors.append(_actor(scenario_actor, draws, stage))
+        actors.append(_place_actor(scenario_actor, draws, stage))
     # The published code scales the renderer's sizes where they are, so that they grow from run to run.
     scaled = {actor.uuid: actor.size for actor in actors} if scale and switches.dims_jitter == "code" else {}
     own = {
         uuid for scenario_actor in scenario.actors if scenario_actor.size is not None for uuid in scenario_actor.uuids
     }
     renderer_sizes = {uuid: size for uuid, size in scaled.items() if uuid not in own}
-    return Staged(start, end, tuple(actors), tuple(draws.made), scale, {**cast.sizes, **renderer_sizes})
+    return StagedRun(start, end, tuple(actors), tuple(draws.made), scale, {**cast.sizes, **renderer_sizes})
 
 
 @dataclass(frozen=True, slots=True)
-class _Stage:
+class _RunSetup:
     """Shared facts of all actors of a run: frames, actors that exist, when they have poses, and how they are drawn."""
 
     times: Integers
-    cast: Cast
+    cast: RenderableActors
     seconds: Floats
     scale: float | None
     jitter: bool
-    switches: Switches
+    switches: NeuroncapSwitches
 
 
-def _asked_seconds(scenario: Scenario, start: int, times: Integers, switches: Switches) -> Floats:
+def _compute_pose_times(scenario: Scenario, start: int, times: Integers, switches: NeuroncapSwitches) -> Floats:
     """Seconds since the first frame at which actors have poses."""
     if switches.time_step_of_actors == "code":
         since_start = np.linspace(0.0, scenario.duration_s, int(2 * scenario.duration_s))
@@ -175,7 +181,7 @@ def _asked_seconds(scenario: Scenario, start: int, times: Integers, switches: Sw
     return np.asarray(since_start + (int(times[first]) - int(times[0])) / 1e6)
 
 
-def _actor(actor: ScenarioActor, draws: Draws, stage: _Stage) -> Actor:
+def _place_actor(actor: ScenarioActor, draws: LoggedGenerator, stage: _RunSetup) -> Actor:
     uuid, cast = actor.uuids[draws.choice(len(actor.uuids)) if actor.drawn else 0], stage.cast
     if uuid not in cast.kinds or uuid not in cast.sizes:
         raise InputError(f"the scenario asks for {uuid}, which is no instance of this recording")
@@ -185,15 +191,15 @@ def _actor(actor: ScenarioActor, draws: Draws, stage: _Stage) -> Actor:
     if actor.mode == "optimized":
         if uuid not in cast.tracks:
             raise InputError(f"the scenario asks for the renderer's own track of {uuid}, and there is none")
-        poses = _recorded_poses(cast.tracks[uuid], stage.seconds, int(stage.times[0]))
+        poses = _sample_recorded_poses(cast.tracks[uuid], stage.seconds, int(stage.times[0]))
     else:
-        poses = _own_poses(actor, uuid, float(size[2]), draws, stage)
+        poses = _draw_poses(actor, uuid, float(size[2]), draws, stage)
     # Truncated, so that stamps end in ...599999.
     stamps = np.trunc(stage.seconds * 1e6).astype(np.int64) + int(stage.times[0])
     return Actor(uuid, cast.kinds[uuid], size, stamps, poses, actor.is_target)
 
 
-def _own_poses(actor: ScenarioActor, uuid: str, height: float, draws: Draws, stage: _Stage) -> Floats:
+def _draw_poses(actor: ScenarioActor, uuid: str, height: float, draws: LoggedGenerator, stage: _RunSetup) -> Floats:
     """(T, 4, 4) poses of the scenario's own track, moved as drawn; the order of the draws is the official one."""
     assert actor.times is not None and actor.positions is not None
     positions, times, yaw = actor.positions.copy(), actor.times, actor.initial_yaw
@@ -214,29 +220,29 @@ def _own_poses(actor: ScenarioActor, uuid: str, height: float, draws: Draws, sta
     if uuid in actor.flipped:
         yaw += np.pi
     positions[:, 2] += 0.5 * height
-    return _poses_along(_along(times, positions, stage.seconds), yaw)
+    return _orient_along_path(_interpolate_positions(times, positions, stage.seconds), yaw)
 
 
-def _along(times: Floats, positions: Floats, seconds: Floats) -> Floats:
+def _interpolate_positions(times: Floats, positions: Floats, seconds: Floats) -> Floats:
     """(T, 3) piecewise linear positions that go on beyond the ends as they came."""
     piece = np.clip(np.searchsorted(times, seconds) - 1, 0, len(times) - 2)
     slope = (positions[piece + 1] - positions[piece]) / (times[piece + 1] - times[piece])[:, None]
     return np.asarray(positions[piece] + (seconds - times[piece])[:, None] * slope)
 
 
-def _poses_along(positions: Floats, yaw: float) -> Floats:
+def _orient_along_path(positions: Floats, yaw: float) -> Floats:
     """(T, 4, 4) poses that look along their next step, the last as the one before; with a heading where they stand."""
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     poses[:, :3, 3] = positions
     steps = np.diff(positions, axis=0)
     for index, step in enumerate(steps):
-        poses[index, :3, :3] = _looking_along(step, yaw)
+        poses[index, :3, :3] = _orient_along_step(step, yaw)
     if len(poses) > 1:
         poses[-1, :3, :3] = poses[-2, :3, :3]
     return poses
 
 
-def _looking_along(step: Floats, yaw: float) -> Floats:
+def _orient_along_step(step: Floats, yaw: float) -> Floats:
     length = float(np.linalg.norm(step))
     forward = step / length if length > 0 else _UP
     left = np.cross(_UP, forward)
@@ -246,11 +252,13 @@ def _looking_along(step: Floats, yaw: float) -> Floats:
     return np.column_stack([forward, left, np.cross(forward, left)])
 
 
-def _recorded_poses(track: Actor, seconds: Floats, first_us: int) -> Floats:
+def _sample_recorded_poses(track: Actor, seconds: Floats, first_us: int) -> Floats:
     """(T, 4, 4) the renderer's own track; beyond its ends the nearest pose stays."""
     known = (track.times - first_us) / 1e6
     right = np.searchsorted(known, seconds)
     left, right = np.clip(right - 1, 0, len(known) - 1), np.clip(right, 0, len(known) - 1)
     fraction = (seconds - known[left]) / (known[right] - known[left] + _NO_TIME_S)
     fraction = np.where(left == right, 0.0, fraction)
-    return np.array([pose_between(track.poses[a], track.poses[b], float(f)) for a, b, f in zip(left, right, fraction)])
+    return np.array(
+        [interpolate_pose(track.poses[a], track.poses[b], float(f)) for a, b, f in zip(left, right, fraction)]
+    )

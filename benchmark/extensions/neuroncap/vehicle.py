@@ -13,17 +13,17 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchmark.extensions.neuroncap.contact import Car
+from benchmark.extensions.neuroncap.contact import NeuroncapCar
 from benchmark.extensions.neuroncap.plan_path import (
     SUBSTEP_S,
     SUBSTEP_US,
     PlanPath,
-    means_stopping,
-    path_of,
-    usable_waypoints,
+    build_path,
+    is_stopping_plan,
+    read_waypoints,
 )
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix, wrap_angle
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 
 HORIZON_STEPS: Final = 10
 LARGEST_ACCELERATION: Final = 6.0
@@ -39,7 +39,7 @@ _CRUISING_GAIN: Final = _SPEED_WEIGHT * _HORIZON_S / (_SPEED_WEIGHT * _HORIZON_S
 
 
 @dataclass(frozen=True, slots=True)
-class Tracked:
+class TrackedCar:
     """Car as the tracker sees it.
 
     Attributes:
@@ -55,7 +55,7 @@ class Tracked:
     wheelbase_m: float
 
 
-def asked_for(path: PlanPath, now_us: int, car: Tracked, *, clip_first: bool) -> tuple[float, float]:
+def compute_controls(path: PlanPath, now_us: int, car: TrackedCar, *, clip_first: bool) -> tuple[float, float]:
     """Acceleration and steering rate that the tracker asks of pedals and steering wheel.
 
     Args:
@@ -75,13 +75,13 @@ def asked_for(path: PlanPath, now_us: int, car: Tracked, *, clip_first: bool) ->
     ahead = np.arange(HORIZON_STEPS)
     curvature = path.at(path.curvature, [now + SUBSTEP_S * step for step in ahead.tolist()])
     travel = SUBSTEP_S * (car.speed + SUBSTEP_S * acceleration * ahead)
-    lateral, heading = _errors(path, now_us, car.pose)
-    free, response = _predicted(travel, curvature, (lateral, heading, car.steering), car.wheelbase_m)
+    lateral, heading = _compute_tracking_errors(path, now_us, car.pose)
+    free, response = _predict_lateral_error(travel, curvature, (lateral, heading, car.steering), car.wheelbase_m)
     rate = -_LATERAL_WEIGHT * response * free / (_LATERAL_WEIGHT * response**2 + _STEERING_WEIGHT)
     return acceleration, rate
 
 
-def _errors(path: PlanPath, now_us: int, pose: Floats) -> tuple[float, float]:
+def _compute_tracking_errors(path: PlanPath, now_us: int, pose: Floats) -> tuple[float, float]:
     """How far left of the path the car is, and how far it is turned left of it."""
     at = min(round((now_us - path.start_us) * 1e-6 / SUBSTEP_S), len(path.poses) - 1)
     x, y, heading = path.poses[at]
@@ -89,7 +89,7 @@ def _errors(path: PlanPath, now_us: int, pose: Floats) -> tuple[float, float]:
     return float(lateral), float(wrap_angle(np.array(pose[2] - heading)))
 
 
-def _predicted(
+def _predict_lateral_error(
     travel: Floats, curvature: Floats, start: tuple[float, float, float], wheelbase_m: float
 ) -> tuple[float, float]:
     """Lateral error at the end of the horizon without steering, and what a steering rate of one adds to it."""
@@ -138,7 +138,9 @@ class Vehicle:
     fresh: bool = True
 
     @classmethod
-    def start(cls, pose: Floats, canbus: NDArray[np.float32], steering_wheel_rad: float, switches: Switches) -> Self:
+    def start(
+        cls, pose: Floats, canbus: NDArray[np.float32], steering_wheel_rad: float, switches: NeuroncapSwitches
+    ) -> Self:
         """The car as it is when it begins to drive itself.
 
         Args:
@@ -170,7 +172,7 @@ class Vehicle:
         """(4, 4) rear axle to global; flat on the ground at height 0."""
         return transform_matrix(quaternion_from_yaw(np.array(self.heading)), [self.x, self.y, 0.0])
 
-    def canbus(self, car: Car, switches: Switches) -> NDArray[np.float32]:
+    def canbus(self, car: NeuroncapCar, switches: NeuroncapSwitches) -> NDArray[np.float32]:
         """(16,) row as the engine reports it: position, rotation w x y z, acceleration, rotation rate, velocity."""
         turn, change, ahead = self.yaw_rate, self.yaw_acceleration, car.centre_ahead_m
         if switches.can_acceleration == "code":
@@ -183,7 +185,7 @@ class Vehicle:
 
 
 @dataclass(frozen=True, slots=True)
-class DrivenStep:
+class VehicleStep:
     """Half a second of driving.
 
     Attributes:
@@ -198,7 +200,9 @@ class DrivenStep:
     unlimited: Floats
 
 
-def driven(vehicle: Vehicle, plan: ArrayLike, time_us: int, car: Car, switches: Switches) -> DrivenStep:
+def drive_plan(
+    vehicle: Vehicle, plan: ArrayLike, time_us: int, car: NeuroncapCar, switches: NeuroncapSwitches
+) -> VehicleStep:
     """Follow a plan for half a second.
 
     Args:
@@ -207,8 +211,8 @@ def driven(vehicle: Vehicle, plan: ArrayLike, time_us: int, car: Car, switches: 
     Raises:
         UnusablePlanError: If the plan has no numbers to drive by.
     """
-    waypoints = usable_waypoints(plan, switches)
-    stopping, reinserted = means_stopping(waypoints), switches.reinsertion == "code"
+    waypoints = read_waypoints(plan, switches)
+    stopping, reinserted = is_stopping_plan(waypoints), switches.reinsertion == "code"
     path: PlanPath | None = None
     origin, states, commands, unlimited = vehicle, [], [], []
     for number in range(SUBSTEPS):
@@ -217,19 +221,19 @@ def driven(vehicle: Vehicle, plan: ArrayLike, time_us: int, car: Car, switches: 
             controls = -STOPPING_GAIN * vehicle.speed, 0.0
         else:
             if path is None or reinserted:
-                path = path_of(waypoints, time_us, now_us)
-            pose = np.zeros(3) if reinserted else _seen_from(origin, vehicle)
-            tracked = Tracked(pose, vehicle.speed, vehicle.steering, car.wheelbase_m)
-            controls = asked_for(path, now_us, tracked, clip_first=switches.acceleration_clip == "paper")
+                path = build_path(waypoints, time_us, now_us)
+            pose = np.zeros(3) if reinserted else _compute_relative_pose(origin, vehicle)
+            tracked = TrackedCar(pose, vehicle.speed, vehicle.steering, car.wheelbase_m)
+            controls = compute_controls(path, now_us, tracked, clip_first=switches.acceleration_clip == "paper")
         limited = float(np.clip(controls[0], -LARGEST_ACCELERATION, LARGEST_ACCELERATION))
-        vehicle = _moved(vehicle, limited, controls[1], car, rounded=switches.float32 == "code")
+        vehicle = _move(vehicle, limited, controls[1], car, rounded=switches.float32 == "code")
         states.append(vehicle.columns)
         commands.append((limited, controls[1]))
         unlimited.append(controls)
-    return DrivenStep(vehicle, np.array(states), np.array(commands), np.array(unlimited))
+    return VehicleStep(vehicle, np.array(states), np.array(commands), np.array(unlimited))
 
 
-def _seen_from(origin: Vehicle, vehicle: Vehicle) -> Floats:
+def _compute_relative_pose(origin: Vehicle, vehicle: Vehicle) -> Floats:
     """(3,) pose of a car in the frame of another."""
     dx, dy = vehicle.x - origin.x, vehicle.y - origin.y
     cos, sin = np.cos(origin.heading), np.sin(origin.heading)
@@ -237,7 +241,7 @@ def _seen_from(origin: Vehicle, vehicle: Vehicle) -> Floats:
     return np.array([dx * cos + dy * sin, dy * cos - dx * sin, turned])
 
 
-def _moved(now: Vehicle, acceleration: float, steering_rate: float, car: Car, *, rounded: bool) -> Vehicle:
+def _move(now: Vehicle, acceleration: float, steering_rate: float, car: NeuroncapCar, *, rounded: bool) -> Vehicle:
     """One explicit step of the bicycle; all that it reads is of before the step."""
     turned = SUBSTEP_S * now.speed * np.tan(now.steering) / car.wheelbase_m
     if rounded and now.fresh:

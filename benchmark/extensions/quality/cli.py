@@ -6,12 +6,19 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.options import name_list
-from benchmark.cli.output import print_result, same_out, same_place, say_next, say_plan, say_shard
+from benchmark.cli.options import parse_name_list
+from benchmark.cli.output import (
+    print_next_steps,
+    print_plan,
+    print_result,
+    print_shard_progress,
+    repeat_data_options,
+    repeat_out_option,
+)
 from benchmark.cli.settings import Option, command
 
 if TYPE_CHECKING:
-    from benchmark.extensions.quality.definition import Definition
+    from benchmark.extensions.quality.definition import QualityDefinition
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,27 +51,27 @@ class QualityOptions:
 @command(QualityOptions)
 def quality_command(options: QualityOptions) -> None:
     """Measure subject consistency and imaging quality of a split's videos; the same command goes on."""
-    from benchmark.extensions.quality.definition import Definition, mask_source
+    from benchmark.extensions.quality.definition import QualityDefinition, find_mask_source
     from benchmark.machine.places import require_folder, require_place
-    from benchmark.machine.several_devices import workers_for
+    from benchmark.machine.several_devices import count_workers
     from benchmark.runs.units import Shard
 
     files: Literal["own", "lossless"] = "lossless" if options.lossless else "own"
-    definition = Definition(mask_source(options.masks), options.frames, files, batch=options.batch)
+    definition = QualityDefinition(find_mask_source(options.masks), options.frames, files, batch=options.batch)
     api.require_devices(options.device)
-    api.worker_count(workers_for(options.workers, options.device))
+    api.worker_count(count_workers(options.workers, options.device))
     mine = None if options.shard is None else Shard.named(options.shard)
     require_folder(options.weights_folder, "--weights-folder")
-    data, scenes = api.DataSource.of(options), name_list(options.scenes)
+    data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
     ahead = data.require_split(options.split, scenes, options.limit)
     require_place(options.out, "--out")
     if options.dry_run and ahead.builds:
         then = f"score {ahead.counted()} of {options.split}; masks from {options.masks}"
-        say_plan(ahead.plan(then), json_output=options.json_output)
+        print_plan(ahead.plan(then), json_output=options.json_output)
         return
     if not options.dry_run:
         _require_weights(definition, options.weights_folder)
-    from benchmark.extensions.quality.measure import QualitySettings, measure_quality, measure_shard, plan_of
+    from benchmark.extensions.quality.measure import QualitySettings, describe_plan, measure_quality, measure_shard
     from leaderboard.extensions.quality.tables import quality_tables
 
     settings = QualitySettings(
@@ -73,35 +80,35 @@ def quality_command(options: QualityOptions) -> None:
     between = options.frames == "all" and options.split == "val" and not options.dry_run
     dataset = data.open_split(options.split, data.open(sweeps=between))
     if options.dry_run:
-        say_plan([plan_of(dataset, options.split, settings)], json_output=options.json_output)
+        print_plan([describe_plan(dataset, options.split, settings)], json_output=options.json_output)
         return
     root = api.workspace(options.out).quality_root()
     if mine is not None:
         finished = measure_shard(dataset, options.split, root, settings, mine)
-        step = (f"quality{same_place(options)}", "with the same options and no --shard, when all shards are")
-        say_shard(mine, [finished], "scored", step, json_output=options.json_output)
+        step = (f"quality{repeat_data_options(options)}", "with the same options and no --shard, when all shards are")
+        print_shard_progress(mine, [finished], "scored", step, json_output=options.json_output)
         return
     record = measure_quality(dataset, options.split, root, settings)
     for caveat in record.caveats:
-        api.tell(f"warning: {caveat.sentence}")
+        api.notify(f"warning: {caveat.sentence}")
     facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
     table = quality_tables([record])[0].plain(wide=options.wide)
     print_result({"directory": str(record.directory), **facts}, f"{table}\n", json_output=options.json_output)
-    say_next(
+    print_next_steps(
         f"record: {record.directory}",
-        (f"leaderboard{same_out(options.out)}", "all records in tables beside the paper's"),
+        (f"leaderboard{repeat_out_option(options.out)}", "all records in tables beside the paper's"),
         json_output=options.json_output,
     )
 
 
-def _require_weights(definition: "Definition", weights_folder: Path | None) -> None:
+def _require_weights(definition: "QualityDefinition", weights_folder: Path | None) -> None:
     """Refuse networks that are not here, before a split is built for them."""
-    from benchmark.extensions.quality.definition import needed_for
+    from benchmark.extensions.quality.definition import list_required_weights
     from benchmark.machine.extension import require_package
-    from benchmark.weights.folders import folder_of
+    from benchmark.weights.folders import require_folder_of
 
-    for weights in needed_for(definition.masks):
-        folder_of(weights, weights_folder)
+    for weights in list_required_weights(definition.masks):
+        require_folder_of(weights, weights_folder)
     require_package(
         "transformers",
         "video quality needs the package transformers; install it with: pip install 'challenger-bench[quality]'",

@@ -18,7 +18,7 @@ Files = Literal["own", "lossless"]
 
 
 @dataclass(frozen=True, slots=True)
-class Definition:
+class QualityDefinition:
     """Every choice that changes a number.
 
     Attributes:
@@ -61,7 +61,7 @@ class Definition:
     batch: int = 16
 
     def __post_init__(self) -> None:
-        mask_source(self.masks)
+        find_mask_source(self.masks)
         for name in ("longer_side_px", "detect_every", "min_mask_px", "crop_px", "imaging_longer_px", "batch"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} of the definition must be at least 1, got {getattr(self, name)}")
@@ -71,7 +71,7 @@ class Definition:
         return {**asdict(self), "categories": list(self.categories)}
 
 
-def mask_source(name: str) -> MaskSource:
+def find_mask_source(name: str) -> MaskSource:
     """A source of masks by name; raises `InputError` if there is none."""
     known_source = next((source for source in MASK_SOURCES if source == name), None)
     if known_source is None:
@@ -82,7 +82,7 @@ def mask_source(name: str) -> MaskSource:
     return known_source
 
 
-def needed_for(masks: MaskSource) -> tuple[PublishedWeights, ...]:
+def list_required_weights(masks: MaskSource) -> tuple[PublishedWeights, ...]:
     """Weights that a source of masks and the two metrics need, in the order of use."""
     of_masks: dict[MaskSource, tuple[PublishedWeights, ...]] = {
         "grounded-sam2": (GROUNDING_DINO, SAM2),

@@ -1,6 +1,6 @@
 """Masks of vehicles in one camera's video, each tied to its annotated instance. Three sources, never mixed.
 
-A mask is kept if it overlaps the visible part of a projected 3-D vehicle box (`Definition.min_overlap`), as in the
+A mask is kept if it overlaps the visible part of a projected 3-D vehicle box (`QualityDefinition.min_overlap`), as in the
 paper; so false detections, vehicles without annotation and tracks that wandered off are gone.
 
 Masks cut to their rectangle, so that a scene's masks fit into memory.
@@ -19,8 +19,8 @@ from shapely.errors import GEOSException
 from shapely.geometry import MultiPoint, Polygon
 from shapely.geometry import box as rectangle
 
-from benchmark.box_projection import BOX_EDGES, agents_at, at_near_plane, corners_of_box, to_camera
-from benchmark.extensions.quality.definition import Definition
+from benchmark.box_projection import BOX_EDGES, compute_box_corners, interpolate_agents, intersect_near_plane, to_camera
+from benchmark.extensions.quality.definition import QualityDefinition
 from benchmark.extensions.quality.segmentation import Box, Detector, Segmenter
 from benchmark.geometry import Bools, Floats
 from benchmark.planning import CameraView
@@ -49,7 +49,7 @@ class ProjectedBox:
         low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
-    def filled(self, height: int, width: int) -> Bools:
+    def fill_mask(self, height: int, width: int) -> Bools:
         """(height, width) which pixels lie inside."""
         canvas = np.zeros((height, width), np.uint8)
         # A pixel's middle is at its index plus one half.
@@ -58,7 +58,7 @@ class ProjectedBox:
         return canvas.astype(bool)
 
 
-def boxes_in_view(
+def project_boxes(
     scene: Scene, view: CameraView, size: tuple[int, int], categories: Sequence[str], near_m: float
 ) -> tuple[ProjectedBox, ...]:
     """Project every vehicle that is there when an image was taken, in the order of the scene's agents.
@@ -70,14 +70,14 @@ def boxes_in_view(
         near_m: Boxes are cut off so far in front of the camera.
     """
     camera = view.camera.resized(*size)
-    poses = agents_at(scene, view.timestamp_us)
+    poses = interpolate_agents(scene, view.timestamp_us)
     boxes = []
     for agent, (position, yaw, there) in enumerate(zip(*poses)):
         if not there or scene.agents.categories[agent] not in categories:
             continue
-        corners = corners_of_box(position, float(yaw), scene.agents.size[agent])
+        corners = compute_box_corners(position, float(yaw), scene.agents.size[agent])
         in_camera = to_camera(np.vstack([corners, position]), view.global_T_ego, camera)
-        polygon = _outline(in_camera[:8], camera, near_m)
+        polygon = _project_outline(in_camera[:8], camera, near_m)
         if polygon is None:
             continue
         distance_m = float(np.linalg.norm(in_camera[8]))
@@ -85,7 +85,7 @@ def boxes_in_view(
     return tuple(boxes)
 
 
-def visible_parts(boxes: Sequence[ProjectedBox], height: int, width: int) -> dict[str, Bools]:
+def find_visible_parts(boxes: Sequence[ProjectedBox], height: int, width: int) -> dict[str, Bools]:
     """Pixels that nearer boxes leave of each box in one image, (height, width) by instance.
 
     Equally near boxes hide in the order of their identifiers.
@@ -93,13 +93,13 @@ def visible_parts(boxes: Sequence[ProjectedBox], height: int, width: int) -> dic
     hidden = np.zeros((height, width), bool)
     parts = {}
     for box in sorted(boxes, key=lambda box: (box.distance_m, box.instance)):
-        filled = box.filled(height, width)
+        filled = box.fill_mask(height, width)
         parts[box.instance] = filled & ~hidden
         hidden |= filled
     return parts
 
 
-def _outline(corners: Floats, camera: Camera, near_m: float) -> Floats | None:
+def _project_outline(corners: Floats, camera: Camera, near_m: float) -> Floats | None:
     """(P, 2) convex outline of what lies in front of the camera and in the image; ``None`` if nothing does."""
     ahead = corners[:, 2] >= near_m
     if not ahead.any():
@@ -107,7 +107,7 @@ def _outline(corners: Floats, camera: Camera, near_m: float) -> Floats | None:
     points = [corners[ahead]]
     for first, second in BOX_EDGES:
         if ahead[first] != ahead[second]:
-            points.append(at_near_plane(corners[first], corners[second], near_m)[None])
+            points.append(intersect_near_plane(corners[first], corners[second], near_m)[None])
     projected = np.vstack(points) @ camera.intrinsic.T
     pixels = projected[:, :2] / projected[:, 2:]
     try:
@@ -120,7 +120,7 @@ def _outline(corners: Floats, camera: Camera, near_m: float) -> Floats | None:
     return np.asarray(inside.exterior.coords[:-1], np.float64)
 
 
-def scaled_size(width: int, height: int, longer_side_px: int) -> tuple[int, int]:
+def compute_scaled_size(width: int, height: int, longer_side_px: int) -> tuple[int, int]:
     """Width and height of a picture after its longer side was brought down to a limit; never enlarged."""
     longer = max(width, height)
     if longer <= longer_side_px:
@@ -128,18 +128,18 @@ def scaled_size(width: int, height: int, longer_side_px: int) -> tuple[int, int]
     return max(round(width * longer_side_px / longer), 1), max(round(height * longer_side_px / longer), 1)
 
 
-def reduced(image: NDArray[np.uint8], longer_side_px: int) -> NDArray[np.uint8]:
+def reduce_picture(image: NDArray[np.uint8], longer_side_px: int) -> NDArray[np.uint8]:
     """A (height, width, 3) picture brought down to a longer side by averaging areas.
 
     Smaller ones are left as they are.
     """
     height, width = image.shape[:2]
-    size = scaled_size(width, height, longer_side_px)
+    size = compute_scaled_size(width, height, longer_side_px)
     return image if size == (width, height) else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
 @dataclass(frozen=True, slots=True)
-class Mask:
+class CroppedMask:
     """Pixels of an image that belong to one subject.
 
     Attributes:
@@ -170,13 +170,13 @@ class Mask:
         return image[self.top : self.top + height, self.left : self.left + width]
 
 
-def overlap(first: Bools, second: Bools) -> float:
+def compute_overlap(first: Bools, second: Bools) -> float:
     """Intersection over union of two masks of one image; 0 where both are empty."""
     union = np.count_nonzero(first | second)
     return float(np.count_nonzero(first & second) / union) if union else 0.0
 
 
-FrameMasks = dict[str, Mask]
+FrameMasks = dict[str, CroppedMask]
 """Masks of one frame by instance."""
 
 
@@ -197,7 +197,7 @@ class CameraVideo:
     def visible(self, frame: int) -> dict[str, Bools]:
         """Visible part of each box in a frame by instance."""
         height, width = self.frames[frame].shape[:2]
-        return visible_parts(self.boxes[frame], height, width)
+        return find_visible_parts(self.boxes[frame], height, width)
 
 
 class MaskMaker(Protocol):
@@ -218,20 +218,20 @@ class MaskMaker(Protocol):
 class BoxMasks:
     """Visible parts of projected boxes themselves; no network."""
 
-    definition: Definition
+    definition: QualityDefinition
 
     def masks(self, video: CameraVideo) -> list[FrameMasks]:
         """Masks of one video, as `MaskMaker` promises."""
         frame_masks = []
         for frame, boxes in enumerate(video.boxes):
             height, width = video.frames[frame].shape[:2]
-            whole_px = {box.instance: np.count_nonzero(box.filled(height, width)) for box in boxes}
+            whole_px = {box.instance: np.count_nonzero(box.fill_mask(height, width)) for box in boxes}
             visible = {
                 name: part
                 for name, part in video.visible(frame).items()
                 if np.count_nonzero(part) >= self.definition.min_visible * whole_px[name]
             }
-            frame_masks.append(_large_enough(visible, self.definition.min_mask_px))
+            frame_masks.append(_select_large_enough(visible, self.definition.min_mask_px))
         return frame_masks
 
 
@@ -244,13 +244,15 @@ class TrackedMasks:
     are (`sam2-boxes`).
     """
 
-    definition: Definition
+    definition: QualityDefinition
     segmenter: Segmenter
     detector: Detector | None = None
 
     def masks(self, video: CameraVideo) -> list[FrameMasks]:
         """Masks of one video, as `MaskMaker` promises."""
-        visible = [_in_view(video.visible(frame), self.definition.min_mask_px) for frame in range(len(video.frames))]
+        visible = [
+            _select_in_view(video.visible(frame), self.definition.min_mask_px) for frame in range(len(video.frames))
+        ]
         prompts = [self._prompts(video, frame, parts) for frame, parts in enumerate(visible)]
         instances = sorted({name for frame in prompts for name in frame})
         frame_masks: list[dict[str, Bools]] = [{} for _ in video.frames]
@@ -259,21 +261,23 @@ class TrackedMasks:
             for name in instances:
                 parts = [frame.get(name) for frame in visible]
                 boxes = [frame.get(name) for frame in prompts]
-                followed = _followed(parts, boxes, segments.begin, segments.follow, self.definition.min_overlap)
+                followed = _follow_subject(parts, boxes, segments.begin, segments.follow, self.definition.min_overlap)
                 for frame, mask in followed.items():
                     frame_masks[frame][name] = mask
-        return [_large_enough(frame, self.definition.min_mask_px) for frame in frame_masks]
+        return [_select_large_enough(frame, self.definition.min_mask_px) for frame in frame_masks]
 
     def _prompts(self, video: CameraVideo, frame: int, visible: dict[str, Bools]) -> dict[str, Box]:
-        projected = {name: rectangle for name, part in visible.items() if (rectangle := _rectangle(part)) is not None}
+        projected = {
+            name: rectangle for name, part in visible.items() if (rectangle := _bounding_box(part)) is not None
+        }
         if self.detector is None:
             return projected
         if frame % self.definition.detect_every or not projected:
             return {}
-        return tied(self.detector.boxes(video.frames[frame]), projected, self.definition.min_overlap)
+        return match_detections(self.detector.boxes(video.frames[frame]), projected, self.definition.min_overlap)
 
 
-def tied(detections: Sequence[Box], projected: dict[str, Box], min_overlap: float) -> dict[str, Box]:
+def match_detections(detections: Sequence[Box], projected: dict[str, Box], min_overlap: float) -> dict[str, Box]:
     """Give each instance at most one detection, and each detection at most one instance, best overlaps first.
 
     Pairs below the least intersection over union are none. Equal overlaps go to the surer detection, then to the first
@@ -293,7 +297,7 @@ def tied(detections: Sequence[Box], projected: dict[str, Box], min_overlap: floa
     return matches
 
 
-def _followed(
+def _follow_subject(
     parts: Sequence[Bools | None],
     prompts: Sequence[Box | None],
     begin: Callable[[int, Box], Bools],
@@ -308,11 +312,11 @@ def _followed(
             on_track = False
             continue
         mask = follow(frame) if on_track else None
-        if mask is not None and overlap(mask, part) < min_overlap:
+        if mask is not None and compute_overlap(mask, part) < min_overlap:
             mask = None
         if mask is None and prompt is not None:
             mask = begin(frame, prompt)
-            if overlap(mask, part) < min_overlap:
+            if compute_overlap(mask, part) < min_overlap:
                 mask = None
         on_track = mask is not None
         if mask is not None:
@@ -320,17 +324,17 @@ def _followed(
     return masks
 
 
-def _in_view(parts: dict[str, Bools], min_px: int) -> dict[str, Bools]:
+def _select_in_view(parts: dict[str, Bools], min_px: int) -> dict[str, Bools]:
     return {name: part for name, part in parts.items() if np.count_nonzero(part) >= min_px}
 
 
-def _large_enough(masks: dict[str, Bools], min_px: int) -> FrameMasks:
-    cut = {name: Mask.of(full_mask) for name, full_mask in masks.items()}
+def _select_large_enough(masks: dict[str, Bools], min_px: int) -> FrameMasks:
+    cut = {name: CroppedMask.of(full_mask) for name, full_mask in masks.items()}
     return {name: mask for name, mask in sorted(cut.items()) if mask is not None and mask.area_px >= min_px}
 
 
-def _rectangle(part: Bools) -> Box | None:
-    mask = Mask.of(part)
+def _bounding_box(part: Bools) -> Box | None:
+    mask = CroppedMask.of(part)
     if mask is None:
         return None
     height, width = mask.pixels.shape

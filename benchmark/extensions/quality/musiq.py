@@ -84,7 +84,7 @@ class Patches:
     scale: Tensor
 
 
-def multiscale_patches(picture: Tensor, grid: int = 10) -> Patches:
+def cut_multiscale_patches(picture: Tensor, grid: int = 10) -> Patches:
     """Cut a (3, height, width) picture, -1 to 1, into patches at all sizes, the smallest first, in reading order."""
     height, width = picture.shape[1:]
     pixels, position, scale = [], [], []
@@ -98,7 +98,9 @@ def multiscale_patches(picture: Tensor, grid: int = 10) -> Patches:
         padded = functional.pad(scaled, _same_padding(scaled.shape[2:], PATCH_PX, PATCH_PX))
         cut = padded.reshape(3, rows, PATCH_PX, columns, PATCH_PX).permute(1, 3, 0, 2, 4)
         pixels.append(cut.reshape(-1, 3, PATCH_PX, PATCH_PX))
-        position.append((grid * _hashed(rows, grid)[:, None] + _hashed(columns, grid)[None]).reshape(-1))
+        position.append(
+            (grid * _hash_positions(rows, grid)[:, None] + _hash_positions(columns, grid)[None]).reshape(-1)
+        )
         scale.append(torch.full((rows * columns,), index))
     return Patches(torch.cat(pixels), torch.cat(position).to(picture.device), torch.cat(scale).to(picture.device))
 
@@ -224,7 +226,7 @@ class _FeedForward(nn.Module):
         return transformed
 
 
-class _Layer(nn.Module):
+class _TransformerLayer(nn.Module):
     def __init__(self, config: MusiqConfig) -> None:
         super().__init__()
         self.norm1 = nn.LayerNorm(config.hidden, eps=1e-6)
@@ -244,7 +246,9 @@ class _Encoder(nn.Module):
         self.posembed_input = _PositionEmbedding(config.grid**2, config.hidden)
         self.scaleembed_input = _ScaleEmbedding(config.scales, config.hidden)
         self.cls = nn.Parameter(torch.zeros(1, 1, config.hidden))
-        self.transformer = nn.ModuleDict({f"encoderblock_{index}": _Layer(config) for index in range(config.layers)})
+        self.transformer = nn.ModuleDict(
+            {f"encoderblock_{index}": _TransformerLayer(config) for index in range(config.layers)}
+        )
         self.encoder_norm = nn.LayerNorm(config.hidden, eps=1e-6)
 
     def forward(self, tokens: Tensor, there: Tensor) -> Tensor:
@@ -258,7 +262,7 @@ class _Encoder(nn.Module):
         return encoded
 
 
-def _hashed(count: int, grid: int) -> Tensor:
+def _hash_positions(count: int, grid: int) -> Tensor:
     """(count,) which row or column of the grid each of so many patches falls into."""
     cells = torch.arange(grid, dtype=torch.float32)[None, None]
     return functional.interpolate(cells, count, mode="nearest")[0, 0].long()

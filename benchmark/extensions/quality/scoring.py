@@ -19,22 +19,22 @@ from torch import Tensor
 from torch.nn import functional
 
 from benchmark.errors import InputError
-from benchmark.extensions.quality.definition import Definition
+from benchmark.extensions.quality.definition import QualityDefinition
 from benchmark.extensions.quality.masks import (
     BoxMasks,
     CameraVideo,
+    CroppedMask,
     FrameMasks,
-    Mask,
     MaskMaker,
     TrackedMasks,
-    boxes_in_view,
-    reduced,
+    project_boxes,
+    reduce_picture,
 )
-from benchmark.extensions.quality.musiq import Musiq, multiscale_patches
+from benchmark.extensions.quality.musiq import Musiq, cut_multiscale_patches
 from benchmark.extensions.quality.segmentation import load_pretrained
 from benchmark.geometry import Floats
 from benchmark.machine.devices import single_precision
-from benchmark.records.quality import SceneRows, SubjectRow, Sum, VideoRow
+from benchmark.records.quality import ExactSum, SceneQualityRows, SubjectRow, VideoRow
 from benchmark.untrusted.wire_images import read_picture
 from benchmark.weights.catalogue import DINO, GROUNDING_DINO, MUSIQ, SAM2
 
@@ -48,7 +48,7 @@ _DEVIATION: Final = (0.229, 0.224, 0.225)
 """Pixel values that DINO was trained with, of 1."""
 
 
-class SubjectFeatures:
+class SubjectFeatureExtractor:
     """DINO's features of masked subjects, each brought to a square of ``crop_px``.
 
     Args:
@@ -64,11 +64,11 @@ class SubjectFeatures:
             raise InputError(f"crops of {crop_px} pixels cannot be cut into the patches of {patch} that {folder} wants")
 
     @torch.inference_mode()
-    def features(self, appearances: Sequence[tuple[NDArray[np.uint8], Mask]]) -> Floats:
+    def features(self, appearances: Sequence[tuple[NDArray[np.uint8], CroppedMask]]) -> Floats:
         """(A, D) features of unit length of A appearances, each an image and the mask in it."""
         parts = []
         for start in range(0, len(appearances), self._batch):
-            squares = [subject_square(*appearance, self._crop_px) for appearance in appearances[start:][: self._batch]]
+            squares = [crop_subject(*appearance, self._crop_px) for appearance in appearances[start:][: self._batch]]
             pixels = torch.stack(squares).to(self._device)
             states = self._network(pixel_values=pixels, interpolate_pos_encoding=True).last_hidden_state
             parts.append(functional.normalize(states[:, 0].double(), dim=-1).cpu())
@@ -78,7 +78,7 @@ class SubjectFeatures:
         return features
 
 
-def similarities(features: Floats) -> Floats:
+def compute_similarities(features: Floats) -> Floats:
     """VBench's value of each appearance after the first.
 
     Args:
@@ -95,7 +95,7 @@ def similarities(features: Floats) -> Floats:
     return np.asarray((np.maximum(with_first, 0.0) + np.maximum(with_previous, 0.0)) / 2)
 
 
-def subject_square(image: NDArray[np.uint8], mask: Mask, side_px: int) -> Tensor:
+def crop_subject(image: NDArray[np.uint8], mask: CroppedMask, side_px: int) -> Tensor:
     """A subject alone, in the middle of a (3, side, side) square, as DINO wants it.
 
     The image is (height, width, 3) RGB.
@@ -137,15 +137,18 @@ class ImagingQuality:
         values: list[float] = []
         grid = self._network.config.grid
         for start in range(0, len(pictures), self._batch):
-            some = [prepared(picture, self._longer_px).to(self._device) for picture in pictures[start:][: self._batch]]
-            scores = self._network([multiscale_patches(picture, grid) for picture in some])
+            some = [
+                prepare_picture(picture, self._longer_px).to(self._device)
+                for picture in pictures[start:][: self._batch]
+            ]
+            scores = self._network([cut_multiscale_patches(picture, grid) for picture in some])
             values += (scores.double() / _FULL_SCORE).tolist()
         if not np.isfinite(values).all():
             raise InputError(f"the weights in {self._weights} give scores that are no numbers; get them again")
         return values
 
 
-def prepared(picture: NDArray[np.uint8], longer_px: int) -> Tensor:
+def prepare_picture(picture: NDArray[np.uint8], longer_px: int) -> Tensor:
     """A (height, width, 3) RGB picture as MUSIQ wants it, (3, height, width).
 
     Above a longer side it is brought down bilinearly without smoothing, rounded to 8 bits, then scaled to -1 to 1.
@@ -164,15 +167,15 @@ _TURNED: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Networks:
+class QualityNetworks:
     """Source of masks, DINO and MUSIQ: everything that looks at pixels."""
 
     masks: MaskMaker
-    features: SubjectFeatures
+    features: SubjectFeatureExtractor
     imaging: ImagingQuality
 
 
-def load_networks(definition: Definition, folders: Mapping[str, Path], place: torch.device) -> Networks:
+def load_networks(definition: QualityDefinition, folders: Mapping[str, Path], place: torch.device) -> QualityNetworks:
     """Load the source of masks, DINO and MUSIQ of a definition, with weights by name (`needed_for`)."""
     masks: MaskMaker = BoxMasks(definition)
     if definition.masks != "boxes":
@@ -183,16 +186,18 @@ def load_networks(definition: Definition, folders: Mapping[str, Path], place: to
             thresholds = definition.box_threshold, definition.text_threshold
             detector = Detector(folders[GROUNDING_DINO.name], place, definition.prompt, *thresholds)
         masks = TrackedMasks(definition, Segmenter(folders[SAM2.name], place), detector)
-    return Networks(
+    return QualityNetworks(
         masks=masks,
-        features=SubjectFeatures(folders[DINO.name], place, definition.crop_px, definition.batch),
+        features=SubjectFeatureExtractor(folders[DINO.name], place, definition.crop_px, definition.batch),
         imaging=ImagingQuality(
             folders[MUSIQ.name] / MUSIQ.files[0].name, place, definition.imaging_longer_px, definition.batch
         ),
     )
 
 
-def score_scene(data: "DataSet", name: str, definition: Definition, networks: Networks) -> SceneRows:
+def score_scene(
+    data: "DataSet", name: str, definition: QualityDefinition, networks: QualityNetworks
+) -> SceneQualityRows:
     """Score a scene; its rows depend on nothing but the scene and the definition."""
     scene = data.scene(name)
     videos = data.videos(name, sweeps=definition.frames == "all")
@@ -202,18 +207,20 @@ def score_scene(data: "DataSet", name: str, definition: Definition, networks: Ne
     rows: list[VideoRow] = []
     with single_precision():
         for camera, views in videos.items():
-            video = _camera_video(scene, camera, views, definition)
-            subjects += _subjects(scene, video, networks)
-            rows.append(_whole_frames(name, video, views, definition, networks.imaging))
-    return SceneRows(scene=name, subjects=subjects, videos=rows)
+            video = _read_video(scene, camera, views, definition)
+            subjects += _score_subjects(scene, video, networks)
+            rows.append(_score_frames(name, video, views, definition, networks.imaging))
+    return SceneQualityRows(scene=name, subjects=subjects, videos=rows)
 
 
-def _camera_video(scene: "Scene", camera: str, views: "Sequence[CameraView]", definition: Definition) -> CameraVideo:
+def _read_video(
+    scene: "Scene", camera: str, views: "Sequence[CameraView]", definition: QualityDefinition
+) -> CameraVideo:
     """Read one camera's images in time order and project the vehicles into them."""
     frames: list[NDArray[np.uint8]] = []
     boxes = []
     for view in views:
-        image = _load(view, definition)
+        image = _read_image(view, definition)
         height, width = image.shape[:2]
         proportion = (width / height) / (view.camera.width / view.camera.height)
         if abs(proportion - 1) > _TURNED:
@@ -221,22 +228,22 @@ def _camera_video(scene: "Scene", camera: str, views: "Sequence[CameraView]", de
                 f"image {view.path} is {width} x {height} pixels, which does not have the proportions of its camera "
                 f"({view.camera.width} x {view.camera.height}); correct the size in sample_data or the image"
             )
-        frame = reduced(image, definition.longer_side_px)
+        frame = reduce_picture(image, definition.longer_side_px)
         if frames and frame.shape != frames[0].shape:
             raise InputError(f"image {view.path} has another size than the others of {camera} of {scene.name}; fix it")
         frames.append(frame)
         size = frame.shape[1], frame.shape[0]
-        boxes.append(boxes_in_view(scene, view, size, definition.categories, definition.near_m))
+        boxes.append(project_boxes(scene, view, size, definition.categories, definition.near_m))
     return CameraVideo(camera, tuple(view.timestamp_us for view in views), tuple(frames), tuple(boxes))
 
 
-def image_file(view: "CameraView", definition: Definition) -> Path:
+def find_image_file(view: "CameraView", definition: QualityDefinition) -> Path:
     """The file that is scored for a view: the view's own, or the PNG file of the same name beside it."""
     return view.path if definition.files == "own" else view.path.with_suffix(".png")
 
 
-def _load(view: "CameraView", definition: Definition) -> NDArray[np.uint8]:
-    path = image_file(view, definition)
+def _read_image(view: "CameraView", definition: QualityDefinition) -> NDArray[np.uint8]:
+    path = find_image_file(view, definition)
     if path == view.path:
         return view.load()
     if not path.is_file():
@@ -247,12 +254,12 @@ def _load(view: "CameraView", definition: Definition) -> NDArray[np.uint8]:
     return read_picture(path)
 
 
-def _subjects(scene: "Scene", video: CameraVideo, networks: Networks) -> list[SubjectRow]:
+def _score_subjects(scene: "Scene", video: CameraVideo, networks: QualityNetworks) -> list[SubjectRow]:
     masks = networks.masks.masks(video)
     appearances = [
         (name, frame, mask)
         for name in sorted({name for masked in masks for name in masked})
-        for frame, mask in _appearances(masks, name)
+        for frame, mask in _find_appearances(masks, name)
     ]
     if not appearances:
         return []
@@ -275,26 +282,26 @@ def _subjects(scene: "Scene", video: CameraVideo, networks: Networks) -> list[Su
                 first_us=video.times_us[frames[0]],
                 last_us=video.times_us[frames[-1]],
                 mean_area_px=sum(appearances[index][2].area_px for index in at) / len(at),
-                consistency=Sum.of(similarities(features[at]).tolist()),
-                imaging=Sum.of([quality[index] for index in at]),
+                consistency=ExactSum.of(compute_similarities(features[at]).tolist()),
+                imaging=ExactSum.of([quality[index] for index in at]),
             )
         )
     return rows
 
 
-def _appearances(masks: Sequence[FrameMasks], name: str) -> list[tuple[int, Mask]]:
+def _find_appearances(masks: Sequence[FrameMasks], name: str) -> list[tuple[int, CroppedMask]]:
     return [(frame, masked[name]) for frame, masked in enumerate(masks) if name in masked]
 
 
-def _whole_frames(
+def _score_frames(
     scene: str,
     video: CameraVideo,
     views: "Sequence[CameraView]",
-    definition: Definition,
+    definition: QualityDefinition,
     imaging: ImagingQuality,
 ) -> VideoRow:
     height, width = video.frames[0].shape[:2]
-    suffixes = (image_file(view, definition).suffix.lower().lstrip(".") for view in views)
+    suffixes = (find_image_file(view, definition).suffix.lower().lstrip(".") for view in views)
     return VideoRow(
         scene=scene,
         camera=video.camera,
@@ -302,5 +309,5 @@ def _whole_frames(
         width=width,
         height=height,
         formats=dict(sorted(Counter(suffixes).items())),
-        imaging=Sum.of(imaging.scores(video.frames)),
+        imaging=ExactSum.of(imaging.scores(video.frames)),
     )

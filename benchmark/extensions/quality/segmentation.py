@@ -19,9 +19,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from benchmark.geometry import Bools
-from benchmark.weights.pretrained import Library
+from benchmark.weights.pretrained import OptionalLibrary
 
-_TRANSFORMERS: Final = Library("transformers", extra="quality", needed_by="video quality")
+_TRANSFORMERS: Final = OptionalLibrary("transformers", extra="quality", needed_by="video quality")
 
 
 def load_pretrained(name: str, folder: Path, device: torch.device, **settings: Any) -> Any:
@@ -80,7 +80,7 @@ class VideoSegments:
 
         self._segmenter = segmenter
         self._height, self._width = frames[0].shape[:2]
-        video = torch.stack([prepared_frame(frame, segmenter.side_px) for frame in frames])
+        video = torch.stack([prepare_frame(frame, segmenter.side_px) for frame in frames])
         self._session: Any = Sam2VideoInferenceSession(
             video=video,
             video_height=self._height,
@@ -117,7 +117,7 @@ class VideoSegments:
         return np.asarray((full_size[0, 0] > 0).cpu())
 
 
-def prepared_frame(frame: NDArray[np.uint8], side_px: int) -> Tensor:
+def prepare_frame(frame: NDArray[np.uint8], side_px: int) -> Tensor:
     """A (height, width, 3) RGB frame as SAM 2 wants it, (3, side, side); proportions are not kept."""
     pixels = torch.tensor(frame, dtype=torch.float32).permute(2, 0, 1)[None]
     resized = functional.interpolate(pixels, (side_px, side_px), mode="bilinear", antialias=True)[0].round()

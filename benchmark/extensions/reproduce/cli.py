@@ -8,12 +8,12 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.output import print_result, same_place, say_next, say_plan
+from benchmark.cli.output import print_next_steps, print_plan, print_result, repeat_data_options
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
-    from benchmark.extensions.reproduce.reproducing import Expected
+    from benchmark.extensions.reproduce.reproducing import ExpectedNumbers
 
 _SPLIT: Final = "val"
 
@@ -51,9 +51,9 @@ def reproduce_command(options: ReproduceOptions) -> None:
     require_file(options.expected, "--expected", (".json",))
     require_output_file(options.store, "--store", (".json",))
     model = api.PlannerSource.of(options).require()
-    runs = _planner_of(options.model, options.checkpoint, options.data, options.expected)
-    count, published = api.worker_count(options.workers), _as_published(runs, plain=options.plain)
-    numbers = _expected(runs, options.expected, options.split)
+    runs = _find_planner(options.model, options.checkpoint, options.data, options.expected)
+    count, published = api.worker_count(options.workers), _list_published_settings(runs, plain=options.plain)
+    numbers = _read_expected(runs, options.expected, options.split)
     model = replace(model, as_published=published)
     if model.remembers_across_scenes():
         require_whole_split(runs, None, None, options.workers)
@@ -65,7 +65,7 @@ def reproduce_command(options: ReproduceOptions) -> None:
         how = f"with --as-published {' '.join(published)}" if published else "as eval does by default"
         then = f"run {runs} on {ahead.counted()} of {options.split} {how}, and compare with {numbers.of}"
         sentences = ahead.plan(then) if ahead.builds else (f"would {then}",)
-        say_plan(sentences, json_output=options.json_output)
+        print_plan(sentences, json_output=options.json_output)
         return
     from benchmark.extensions.reproduce.reproducing import reproduce, store_expected
     from leaderboard.extensions.reproduction.tables import reproduction_table
@@ -83,39 +83,39 @@ def reproduce_command(options: ReproduceOptions) -> None:
     if not reproduction.reproduced:
         raise typer.Exit(1)
     as_published = "".join(f" --as-published {option}" for option in published)
-    say_next(
+    print_next_steps(
         f"record: {record.directory}",
         (
-            f"eval --model {options.model} --split adv{as_published}{same_place(options)}",
+            f"eval --model {options.model} --split adv{as_published}{repeat_data_options(options)}",
             "tables mark runs of the same weights, code and options as reproduced",
         ),
         json_output=options.json_output,
     )
 
 
-def _planner_of(model: str, checkpoint: Path | None, data: str, expected: Path | None) -> str:
+def _find_planner(model: str, checkpoint: Path | None, data: str, expected: Path | None) -> str:
     """Name of the planner that runs; raises `InputError` where a miniature would run for a published model."""
-    from adapters.checkpoints.stand_in import no_weights
+    from adapters.checkpoints.stand_in import missing_weights_error
     from adapters.models import MODELS
 
-    runs = api.model_that_runs(model, checkpoint, data=data)
+    runs = api.find_runnable_model(model, checkpoint, data=data)
     if runs != model and expected is None:
-        raise no_weights(MODELS[model].name)
+        raise missing_weights_error(MODELS[model].name)
     return MODELS[runs].name if runs in MODELS else runs
 
 
-def _as_published(name: str, *, plain: bool) -> tuple[str, ...]:
+def _list_published_settings(name: str, *, plain: bool) -> tuple[str, ...]:
     """Everything that the model does as in its published run, unless that is not wanted or there is nothing."""
     from adapters.models import MODELS
-    from adapters.planner import ALL, options_of
+    from adapters.planner import ALL, select_options
 
     network = MODELS[name].network if name in MODELS else None
     if plain or network is None or not network.as_published:
         return ()
-    return options_of(name, network.as_published, [ALL])
+    return select_options(name, network.as_published, [ALL])
 
 
-def _expected(name: str, file: Path | None, split: str) -> "Expected":
+def _read_expected(name: str, file: Path | None, split: str) -> "ExpectedNumbers":
     """The numbers to compare with; raises `InputError` if there are none."""
     from adapters.models import MODELS
     from benchmark.extensions.reproduce.reproducing import expected_file, published_numbers

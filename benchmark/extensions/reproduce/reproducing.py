@@ -13,10 +13,10 @@ from benchmark.machine.storage import read_json, write_json
 from benchmark.metrics.rates import HORIZONS
 from benchmark.planning import Planner
 from benchmark.protocols import PROTOCOLS, STANDARD
-from benchmark.published import CHECKPOINTS, PLANNING_ALLOWED, VAL_SAMPLES, published_planning
+from benchmark.published import CHECKPOINTS, PLANNING_ALLOWED, VAL_SAMPLES, find_published_results
 from benchmark.records.reproduction import ComparedNumber, Reproduction, write_reproduction
 from benchmark.records.run import RunRecord
-from benchmark.records.store import validated
+from benchmark.records.store import validate_stored
 from benchmark.records.stored import Stored
 from benchmark.runs.plan_rows import PlannerFactory
 
@@ -52,7 +52,7 @@ class ExpectedValues(Stored):
 
 
 @dataclass(frozen=True, slots=True)
-class _Published:
+class _PublishedNumber:
     """One number with where it is printed."""
 
     column: Literal["collision", "l2", "samples"]
@@ -62,15 +62,15 @@ class _Published:
 
 
 @dataclass(frozen=True, slots=True)
-class Expected:
+class ExpectedNumbers:
     """Numbers that a run should give, judged by one protocol; ``of`` says in words whose numbers they are."""
 
     of: str
     protocol: str
-    numbers: tuple[_Published, ...]
+    numbers: tuple[_PublishedNumber, ...]
 
 
-def published_numbers(model: str, protocol: str) -> Expected:
+def published_numbers(model: str, protocol: str) -> ExpectedNumbers:
     """The published numbers of a model on the official validation split.
 
     Args:
@@ -83,7 +83,7 @@ def published_numbers(model: str, protocol: str) -> Expected:
     Raises:
         InputError: If none are known.
     """
-    rows = published_planning(model, protocol)
+    rows = find_published_results(model, protocol)
     if model not in CHECKPOINTS or not rows:
         known = CHECKPOINTS
         raise InputError(
@@ -95,12 +95,12 @@ def published_numbers(model: str, protocol: str) -> Expected:
         for place, horizon in enumerate(HORIZONS):
             printed = [(row.values[place], row.source) for row in rows if row.column == column]
             values = tuple((float(text), source) for text, source in printed if text)
-            numbers.append(_Published(column, horizon, values, PLANNING_ALLOWED[column]))
+            numbers.append(_PublishedNumber(column, horizon, values, PLANNING_ALLOWED[column]))
     counted = (float(VAL_SAMPLES[protocol]), "samples of the nuScenes validation split that the protocol counts")
-    return Expected(PUBLISHED, protocol, (*numbers, _Published("samples", "", (counted,), 0.0)))
+    return ExpectedNumbers(PUBLISHED, protocol, (*numbers, _PublishedNumber("samples", "", (counted,), 0.0)))
 
 
-def expected_file(path: Path, model: str, split: str) -> Expected:
+def expected_file(path: Path, model: str, split: str) -> ExpectedNumbers:
     """Numbers that a file names.
 
     Args:
@@ -114,7 +114,7 @@ def expected_file(path: Path, model: str, split: str) -> Expected:
     Raises:
         InputError: If it is no such file, or is of another model or split.
     """
-    stored = validated(
+    stored = validate_stored(
         ExpectedValues.model_validate,
         read_json(path),
         lambda where, why: (
@@ -131,12 +131,14 @@ def expected_file(path: Path, model: str, split: str) -> Expected:
         lacks = f"allows no difference for {missing[0]}" if missing else "has no values"
         raise InputError(f"{path} {lacks}; add it (docs/extensions/reproduce.md)")
     numbers = [
-        _Published(column, horizon, ((value, stored.source),), stored.allowed[column])
+        _PublishedNumber(column, horizon, ((value, stored.source),), stored.allowed[column])
         for column, by_horizon in stored.values.items()
         for horizon, value in by_horizon.items()
     ]
-    return Expected(
-        stored.source, stored.protocol, (*numbers, _Published("samples", "", ((stored.samples, stored.source),), 0))
+    return ExpectedNumbers(
+        stored.source,
+        stored.protocol,
+        (*numbers, _PublishedNumber("samples", "", ((stored.samples, stored.source),), 0)),
     )
 
 
@@ -145,7 +147,7 @@ def reproduce(
     split: str,
     planner: Planner | PlannerFactory,
     out: Path,
-    expected: Expected,
+    expected: ExpectedNumbers,
     *,
     workers: int = 1,
     seed: int = 0,
@@ -169,22 +171,24 @@ def reproduce(
     """
     judges = tuple(dict.fromkeys((*STANDARD, expected.protocol)))
     record = evaluate(data, split, planner, out, EvalSettings(judges, workers=workers, seed=seed))
-    reproduction = compared(record, expected)
+    reproduction = compare_run(record, expected)
     write_reproduction(record.directory, reproduction)
     return record, reproduction
 
 
-def compared(record: RunRecord, expected: Expected) -> Reproduction:
+def compare_run(record: RunRecord, expected: ExpectedNumbers) -> Reproduction:
     """A run, judged by the protocol of the numbers, beside the numbers that it should give.
 
     Raises:
         InputError: If the run is not whole: failed samples, or not the whole split.
     """
-    require_whole(record)
+    require_whole_split(record)
     summary = record.summary.protocols[expected.protocol]
     numbers = []
     for number in expected.numbers:
-        ours = float(summary.counted) if number.column == "samples" else _of_run(record, expected.protocol, number)
+        ours = (
+            float(summary.counted) if number.column == "samples" else _find_measured(record, expected.protocol, number)
+        )
         values: Sequence[tuple[float, str]] = number.values
         value, source = min(values, key=lambda known: abs(known[0] - (known[0] if ours is None else ours)))
         numbers.append(
@@ -210,7 +214,7 @@ def compared(record: RunRecord, expected: Expected) -> Reproduction:
     )
 
 
-def require_whole(record: RunRecord) -> None:
+def require_whole_split(record: RunRecord) -> None:
     """Refuse a run that is not of the whole split or failed on samples: its rates are of something else."""
     if not record.complete:
         raise InputError(
@@ -232,7 +236,7 @@ def store_expected(path: Path, record: RunRecord, protocol: str) -> None:
     Raises:
         InputError: If the run is not whole, or the file cannot be written.
     """
-    require_whole(record)
+    require_whole_split(record)
     summary, run = record.summary.protocols[protocol], record.run
     values = {
         column: {
@@ -257,6 +261,6 @@ def store_expected(path: Path, record: RunRecord, protocol: str) -> None:
     )
 
 
-def _of_run(record: RunRecord, protocol: str, number: _Published) -> float | None:
+def _find_measured(record: RunRecord, protocol: str, number: _PublishedNumber) -> float | None:
     rate = record.summary.protocols[protocol].columns.get(number.column, {}).get(number.horizon)
     return None if rate is None or rate.value is None else _SCALE[number.column] * rate.value

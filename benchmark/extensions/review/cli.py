@@ -9,11 +9,11 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.options import name_list
+from benchmark.cli.options import parse_name_list
 from benchmark.cli.output import print_json
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -51,7 +51,7 @@ def data_review_command(options: DataReviewOptions) -> None:
     """Look at each scene on a local page and accept or reject it; rejected scenes are judged and written no more."""
     from benchmark.machine.places import require_file
 
-    data, named = api.DataSource.of(options), name_list(options.scenes)
+    data, named = api.DataSource.of(options), parse_name_list(options.scenes)
     of_page = options.show or options.sample is not None or options.browser or named or options.limit
     if options.verdicts is not None and of_page:
         raise InputError("--verdicts records a whole file; leave the options of the page out")
@@ -70,24 +70,24 @@ def data_review_command(options: DataReviewOptions) -> None:
             options.port,
             browser=options.browser,
         )
-    _say(api.open_data(dataset.root, tables=dataset.version), options.split, json_output=options.json_output)
+    _print_verdicts(api.open_data(dataset.root, tables=dataset.version), options.split, json_output=options.json_output)
 
 
 def _record_file(dataset: "DataSet", path: Path) -> None:
     """Record the verdicts of a file; all of them or none."""
     from benchmark.datasets.reviewed import record_verdicts, require_scenes, scene_tokens
-    from benchmark.records.review import REVIEW_FILE, Verdict, checked_verdict
+    from benchmark.records.review import REVIEW_FILE, Verdict, check_verdict
     from benchmark.untrusted.verdicts import read_verdicts
 
     verdicts = read_verdicts(path)
     tokens = {reviewed.name: reviewed.token for reviewed in dataset.review().judged} | scene_tokens(dataset.root)
     require_scenes(verdicts, tokens, path, dataset.root)
     checked: dict[str, Verdict | None] = {
-        name: checked_verdict({"token": tokens[name], **members}, f"{path}: the verdict on {name}")
+        name: check_verdict({"token": tokens[name], **members}, f"{path}: the verdict on {name}")
         for name, members in verdicts.items()
     }
     record_verdicts(dataset.root, checked)
-    api.tell(f"{counted(len(checked), 'verdict')} recorded in {dataset.root / REVIEW_FILE}")
+    api.notify(f"{pluralise(len(checked), 'verdict')} recorded in {dataset.root / REVIEW_FILE}")
 
 
 def _show_page(
@@ -101,7 +101,7 @@ def _show_page(
     browser: bool,
 ) -> None:
     """Show the page until the inspector is done."""
-    from benchmark.extensions.review.inspection import Inspection, drawn_for_inspection
+    from benchmark.extensions.review.inspection import Inspection, draw_scenes_to_inspect
     from benchmark.extensions.review.server import ReviewServer
 
     limit, sample, seed = drawn
@@ -109,12 +109,12 @@ def _show_page(
     unknown = sorted(set(named or ()) - set(known))
     if unknown:
         raise InputError(f"{dataset.root} has no scene {unknown[0]}; it has {', '.join(known[:3])} ...")
-    names = drawn_for_inspection([name for name in known if named is None or name in named][:limit], sample, seed)
+    names = draw_scenes_to_inspect([name for name in known if named is None or name in named][:limit], sample, seed)
     if not names:
         raise InputError(f"{dataset.root} has no scene to look at")
     with ReviewServer(Inspection(dataset, names, inspector), port) as server:
-        api.tell(f"{counted(len(names), 'scene')} to look at: {server.url}")
-        api.tell("the page answers on this machine alone; Finish on it, or Ctrl-C here, ends the review")
+        api.notify(f"{pluralise(len(names), 'scene')} to look at: {server.url}")
+        api.notify("the page answers on this machine alone; Finish on it, or Ctrl-C here, ends the review")
         if browser:
             import webbrowser
 
@@ -122,10 +122,10 @@ def _show_page(
         try:
             server.serve_until_done()
         except KeyboardInterrupt:
-            api.tell("ended; every verdict is recorded")
+            api.notify("ended; every verdict is recorded")
 
 
-def _say(dataset: "DataSet", split: str | None, *, json_output: bool) -> None:
+def _print_verdicts(dataset: "DataSet", split: str | None, *, json_output: bool) -> None:
     """Print the verdicts so far."""
     from benchmark.records.review import REVIEW_FILE
 

@@ -10,13 +10,20 @@ from benchmark.datasets.reviewed import record_verdicts, scene_tokens
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_seed
-from benchmark.records.review import checked_verdict, read_review
-from benchmark.records.scenes import SheetCamera
-from benchmark.report.birdseye import SceneFromAbove
-from benchmark.report.canvas import png
+from benchmark.records.review import check_verdict, read_review
+from benchmark.records.scenes import PageCamera
+from benchmark.report.birdseye import BirdseyeScene
+from benchmark.report.canvas import encode_png
 from benchmark.scene import Scene
-from benchmark.scene_pages.making import sheet_to_draw
-from benchmark.scene_pages.pictures import PicturedFrame, adversary_edges, layout, mosaic, pictured_frames, with_files
+from benchmark.scene_pages.making import build_page_to_draw
+from benchmark.scene_pages.pictures import (
+    PicturedFrame,
+    draw_mosaic,
+    keep_existing_images,
+    lay_out_cameras,
+    project_adversary_edges,
+    select_pictured_frames,
+)
 
 _ABOVE_PX: Final = 460
 _EXTENT_M: Final = 30.0
@@ -26,16 +33,16 @@ _KEPT: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class _Shown:
+class _PreparedScene:
     """One scene made ready to be drawn."""
 
     scene: Scene
-    above: SceneFromAbove
+    above: BirdseyeScene
     frames: tuple[PicturedFrame, ...]
-    cells: tuple[SheetCamera, ...]
+    cells: tuple[PageCamera, ...]
 
 
-def drawn_for_inspection(names: Sequence[str], count: int | None, seed: int) -> tuple[str, ...]:
+def draw_scenes_to_inspect(names: Sequence[str], count: int | None, seed: int) -> tuple[str, ...]:
     """Some of the scenes, drawn by seed as the paper's random subset, in their order; all where no count is given."""
     if count is None or count >= len(names):
         return tuple(names)
@@ -50,7 +57,7 @@ class Inspection:
         """Look up earlier verdicts, which lie beside the root of the data set."""
         self.data, self.names, self.inspector = data, tuple(names), inspector
         self._tokens = scene_tokens(data.root, data.version)
-        self._shown: OrderedDict[str, _Shown] = OrderedDict()
+        self._shown: OrderedDict[str, _PreparedScene] = OrderedDict()
         self._lock = threading.Lock()
         self._facts = data.scene_facts(self.names)
         read_review(data.root)
@@ -79,7 +86,7 @@ class Inspection:
             prepared = self._ready(index)
             start_us = int(prepared.scene.timestamps_us[0])
             times = [(int(prepared.scene.timestamps_us[frame.frame]) - start_us) / 1e6 for frame in prepared.frames]
-            edges = [adversary_edges(prepared.scene, prepared.cells, frame.views) for frame in prepared.frames]
+            edges = [project_adversary_edges(prepared.scene, prepared.cells, frame.views) for frame in prepared.frames]
         return {
             "name": self.names[index],
             "description": prepared.scene.description,
@@ -97,7 +104,7 @@ class Inspection:
             prepared = self._ready(index)
             if not prepared.cells:
                 raise InputError(f"scene {self.names[index]} has no images")
-            return mosaic(prepared.cells, self._frame(prepared, place).views)
+            return draw_mosaic(prepared.cells, self._frame(prepared, place).views)
 
     def above(self, index: int, place: int) -> bytes:
         """The scene from above at one sample, as PNG."""
@@ -105,7 +112,7 @@ class Inspection:
             prepared = self._ready(index)
             frame = self._frame(prepared, place).frame
             picture, _ = prepared.above.draw(frame, width_px=_ABOVE_PX, height_px=_ABOVE_PX, extent_m=_EXTENT_M)
-            return png(picture)
+            return encode_png(picture)
 
     def record(self, index: int, verdict: Any, reason: Any) -> None:
         """Record a verdict on a scene: ``accepted``, ``rejected`` (with a reason), or ``None`` to take it back."""
@@ -113,7 +120,7 @@ class Inspection:
         checked = None
         if verdict is not None:
             stored = {"verdict": verdict, "reason": reason, "inspector": self.inspector, "token": self._tokens[name]}
-            checked = checked_verdict(stored, f"the verdict on {name}")
+            checked = check_verdict(stored, f"the verdict on {name}")
         with self._lock:
             record_verdicts(self.data.root, {name: checked})
 
@@ -122,22 +129,22 @@ class Inspection:
             raise InputError(f"there is no scene number {index}; there are {len(self.names)}")
         return self.names[index]
 
-    def _frame(self, prepared: _Shown, place: int) -> PicturedFrame:
+    def _frame(self, prepared: _PreparedScene, place: int) -> PicturedFrame:
         if not 0 <= place < len(prepared.frames):
             raise InputError(f"scene {prepared.scene.name} has no picture number {place}")
         return prepared.frames[place]
 
-    def _ready(self, index: int) -> _Shown:
+    def _ready(self, index: int) -> _PreparedScene:
         name = self._name(index)
         if name in self._shown:
             self._shown.move_to_end(name)
             return self._shown[name]
         scene = self.data.scene(name)
-        videos = with_files(name, self.data.videos(name, sweeps=False))
-        frames = pictured_frames(scene, videos, {}) if videos else ()
-        cells = layout({camera: views[0].camera for camera, views in videos.items()}, _CELL_WIDTH_PX)
+        videos = keep_existing_images(name, self.data.videos(name, sweeps=False))
+        frames = select_pictured_frames(scene, videos, {}) if videos else ()
+        cells = lay_out_cameras({camera: views[0].camera for camera, views in videos.items()}, _CELL_WIDTH_PX)
         unseen = tuple(PicturedFrame(int(frame), {}) for frame in scene.keyframes)
-        self._shown[name] = _Shown(scene, SceneFromAbove(sheet_to_draw(scene)), frames or unseen, cells)
+        self._shown[name] = _PreparedScene(scene, BirdseyeScene(build_page_to_draw(scene)), frames or unseen, cells)
         if len(self._shown) > _KEPT:
             self._shown.popitem(last=False)
         return self._shown[name]

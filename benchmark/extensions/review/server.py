@@ -47,7 +47,7 @@ class ReviewServer(ThreadingHTTPServer):
         """Listen on this machine alone; port 0 takes a free one."""
         self.inspection, self.secret, self.done = inspection, secrets.token_urlsafe(24), False
         try:
-            super().__init__((ADDRESS, port), _Handler)
+            super().__init__((ADDRESS, port), _ReviewHandler)
         except OSError as error:
             raise InputError(
                 f"cannot listen on port {port}: {error.strerror}; choose another --port, or leave it out"
@@ -75,7 +75,7 @@ class ReviewServer(ThreadingHTTPServer):
             self.handle_request()
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _ReviewHandler(BaseHTTPRequestHandler):
     server: ReviewServer
     timeout = 30
     server_version = "challenger-bench"
@@ -95,18 +95,20 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             kind, data = how(self._place())
             self._send(HTTPStatus.OK, kind, data)
-        except _Refused as refused:
-            self._send(refused.status, "application/json", _json({"error": str(refused)}))
+        except _ReviewRequestError as refused:
+            self._send(refused.status, "application/json", _encode_json({"error": str(refused)}))
         except InputError as error:
-            self._send(HTTPStatus.BAD_REQUEST, "application/json", _json({"error": str(error)}))
+            self._send(HTTPStatus.BAD_REQUEST, "application/json", _encode_json({"error": str(error)}))
 
     def _place(self) -> str:
         """Address without the secret; refuses clients that do not know it or call the machine by another name."""
         if self.headers.get("Host") not in self.server.hosts:
-            raise _Refused(HTTPStatus.FORBIDDEN, "this page answers on 127.0.0.1 alone")
+            raise _ReviewRequestError(HTTPStatus.FORBIDDEN, "this page answers on 127.0.0.1 alone")
         _, secret, place = [*self.path.partition("?")[0].split("/", 2), "", ""][:3]
         if not secrets.compare_digest(secret.encode(), self.server.secret.encode()):
-            raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing here; open the address that the command printed")
+            raise _ReviewRequestError(
+                HTTPStatus.NOT_FOUND, "there is nothing here; open the address that the command printed"
+            )
         return place
 
     def _get(self, place: str) -> tuple[str, bytes]:
@@ -115,44 +117,44 @@ class _Handler(BaseHTTPRequestHandler):
             name, kind = _ASSETS[place]
             return kind, (resources.files("benchmark.extensions.review") / "assets" / name).read_bytes()
         if place == "state":
-            return "application/json", _json(inspection.state())
+            return "application/json", _encode_json(inspection.state())
         if scene := _SCENE.fullmatch(place):
-            return "application/json", _json(inspection.describe(int(scene[1])))
+            return "application/json", _encode_json(inspection.describe(int(scene[1])))
         if picture := _PICTURE.fullmatch(place):
             draw = inspection.cameras if picture[3] == "cameras.webp" else inspection.above
             kind = "image/webp" if picture[3] == "cameras.webp" else "image/png"
             return kind, draw(int(picture[1]), int(picture[2]))
-        raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing here")
+        raise _ReviewRequestError(HTTPStatus.NOT_FOUND, "there is nothing here")
 
     def _post(self, place: str) -> tuple[str, bytes]:
         self._require_same_origin()
-        posted = self._posted()
+        posted = self._read_posted()
         if place == "done":
             self.server.done = True
         elif place == "verdict" and type(posted.get("scene")) is int:
             self.server.inspection.record(posted["scene"], posted.get("verdict"), posted.get("reason", ""))
         else:
-            raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing to post here")
-        return "application/json", _json(self.server.inspection.state())
+            raise _ReviewRequestError(HTTPStatus.NOT_FOUND, "there is nothing to post here")
+        return "application/json", _encode_json(self.server.inspection.state())
 
     def _require_same_origin(self) -> None:
         origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site")
         own = {f"http://{host}" for host in self.server.hosts}
         if (origin is not None and origin not in own) or site not in (None, "same-origin"):
-            raise _Refused(HTTPStatus.FORBIDDEN, "another site may not post here")
+            raise _ReviewRequestError(HTTPStatus.FORBIDDEN, "another site may not post here")
         if self.headers.get_content_type() != "application/json":
-            raise _Refused(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "verdicts are posted as JSON")
+            raise _ReviewRequestError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "verdicts are posted as JSON")
 
-    def _posted(self) -> dict[str, Any]:
+    def _read_posted(self) -> dict[str, Any]:
         length = self.headers.get("Content-Length", "")
         if not length.isdigit() or int(length) > _POST_BYTES:
-            raise _Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a verdict has at most {_POST_BYTES} bytes")
+            raise _ReviewRequestError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a verdict has at most {_POST_BYTES} bytes")
         try:
             posted = parse_json(self.rfile.read(int(length)), VERDICTS)
         except ValueError as error:
-            raise _Refused(HTTPStatus.BAD_REQUEST, f"this is no JSON: {error}") from error
+            raise _ReviewRequestError(HTTPStatus.BAD_REQUEST, f"this is no JSON: {error}") from error
         if not isinstance(posted, dict):
-            raise _Refused(HTTPStatus.BAD_REQUEST, "a verdict is an object")
+            raise _ReviewRequestError(HTTPStatus.BAD_REQUEST, "a verdict is an object")
         return posted
 
     def _send(self, status: HTTPStatus, kind: str, data: bytes) -> None:
@@ -171,7 +173,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(data)
 
 
-class _Refused(Exception):
+class _ReviewRequestError(Exception):
     """A request that is not answered, and the status that says so."""
 
     def __init__(self, status: HTTPStatus, sentence: str) -> None:
@@ -179,5 +181,5 @@ class _Refused(Exception):
         self.status = status
 
 
-def _json(value: Any) -> bytes:
+def _encode_json(value: Any) -> bytes:
     return json.dumps(value, allow_nan=False).encode()

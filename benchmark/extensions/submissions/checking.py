@@ -19,28 +19,35 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.courses import recorded_poses
+from benchmark.closed_loop.courses import interpolate_recorded_poses
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
-from benchmark.datasets.judged import stored_realism
-from benchmark.datasets.scene_facts import frozen_split_of
+from benchmark.datasets.judged import collect_realism
+from benchmark.datasets.scene_facts import find_frozen_split
 from benchmark.errors import InputError
-from benchmark.extensions.submissions.recomputed import Finding, Level, Said, drives_anew, protocols_of, run_anew
+from benchmark.extensions.submissions.recomputed import (
+    FindingLevel,
+    GradedSentence,
+    SubmissionFinding,
+    check_protocols,
+    recompute_drives,
+    recompute_run,
+)
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
-from benchmark.metrics.leaks import LeakFigures, Moment, leak_figures
+from benchmark.metrics.leaks import LeakFigures, LeakSample, compute_leak_figures
 from benchmark.planning import Plan, PlanFrame
-from benchmark.protocols import PROTOCOLS, protocol
-from benchmark.records.attempts import generated_facts
-from benchmark.records.drive_schema import DriveRow
+from benchmark.protocols import PROTOCOLS, find_protocol
+from benchmark.records.attempts import read_generated_facts
+from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DRIVE_FILE, DriveRecord, load_drives
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import PlannerFacts, RecordFacts, RunFacts, SceneFacts
-from benchmark.report.words import counted
-from benchmark.runs.judging import plan_of
-from benchmark.runs.rescoring import Opened, opened_as, record_directories
+from benchmark.report.words import pluralise
+from benchmark.runs.judging import parse_plan
+from benchmark.runs.rescoring import OpenedDataSets, find_record_directories, open_as_recorded
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
-from benchmark.untrusted.files import one_line
+from benchmark.untrusted.files import to_one_line
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -55,29 +62,31 @@ _PLANNED_US: Final = round(1e6 * PLAN_STEP_S) * np.arange(1, PLAN_STEPS + 1)
 _BEFORE_US: Final = round(1e6 * PLAN_STEP_S) * np.array([-2, -1, 0])
 
 
-def leak_findings(record: RunRecord | DriveRecord, data: "DataSet") -> Iterator[Said]:
+def check_leaks(record: RunRecord | DriveRecord, data: "DataSet") -> Iterator[GradedSentence]:
     """Signs that plans knew the recorded future, one finding at most; none of privileged planners."""
     facts = record.run if isinstance(record, RunRecord) else record.facts
     if facts.planner.privileged:
         return
-    if suspicions := figures_of(record, data).suspicions:
+    if suspicions := compute_record_leaks(record, data).suspicions:
         yield (
-            Level.SUSPICIOUS,
+            FindingLevel.SUSPICIOUS,
             f"{'; '.join(suspicions)}. It proves nothing: ask how it plans (docs/extensions/submissions.md)",
         )
 
 
-def figures_of(record: RunRecord | DriveRecord, data: "DataSet") -> LeakFigures:
+def compute_record_leaks(record: RunRecord | DriveRecord, data: "DataSet") -> LeakFigures:
     """Figures that compare the plans of a record with the recorded future."""
     if isinstance(record, DriveRecord):
-        return leak_figures([moment for row in record.rows for moment in _moments_of_drive(row, data.scene(row.scene))])
+        return compute_leak_figures(
+            [moment for row in record.rows for moment in _build_drive_moments(row, data.scene(row.scene))]
+        )
     scenes = groupby(record.rows, key=lambda row: row.scene)
-    return leak_figures(
-        [moment for name, rows in scenes for moment in moments_of_run(list(rows), data.truth(name)).values()]
+    return compute_leak_figures(
+        [moment for name, rows in scenes for moment in build_run_moments(list(rows), data.truth(name)).values()]
     )
 
 
-def moments_of_run(rows: Sequence[SampleRow], truths: Sequence[SampleTruth]) -> dict[int, Moment]:
+def build_run_moments(rows: Sequence[SampleRow], truths: Sequence[SampleTruth]) -> dict[int, LeakSample]:
     """Moments of one scene of a run, by number: a plan, a recorded second before and 3 s after."""
     steps = [None if row.recorded_future[0] is None else np.array(row.recorded_future[0][:2], float) for row in rows]
     speeds: dict[int, tuple[float, float]] = {}
@@ -87,27 +96,27 @@ def moments_of_run(rows: Sequence[SampleRow], truths: Sequence[SampleTruth]) -> 
         regular = all(truth.timed is None for truth in truths[max(index - 2, 0) : index + 1])
         if row.plan is not None and row.complete and before is not None and now is not None and regular:
             speeds[index] = (float(np.hypot(*before)) / PLAN_STEP_S, float(np.hypot(*now)) / PLAN_STEP_S)
-    dangerous = _dangerous([truths[index] for index in speeds], [now for _, now in speeds.values()])
+    dangerous = _find_dangerous([truths[index] for index in speeds], [now for _, now in speeds.values()])
     moments = {}
     for (index, speed), danger in zip(speeds.items(), dangerous):
         row = rows[index]
         assert row.plan is not None, "chosen above"
-        planned = plan_of(row.plan.model_dump()).judged.waypoints_in_lidar(row.lidar_ahead_m)
+        planned = parse_plan(row.plan.model_dump()).judged.waypoints_in_lidar(row.lidar_ahead_m)
         recorded = np.array(row.recorded_future, float)[:, :2]
-        moments[index] = Moment(planned, recorded, _FORWARD, speed, bool(danger))
+        moments[index] = LeakSample(planned, recorded, _FORWARD, speed, bool(danger))
     return moments
 
 
-def _dangerous(truths: Sequence[SampleTruth], speeds: Sequence[float]) -> Bools:
+def _find_dangerous(truths: Sequence[SampleTruth], speeds: Sequence[float]) -> Bools:
     """(N,) whether a car that keeps its speed and direction touches an object within 3 s."""
     if not truths:
         return np.zeros(0, bool)
     times = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
     constant_speed_plans = np.array(speeds)[:, None, None] * times[:, None] * _FORWARD
-    return np.asarray(protocol("exact").evaluate(truths, constant_speed_plans).collision.any(axis=1))
+    return np.asarray(find_protocol("exact").evaluate(truths, constant_speed_plans).collision.any(axis=1))
 
 
-def _moments_of_drive(row: DriveRow, scene: Scene) -> list[Moment]:
+def _build_drive_moments(row: EpisodeRow, scene: Scene) -> list[LeakSample]:
     """Instants of a drive at which the car was where the recorded one was, long enough before the recording ends.
 
     None of them counts as dangerous: the actions of others in a drive depend on the drive.
@@ -120,25 +129,25 @@ def _moments_of_drive(row: DriveRow, scene: Scene) -> list[Moment]:
         if time + _PLANNED_US[-1] > last or time + _BEFORE_US[0] < first:
             continue
         pose = np.array(state[:3])
-        poses = recorded_poses(scene, time + np.concatenate([_BEFORE_US, _PLANNED_US]))
+        poses = interpolate_recorded_poses(scene, time + np.concatenate([_BEFORE_US, _PLANNED_US]))
         now = poses[len(_BEFORE_US) - 1]
         if np.hypot(*(pose - now)[:2]) > NEAR_M or abs(float(wrap_angle(pose[2] - now[2]))) > NEAR_RAD:
             continue
         before, speed = np.hypot(*np.diff(poses[: len(_BEFORE_US), :2], axis=0).T) / PLAN_STEP_S
         planned = Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)).judged.waypoints_in_lidar(ahead_m)
-        recorded = _lidar_of(poses[len(_BEFORE_US) :], pose, ahead_m)
-        moments.append(Moment(planned, recorded, _FORWARD, (float(before), float(speed)), False))
+        recorded = _compute_lidar_positions(poses[len(_BEFORE_US) :], pose, ahead_m)
+        moments.append(LeakSample(planned, recorded, _FORWARD, (float(before), float(speed)), False))
     return moments
 
 
-def _lidar_of(poses: Floats, seen_from: Floats, ahead_m: float) -> Floats:
+def _compute_lidar_positions(poses: Floats, seen_from: Floats, ahead_m: float) -> Floats:
     """(N, 2) the lidar's origin at poses of the rear axle, in the lidar's frame (x right, y forward) at one of them."""
     heading = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
     local = to_local(poses[:, :2] + ahead_m * heading, seen_from)
     return np.stack([-local[:, 1], local[:, 0] - ahead_m], axis=1)
 
 
-def claims_of(facts: RecordFacts, failed: int, units: int, unit: str, data_name: str) -> Iterator[Said]:
+def check_claims(facts: RecordFacts, failed: int, units: int, unit: str, data_name: str) -> Iterator[GradedSentence]:
     """Findings that need no data set.
 
     Args:
@@ -147,49 +156,49 @@ def claims_of(facts: RecordFacts, failed: int, units: int, unit: str, data_name:
     """
     if facts.data.name != data_name:
         yield (
-            Level.ERROR,
-            f"is of the data set {one_line(facts.data.name, 80)}, not {data_name}; open that one with --data",
+            FindingLevel.ERROR,
+            f"is of the data set {to_one_line(facts.data.name, 80)}, not {data_name}; open that one with --data",
         )
     if failed:
-        yield Level.ERROR, f"has no plan for {failed} of {counted(units, unit)}; the errors are in its rows"
+        yield FindingLevel.ERROR, f"has no plan for {failed} of {pluralise(units, unit)}; the errors are in its rows"
     if (facts.status == "complete") != (failed == 0):
-        yield Level.ERROR, f"says that it is {facts.status}, and {failed} of {counted(units, unit)} failed"
+        yield FindingLevel.ERROR, f"says that it is {facts.status}, and {failed} of {pluralise(units, unit)} failed"
 
 
-def split_findings(facts: RecordFacts, data: "DataSet") -> Iterator[Said]:
+def check_split(facts: RecordFacts, data: "DataSet") -> Iterator[GradedSentence]:
     """Check that a record ran on the split that the data set has, and describes the data set as it describes itself."""
     scenes = list(data.scene_names(facts.split))
     if sorted(facts.scenes) != sorted(scenes):
         yield (
-            Level.ERROR,
-            f"ran on {len(set(facts.scenes) & set(scenes))} of {counted(len(scenes), 'scene')} of {facts.split}; "
+            FindingLevel.ERROR,
+            f"ran on {len(set(facts.scenes) & set(scenes))} of {pluralise(len(scenes), 'scene')} of {facts.split}; "
             "run it without --scenes and --limit",
         )
     if facts.scenes_in_split != len(scenes):
         yield (
-            Level.ERROR,
-            f"says that {facts.split} has {counted(facts.scenes_in_split, 'scene')}, {data.root} has {len(scenes)}",
+            FindingLevel.ERROR,
+            f"says that {facts.split} has {pluralise(facts.scenes_in_split, 'scene')}, {data.root} has {len(scenes)}",
         )
-    if others := _other_facts(facts, data.scene_facts(facts.scenes)):
-        yield Level.ERROR, f"says of {others[0]} what the data set does not say; run challenger-bench rescore"
+    if others := _find_differing_scenes(facts, data.scene_facts(facts.scenes)):
+        yield FindingLevel.ERROR, f"says of {others[0]} what the data set does not say; run challenger-bench rescore"
     provenance = data.provenance()
     pairs: list[tuple[str, object, object]] = [
-        ("frozen split", facts.frozen_split, frozen_split_of(provenance)),
-        ("search", facts.generated, generated_facts(provenance)),
+        ("frozen split", facts.frozen_split, find_frozen_split(provenance)),
+        ("search", facts.generated, read_generated_facts(provenance)),
     ]
-    realism = stored_realism(data.root, data.version)
+    realism = collect_realism(data.root, data.version)
     if isinstance(facts, RunFacts) and realism is not None:
         pairs.append(("realism", facts.realism, realism))
     for name, claimed, here in pairs:
         # Older records say nothing.
         if claimed is not None and claimed != here:
-            yield Level.ERROR, f"says of the scenes' {name} what {data.root} does not say; run it again"
+            yield FindingLevel.ERROR, f"says of the scenes' {name} what {data.root} does not say; run it again"
 
 
 _COUNTED_ELSEWHERE: Final = ("judgement", "truth")
 
 
-def _other_facts(facts: RecordFacts, scene_facts: Mapping[str, SceneFacts]) -> Sequence[str]:
+def _find_differing_scenes(facts: RecordFacts, scene_facts: Mapping[str, SceneFacts]) -> Sequence[str]:
     """Scenes of which a record says something else than the data set; what either does not say is no fault."""
 
     def other(claimed: SceneFacts, here: SceneFacts) -> bool:
@@ -202,67 +211,76 @@ def _other_facts(facts: RecordFacts, scene_facts: Mapping[str, SceneFacts]) -> S
     ]
 
 
-OursLike = Callable[[PlannerFacts], PlannerFacts | None]
+OwnPlannerLookup = Callable[[PlannerFacts], PlannerFacts | None]
 """The planner of this program that a submitted one is by its code, else the one that it is called like, else none."""
 _SHA256: Final = re.compile(r"[0-9a-f]{64}")
 _OWN_WEIGHTS: Final = "checkpoint_sha256"
 """Setting of a planner that was given another file than its own."""
 
 
-def planner_findings(facts: RecordFacts, ours_like: OursLike) -> Iterator[Said]:
+def check_planner(facts: RecordFacts, ours_like: OwnPlannerLookup) -> Iterator[GradedSentence]:
     """Compare a record's claims about its planner with the planner itself."""
     planner = facts.planner
     for kind, claimed in (("weights", planner.weights_sha256), ("code", planner.code_sha256)):
         if claimed is not None and not _SHA256.fullmatch(claimed):
-            yield Level.ERROR, f"names {kind} {claimed[:80]!r}, which is no SHA-256 (64 hexadecimal digits)"
+            yield FindingLevel.ERROR, f"names {kind} {claimed[:80]!r}, which is no SHA-256 (64 hexadecimal digits)"
     if planner.native_protocol is not None and planner.native_protocol not in PROTOCOLS:
-        yield Level.ERROR, f"names a protocol of its own, {planner.native_protocol!r}, which this version does not know"
+        yield (
+            FindingLevel.ERROR,
+            f"names a protocol of its own, {planner.native_protocol!r}, which this version does not know",
+        )
     if planner.weights_sha256 is None and planner.code_sha256 is None:
-        yield Level.NOTE, "names neither weights nor code (plans from a file): nobody can tell which model planned"
+        yield (
+            FindingLevel.NOTE,
+            "names neither weights nor code (plans from a file): nobody can tell which model planned",
+        )
     if planner.privileged:
-        yield Level.NOTE, "is privileged: the planner saw boxes, the map or the recorded future, and tables say so"
+        yield (
+            FindingLevel.NOTE,
+            "is privileged: the planner saw boxes, the map or the recorded future, and tables say so",
+        )
     source = facts.environment.get("source")
     if isinstance(source, dict) and source.get("dirty"):
-        yield Level.NOTE, "was made with uncommitted changes to challenger-bench"
+        yield FindingLevel.NOTE, "was made with uncommitted changes to challenger-bench"
     ours = ours_like(planner)
     if ours is not None and ours.code_sha256 == planner.code_sha256:
-        yield from _not_as_ours(planner, ours)
+        yield from _find_differences(planner, ours)
     else:
-        yield Level.NOTE, _declared(planner, ours)
+        yield FindingLevel.NOTE, _describe_declaration(planner, ours)
 
 
-def _not_as_ours(planner: PlannerFacts, ours: PlannerFacts) -> Iterator[Said]:
+def _find_differences(planner: PlannerFacts, ours: PlannerFacts) -> Iterator[GradedSentence]:
     """Where a planner with the code of ours says of itself what ours does not."""
     if ours.name != planner.name:
-        yield Level.NOTE, f"has the code of {ours.name}, whatever it is called"
+        yield FindingLevel.NOTE, f"has the code of {ours.name}, whatever it is called"
     for field in ("privileged", "native_protocol", "miniature", "published_as"):
         claimed, known = getattr(planner, field), getattr(ours, field)
         if claimed != known:
             yield (
-                Level.ERROR,
+                FindingLevel.ERROR,
                 f"says {field.replace('_', ' ')}: {claimed}, and {ours.name}, whose code it has, is {known}; submit what "
                 "eval wrote",
             )
     if _OWN_WEIGHTS in planner.settings:
-        yield Level.NOTE, f"ran {ours.name} with weights of its own, of which only the hash is known"
+        yield FindingLevel.NOTE, f"ran {ours.name} with weights of its own, of which only the hash is known"
     elif planner.weights_sha256 != ours.weights_sha256:
         yield (
-            Level.ERROR,
-            f"names other weights ({_short(planner.weights_sha256)}) than {ours.name} has "
-            f"({_short(ours.weights_sha256)}); with your own weights the record says so (eval --checkpoint)",
+            FindingLevel.ERROR,
+            f"names other weights ({_shorten_hash(planner.weights_sha256)}) than {ours.name} has "
+            f"({_shorten_hash(ours.weights_sha256)}); with your own weights the record says so (eval --checkpoint)",
         )
 
 
-def _declared(planner: PlannerFacts, ours: PlannerFacts | None) -> str:
+def _describe_declaration(planner: PlannerFacts, ours: PlannerFacts | None) -> str:
     called = "" if ours is None else f"is called {ours.name} and has not this version's code of it; "
     native = planner.native_protocol or "none"
     return (
         f"{called}declares privileged: {'yes' if planner.privileged else 'no'}, its own protocol: {native}, weights: "
-        f"{_short(planner.weights_sha256)}, code: {_short(planner.code_sha256)}; nothing here can show it"
+        f"{_shorten_hash(planner.weights_sha256)}, code: {_shorten_hash(planner.code_sha256)}; nothing here can show it"
     )
 
 
-def _short(sha256: str | None) -> str:
+def _shorten_hash(sha256: str | None) -> str:
     return "none" if sha256 is None else sha256[:12]
 
 
@@ -271,7 +289,7 @@ _LABELS: Final = {"published_as", "miniature", "wants"}
 """What makes no other planner of one."""
 
 
-def no_planner_of_ours(planner: PlannerFacts) -> PlannerFacts | None:
+def find_no_planner(planner: PlannerFacts) -> PlannerFacts | None:
     """For who knows no planners: everything that is said of one is a declaration."""
     return None
 
@@ -280,8 +298,8 @@ def check_submission(
     folder: Path,
     data_name: str,
     open_split: Callable[[str], "DataSet"],
-    ours_like: OursLike = no_planner_of_ours,
-) -> tuple[list[Record], list[Finding]]:
+    ours_like: OwnPlannerLookup = find_no_planner,
+) -> tuple[list[Record], list[SubmissionFinding]]:
     """Check every record below a folder; one that is bad does not stop the others. Nothing is written.
 
     Args:
@@ -299,72 +317,74 @@ def check_submission(
     if not folder.is_dir():
         raise InputError(f"there is no folder {folder}; name the one that holds the submitted run records")
     places: list[tuple[Path, Callable[[Path], Record]]] = [
-        *((directory, load_record) for directory in record_directories(folder)),
+        *((directory, load_record) for directory in find_record_directories(folder)),
         *((path.parent, load_drives) for path in sorted(folder.rglob(DRIVE_FILE))),
     ]
     if not places:
         return [], [
-            Finding(folder, Level.ERROR, "holds no run record (run.json, samples.jsonl, summary.json) and no drives "
+            SubmissionFinding(folder, FindingLevel.ERROR, "holds no run record (run.json, samples.jsonl, summary.json) and no drives "
                     "(drive.json, ...); submit what challenger-bench eval and drive write below OUT")
         ]  # fmt: skip
-    opened: Opened = {}
+    opened: OpenedDataSets = {}
     sound: list[Record] = []
-    findings: list[Finding] = []
+    findings: list[SubmissionFinding] = []
     for directory, load in places:
-        record_findings: list[Finding] = []
+        record_findings: list[SubmissionFinding] = []
         try:
             record = load(directory)
-            facts = facts_of_record(record)
+            facts = read_record_facts(record)
             record_findings += [
-                Finding(directory, level, says) for level, says in _claims(record, data_name, ours_like)
+                SubmissionFinding(directory, level, says) for level, says in _check_claims(record, data_name, ours_like)
             ]
             if facts.data.name == data_name:
-                data = opened_as(facts, opened, open_split)
-                record_findings += [Finding(directory, level, says) for level, says in _anew(record, data)]
+                data = open_as_recorded(facts, opened, open_split)
+                record_findings += [
+                    SubmissionFinding(directory, level, says) for level, says in _recompute(record, data)
+                ]
         except InputError as error:
-            findings += [*record_findings, Finding(directory, Level.ERROR, str(error))]
+            findings += [*record_findings, SubmissionFinding(directory, FindingLevel.ERROR, str(error))]
             continue
         findings += record_findings
-        if all(finding.level is not Level.ERROR for finding in record_findings):
+        if all(finding.level is not FindingLevel.ERROR for finding in record_findings):
             sound.append(record)
-    return sound, [*findings, *_twice(sound)]
+    return sound, [*findings, *_find_duplicates(sound)]
 
 
-def facts_of_record(record: Record) -> RecordFacts:
+def read_record_facts(record: Record) -> RecordFacts:
     """Facts in the first file of a record."""
     return record.run if isinstance(record, RunRecord) else record.facts
 
 
-def _claims(record: Record, data_name: str, ours_like: OursLike) -> Iterator[Said]:
+def _check_claims(record: Record, data_name: str, ours_like: OwnPlannerLookup) -> Iterator[GradedSentence]:
     unit = "sample" if isinstance(record, RunRecord) else "drive"
     failed = sum(row.status == "failed" for row in record.rows)
-    yield from claims_of(facts_of_record(record), failed, len(record.rows), unit, data_name)
+    yield from check_claims(read_record_facts(record), failed, len(record.rows), unit, data_name)
     if isinstance(record, RunRecord):
-        yield from protocols_of(record)
-    yield from planner_findings(facts_of_record(record), ours_like)
+        yield from check_protocols(record)
+    yield from check_planner(read_record_facts(record), ours_like)
 
 
-def _anew(record: Record, data: "DataSet") -> Iterator[Said]:
-    facts = facts_of_record(record)
-    of_split = list(split_findings(facts, data))
+def _recompute(record: Record, data: "DataSet") -> Iterator[GradedSentence]:
+    facts = read_record_facts(record)
+    of_split = list(check_split(facts, data))
     yield from of_split
     # Scenes that the data set does not have cannot be judged.
     if set(facts.scenes) <= set(data.scene_names(facts.split)):
-        yield from run_anew(record, data) if isinstance(record, RunRecord) else drives_anew(record, data)
-        yield from leak_findings(record, data)
+        yield from recompute_run(record, data) if isinstance(record, RunRecord) else recompute_drives(record, data)
+        yield from check_leaks(record, data)
 
 
-def _twice(records: Sequence[Record]) -> Iterator[Finding]:
+def _find_duplicates(records: Sequence[Record]) -> Iterator[SubmissionFinding]:
     """Two records that would be one row of a table."""
     directories: dict[tuple[Any, ...], Path] = {}
     for record in records:
-        facts = facts_of_record(record)
+        facts = read_record_facts(record)
         measured = None if isinstance(record, RunRecord) else record.facts.measured.model_dump_json()
         key = (facts.data.name, facts.split, facts.planner.model_dump_json(exclude=_LABELS), measured)
         first = directories.setdefault(key, record.directory)
         if first != record.directory:
-            yield Finding(
+            yield SubmissionFinding(
                 record.directory,
-                Level.ERROR,
+                FindingLevel.ERROR,
                 f"is the same planner on the same split as {first}; keep one of them",
             )

@@ -12,7 +12,7 @@ from benchmark.cli import options as shared
 from benchmark.cli.output import print_json
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,14 +34,14 @@ def submit_check_command(options: SubmitCheckOptions) -> None:
     if not options.folder.is_dir():
         raise InputError(f"there is no folder {options.folder}; name the one that holds the submitted records")
     data.require()
-    from adapters.known_planners import own_planner_like
-    from benchmark.extensions.submissions.checking import check_submission, facts_of_record
-    from benchmark.extensions.submissions.recomputed import Level
+    from adapters.known_planners import find_own_planner
+    from benchmark.extensions.submissions.checking import check_submission, read_record_facts
+    from benchmark.extensions.submissions.recomputed import FindingLevel
     from benchmark.records.run import RunRecord
 
     source = data.open()
     opener = partial(data.open_split, source=source)
-    sound, findings = check_submission(options.folder, source.name, opener, own_planner_like)
+    sound, findings = check_submission(options.folder, source.name, opener, find_own_planner)
     if options.json_output:
         print_json(
             {
@@ -53,6 +53,6 @@ def submit_check_command(options: SubmitCheckOptions) -> None:
         for finding in findings:
             typer.echo(f"{finding.level}: {finding.directory}: {finding.sentence}")
         for record in sound:
-            rows = counted(len(record.rows), "sample" if isinstance(record, RunRecord) else "drive")
-            typer.echo(f"fit: {record.directory}: {record.planner} on {facts_of_record(record).split}, {rows}")
-    raise typer.Exit(1 if any(finding.level is Level.ERROR for finding in findings) else 0)
+            rows = pluralise(len(record.rows), "sample" if isinstance(record, RunRecord) else "drive")
+            typer.echo(f"fit: {record.directory}: {record.planner} on {read_record_facts(record).split}, {rows}")
+    raise typer.Exit(1 if any(finding.level is FindingLevel.ERROR for finding in findings) else 0)

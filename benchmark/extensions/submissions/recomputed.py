@@ -11,31 +11,31 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import BaseModel
 
-from benchmark.closed_loop.engines import rides_as
+from benchmark.closed_loop.engines import restore_backend
 from benchmark.closed_loop.scoring import VERSION as DRIVE_SCORING
 from benchmark.datasets.annotated import AnnotationCount
-from benchmark.datasets.scene_facts import with_truth
+from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError
 from benchmark.pdm.definition import DEFINITION, VERSION
 from benchmark.pdm.totals import DrivenPlan
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.raster import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
-from benchmark.records.drives import DriveRecord, columns_of
-from benchmark.records.drives import summarise as summarise_drives
+from benchmark.records.drives import DriveRecord, compute_columns
+from benchmark.records.drives import summarise_episodes as summarise_drives
 from benchmark.records.row_schema import OutcomeRow, SampleRow
-from benchmark.records.run import RunRecord, summarise
-from benchmark.records.run_schema import Summary, TruthFacts
-from benchmark.report.words import counted
-from benchmark.runs.drive_rows import with_labels
-from benchmark.runs.redriving import driven_again
-from benchmark.runs.rescoring import require_same_data, rows_judged_anew, unjudged
-from benchmark.runs.scene_work import SceneReading, truths_of
+from benchmark.records.run import RunRecord, summarise_rows
+from benchmark.records.run_schema import RunSummary, TruthFacts
+from benchmark.report.words import pluralise
+from benchmark.runs.drive_rows import mark_labelled
+from benchmark.runs.redriving import redrive_and_score
+from benchmark.runs.rescoring import find_unjudged, rejudge_rows, require_same_data
+from benchmark.runs.scene_work import SceneReading, collect_truth_facts
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
 
-class Level(StrEnum):
+class FindingLevel(StrEnum):
     """Meaning of a finding.
 
     An error keeps a record out. ``suspicious`` marks a behaviour that honest planners were never seen to show, and
@@ -48,7 +48,7 @@ class Level(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class SubmissionFinding:
     """One fault of a submission, or a remark on it.
 
     Attributes:
@@ -58,7 +58,7 @@ class Finding:
     """
 
     directory: Path
-    level: Level
+    level: FindingLevel
     sentence: str
 
     def as_json(self) -> dict[str, Any]:
@@ -66,7 +66,7 @@ class Finding:
         return asdict(self) | {"directory": str(self.directory)}
 
 
-Said = tuple[Level, str]
+GradedSentence = tuple[FindingLevel, str]
 """A finding about a record whose directory is known."""
 
 
@@ -92,20 +92,20 @@ _UNSAID: Final = frozenset({"columns", "value"})
 _RESCORE: Final = "run challenger-bench rescore"
 
 
-def protocols_of(record: RunRecord) -> Iterator[Said]:
+def check_protocols(record: RunRecord) -> Iterator[GradedSentence]:
     """Check that all protocols that judge every run judged this one, in their present versions."""
     unknown = sorted(set(record.run.protocols) - set(PROTOCOLS))
     if unknown:
-        yield Level.ERROR, f"is judged by {', '.join(unknown)}, which this version does not know; {_RESCORE}"
+        yield FindingLevel.ERROR, f"is judged by {', '.join(unknown)}, which this version does not know; {_RESCORE}"
     if record.stale_protocols:
-        yield Level.ERROR, f"is judged by other versions of {', '.join(record.stale_protocols)}; {_RESCORE}"
+        yield FindingLevel.ERROR, f"is judged by other versions of {', '.join(record.stale_protocols)}; {_RESCORE}"
     if record.missing_protocols:
-        yield Level.ERROR, f"is not judged by {', '.join(record.missing_protocols)}; {_RESCORE}"
+        yield FindingLevel.ERROR, f"is not judged by {', '.join(record.missing_protocols)}; {_RESCORE}"
     if record.summary.driving is not None and record.summary.driving.version != VERSION:
-        yield Level.ERROR, f"is judged by another version of {DEFINITION}; {_RESCORE}"
+        yield FindingLevel.ERROR, f"is judged by another version of {DEFINITION}; {_RESCORE}"
 
 
-def run_anew(record: RunRecord, data: "DataSet") -> Iterator[Said]:
+def recompute_run(record: RunRecord, data: "DataSet") -> Iterator[GradedSentence]:
     """Check that the data set and the plans give what a run record says.
 
     Raises:
@@ -114,7 +114,10 @@ def run_anew(record: RunRecord, data: "DataSet") -> Iterator[Said]:
     run = record.run
     require_same_data(record.directory, run, data)
     if mixed := next((row for row in record.rows if (row.status == "ok") != (row.plan is not None)), None):
-        yield Level.ERROR, f"says {mixed.status!r} of sample {mixed.sample_token} of {mixed.scene} against its own plan"
+        yield (
+            FindingLevel.ERROR,
+            f"says {mixed.status!r} of sample {mixed.sample_token} of {mixed.scene} against its own plan",
+        )
         return
     names = tuple(name for name in run.protocols if name in PROTOCOLS and name not in record.stale_protocols)
     anew: list[SampleRow] = []
@@ -122,38 +125,43 @@ def run_anew(record: RunRecord, data: "DataSet") -> Iterator[Said]:
     counts = AnnotationCount.together(list(data.annotation_counts(run.scenes).values()))
     for scene in run.scenes:
         reading = SceneReading(data, scene)
-        anew += rows_judged_anew(record, reading, names, unjudged(counts, names))
+        anew += rejudge_rows(record, reading, names, find_unjudged(counts, names))
         truths[scene] = reading.truth_facts
     if len(anew) != len(record.rows):
-        yield Level.ERROR, f"has {counted(len(record.rows), 'sample')}, its scenes have {len(anew)}; run eval again"
+        yield (
+            FindingLevel.ERROR,
+            f"has {pluralise(len(record.rows), 'sample')}, its scenes have {len(anew)}; run eval again",
+        )
         return
-    different = [row for row, computed in zip(record.rows, anew) if not _says_the_same(row, computed, names)]
+    different = [row for row, computed in zip(record.rows, anew) if not _is_same_row(row, computed, names)]
     if different:
         first = different[0]
         yield (
-            Level.ERROR,
-            f"says other verdicts than its plans have on {len(different)} of {counted(len(anew), 'sample')}, first on "
+            FindingLevel.ERROR,
+            f"says other verdicts than its plans have on {len(different)} of {pluralise(len(anew), 'sample')}, first on "
             f"sample {first.sample_token} of {first.scene}; {_RESCORE}",
         )
-    scored = [row for row, computed in zip(record.rows, anew) if not _drives_the_same(row.driving, computed.driving)]
-    if scored and _driving_is_of_now(record.summary):
+    scored = [row for row, computed in zip(record.rows, anew) if not _is_same_driving(row.driving, computed.driving)]
+    if scored and _is_current_driving(record.summary):
         yield (
-            Level.ERROR,
+            FindingLevel.ERROR,
             f"claims other driving scores than its plans give, first on sample {scored[0].sample_token} of "
             f"{scored[0].scene}; {_RESCORE}",
         )
     for scene, facts in run.scene_facts.items():
         if facts.truth is not None and facts.truth != truths[scene]:
-            yield Level.ERROR, f"says of the truth of {scene} what the data set does not hold; {_RESCORE}"
+            yield FindingLevel.ERROR, f"says of the truth of {scene} what the data set does not hold; {_RESCORE}"
             return
     versions, facts_here = (
         {name: run.protocols[name] for name in names},
-        with_truth(data.scene_facts(run.scenes), truths),
+        add_truth_facts(data.scene_facts(run.scenes), truths),
     )
-    yield from _summary_anew(record.summary, summarise(anew, versions, seed=run.seed, scene_facts=facts_here), names)
+    yield from _compare_summary(
+        record.summary, summarise_rows(anew, versions, seed=run.seed, scene_facts=facts_here), names
+    )
 
 
-def drives_anew(record: DriveRecord, data: "DataSet") -> Iterator[Said]:
+def recompute_drives(record: DriveRecord, data: "DataSet") -> Iterator[GradedSentence]:
     """Check that the stored plans drive, score and sum up to what a record of drives says.
 
     Raises:
@@ -164,44 +172,47 @@ def drives_anew(record: DriveRecord, data: "DataSet") -> Iterator[Said]:
         raise InputError(f"was driven on other content of {facts.data.name} than {data.root} holds; run drive again")
     if facts.scoring != DRIVE_SCORING:
         yield (
-            Level.ERROR,
+            FindingLevel.ERROR,
             f"is scored by version {facts.scoring}, this one is {DRIVE_SCORING}; run the same drive again",
         )
         return
     driven = {(row.scene, row.family, row.run) for row in record.rows}
     if len(driven) != len(record.rows) or {row.scene for row in record.rows} != set(facts.scenes):
-        yield Level.ERROR, "has a drive twice, or scenes without one; run the same drive again"
+        yield FindingLevel.ERROR, "has a drive twice, or scenes without one; run the same drive again"
         return
-    maker = rides_as(measured)
-    truths = truths_of(data, facts.scenes)
+    maker = restore_backend(measured)
+    truths = collect_truth_facts(data, facts.scenes)
     for row in record.rows:
-        if [row] != with_labels([driven_again(maker, data.scene(row.scene), data, row)], truths):
-            yield Level.ERROR, f"claims other scores than its plans give on {row.scene}, run {row.run}; drive again"
+        if [row] != mark_labelled([redrive_and_score(maker, data.scene(row.scene), data, row)], truths):
+            yield (
+                FindingLevel.ERROR,
+                f"claims other scores than its plans give on {row.scene}, run {row.run}; drive again",
+            )
             return
     summary = summarise_drives(record.rows, facts.scene_facts, seed=facts.seed)
-    claimed = record.summary.model_copy(update={"columns": columns_of(record)})
-    if difference := _first_difference(claimed, summary):
-        yield Level.ERROR, f"claims {difference} in its summary; run the same drive again"
+    claimed = record.summary.model_copy(update={"columns": compute_columns(record)})
+    if difference := _find_first_difference(claimed, summary):
+        yield FindingLevel.ERROR, f"claims {difference} in its summary; run the same drive again"
 
 
-def _says_the_same(row: SampleRow, computed: SampleRow, protocols: Sequence[str]) -> bool:
+def _is_same_row(row: SampleRow, computed: SampleRow, protocols: Sequence[str]) -> bool:
     judged = {"outcomes", "disagreements", "driving", "place", "speed_m_s"}
     return (
         row.model_dump(exclude=judged) == computed.model_dump(exclude=judged)
-        and _same_circumstances(row, computed)
-        and all(_same_verdict(row.outcomes.get(name), computed.outcomes.get(name)) for name in protocols)
+        and _has_same_circumstances(row, computed)
+        and all(_is_same_verdict(row.outcomes.get(name), computed.outcomes.get(name)) for name in protocols)
         and all(row.disagreements.get(name) == computed.disagreements.get(name) for name in protocols)
     )
 
 
-def _same_circumstances(claimed: SampleRow, computed: SampleRow) -> bool:
+def _has_same_circumstances(claimed: SampleRow, computed: SampleRow) -> bool:
     """Whether a row says the place and speed that the data have; an older one says neither."""
     if claimed.speed_m_s is None or computed.speed_m_s is None:
         return claimed.place is None or claimed.place == computed.place
     return claimed.place == computed.place and abs(claimed.speed_m_s - computed.speed_m_s) <= SAME_M_S
 
 
-def _same_verdict(claimed: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
+def _is_same_verdict(claimed: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
     """Whether two verdicts are equal; a record that was written before a column was kept cannot have it."""
     if claimed is None or computed is None:
         return claimed is computed
@@ -210,7 +221,7 @@ def _same_verdict(claimed: OutcomeRow | None, computed: OutcomeRow | None) -> bo
     return claimed == computed.model_copy(update={"steps": steps, "facts": facts})
 
 
-def _drives_the_same(claimed: DrivenPlan | None, computed: DrivenPlan | None) -> bool:
+def _is_same_driving(claimed: DrivenPlan | None, computed: DrivenPlan | None) -> bool:
     """Whether two verdicts are equal; a record that was written before whom plans touch was kept cannot have it."""
     if claimed is None or computed is None or claimed.hit_adversary is not None:
         return claimed == computed
@@ -221,29 +232,31 @@ def _drives_the_same(claimed: DrivenPlan | None, computed: DrivenPlan | None) ->
     return one == other
 
 
-def _driving_is_of_now(summary: Summary) -> bool:
+def _is_current_driving(summary: RunSummary) -> bool:
     return summary.driving is None or summary.driving.version == VERSION
 
 
-def _summary_anew(claimed: Summary, computed: Summary, protocols: Sequence[str]) -> Iterator[Said]:
-    """Every field of a summary; protocols that this version cannot judge with are left to `protocols_of`."""
+def _compare_summary(claimed: RunSummary, computed: RunSummary, protocols: Sequence[str]) -> Iterator[GradedSentence]:
+    """Every field of a summary; protocols that this version cannot judge with are left to `check_protocols`."""
     for name in protocols:
         if name not in claimed.protocols:
-            yield Level.ERROR, f"has no rates under {name}; {_RESCORE}"
-        elif difference := _first_difference(claimed.protocols[name], computed.protocols[name], may_lack=_LATER_COUNTS):
-            yield Level.ERROR, f"claims {difference} under {name}; {_RESCORE}"
+            yield FindingLevel.ERROR, f"has no rates under {name}; {_RESCORE}"
+        elif difference := _find_first_difference(
+            claimed.protocols[name], computed.protocols[name], may_lack=_LATER_COUNTS
+        ):
+            yield FindingLevel.ERROR, f"claims {difference} under {name}; {_RESCORE}"
     if others := sorted(set(claimed.protocols) - set(protocols) - set(PROTOCOLS)):
-        yield Level.ERROR, f"has rates under {', '.join(others)}, which no protocol here gives; {_RESCORE}"
+        yield FindingLevel.ERROR, f"has rates under {', '.join(others)}, which no protocol here gives; {_RESCORE}"
     if claimed.driving is None and computed.driving is not None:
-        yield Level.ERROR, f"has no driving scores; {_RESCORE}"
-    elif _driving_is_of_now(claimed) and (difference := _first_difference(claimed.driving, computed.driving)):
-        yield Level.ERROR, f"claims other driving scores than its plans give: {difference}; {_RESCORE}"
+        yield FindingLevel.ERROR, f"has no driving scores; {_RESCORE}"
+    elif _is_current_driving(claimed) and (difference := _find_first_difference(claimed.driving, computed.driving)):
+        yield FindingLevel.ERROR, f"claims other driving scores than its plans give: {difference}; {_RESCORE}"
     totals = {"schema_version", "protocols", "driving"}
-    if difference := _first_difference(claimed.model_dump(exclude=totals), computed.model_dump(exclude=totals)):
-        yield Level.ERROR, f"claims {difference}; {_RESCORE}"
+    if difference := _find_first_difference(claimed.model_dump(exclude=totals), computed.model_dump(exclude=totals)):
+        yield FindingLevel.ERROR, f"claims {difference}; {_RESCORE}"
 
 
-def _first_difference(claimed: Any, computed: Any, *, may_lack: frozenset[str] = frozenset(), at: str = "") -> str:
+def _find_first_difference(claimed: Any, computed: Any, *, may_lack: frozenset[str] = frozenset(), at: str = "") -> str:
     """The first value that is not the same, in words: where, what is said, what is right; empty if there is none."""
     if isinstance(claimed, BaseModel):
         claimed = claimed.model_dump()
@@ -254,7 +267,7 @@ def _first_difference(claimed: Any, computed: Any, *, may_lack: frozenset[str] =
             if name in may_lack and claimed.get(name) is None:
                 continue
             place = at if name in _UNSAID else f"{at} {name}".strip()
-            if different := _first_difference(claimed.get(name), computed.get(name), may_lack=may_lack, at=place):
+            if different := _find_first_difference(claimed.get(name), computed.get(name), may_lack=may_lack, at=place):
                 return different
         return ""
     return "" if claimed == computed else f"{at} = {claimed}, and its plans give {computed}"

@@ -9,7 +9,7 @@ from torch import Tensor
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256, write_bytes
 from benchmark.weights.tensors import read_tensors
-from generation.diffusion.checkpoint import bank_beside
+from generation.diffusion.checkpoint import find_bank_path
 from generation.extensions.denoiser_training.loop import HELD_OUT_SOURCES
 from generation.extensions.denoiser_training.track_sources import find_track_sources
 from generation.extensions.denoiser_training.tracks import MAX_ROUGHNESS
@@ -63,10 +63,10 @@ are evened out to the power of {evening:g} across sources.
 
 {terms}
 """
-TOLD: Final = "; of the vehicle it is told the present speed and turn, if anything"
-UNTOLD: Final = ", nor the vehicle's own speed"
-CARRIED: Final = "A Gaussian of the training data carries the linear part of the prediction."
-CARRIED_BY_SPEED: Final = (
+CONDITIONED: Final = "; of the vehicle it is told the present speed and turn, if anything"
+UNCONDITIONED: Final = ", nor the vehicle's own speed"
+GAUSSIAN_NOTE: Final = "A Gaussian of the training data carries the linear part of the prediction."
+GAUSSIAN_BY_SPEED_NOTE: Final = (
     "Gaussians of the training data, one for each of seven present speeds and one of all, carry the linear part."
 )
 PLAIN: Final = "Without the packaged network's preconditioning, as published."
@@ -100,12 +100,12 @@ def write_model_card(weights: Path, tracks: Path, measured: Sequence[str] = (NOT
     if missing := {"seed", "steps", "batch", "windows", "licences"} - facts.keys():
         raise InputError(f"{weights} does not say its {', '.join(sorted(missing))}; train it with this program")
     card = weights.parent / "MODEL_CARD.md"
-    sections = [_introduction(weights, tensors, facts, held_out_sources(facts, tracks)), *measured]
+    sections = [_format_introduction(weights, tensors, facts, list_held_out_sources(facts, tracks)), *measured]
     write_bytes(card, "\n".join(sections).encode())
     return card
 
 
-def held_out_sources(facts: dict[str, Any], tracks: Path) -> list[str]:
+def list_held_out_sources(facts: dict[str, Any], tracks: Path) -> list[str]:
     """Names of the sources in a folder of recordings that a model was not trained on and that check it.
 
     ``facts`` are stored with its weights.
@@ -114,14 +114,14 @@ def held_out_sources(facts: dict[str, Any], tracks: Path) -> list[str]:
     return [source.name for source in find_track_sources(tracks) if source.name in named]
 
 
-def table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
+def format_table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table."""
     lines = ["| " + " | ".join(map(str, line)) + " |" for line in (head, *rows)]
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
 
 
-def _introduction(weights: Path, tensors: dict[str, Tensor], facts: dict[str, Any], held_out: list[str]) -> str:
-    bank = bank_beside(weights)
+def _format_introduction(weights: Path, tensors: dict[str, Tensor], facts: dict[str, Any], held_out: list[str]) -> str:
+    bank = find_bank_path(weights)
     _, bank_facts = read_tensors(bank)
     files = [(path.name, file_sha256(path), path.stat().st_size) for path in (weights, bank)]
     learnt = [tensor for name, tensor in tensors.items() if not name.startswith("preconditioner.")]
@@ -138,12 +138,12 @@ def _introduction(weights: Path, tensors: dict[str, Tensor], facts: dict[str, An
     ]
     network, best = facts["denoiser"], facts.get("best_step")
     return INTRODUCTION.format(
-        files=table(("file", "SHA-256", "bytes"), files),
-        knowing=TOLD if network.get("conditioned") else UNTOLD,
-        shape=_shape(network),
-        carried=_carried(network),
+        files=format_table(("file", "SHA-256", "bytes"), files),
+        knowing=CONDITIONED if network.get("conditioned") else UNCONDITIONED,
+        shape=_format_shape(network),
+        carried=_format_gaussian_note(network),
         parameters=sum(tensor.numel() for tensor in learnt),
-        levels=_levels(facts.get("level_power", 1.0)),
+        levels=_format_levels(facts.get("level_power", 1.0)),
         best=f"The state after step {best:,} was the best on held-out windows and is this one.\n" if best else "",
         count=bank_facts["count"],
         bank_seed=bank_facts["seed"],
@@ -151,30 +151,30 @@ def _introduction(weights: Path, tensors: dict[str, Tensor], facts: dict[str, An
         roughness=MAX_ROUGHNESS,
         cap=MOST_OF_ONE_SOURCE,
         evening=1 - EVENING,
-        sources=table(("source", "windows", "left out as jitter", "share of a batch", "licence"), sources),
-        terms=_terms(facts, held_out),
+        sources=format_table(("source", "windows", "left out as jitter", "share of a batch", "licence"), sources),
+        terms=_format_terms(facts, held_out),
         **{name: facts[name] for name in ("seed", "steps", "batch")},
     )
 
 
-def _shape(network: dict[str, Any]) -> str:
+def _format_shape(network: dict[str, Any]) -> str:
     width, layers, hidden = network["feature_dim"], network["layers"], network["feedforward_dim"]
     if network.get("attention", True):
         return f"transformer, width {width}, {layers} layers, {network['heads']} heads, feed-forward {hidden}"
     return f"{layers} residual blocks on all 48 numbers at once, width {width}, hidden width {hidden}"
 
 
-def _carried(network: dict[str, Any]) -> str:
+def _format_gaussian_note(network: dict[str, Any]) -> str:
     if not network.get("preconditioned"):
         return PLAIN
-    return CARRIED_BY_SPEED if network.get("conditioned") else CARRIED
+    return GAUSSIAN_BY_SPEED_NOTE if network.get("conditioned") else GAUSSIAN_NOTE
 
 
-def _levels(power: float) -> str:
+def _format_levels(power: float) -> str:
     return "uniform noise levels" if power == 1 else f"noise levels 100 u^{power:g} for uniform u"
 
 
-def _terms(facts: dict[str, Any], held_out: list[str]) -> str:
+def _format_terms(facts: dict[str, Any], held_out: list[str]) -> str:
     share_alike = any("BY-NC-SA" in licence for licence in facts["licences"].values())
     titles = sorted({TITLES.get(name, name) for name in held_out})
     checked = f"\nNot trained on, they only check the result: {', '.join(titles)}." if titles else ""

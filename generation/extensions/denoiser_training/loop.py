@@ -11,22 +11,22 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.machine.progress import Count, progress
+from benchmark.machine.progress import CountedUnits, track_progress
 from benchmark.machine.storage import content_key, content_seed, write_json_lines
 from benchmark.weights.tensors import TrainingRun, read_run, write_run
 from generation.diffusion.checkpoint import save_denoiser
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
-from generation.diffusion.network_calls import device_of
-from generation.diffusion.preconditioning import present_features
+from generation.diffusion.network_calls import parse_device
+from generation.diffusion.preconditioning import compute_present_features
 from generation.diffusion.schedule import ALPHA_BARS, STEPS
 from generation.extensions.denoiser_training.track_sources import find_track_sources
-from generation.extensions.denoiser_training.tracks import Windows
+from generation.extensions.denoiser_training.tracks import TrackWindows
 from generation.extensions.denoiser_training.window_pool import (
-    Drawn,
     TrackData,
+    TrainingBatch,
     WindowPool,
+    compute_window_actions,
     load_track_data,
-    window_actions,
 )
 
 HELD_OUT_SOURCES: Final = (
@@ -89,7 +89,7 @@ class TrainingConfig:
     device: str = "cpu"
     denoiser: DenoiserConfig = field(default=PACKAGED)
 
-    def of_architecture(self, architecture: Architecture) -> Self:
+    def for_architecture(self, architecture: Architecture) -> Self:
         """The same run with a network of another kind, and the learning rate and noise levels that suit it."""
         if architecture == "packaged":
             return replace(self, denoiser=PACKAGED)
@@ -124,27 +124,29 @@ def train_denoiser(config: TrainingConfig) -> Path:
         InputError: If tracks or device cannot be used, or the progress file belongs to another run.
     """
     data = load_track_data(config.tracks, config.held_out, config.stride_s)
-    pool, checking = WindowPool.of(data.training), Windows.joined(list(data.held_out.values()))
-    identity = _identity(config)
-    run = _start(config, pool)
+    pool, checking = WindowPool.of(data.training), TrackWindows.joined(list(data.held_out.values()))
+    identity = _compute_identity(config)
+    run = _start_run(config, pool)
     unfinished = config.out.with_suffix(".progress.safetensors")
     if unfinished.exists():
         read_run(run, unfinished, identity, "settings or tracks")
     run.network.train()
     losses: list[float] = []
-    for step in progress(
+    for step in track_progress(
         range(run.step, config.steps),
         total=config.steps - run.step,
         label="training denoiser",
-        count=Count("step", run.step),
+        count=CountedUnits("step", run.step),
     ):
         losses.append(_take_step(run, config, pool, step))
         run.step = step + 1
         if run.step % config.checkpoint_every == 0 or run.step == config.steps:
-            run.log.append({"step": run.step, "loss": float(np.mean(losses)), **_check(run, checking, config)})
+            run.log.append(
+                {"step": run.step, "loss": float(np.mean(losses)), **_evaluate_held_out(run, checking, config)}
+            )
             losses = []
             if _is_best(run, config):
-                _save(run, config, data, pool.shares, identity)
+                _save_weights(run, config, data, pool.shares, identity)
             write_run(run, unfinished, identity)
             write_json_lines(config.out.with_suffix(".log.jsonl"), run.log)
     unfinished.unlink(missing_ok=True)
@@ -157,7 +159,7 @@ def _is_best(run: _Run, config: TrainingConfig) -> bool:
     return run.step == config.steps if losses[-1] is None else losses[-1] <= min(losses)
 
 
-def _save(run: _Run, config: TrainingConfig, data: TrackData, shares: dict[str, float], identity: str) -> None:
+def _save_weights(run: _Run, config: TrainingConfig, data: TrackData, shares: dict[str, float], identity: str) -> None:
     """Write the averaged weights as they are now, in half precision."""
     half_precision = TrajectoryDenoiser(run.network.config)
     half_precision.load_state_dict(run.average)
@@ -176,7 +178,7 @@ def _save(run: _Run, config: TrainingConfig, data: TrackData, shares: dict[str, 
     save_denoiser(config.out, half_precision, facts)
 
 
-def _identity(config: TrainingConfig) -> str:
+def _compute_identity(config: TrainingConfig) -> str:
     """Key of everything the weights depend on, without the places of files."""
     settings = asdict(config)
     for place in ("tracks", "out"):
@@ -185,14 +187,14 @@ def _identity(config: TrainingConfig) -> str:
     return content_key(settings, contents)
 
 
-def _start(config: TrainingConfig, pool: WindowPool) -> _Run:
+def _start_run(config: TrainingConfig, pool: WindowPool) -> _Run:
     torch.manual_seed(content_seed("denoiser weights", config.seed) % 2**63)
     denoiser = TrajectoryDenoiser(config.denoiser)
     if denoiser.preconditioner is not None:
         draw = np.random.default_rng(content_seed("denoiser gaussian", config.seed))
         drawn = pool.draw(FITTED_WINDOWS, config.size_jitter, draw)
-        denoiser.preconditioner.fit(drawn.actions, present_features(torch.from_numpy(drawn.previous)))
-    denoiser.to(device_of(config.device))
+        denoiser.preconditioner.fit(drawn.actions, compute_present_features(torch.from_numpy(drawn.previous)))
+    denoiser.to(parse_device(config.device))
     optimiser = torch.optim.AdamW(
         denoiser.parameters(), lr=config.learning_rate, betas=BETAS_ADAM, weight_decay=config.weight_decay
     )
@@ -200,7 +202,9 @@ def _start(config: TrainingConfig, pool: WindowPool) -> _Run:
     return _Run(denoiser, optimiser, average, [])
 
 
-def _loss(denoiser: TrajectoryDenoiser, drawn: Drawn, noise: Floats, timesteps: Floats, conditioned: Bools) -> Tensor:
+def _compute_loss(
+    denoiser: TrajectoryDenoiser, drawn: TrainingBatch, noise: Floats, timesteps: Floats, conditioned: Bools
+) -> Tensor:
     """Mean square error of the predicted noise.
 
     A preconditioned network is asked in its own unit scale, where axes along which nothing happens would drown the
@@ -210,11 +214,11 @@ def _loss(denoiser: TrajectoryDenoiser, drawn: Drawn, noise: Floats, timesteps: 
     signal = ALPHA_BARS[timesteps.astype(np.int64)][:, None, None]
     inputs = (timesteps, noise, signal**0.5 * drawn.actions + (1 - signal) ** 0.5 * noise, drawn.previous, conditioned)
     at, eps, noisy, previous, known = (torch.from_numpy(part).to(device, torch.float32) for part in inputs)
-    present = present_features(previous) * known[:, None]
+    present = compute_present_features(previous) * known[:, None]
     if denoiser.preconditioner is None:
         return torch.nn.functional.mse_loss(denoiser(noisy, at, present), eps)
     split = denoiser.preconditioner.split(noisy, at, present)
-    error = split.residual(eps) - split.along(denoiser.network(split.whitened, at, present))
+    error = split.compute_residual(eps) - split.along(denoiser.network(split.whitened, at, present))
     weight = split.left / split.left.amax(dim=1, keepdim=True)
     return (weight * error.square()).sum() / weight.sum()
 
@@ -225,7 +229,7 @@ def _take_step(run: _Run, config: TrainingConfig, pool: WindowPool, step: int) -
     drawn = pool.draw(config.batch, config.size_jitter, rng)
     timesteps = np.floor(STEPS * rng.random(config.batch) ** config.level_power)
     conditioned = rng.random(config.batch) >= config.untold
-    loss = _loss(run.network, drawn, rng.standard_normal(drawn.actions.shape), timesteps, conditioned)
+    loss = _compute_loss(run.network, drawn, rng.standard_normal(drawn.actions.shape), timesteps, conditioned)
     rising = min((step + 1) / config.warmup, 1.0)
     rate = config.learning_rate * rising * 0.5 * (1 + math.cos(math.pi * step / config.steps))
     for group in run.optimiser.param_groups:
@@ -242,7 +246,7 @@ def _take_step(run: _Run, config: TrainingConfig, pool: WindowPool, step: int) -
     return float(loss.detach())
 
 
-def _check(run: _Run, checking: Windows, config: TrainingConfig) -> dict[str, float | None]:
+def _evaluate_held_out(run: _Run, checking: TrackWindows, config: TrainingConfig) -> dict[str, float | None]:
     """Losses of the averaged weights on held-out windows, with the same noise every time; ``None`` without any.
 
     Over all noise levels, over the smallest five, at which the rounds of refinement ask, and over all levels without
@@ -255,12 +259,12 @@ def _check(run: _Run, checking: Windows, config: TrainingConfig) -> dict[str, fl
     judge.load_state_dict(run.average)
     rng = np.random.default_rng(content_seed("denoiser check", config.seed))
     chosen = rng.permutation(len(checking.previous))[:CHECKED_WINDOWS]
-    drawn = Drawn(window_actions(checking)[chosen], checking.previous[chosen])
+    drawn = TrainingBatch(compute_window_actions(checking)[chosen], checking.previous[chosen])
     noise, evenly = rng.standard_normal(drawn.actions.shape), np.arange(len(chosen), dtype=np.float64)
     every = np.ones(len(chosen), dtype=bool)
     with torch.inference_mode():
         losses = (
-            _loss(judge, drawn, noise, evenly % levels, conditioned)
+            _compute_loss(judge, drawn, noise, evenly % levels, conditioned)
             for levels, conditioned in ((STEPS, every), (LEVELS_OF_ROUNDS, every), (STEPS, ~every))
         )
         return dict(zip(names, map(float, losses), strict=True))

@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.datasets.roots import open_data
-from benchmark.datasets.tables import version_folders
+from benchmark.datasets.tables import find_version_folders
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, yaw_of_quaternion
 from benchmark.machine.storage import content_key, file_sha256
@@ -28,17 +28,17 @@ from generation.extensions.denoiser_training.tracks import (
     ROUGH_SPAN_S,
     SMOOTHING_SPAN_S,
     TrackFile,
-    Windows,
+    TrackWindows,
+    compute_rear_axle,
     cut_windows,
     read_tracks,
-    rear_axle_of_box,
 )
 
 RATE_HZ: Final = 10.0
 """Samples per second of what comes out; windows are cut on this grid."""
 
 
-def even_tracks(seconds: Floats, poses: Floats, longest_gap_s: float) -> tuple[Floats, ...]:
+def resample_tracks(seconds: Floats, poses: Floats, longest_gap_s: float) -> tuple[Floats, ...]:
     """Interpolate between recorded poses, never across more than ``longest_gap_s``.
 
     One (F, 3) array at 10 Hz for each unbroken stretch, heading unwrapped, starting at its first pose. Left out are
@@ -100,9 +100,9 @@ def read_nuplan(path: Path, source: str) -> Iterator[TrackFile]:
         address = f"{path.resolve().as_uri()}?mode=ro"
         with contextlib.closing(sqlite3.connect(address, uri=True, timeout=WAIT_FOR_LOCK_S)) as database:
             for query, span in ((EGO_QUERY, SMOOTHING_SPAN_S), (BOX_QUERY, ROUGH_SPAN_S)):
-                for portion in _portions(database.execute(query)):
+                for portion in _read_portions(database.execute(query)):
                     rows += len(portion)
-                    tracks = tuple(_tracks(portion, path))
+                    tracks = tuple(_build_tracks(portion, path))
                     yield TrackFile(source, NUPLAN_LICENCE, tracks, RATE_HZ, span)
     except sqlite3.Error as error:
         raise InputError(
@@ -112,7 +112,7 @@ def read_nuplan(path: Path, source: str) -> Iterator[TrackFile]:
         raise InputError(f"the nuPlan database {path} holds no pose of any vehicle; remove it or fetch it again")
 
 
-def _portions(cursor: sqlite3.Cursor) -> Iterator[list[tuple[Any, ...]]]:
+def _read_portions(cursor: sqlite3.Cursor) -> Iterator[list[tuple[Any, ...]]]:
     """Rows in lists that end where a vehicle ends, or are cut where one vehicle alone fills a list."""
     held: list[tuple[Any, ...]] = []
     while rows := cursor.fetchmany(PORTION_ROWS):
@@ -129,7 +129,7 @@ def _portions(cursor: sqlite3.Cursor) -> Iterator[list[tuple[Any, ...]]]:
         yield held
 
 
-def _tracks(rows: list[tuple[Any, ...]], path: Path) -> Iterator[Floats]:
+def _build_tracks(rows: list[tuple[Any, ...]], path: Path) -> Iterator[Floats]:
     """Even tracks of rows (vehicle, length, microseconds, x, y, yaw or quaternion) sorted by vehicle and time."""
     for _, group in itertools.groupby(rows, key=lambda row: row[0]):
         try:
@@ -143,12 +143,12 @@ def _tracks(rows: list[tuple[Any, ...]], path: Path) -> Iterator[Floats]:
         seconds = (numbers[:, 1] - numbers[0, 1]) * 1e-6
         is_box = numbers.shape[1] == 5
         heading = numbers[:, 4] if is_box else yaw_of_quaternion(numbers[:, 4:])
-        even = even_tracks(seconds, np.column_stack([numbers[:, 2:4], heading]), LONGEST_GAP_S)
-        yield from (rear_axle_of_box(track, float(numbers[0, 0])) for track in even) if is_box else even
+        even = resample_tracks(seconds, np.column_stack([numbers[:, 2:4], heading]), LONGEST_GAP_S)
+        yield from (compute_rear_axle(track, float(numbers[0, 0])) for track in even) if is_box else even
 
 
 NUSCENES_LICENCE: Final = "CC BY-NC-SA 4.0 (nuScenes terms of use)"
-MADE_LICENCE: Final = "the terms of the recordings that the data set was made from"
+GENERATED_LICENCE: Final = "the terms of the recordings that the data set was made from"
 RIGID_VEHICLES: Final = (
     "vehicle.bus.rigid",
     "vehicle.car",
@@ -167,31 +167,31 @@ def read_nuscenes(root: Path, version: str, source: str) -> Iterator[TrackFile]:
     vehicles, which are annotated at 2 Hz and linear in between.
     """
     data = open_data(root, version=version)
-    licence = MADE_LICENCE if data.provenance() else NUSCENES_LICENCE
+    licence = GENERATED_LICENCE if data.provenance() else NUSCENES_LICENCE
     for name in data.scene_names():
         scene = data.scene(name)
         seconds = (scene.timestamps_us - scene.timestamps_us[0]) * 1e-6
-        ego = even_tracks(seconds, scene.ego.pose, LONGEST_GAP_S)
+        ego = resample_tracks(seconds, scene.ego.pose, LONGEST_GAP_S)
         yield TrackFile(source, licence, ego, RATE_HZ, SMOOTHING_SPAN_S)
-        yield TrackFile(source, licence, tuple(_vehicles(scene, seconds)), RATE_HZ, ROUGH_SPAN_S)
+        yield TrackFile(source, licence, tuple(_read_vehicle_tracks(scene, seconds)), RATE_HZ, ROUGH_SPAN_S)
 
 
-def _vehicles(scene: Scene, seconds: Floats) -> Iterator[Floats]:
+def _read_vehicle_tracks(scene: Scene, seconds: Floats) -> Iterator[Floats]:
     agents = scene.agents
     for index, category in enumerate(agents.categories):
         if category not in RIGID_VEHICLES or agents.ids[index] in scene.adversaries:
             continue
         valid = agents.valid[index]
         center = np.column_stack([agents.position[index, valid, :2], agents.yaw[index, valid]])
-        for track in even_tracks(seconds[valid], center, LONGEST_GAP_S):
-            yield rear_axle_of_box(track, float(agents.size[index, 0]))
+        for track in resample_tracks(seconds[valid], center, LONGEST_GAP_S):
+            yield compute_rear_axle(track, float(agents.size[index, 0]))
 
 
 WINDOW_LIMIT: Final = 200_000
 """Windows of one source that are kept; 160 MB. Beyond it every second one is dropped, again and again."""
 
 
-class Recording(StrEnum):
+class RecordingKind(StrEnum):
     """Kinds of recordings."""
 
     TRACK_FILE = "track file"
@@ -207,15 +207,15 @@ class TrackSource:
     """
 
     name: str
-    kind: Recording
+    kind: RecordingKind
     paths: tuple[Path, ...]
     version: str = ""
 
     def read(self) -> Iterator[TrackFile]:
         """Tracks in portions that fit into memory."""
-        if self.kind is Recording.TRACK_FILE:
+        if self.kind is RecordingKind.TRACK_FILE:
             yield read_tracks(self.paths[0])
-        elif self.kind is Recording.NUPLAN:
+        elif self.kind is RecordingKind.NUPLAN:
             for path in self.paths:
                 yield from read_nuplan(path, self.name)
         else:
@@ -223,10 +223,10 @@ class TrackSource:
 
     def content(self) -> str:
         """Hash of everything that is read."""
-        if self.kind is Recording.NUSCENES:
+        if self.kind is RecordingKind.NUSCENES:
             return open_data(self.paths[0], version=self.version).fingerprint()
         hashes = [file_sha256(path) for path in self.paths]
-        return hashes[0] if self.kind is Recording.TRACK_FILE else content_key(hashes)
+        return hashes[0] if self.kind is RecordingKind.TRACK_FILE else content_key(hashes)
 
 
 def find_track_sources(folder: Path) -> tuple[TrackSource, ...]:
@@ -238,7 +238,7 @@ def find_track_sources(folder: Path) -> tuple[TrackSource, ...]:
     if not folder.is_dir():
         raise InputError(f"no folder of tracks at {folder}; pass the folder that holds the <source>.npz files")
     try:
-        sources = sorted(_sources_in(folder), key=lambda source: source.name)
+        sources = sorted(_list_sources(folder), key=lambda source: source.name)
     except OSError as error:
         raise InputError(f"cannot look into {folder} ({error}); make it readable or pass another folder") from error
     if not sources:
@@ -251,33 +251,33 @@ def find_track_sources(folder: Path) -> tuple[TrackSource, ...]:
     return tuple(sources)
 
 
-def _sources_in(folder: Path) -> Iterator[TrackSource]:
+def _list_sources(folder: Path) -> Iterator[TrackSource]:
     for path in folder.glob("*.npz"):
-        yield TrackSource(path.stem, Recording.TRACK_FILE, (path,))
+        yield TrackSource(path.stem, RecordingKind.TRACK_FILE, (path,))
     for place in (folder, *(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))):
         name = place.resolve().name
         if databases := tuple(sorted(place.glob("*.db"))):
-            yield TrackSource("nuplan" if place is folder else name, Recording.NUPLAN, databases)
-        versions = version_folders(place)
+            yield TrackSource("nuplan" if place is folder else name, RecordingKind.NUPLAN, databases)
+        versions = find_version_folders(place)
         for version in versions:
             title = name if len(versions) == 1 else f"{name}_{version}"
-            yield TrackSource(title, Recording.NUSCENES, (place,), version)
+            yield TrackSource(title, RecordingKind.NUSCENES, (place,), version)
 
 
-def source_windows(source: TrackSource, stride_s: float, limit: int = WINDOW_LIMIT) -> tuple[Windows, str]:
+def cut_source_windows(source: TrackSource, stride_s: float, limit: int = WINDOW_LIMIT) -> tuple[TrackWindows, str]:
     """Windows of a source and its licence in words; a long source is thinned out evenly to ``limit`` windows.
 
     It is read portion by portion; ``stride_s`` lies between the starts of windows.
     """
-    parts: list[Windows] = []
-    licence = NUPLAN_LICENCE if source.kind is Recording.NUPLAN else NUSCENES_LICENCE
+    parts: list[TrackWindows] = []
+    licence = NUPLAN_LICENCE if source.kind is RecordingKind.NUPLAN else NUSCENES_LICENCE
     window_count, every, tracks = 0, 1, 0
     for portion in source.read():
         licence = portion.licence
         windows = cut_windows(portion, stride_s)
         numbered = replace(windows, track=windows.track + tracks)
-        parts.append(numbered.every(every, -window_count % every))
+        parts.append(numbered.select_every(every, -window_count % every))
         window_count, tracks = window_count + len(windows.previous), tracks + len(portion.tracks)
         while sum(len(part.previous) for part in parts) > limit:
-            parts, every = [Windows.joined(parts).every(2, 0)], every * 2
-    return Windows.joined(parts), licence
+            parts, every = [TrackWindows.joined(parts).select_every(2, 0)], every * 2
+    return TrackWindows.joined(parts), licence

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
 from benchmark.datasets.tracks import read_recorded_tracks
 from benchmark.geometry import Floats, to_local, wrap_angle
-from generation.diffusion.kinematics import MAX_ACCELERATION, STEP_S, motion
+from generation.diffusion.kinematics import MAX_ACCELERATION, STEP_S, compute_motion
 from generation.diffusion.standardiser import WAYPOINTS
 
 VEHICLE_CLASSES: Final = ("bus", "car", "large_vehicle", "truck", "van", "vehicle")
@@ -62,7 +62,7 @@ class TrackFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Windows:
+class TrackWindows:
     """Windows of driving in the frame of the rear axle now.
 
     Attributes:
@@ -77,7 +77,7 @@ class Windows:
     track: NDArray[np.int64]
     rejected: dict[str, int]
 
-    def every(self, stride: int, start: int) -> Self:
+    def select_every(self, stride: int, start: int) -> Self:
         """Every ``stride``-th window from ``start`` on."""
         part = slice(start, None, stride)
         return type(self)(self.previous[part], self.waypoints[part], self.track[part], self.rejected)
@@ -96,16 +96,16 @@ class Windows:
         )
 
 
-def rear_axle_of_box(center: Floats, length_m: float) -> Floats:
+def compute_rear_axle(center: Floats, length_m: float) -> Floats:
     """Rear axle, (T, 3) x, y, heading, of a vehicle of which only the box is known.
 
     ``center`` is (T, 3) of the box centre; a length that is not a positive number stands for the recording car's.
     """
     known = np.isfinite(length_m) and length_m > 0
-    return _moved_back(center, REAR_AXLE_FROM_CENTER * (length_m if known else EGO_LENGTH_M))
+    return _move_back(center, REAR_AXLE_FROM_CENTER * (length_m if known else EGO_LENGTH_M))
 
 
-def _moved_back(pose: Floats, distance_m: float) -> Floats:
+def _move_back(pose: Floats, distance_m: float) -> Floats:
     heading = pose[:, 2]
     return np.column_stack(
         [pose[:, 0] - distance_m * np.cos(heading), pose[:, 1] - distance_m * np.sin(heading), heading]
@@ -124,12 +124,12 @@ def read_tracks(path: Path) -> TrackFile:
         pose = np.column_stack([recorded.x[part], recorded.y[part], heading])
         ahead = REFERENCE_POINT_FROM_REAR_AXLE_M.get(recorded.source)
         length = float(recorded.length[index])
-        tracks.append(rear_axle_of_box(pose, length) if ahead is None else _moved_back(pose, ahead))
+        tracks.append(compute_rear_axle(pose, length) if ahead is None else _move_back(pose, ahead))
     span = ROUGH_SPAN_S if recorded.source in ROUGH_SOURCES else SMOOTHING_SPAN_S
     return TrackFile(recorded.source, recorded.licence, tuple(tracks), recorded.hz, span)
 
 
-def smooth(track: Floats, hz: float, span_s: float) -> Floats:
+def smooth_track(track: Floats, hz: float, span_s: float) -> Floats:
     """Local quadratic least-squares fit at each sample (Savitzky and Golay); the ends use the fit of the end window.
 
     (T, C) values; ``span_s`` is the width of the fit, and too few samples for a quadratic leave the track as it is.
@@ -146,7 +146,7 @@ def smooth(track: Floats, hz: float, span_s: float) -> Floats:
     return np.concatenate([fit[:reach] @ track[:span], middle, fit[reach + 1 :] @ track[-span:]])
 
 
-def cut_windows(file: TrackFile, stride_s: float = 0.5) -> Windows:
+def cut_windows(file: TrackFile, stride_s: float = 0.5) -> TrackWindows:
     """Windows of half a second of past and eight seconds of future.
 
     Left out are windows that move less than 5 m, that no tyre could hold (8 m/s^2 along or across), that jitter, at one
@@ -161,7 +161,7 @@ def cut_windows(file: TrackFile, stride_s: float = 0.5) -> Windows:
         grid = np.arange(int(times[-1] / GRID_S + 1e-6) + 1 if len(track) else 0) * GRID_S
         if len(grid) <= reach:
             continue
-        smoothed = smooth(track, file.hz, file.smoothing_s)
+        smoothed = smooth_track(track, file.hz, file.smoothing_s)
         poses = np.column_stack([np.interp(grid, times, column) for column in smoothed.T])
         starts = np.arange(0, len(poses) - reach, stride)
         cut.append(poses[starts[:, None] + np.arange(0, reach + 1, step)])
@@ -169,12 +169,12 @@ def cut_windows(file: TrackFile, stride_s: float = 0.5) -> Windows:
     poses = np.concatenate(cut) if cut else np.zeros((0, WAYPOINTS + 2, 3))
     now = poses[:, 1]
     local = np.concatenate([to_local(poses[..., :2], now[:, None]), (poses[..., 2] - now[:, None, 2])[..., None]], -1)
-    return _drivable(local, np.concatenate([np.zeros(0, np.int64), *origin]))
+    return _select_drivable(local, np.concatenate([np.zeros(0, np.int64), *origin]))
 
 
-def _drivable(local: Floats, track: NDArray[np.int64]) -> Windows:
+def _select_drivable(local: Floats, track: NDArray[np.int64]) -> TrackWindows:
     """Sort out (N, 18, 3) local windows of (N,) tracks."""
-    moved = motion(local[:, 2:], local[:, 0])
+    moved = compute_motion(local[:, 2:], local[:, 0])
     steps = np.diff(local, axis=1)
     jerk = np.linalg.norm(np.diff(local[..., :2], n=3, axis=1), axis=-1) / STEP_S**3
     middle = 0.5 * (local[:, 1:, 2] + local[:, :-1, 2])
@@ -184,7 +184,7 @@ def _drivable(local: Floats, track: NDArray[np.int64]) -> Windows:
         "accelerates beyond 8 m/s^2": np.abs(moved.acceleration).max(axis=1, initial=0.0) > MAX_ACCELERATION,
         "lateral beyond 8 m/s^2": np.abs(moved.lateral).max(axis=1, initial=0.0) > MAX_LATERAL,
         "jerk beyond 10 m/s^3": (jerk > MAX_JERK).any(axis=1),
-        "rough throughout": _roughness(moved.acceleration) > MAX_ROUGHNESS,
+        "rough throughout": _compute_roughness(moved.acceleration) > MAX_ROUGHNESS,
         "heading against motion": ((slip > MAX_SLIP_RAD) & (moved.speed > 2.0)).any(axis=1),
         "turns tighter than a car": moved.excess > 0,
     }
@@ -193,9 +193,9 @@ def _drivable(local: Floats, track: NDArray[np.int64]) -> Windows:
     for reason, hit in reasons.items():
         rejected[reason] = int((hit & keep).sum())
         keep &= ~hit
-    return Windows(local[keep, 0], local[keep, 2:], track[keep], rejected)
+    return TrackWindows(local[keep, 0], local[keep, 2:], track[keep], rejected)
 
 
-def _roughness(acceleration: Floats) -> Floats:
+def _compute_roughness(acceleration: Floats) -> Floats:
     """(N,) median change of (N, 16) accelerations in half a second, which one hard brake cannot move."""
     return np.asarray(np.median(np.abs(np.diff(acceleration, axis=1)), axis=1))

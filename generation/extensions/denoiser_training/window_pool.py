@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from generation.diffusion.kinematics import motion
-from generation.diffusion.standardiser import actions_from_waypoints
-from generation.extensions.denoiser_training.track_sources import find_track_sources, source_windows
-from generation.extensions.denoiser_training.tracks import Windows
+from generation.diffusion.kinematics import compute_motion
+from generation.diffusion.standardiser import convert_waypoints_to_actions
+from generation.extensions.denoiser_training.track_sources import cut_source_windows, find_track_sources
+from generation.extensions.denoiser_training.tracks import TrackWindows
 
 MOST_OF_ONE_SOURCE: Final = 0.25
 """Share of a batch that one source may have, so that its roads do not become everybody's."""
@@ -31,8 +31,8 @@ class TrackData:
     ``training`` are to learn from, ``held_out`` to check with, possibly empty.
     """
 
-    training: dict[str, Windows]
-    held_out: dict[str, Windows]
+    training: dict[str, TrackWindows]
+    held_out: dict[str, TrackWindows]
     licences: dict[str, str]
 
 
@@ -41,11 +41,11 @@ def load_track_data(folder: Path, held_out: tuple[str, ...], stride_s: float) ->
 
     Training windows start every ``stride_s``, those of the sources in ``held_out`` every half second.
     """
-    training: dict[str, Windows] = {}
-    checking: dict[str, Windows] = {}
+    training: dict[str, TrackWindows] = {}
+    checking: dict[str, TrackWindows] = {}
     licences: dict[str, str] = {}
     for source in find_track_sources(folder):
-        windows, licence = source_windows(source, 0.5 if source.name in held_out else stride_s)
+        windows, licence = cut_source_windows(source, 0.5 if source.name in held_out else stride_s)
         if len(windows.previous):
             (checking if source.name in held_out else training)[source.name] = windows
             licences[source.name] = licence
@@ -54,13 +54,13 @@ def load_track_data(folder: Path, held_out: tuple[str, ...], stride_s: float) ->
     return TrackData(training, checking, licences)
 
 
-def window_actions(windows: Windows) -> Floats:
+def compute_window_actions(windows: TrackWindows) -> Floats:
     """(N, 16, 3) standardised actions of windows."""
-    return actions_from_waypoints(windows.waypoints, windows.previous)
+    return convert_waypoints_to_actions(windows.waypoints, windows.previous)
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class TrainingBatch:
     """Windows of one step: (B, 16, 3) standardised actions, and (B, 3) pose half a second before each."""
 
     actions: Floats
@@ -83,7 +83,7 @@ class WindowPool:
     shares: dict[str, float]
 
     @classmethod
-    def of(cls, sources: Mapping[str, Windows]) -> Self:
+    def of(cls, sources: Mapping[str, TrackWindows]) -> Self:
         """Pool the windows of several sources, evenly.
 
         A source's share is the root of its number of windows, at most `MOST_OF_ONE_SOURCE` where there are enough
@@ -92,16 +92,16 @@ class WindowPool:
         on is common everywhere.
         """
         count = np.array([len(windows.previous) for windows in sources.values()], dtype=np.int64)
-        chance = np.repeat(source_shares(count) / np.maximum(count, 1), count)
-        joined = Windows.joined(list(sources.values()))
-        chance = chance * _rarity(_cells(joined), chance)
+        chance = np.repeat(compute_source_shares(count) / np.maximum(count, 1), count)
+        joined = TrackWindows.joined(list(sources.values()))
+        chance = chance * _compute_rarity(_assign_cells(joined), chance)
         chance /= chance.sum()
         source = np.repeat(np.arange(len(count)), count)
         shares = np.bincount(source, weights=chance, minlength=len(count))
         named = dict(zip(sources, map(float, shares), strict=True))
-        return cls(window_actions(joined), joined.previous, np.cumsum(chance), named)
+        return cls(compute_window_actions(joined), joined.previous, np.cumsum(chance), named)
 
-    def draw(self, count: int, size_jitter: float, rng: np.random.Generator) -> Drawn:
+    def draw(self, count: int, size_jitter: float, rng: np.random.Generator) -> TrainingBatch:
         """Windows at random.
 
         Half of the windows are mirrored (left and right are alike for a car), and all are scaled, which varies
@@ -114,10 +114,10 @@ class WindowPool:
         for part, every in ((actions, (slice(None), None)), (previous, (slice(None),))):
             part[..., 1:] *= mirror[(*every, None)]
             part[..., :2] *= size[(*every, None)]
-        return Drawn(actions, previous)
+        return TrainingBatch(actions, previous)
 
 
-def source_shares(count: NDArray[np.int64]) -> Floats:
+def compute_source_shares(count: NDArray[np.int64]) -> Floats:
     """Shares, (S,), of a batch for sources of so many windows.
 
     They are in proportion to the roots, none above `MOST_OF_ONE_SOURCE` unless there are too few others.
@@ -135,14 +135,14 @@ def source_shares(count: NDArray[np.int64]) -> Floats:
     return np.asarray(share / share.sum())
 
 
-def _cells(windows: Windows) -> NDArray[np.int64]:
+def _assign_cells(windows: TrackWindows) -> NDArray[np.int64]:
     """(N,) cell of present speed and of turn over 8 s, either way."""
-    moved = motion(windows.waypoints, windows.previous)
+    moved = compute_motion(windows.waypoints, windows.previous)
     speed = np.digitize(moved.speed[:, 0], SPEED_EDGES_M_S)
     turn = np.digitize(np.abs(moved.turn.sum(axis=1)), TURN_EDGES_RAD)
     return np.asarray(speed * (len(TURN_EDGES_RAD) + 1) + turn)
 
 
-def _rarity(cells: NDArray[np.int64], chance: Floats) -> Floats:
+def _compute_rarity(cells: NDArray[np.int64], chance: Floats) -> Floats:
     """(N,) factors that even out what cells hold."""
     return np.asarray(np.bincount(cells, weights=chance)[cells] ** -EVENING)

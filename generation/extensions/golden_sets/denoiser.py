@@ -14,9 +14,9 @@ from torch import Tensor
 
 from benchmark.geometry import Floats
 from benchmark.verification.checks import Comparison
-from benchmark.verification.filled_networks import fill, same_names_and_shapes
+from benchmark.verification.filled_networks import fill_network, have_same_names_and_shapes
 from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
-from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes, seeded_normal
+from benchmark.verification.synthetic_weights import WeightsRecipe, draw_seeded_normal, read_shapes
 from generation.diffusion.denoiser import HISTORY_CHANNELS, TrajectoryDenoiser
 from generation.diffusion.prior import diversify
 from generation.diffusion.schedule import (
@@ -25,17 +25,22 @@ from generation.diffusion.schedule import (
     CLAMP,
     STEPS,
     add_noise,
-    reference_eta,
-    reverse,
-    reverse_step,
-    signal_and_noise,
-    strided_timesteps,
+    choose_strided_timesteps,
+    compute_reverse_step,
+    get_reference_eta,
+    get_signal_and_noise,
+    run_reverse_process,
 )
-from generation.diffusion.standardiser import CHANNELS, WAYPOINTS, actions_from_waypoints, waypoints_from_actions
+from generation.diffusion.standardiser import (
+    CHANNELS,
+    WAYPOINTS,
+    convert_actions_to_waypoints,
+    convert_waypoints_to_actions,
+)
 from generation.extensions.golden_sets.built_in import BUILT_IN
 
 
-class Parity:
+class ParityComparison:
     """The file ``parity.npz`` with the network that it is about; notes which arrays were asked for.
 
     The network has the set's weights and is in evaluation mode; ``taken`` names the arrays.
@@ -59,7 +64,7 @@ class Parity:
         """Compare actions with those of an array."""
         self.comparison.numbers(quantity, ours.numpy(), self.actions(name).numpy(), where=where)
 
-    def numbered(self, prefix: str, suffix: str = "") -> list[int]:
+    def find_numbers(self, prefix: str, suffix: str = "") -> list[int]:
         """Numbers between a prefix and a suffix in the names of arrays, falling."""
         pattern = re.compile(f"{re.escape(prefix)}([0-9]+){re.escape(suffix)}")
         return sorted((int(hit[1]) for name in self.stored.names if (hit := pattern.fullmatch(name))), reverse=True)
@@ -70,14 +75,14 @@ class Parity:
         return predicted
 
 
-def compare_processes(parity: Parity) -> None:
+def compare_processes(parity: ParityComparison) -> None:
     """Compare reverse processes."""
     _compare_full(parity)
     _compare_truncated(parity)
     _compare_stochastic(parity)
 
 
-def _compare_full(parity: Parity) -> None:
+def _compare_full(parity: ParityComparison) -> None:
     """All 100 steps without chance, with the snapshots on the way that the set has."""
     noise = parity.actions("noise")
     after: dict[int, Tensor] = {}
@@ -87,46 +92,46 @@ def _compare_full(parity: Parity) -> None:
         answer: Tensor = parity.network(noisy, timesteps)
         return answer
 
-    after[0] = reverse(observed, noise, strided_timesteps(STEPS - 1, None))
-    for timestep in parity.numbered("full_eta0_after_t"):
+    after[0] = run_reverse_process(observed, noise, choose_strided_timesteps(STEPS - 1, None))
+    for timestep in parity.find_numbers("full_eta0_after_t"):
         name, where = f"full_eta0_after_t{timestep}", f"timestep {timestep}"
         parity.compare("full reverse process, on the way", after[timestep], name, where)
     parity.compare("full reverse process", after[0], "full_eta0_actions")
     if "clip_active_fraction_full" in parity.stored.names:
         # Share of the clean sample predicted first that the clamp changes.
-        signal, spread = signal_and_noise(STEPS - 1)
+        signal, spread = get_signal_and_noise(STEPS - 1)
         clean = (noise - spread * parity.call(noise, STEPS - 1)) / signal
         share = float((clean.abs() > CLAMP).to(torch.float64).mean())
         golden = parity.floats("clip_active_fraction_full")
         parity.comparison.numbers("share that is clamped at first", share, golden, 1.0 / noise.numel())
 
 
-def _compare_truncated(parity: Parity) -> None:
+def _compare_truncated(parity: ParityComparison) -> None:
     """Re-noising by some levels, and the way back."""
     clean, fresh = parity.actions("trunc_start_actions"), parity.actions("renoise_eps")
-    levels = parity.numbered("trunc", "_eta0_actions")
+    levels = parity.find_numbers("trunc", "_eta0_actions")
     for level in levels:
         noised, where = add_noise(clean, fresh, level - 1), f"level {level}"
         parity.compare("re-noised actions", noised, f"trunc{level}_noised", where)
-        ours = reverse(parity.network, noised, strided_timesteps(level - 1, None))
+        ours = run_reverse_process(parity.network, noised, choose_strided_timesteps(level - 1, None))
         parity.compare("truncated reverse processes", ours, f"trunc{level}_eta0_actions", where)
     parity.comparison.note("truncated reverse processes", f"levels {', '.join(map(str, levels))}")
 
 
-def _compare_stochastic(parity: Parity) -> None:
+def _compare_stochastic(parity: ParityComparison) -> None:
     """Single steps with the reference's noise in them."""
     noise, fresh = parity.actions("noise"), parity.actions("step_noise")
-    for timestep in parity.numbered("stoch_t"):
-        predicted, eta, where = parity.call(noise, timestep), reference_eta(timestep), f"timestep {timestep}"
+    for timestep in parity.find_numbers("stoch_t"):
+        predicted, eta, where = parity.call(noise, timestep), get_reference_eta(timestep), f"timestep {timestep}"
         parity.comparison.numbers("stochasticity of a step", eta, parity.floats(f"stoch_eta_t{timestep}"), where=where)
-        moved = reverse_step(noise, predicted, timestep, timestep - 1, eta=eta, fresh=fresh)
+        moved = compute_reverse_step(noise, predicted, timestep, timestep - 1, eta=eta, fresh=fresh)
         parity.compare("stochastic steps", moved, f"stoch_t{timestep}", where)
         if f"stoch_x0_t{timestep}" in parity.stored.names:
-            clean = reverse_step(noise, predicted, timestep, -1)
+            clean = compute_reverse_step(noise, predicted, timestep, -1)
             parity.compare("clean sample of a step", clean, f"stoch_x0_t{timestep}", where)
 
 
-class _StoredDraws(np.random.Generator):
+class _ReplayedGenerator(np.random.Generator):
     """Gives back uniform numbers that were drawn elsewhere, one array for each call."""
 
     def __init__(self, *draws: Floats) -> None:
@@ -138,31 +143,33 @@ class _StoredDraws(np.random.Generator):
         return self._draws.pop(0)
 
 
-def compare_trajectories(parity: Parity) -> None:
+def compare_trajectories(parity: ParityComparison) -> None:
     """Compare waypoints: from rest, from a history and back, and quarters of a batch scaled by the stored draws."""
-    actions = _waypoints(parity, "full_eta0_actions")
-    still = waypoints_from_actions(actions, np.zeros(CHANNELS))
+    actions = _read_waypoints(parity, "full_eta0_actions")
+    still = convert_actions_to_waypoints(actions, np.zeros(CHANNELS))
     _compare_shares(parity, "waypoints from rest", still, "full_eta0_trajectory_zero_history")
     history = parity.floats("verlet_history", len(actions), None, None)[:, -2:, :CHANNELS]
     previous, now = history[:, 0], history[:, 1]
-    ours, moved = waypoints_from_actions(actions, previous, now), "verlet_untransform_with_history"
+    ours, moved = convert_actions_to_waypoints(actions, previous, now), "verlet_untransform_with_history"
     _compare_shares(parity, "waypoints from a history", ours, moved)
-    golden = _waypoints(parity, moved)
-    ours, largest = actions_from_waypoints(golden, previous, now), float(np.abs(golden).max(initial=1.0))
+    golden = _read_waypoints(parity, moved)
+    ours, largest = convert_waypoints_to_actions(golden, previous, now), float(np.abs(golden).max(initial=1.0))
     _compare_shares(parity, "actions from waypoints", ours, "verlet_transform_back", largest)
-    plain = _waypoints(parity, "aug_in")
+    plain = _read_waypoints(parity, "aug_in")
     draws = [parity.floats(f"aug_u{part}", len(plain) // 4, 1)[:, 0] for part in (1, 2, 3)]
-    _compare_shares(parity, "varied first batch", diversify(plain, _StoredDraws(*draws)), "aug_out")
+    _compare_shares(parity, "varied first batch", diversify(plain, _ReplayedGenerator(*draws)), "aug_out")
 
 
-def _compare_shares(parity: Parity, quantity: str, ours: Floats, name: str, largest: float | None = None) -> None:
+def _compare_shares(
+    parity: ParityComparison, quantity: str, ours: Floats, name: str, largest: float | None = None
+) -> None:
     """Compare as shares of the largest waypoint, in metres or radians but at least one."""
-    golden = _waypoints(parity, name)
+    golden = _read_waypoints(parity, name)
     scale = float(np.abs(golden).max(initial=1.0)) if largest is None else largest
     parity.comparison.numbers(f"{quantity} (of the largest)", ours / scale, golden / scale)
 
 
-def _waypoints(parity: Parity, name: str) -> Floats:
+def _read_waypoints(parity: ParityComparison, name: str) -> Floats:
     """An array of B x 48 as (B, 16, 3) in double precision."""
     return parity.floats(name, None, WAYPOINTS * CHANNELS).reshape(-1, WAYPOINTS, CHANNELS)
 
@@ -175,11 +182,11 @@ def _compare_denoiser(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare the network, its schedule and its processes; names and shapes alone if they differ."""
     recipe = WeightsRecipe.model_validate(folder.facts("manifest.json"))
     shapes, network = read_shapes(folder.facts("keys.json")), TrajectoryDenoiser().eval()
-    if not same_names_and_shapes(comparison, network, shapes, said="{elements:,} parameters"):
+    if not have_same_names_and_shapes(comparison, network, shapes, said="{elements:,} parameters"):
         return
-    fill(comparison, network, recipe, shapes)
+    fill_network(comparison, network, recipe, shapes)
     _compare_schedule(comparison, folder.arrays("schedule.npz"))
-    parity = Parity(comparison, folder.arrays("parity.npz"), network)
+    parity = ParityComparison(comparison, folder.arrays("parity.npz"), network)
     with torch.inference_mode():
         _compare_parts(parity, recipe)
         _compare_calls(parity)
@@ -193,18 +200,20 @@ def _compare_denoiser(comparison: Comparison, folder: GoldenFolder) -> None:
 def _compare_schedule(comparison: Comparison, stored: GoldenArrays) -> None:
     """Noise levels, and at which of them the network is asked."""
     clean, silence = torch.full((1, 1, 1), 0.5, dtype=torch.float64), torch.zeros((1, 1, 1), dtype=torch.float64)
-    last = (reverse_step(ALPHA_BARS[0] ** 0.5 * clean, silence, 0, -1) / clean) ** 2
+    last = (compute_reverse_step(ALPHA_BARS[0] ** 0.5 * clean, silence, 0, -1) / clean) ** 2
     comparison.numbers("schedule: betas", BETAS, stored.floats("betas", STEPS))
     comparison.numbers("schedule: alphas", 1.0 - BETAS, stored.floats("alphas", STEPS))
     comparison.numbers("schedule: products of alphas", ALPHA_BARS, stored.floats("alphas_cumprod", STEPS))
     comparison.numbers("schedule: product after the last step", last.item(), stored.floats("final_alpha_cumprod"))
-    comparison.same("schedule: timesteps", strided_timesteps(STEPS - 1, None), stored.integers("timesteps", STEPS))
+    comparison.same(
+        "schedule: timesteps", choose_strided_timesteps(STEPS - 1, None), stored.integers("timesteps", STEPS)
+    )
 
 
-def _compare_parts(parity: Parity, recipe: WeightsRecipe) -> None:
+def _compare_parts(parity: ParityComparison, recipe: WeightsRecipe) -> None:
     """Compare the outputs of the network before the transformer."""
     noise, network = parity.actions("noise"), parity.network
-    drawn = seeded_normal("noise", (len(noise), noise[0].numel()), recipe.salt).reshape(noise.shape)
+    drawn = draw_seeded_normal("noise", (len(noise), noise[0].numel()), recipe.salt).reshape(noise.shape)
     parity.comparison.numbers(NOISE, drawn, noise.numpy())
     history, width = network.config.history_tokens, network.config.feature_dim
     tokens = network.history_encoder(torch.zeros(1, history, HISTORY_CHANNELS))
@@ -216,15 +225,15 @@ def _compare_parts(parity: Parity, recipe: WeightsRecipe) -> None:
         if name in parity.stored.names:
             golden = parity.floats(name, None, history, width)
             parity.comparison.numbers(quantity, ours.expand(golden.shape).numpy(), golden)
-    for timestep in parity.numbered("sigma_sinusoid_t"):
+    for timestep in parity.find_numbers("sigma_sinusoid_t"):
         golden = parity.floats(f"sigma_sinusoid_t{timestep}", None, 1, width)
         ours = network.sigma_encoder[0](torch.full((len(golden),), timestep / STEPS))[:, None]
         parity.comparison.numbers("noise level features", ours.numpy(), golden, where=f"timestep {timestep}")
 
 
-def _compare_calls(parity: Parity) -> None:
+def _compare_calls(parity: ParityComparison) -> None:
     """Single calls of the network."""
-    noise, timesteps = parity.actions("noise"), parity.numbered("denoise_t")
+    noise, timesteps = parity.actions("noise"), parity.find_numbers("denoise_t")
     for timestep in timesteps:
         ours, where = parity.call(noise, timestep), f"timestep {timestep}"
         parity.compare("predicted noise", ours, f"denoise_t{timestep}", where)

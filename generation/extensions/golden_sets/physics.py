@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, rear_axle, simulate
-from benchmark.dynamics.reference_path import WAYPOINTS, reference_path
+from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, compute_rear_axle, simulate
+from benchmark.dynamics.reference_path import WAYPOINTS, build_reference_path
 from benchmark.geometry import Bools, Floats, to_global
 from benchmark.machine.storage import content_seed
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
 from generation.extensions.golden_sets.built_in import BUILT_IN
@@ -38,7 +38,7 @@ def compare_degenerate(comparison: Comparison, folder: GoldenFolder) -> None:
         return
     stored = folder.arrays(FILE)
     common = stored.floats(COMMON, 6)
-    pose, length_m = rear_axle(common[:3], common[4]), float(common[4])
+    pose, length_m = compute_rear_axle(common[:3], common[4]), float(common[4])
     names = sorted(name.removesuffix("/waypoints_local") for name in stored.names if name.endswith("/waypoints_local"))
     quantity = "degenerate candidates: centre position (m)"
     comparison.verdicts("degenerate candidates that are not finite", np.zeros(0, np.bool_))
@@ -46,7 +46,7 @@ def compare_degenerate(comparison: Comparison, folder: GoldenFolder) -> None:
     for name in names:
         golden = stored.floats(f"{name}/center_pose", STEPS + 1, 3)
         state = VehicleState(pose, float(stored.floats(f"{name}/speed_per_step")))
-        centers = _drive(stored.floats(f"{name}/waypoints_local", WAYPOINTS, 3), state, length_m)
+        centers = _simulate_nudged(stored.floats(f"{name}/waypoints_local", WAYPOINTS, 3), state, length_m)
         comparison.verdicts("degenerate candidates that are not finite", ~np.isfinite(centers[:1]).all(axis=(1, 2)))
         steady = np.maximum.accumulate(np.abs(centers[1:] - centers[0]).max(axis=(0, 2))) < STEADY_M
         frames = int(np.count_nonzero(steady))
@@ -57,7 +57,7 @@ def compare_degenerate(comparison: Comparison, folder: GoldenFolder) -> None:
         comparison.note(quantity, f"not compared where a micrometre decides: {', '.join(cut)}")
 
 
-def _drive(waypoints: Floats, state: VehicleState, length_m: float) -> Floats:
+def _simulate_nudged(waypoints: Floats, state: VehicleState, length_m: float) -> Floats:
     """Centres (1 + `NUDGES`, 81, 2): of the candidate, then of its nudged copies."""
     rng = np.random.default_rng(content_seed("nudged waypoints", waypoints.tolist()))
     nudges = NUDGE_M * rng.choice([-1.0, 1.0], (NUDGES, *waypoints.shape))
@@ -75,7 +75,7 @@ SHORTEST_CHORD_M: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class _Group:
+class _InitialStateGroup:
     """Candidates of one initial state, as the set has them."""
 
     members: NDArray[np.int64]
@@ -87,7 +87,7 @@ def _compare_candidates(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare `MotionModel.reference`."""
     stored = folder.arrays("physics.npz")
     waypoints = stored.floats("waypoints_local", None, WAYPOINTS, 3)
-    groups = _groups(stored, len(waypoints))
+    groups = _build_groups(stored, len(waypoints))
     # What overflows is not finite, and then fails by itself.
     with np.errstate(over="ignore", invalid="ignore"):
         motion = _simulate(waypoints, groups)
@@ -98,7 +98,7 @@ def _compare_candidates(comparison: Comparison, folder: GoldenFolder) -> None:
         compare_degenerate(comparison, folder)
 
 
-def _groups(stored: GoldenArrays, candidates: int) -> list[_Group]:
+def _build_groups(stored: GoldenArrays, candidates: int) -> list[_InitialStateGroup]:
     """The initial states that have candidates."""
     columns = stored.columns("group_columns", "rear_x", "rear_y", "rear_heading", "speed_per_step", "length")
     rows, number = stored.floats("groups", None, None), stored.integers("group", candidates)
@@ -108,11 +108,11 @@ def _groups(stored: GoldenArrays, candidates: int) -> list[_Group]:
         if not length > 0.0:
             raise ValueError(f"group {index} has length {length:g} m")
         state = VehicleState(np.array([x, y, heading]), float(speed))
-        groups.append(_Group(np.flatnonzero(number == index), state, float(length)))
+        groups.append(_InitialStateGroup(np.flatnonzero(number == index), state, float(length)))
     return groups
 
 
-def _simulate(waypoints: Floats, groups: list[_Group]) -> SimulatedMotion:
+def _simulate(waypoints: Floats, groups: list[_InitialStateGroup]) -> SimulatedMotion:
     """All candidates, each from the state of its group."""
     order = np.argsort(np.concatenate([group.members for group in groups]))
     parts = [
@@ -146,7 +146,7 @@ def _compare_motion(comparison: Comparison, stored: GoldenArrays, motion: Simula
     for name, (ours, golden) in numbers.items():
         comparison.numbers(name, ours[good], golden[good], angle="heading" in name)
     comparison.note(
-        "centre position (m)", f"{np.count_nonzero(good)} of {counted(count, 'candidate')} are well-conditioned"
+        "centre position (m)", f"{np.count_nonzero(good)} of {pluralise(count, 'candidate')} are well-conditioned"
     )
 
 
@@ -163,7 +163,7 @@ def _compare_ill_conditioned(comparison: Comparison, stored: GoldenArrays, motio
     if soon.any():
         quantity = f"centre position of others, first {SOON_FRAMES} frames (m)"
         comparison.numbers(quantity, motion.center[soon, frames, :2], center[soon, frames, :2])
-        comparison.note(quantity, counted(int(np.count_nonzero(soon)), "candidate"))
+        comparison.note(quantity, pluralise(int(np.count_nonzero(soon)), "candidate"))
     free = other & ~soon
     if free.any():
         error = np.abs(motion.center[free, frames, :2] - center[free, frames, :2]).max(axis=(1, 2))
@@ -174,11 +174,13 @@ def _compare_ill_conditioned(comparison: Comparison, stored: GoldenArrays, motio
         )
 
 
-def _compare_paths(comparison: Comparison, stored: GoldenArrays, waypoints: Floats, groups: list[_Group]) -> None:
+def _compare_paths(
+    comparison: Comparison, stored: GoldenArrays, waypoints: Floats, groups: list[_InitialStateGroup]
+) -> None:
     """Reference poses of all candidates, and the profiles fitted to those that are well-conditioned."""
     count = len(waypoints)
     good = stored.verdicts("well_conditioned", count)
-    path = reference_path(waypoints[..., :2], dt=1.0, frames_per_waypoint=5, smooth=False)
+    path = build_reference_path(waypoints[..., :2], dt=1.0, frames_per_waypoint=5, smooth=False)
     speed = stored.floats("velocity_profile", count, STEPS)
     curvature = stored.floats("curvature_profile", count, STEPS)
     comparison.numbers("speed profile (m/frame)", path.speed.T[good], speed[good])
@@ -205,7 +207,7 @@ def _has_direction(poses: Floats) -> Bools:
     return np.concatenate([chord[:, :1], chord, chord[:, -1:]], axis=1)
 
 
-def _compare_broken_candidates(comparison: Comparison, waypoints: Floats, group: _Group) -> None:
+def _compare_broken_candidates(comparison: Comparison, waypoints: Floats, group: _InitialStateGroup) -> None:
     """A candidate with NaN and one with infinity are dropped; their neighbours do not change by a bit."""
     clean = np.resize(waypoints[group.members], (max(3, len(group.members)), WAYPOINTS, 3))
     broken = clean.copy()

@@ -25,11 +25,11 @@ from generation.search.reference_scoring import (
     SOON_POSES,
     ReferenceContacts,
     ReferenceTerms,
-    corner_points,
-    reference_collisions,
-    reference_terms,
+    compute_corner_points,
+    compute_reference_terms,
+    find_reference_collisions,
 )
-from generation.search.scoring import Surroundings, final_scores
+from generation.search.scoring import ScoringSurroundings, compute_final_scores
 
 TIE: Final = 1e-9
 """Cells from a half-integer raster coordinate, or metres from touching."""
@@ -37,7 +37,7 @@ RANK_TIE: Final = 1e-9
 """Final scores nearer than this may change places."""
 
 
-def on_raster_tie(points: Floats, global_to_index: Floats, tie: float = TIE) -> Bools:
+def is_on_raster_tie(points: Floats, global_to_index: Floats, tie: float = TIE) -> Bools:
     """Whether points lie on the border between two cells, so that rounding decides which one they are in.
 
     ``points`` are (..., 2) global metres, ``global_to_index`` a (2, 3) affine map to raster coordinates, which are
@@ -48,15 +48,15 @@ def on_raster_tie(points: Floats, global_to_index: Floats, tie: float = TIE) -> 
     return np.asarray((from_border <= tie).any(axis=-1))
 
 
-def touching_tie(box: Floats, others: Floats, reading: CollisionReading) -> bool:
+def is_touching_tie(box: Floats, others: Floats, reading: CollisionReading) -> bool:
     """Whether the verdict on one (5,) box with all limits `TIE` wider differs from the one with them `TIE` narrower.
 
     ``others`` are the (M, 5) boxes that are present.
     """
-    return _collides(box, others, reading, TIE) and not _collides(box, others, reading, -TIE)
+    return _is_colliding(box, others, reading, TIE) and not _is_colliding(box, others, reading, -TIE)
 
 
-def _collides(box: Floats, others: Floats, reading: CollisionReading, slack_m: float) -> bool:
+def _is_colliding(box: Floats, others: Floats, reading: CollisionReading, slack_m: float) -> bool:
     """The verdict on one box, every limit moved by ``slack_m``."""
     own = box.copy()
     own[2:4] += 2.0 * slack_m
@@ -70,7 +70,7 @@ def _collides(box: Floats, others: Floats, reading: CollisionReading, slack_m: f
     return bool(((distance < near) | ((distance <= far) & overlap)).any())
 
 
-def out_of_order(ours: Floats, golden: Floats, tie: float) -> NDArray[np.bool_]:
+def find_out_of_order(ours: Floats, golden: Floats, tie: float) -> NDArray[np.bool_]:
     """Candidates, (B,), that stand behind one that they should be ahead of.
 
     True where some candidate whose golden score is lower by more than ``tie`` does not score lower.
@@ -84,7 +84,7 @@ def out_of_order(ours: Floats, golden: Floats, tie: float) -> NDArray[np.bool_]:
     return wrong
 
 
-def compare_but_ties(
+def compare_except_ties(
     comparison: Comparison, quantity: str, differs: Bools, tie: Bools, excused: dict[str, int]
 ) -> None:
     """Count the verdicts that differ and have no tie to excuse it; ``excused`` counts the others, by quantity."""
@@ -110,7 +110,7 @@ class ScoredFrame:
     center: Floats
     size: Floats
     boxes: Floats
-    around: Surroundings
+    around: ScoringSurroundings
     affine: Floats
 
 
@@ -121,13 +121,13 @@ def read_scored_frame(stored: GoldenArrays) -> ScoredFrame:
     boxes = stored.floats("boxes_x_y_heading_width_length", *valid.shape, 5)[SCORED][..., [0, 1, 4, 3, 2]]
     ego = boxes[:, int(stored.integers("ego_index")), :2]
     affine = stored.floats("raster_affine_global_to_index", 2, 3)
-    around = Surroundings(boxes, valid[SCORED], ego, golden_raster(stored, affine))
+    around = ScoringSurroundings(boxes, valid[SCORED], ego, build_golden_raster(stored, affine))
     size = np.array([length, width])
     own = np.concatenate([center[..., :2], np.broadcast_to(size, (*center.shape[:2], 2)), center[..., 2:]], axis=-1)
     return ScoredFrame(center, size, own, around, affine)
 
 
-def golden_raster(stored: GoldenArrays, affine: Floats) -> DrivableRaster:
+def build_golden_raster(stored: GoldenArrays, affine: Floats) -> DrivableRaster:
     """The raster of a file, with the pose and the cell size that its (2, 3) affine map from global metres says."""
     cells = stored.verdicts("raster", None, None)
     count = len(cells)
@@ -158,12 +158,12 @@ MOST_START: Final = 1e-3 + 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class _Frame:
+class _ReferenceFrame:
     """Inputs of one file; B candidates, S poses."""
 
     center: Floats
     size: Floats
-    around: Surroundings
+    around: ScoringSurroundings
     affine: Floats
 
 
@@ -174,13 +174,13 @@ def has_reference_scores(stored: GoldenArrays) -> bool:
 
 def compare_reference(comparison: Comparison, stored: GoldenArrays, excused: dict[str, int]) -> None:
     """Compare one file with ``ref_*`` arrays. Verdicts on a tie are counted in ``excused``, by quantity."""
-    frame = _read(stored)
+    frame = _read_reference_frame(stored)
     count, hyper = len(frame.center), HyperParameters.reference()
-    terms = reference_terms(frame.center, frame.size, frame.around)
-    contacts = reference_collisions(frame.center, frame.size, frame.around)
+    terms = compute_reference_terms(frame.center, frame.size, frame.around)
+    contacts = find_reference_collisions(frame.center, frame.size, frame.around)
     road = _compare_road(comparison, stored, frame, terms, excused)
     free = _compare_contacts(comparison, stored, frame, contacts, excused)
-    scores, both = final_scores(terms, np.full(count, hyper.init_least), hyper), road & free
+    scores, both = compute_final_scores(terms, np.full(count, hyper.init_least), hyper), road & free
     numbers = {
         "drivable area term": (terms.dac, "ref_dac", road),
         "collision term": (terms.cr, "ref_cr", free),
@@ -197,7 +197,7 @@ def compare_reference(comparison: Comparison, stored: GoldenArrays, excused: dic
     comparison.verdicts("random start outside 0 to 0.001", noise)
 
 
-def _read(stored: GoldenArrays) -> _Frame:
+def _read_reference_frame(stored: GoldenArrays) -> _ReferenceFrame:
     center = stored.floats("candidates", None, None, 3)
     boxes = stored.floats("ref_boxes_x_y_z_w_l_h_yawmm", None, None, 7)
     poses, row = len(boxes), int(stored.integers("ref_adv_row"))
@@ -208,12 +208,12 @@ def _read(stored: GoldenArrays) -> _Frame:
     present = np.ones(others.shape[:2], dtype=np.bool_)
     rear = stored.floats("ref_ego_rear_xy", poses, 2)
     width, length = stored.floats("adv_width_length", 2)
-    around = Surroundings(others, present, rear, golden_raster(stored, affine))
-    return _Frame(center[:, :poses], np.array([length, width]), around, affine)
+    around = ScoringSurroundings(others, present, rear, build_golden_raster(stored, affine))
+    return _ReferenceFrame(center[:, :poses], np.array([length, width]), around, affine)
 
 
 def _compare_road(
-    comparison: Comparison, stored: GoldenArrays, frame: _Frame, terms: ReferenceTerms, excused: dict[str, int]
+    comparison: Comparison, stored: GoldenArrays, frame: _ReferenceFrame, terms: ReferenceTerms, excused: dict[str, int]
 ) -> Bools:
     """Points off the road; gives back which candidates have no verdict that a tie excuses."""
     shape = frame.center.shape[:2]
@@ -222,18 +222,22 @@ def _compare_road(
     sure = np.ones(len(frame.center), dtype=np.bool_)
     for quantity, differs, points in (
         ("centre off the road", terms.center_off_road != center_off, frame.center[..., None, :2]),
-        ("corners off the road", terms.corners_off != corners_off, corner_points(frame.center, frame.size)),
+        ("corners off the road", terms.corners_off != corners_off, compute_corner_points(frame.center, frame.size)),
     ):
         tie = differs.copy()
         # Single precision may put a point into the neighbouring cell.
-        tie[differs] = on_raster_tie(points[differs], frame.affine, CELL_TIE).any(axis=-1)
-        compare_but_ties(comparison, quantity, differs, tie, excused)
+        tie[differs] = is_on_raster_tie(points[differs], frame.affine, CELL_TIE).any(axis=-1)
+        compare_except_ties(comparison, quantity, differs, tie, excused)
         sure &= ~tie.any(axis=1)
     return sure
 
 
 def _compare_contacts(
-    comparison: Comparison, stored: GoldenArrays, frame: _Frame, contacts: ReferenceContacts, excused: dict[str, int]
+    comparison: Comparison,
+    stored: GoldenArrays,
+    frame: _ReferenceFrame,
+    contacts: ReferenceContacts,
+    excused: dict[str, int],
 ) -> Bools:
     """Collisions; gives back which candidates have no verdict that a tie excuses."""
     count, poses = frame.center.shape[:2]
@@ -245,19 +249,19 @@ def _compare_contacts(
         differs = ours != stored.verdicts(name, poses, count).T
         tie = differs.copy()
         for candidate, pose in np.argwhere(differs):
-            tie[candidate, pose] = _touches_barely(frame, candidate, pose)
-        compare_but_ties(comparison, quantity, differs, tie, excused)
+            tie[candidate, pose] = _is_touching_barely(frame, candidate, pose)
+        compare_except_ties(comparison, quantity, differs, tie, excused)
         sure &= ~tie.any(axis=1)
     differs = contacts.hits_ego != stored.verdicts("ref_ego_col", count)
     tie = differs.copy()
     for candidate in np.flatnonzero(differs):
-        tie[candidate] = any(_touches_barely(frame, candidate, pose) for pose in range(min(poses, SOON_POSES)))
-    compare_but_ties(comparison, "meets the ego", differs, tie, excused)
+        tie[candidate] = any(_is_touching_barely(frame, candidate, pose) for pose in range(min(poses, SOON_POSES)))
+    compare_except_ties(comparison, "meets the ego", differs, tie, excused)
     comparison.same("how many boxes are intersected", contacts.tests, stored.integers("ref_n_polygon_tests"))
     return np.asarray(sure & ~tie)
 
 
-def _touches_barely(frame: _Frame, candidate: int, pose: int) -> bool:
+def _is_touching_barely(frame: _ReferenceFrame, candidate: int, pose: int) -> bool:
     """Whether `TOUCH_TIE_M` more or less air changes any verdict on a candidate at a pose."""
     x, y, yaw = frame.center[candidate, pose]
     others = frame.around.boxes[pose]

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.geometry import Bools, box_corners
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
 from generation.extensions.golden_sets.built_in import BUILT_IN
@@ -15,16 +15,16 @@ from generation.extensions.golden_sets.reference_scores import (
     QUANTITIES,
     RANK_TIE,
     ScoredFrame,
-    compare_but_ties,
+    compare_except_ties,
     compare_reference,
+    find_out_of_order,
     has_reference_scores,
-    on_raster_tie,
-    out_of_order,
+    is_on_raster_tie,
+    is_touching_tie,
     read_scored_frame,
-    touching_tie,
 )
 from generation.search.hyperparameters import CollisionReading, HyperParameters
-from generation.search.scoring import Terms, final_scores, normalised, score_terms
+from generation.search.scoring import ScoreTerms, compute_final_scores, compute_score_terms, normalise_challenge
 
 
 def _compare_files(comparison: Comparison, folder: GoldenFolder) -> None:
@@ -44,9 +44,9 @@ def _compare_files(comparison: Comparison, folder: GoldenFolder) -> None:
         if count:
             comparison.note(quantity, f"{count} within 1e-9 of a tie are left out")
     for quantity, count in single.items():
-        remark = f"{count} differ and hang on single precision, in {counted(with_reference, 'file')}"
+        remark = f"{count} differ and hang on single precision, in {pluralise(with_reference, 'file')}"
         comparison.note(f"reference: {quantity}", remark)
-    comparison.note("centre off the road", f"{counted(len(paths), 'file')}{_absent(folder, paths)}")
+    comparison.note("centre off the road", f"{pluralise(len(paths), 'file')}{_format_absent_files(folder, paths)}")
 
 
 def _compare_file(comparison: Comparison, stored: GoldenArrays, excused: dict[str, int]) -> None:
@@ -54,14 +54,14 @@ def _compare_file(comparison: Comparison, stored: GoldenArrays, excused: dict[st
     sure: Bools | None = None
     for reading in CollisionReading:
         hyper = replace(paper, collision_reading=reading)
-        terms = score_terms(frame.center, frame.size, frame.around, hyper)
+        terms = compute_score_terms(frame.center, frame.size, frame.around, hyper)
         if sure is None:
             sure = _compare_road(comparison, stored, frame, terms, excused)
             count, steps = frame.boxes.shape[:2]
             numbers = {
                 "distance to the ego (m)": (terms.distance, stored.floats("paper_dist", count, steps)),
                 "challenge before normalisation": (terms.challenge, stored.floats("paper_ac_raw", count)),
-                "challenge": (normalised(terms.challenge, terms.finite), stored.floats("paper_ac", count)),
+                "challenge": (normalise_challenge(terms.challenge, terms.finite), stored.floats("paper_ac", count)),
             }
             for quantity, (ours, golden) in numbers.items():
                 comparison.numbers(quantity, ours, golden)
@@ -69,7 +69,7 @@ def _compare_file(comparison: Comparison, stored: GoldenArrays, excused: dict[st
 
 
 def _compare_road(
-    comparison: Comparison, stored: GoldenArrays, frame: ScoredFrame, terms: Terms, excused: dict[str, int]
+    comparison: Comparison, stored: GoldenArrays, frame: ScoredFrame, terms: ScoreTerms, excused: dict[str, int]
 ) -> Bools:
     """Verdicts of leaving the road; gives back which candidates have none that a tie excuses."""
     shape, sure = frame.boxes.shape[:2], np.ones(len(frame.boxes), np.bool_)
@@ -79,8 +79,8 @@ def _compare_road(
     ):
         differs = np.asarray(ours != stored.verdicts(name, *shape))
         tie = differs.copy()
-        tie[differs] = on_raster_tie(points[differs], frame.affine).any(axis=-1)
-        compare_but_ties(comparison, quantity, differs, tie, excused)
+        tie[differs] = is_on_raster_tie(points[differs], frame.affine).any(axis=-1)
+        compare_except_ties(comparison, quantity, differs, tie, excused)
         sure &= ~tie.any(axis=1)
     comparison.numbers("drivable area term", terms.dac[sure], stored.floats("paper_dac", len(sure))[sure])
     return sure
@@ -90,7 +90,7 @@ def _compare_reading(
     comparison: Comparison,
     stored: GoldenArrays,
     frame: ScoredFrame,
-    terms: Terms,
+    terms: ScoreTerms,
     hyper: HyperParameters,
     road_sure: Bools,
     excused: dict[str, int],
@@ -101,8 +101,8 @@ def _compare_reading(
     tie = differs.copy()
     for candidate, step in np.argwhere(differs):
         box, present = frame.boxes[candidate, step], frame.around.present[step]
-        tie[candidate, step] = touching_tie(box, frame.around.boxes[step][present], reading)
-    compare_but_ties(comparison, f"collision, {reading}", differs, tie, excused)
+        tie[candidate, step] = is_touching_tie(box, frame.around.boxes[step][present], reading)
+    compare_except_ties(comparison, f"collision, {reading}", differs, tie, excused)
     sure = ~tie.any(axis=1)
     comparison.numbers(f"collision term, {reading}", terms.cr[sure], stored.floats(f"paper_cr_{reading}", count)[sure])
     sure &= road_sure
@@ -111,13 +111,13 @@ def _compare_reading(
         stored.floats("paper_init_score_uniform_0_1e-3", count),
     )
     for start, quantity in ((np.zeros(count), "final score"), (drawn, "final score with its random start")):
-        ours = final_scores(terms, start, hyper)
+        ours = compute_final_scores(terms, start, hyper)
         comparison.numbers(f"{quantity}, {reading}", ours[sure], (wanted + start)[sure])
-    ranked = final_scores(terms, np.zeros(count), hyper)[sure]
-    comparison.verdicts(f"ranking, {reading}", out_of_order(ranked, wanted[sure], RANK_TIE))
+    ranked = compute_final_scores(terms, np.zeros(count), hyper)[sure]
+    comparison.verdicts(f"ranking, {reading}", find_out_of_order(ranked, wanted[sure], RANK_TIE))
 
 
-def _absent(folder: GoldenFolder, paths: list[Path]) -> str:
+def _format_absent_files(folder: GoldenFolder, paths: list[Path]) -> str:
     """Files that the index of the set names and the folder lacks, in words."""
     listed = folder.facts("index.json") if folder.has("index.json") else []
     missing = {Path(str(name)).name for name in listed} - {path.name for path in paths}

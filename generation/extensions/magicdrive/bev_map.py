@@ -34,7 +34,7 @@ _SET, _CLEAR = (1.0,), (0.0,)
 _Paint = Callable[[NDArray[np.uint8], shapely.Geometry, Callable[[Floats], Floats]], None]
 
 
-def clip_maps(scene: Scene, lidar: Floats, *, cells: int = MAP_CELLS) -> Bools:
+def draw_clip_maps(scene: Scene, lidar: Floats, *, cells: int = MAP_CELLS) -> Bools:
     """Maps of a clip: (T, 8, cells, cells) masks by `MAP_CHANNELS`, as `MapLayers.masks` draws them.
 
     ``lidar`` is (T, 4, 4), lidar frame to global frame.

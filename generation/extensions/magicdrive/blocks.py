@@ -15,7 +15,14 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.layers import Mlp, RootMeanSquareNorm, Rotation, SelfAttention, modulated, parted
+from generation.extensions.magicdrive.layers import (
+    Mlp,
+    RootMeanSquareNorm,
+    RotaryRotation,
+    SequenceSelfAttention,
+    modulate,
+    split_axis,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +53,7 @@ class ConditionTokens:
     def sequence(self) -> Tensor:
         """All tokens in the model's order, (b, V, t, 2 + L + n, C): ego motion, camera, text, boxes."""
         batch, views, frames = self.boxes.shape[:3]
-        repeated = self.boxes if self.box_repeats == 1 else self._repeated_boxes()
+        repeated = self.boxes if self.box_repeats == 1 else self._repeat_boxes()
         kinds = [kind.expand(batch, views, frames, -1, -1) for kind in (self.ego, self.camera, self.text)]
         return torch.cat([*kinds, repeated], 3)
 
@@ -56,14 +63,14 @@ class ConditionTokens:
         return 2 + self.text.shape[3] + self.boxes.shape[3] * self.box_repeats
 
     @classmethod
-    def batched(cls, parts: Sequence[Self]) -> Self:
+    def batch(cls, parts: Sequence[Self]) -> Self:
         """Several scenes or branches as one batch.
 
         They have equal numbers of views, frames, text tokens and boxes; repeats are kept where all parts have the
         same.
         """
         same = len({part.box_repeats for part in parts}) == 1
-        boxes = [part.boxes if same else part._repeated_boxes() for part in parts]
+        boxes = [part.boxes if same else part._repeat_boxes() for part in parts]
         lengths = {(part.text.shape[3], tuple(own.shape[1:])) for part, own in zip(parts, boxes, strict=True)}
         if len(lengths) != 1:
             raise ValueError(f"conditions of different sizes cannot be one batch: {sorted(lengths)}")
@@ -75,12 +82,12 @@ class ConditionTokens:
             box_repeats=parts[0].box_repeats if same else 1,
         )
 
-    def _repeated_boxes(self) -> Tensor:
+    def _repeat_boxes(self) -> Tensor:
         batch, views, frames, boxes, _ = self.boxes.shape
         return self.boxes[..., None, :].expand(batch, views, frames, boxes, self.box_repeats, -1).flatten(3, 4)
 
 
-class CrossAttention(nn.Module):
+class ConditionCrossAttention(nn.Module):
     """Every token asks the condition tokens of its view and latent frame."""
 
     def __init__(self, channels: int, heads: int) -> None:
@@ -96,8 +103,8 @@ class CrossAttention(nn.Module):
 
     def forward(self, x: Tensor, keys_values: ConditionTokens) -> Tensor:
         """Attention of (b, V, t, S, C) tokens, not normalised, to conditions; `keys_values` gives ``keys_values``."""
-        q = parted(self.q_linear(x).flatten(0, 2), -1, self.heads, -1).transpose(1, 2)
-        joined = parted(keys_values.sequence().flatten(0, 2), -1, 2, self.heads, -1)
+        q = split_axis(self.q_linear(x).flatten(0, 2), -1, self.heads, -1).transpose(1, 2)
+        joined = split_axis(keys_values.sequence().flatten(0, 2), -1, 2, self.heads, -1)
         k, v = joined.permute(2, 0, 3, 1, 4).unbind(0)
         attended = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
         out: Tensor = self.proj(attended).view_as(x)
@@ -117,7 +124,7 @@ class CrossViewAttention(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Attention of (b, V, t, S, C) tokens, normalised, to those of other views."""
-        q, k, v = parted(self.qkv(x), -1, 3, self.heads, -1).transpose(3, 5).unbind(4)
+        q, k, v = split_axis(self.qkv(x), -1, 3, self.heads, -1).transpose(3, 5).unbind(4)
         q, k = self.q_norm(q), self.k_norm(k)
         views = x.shape[1]
         sums = []
@@ -128,12 +135,12 @@ class CrossViewAttention(nn.Module):
                 for near in ((view - 1) % views, (view + 1) % views)
             )
             sums.append((left + right).transpose(1, 2).flatten(2))
-        summed = parted(torch.stack(sums), 1, x.shape[0], -1).transpose(0, 1)
+        summed = split_axis(torch.stack(sums), 1, x.shape[0], -1).transpose(0, 1)
         # The bias belongs to each of the two answers.
         return F.linear(summed, self.proj.weight, 2 * self.proj.bias)
 
 
-class Block(nn.Module):
+class MagicDriveBlock(nn.Module):
     """Self-attention, cross-attention to the conditions, attention between views where there is one, and an MLP."""
 
     def __init__(self, config: MagicDriveConfig, *, temporal: bool, between_views: bool, skip: bool) -> None:
@@ -149,8 +156,8 @@ class Block(nn.Module):
         self.scale_shift_table = nn.Parameter(torch.randn(6, channels) / channels**0.5)
         if between_views:
             self.scale_shift_table_mva = nn.Parameter(torch.randn(3, channels) / channels**0.5)
-        self.attn = SelfAttention(channels, heads)
-        self.cross_attn = CrossAttention(channels, heads)
+        self.attn = SequenceSelfAttention(channels, heads)
+        self.cross_attn = ConditionCrossAttention(channels, heads)
         self.mlp = Mlp(channels, 4 * channels, channels)
         self.cross_view_attn = CrossViewAttention(channels, heads) if between_views else None
         if between_views:
@@ -159,24 +166,24 @@ class Block(nn.Module):
             self.after_proj = nn.Linear(channels, channels)
 
     def forward(
-        self, x: Tensor, modulation: Tensor, keys_values: ConditionTokens, rotation: Rotation | None = None
+        self, x: Tensor, modulation: Tensor, keys_values: ConditionTokens, rotation: RotaryRotation | None = None
     ) -> Tensor:
         """One block on (b, V, t, S, C) tokens.
 
         ``modulation``, (b, 1 or t, 6C), is that of the time and frame rate; ``rotation`` of the latent frames is
         for a temporal block.
         """
-        rows = self.scale_shift_table + parted(modulation, -1, 6, -1)
+        rows = self.scale_shift_table + split_axis(modulation, -1, 6, -1)
         shift_a, scale_a, gate_a, shift_m, scale_m, gate_m = rows[:, None, :, None].unbind(-2)
-        x = torch.addcmul(x, gate_a, self._attended(modulated(x, shift_a, scale_a), rotation))
+        x = torch.addcmul(x, gate_a, self._attend(modulate(x, shift_a, scale_a), rotation))
         x = x + self.cross_attn(x, keys_values)
         if self.cross_view_attn is not None:
             # The published network takes the first three numbers of the modulation, not its first three rows.
             shift, scale, gate = (self.scale_shift_table_mva + modulation[..., :3, None])[:, None, :, None].unbind(-2)
-            x = x + self.mva_proj(gate * self.cross_view_attn(modulated(x, shift, scale)))
-        return torch.addcmul(x, gate_m, self.mlp(modulated(x, shift_m, scale_m)))
+            x = x + self.mva_proj(gate * self.cross_view_attn(modulate(x, shift, scale)))
+        return torch.addcmul(x, gate_m, self.mlp(modulate(x, shift_m, scale_m)))
 
-    def _attended(self, x: Tensor, rotation: Rotation | None) -> Tensor:
+    def _attend(self, x: Tensor, rotation: RotaryRotation | None) -> Tensor:
         if self.temporal:
             frames_last = x.transpose(2, 3)
             over_time: Tensor = self.attn(frames_last.flatten(0, 2), rotation).view(frames_last.shape).transpose(2, 3)

@@ -13,12 +13,12 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.weights.folders import read_checkpoint
-from benchmark.weights.pretrained import Library
+from benchmark.weights.pretrained import OptionalLibrary
 from benchmark.weights.tensors import read_tensors
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.model import MagicDriveDiT
 
-DIFFUSERS: Final = Library("diffusers", extra="render", needed_by="the renderer magicdrive")
+DIFFUSERS: Final = OptionalLibrary("diffusers", extra="render", needed_by="the renderer magicdrive")
 
 
 class VideoDecoder:
@@ -59,7 +59,7 @@ _NOT_NEEDED: Final = re.compile(r"^pos_embed")
 """Positions are computed for the size of the video."""
 
 
-def load_official(
+def load_published_network(
     path: Path,
     config: MagicDriveConfig | None = None,
     *,
@@ -84,10 +84,10 @@ def load_official(
     with torch.device("meta"):
         network = MagicDriveDiT(config)
     expected = network.state_dict()
-    tensors = {name: tensor for name, tensor in _read(path).items() if not _NOT_NEEDED.match(name)}
+    tensors = {name: tensor for name, tensor in _read_tensors(path).items() if not _NOT_NEEDED.match(name)}
     if NULL_PROMPT in tensors:
-        tensors[NULL_PROMPT] = _lengthened(tensors[NULL_PROMPT], config.text_tokens)
-    _require_same(path, tensors, expected)
+        tensors[NULL_PROMPT] = _lengthen_prompt(tensors[NULL_PROMPT], config.text_tokens)
+    _require_same_shapes(path, tensors, expected)
     state = {}
     for name in expected:
         rounded = tensors[name].to(torch.bfloat16) if config.rounded else tensors[name]
@@ -101,20 +101,20 @@ def load_official(
     return network.eval().requires_grad_(False)
 
 
-def _read(path: Path) -> Mapping[str, Tensor]:
+def _read_tensors(path: Path) -> Mapping[str, Tensor]:
     if path.suffix != ".safetensors":
         return read_checkpoint(path).tensors
     return read_tensors(path, instead="fetch them again")[0]
 
 
-def _lengthened(prompt: Tensor, tokens: int) -> Tensor:
+def _lengthen_prompt(prompt: Tensor, tokens: int) -> Tensor:
     """A shorter null prompt goes on with its last token, as the published loader has it."""
     if prompt.ndim != 2 or not 0 < len(prompt) < tokens:
         return prompt
     return torch.cat([prompt, prompt[-1:].expand(tokens - len(prompt), -1)])
 
 
-def _require_same(path: Path, tensors: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
+def _require_same_shapes(path: Path, tensors: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
     shared = [name for name in expected if name in tensors]
     kinds = (
         ([name for name in expected if name not in tensors], "missing"),

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Photorealistic:
-    """Options of the renderer, as `generation.extensions.magicdrive.command.magicdrive_renderer` has them."""
+class PhotorealisticOptions:
+    """Options of the renderer, as `generation.extensions.magicdrive.command.build_magicdrive_renderer` has them."""
 
     weights: Path | None
     drawn_size: str
@@ -40,9 +40,9 @@ class Photorealistic:
 
     def renderer(self, work: Path) -> "MagicDriveRenderer":
         """The renderer; ``work`` is its folder for what is kept between stages."""
-        from generation.extensions.magicdrive.command import magicdrive_renderer
+        from generation.extensions.magicdrive.command import build_magicdrive_renderer
 
-        return magicdrive_renderer(
+        return build_magicdrive_renderer(
             work,
             self.weights,
             drawn_size=self.drawn_size,
@@ -56,6 +56,6 @@ class Photorealistic:
 
     def executor(self, place: "Executor") -> "Executor | None":
         """Executor of the drawing; estimates for a GPU are wanted on machines that have none."""
-        from generation.extensions.magicdrive.command import rendering_executor
+        from generation.extensions.magicdrive.command import build_rendering_executor
 
-        return None if self.estimates_only else rendering_executor(place, self.device)
+        return None if self.estimates_only else build_rendering_executor(place, self.device)

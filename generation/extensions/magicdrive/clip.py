@@ -15,10 +15,10 @@ from benchmark.constants import DETECTION_CLASS_OF_CATEGORY, DETECTION_CLASSES, 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw, rotation_matrix
 from benchmark.scene import Scene
-from generation.extensions.magicdrive.bev_map import MAP_CELLS, clip_maps
-from generation.extensions.magicdrive.conditions import ABSENT_CLASS, Conditions, TextStates
-from generation.extensions.magicdrive.prompt import Prompt, PromptLook, prompt_of
-from generation.extensions.magicdrive.sensor_frames import SensorFrames, camera_parameters, ego_motion
+from generation.extensions.magicdrive.bev_map import MAP_CELLS, draw_clip_maps
+from generation.extensions.magicdrive.conditions import ABSENT_CLASS, ClipConditions, TextStates
+from generation.extensions.magicdrive.prompt import Prompt, PromptLook, build_prompt
+from generation.extensions.magicdrive.sensor_frames import SensorFrames, compute_camera_parameters, compute_ego_motion
 
 _NEARLY_PARALLEL = 1.0 - 1e-9
 
@@ -40,7 +40,7 @@ class BoxTracks:
     valid: Bools
 
 
-def box_tracks(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
+def build_box_tracks(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
     """Boxes at (T,) frames of a scene, in the order of ``scene.agents``.
 
     A recording, whose sensors have sweeps of their own, knows boxes at its keyframes only: those in between are
@@ -56,14 +56,14 @@ def box_tracks(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
     )
     if scene.sweep_poses is None:
         return tracks
-    between = interpolated_annotations(scene, frames)
+    between = interpolate_annotations(scene, frames)
     simulated = np.array([name in scene.adversaries for name in agents.ids], dtype=np.bool_)
     for item in fields(BoxTracks):
         getattr(between, item.name)[simulated] = getattr(tracks, item.name)[simulated]
     return between
 
 
-def interpolated_annotations(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
+def interpolate_annotations(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
     """Boxes between keyframes: those of objects that are annotated at both ends.
 
     ``frames`` are (T,) from the first to the last keyframe.
@@ -138,27 +138,27 @@ class ClipBoxes:
         return np.asarray(self.classes != ABSENT_CLASS)
 
 
-def clip_boxes(scene: Scene, frames: NDArray[np.int64], sensors: SensorFrames) -> ClipBoxes:
+def build_clip_boxes(scene: Scene, frames: NDArray[np.int64], sensors: SensorFrames) -> ClipBoxes:
     """Boxes of all objects that the model can draw, adversaries among them, at (T,) frames.
 
     There is one absent box where there is none.
     """
-    tracks = box_tracks(scene, frames)
-    classes = [_class_index(scene, index) for index in range(len(scene.agents))]
+    tracks = build_box_tracks(scene, frames)
+    classes = [_find_class_index(scene, index) for index in range(len(scene.agents))]
     shown = [
         index
         for index in sorted(range(len(scene.agents)), key=lambda index: scene.agents.ids[index])
         if classes[index] is not None and tracks.valid[index].any()
     ]
     if not shown:
-        return _padding(len(frames), len(sensors.cameras))
+        return _build_padding(len(frames), len(sensors.cameras))
     valid = tracks.valid[shown].T
-    centre, yaw = in_lidar_frame(tracks, shown, sensors.lidar)
+    centre, yaw = transform_to_lidar_frame(tracks, shown, sensors.lidar)
     size = tracks.size[shown].transpose(1, 0, 2)
-    true_corners = corners_of(centre - [0.0, 0.0, 0.5] * size, size, yaw)
+    true_corners = compute_corners(centre - [0.0, 0.0, 0.5] * size, size, yaw)
     # The model takes an annotation's centre for the middle of the box's floor, and was trained so.
-    raised = corners_of(centre, size, yaw)
-    masks = in_front(true_corners, sensors.camera_from_lidar) & valid
+    raised = compute_corners(centre, size, yaw)
+    masks = is_in_front(true_corners, sensors.camera_from_lidar) & valid
     numbers = np.array([classes[index] for index in shown], dtype=np.int64)
     return ClipBoxes(
         ids=tuple(scene.agents.ids[index] for index in shown),
@@ -169,7 +169,7 @@ def clip_boxes(scene: Scene, frames: NDArray[np.int64], sensors: SensorFrames) -
     )
 
 
-def in_lidar_frame(tracks: BoxTracks, shown: list[int], lidar: Floats) -> tuple[Floats, Floats]:
+def transform_to_lidar_frame(tracks: BoxTracks, shown: list[int], lidar: Floats) -> tuple[Floats, Floats]:
     """Centres, (T, n, 3), and headings, (T, n), of n boxes as the lidar sees them at T frames.
 
     Headings are those of the boxes' length, radians counter-clockwise from the lidar's x axis; ``lidar`` is
@@ -183,7 +183,7 @@ def in_lidar_frame(tracks: BoxTracks, shown: list[int], lidar: Floats) -> tuple[
     return centre, np.arctan2(-rotation[..., 0, 1], rotation[..., 0, 0])
 
 
-def corners_of(floor: Floats, size: Floats, yaw: Floats) -> Floats:
+def compute_corners(floor: Floats, size: Floats, yaw: Floats) -> Floats:
     """Corners of upright boxes in the model's order.
 
     Args:
@@ -199,7 +199,7 @@ def corners_of(floor: Floats, size: Floats, yaw: Floats) -> Floats:
     return np.asarray(floor[..., None, :] + np.stack([ahead * cos - left * sin, ahead * sin + left * cos, up], axis=-1))
 
 
-def in_front(corners: Floats, camera_from_lidar: Floats) -> Bools:
+def is_in_front(corners: Floats, camera_from_lidar: Floats) -> Bools:
     """Which boxes have a corner in front of a camera's lens, inside its image or not.
 
     (V, T, n) verdicts on (T, n, 8, 3) corners, lidar frame, metres; ``camera_from_lidar`` is (V, T, 4, 4), lidar
@@ -210,7 +210,7 @@ def in_front(corners: Floats, camera_from_lidar: Floats) -> Bools:
     return np.asarray((depth > 0.0).any(axis=-1))
 
 
-def _class_index(scene: Scene, agent: int) -> int | None:
+def _find_class_index(scene: Scene, agent: int) -> int | None:
     category = scene.agents.categories[agent]
     name = DETECTION_CLASS_OF_CATEGORY.get(category)
     if name is None and scene.agents.ids[agent] in scene.adversaries:
@@ -218,7 +218,7 @@ def _class_index(scene: Scene, agent: int) -> int | None:
     return None if name is None else DETECTION_CLASSES.index(name)
 
 
-def _padding(frames: int, views: int) -> ClipBoxes:
+def _build_padding(frames: int, views: int) -> ClipBoxes:
     """One box that is never there: the model wants at least one."""
     corners = np.zeros((frames, 1, 8, 3), dtype=np.float32)
     classes = np.full((frames, 1), ABSENT_CLASS, dtype=np.int64)
@@ -265,17 +265,17 @@ class Clip:
 
     def conditions(
         self, text: TextStates, negative_text: TextStates | None, *, latent_width: int, seed: int = OFFICIAL_SEED
-    ) -> Conditions:
+    ) -> ClipConditions:
         """The clip as tensors for a model of hidden width ``latent_width``.
 
         ``seed`` is of the objects' latent vectors; the same objects with the same seed look alike.
         """
         boxes = self.boxes
-        return Conditions(
+        return ClipConditions(
             bboxes=torch.from_numpy(boxes.corners)[None],
             classes=torch.from_numpy(boxes.classes)[None],
             masks=torch.from_numpy(boxes.masks),
-            box_latent=box_latents(boxes.classes.shape[1], latent_width, seed),
+            box_latent=draw_box_latents(boxes.classes.shape[1], latent_width, seed),
             cams=torch.from_numpy(self.cams)[:, :, None],
             rel_pos=torch.from_numpy(self.rel_pos),
             maps=torch.from_numpy(self.maps),
@@ -287,7 +287,7 @@ class Clip:
         )
 
 
-def clip_of(
+def build_clip(
     scene: Scene,
     frames: Sequence[int],
     *,
@@ -297,13 +297,17 @@ def clip_of(
 ) -> Clip:
     """Conditions of the model for some frames of a scene, which has six cameras and a map.
 
-    The frames are in order, as many as the model can have; the last one may be repeated (see `padded_frames`).
+    The frames are in order, as many as the model can have; the last one may be repeated (see `pad_frames`).
     """
     chosen = np.asarray(frames, dtype=np.int64)
     _check_frames(scene, chosen)
     sensors = SensorFrames.of(scene, chosen)
     cells = MAP_CELLS if height <= SMALL_HEIGHT_PX else 2 * MAP_CELLS
-    boxes, cams, rel_pos = clip_boxes(scene, chosen, sensors), camera_parameters(sensors), ego_motion(sensors)
+    boxes, cams, rel_pos = (
+        build_clip_boxes(scene, chosen, sensors),
+        compute_camera_parameters(sensors),
+        compute_ego_motion(sensors),
+    )
     for quantity, numbers in (("annotations", boxes.corners), ("calibration", cams), ("ego poses", rel_pos)):
         if not np.isfinite(numbers).all():
             raise InputError(f"the {quantity} of {scene.name} hold numbers that are not finite; correct its tables")
@@ -313,14 +317,14 @@ def clip_of(
         boxes=boxes,
         cams=cams,
         rel_pos=rel_pos,
-        maps=clip_maps(scene, sensors.lidar, cells=cells),
-        prompt=prompt_of(scene, look),
+        maps=draw_clip_maps(scene, sensors.lidar, cells=cells),
+        prompt=build_prompt(scene, look),
         height=height,
         width=width,
     )
 
 
-def box_latents(count: int, width: int, seed: int) -> torch.Tensor:
+def draw_box_latents(count: int, width: int, seed: int) -> torch.Tensor:
     """One Gaussian vector for each object, drawn on the processor as in the published scripts.
 
     (n, C) float32 for n objects and the hidden width C of the model.
@@ -328,27 +332,27 @@ def box_latents(count: int, width: int, seed: int) -> torch.Tensor:
     return torch.randn(count, width, generator=torch.Generator("cpu").manual_seed(seed))
 
 
-def trimmed_length(count: int) -> int:
+def compute_trimmed_length(count: int) -> int:
     """Number of frames that the model's own data loader keeps of a scene: 8k or 8k + 1."""
     return count - max(count % _FRAMES_TOGETHER - 1, 0)
 
 
-def published_length(count: int) -> int:
+def compute_published_length(count: int) -> int:
     """Number of frames that a clip of the published data sets has.
 
     Recordings of 235 frames, which most of nuScenes has (40 keyframes), become 233; those of 241 stay, and nothing is
     longer. Recordings that are shorter than any that the model was trained on at full length keep all they have.
     """
-    return count if count < SHORTEST_WHOLE else trimmed_length(min(count, MOST_FRAMES))
+    return count if count < SHORTEST_WHOLE else compute_trimmed_length(min(count, MOST_FRAMES))
 
 
-def padded_frames(frames: Sequence[int]) -> tuple[int, ...]:
+def pad_frames(frames: Sequence[int]) -> tuple[int, ...]:
     """Frames of which none is lost: the last one is repeated until their number is 8k or 8k + 1."""
-    missing = 0 if trimmed_length(len(frames)) == len(frames) else -len(frames) % _FRAMES_TOGETHER
+    missing = 0 if compute_trimmed_length(len(frames)) == len(frames) else -len(frames) % _FRAMES_TOGETHER
     return (*frames, *[frames[-1]] * missing)
 
 
-def latent_frames(count: int) -> tuple[tuple[int, ...], ...]:
+def group_latent_frames(count: int) -> tuple[tuple[int, ...], ...]:
     """Frames of a clip, as positions in it, that are averaged into each latent frame.
 
     Twice, neighbours become pairs; of an odd number the first stays alone (specification, section 3, "P").
@@ -366,7 +370,7 @@ def _check_frames(scene: Scene, frames: NDArray[np.int64]) -> None:
         raise InputError(
             f"{scene.name} has frames 0 to {last}; a clip needs some of them in order, got {frames.tolist()}"
         )
-    if trimmed_length(len(frames)) != len(frames):
+    if compute_trimmed_length(len(frames)) != len(frames):
         raise InputError(
             f"MagicDriveDiT draws 8k or 8k + 1 frames at a time, not {len(frames)} (of {scene.name}); leave some out "
             "or repeat the last one"

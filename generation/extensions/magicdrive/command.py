@@ -6,7 +6,7 @@ from typing import cast
 
 import torch
 
-from benchmark.machine.devices import device_of
+from benchmark.machine.devices import select_device
 from benchmark.machine.ray_cluster import RayCluster
 from benchmark.machine.workers import Executor, LocalProcesses
 from generation.extensions.magicdrive.prompt import PromptLook
@@ -15,7 +15,7 @@ from generation.extensions.magicdrive.sensor_frames import ImageGeometry, Output
 from generation.extensions.magicdrive.weights import NetworkFiles
 
 
-def magicdrive_renderer(
+def build_magicdrive_renderer(
     work: Path,
     weights: Path | None,
     *,
@@ -57,7 +57,7 @@ def magicdrive_renderer(
     return MagicDriveRenderer(settings, None if estimates_only else NetworkFiles.find(weights), work)
 
 
-def rendering_executor(place: Executor, device: str) -> Executor:
+def build_rendering_executor(place: Executor, device: str) -> Executor:
     """Executor of the drawing: one scene at a time on each GPU.
 
     ``device`` is ``auto``, ``cpu``, ``cuda`` for all GPUs, or ``cuda:1`` for one.
@@ -69,7 +69,7 @@ def rendering_executor(place: Executor, device: str) -> Executor:
     on_gpu = device.startswith("cuda") or (device == "auto" and torch.cuda.is_available())
     if isinstance(place, RayCluster):
         return replace(place, gpus=1) if on_gpu else place
-    torch_device = device_of(device)
+    torch_device = select_device(device)
     if torch_device.type != "cuda" or not isinstance(place, LocalProcesses):
         return place
     return LocalProcesses(1 if torch_device.index is not None else min(place.workers, torch.cuda.device_count()))

@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.box_projection import at_near_plane
+from benchmark.box_projection import intersect_near_plane
 from benchmark.constants import DETECTION_CLASSES
 from benchmark.datasets.roots import DataSet
 from benchmark.geometry import Floats
-from benchmark.machine.storage import file_name, write_bytes
-from benchmark.report.canvas import png
+from benchmark.machine.storage import sanitise_file_name, write_bytes
+from benchmark.report.canvas import encode_png
 from benchmark.report.palette import ADVERSARY
 from benchmark.scene import Scene
-from generation.extensions.magicdrive.clip import Clip, clip_of, padded_frames
+from generation.extensions.magicdrive.clip import Clip, build_clip, pad_frames
 from generation.extensions.magicdrive.condition_plots import (
     CLASS_COLOURS,
     draw_cameras,
@@ -29,7 +29,7 @@ from generation.extensions.magicdrive.condition_plots import (
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
 from generation.extensions.magicdrive.sensor_frames import CALIBRATION_SIZE
 from generation.render.contract import Images, Renderer
-from generation.render.pictures import moments
+from generation.render.pictures import choose_frames
 
 _PANEL: Final = (640, 360)
 _NEAR_M: Final = 0.1
@@ -61,17 +61,20 @@ def write_condition_pictures(data: DataSet, names: Sequence[str], folder: Path, 
     written = []
     for name in names:
         scene = data.scene(name)
-        clip = clip_of(scene, padded_frames(range(len(scene.timestamps_us))))
-        shown = shown_frames(scene)
-        images = [_recorded(data, name, scene, frame) or next(iter(renderer.render(scene, [frame]))) for frame in shown]
-        for kind, content in condition_pictures(clip, scene, shown, images).items():
-            path = folder / file_name(name) / f"{kind}.png"
+        clip = build_clip(scene, pad_frames(range(len(scene.timestamps_us))))
+        shown = choose_shown_frames(scene)
+        images = [
+            _read_recorded_images(data, name, scene, frame) or next(iter(renderer.render(scene, [frame])))
+            for frame in shown
+        ]
+        for kind, content in draw_condition_pictures(clip, scene, shown, images).items():
+            path = folder / sanitise_file_name(name) / f"{kind}.png"
             write_bytes(path, content)
             written.append(path)
     return written
 
 
-def condition_pictures(
+def draw_condition_pictures(
     clip: Clip, scene: Scene, frames: Sequence[int], images: Sequence[Images | None]
 ) -> dict[str, bytes]:
     """All pictures of one clip: PNG files by what they show.
@@ -89,15 +92,15 @@ def condition_pictures(
     }
     drawn = {name: draw() for name, draw in pictures.items()}
     for place, frame, frame_images in zip(places, frames, images):
-        drawn[f"boxes-{frame:03d}"] = png(draw_boxes(clip, place, frame_images, adversaries))
+        drawn[f"boxes-{frame:03d}"] = encode_png(draw_boxes(clip, place, frame_images, adversaries))
         drawn[f"visibility-{frame:03d}"] = draw_visibility(clip, place, adversaries)
         drawn[f"map-{frame:03d}"] = draw_map(clip, place, adversaries)
     return drawn
 
 
-def shown_frames(scene: Scene) -> list[int]:
+def choose_shown_frames(scene: Scene) -> list[int]:
     """Keyframes worth looking at, one or two: the first, and the one nearest to the decisive moment."""
-    middle = moments(scene)[3]
+    middle = choose_frames(scene)[3]
     nearest = scene.keyframes[np.abs(scene.keyframes - middle).argmin()]
     return sorted({int(scene.keyframes[0]), int(nearest)})
 
@@ -122,7 +125,7 @@ def draw_boxes(clip: Clip, place: int, images: Images | None, adversaries: Seque
             panel = np.asarray(cv2.resize(images[name], _PANEL, interpolation=cv2.INTER_AREA), np.uint8)
         _draw_view(panel, clip, place, view, adversaries)
         box_count = int(clip.boxes.masks[view, place].sum())
-        _write(panel, f"{view} {name}: told of {box_count} boxes", (4, 16), (255, 255, 255))
+        _write_text(panel, f"{view} {name}: told of {box_count} boxes", (4, 16), (255, 255, 255))
         panels.append(panel)
     return np.vstack([np.hstack(panels[:3]), np.hstack(panels[3:])])
 
@@ -141,21 +144,23 @@ def _draw_view(panel: NDArray[np.uint8], clip: Clip, place: int, view: int, adve
         name = DETECTION_CLASSES[int(clip.boxes.classes[place, slot])]
         colour = ADVERSARY if slot in adversaries else CLASS_COLOURS[name]
         for start, end in ((1, 2), (2, 6), (6, 5), (5, 1)):
-            _line(panel, raised[index, [start, end]], to_pixels, _RAISED_RGB, 1)
+            _draw_line(panel, raised[index, [start, end]], to_pixels, _RAISED_RGB, 1)
         for edge in (*_EDGES, *_FRONT):
-            _line(panel, corners[index, list(edge)], to_pixels, colour, 1 if edge in _FRONT else 2)
+            _draw_line(panel, corners[index, list(edge)], to_pixels, colour, 1 if edge in _FRONT else 2)
         middle = corners[index].mean(axis=0)
         if middle[2] > _NEAR_M:
             at = to_pixels @ middle
-            _write(panel, str(slot), (int(at[0] / at[2]) - 6, int(at[1] / at[2]) + 4), (255, 255, 255))
+            _write_text(panel, str(slot), (int(at[0] / at[2]) - 6, int(at[1] / at[2]) + 4), (255, 255, 255))
 
 
-def _line(panel: NDArray[np.uint8], ends: Floats, to_pixels: Floats, colour: tuple[int, int, int], width: int) -> None:
+def _draw_line(
+    panel: NDArray[np.uint8], ends: Floats, to_pixels: Floats, colour: tuple[int, int, int], width: int
+) -> None:
     depth = ends[:, 2]
     if depth.max() <= _NEAR_M:
         return
     if depth.min() < _NEAR_M:
-        cut = at_near_plane(ends[0], ends[1], _NEAR_M)
+        cut = intersect_near_plane(ends[0], ends[1], _NEAR_M)
         ends = np.stack([np.where(depth[0] < _NEAR_M, cut, ends[0]), np.where(depth[1] < _NEAR_M, cut, ends[1])])
     homogeneous = ends @ to_pixels.T
     # Far outside the picture OpenCV's fixed-point numbers would overflow.
@@ -164,14 +169,14 @@ def _line(panel: NDArray[np.uint8], ends: Floats, to_pixels: Floats, colour: tup
     cv2.line(panel, start, end, colour, width, cv2.LINE_AA)
 
 
-def _write(panel: NDArray[np.uint8], text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
+def _write_text(panel: NDArray[np.uint8], text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
     """Small text with a dark rim, so that it can be read on anything."""
     face, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.45
     cv2.putText(panel, text, at, face, scale, (0, 0, 0), 3, cv2.LINE_AA)
     cv2.putText(panel, text, at, face, scale, colour, 1, cv2.LINE_AA)
 
 
-def _recorded(data: DataSet, name: str, scene: Scene, frame: int) -> Images | None:
+def _read_recorded_images(data: DataSet, name: str, scene: Scene, frame: int) -> Images | None:
     """The data set's own images at a keyframe, where it has all six."""
     place = int(np.flatnonzero(scene.keyframes == frame)[0])
     videos = data.videos(name, sweeps=False)

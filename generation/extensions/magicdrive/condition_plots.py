@@ -15,10 +15,10 @@ from benchmark.constants import (
     LIDAR_FROM_REAR_AXLE_M,
 )
 from benchmark.geometry import Floats, box_corners
-from benchmark.report.palette import ADVERSARY, EGO, hexadecimal
+from benchmark.report.palette import ADVERSARY, EGO, format_hexadecimal
 from benchmark.report.plots import figure_png
 from generation.extensions.magicdrive.bev_map import MAP_CHANNELS, MAP_EXTENT_M
-from generation.extensions.magicdrive.clip import Clip, latent_frames
+from generation.extensions.magicdrive.clip import Clip, group_latent_frames
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
 from generation.extensions.magicdrive.sensor_frames import CALIBRATION_SIZE
 
@@ -40,7 +40,7 @@ CLASS_COLOURS: Final[dict[str, tuple[int, int, int]]] = {
     "traffic_cone": (255, 220, 70),
 }
 """RGB by class of object."""
-_ADVERSARY: Final = hexadecimal(ADVERSARY)
+_ADVERSARY: Final = format_hexadecimal(ADVERSARY)
 _INK, _PALE = "#26282c", "#9aa0a8"
 _DPI: Final = 100
 _FLOOR: Final = (0, 4, 7, 3)
@@ -55,15 +55,15 @@ def draw_visibility(clip: Clip, place: int, adversaries: Sequence[int]) -> bytes
 
     def draw(figure: "Figure") -> None:
         for view, axes in enumerate(figure.subplots(2, 3).ravel()):
-            _plan(axes, 60.0)
-            _wedge(axes, clip, view, place, 60.0)
-            _boxes(axes, clip, place, adversaries, clip.boxes.masks[view, place])
+            _draw_plan(axes, 60.0)
+            _draw_wedge(axes, clip, view, place, 60.0)
+            _draw_floors(axes, clip, place, adversaries, clip.boxes.masks[view, place])
             box_count = int(clip.boxes.masks[view, place].sum())
             axes.set_title(
                 f"{view} {MODEL_CAMERAS[view]}: {box_count} of {int(clip.boxes.present[place].sum())}", fontsize=9
             )
 
-    return _figure(
+    return _draw_figure(
         (10.5, 7.2), draw, f"{clip.scene}, frame {clip.frames[place]}: boxes used by each view (lidar frame)"
     )
 
@@ -74,14 +74,14 @@ def draw_map(clip: Clip, place: int, adversaries: Sequence[int]) -> bytes:
     def draw(figure: "Figure") -> None:
         extent = (-MAP_EXTENT_M, MAP_EXTENT_M, -MAP_EXTENT_M, MAP_EXTENT_M)
         for channel, axes in enumerate(figure.subplots(2, 4).ravel()):
-            _plan(axes, MAP_EXTENT_M)
+            _draw_plan(axes, MAP_EXTENT_M)
             mask = clip.maps[place, channel]
             axes.imshow(mask.T, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=1.6, interpolation="nearest")
-            _boxes(axes, clip, place, adversaries, None)
+            _draw_floors(axes, clip, place, adversaries, None)
             axes.set_title(f"{channel} {MAP_CHANNELS[channel]}: {100 * mask.mean():.1f} %", fontsize=9)
 
     headline = f"{clip.scene}, frame {clip.frames[place]}: map from above, metres right and ahead of the lidar"
-    return _figure((13.0, 7.2), draw, headline)
+    return _draw_figure((13.0, 7.2), draw, headline)
 
 
 def draw_cameras(clip: Clip) -> bytes:
@@ -89,19 +89,21 @@ def draw_cameras(clip: Clip) -> bytes:
 
     def draw(figure: "Figure") -> None:
         plan, table = figure.subplots(1, 2, width_ratios=(1.0, 1.1))
-        _plan(plan, 4.0)
+        _draw_plan(plan, 4.0)
         lines = [f"{'view':<20}{'fx':>8}{'fy':>8}{'cx':>8}{'cy':>8}   x, y, z in the lidar frame (m)"]
         for view, name in enumerate(MODEL_CAMERAS):
-            _wedge(plan, clip, view, 0, 3.0)
+            _draw_wedge(plan, clip, view, 0, 3.0)
             camera = clip.cams[view, 0]
-            plan.annotate(f"{view} {name}", tuple(camera[:2, 6] + 1.6 * _direction(camera)), fontsize=8, ha="center")
+            plan.annotate(
+                f"{view} {name}", tuple(camera[:2, 6] + 1.6 * _compute_direction(camera)), fontsize=8, ha="center"
+            )
             numbers = (camera[0, 0], camera[1, 1], camera[0, 2], camera[1, 2])
             at = ", ".join(f"{value:+.2f}" for value in camera[:, 6])
             lines.append(f"{view} {name:<18}" + "".join(f"{value:8.0f}" for value in numbers) + f"   {at}")
         table.axis("off")
         table.text(0.0, 0.9, "\n".join(lines), family="monospace", fontsize=8, va="top")
 
-    return _figure((13.0, 5.6), draw, f"{clip.scene}: cameras as told (first frame; pixels of 1600 x 900 images)")
+    return _draw_figure((13.0, 5.6), draw, f"{clip.scene}: cameras as told (first frame; pixels of 1600 x 900 images)")
 
 
 def draw_ego_motion(clip: Clip, keyframes: "NDArray[np.int64]") -> bytes:
@@ -125,7 +127,7 @@ def draw_ego_motion(clip: Clip, keyframes: "NDArray[np.int64]") -> bytes:
         steps.set_xlabel("position in the clip (red: step into a keyframe)")
         steps.set_ylabel("metres from the frame before")
 
-    return _figure((11.0, 4.8), draw, f"{clip.scene}: ego motion as told")
+    return _draw_figure((11.0, 4.8), draw, f"{clip.scene}: ego motion as told")
 
 
 def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequence[int]) -> bytes:
@@ -135,7 +137,7 @@ def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequen
     """
     from matplotlib.patches import Patch
 
-    groups = latent_frames(len(clip.frames))
+    groups = group_latent_frames(len(clip.frames))
     classes = clip.boxes.classes.T
     rgb = np.array([*(CLASS_COLOURS[name] for name in DETECTION_CLASSES), (255, 255, 255)], np.float64)[classes] / 255.0
 
@@ -158,11 +160,11 @@ def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequen
         for slot in adversaries:
             axes.axhline(slot, color=_ADVERSARY, linewidth=1.5, linestyle=":")
         present = [DETECTION_CLASSES[number] for number in np.unique(classes[classes >= 0])]
-        patches = [Patch(color=hexadecimal(CLASS_COLOURS[name]), label=name) for name in present]
+        patches = [Patch(color=format_hexadecimal(CLASS_COLOURS[name]), label=name) for name in present]
         axes.legend(handles=patches, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
 
     sizes = f"{len(clip.frames)} frames become {len(groups)} latent frames (the first of {len(groups[0])})"
-    return _figure((13.0, 2.2 + 0.09 * len(classes)), draw, f"{clip.scene}: {sizes}")
+    return _draw_figure((13.0, 2.2 + 0.09 * len(classes)), draw, f"{clip.scene}: {sizes}")
 
 
 def draw_words(clip: Clip, adversaries: Sequence[int]) -> bytes:
@@ -190,10 +192,10 @@ def draw_words(clip: Clip, adversaries: Sequence[int]) -> bytes:
             below = 1.0 - (0.4 + 0.16 * len(lines)) / height
             figure.text(left, below, "\n".join(column), family="monospace", fontsize=7, va="top")
 
-    return _figure((6.0 * max(len(columns), 2), height), draw, clip.scene)
+    return _draw_figure((6.0 * max(len(columns), 2), height), draw, clip.scene)
 
 
-def _figure(size: tuple[float, float], draw: Callable[["Figure"], None], headline: str) -> bytes:
+def _draw_figure(size: tuple[float, float], draw: Callable[["Figure"], None], headline: str) -> bytes:
     import matplotlib.style
     from matplotlib.figure import Figure
 
@@ -205,7 +207,7 @@ def _figure(size: tuple[float, float], draw: Callable[["Figure"], None], headlin
         return figure_png(figure)
 
 
-def _plan(axes: "Axes", extent_m: float) -> None:
+def _draw_plan(axes: "Axes", extent_m: float) -> None:
     """An empty plane around the lidar, x to the right and y ahead, with the ego's body on it."""
     axes.set_xlim(-extent_m, extent_m)
     axes.set_ylim(-extent_m, extent_m)
@@ -215,10 +217,10 @@ def _plan(axes: "Axes", extent_m: float) -> None:
     axes.tick_params(labelsize=6)
     ahead = EGO_CENTER_FROM_REAR_AXLE_M - LIDAR_FROM_REAR_AXLE_M
     body = box_corners(np.array([0.0, ahead, EGO_LENGTH_M, EGO_BODY_WIDTH_M, np.pi / 2]))
-    axes.fill(*body.T, facecolor=f"{hexadecimal(EGO)}40", edgecolor=hexadecimal(EGO), zorder=3)
+    axes.fill(*body.T, facecolor=f"{format_hexadecimal(EGO)}40", edgecolor=format_hexadecimal(EGO), zorder=3)
 
 
-def _boxes(
+def _draw_floors(
     axes: "Axes", clip: Clip, place: int, adversaries: Sequence[int], filled: "NDArray[np.int64] | None"
 ) -> None:
     """Floors of the boxes with a tick to the front."""
@@ -228,7 +230,7 @@ def _boxes(
     if not slots:
         return
     floors = clip.boxes.true_corners[place, slots][:, list(_FLOOR), :2]
-    colours = [_colour(clip, place, slot, adversaries) for slot in slots]
+    colours = [_choose_colour(clip, place, slot, adversaries) for slot in slots]
     used = [filled is None or bool(filled[slot]) for slot in slots]
     faces = [colour if use else "none" for colour, use in zip(colours, used)]
     edges = [_INK if use else _PALE for use in used]
@@ -237,13 +239,13 @@ def _boxes(
     axes.add_collection(LineCollection(list(noses), colors=_INK, linewidths=0.6, zorder=5))
 
 
-def _colour(clip: Clip, place: int, slot: int, adversaries: Sequence[int]) -> str:
+def _choose_colour(clip: Clip, place: int, slot: int, adversaries: Sequence[int]) -> str:
     if slot in adversaries:
         return _ADVERSARY
-    return hexadecimal(CLASS_COLOURS[DETECTION_CLASSES[int(clip.boxes.classes[place, slot])]])
+    return format_hexadecimal(CLASS_COLOURS[DETECTION_CLASSES[int(clip.boxes.classes[place, slot])]])
 
 
-def _wedge(axes: "Axes", clip: Clip, view: int, place: int, length_m: float) -> None:
+def _draw_wedge(axes: "Axes", clip: Clip, view: int, place: int, length_m: float) -> None:
     """Field of view of a camera, as a triangle from above."""
     camera = clip.cams[view, place].astype(np.float64)
     edges = np.array([[-camera[0, 2], 0.0, camera[0, 0]], [CALIBRATION_SIZE[0] - camera[0, 2], 0.0, camera[0, 0]]])
@@ -252,7 +254,7 @@ def _wedge(axes: "Axes", clip: Clip, view: int, place: int, length_m: float) -> 
     axes.fill(*corners.T, facecolor="#8fa3b8", edgecolor="#5f7388", alpha=0.25, linewidth=0.8, zorder=2)
 
 
-def _direction(camera: "NDArray[np.float32]") -> Floats:
+def _compute_direction(camera: "NDArray[np.float32]") -> Floats:
     """(2,) horizontal direction in which a camera looks, lidar frame."""
     ahead = camera[:2, 5].astype(np.float64)
     return np.asarray(ahead / np.linalg.norm(ahead))

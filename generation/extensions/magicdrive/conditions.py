@@ -44,7 +44,7 @@ class TextStates:
 
 
 @dataclass(frozen=True, slots=True)
-class Conditions:
+class ClipConditions:
     """Everything one call of the model is given about one clip (section 2), without the batch dimension.
 
     Attributes:

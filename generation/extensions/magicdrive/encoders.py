@@ -11,10 +11,10 @@ from generation.extensions.magicdrive.layers import (
     FOURIER_CHANNELS,
     Mlp,
     RotaryFrequencies,
-    SelfAttention,
-    fourier,
-    modulated,
-    parted,
+    SequenceSelfAttention,
+    compute_fourier_features,
+    modulate,
+    split_axis,
 )
 
 CLASSES: Final = 10
@@ -28,10 +28,10 @@ MAP_STRIDES: Final = ((1, 1), (2, 2), (1, 1), (2, 2), (1, 1), (2, 1))
 MAP_PADDINGS: Final = ((1, 1), (2, 1), (1, 1), (2, 1), (2, 1), (2, 1))
 
 
-def pooled_in_time(frames: Tensor) -> Tensor:
+def pool_in_time(frames: Tensor) -> Tensor:
     """Average (frames, ...) in pairs, as the video autoencoder does; of an odd number the first stays alone."""
     alone = frames[: len(frames) % 2]
-    return torch.cat([alone, parted(frames[len(frames) % 2 :], 0, -1, 2).mean(1)])
+    return torch.cat([alone, split_axis(frames[len(frames) % 2 :], 0, -1, 2).mean(1)])
 
 
 class TextEncoder(nn.Module):
@@ -60,21 +60,21 @@ class TemporalEncoder(nn.Module):
         self.rounded = config.rounded
         self.scale_shift_table = nn.Parameter(torch.randn(6, channels) / channels**0.5)
         self.rope = RotaryFrequencies(channels // config.encoder_heads)
-        self.attn = SelfAttention(channels, config.encoder_heads)
+        self.attn = SequenceSelfAttention(channels, config.encoder_heads)
         self.mlp = Mlp(channels, 4 * channels, channels)
         self.final_proj = nn.Linear(channels, channels)
 
-    def over_time(self, tokens: Tensor) -> Tensor:
+    def encode_over_time(self, tokens: Tensor) -> Tensor:
         """Let each sequence, (sequences, T, C), look at itself and pool it to latent frames, (sequences, t, C)."""
         shift_a, scale_a, gate_a, shift_m, scale_m, gate_m = self.scale_shift_table.unbind(0)
         rotation = self.rope.rotation(tokens.shape[1], tokens.dtype, rounded=self.rounded)
-        tokens = tokens + gate_a * self.attn(modulated(tokens, shift_a, scale_a), rotation)
-        tokens = tokens + gate_m * self.mlp(modulated(tokens, shift_m, scale_m))
+        tokens = tokens + gate_a * self.attn(modulate(tokens, shift_a, scale_a), rotation)
+        tokens = tokens + gate_m * self.mlp(modulate(tokens, shift_m, scale_m))
         frames = self.final_proj(tokens).transpose(0, 1)
-        return pooled_in_time(pooled_in_time(frames)).transpose(0, 1)
+        return pool_in_time(pool_in_time(frames)).transpose(0, 1)
 
 
-class BoxEncoder(TemporalEncoder):
+class ClipBoxEncoder(TemporalEncoder):
     """Boxes with identities become tokens (section 4.2)."""
 
     def __init__(self, config: MagicDriveConfig) -> None:
@@ -106,7 +106,7 @@ class BoxEncoder(TemporalEncoder):
         dtype = self.bbox_proj.weight.dtype
         mean, log_variance = self.mean_var[classes % CLASSES, :, None].unbind(-2)
         content = self._class_tokens[classes % CLASSES] + latent.to(dtype) * (0.5 * log_variance).exp() + mean
-        places = fourier(corners).flatten(2).to(dtype)
+        places = compute_fourier_features(corners).flatten(2).to(dtype)
         for value, place, kind in (
             (ABSENT_BOX, self.null_pos_feature, self.null_class_feature),
             (HIDDEN_BOX, self.mask_pos_feature, self.mask_class_feature),
@@ -115,7 +115,7 @@ class BoxEncoder(TemporalEncoder):
             places = torch.where(replaced, place, places)
             content = torch.where(replaced, kind, content)
         tokens = self.second_linear(torch.cat([F.silu(self.bbox_proj(places)), content], -1))
-        return self.over_time(tokens.transpose(0, 1)).transpose(0, 1)
+        return self.encode_over_time(tokens.transpose(0, 1)).transpose(0, 1)
 
 
 class CameraEncoder(nn.Module):
@@ -129,7 +129,7 @@ class CameraEncoder(nn.Module):
 
     def forward(self, cams: Tensor) -> Tensor:
         """(V, 3, 7) to (V, C)."""
-        columns = fourier(cams.transpose(1, 2)).flatten(1)
+        columns = compute_fourier_features(cams.transpose(1, 2)).flatten(1)
         out: Tensor = self.after_proj(self.emb2token(columns.to(self.emb2token.weight.dtype)))
         return out
 
@@ -145,9 +145,9 @@ class EgoEncoder(TemporalEncoder):
 
     def forward(self, transforms: Tensor) -> Tensor:
         """(T, 3, 4) to (t, C)."""
-        columns = fourier(transforms.transpose(1, 2)).flatten(1)
+        columns = compute_fourier_features(transforms.transpose(1, 2)).flatten(1)
         tokens = self.emb2token(columns.to(self.emb2token.weight.dtype))
-        return self.over_time(tokens[None])[0]
+        return self.encode_over_time(tokens[None])[0]
 
 
 class MapEncoder(nn.Module):
@@ -195,5 +195,5 @@ class MapTimeEncoder(nn.Module):
     def forward(self, frames: Tensor) -> Tensor:
         """(T, C/2, 28, 50) to (t, C, 28, 50)."""
         for convolution in self.conv_blocks.values():
-            frames = convolution(pooled_in_time(frames))
+            frames = convolution(pool_in_time(frames))
         return frames

@@ -16,17 +16,17 @@ from torch import nn
 
 from benchmark.scene import Scene
 from generation.extensions.magicdrive.bev_map import MAP_CELLS
-from generation.extensions.magicdrive.clip import SMALL_HEIGHT_PX, padded_frames
+from generation.extensions.magicdrive.clip import SMALL_HEIGHT_PX, pad_frames
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.encoders import CORNERS, EGO_COLUMNS, MAP_PADDINGS, MAP_STRIDES
-from generation.extensions.magicdrive.layers import FOURIER_CHANNELS, LatentSize, modulated
+from generation.extensions.magicdrive.layers import FOURIER_CHANNELS, LatentSize, modulate
 from generation.extensions.magicdrive.model import MagicDriveDiT
 from generation.extensions.magicdrive.sensor_frames import ImageGeometry
-from generation.pipeline.estimate import duration
+from generation.pipeline.estimate import format_duration
 
 
 @dataclass(frozen=True, slots=True)
-class Workload:
+class ClipWorkload:
     """Sizes that the cost of a clip depends on.
 
     ``text_tokens`` are those of the prompt, ``boxes`` the box slots, ``map_cells`` the cells along the map's sides.
@@ -40,7 +40,7 @@ class Workload:
 
 
 @dataclass(frozen=True, slots=True)
-class Operations:
+class OperationCounts:
     """Floating-point operations of one evaluation of one branch.
 
     Attributes:
@@ -71,7 +71,7 @@ class Operations:
         return 2 * (steps * self.transformer + (steps if as_published else 1) * self.encoders)
 
 
-def operations(config: MagicDriveConfig, clip: Workload, *, as_published: bool = False) -> Operations:
+def count_operations(config: MagicDriveConfig, clip: ClipWorkload, *, as_published: bool = False) -> OperationCounts:
     """Count one evaluation of the network.
 
     ``as_published`` counts what the published code computes: keys and values of every condition token of every view
@@ -95,52 +95,55 @@ def operations(config: MagicDriveConfig, clip: Workload, *, as_published: bool =
     patches = 8.0 * config.latent_channels * config.hidden * tokens
     skips = 2 * 2.0 * square * tokens
     pairs = config.depth + config.control_depth
-    return Operations(
+    return OperationCounts(
         base=config.depth * (pair + views) + 2 * patches,
         control=config.control_depth * (pair + skips) + patches,
         spatial_attention=pairs * spatial,
         temporal_attention=pairs * temporal,
         cross_attention=2 * pairs * cross,
         between_views=config.depth * views,
-        encoders=_of_boxes(config, clip) + _of_ego(config, clip) + _of_text(config, clip) + _of_map(config, clip),
+        encoders=_count_boxes(config, clip)
+        + _count_ego(config, clip)
+        + _count_text(config, clip)
+        + _count_map(config, clip),
     )
 
 
-def _of_boxes(config: MagicDriveConfig, clip: Workload) -> float:
+def _count_boxes(config: MagicDriveConfig, clip: ClipWorkload) -> float:
     corners, wide = CORNERS * FOURIER_CHANNELS, config.box_hidden
     layers = config.hidden * (corners + 2 * wide + wide) + wide**2
-    return config.views * clip.boxes * _over_time(config, clip.frames, layers)
+    return config.views * clip.boxes * _count_over_time(config, clip.frames, layers)
 
 
-def _of_ego(config: MagicDriveConfig, clip: Workload) -> float:
-    return _over_time(config, clip.frames, EGO_COLUMNS * FOURIER_CHANNELS * config.hidden)
+def _count_ego(config: MagicDriveConfig, clip: ClipWorkload) -> float:
+    return _count_over_time(config, clip.frames, EGO_COLUMNS * FOURIER_CHANNELS * config.hidden)
 
 
-def _over_time(config: MagicDriveConfig, frames: int, layers: int) -> float:
+def _count_over_time(config: MagicDriveConfig, frames: int, layers: int) -> float:
     """Of a sequence: a block and the projection after it, and the layers before."""
     return 2.0 * frames * (layers + 13 * config.hidden**2) + 4.0 * frames**2 * config.hidden
 
 
-def _of_text(config: MagicDriveConfig, clip: Workload) -> float:
+def _count_text(config: MagicDriveConfig, clip: ClipWorkload) -> float:
     return 2.0 * clip.text_tokens * config.hidden * (config.caption_channels + config.hidden)
 
 
-def _of_map(config: MagicDriveConfig, clip: Workload) -> float:
+def _count_map(config: MagicDriveConfig, clip: ClipWorkload) -> float:
     first, second, third, fourth = config.map_channels
     widths = (first, first, second, second, third, third, fourth)
     rows, columns = clip.map_cells
-    total = clip.frames * _convolution(config.map_layers, first, rows, columns)
+    total = clip.frames * _count_convolution(config.map_layers, first, rows, columns)
     for i, ((down, across), (above, beside)) in enumerate(zip(MAP_STRIDES, MAP_PADDINGS, strict=True)):
         rows, columns = (rows + 2 * above - 3) // down + 1, (columns + 2 * beside - 3) // across + 1
-        total += clip.frames * _convolution(widths[i], widths[i + 1], rows, columns)
+        total += clip.frames * _count_convolution(widths[i], widths[i + 1], rows, columns)
     half = config.hidden // 2
-    total += clip.frames * _convolution(fourth, half, rows, columns)
-    total += -(-clip.frames // 2) * _convolution(half, half, rows, columns)
-    total += clip.size.frames * _convolution(half, config.hidden, rows, columns)
+    total += clip.frames * _count_convolution(fourth, half, rows, columns)
+    total += -(-clip.frames // 2) * _count_convolution(half, half, rows, columns)
+    total += clip.size.frames * _count_convolution(half, config.hidden, rows, columns)
     return total + 10.0 * config.hidden**2 * clip.size.frames * clip.size.tokens
 
 
-def _convolution(channels: int, out: int, rows: int, columns: int) -> float:
+def _count_convolution(channels: int, out: int, rows: int, columns: int) -> float:
     return 2.0 * 9 * channels * out * rows * columns
 
 
@@ -161,10 +164,10 @@ _GIB: Final = 2**30
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class RenderingStage:
     """One network at work; the stages of a scene follow each other.
 
-    ``operations`` are floating-point operations; ``gib`` is memory of the device, weights included.
+    ``count_operations`` are floating-point operations; ``gib`` is memory of the device, weights included.
     """
 
     name: str
@@ -182,7 +185,7 @@ class RenderingEstimate:
 
     frames: int
     size: tuple[int, int]
-    stages: tuple[Stage, ...]
+    stages: tuple[RenderingStage, ...]
     device: str
     tera_operations: float
     measured: bool
@@ -197,18 +200,18 @@ class RenderingEstimate:
         height, width = self.size
         known = "measured on one of its layers" if self.measured else "as given"
         lines = [
-            f"a scene of {self.frames} frames and six views at {height}x{width}: about {duration(self.seconds)} on "
+            f"a scene of {self.frames} frames and six views at {height}x{width}: about {format_duration(self.seconds)} on "
             f"{self.device} at {self.tera_operations:.3g} TFLOP/s ({known}), without reading weights"
         ]
         for stage in self.stages:
             seconds = stage.operations / (self.tera_operations * 1e12)
             lines.append(
-                f"  {stage.name:<12} {stage.operations / 1e15:>8.3f} PFLOP {duration(seconds):>8} {stage.gib:>6.1f} GiB"
+                f"  {stage.name:<12} {stage.operations / 1e15:>8.3f} PFLOP {format_duration(seconds):>8} {stage.gib:>6.1f} GiB"
             )
         return "\n".join(lines)
 
 
-def rendering_stages(
+def estimate_rendering_stages(
     scene: Scene,
     geometry: ImageGeometry,
     config: MagicDriveConfig,
@@ -216,16 +219,16 @@ def rendering_stages(
     steps: int,
     words: str,
     dtype: torch.dtype,
-) -> tuple[Stage, ...]:
+) -> tuple[RenderingStage, ...]:
     """Stages of a scene's cost, in their order.
 
     ``dtype`` is the precision of transformer and decoder, ``steps`` are those of sampling.
     """
-    frames = len(padded_frames(range(len(scene.timestamps_us))))
+    frames = len(pad_frames(range(len(scene.timestamps_us))))
     size = LatentSize.of(frames, geometry.height, geometry.width, config.rows_multiple)
     cells = MAP_CELLS if geometry.height <= SMALL_HEIGHT_PX else 2 * MAP_CELLS
     text_tokens = min(math.ceil(_TOKENS_A_WORD * len(words.split())) + 2, config.text_tokens)
-    clip = Workload(frames, size, text_tokens, max(len(scene.agents), 1), (cells, cells))
+    clip = ClipWorkload(frames, size, text_tokens, max(len(scene.agents), 1), (cells, cells))
     number_bytes = torch.finfo(dtype).bits // 8
     tokens = config.views * size.frames * size.tokens
     pixels = geometry.height * geometry.width
@@ -234,13 +237,13 @@ def rendering_stages(
         decoding += _FIRST_CHUNK_OPERATIONS - _CHUNK_OPERATIONS * (size.frames > 1)
     live = _LIVE_TENSORS * tokens * config.hidden
     return (
-        Stage("words", 2 * T5_NUMBERS * config.text_tokens, T5_NUMBERS * 4 / _GIB + 1),
-        Stage(
+        RenderingStage("words", 2 * T5_NUMBERS * config.text_tokens, T5_NUMBERS * 4 / _GIB + 1),
+        RenderingStage(
             "transformer",
-            operations(config, clip).scene(steps),
-            number_bytes * (live + network_numbers(config)) / _GIB,
+            count_operations(config, clip).scene(steps),
+            number_bytes * (live + count_parameters(config)) / _GIB,
         ),
-        Stage(
+        RenderingStage(
             "decoder",
             config.views * decoding * pixels / _COUNTED_PIXELS,
             (_DECODER_BYTES + _DECODER_BYTES_A_PIXEL * pixels) * number_bytes / 2 / _GIB,
@@ -249,7 +252,7 @@ def rendering_stages(
 
 
 @functools.cache
-def network_numbers(config: MagicDriveConfig) -> int:
+def count_parameters(config: MagicDriveConfig) -> int:
     """Numbers of the transformer."""
     with torch.device("meta"):
         network = MagicDriveDiT(config)
@@ -257,7 +260,7 @@ def network_numbers(config: MagicDriveConfig) -> int:
 
 
 @functools.cache
-def measured_speed(device: torch.device, dtype: torch.dtype, channels: int) -> float:
+def measure_speed(device: torch.device, dtype: torch.dtype, channels: int) -> float:
     """Speed, 10^12 operations in a second, of a device at the network's main work: norm, modulation and an MLP.
 
     ``channels`` are those of a token.
@@ -270,17 +273,17 @@ def measured_speed(device: torch.device, dtype: torch.dtype, channels: int) -> f
 
     @torch.no_grad()
     def seconds(times: int) -> float:
-        started = _clock(device)
+        started = _read_clock(device)
         for _ in range(times):
-            x.add(layer(modulated(x, shift, shift)))
-        return _clock(device) - started
+            x.add(layer(modulate(x, shift, shift)))
+        return _read_clock(device) - started
 
     seconds(1)
     times = 10 if device.type == "cuda" else 1
     return times * 16.0 * tokens * channels**2 / seconds(times) / 1e12
 
 
-def _clock(device: torch.device) -> float:
+def _read_clock(device: torch.device) -> float:
     if device.type != "cuda":
         return time.process_time()
     torch.cuda.synchronize(device)

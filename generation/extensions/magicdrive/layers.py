@@ -16,18 +16,18 @@ from torch import Tensor, nn
 EPSILON: Final = 1e-6
 
 
-def modulated(x: Tensor, shift: Tensor, scale: Tensor) -> Tensor:
+def modulate(x: Tensor, shift: Tensor, scale: Tensor) -> Tensor:
     """Normalise (..., C) over channels, scale and shift; ``shift`` and ``scale``, added to one, broadcast with it."""
     return torch.addcmul(shift, F.layer_norm(x, x.shape[-1:], eps=EPSILON), 1 + scale)
 
 
-def parted(x: Tensor, axis: int, *sizes: int) -> Tensor:
+def split_axis(x: Tensor, axis: int, *sizes: int) -> Tensor:
     """One axis as several of the given sizes; -1 for what is left."""
     out: Tensor = x.unflatten(axis, sizes)  # type: ignore[no-untyped-call]
     return out
 
 
-def rounded_to_bfloat16(x: Tensor) -> Tensor:
+def round_to_bfloat16(x: Tensor) -> Tensor:
     """The nearest numbers that bfloat16 has, in single precision."""
     return x.to(torch.bfloat16).float()
 
@@ -61,7 +61,7 @@ class Mlp(nn.Module):
 
 
 @dataclass(frozen=True, slots=True)
-class Rotation:
+class RotaryRotation:
     """Rotary embedding of a sequence of frames: cosine and sine, (frames, channels of a head / 2) each."""
 
     cosine: Tensor
@@ -69,7 +69,7 @@ class Rotation:
 
     def __call__(self, x: Tensor) -> Tensor:
         """Turn each pair of adjacent channels by its angle; x is (..., frames, channels of a head)."""
-        first, second = parted(x, -1, -1, 2).unbind(-1)
+        first, second = split_axis(x, -1, -1, 2).unbind(-1)
         turned = (first * self.cosine - second * self.sine, second * self.cosine + first * self.sine)
         return torch.stack(turned, -1).flatten(-2)
 
@@ -82,7 +82,7 @@ class RotaryFrequencies(nn.Module):
         exponents = torch.arange(0, head_channels, 2) / head_channels
         self.freqs = nn.Parameter(10000.0**-exponents, requires_grad=False)
 
-    def rotation(self, frames: int, dtype: torch.dtype, *, rounded: bool) -> Rotation:
+    def rotation(self, frames: int, dtype: torch.dtype, *, rounded: bool) -> RotaryRotation:
         """The embedding of frames 0, 1, ... for queries and keys of a precision.
 
         ``rounded`` takes frequencies, positions and their products to bfloat16 first.
@@ -90,10 +90,10 @@ class RotaryFrequencies(nn.Module):
         inner = torch.bfloat16 if rounded else torch.float32
         positions = torch.arange(frames, device=self.freqs.device, dtype=inner)
         angles = (positions[:, None] * self.freqs.to(inner)).float()
-        return Rotation(angles.cos().to(dtype), angles.sin().to(dtype))
+        return RotaryRotation(angles.cos().to(dtype), angles.sin().to(dtype))
 
 
-class SelfAttention(nn.Module):
+class SequenceSelfAttention(nn.Module):
     """Attention within sequences, with normalised queries and keys."""
 
     def __init__(self, channels: int, heads: int) -> None:
@@ -104,9 +104,9 @@ class SelfAttention(nn.Module):
         self.k_norm = RootMeanSquareNorm(channels // heads)
         self.proj = nn.Linear(channels, channels)
 
-    def forward(self, x: Tensor, rotation: Rotation | None = None) -> Tensor:
+    def forward(self, x: Tensor, rotation: RotaryRotation | None = None) -> Tensor:
         """Self-attention in (sequences, length, C); ``rotation`` is of the positions, if they have an order."""
-        q, k, v = parted(self.qkv(x), -1, 3, self.heads, -1).permute(2, 0, 3, 1, 4).unbind(0)
+        q, k, v = split_axis(self.qkv(x), -1, 3, self.heads, -1).permute(2, 0, 3, 1, 4).unbind(0)
         q, k = self.q_norm(q), self.k_norm(k)
         if rotation is not None:
             q, k = rotation(q), rotation(k)
@@ -116,13 +116,13 @@ class SelfAttention(nn.Module):
 
 OCTAVES: Final = 4
 FOURIER_CHANNELS: Final = 3 * (1 + 2 * OCTAVES)
-"""Numbers that `fourier` makes of a point."""
+"""Numbers that `compute_fourier_features` makes of a point."""
 SINUSOID_CHANNELS: Final = 256
 _LONGEST_PERIOD: Final = 10000.0
 _TRAINED_SIDE_PIXELS: Final = 512
 
 
-def fourier(points: Tensor) -> Tensor:
+def compute_fourier_features(points: Tensor) -> Tensor:
     """Points and the sines and cosines of 1, 2, 4 and 8 times their coordinates (section 3).
 
     (..., 3) become (..., 27).
@@ -131,7 +131,7 @@ def fourier(points: Tensor) -> Tensor:
     return torch.cat([points, *octaves], -1)
 
 
-def grid_embedding(
+def compute_grid_embedding(
     rows: int, columns: int, pixels: tuple[int, int], channels: int, *, rounded: bool, device: torch.device
 ) -> Tensor:
     """Position of each token in a frame (section 6), stretched so that images of all sizes span alike.
@@ -142,7 +142,7 @@ def grid_embedding(
     scale = math.sqrt(pixels[0] * pixels[1]) / _TRAINED_SIDE_PIXELS
     side = round(math.sqrt(rows * columns))
     frequencies = _LONGEST_PERIOD ** -(2 * torch.arange(channels // 4, device=device) / (channels // 2))
-    frequencies = rounded_to_bfloat16(frequencies) if rounded else frequencies
+    frequencies = round_to_bfloat16(frequencies) if rounded else frequencies
 
     def waves(count: int) -> Tensor:
         places = torch.arange(count, device=device) / scale * side / count
@@ -180,7 +180,7 @@ class PatchEmbedding(nn.Module):
     def forward(self, cells: Tensor) -> Tensor:
         """Embedding, (b, V, t, S, C), of (b, V, channels, t, h, w) cells."""
         cells = F.pad(cells, (0, cells.shape[-1] % 2, 0, cells.shape[-2] % 2))
-        patches = parted(parted(cells, -1, -1, 2), -3, -1, 2).permute(0, 1, 3, 4, 6, 2, 5, 7)
+        patches = split_axis(split_axis(cells, -1, -1, 2), -3, -1, 2).permute(0, 1, 3, 4, 6, 2, 5, 7)
         # The convolution as a matrix product, which is the same in all precisions and fast in all.
         return F.linear(patches.flatten(5).flatten(3, 4), self.proj.weight.flatten(1), self.proj.bias)
 
@@ -224,21 +224,21 @@ class LatentSize:
         return self.grid[0] * self.grid[1]
 
 
-def unpacked_views(latent: Tensor, views: int) -> Tensor:
+def unpack_views(latent: Tensor, views: int) -> Tensor:
     """Latents of the views apart, (b, views, channels, t, h, w).
 
     ``latent`` is (b, channels * views, t, h, w), channel-major and view-minor.
     """
-    return parted(latent, 1, -1, views).transpose(1, 2)
+    return split_axis(latent, 1, -1, views).transpose(1, 2)
 
 
-def packed_views(latent: Tensor) -> Tensor:
-    """The inverse of `unpacked_views`."""
+def pack_views(latent: Tensor) -> Tensor:
+    """The inverse of `unpack_views`."""
     return latent.transpose(1, 2).flatten(1, 2)
 
 
-def unpatched(patches: Tensor, size: LatentSize) -> Tensor:
+def unpatch(patches: Tensor, size: LatentSize) -> Tensor:
     """(b, V, t, S, 2 * 2 * channels), row, column and channel in this order, to (b, V, channels, t, h, w)."""
-    cells = parted(parted(patches, -1, 2, 2, -1), 3, *size.grid)
+    cells = split_axis(split_axis(patches, -1, 2, 2, -1), 3, *size.grid)
     joined = cells.permute(0, 1, 7, 2, 3, 5, 4, 6).flatten(6, 7).flatten(4, 5)
     return joined[..., : size.rows, : size.columns]

@@ -13,12 +13,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from generation.extensions.magicdrive.blocks import Block, ConditionTokens
-from generation.extensions.magicdrive.conditions import Conditions
+from generation.extensions.magicdrive.blocks import ConditionTokens, MagicDriveBlock
+from generation.extensions.magicdrive.conditions import ClipConditions
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.encoders import (
-    BoxEncoder,
     CameraEncoder,
+    ClipBoxEncoder,
     EgoEncoder,
     MapEncoder,
     MapTimeEncoder,
@@ -28,19 +28,19 @@ from generation.extensions.magicdrive.layers import (
     LatentSize,
     PatchEmbedding,
     RotaryFrequencies,
-    Rotation,
+    RotaryRotation,
     ScalarEmbedding,
-    grid_embedding,
-    modulated,
-    packed_views,
-    rounded_to_bfloat16,
-    unpacked_views,
-    unpatched,
+    compute_grid_embedding,
+    modulate,
+    pack_views,
+    round_to_bfloat16,
+    unpack_views,
+    unpatch,
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Encoded:
+class EncodedConditions:
     """Conditions of a clip, or of a batch of clips of one size, as the transformer needs them.
 
     Attributes:
@@ -59,7 +59,7 @@ class Encoded:
     keys_values: tuple[ConditionTokens, ...] | None = None
 
     @classmethod
-    def batched(cls, parts: Sequence[Self]) -> Self:
+    def batch(cls, parts: Sequence[Self]) -> Self:
         """Several clips, or branches of guidance, as one batch without kept keys and values.
 
         They are of one size and image size, with equal numbers of text and box tokens.
@@ -68,7 +68,7 @@ class Encoded:
         if any(part.size != first.size or not torch.equal(part.position, first.position) for part in parts):
             raise ValueError("clips of different sizes cannot be one batch")
         return cls(
-            tokens=ConditionTokens.batched([part.tokens for part in parts]),
+            tokens=ConditionTokens.batch([part.tokens for part in parts]),
             control=torch.cat([part.control for part in parts]),
             position=first.position,
             rate=torch.cat([part.rate for part in parts]),
@@ -89,16 +89,16 @@ class FinalLayer(nn.Module):
 
         ``time``, (b, C), is of the step, ``time_of_given`` of frames that are ``given``, (b, t) bool.
         """
-        out = self._modulated(x, time)
+        out = self._modulate(x, time)
         if given is not None:
             # The published network modulates given frames twice; the sampler discards what comes of it.
-            out = torch.where(given[:, None, :, None, None], self._modulated(out, time_of_given), out)
+            out = torch.where(given[:, None, :, None, None], self._modulate(out, time_of_given), out)
         velocity: Tensor = self.linear(out)
         return velocity
 
-    def _modulated(self, x: Tensor, time: Tensor) -> Tensor:
+    def _modulate(self, x: Tensor, time: Tensor) -> Tensor:
         shift, scale = (self.scale_shift_table + time[:, None])[:, None, None, None].unbind(-2)
-        return modulated(x, shift, scale)
+        return modulate(x, shift, scale)
 
 
 class MagicDriveDiT(nn.Module):
@@ -119,19 +119,23 @@ class MagicDriveDiT(nn.Module):
         self.x_control_embedder = PatchEmbedding(config.latent_channels, channels)
         self.camera_embedder = CameraEncoder(config)
         self.frame_embedder = EgoEncoder(config)
-        self.bbox_embedder = BoxEncoder(config)
+        self.bbox_embedder = ClipBoxEncoder(config)
         self.controlnet_cond_embedder = MapEncoder(config)
         self.controlnet_cond_embedder_temp = MapTimeEncoder(config)
         self.controlnet_cond_patchifier = PatchEmbedding(channels, channels)
         base, control = range(config.depth), range(config.control_depth)
-        self.base_blocks_s = nn.ModuleList(Block(config, temporal=False, between_views=True, skip=False) for _ in base)
-        self.base_blocks_t = nn.ModuleList(Block(config, temporal=True, between_views=False, skip=False) for _ in base)
+        self.base_blocks_s = nn.ModuleList(
+            MagicDriveBlock(config, temporal=False, between_views=True, skip=False) for _ in base
+        )
+        self.base_blocks_t = nn.ModuleList(
+            MagicDriveBlock(config, temporal=True, between_views=False, skip=False) for _ in base
+        )
         self.before_proj = nn.Linear(channels, channels)
         self.control_blocks_s = nn.ModuleList(
-            Block(config, temporal=False, between_views=False, skip=True) for _ in control
+            MagicDriveBlock(config, temporal=False, between_views=False, skip=True) for _ in control
         )
         self.control_blocks_t = nn.ModuleList(
-            Block(config, temporal=True, between_views=False, skip=True) for _ in control
+            MagicDriveBlock(config, temporal=True, between_views=False, skip=True) for _ in control
         )
         self.final_layer = FinalLayer(channels, 4 * config.latent_channels)
 
@@ -141,7 +145,7 @@ class MagicDriveDiT(nn.Module):
         return self.before_proj.weight.dtype
 
     @property
-    def blocks(self) -> Iterator[tuple[Block, bool]]:
+    def blocks(self) -> Iterator[tuple[MagicDriveBlock, bool]]:
         """All blocks in the order in which they are used, and whether each belongs to the control stream."""
         for level in range(self.config.depth):
             controlled = level < self.config.control_depth
@@ -149,9 +153,9 @@ class MagicDriveDiT(nn.Module):
                 (self.base_blocks_s, self.control_blocks_s),
                 (self.base_blocks_t, self.control_blocks_t),
             ):
-                yield _block(base, level), False
+                yield _get_block(base, level), False
                 if controlled:
-                    yield _block(control, level), True
+                    yield _get_block(control, level), True
 
     def compile_blocks(self, backend: str = "inductor") -> None:
         """Have PyTorch compile the blocks in place: once for each of their four kinds, not for each block."""
@@ -160,7 +164,7 @@ class MagicDriveDiT(nn.Module):
         for block, _ in self.blocks:
             block.compile(backend=backend, fullgraph=True)
 
-    def size_of(self, conditions: Conditions, rows_multiple: int | None = None) -> LatentSize:
+    def compute_latent_size(self, conditions: ClipConditions, rows_multiple: int | None = None) -> LatentSize:
         """Size of the latent of a clip.
 
         Rows of tokens are padded to a multiple of ``rows_multiple``, by default as the configuration says.
@@ -170,12 +174,12 @@ class MagicDriveDiT(nn.Module):
 
     def encode(
         self,
-        conditions: Conditions,
+        conditions: ClipConditions,
         *,
         box_repeats: int = 1,
         rows_multiple: int | None = None,
         keep_keys_values: bool = False,
-    ) -> Encoded:
+    ) -> EncodedConditions:
         """Encode all conditions of one clip that do not depend on the timestep; gives a batch of one.
 
         Args:
@@ -189,29 +193,31 @@ class MagicDriveDiT(nn.Module):
             raise ValueError(
                 f"conditions with views, box and text channels {own} are for another network than {config}"
             )
-        size = self.size_of(conditions, rows_multiple)
+        size = self.compute_latent_size(conditions, rows_multiple)
         tokens = ConditionTokens(
-            ego=self._ego_tokens(conditions)[None, None, :, None],
-            camera=self._camera_tokens(conditions)[None, :, None, None],
-            text=self._text_tokens(conditions)[None, None, None],
-            boxes=self._box_tokens(conditions)[None],
+            ego=self._encode_ego(conditions)[None, None, :, None],
+            camera=self._encode_cameras(conditions)[None, :, None, None],
+            text=self._encode_text(conditions)[None, None, None],
+            boxes=self._encode_boxes(conditions)[None],
             box_repeats=box_repeats,
         )
         keys_values = (
             tuple(block.cross_attn.keys_values(tokens) for block, _ in self.blocks) if keep_keys_values else None
         )
-        rate = self._entering(torch.tensor([conditions.fps], device=self.base_token.device))
-        position = grid_embedding(
+        rate = self._round_inputs(torch.tensor([conditions.fps], device=self.base_token.device))
+        position = compute_grid_embedding(
             *size.grid,
             (conditions.height, conditions.width),
             config.hidden,
             rounded=config.rounded,
             device=self.base_token.device,
         ).to(self.dtype)
-        control = self._map_tokens(conditions.maps, size) + position
-        return Encoded(tokens, control, position, self.fps_embedder(rate), size, keys_values)
+        control = self._encode_map(conditions.maps, size) + position
+        return EncodedConditions(tokens, control, position, self.fps_embedder(rate), size, keys_values)
 
-    def forward(self, latent: Tensor, timestep: Tensor, encoded: Encoded, given: Tensor | None = None) -> Tensor:
+    def forward(
+        self, latent: Tensor, timestep: Tensor, encoded: EncodedConditions, given: Tensor | None = None
+    ) -> Tensor:
         """Velocity of the flow from noise to data.
 
         Args:
@@ -226,9 +232,9 @@ class MagicDriveDiT(nn.Module):
         wanted = (self.config.packed_channels, size.frames, size.rows, size.columns)
         if latent.shape[1:] != wanted:
             raise ValueError(f"the latent has shape {tuple(latent.shape)}, and the conditions are for (b, {wanted})")
-        cells = unpacked_views(latent, self.config.views).to(self.dtype)
+        cells = unpack_views(latent, self.config.views).to(self.dtype)
         cells = F.pad(cells, (0, 0, 0, size.padded_rows - size.rows))
-        time = self.t_embedder(self._entering(timestep)) + encoded.rate
+        time = self.t_embedder(self._round_inputs(timestep)) + encoded.rate
         time_of_given = time if given is None else self.t_embedder(torch.zeros_like(timestep).float()) + encoded.rate
         if given is None:
             modulation = self.t_block(time)[:, None]
@@ -237,11 +243,13 @@ class MagicDriveDiT(nn.Module):
                 given[..., None], self.t_block(time_of_given)[:, None], self.t_block(time)[:, None]
             )
         rotation = self.rope.rotation(size.frames, self.dtype, rounded=self.config.rounded)
-        x = self._transformed(cells, modulation, encoded, rotation)
+        x = self._transform(cells, modulation, encoded, rotation)
         patches = self.final_layer(x, time, time_of_given, given)
-        return packed_views(unpatched(patches, size)).float()
+        return pack_views(unpatch(patches, size)).float()
 
-    def _transformed(self, cells: Tensor, modulation: Tensor, encoded: Encoded, rotation: Rotation) -> Tensor:
+    def _transform(
+        self, cells: Tensor, modulation: Tensor, encoded: EncodedConditions, rotation: RotaryRotation
+    ) -> Tensor:
         """Both streams; the control stream adds to the base stream after each of its blocks."""
         x: Tensor = self.x_embedder(cells) + encoded.position
         c: Tensor = self.x_control_embedder(cells) + encoded.control
@@ -255,35 +263,35 @@ class MagicDriveDiT(nn.Module):
                 x = block(x, modulation, keys_values, rotation)
         return x
 
-    def _text_tokens(self, conditions: Conditions) -> Tensor:
+    def _encode_text(self, conditions: ClipConditions) -> Tensor:
         """(L, C) tokens of the words and, as published, of one token of padding."""
         states = conditions.text.hidden
         count = min(int(conditions.text.mask.sum()) + 1, len(states))
-        tokens: Tensor = self.y_embedder(self._entering(states[:count]).to(self.dtype))
+        tokens: Tensor = self.y_embedder(self._round_inputs(states[:count]).to(self.dtype))
         return tokens
 
-    def _box_tokens(self, conditions: Conditions) -> Tensor:
+    def _encode_boxes(self, conditions: ClipConditions) -> Tensor:
         """(V, t, n, C), view by view because a clip has many boxes."""
-        latent = self._entering(conditions.box_latent)
+        latent = self._round_inputs(conditions.box_latent)
         shared = len(conditions.bboxes) == 1
         views = []
         for view, masks in enumerate(conditions.masks):
             own = 0 if shared else view
-            corners = self._entering(conditions.bboxes[own])
+            corners = self._round_inputs(conditions.bboxes[own])
             views.append(self.bbox_embedder(corners, conditions.classes[own], masks, latent) + self.base_token)
         return torch.stack(views)
 
-    def _camera_tokens(self, conditions: Conditions) -> Tensor:
+    def _encode_cameras(self, conditions: ClipConditions) -> Tensor:
         """(V, C) of the first frame."""
-        tokens: Tensor = self.camera_embedder(self._entering(conditions.cams[:, 0, 0])) + self.base_token
+        tokens: Tensor = self.camera_embedder(self._round_inputs(conditions.cams[:, 0, 0])) + self.base_token
         return tokens
 
-    def _ego_tokens(self, conditions: Conditions) -> Tensor:
+    def _encode_ego(self, conditions: ClipConditions) -> Tensor:
         """(t, C)."""
-        tokens: Tensor = self.frame_embedder(self._entering(conditions.rel_pos[:, :3])) + self.base_token
+        tokens: Tensor = self.frame_embedder(self._round_inputs(conditions.rel_pos[:, :3])) + self.base_token
         return tokens
 
-    def _map_tokens(self, maps: Tensor, size: LatentSize) -> Tensor:
+    def _encode_map(self, maps: Tensor, size: LatentSize) -> Tensor:
         """(1, 1, t, S, C) features of the map, the same for all views."""
         features = self.controlnet_cond_embedder_temp(self.controlnet_cond_embedder(maps.to(self.dtype)))
         features = features.transpose(0, 1)[None]
@@ -294,12 +302,12 @@ class MagicDriveDiT(nn.Module):
         tokens: Tensor = self.before_proj(self.controlnet_cond_patchifier(features[:, None]))
         return tokens
 
-    def _entering(self, numbers: Tensor) -> Tensor:
+    def _round_inputs(self, numbers: Tensor) -> Tensor:
         """Numbers in single precision, rounded as those were that the published weights saw in training."""
-        return rounded_to_bfloat16(numbers) if self.config.rounded else numbers.float()
+        return round_to_bfloat16(numbers) if self.config.rounded else numbers.float()
 
 
-def _block(blocks: nn.ModuleList, level: int) -> Block:
+def _get_block(blocks: nn.ModuleList, level: int) -> MagicDriveBlock:
     block = blocks[level]
-    assert isinstance(block, Block)
+    assert isinstance(block, MagicDriveBlock)
     return block

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from benchmark.datasets.scene_words import described, traffic_and_road
+from benchmark.datasets.scene_words import describe_traffic_and_road, join_words
 from benchmark.scene import Scene
 
 IMPORTED: Final = "Imported from ScenarioNet"
@@ -30,7 +30,7 @@ class Prompt:
 
 
 @dataclass(frozen=True, slots=True)
-class _Change:
+class _LookChange:
     """Change of a prompt to another look.
 
     Attributes:
@@ -50,14 +50,14 @@ class _Change:
 # The published code says how it rewrites prompts for daytime; for rain and night it says the negative prompt only, and
 # the rewriting follows the same pattern here.
 _CHANGES: Final = {
-    PromptLook.DAYTIME: _Change(
+    PromptLook.DAYTIME: _LookChange(
         opening="Daytime. ",
         negative="Rain, Night, water reflections, umbrella",
         unwanted=r"night|dark|umbrella",
         replaced=((r"\brain\w*", "sunny"),),
         locations={"boston-seaport": "singapore-onenorth", "singapore-hollandvillage": "singapore-onenorth"},
     ),
-    PromptLook.RAINY: _Change(
+    PromptLook.RAINY: _LookChange(
         opening="Rainy. ",
         negative="Daytime. night, onenorth, queenstown",
         unwanted=r"night|dark|dusk|sun",
@@ -67,7 +67,7 @@ _CHANGES: Final = {
             "singapore-queenstown": "singapore-hollandvillage",
         },
     ),
-    PromptLook.NIGHT: _Change(
+    PromptLook.NIGHT: _LookChange(
         opening="Night. ",
         negative="Daytime. rain, boston-seaport",
         unwanted=r"\brain|umbrella|dusk|sun",
@@ -77,25 +77,25 @@ _CHANGES: Final = {
 }
 
 
-def prompt_of(scene: Scene, look: PromptLook = PromptLook.RECORDED) -> Prompt:
+def build_prompt(scene: Scene, look: PromptLook = PromptLook.RECORDED) -> Prompt:
     """The prompt of a scene: where it is, and its description as it stands.
 
     For another ``look`` than the recorded one it is rewritten, and a negative prompt added.
     """
     location, description = scene.road_map.location, scene.description
     if description == IMPORTED:
-        description = described(traffic_and_road(scene))
+        description = join_words(describe_traffic_and_road(scene))
     if look is PromptLook.RECORDED:
-        return Prompt(_sentence(location, description))
+        return Prompt(_format_sentence(location, description))
     change = _CHANGES[look]
     phrases = [phrase for phrase in description.lower().split(",") if not re.search(change.unwanted, phrase)]
     words = ",".join(phrases).strip()
     for pattern, replacement in change.replaced:
         words = re.sub(pattern, replacement, words)
-    sentence = _sentence(change.locations.get(location, location), words)
+    sentence = _format_sentence(change.locations.get(location, location), words)
     return Prompt(change.opening + sentence.lower(), change.negative)
 
 
-def _sentence(location: str, description: str) -> str:
+def _format_sentence(location: str, description: str) -> str:
     start = f"A driving scene image at {location}."
     return f"{start} {description}." if description else start

@@ -20,33 +20,33 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmark.errors import InputError
-from benchmark.machine.devices import device_of, device_of_worker
-from benchmark.machine.storage import content_key, content_seed, file_name, writing_to
+from benchmark.machine.devices import select_device, select_worker_device
+from benchmark.machine.storage import content_key, content_seed, sanitise_file_name, writing_to
 from benchmark.machine.workers import worker_number
 from benchmark.scene import Camera, EgoTrack, Scene
-from benchmark.weights.pretrained import Library
-from generation.extensions.magicdrive.checkpoint import VideoDecoder, load_official
-from generation.extensions.magicdrive.clip import MOST_FRAMES, Clip, clip_of, padded_frames, published_length
+from benchmark.weights.pretrained import OptionalLibrary
+from generation.extensions.magicdrive.checkpoint import VideoDecoder, load_published_network
+from generation.extensions.magicdrive.clip import MOST_FRAMES, Clip, build_clip, compute_published_length, pad_frames
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS, TEXT_TOKENS, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.estimate import RenderingEstimate, measured_speed, rendering_stages
-from generation.extensions.magicdrive.layers import unpacked_views
+from generation.extensions.magicdrive.estimate import RenderingEstimate, estimate_rendering_stages, measure_speed
+from generation.extensions.magicdrive.layers import unpack_views
 from generation.extensions.magicdrive.model import MagicDriveDiT
-from generation.extensions.magicdrive.prompt import PromptLook, prompt_of
+from generation.extensions.magicdrive.prompt import PromptLook, build_prompt
 from generation.extensions.magicdrive.sampling import (
     SamplingOptions,
     SamplingState,
-    first_state,
-    keep_tensor,
-    kept_tensor,
-    sample,
+    cache_tensor,
+    draw_first_state,
+    read_cached_tensor,
+    sample_latents,
 )
-from generation.extensions.magicdrive.sensor_frames import ImageGeometry, camera_tracks, model_order
+from generation.extensions.magicdrive.sensor_frames import ImageGeometry, build_camera_tracks, find_model_order
 from generation.extensions.magicdrive.weights import NetworkFiles
-from generation.nuscenes_writer.plan import digest
+from generation.nuscenes_writer.plan import to_digestible
 from generation.render.contract import Images, require_frames
 
-TRANSFORMERS: Final = Library("transformers", extra="render", needed_by="the renderer magicdrive")
+TRANSFORMERS: Final = OptionalLibrary("transformers", extra="render", needed_by="the renderer magicdrive")
 
 
 class T5TextEncoder:
@@ -133,7 +133,7 @@ class MagicDriveRenderer:
         settings, files = self.settings, self.files
         sampling = settings.sampling
         weights = None if files is None else [files.fingerprint, files.text_fingerprint]
-        details = content_key(weights, digest(sampling), digest(self.config))[:12]
+        details = content_key(weights, to_digestible(sampling), to_digestible(self.config))[:12]
         precision = str(self._dtype).removeprefix("torch.")
         return (
             f"{RENDERER_VERSION}, {settings.geometry.height}x{settings.geometry.width}, {settings.look.value}, seed "
@@ -147,17 +147,17 @@ class MagicDriveRenderer:
 
     def cameras(self, scene: Scene) -> tuple[Camera, ...]:
         """The six cameras that are drawn, with the calibration of what is written."""
-        return tuple(self.settings.geometry.camera(scene.cameras[index]) for index in sorted(model_order(scene)))
+        return tuple(self.settings.geometry.camera(scene.cameras[index]) for index in sorted(find_model_order(scene)))
 
     def cut(self, scene: Scene) -> Scene:
-        """The scene in the length of the published data sets (`published_length`)."""
+        """The scene in the length of the published data sets (`compute_published_length`)."""
         count = len(scene.timestamps_us)
-        length = published_length(count)
+        length = compute_published_length(count)
         return scene if length == count else scene.first_frames(length)
 
     def camera_tracks(self, scene: Scene) -> Mapping[str, EgoTrack]:
         """Tracks of the ego at the times of each camera: the model draws what a camera saw at its own sweep."""
-        return camera_tracks(scene)
+        return build_camera_tracks(scene)
 
     def estimate(self, scene: Scene) -> RenderingEstimate:
         """Cost of a scene; nothing of it is drawn, and no weights are needed.
@@ -174,8 +174,8 @@ class MagicDriveRenderer:
         scene = self.cut(scene)
         _require_drawable(scene)
         settings = self.settings
-        prompt = prompt_of(scene, settings.look)
-        stages = rendering_stages(
+        prompt = build_prompt(scene, settings.look)
+        stages = estimate_rendering_stages(
             scene,
             settings.geometry,
             self.config,
@@ -185,7 +185,7 @@ class MagicDriveRenderer:
         )
         speed = settings.tera_operations
         if speed is None:
-            speed = measured_speed(device_of(settings.device), self._dtype, self.config.hidden)
+            speed = measure_speed(select_device(settings.device), self._dtype, self.config.hidden)
         return RenderingEstimate(
             frames=len(scene.timestamps_us),
             size=(settings.geometry.height, settings.geometry.width),
@@ -218,22 +218,22 @@ class MagicDriveRenderer:
         if not len(frames):
             return
         geometry = self.settings.geometry
-        clip = clip_of(
+        clip = build_clip(
             scene,
-            padded_frames(range(len(scene.timestamps_us))),
+            pad_frames(range(len(scene.timestamps_us))),
             height=geometry.height,
             width=geometry.width,
             look=self.settings.look,
         )
-        drawing = _Drawing(self, clip)
+        drawing = _SceneVideos(self, clip)
         videos = drawing.videos()
         for frame in frames:
             yield {name: geometry.picture(video[frame]) for name, video in videos.items()}
-        drawing.forget_videos()
+        drawing.remove_videos()
 
 
 def _require_drawable(scene: Scene) -> None:
-    model_order(scene)
+    find_model_order(scene)
     count = len(scene.timestamps_us)
     if count > MOST_FRAMES:
         raise InputError(
@@ -241,7 +241,7 @@ def _require_drawable(scene: Scene) -> None:
         )
 
 
-class _Drawing:
+class _SceneVideos:
     """One scene on its way from conditions to videos."""
 
     def __init__(self, renderer: MagicDriveRenderer, clip: Clip) -> None:
@@ -250,28 +250,28 @@ class _Drawing:
         self._settings, self._config, self._files = renderer.settings, renderer.config, renderer.files
         self._work, self._dtype = renderer.work, renderer._dtype
         self._clip = clip
-        self._key = content_key("latents and videos", renderer.version, digest(clip))
-        self._folder = renderer.work / "scenes" / f"{file_name(clip.scene)}-{self._key[:16]}"
-        self._device = device_of_worker(renderer.settings.device, worker_number())
+        self._key = content_key("latents and videos", renderer.version, to_digestible(clip))
+        self._folder = renderer.work / "scenes" / f"{sanitise_file_name(clip.scene)}-{self._key[:16]}"
+        self._device = select_worker_device(renderer.settings.device, worker_number())
 
     def videos(self) -> dict[str, NDArray[np.uint8]]:
         """(T, height, width, 3) by camera; those that were decoded before are read."""
         by_camera: dict[str, NDArray[np.uint8]] = {}
         latent: Tensor | None = None
         for view, camera in enumerate(MODEL_CAMERAS):
-            cached = kept_tensor(self._video_path(camera), self._key)
+            cached = read_cached_tensor(self._video_path(camera), self._key)
             if cached is None:
-                with _repeatable(self._device, self._clip.scene):
-                    latent = self._latent() if latent is None else latent
-                    decoder = _loaded_decoder(self._files.autoencoder, self._device, self._dtype)
-                    video = decoder.frames(unpacked_views(latent, len(MODEL_CAMERAS))[0, view])
-                keep_tensor(self._video_path(camera), self._key, video)
+                with _deterministic_kernels(self._device, self._clip.scene):
+                    latent = self._sample_latent() if latent is None else latent
+                    decoder = _load_decoder(self._files.autoencoder, self._device, self._dtype)
+                    video = decoder.frames(unpack_views(latent, len(MODEL_CAMERAS))[0, view])
+                cache_tensor(self._video_path(camera), self._key, video)
             else:
                 video = cached[0]
             by_camera[camera] = np.asarray(video.numpy())
         return by_camera
 
-    def forget_videos(self) -> None:
+    def remove_videos(self) -> None:
         """Remove what can be decoded again in no time; latents stay, so that another output size costs little."""
         for camera in MODEL_CAMERAS:
             path = self._video_path(camera)
@@ -281,7 +281,7 @@ class _Drawing:
     def _video_path(self, camera: str) -> Path:
         return self._folder / f"{camera}.safetensors"
 
-    def _latent(self) -> Tensor:
+    def _sample_latent(self) -> Tensor:
         """(1, 96, t, h, w), sampled from where an earlier command was killed."""
         path, options = self._folder / "latent.safetensors", self._settings.sampling
         state = SamplingState.load(path, self._key)
@@ -290,15 +290,15 @@ class _Drawing:
         text, negative = self._words()
         seed = content_seed("magicdrive", self._clip.scene, self._settings.seed)
         conditions = self._clip.conditions(text, negative, latent_width=self._config.hidden, seed=seed)
-        network = _loaded_transformer(self._files.transformer, self._config, self._device, self._dtype)
+        network = _load_transformer(self._files.transformer, self._config, self._device, self._dtype)
 
         def keep(state: SamplingState) -> None:
             if state.step % _KEEP_EVERY_STEPS == 0 or state.step == options.steps:
                 state.save(path, self._key)
 
-        start = state or first_state(network, conditions, seed)
-        latent = sample(network, conditions, start, options, on_step=keep).cpu()
-        _free(self._device)
+        start = state or draw_first_state(network, conditions, seed)
+        latent = sample_latents(network, conditions, start, options, on_step=keep).cpu()
+        _free_memory(self._device)
         return latent
 
     def _words(self) -> tuple[TextStates, TextStates | None]:
@@ -311,11 +311,11 @@ class _Drawing:
                 continue
             key = content_key("words", words, self._files.text_fingerprint, tokens, self._device.type)
             path = self._work / "words" / f"{key[:32]}.safetensors"
-            cached = kept_tensor(path, key)
+            cached = read_cached_tensor(path, key)
             if cached is None:
                 encoder = encoder or T5TextEncoder(self._files.text_encoder, self._device, tokens)
                 states = encoder.encode(words)
-                keep_tensor(path, key, states.hidden, {"words": int(states.mask.sum())})
+                cache_tensor(path, key, states.hidden, {"words": int(states.mask.sum())})
             else:
                 states = TextStates(cached[0], torch.arange(len(cached[0])) < cached[1]["words"])
             encoded.append(states)
@@ -323,30 +323,28 @@ class _Drawing:
             # Its parts refer to each other, and there are 19 GB of them.
             encoder = None
             gc.collect()
-            _free(self._device)
+            _free_memory(self._device)
         return encoded[0], encoded[1] if len(encoded) > 1 else None
 
 
 @lru_cache(maxsize=1)
-def _loaded_transformer(
-    path: Path, config: MagicDriveConfig, device: torch.device, dtype: torch.dtype
-) -> MagicDriveDiT:
-    return load_official(path, config, device=device, dtype=dtype)
+def _load_transformer(path: Path, config: MagicDriveConfig, device: torch.device, dtype: torch.dtype) -> MagicDriveDiT:
+    return load_published_network(path, config, device=device, dtype=dtype)
 
 
 @lru_cache(maxsize=1)
-def _loaded_decoder(folder: Path, device: torch.device, dtype: torch.dtype) -> VideoDecoder:
+def _load_decoder(folder: Path, device: torch.device, dtype: torch.dtype) -> VideoDecoder:
     return VideoDecoder.load(folder, device, dtype)
 
 
-def _free(device: torch.device) -> None:
+def _free_memory(device: torch.device) -> None:
     """Give memory that nothing refers to back to the device, for the next network."""
     if device.type == "cuda":
         torch.cuda.empty_cache()
 
 
 @contextmanager
-def _repeatable(device: torch.device, scene: str) -> Iterator[None]:
+def _deterministic_kernels(device: torch.device, scene: str) -> Iterator[None]:
     """The same kernels every time, and a sentence where memory runs out."""
     try:
         with torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True):

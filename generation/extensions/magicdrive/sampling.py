@@ -17,23 +17,23 @@ from torch import Tensor
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_seed
 from benchmark.weights.tensors import read_tensors, write_tensors
-from generation.extensions.magicdrive.conditions import Conditions, TextStates
-from generation.extensions.magicdrive.layers import rounded_to_bfloat16
-from generation.extensions.magicdrive.model import Encoded, MagicDriveDiT
+from generation.extensions.magicdrive.conditions import ClipConditions, TextStates
+from generation.extensions.magicdrive.layers import round_to_bfloat16
+from generation.extensions.magicdrive.model import EncodedConditions, MagicDriveDiT
 
 _NAME: Final = "tensor"
 
 
-def keep_tensor(path: Path, key: str, tensor: Tensor, facts: dict[str, Any] | None = None) -> None:
+def cache_tensor(path: Path, key: str, tensor: Tensor, facts: dict[str, Any] | None = None) -> None:
     """Write a tensor, whole or not at all, as .safetensors.
 
     ``key`` is the content key of everything that the tensor depends on; ``facts`` are its plain values.
     """
     plain = tensor.detach().cpu().contiguous()
-    write_tensors(path, {_NAME: plain}, {"facts": facts or {}, "key": key, "sha256": _sha256(plain)})
+    write_tensors(path, {_NAME: plain}, {"facts": facts or {}, "key": key, "sha256": _compute_sha256(plain)})
 
 
-def kept_tensor(path: Path, key: str) -> tuple[Tensor, dict[str, Any]] | None:
+def read_cached_tensor(path: Path, key: str) -> tuple[Tensor, dict[str, Any]] | None:
     """Read a tensor that was kept, on the processor, and its plain values.
 
     ``None`` if it is absent, damaged or of something else than ``key``, to be made again.
@@ -43,12 +43,12 @@ def kept_tensor(path: Path, key: str) -> tuple[Tensor, dict[str, Any]] | None:
     except InputError:
         return None
     tensor = tensors.get(_NAME)
-    if tensor is None or metadata.get("key") != key or metadata.get("sha256") != _sha256(tensor):
+    if tensor is None or metadata.get("key") != key or metadata.get("sha256") != _compute_sha256(tensor):
         return None
     return tensor, metadata["facts"]
 
 
-def _sha256(tensor: Tensor) -> str:
+def _compute_sha256(tensor: Tensor) -> str:
     plain = tensor.view(torch.uint8) if tensor.dtype is torch.bfloat16 else tensor
     return hashlib.sha256(plain.numpy().tobytes()).hexdigest()
 
@@ -56,7 +56,7 @@ def _sha256(tensor: Tensor) -> str:
 GuidanceMode = Literal["rflow-slice", "rflow"]
 
 
-def null_conditions(model: MagicDriveDiT, conditions: Conditions, *, keep_map: bool) -> Conditions:
+def build_null_conditions(model: MagicDriveDiT, conditions: ClipConditions, *, keep_map: bool) -> ClipConditions:
     """Conditions of the null branch (section 8): size and frame rate, and a negative prompt if there is one.
 
     There is one empty box, which stands for all of them; prompt, camera and ego motion are the learned null ones of
@@ -86,20 +86,28 @@ class GuidedModel:
     """A network with the conditions of one clip."""
 
     def __init__(
-        self, model: MagicDriveDiT, conditional: Encoded, unconditional: Encoded, scale: float, *, together: bool
+        self,
+        model: MagicDriveDiT,
+        conditional: EncodedConditions,
+        unconditional: EncodedConditions,
+        scale: float,
+        *,
+        together: bool,
     ) -> None:
         """Take branches that are encoded already.
 
         A scale of 1 is the first branch alone; both ``together`` as one batch take twice the memory.
         """
         self._model, self._scale = model, scale
-        self._branches = (Encoded.batched([conditional, unconditional]),) if together else (conditional, unconditional)
+        self._branches = (
+            (EncodedConditions.batch([conditional, unconditional]),) if together else (conditional, unconditional)
+        )
 
     @classmethod
     def of(
         cls,
         model: MagicDriveDiT,
-        conditions: Conditions,
+        conditions: ClipConditions,
         *,
         mode: GuidanceMode = "rflow-slice",
         scale: float = 2.0,
@@ -116,7 +124,7 @@ class GuidedModel:
             rows_multiple: To what rows of tokens are padded; as the configuration says by default.
         """
         keep = keep_keys_values and not together
-        null = null_conditions(model, conditions, keep_map=mode == "rflow")
+        null = build_null_conditions(model, conditions, keep_map=mode == "rflow")
         return cls(
             model,
             model.encode(conditions, rows_multiple=rows_multiple, keep_keys_values=keep),
@@ -125,7 +133,7 @@ class GuidedModel:
             together=together,
         )
 
-    def branches(self, latent: Tensor, timestep: Tensor, given: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def compute_branches(self, latent: Tensor, timestep: Tensor, given: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Velocities of both branches; arguments as in `MagicDriveDiT.forward` with a batch of one."""
         if len(self._branches) == 1:
             twice = None if given is None else given.expand(2, -1)
@@ -138,7 +146,7 @@ class GuidedModel:
 
     def velocity(self, latent: Tensor, timestep: Tensor, given: Tensor | None = None) -> Tensor:
         """The velocity to follow, (1, 96, t, h, w) in single precision."""
-        conditional, unconditional = self.branches(latent, timestep, given)
+        conditional, unconditional = self.compute_branches(latent, timestep, given)
         return unconditional + self._scale * (conditional - unconditional)
 
 
@@ -195,7 +203,7 @@ class SamplingState:
 
         ``key`` is the content key of everything that the state depends on.
         """
-        keep_tensor(path, key, self.latent, {"step": self.step, "seed": self.seed})
+        cache_tensor(path, key, self.latent, {"step": self.step, "seed": self.seed})
 
     @classmethod
     def load(cls, path: Path, key: str) -> "SamplingState | None":
@@ -203,14 +211,14 @@ class SamplingState:
 
         ``None`` if it is absent, damaged or of something else than ``key``, to be made again.
         """
-        cached = kept_tensor(path, key)
+        cached = read_cached_tensor(path, key)
         if cached is None:
             return None
         latent, facts = cached
         return cls(facts["step"], latent, facts["seed"])
 
 
-def timesteps(height: int, width: int, frames: int, steps: int, *, rounded: bool) -> Tensor:
+def choose_timesteps(height: int, width: int, frames: int, steps: int, *, rounded: bool) -> Tensor:
     """Timesteps at which the network is asked: the larger the video, the longer it stays near pure noise.
 
     (steps,) falling from 1000. ``rounded`` computes with the size in bfloat16, as in the published pipeline.
@@ -224,30 +232,30 @@ def timesteps(height: int, width: int, frames: int, steps: int, *, rounded: bool
     return times
 
 
-def first_state(model: MagicDriveDiT, conditions: Conditions, seed: int) -> SamplingState:
+def draw_first_state(model: MagicDriveDiT, conditions: ClipConditions, seed: int) -> SamplingState:
     """State of pure noise before the first step, the same on every device.
 
     ``seed`` is that of all noise; make it of content.
     """
-    size = model.size_of(conditions)
+    size = model.compute_latent_size(conditions)
     shape = (1, model.config.packed_channels, size.frames, size.rows, size.columns)
     noise = torch.randn(shape, generator=torch.Generator().manual_seed(seed))
-    return SamplingState(0, rounded_to_bfloat16(noise) if model.config.rounded else noise, seed)
+    return SamplingState(0, round_to_bfloat16(noise) if model.config.rounded else noise, seed)
 
 
 @torch.no_grad()
-def sample(
+def sample_latents(
     model: MagicDriveDiT,
-    conditions: Conditions,
+    conditions: ClipConditions,
     state: SamplingState,
     options: SamplingOptions | None = None,
     *,
     given: GivenFrames | None = None,
     on_step: Callable[[SamplingState], None] | None = None,
 ) -> Tensor:
-    """Sample the latents of one clip from `first_state`, or from a state that was saved after a step.
+    """Sample the latents of one clip from `draw_first_state`, or from a state that was saved after a step.
 
-    (1, 96, t, h, w) float32 on the network's device (`generation.extensions.magicdrive.layers.unpacked_views`
+    (1, 96, t, h, w) float32 on the network's device (`generation.extensions.magicdrive.layers.unpack_views`
     takes the views apart). ``on_step`` is called after each step. Velocities that are not finite are refused.
     """
     options = options or SamplingOptions()
@@ -261,11 +269,11 @@ def sample(
         keep_keys_values=options.keep_keys_values,
     )
     size = (conditions.height, conditions.width, conditions.frames)
-    times = timesteps(*size, options.steps, rounded=model.config.rounded).tolist()
-    flow = _Flow(guided, times, given, device)
-    latent = flow.started(state.latent.to(device)) if state.step == 0 else state.latent.to(device)
+    times = choose_timesteps(*size, options.steps, rounded=model.config.rounded).tolist()
+    flow = _GuidedFlow(guided, times, given, device)
+    latent = flow.start(state.latent.to(device)) if state.step == 0 else state.latent.to(device)
     for step in range(state.step, options.steps):
-        latent = flow.stepped(latent, step, state.seed)
+        latent = flow.step(latent, step, state.seed)
         if not bool(torch.isfinite(latent).all()):
             raise InputError(
                 f"the network gives NaN or infinity at step {step + 1} of {options.steps}; check the weights and the "
@@ -276,7 +284,7 @@ def sample(
     return latent
 
 
-class _Flow:
+class _GuidedFlow:
     """Steps along the guided velocity."""
 
     def __init__(
@@ -287,13 +295,13 @@ class _Flow:
         # Compared on the processor: a step must not wait for the device to know which frames are its.
         self._generate = None if given is None else given.generate.float().cpu()
 
-    def started(self, noise: Tensor) -> Tensor:
+    def start(self, noise: Tensor) -> Tensor:
         """Noise, but for the frames that are known at first."""
         if self._given is None or self._generate is None:
             return noise
         return torch.where(self._frames(self._generate == 1), noise, self._given)
 
-    def stepped(self, latent: Tensor, step: int, seed: int) -> Tensor:
+    def step(self, latent: Tensor, step: int, seed: int) -> Tensor:
         """The latent after one step more."""
         time = self._times[step]
         following = self._times[step + 1] if step + 1 < len(self._times) else 0.0

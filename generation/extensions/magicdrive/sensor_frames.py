@@ -43,13 +43,13 @@ class SensorFrames:
         Where the source of the scene has sweeps of its own, each sensor stands where its sweep was taken, as in the
         model's training; otherwise all share the ego pose of the frame. All six cameras have to be there.
         """
-        order = model_order(scene)
+        order = find_model_order(scene)
         chosen = [scene.cameras[index] for index in order]
         intrinsics = np.stack([camera.resized(*CALIBRATION_SIZE).intrinsic for camera in chosen])
         if scene.sweep_poses is not None:
             swept = scene.sweep_poses
             return cls(swept.lidar[frames], swept.cameras[np.array(order)][:, frames], intrinsics)
-        ego = _ego_poses(scene, frames)
+        ego = _compute_ego_poses(scene, frames)
         mounts = np.stack([transform_matrix(camera.rotation, camera.translation) for camera in chosen])
         lidar = transform_matrix(scene.lidar.rotation, scene.lidar.translation)
         return cls(ego @ lidar, ego[None] @ mounts[:, None], intrinsics)
@@ -65,14 +65,14 @@ class SensorFrames:
         return np.asarray(np.linalg.inv(self.cameras) @ self.lidar[None])
 
 
-def camera_parameters(sensors: SensorFrames) -> NDArray[np.float32]:
+def compute_camera_parameters(sensors: SensorFrames) -> NDArray[np.float32]:
     """Parameters of the cameras for the model: (V, T, 3, 7) intrinsic matrix beside the camera->lidar transform."""
     transforms = sensors.lidar_from_camera[:, :, :3]
     intrinsics = np.broadcast_to(sensors.intrinsics[:, None], (*transforms.shape[:2], 3, 3))
     return np.asarray(np.concatenate([intrinsics, transforms], axis=-1), np.float32)
 
 
-def ego_motion(sensors: SensorFrames) -> NDArray[np.float32]:
+def compute_ego_motion(sensors: SensorFrames) -> NDArray[np.float32]:
     """Way of the ego for the model.
 
     (T, 4, 4) transforms of points from the first lidar frame to this one; the identity first, and no dust: entries
@@ -84,7 +84,7 @@ def ego_motion(sensors: SensorFrames) -> NDArray[np.float32]:
     return np.asarray(motion, np.float32)
 
 
-def model_order(scene: Scene) -> Sequence[int]:
+def find_model_order(scene: Scene) -> Sequence[int]:
     """Index of each of the model's cameras in the scene; raises `InputError` if one is missing or has no lens."""
     names = [camera.name for camera in scene.cameras]
     missing = [name for name in MODEL_CAMERAS if name not in names]
@@ -105,7 +105,7 @@ def model_order(scene: Scene) -> Sequence[int]:
     return [names.index(name) for name in MODEL_CAMERAS]
 
 
-def _ego_poses(scene: Scene, frames: NDArray[np.int64]) -> Floats:
+def _compute_ego_poses(scene: Scene, frames: NDArray[np.int64]) -> Floats:
     """(T, 4, 4) ego frame to global frame."""
     poses = np.tile(np.eye(4), (len(frames), 1, 1))
     poses[:, :3, :3] = rotation_matrix(scene.ego.rotation[frames])
@@ -113,7 +113,7 @@ def _ego_poses(scene: Scene, frames: NDArray[np.int64]) -> Floats:
     return poses
 
 
-def camera_tracks(scene: Scene) -> dict[str, EgoTrack]:
+def build_camera_tracks(scene: Scene) -> dict[str, EgoTrack]:
     """Ego motion at the times of each camera, by its name; none where all sensors share the ego pose of the frame."""
     if scene.sweep_poses is None:
         return {}

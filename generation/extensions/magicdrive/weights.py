@@ -5,7 +5,7 @@ from pathlib import Path
 
 from benchmark.machine.storage import content_key
 from benchmark.weights.catalogue import AUTOENCODER, TEXT_ENCODER, TRANSFORMER
-from benchmark.weights.folders import content_hash, folder_of
+from benchmark.weights.folders import compute_content_hash, require_folder_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +28,10 @@ class NetworkFiles:
 
         `InputError` says what to get, where, and how big it is.
         """
-        places = {weights: folder_of(weights, given, cache) for weights in (TRANSFORMER, AUTOENCODER, TEXT_ENCODER)}
-        hashes = {weights: content_hash(weights, place) for weights, place in places.items()}
+        places = {
+            weights: require_folder_of(weights, given, cache) for weights in (TRANSFORMER, AUTOENCODER, TEXT_ENCODER)
+        }
+        hashes = {weights: compute_content_hash(weights, place) for weights, place in places.items()}
         return cls(
             transformer=places[TRANSFORMER] / "ema.pt",
             autoencoder=places[AUTOENCODER] / "vae",

@@ -10,11 +10,11 @@ from typing import Any, Final, Self
 import numpy as np
 
 from benchmark.closed_loop.adversary import Handover
-from benchmark.closed_loop.contract import AgentPolicy, Moment
+from benchmark.closed_loop.contract import AgentPolicy, TrafficSnapshot
 from benchmark.closed_loop.following import INSTANT_US, INSTANTS, SUBSTEP_US
 from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.geometry import Bools, Floats, boxes_overlap, wrap_angle
-from benchmark.interactions.tracks import Integers, Tracks
+from benchmark.interactions.tracks import ContinuousTracks, Integers
 from benchmark.scene import Scene
 
 AIR_M: Final = 0.1
@@ -31,7 +31,7 @@ _CHUNK: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
-class Surrounded:
+class SurroundingTracks:
     """All others than an adversary and the ego, every 0.05 s from a planning frame to the scene's last.
 
     Attributes:
@@ -65,7 +65,7 @@ class Surrounded:
         clock = np.arange((clock_us - now_us) % INSTANT_US, scene.timestamps_us[-1] - now_us + 1, INSTANT_US) / 1e6
         seconds = np.unique(np.concatenate([clock, frames]))
         seconds = seconds[seconds > 0.0]
-        boxes, present = Tracks.of_scene(scene).agents_at(
+        boxes, present = ContinuousTracks.of_scene(scene).agents_at(
             np.minimum(seconds + float(scene.seconds[frame]), float(scene.seconds[-1]))
         )
         present[agent] = False
@@ -78,7 +78,7 @@ class Surrounded:
         size = scene.agents.size[agent, :2] + 2.0 * AIR_M
         return cls(frames, seconds, boxes, present, reach, low, high, size)
 
-    def clear_for(self, poses: Floats, first: int = 0) -> float:
+    def compute_clear_seconds(self, poses: Floats, first: int = 0) -> float:
         """Seconds until the last instant before a motion touches another; infinite where it never does.
 
         ``poses`` are (F, 3) of the box centre at the planning frame and after it, looked at from the ``first`` of
@@ -120,7 +120,7 @@ class Surrounded:
         near = self.present[row + begin, other] & ((away**2).sum(axis=1) <= reach[other] ** 2)
         return row[near] + begin, other[near]
 
-    def endings(self, poses: Floats, executed: int) -> Iterator[Floats]:
+    def generate_endings(self, poses: Floats, executed: int) -> Iterator[Floats]:
         """Ways in which a motion may go on to the scene's last frame once its first frames are driven.
 
         It goes on as it is known, and then at its speed; or it brakes on its own path, at once or any number of
@@ -130,28 +130,28 @@ class Surrounded:
         count = len(self.frame_seconds)
         end = min(len(poses), count) - 1
         first = min(executed, end)
-        yield braked(poses, end, self.frame_seconds, 0.0)
+        yield brake_on_path(poses, end, self.frame_seconds, 0.0)
         if first < count - 1:
             for braking in BRAKING_M_S2:
                 for later in range(first, end + 1, LATER_FRAMES):
-                    yield braked(poses, later, self.frame_seconds, braking)
+                    yield brake_on_path(poses, later, self.frame_seconds, braking)
 
     def ending(self, poses: Floats, executed: int) -> Floats | None:
         """The first of them that never touches another; ``None`` if there is none."""
         last = min(executed, len(self.frame_seconds) - 1)
-        if self.clear_for(poses[: last + 1]) < np.inf:
+        if self.compute_clear_seconds(poses[: last + 1]) < np.inf:
             return None
-        for candidate in self.endings(poses, executed):
-            if self.clear_for(candidate, last) == np.inf:
+        for candidate in self.generate_endings(poses, executed):
+            if self.compute_clear_seconds(candidate, last) == np.inf:
                 return candidate
         return None
 
-    def longest(self, motions: Iterable[Floats]) -> Floats:
+    def find_longest(self, motions: Iterable[Floats]) -> Floats:
         """The first of some motions that last longest before they touch another."""
-        return max(motions, key=self.clear_for)
+        return max(motions, key=self.compute_clear_seconds)
 
 
-def braked(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> Floats:
+def brake_on_path(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> Floats:
     """A motion that is driven to some frame and then braked on its own path.
 
     Args:
@@ -182,7 +182,7 @@ def braked(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> F
     return np.concatenate([path[:first], np.column_stack([place, turned])])
 
 
-def in_order(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
+def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
     """Round and index of the best candidates, the best first, and of as many from all over the rest.
 
     They are of (R, B) scores, lower is better; infinite ones are left out, and there are at most ``most``.
@@ -197,7 +197,7 @@ def in_order(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Answering:
+class ExpectedAgents:
     """All others, who answer what the adversary and the ego do.
 
     ``own`` are (F, 3) poses of the vehicle of the adversary, driven and expected, from the hand-over on.
@@ -209,7 +209,7 @@ class Answering:
     own: Floats
 
 
-def with_expected_others(scene: Scene, others: Answering, moment: Moment, frame: int) -> Scene:
+def predict_others(scene: Scene, others: ExpectedAgents, moment: TrafficSnapshot, frame: int) -> Scene:
     """The scene, with the ego as it is expected, and all others where they will be, if they answer.
 
     Beyond what is looked at, its tracks are held.
@@ -217,7 +217,7 @@ def with_expected_others(scene: Scene, others: Answering, moment: Moment, frame:
     times = scene.timestamps_us
     last = min(frame + AHEAD_FRAMES, len(times) - 1)
     steps = -(-int(times[last] - moment.time_us) // SUBSTEP_US)
-    rows, boxes, present = _run_on(others, moment, scene, steps)
+    rows, boxes, present = _simulate_others(others, moment, scene, steps)
     agents = scene.agents
     position, yaw, valid = agents.position.copy(), agents.yaw.copy(), agents.valid.copy()
     later = np.flatnonzero(times >= moment.time_us)
@@ -242,7 +242,9 @@ def with_expected_others(scene: Scene, others: Answering, moment: Moment, frame:
     return replace(scene, agents=replace(agents, position=position, yaw=yaw, valid=valid))
 
 
-def _run_on(others: Answering, moment: Moment, scene: Scene, steps: int) -> tuple[Floats, Floats, Floats]:
+def _simulate_others(
+    others: ExpectedAgents, moment: TrafficSnapshot, scene: Scene, steps: int
+) -> tuple[Floats, Floats, Floats]:
     """(R,) microseconds, (R, N, 5) boxes and (R, N) presence of all, beginning now."""
     times, boxes, present = [moment.time_us], [moment.boxes], [moment.present]
     ego = scene.ego.boxes
@@ -263,7 +265,7 @@ def _run_on(others: Answering, moment: Moment, scene: Scene, steps: int) -> tupl
             ]
         )
         speed = float(np.hypot(*(box[:2] - moment.ego[:2]))) / (SUBSTEP_US / 1e6)
-        moment = Moment(now_us, box, speed, moved.boxes[-1], moved.present[-1], moved.velocity)
+        moment = TrafficSnapshot(now_us, box, speed, moved.boxes[-1], moved.present[-1], moved.velocity)
         times += [now_us - SUBSTEP_US + (row + 1) * SUBSTEP_US // INSTANTS for row in range(INSTANTS)]
         boxes += [*moved.boxes]
         present += [*moved.present]

@@ -19,12 +19,12 @@ from benchmark.constants import FRAME_HZ
 from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Bools, Floats
 from benchmark.interactions.reaction import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S
-from benchmark.machine.last_made import LastMade
+from benchmark.machine.last_made import IdentityCache
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
-from generation.search.ego_way import EgoWay, ego_way
-from generation.search.planning import Planning
-from generation.search.scoring import Surroundings, Terms, surroundings
+from generation.search.ego_way import RecordedEgoPath, get_ego_path
+from generation.search.planning import AdversaryPlanning
+from generation.search.scoring import ScoreTerms, ScoringSurroundings, build_surroundings
 
 EVERY_FRAMES: Final = 2
 LOOK_FRAMES: Final = 60
@@ -40,7 +40,7 @@ and less so the farther ahead."""
 
 
 @dataclass(frozen=True, slots=True)
-class Bodies:
+class PathBodies:
     """P bodies at S + 1 instants, along the ego's way; the first instant is now.
 
     Attributes:
@@ -54,7 +54,7 @@ class Bodies:
     beside: Floats
 
     @classmethod
-    def of(cls, way: EgoWay, poses: Floats, size: Floats, frames: tuple[int, int]) -> Self:
+    def of(cls, way: RecordedEgoPath, poses: Floats, size: Floats, frames: tuple[int, int]) -> Self:
         """Bodies of (P, F, 3) poses and (P, 2) sizes, somewhere between two frames."""
         station, offset, turn = way.places(poses, *frames)
         cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
@@ -62,18 +62,20 @@ class Bodies:
         along, across = 0.5 * (cos * length + sin * width), 0.5 * (sin * length + cos * width)
         return cls(station - along, station + along, np.abs(offset) - across - 0.5 * way.width_m)
 
-    def going_on(self, count: int) -> "Bodies":
+    def extrapolate(self, count: int) -> "PathBodies":
         """The same at so many more instants, at the speed of the last step."""
         if count <= 0:
             return self
         step = self.rear[:, -1:] - self.rear[:, -2:-1]
         way = step * np.arange(1, count + 1)
         rear, front = (np.concatenate([ends, ends[:, -1:] + way], axis=1) for ends in (self.rear, self.front))
-        return Bodies(rear, front, np.concatenate([self.beside, np.repeat(self.beside[:, -1:], count, axis=1)], axis=1))
+        return PathBodies(
+            rear, front, np.concatenate([self.beside, np.repeat(self.beside[:, -1:], count, axis=1)], axis=1)
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class CarefulAhead:
+class CarefulDriverCheck:
     """A careful human in the ego's place, and all others.
 
     Attributes:
@@ -83,11 +85,11 @@ class CarefulAhead:
         lost: Whether the careful human is hit by others if there is no adversary.
     """
 
-    way: EgoWay
+    way: RecordedEgoPath
     frame: int
     station: float
     speed: float
-    others: Bodies
+    others: PathBodies
     steps: tuple[int, ...]
     lost: bool
 
@@ -99,10 +101,10 @@ class CarefulAhead:
         """
         last = min(frame + look_frames, len(scene.timestamps_us) - 1)
         steps = tuple(range(EVERY_FRAMES, last - frame + 1, EVERY_FRAMES)) or (last - frame,)
-        way = ego_way(scene)
-        others = _others(scene, agent, way, frame, steps)
+        way = get_ego_path(scene)
+        others = _collect_others(scene, agent, way, frame, steps)
         unchecked = cls(way, frame, float(way.station[frame]), speed, others, steps, False)
-        absent = Bodies(*(np.full((1, len(steps) + 1), np.inf) for _ in range(3)))
+        absent = PathBodies(*(np.full((1, len(steps) + 1), np.inf) for _ in range(3)))
         return cls(way, frame, unchecked.station, speed, others, steps, bool(unchecked.hits(absent)[0]))
 
     def hit(self, motion: SimulatedMotion, size: Floats) -> Bools:
@@ -110,9 +112,9 @@ class CarefulAhead:
 
         ``size`` is (2,) length and width of the adversary.
         """
-        return self.hits(self.placed(motion, size))
+        return self.hits(self.place(motion, size))
 
-    def met(self, placed: Bodies, *, in_front: bool = True) -> Bools:
+    def is_met(self, placed: PathBodies, *, in_front: bool = True) -> Bools:
         """(B,) whether an ego that does not react and one of B bodies meet.
 
         ``in_front`` counts only bodies in front of it: one that comes from the side may hit the ego.
@@ -125,21 +127,21 @@ class CarefulAhead:
         ahead = placed.rear[rows, first] > station[first] if in_front else True
         return np.asarray(over.any(axis=1) & ~over[:, 0] & ahead)
 
-    def follows(self, now: Floats, size: Floats) -> bool:
+    def is_following(self, now: Floats, size: Floats) -> bool:
         """Whether a vehicle at (1, 3) is behind the ego."""
-        body = Bodies.of(self.way, now[None], size[None], (self.frame, self.frame))
+        body = PathBodies.of(self.way, now[None], size[None], (self.frame, self.frame))
         return bool(body.rear[0, 0] < self.station - 0.5 * self.way.length_m)
 
-    def placed(self, motion: SimulatedMotion, size: Floats) -> Bodies:
+    def place(self, motion: SimulatedMotion, size: Floats) -> PathBodies:
         """Candidates along the ego's way."""
         known = [step for step in self.steps if step < motion.center.shape[1]]
         center = np.where(motion.finite[:, None, None], motion.center[:, [0, *known]], 0.0)
         sizes = np.broadcast_to(size, (len(center), 2))
-        bodies = Bodies.of(self.way, center, sizes, (self.frame, self.frame + self.steps[-1]))
-        return bodies.going_on(len(self.steps) - len(known))
+        bodies = PathBodies.of(self.way, center, sizes, (self.frame, self.frame + self.steps[-1]))
+        return bodies.extrapolate(len(self.steps) - len(known))
 
     @np.errstate(invalid="ignore")
-    def hits(self, placed: Bodies) -> Bools:
+    def hits(self, placed: PathBodies) -> Bools:
         """(B,) as `hit`, of B bodies; one that is nowhere has no speed."""
         rear, front, beside, others = placed.rear, placed.front, placed.beside, self.others
         count, half = len(rear), 0.5 * self.way.length_m
@@ -149,12 +151,14 @@ class CarefulAhead:
         hit, lost = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         in_way = others.beside <= 0.0
         for step in range(len(self.steps)):
-            unsafe = _unsafe(rear[:, step : step + 2], front[:, step], beside[:, step], station, speed, half)
+            unsafe = _is_unsafe(rear[:, step : step + 2], front[:, step], beside[:, step], station, speed, half)
             # Most of the others are in the ego's way for a while only.
             in_way_now = np.flatnonzero(in_way[:, step])
             if len(in_way_now):
                 ahead, along = others.rear[in_way_now, step : step + 2, None], others.front[in_way_now, step, None]
-                unsafe |= _unsafe(ahead, along, others.beside[in_way_now, step, None], station, speed, half).any(axis=0)
+                unsafe |= _is_unsafe(ahead, along, others.beside[in_way_now, step, None], station, speed, half).any(
+                    axis=0
+                )
             ready = unsafe & (waiting <= 0.0)
             waiting = np.where(unsafe, waiting - dt, waiting)
             braking = np.where(ready, np.minimum(braking + _RISE_M_S3 * dt, HARDEST_BRAKING), braking)
@@ -173,7 +177,7 @@ class CarefulAhead:
         # Whoever would be hit by others in any case is not hit because of a candidate.
         return np.asarray(hit | (lost & (not self.lost)))
 
-    def lacking(self, placed: Bodies) -> Floats:
+    def compute_missing_distance(self, placed: PathBodies) -> Floats:
         """(B,) metres that are missing to stop behind the ego, for who comes up behind it, if it brakes from now on.
 
         It is planned anew after a second, and brakes no earlier.
@@ -186,11 +190,11 @@ class CarefulAhead:
         return np.asarray(behind * np.maximum(missing, 0.0))
 
 
-careful_ahead: Final = LastMade[Scene, CarefulAhead](CarefulAhead.of, kept=2)
-"""`CarefulAhead.of`: a planning frame asks for it of its candidates, and of what it chose."""
+get_careful_driver_check: Final = IdentityCache[Scene, CarefulDriverCheck](CarefulDriverCheck.of, kept=2)
+"""`CarefulDriverCheck.of`: a planning frame asks for it of its candidates, and of what it chose."""
 
 
-def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:
+def _is_unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:
     """(..., B) whether a careful human has a vehicle in its way less than two seconds ahead."""
     gap = rear[:, 0] - station - half
     closing = speed - (rear[:, 1] - rear[:, 0]) * (FRAME_HZ / EVERY_FRAMES)
@@ -198,7 +202,7 @@ def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed:
     return np.asarray((beside <= 0.0) & (front > station) & near)
 
 
-def _others(scene: Scene, agent: int, way: EgoWay, frame: int, steps: tuple[int, ...]) -> Bodies:
+def _collect_others(scene: Scene, agent: int, way: RecordedEgoPath, frame: int, steps: tuple[int, ...]) -> PathBodies:
     """All but the adversary that are ever in the ego's strip; none that are in the ego's body now."""
     agents = scene.agents
     at = [frame, *(frame + step for step in steps)]
@@ -206,17 +210,17 @@ def _others(scene: Scene, agent: int, way: EgoWay, frame: int, steps: tuple[int,
     indices = indices[indices != agent]
     grid = np.ix_(indices, at)
     poses = np.concatenate([agents.position[grid][..., :2], agents.yaw[grid][..., None]], axis=-1)
-    bodies = Bodies.of(way, poses, agents.size[indices, :2], (at[0], at[-1]))
+    bodies = PathBodies.of(way, poses, agents.size[indices, :2], (at[0], at[-1]))
     beside = np.where(agents.valid[grid], bodies.beside, np.inf)
     own, half = way.station[frame], 0.5 * way.length_m
     inside = (bodies.rear[:, 0] < own + half) & (bodies.front[:, 0] > own - half) & (beside[:, 0] <= 0.0)
     relevant = (beside <= 0.0).any(axis=1) & ~inside
-    return Bodies(bodies.rear[relevant], bodies.front[relevant], beside[relevant])
+    return PathBodies(bodies.rear[relevant], bodies.front[relevant], beside[relevant])
 
 
 HIT_WEIGHT: Final = 20.0
 """Of a candidate that a careful human does not survive: more than any threat is worth."""
-MET_WEIGHT: Final = 5.0
+MEETING_WEIGHT: Final = 5.0
 """Of one that a careful human survives and that an ego that does not react runs into."""
 
 FOLLOW_WEIGHT: Final = 1.0
@@ -225,34 +229,36 @@ FOLLOW_MOST_M: Final = 20.0
 
 
 @dataclass(frozen=True, slots=True)
-class PlanningAgainst(Planning):
+class ReactivePlanning(AdversaryPlanning):
     """Planning frames of an adversary that the ego may run into."""
 
-    def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
+    def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> ScoringSurroundings:
         """All but the ego: what it survives is asked of a careful human in its place."""
-        with_ego = surroundings(self.scene, self.agent, frames, raster)
+        with_ego = build_surroundings(self.scene, self.agent, frames, raster)
         present = with_ego.present.copy()
         present[:, -1] = False
         return replace(with_ego, present=present)
 
-    def rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
+    def build_rating(
+        self, frame: int, offsets: tuple[int, ...], track: Floats
+    ) -> Callable[[SimulatedMotion], ScoreTerms]:
         """As in open loop, and what is not survivable costs."""
-        rate = Planning.rated(self, frame, offsets, track)
-        careful = careful_ahead(self.scene, self.agent, frame, ego_speed(self.scene, frame))
+        rate = AdversaryPlanning.build_rating(self, frame, offsets, track)
+        careful = get_careful_driver_check(self.scene, self.agent, frame, compute_ego_speed_at(self.scene, frame))
         size = self.scene.agents.size[self.agent, :2]
 
-        def rated(motion: SimulatedMotion) -> Terms:
+        def rated(motion: SimulatedMotion) -> ScoreTerms:
             terms = rate(motion)
-            placed = careful.placed(motion, size)
+            placed = careful.place(motion, size)
             hit = careful.hits(placed)
-            follows = FOLLOW_WEIGHT * np.minimum(careful.lacking(placed), FOLLOW_MOST_M)
-            more = HIT_WEIGHT * hit - MET_WEIGHT * (careful.met(placed) & ~hit) + follows
+            follows = FOLLOW_WEIGHT * np.minimum(careful.compute_missing_distance(placed), FOLLOW_MOST_M)
+            more = HIT_WEIGHT * hit - MEETING_WEIGHT * (careful.is_met(placed) & ~hit) + follows
             return replace(terms, further=more if terms.further is None else terms.further + more)
 
         return rated
 
 
-def ego_speed(scene: Scene, frame: int) -> float:
+def compute_ego_speed_at(scene: Scene, frame: int) -> float:
     """Speed of the ego at a frame, m/s, of its places around it."""
     first, last = max(frame - 2, 0), min(frame + 1, len(scene.timestamps_us) - 1)
     way = np.hypot(*(scene.ego.position[last, :2] - scene.ego.position[first, :2]))

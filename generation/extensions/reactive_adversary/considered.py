@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from benchmark.dynamics.bicycle import MotionModel, VehicleState
-from benchmark.records.considered import ConsideredFrame, Did
+from benchmark.records.considered import FrameAction, SearchTraceFrame
 from benchmark.scene import Scene
-from benchmark.scene_pages.motion import origin_of
+from benchmark.scene_pages.motion import find_origin
 from generation.search.hyperparameters import HyperParameters
-from generation.search.refinement import Refinement, rounds_of
+from generation.search.refinement import Refinement, build_trace_frame
 
 
-def considered_frame(
+def build_search_trace(
     scene: Scene,
     agent: int,
     frame: int,
@@ -26,7 +26,7 @@ def considered_frame(
     *,
     as_made: bool,
 ) -> Mapping[str, Any]:
-    """Record of a planning frame, a `ConsideredFrame` as JSON.
+    """Record of a planning frame, a `SearchTraceFrame` as JSON.
 
     It has candidates of the round that the driven one is from, else of the best round.
 
@@ -35,17 +35,17 @@ def considered_frame(
         picked: Round and index of what was driven; ``None`` where no candidate was.
         as_made: Whether the track that the scene was made with went on.
     """
-    did: Did = "track" if as_made else "slowed" if picked is None else "searched"
+    did: FrameAction = "track" if as_made else "slowed" if picked is None else "searched"
     shown: dict[str, Any] = {"frame": frame, "time_us": int(scene.timestamps_us[frame]), "did": did}
     if found is None:
-        return ConsideredFrame.model_validate(shown).model_dump(mode="json")
+        return SearchTraceFrame.model_validate(shown).model_dump(mode="json")
     number, index = picked or (found.round, found.chosen)
-    rounds = rounds_of(scene, agent, frame, state, replace(found, round=number, chosen=index), hyper, model)
-    best, origin = rounds.rounds[number], np.array(origin_of(scene))
+    rounds = build_trace_frame(scene, agent, frame, state, replace(found, round=number, chosen=index), hyper, model)
+    best, origin = rounds.rounds[number], np.array(find_origin(scene))
     lines = np.array(best.candidates, np.float64).reshape(len(best.candidates), -1, 2) + origin
     shown |= {
         "candidates": np.round(lines, 2).tolist(),
         "scores": best.scores,
         "chosen": None if picked is None else rounds.chosen,
     }
-    return ConsideredFrame.model_validate(shown).model_dump(mode="json")
+    return SearchTraceFrame.model_validate(shown).model_dump(mode="json")

@@ -6,12 +6,12 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.closed_loop.contract import Moment, PlanInForce, held_waypoints
+from benchmark.closed_loop.contract import ActivePlan, TrafficSnapshot, extend_waypoints
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, PLAN_STEP_S
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global, wrap_angle
 from benchmark.scene import EgoTrack, Scene
-from generation.extensions.reactive_adversary.settings import Knows
-from generation.search.ego_way import ego_way
+from generation.extensions.reactive_adversary.settings import EgoPrediction
+from generation.search.ego_way import get_ego_path
 
 _TURN_US: Final = 300_000
 """Over how long a turn is looked at: one instant says little of it."""
@@ -27,7 +27,7 @@ MOST_TURN_RAD: Final = np.pi / 2
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class EgoObservations:
     """The ego as it has been seen: (E,) instants, ending with now, (E, 3) poses of its rear axle, and m/s now."""
 
     times_us: NDArray[np.int64]
@@ -40,7 +40,7 @@ class Seen:
         count = max(int(np.searchsorted(scene.timestamps_us, until_us, side="left")), 1)
         return cls(scene.timestamps_us[:count], scene.ego.pose[:count], 0.0)
 
-    def then(self, moment: Moment) -> Self:
+    def then(self, moment: TrafficSnapshot) -> Self:
         """Knowledge of now."""
         x, y, yaw = moment.ego[[0, 1, 4]]
         back = EGO_CENTER_FROM_REAR_AXLE_M
@@ -56,7 +56,7 @@ class Seen:
         turned = float(wrap_angle(self.poses[-1, 2] - self.poses[first, 2]))
         return turned / float(span) if span > 0.0 else 0.0
 
-    def as_recorded(self, scene: Scene) -> bool:
+    def is_as_recorded(self, scene: Scene) -> bool:
         """Whether the ego is where it was recorded."""
         times = (scene.timestamps_us - self.times_us[-1]) / 1e6
         place = [np.interp(0.0, times, scene.ego.pose[:, axis]) for axis in range(2)]
@@ -70,34 +70,34 @@ class Seen:
         return np.column_stack([np.interp(sought, seconds, column) for column in columns])
 
 
-def expected_ego(scene: Scene, seen: Seen, plan: PlanInForce | None, knows: Knows) -> EgoTrack:
+def predict_ego(scene: Scene, seen: EgoObservations, plan: ActivePlan | None, knows: EgoPrediction) -> EgoTrack:
     """The ego's track as an adversary takes it to be; one that keeps its motion follows its route if it is on it.
 
     Route and heights are those of ``scene``, and the whole track where the recording is known; the ``plan`` in
     force counts for adversaries alone that know it.
     """
-    if knows is Knows.RECORDING:
+    if knows is EgoPrediction.RECORDING:
         return scene.ego
     times = scene.timestamps_us
     past = times <= seen.times_us[-1]
     poses = np.empty((len(times), 3))
     poses[past] = seen.at(times[past])
     seconds = (times[~past] - seen.times_us[-1]) / 1e6
-    if knows is Knows.PLAN and plan is not None:
-        poses[~past] = _planned(plan, times[~past])
-    elif knows is Knows.NOTHING:
+    if knows is EgoPrediction.PLAN and plan is not None:
+        poses[~past] = _predict_on_plan(plan, times[~past])
+    elif knows is EgoPrediction.NOTHING:
         poses[~past] = seen.poses[-1]
     else:
-        on_its_way = _on_its_way(scene, seen, seconds)
-        poses[~past] = _kept_up(seen, seconds) if on_its_way is None else on_its_way
+        on_its_way = _predict_on_route(scene, seen, seconds)
+        poses[~past] = _predict_steady_motion(seen, seconds) if on_its_way is None else on_its_way
     position = np.column_stack([poses[:, :2], scene.ego.position[:, 2]])
     return EgoTrack(position, quaternion_from_yaw(poses[:, 2]))
 
 
-def _on_its_way(scene: Scene, observed: Seen, seconds: Floats) -> Floats | None:
+def _predict_on_route(scene: Scene, observed: EgoObservations, seconds: Floats) -> Floats | None:
     """(K, 3) poses of an ego that keeps its speed on its route; ``None`` if it is not on it."""
     now = max(int(np.searchsorted(scene.timestamps_us, observed.times_us[-1], side="right")) - 1, 0)
-    way, back = ego_way(scene), EGO_CENTER_FROM_REAR_AXLE_M
+    way, back = get_ego_path(scene), EGO_CENTER_FROM_REAR_AXLE_M
     center = observed.poses[-1].copy()
     center[:2] += back * np.array([np.cos(center[2]), np.sin(center[2])])
     station, offset, turn = (float(values[0]) for values in way.places(center[None], now, now))
@@ -110,7 +110,7 @@ def _on_its_way(scene: Scene, observed: Seen, seconds: Floats) -> Floats | None:
     return np.column_stack([place + offset * left - back * ahead, yaw])
 
 
-def _kept_up(observed: Seen, seconds: Floats) -> Floats:
+def _predict_steady_motion(observed: EgoObservations, seconds: Floats) -> Floats:
     """(K, 3) poses of an ego that keeps its speed and its turn."""
     x, y, yaw = observed.poses[-1]
     rate = observed.yaw_rate
@@ -127,10 +127,10 @@ def _kept_up(observed: Seen, seconds: Floats) -> Floats:
     return np.column_stack([place, yaw + turned])
 
 
-def _planned(plan: PlanInForce, times_us: NDArray[np.int64]) -> Floats:
+def _predict_on_plan(plan: ActivePlan, times_us: NDArray[np.int64]) -> Floats:
     """(K, 3) poses of an ego on its plan, which goes on beyond its end as it ended."""
     steps = (times_us - plan.made_us) / 1e6 / PLAN_STEP_S
-    held = held_waypoints(plan.waypoints, int(np.ceil(steps.max(initial=1.0))) + 1)
+    held = extend_waypoints(plan.waypoints, int(np.ceil(steps.max(initial=1.0))) + 1)
     knots = np.concatenate([np.zeros((1, 2)), held])
     ways = np.diff(knots, axis=0)
     moving = np.hypot(*ways.T) >= _STILL_M

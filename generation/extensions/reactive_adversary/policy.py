@@ -13,41 +13,46 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.adversary import ADVERSARY, AdversaryTrack, Handover, Replanning, rounded
-from benchmark.closed_loop.contract import AgentPolicy, Moment, Moved
+from benchmark.closed_loop.adversary import ADVERSARY, AdversaryTrack, Handover, Replanning, round_poses
+from benchmark.closed_loop.contract import AgentMotion, AgentPolicy, TrafficSnapshot
 from benchmark.closed_loop.following import SUBSTEP_US
 from benchmark.constants import FRAME_HZ
-from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, rear_axle
+from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, compute_rear_axle
 from benchmark.geometry import Floats, to_local
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
 from generation.extensions.reactive_adversary.allowed import (
     AHEAD_FRAMES,
     BRAKING_M_S2,
-    Answering,
-    Surrounded,
-    braked,
-    in_order,
-    with_expected_others,
+    ExpectedAgents,
+    SurroundingTracks,
+    brake_on_path,
+    order_candidates,
+    predict_others,
 )
-from generation.extensions.reactive_adversary.careful import CarefulAhead, PlanningAgainst, careful_ahead, ego_speed
-from generation.extensions.reactive_adversary.considered import considered_frame
-from generation.extensions.reactive_adversary.expecting import Seen, expected_ego
-from generation.extensions.reactive_adversary.settings import LONGEST_FRAMES, AdversarySettings, Knows
-from generation.search.adversary import ALGORITHM_VERSION, scene_identity
-from generation.search.planning import Planning
-from generation.search.proposals import Diversify, Prior, run_together
-from generation.search.recorded_motion import initial_state
-from generation.search.refinement import NothingToDraw, Refinement, scores_together
+from generation.extensions.reactive_adversary.careful import (
+    CarefulDriverCheck,
+    ReactivePlanning,
+    compute_ego_speed_at,
+    get_careful_driver_check,
+)
+from generation.extensions.reactive_adversary.considered import build_search_trace
+from generation.extensions.reactive_adversary.expecting import EgoObservations, predict_ego
+from generation.extensions.reactive_adversary.settings import LONGEST_FRAMES, AdversarySettings, EgoPrediction
+from generation.search.adversary import ALGORITHM_VERSION, compute_scene_identity
+from generation.search.planning import AdversaryPlanning
+from generation.search.proposals import Diversify, Prior, run_searches
+from generation.search.recorded_motion import compute_initial_state
+from generation.search.refinement import Refinement, ResamplingUnderflowError, compare_scores
 
-MOST_TRIED: Final = 96
+MOST_CANDIDATES_CHECKED: Final = 96
 """Candidates that are asked after the best one of a search, where that may not be driven."""
 _FAR_M: Final = 5.0
 """Nearer than this to the edge of the area around the ego, an adversary looks at the road around itself."""
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
+class AdversaryMemory:
     """Memory of an adversary; a value.
 
     Attributes:
@@ -61,18 +66,18 @@ class Memory:
     """
 
     others: Any
-    seen: Seen
+    seen: EgoObservations
     state: VehicleState
     track: Floats
     ahead: Floats
     ending: Floats
     randomness: Any
     replanned: tuple[Replanning, ...] = ()
-    as_made: bool = True
+    on_scripted_track: bool = True
 
 
 @dataclass(frozen=True, slots=True)
-class _Chosen:
+class _ChosenMotion:
     """Motion that is driven next.
 
     Attributes:
@@ -89,12 +94,12 @@ class _Chosen:
     ending: Floats
     state: VehicleState
     replanning: Replanning
-    as_made: bool = False
+    on_scripted_track: bool = False
     picked: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Adversary:
+class ReactiveAdversary:
     """Policy of an adversary from frame ``start``, its hand-over, on; ``run`` is its seed.
 
     Attributes:
@@ -117,70 +122,72 @@ class Adversary:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "handover", Handover.of(self.scene, self.agent, self.start))
-        object.__setattr__(self, "model", self.settings.hyper.motion_model())
+        object.__setattr__(self, "model", self.settings.hyper.build_motion_model())
 
-    def init(self, time_us: int, key: int) -> tuple[Memory, Moved]:
+    def init(self, time_us: int, key: int) -> tuple[AdversaryMemory, AgentMotion]:
         """All where they are; nothing is planned yet."""
         memory, moved = self.others.init(time_us, key)
         hyper, agent_id = self.settings.hyper, self.scene.agents.ids[self.agent]
-        content = (scene_identity(self.scene), agent_id, self.run, hyper.fingerprint, self.prior.fingerprint)
+        content = (compute_scene_identity(self.scene), agent_id, self.run, hyper.fingerprint, self.prior.fingerprint)
         rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, 0))
-        planning = self._planning(self.scene, rng)
-        first = planning.first_pose()
-        own = Memory(
+        planning = self._build_planning(self.scene, rng)
+        first = planning.find_first_pose()
+        own = AdversaryMemory(
             others=memory,
-            seen=Seen.recorded(self.scene, time_us),
-            state=planning.first_state(),
+            seen=EgoObservations.recorded(self.scene, time_us),
+            state=planning.compute_first_state(),
             track=first[None],
             ahead=np.repeat(first[None], AHEAD_FRAMES, axis=0),
-            ending=self._recorded_ending(first, time_us),
+            ending=self._find_recorded_ending(first, time_us),
             randomness=rng.bit_generator.state,
         )
         return own, moved
 
-    def act(self, memory: Memory, moment: Moment, key: int) -> tuple[Memory, Moved]:
+    def act(self, memory: AdversaryMemory, moment: TrafficSnapshot, key: int) -> tuple[AdversaryMemory, AgentMotion]:
         """The next 0.1 s, planned anew where what was planned does not reach so far."""
         observations = memory.seen if memory.seen.times_us[-1] >= moment.time_us else memory.seen.then(moment)
         memory = replace(memory, seen=observations)
         times, last = self.scene.timestamps_us, len(self.scene.timestamps_us) - 1
         while (frame := self.start + len(memory.track) - 1) < last and times[frame] < moment.time_us + SUBSTEP_US:
-            memory = self._planned(memory, moment, frame)
+            memory = self._plan_frame(memory, moment, frame)
         others, moved = self.others.act(memory.others, moment, key)
-        return replace(memory, others=others), self.handover.moved(moved, rounded(memory.track), moment.time_us)
+        return replace(memory, others=others), self.handover.moved(moved, round_poses(memory.track), moment.time_us)
 
-    def adversary(self, memory: Memory) -> AdversaryTrack:
+    def adversary(self, memory: AdversaryMemory) -> AdversaryTrack:
         """Track that is planned for it so far."""
-        return AdversaryTrack(self.agent, self.start, rounded(memory.track), memory.replanned)
+        return AdversaryTrack(self.agent, self.start, round_poses(memory.track), memory.replanned)
 
-    def _planning(self, scene: Scene, rng: np.random.Generator, road_around: Floats | None = None) -> Planning:
+    def _build_planning(
+        self, scene: Scene, rng: np.random.Generator, road_around: Floats | None = None
+    ) -> AdversaryPlanning:
         stages = {"physics": 0.0, "scoring": 0.0}
         hyper = self.settings.hyper
         # Open loop knows where the ego will be, and keeps clear of it.
-        kind = Planning if self.settings.knows is Knows.RECORDING else PlanningAgainst
+        kind = AdversaryPlanning if self.settings.knows is EgoPrediction.RECORDING else ReactivePlanning
         return kind(
             scene, self.agent, self.start, hyper, self.diversify, self.model, rng, stages, road_around=road_around
         )
 
-    def _planned(self, memory: Memory, moment: Moment, frame: int) -> Memory:
+    def _plan_frame(self, memory: AdversaryMemory, moment: TrafficSnapshot, frame: int) -> AdversaryMemory:
         """Plan at a frame and drive on to the next one."""
-        ego = expected_ego(self.scene, memory.seen, moment.plan, self.settings.knows)
+        ego = predict_ego(self.scene, memory.seen, moment.plan, self.settings.knows)
         scene = replace(self.scene, ego=ego, sweep_poses=None)
         if self.settings.others != "replay":
             own = np.concatenate([memory.track, memory.ahead])
-            others = Answering(self.others, memory.others, self.handover, own)
-            scene = with_expected_others(scene, others, moment, frame)
+            others = ExpectedAgents(self.others, memory.others, self.handover, own)
+            scene = predict_others(scene, others, moment, frame)
         rng = np.random.default_rng()
         rng.bit_generator.state = memory.randomness
-        planning = self._planning(scene, rng, self._road_around(scene, frame, memory.track[-1]))
+        planning = self._build_planning(scene, rng, self._find_road_pose(scene, frame, memory.track[-1]))
         steps = min(self.settings.every_frames, len(scene.timestamps_us) - 1 - frame)
-        around = Surrounded.of(scene, self.agent, frame, moment.time_us)
-        chosen, refinement = self._as_made(scene, around, frame, steps, memory), None
+        around = SurroundingTracks.of(scene, self.agent, frame, moment.time_us)
+        chosen, refinement = self._follow_scripted_track(scene, around, frame, steps, memory), None
         if chosen is None:
-            refinement = self._searched(planning, frame, memory)
-            chosen = self._chosen(scene, around, frame, steps, refinement, memory)
-            if self.settings.knows is not Knows.RECORDING:
-                chosen = self._yielding(scene, around, frame, steps, chosen, memory)
-        replanning = self._noted(scene, frame, memory.state, refinement, chosen)
+            refinement = self._search(planning, frame, memory)
+            chosen = self._choose_motion(scene, around, frame, steps, refinement, memory)
+            if self.settings.knows is not EgoPrediction.RECORDING:
+                chosen = self._yield_if_safer(scene, around, frame, steps, chosen, memory)
+        replanning = self._build_replanning(scene, frame, memory.state, refinement, chosen)
         return replace(
             memory,
             state=chosen.state,
@@ -189,24 +196,26 @@ class Adversary:
             ending=chosen.ending,
             randomness=rng.bit_generator.state,
             replanned=(*memory.replanned, replanning),
-            as_made=chosen.as_made,
+            on_scripted_track=chosen.on_scripted_track,
         )
 
-    def _recorded_ending(self, first: Floats, time_us: int) -> Floats:
+    def _find_recorded_ending(self, first: Floats, time_us: int) -> Floats:
         """(K, 3) the rest of its recording after the hand-over, or brakes where that ends or touches another."""
         scene, agents = self.scene, self.scene.agents
-        around = Surrounded.of(scene, self.agent, self.start, time_us)
+        around = SurroundingTracks.of(scene, self.agent, self.start, time_us)
         absent = np.flatnonzero(~agents.valid[self.agent, self.start :])
         recorded = slice(self.start, self.start + int(absent[0]) if len(absent) else None)
         poses = np.column_stack([agents.position[self.agent, recorded, :2], agents.yaw[self.agent, recorded]])
         poses = np.concatenate([first[None], poses[1:]])
         safe_ending = around.ending(poses, 0)
-        return (around.longest(around.endings(poses, 0)) if safe_ending is None else safe_ending)[1:]
+        return (around.find_longest(around.generate_endings(poses, 0)) if safe_ending is None else safe_ending)[1:]
 
-    def _as_made(self, scene: Scene, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen | None:
+    def _follow_scripted_track(
+        self, scene: Scene, around: SurroundingTracks, frame: int, steps: int, memory: AdversaryMemory
+    ) -> _ChosenMotion | None:
         """The rest of the track that the scene was made with, if the adversary is still on it and may drive it."""
         known = self.scene.agents.ids[self.agent] in self.scene.adversaries
-        if not known or not memory.as_made or self.settings.knows is Knows.RECORDING:
+        if not known or not memory.on_scripted_track or self.settings.knows is EgoPrediction.RECORDING:
             return None
         agents = scene.agents
         last = len(scene.timestamps_us) - 1
@@ -216,138 +225,164 @@ class Adversary:
         ending = around.ending(poses, steps)
         if ending is None:
             return None
-        if not memory.seen.as_recorded(self.scene) and not self._meets(scene, frame, poses):
+        if not memory.seen.is_as_recorded(self.scene) and not self._does_ego_run_into(scene, frame, poses):
             return None
-        state = initial_state(scene, self.agent, frame + steps, self.model.limits)
+        state = compute_initial_state(scene, self.agent, frame + steps, self.model.limits)
         replanning = Replanning(frame, None, braked=False)
-        return _Chosen(poses[1 : steps + 1], _ahead(poses, steps), ending[steps + 1 :], state, replanning, as_made=True)
+        return _ChosenMotion(
+            poses[1 : steps + 1],
+            _compute_ahead(poses, steps),
+            ending[steps + 1 :],
+            state,
+            replanning,
+            on_scripted_track=True,
+        )
 
-    def _meets(self, scene: Scene, frame: int, poses: Floats) -> bool:
+    def _does_ego_run_into(self, scene: Scene, frame: int, poses: Floats) -> bool:
         """Whether an ego that does not react would run into a track, however late."""
         size = self.scene.agents.size[self.agent, :2]
-        careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame), len(poses))
-        return bool(careful.met(careful.placed(driven_motion(poses, float(size[0])), size), in_front=False)[0])
+        careful = CarefulDriverCheck.of(scene, self.agent, frame, compute_ego_speed_at(scene, frame), len(poses))
+        return bool(careful.is_met(careful.place(build_driven_motion(poses, float(size[0])), size), in_front=False)[0])
 
-    def _yielding(
-        self, scene: Scene, around: Surrounded, frame: int, steps: int, chosen: _Chosen, memory: Memory
-    ) -> _Chosen:
+    def _yield_if_safer(
+        self,
+        scene: Scene,
+        around: SurroundingTracks,
+        frame: int,
+        steps: int,
+        chosen: _ChosenMotion,
+        memory: AdversaryMemory,
+    ) -> _ChosenMotion:
         """The chosen motion, or the brakes where a careful human does not survive it but survives them."""
         size = self.scene.agents.size[self.agent, :2]
-        careful = careful_ahead(scene, self.agent, frame, ego_speed(scene, frame))
+        careful = get_careful_driver_check(scene, self.agent, frame, compute_ego_speed_at(scene, frame))
         now = memory.track[-1:]
 
         def hits(poses: Floats) -> bool:
-            return bool(careful.hit(driven_motion(poses[: LONGEST_FRAMES + 1], float(size[0])), size)[0])
+            return bool(careful.hit(build_driven_motion(poses[: LONGEST_FRAMES + 1], float(size[0])), size)[0])
 
         if not hits(np.concatenate([now, chosen.executed, chosen.ahead])):
             return chosen
-        slowed = self._slowed_by(BRAKING_M_S2, around, memory)
-        clear = [candidate for candidate in slowed if around.clear_for(candidate) == np.inf]
+        slowed = self._compute_brakings(BRAKING_M_S2, around, memory)
+        clear = [candidate for candidate in slowed if around.compute_clear_seconds(candidate) == np.inf]
         for poses in clear:
             if not hits(poses):
-                return self._as_braked(frame, steps, poses)
+                return self._build_braked_motion(frame, steps, poses)
         # Whoever is behind the ego and can do nothing that is safe does what is nearest to it.
-        return self._as_braked(frame, steps, clear[-1]) if clear and careful.follows(now, size) else chosen
+        return (
+            self._build_braked_motion(frame, steps, clear[-1]) if clear and careful.is_following(now, size) else chosen
+        )
 
-    def _searched(self, planning: Planning, frame: int, memory: Memory) -> Refinement | None:
+    def _search(self, planning: AdversaryPlanning, frame: int, memory: AdversaryMemory) -> Refinement | None:
         """Result of the search; ``None`` where it has nothing to draw from."""
         try:
-            (refinement,), _ = run_together([planning.plan(frame, memory.state, memory.track)], self.prior)
-        except NothingToDraw:
+            (refinement,), _ = run_searches([planning.plan(frame, memory.state, memory.track)], self.prior)
+        except ResamplingUnderflowError:
             return None
         return refinement
 
-    def _road_around(self, scene: Scene, frame: int, pose: Floats) -> Floats | None:
+    def _find_road_pose(self, scene: Scene, frame: int, pose: Floats) -> Floats | None:
         """Around the ego, as the search looks; around itself where the area around the ego has lost it."""
         half = self.settings.hyper.half_extent_m - _FAR_M
         lost = np.abs(to_local(pose[:2], scene.ego.pose[frame])).max() > half
         return pose.copy() if lost else None
 
-    def _chosen(
-        self, scene: Scene, around: Surrounded, frame: int, steps: int, refinement: Refinement | None, memory: Memory
-    ) -> _Chosen:
+    def _choose_motion(
+        self,
+        scene: Scene,
+        around: SurroundingTracks,
+        frame: int,
+        steps: int,
+        refinement: Refinement | None,
+        memory: AdversaryMemory,
+    ) -> _ChosenMotion:
         """The best candidate that may be driven, or the brakes."""
         # Whoever is off the road already may come back to it, however.
         on_road = bool(scene.road_map.is_drivable(memory.track[-1, :2]))
-        for number, index in () if refinement is None else self._candidates(refinement):
+        for number, index in () if refinement is None else self._order_candidates(refinement):
             assert refinement is not None
             motion = refinement.batches[number].evaluated.motion
-            if not motion.finite[index] or (on_road and _leaves_road(refinement, number, index, steps)):
+            if not motion.finite[index] or (on_road and _is_leaving_road(refinement, number, index, steps)):
                 continue
             ending = around.ending(motion.center[index], steps)
             if ending is not None:
-                return self._as_searched(frame, steps, refinement, number, index, ending)
-        return self._last_resort(around, frame, steps, memory)
+                return self._build_searched_motion(frame, steps, refinement, number, index, ending)
+        return self._brake_on_path(around, frame, steps, memory)
 
-    def _as_searched(
+    def _build_searched_motion(
         self, frame: int, steps: int, refinement: Refinement, number: int, index: int, ending: Floats
-    ) -> _Chosen:
+    ) -> _ChosenMotion:
         """A candidate of the search, and how it may end."""
         motion = refinement.batches[number].evaluated.motion
-        score = float(scores_together(refinement.batches, self.settings.hyper)[number, index])
-        return _Chosen(
+        score = float(compare_scores(refinement.batches, self.settings.hyper)[number, index])
+        return _ChosenMotion(
             motion.center[index, 1 : steps + 1],
-            _ahead(motion.center[index], steps),
+            _compute_ahead(motion.center[index], steps),
             ending[steps + 1 :],
             motion.state(index, steps),
             Replanning(frame, score, braked=False),
             picked=(number, index),
         )
 
-    def _candidates(self, refinement: Refinement) -> "Any":
+    def _order_candidates(self, refinement: Refinement) -> "Any":
         """Round and index: what the search chose, then the others by score."""
         yield refinement.round, refinement.chosen
-        yield from in_order(scores_together(refinement.batches, self.settings.hyper), MOST_TRIED)
+        yield from order_candidates(compare_scores(refinement.batches, self.settings.hyper), MOST_CANDIDATES_CHECKED)
 
-    def _noted(
-        self, scene: Scene, frame: int, state: VehicleState, refinement: Refinement | None, chosen: _Chosen
+    def _build_replanning(
+        self, scene: Scene, frame: int, state: VehicleState, refinement: Refinement | None, chosen: _ChosenMotion
     ) -> Replanning:
         """Note on a planning frame."""
         if not self.settings.keep_considered:
             return chosen.replanning
         hyper, picked = self.settings.hyper, chosen.picked
-        considered = considered_frame(
-            scene, self.agent, frame, state, refinement, picked, hyper, self.model, as_made=chosen.as_made
+        considered = build_search_trace(
+            scene, self.agent, frame, state, refinement, picked, hyper, self.model, as_made=chosen.on_scripted_track
         )
         return replace(chosen.replanning, considered=considered)
 
-    def _last_resort(self, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen:
+    def _brake_on_path(
+        self, around: SurroundingTracks, frame: int, steps: int, memory: AdversaryMemory
+    ) -> _ChosenMotion:
         """Brakes on the meant path, as gently as touches no other; or the ending that was kept; or the longest one."""
         cached_ending = np.concatenate([memory.track[-1:], memory.ending])
-        slowed = self._slowed_by((0.0, *BRAKING_M_S2), around, memory)
-        return self._as_braked(frame, steps, around.longest((*slowed, cached_ending)))
+        slowed = self._compute_brakings((0.0, *BRAKING_M_S2), around, memory)
+        return self._build_braked_motion(frame, steps, around.find_longest((*slowed, cached_ending)))
 
-    def _slowed_by(self, brakings: Sequence[float], around: Surrounded, memory: Memory) -> list[Floats]:
+    def _compute_brakings(
+        self, brakings: Sequence[float], around: SurroundingTracks, memory: AdversaryMemory
+    ) -> list[Floats]:
         """Poses to the scene's last frame of who brakes from now on, so hard, on the path that was meant."""
         path = np.concatenate([memory.track[-1:], memory.ahead])
-        return [self._slowed(path, around.frame_seconds, memory.state, braking) for braking in brakings]
+        return [self._slow_on_path(path, around.frame_seconds, memory.state, braking) for braking in brakings]
 
-    def _as_braked(self, frame: int, steps: int, poses: Floats) -> _Chosen:
+    def _build_braked_motion(self, frame: int, steps: int, poses: Floats) -> _ChosenMotion:
         """Poses from the planning frame to the last one that no search found."""
         executed = poses[1 : steps + 1]
         way = executed[-1, :2] - poses[steps - 1, :2]
         state = VehicleState(
-            rear_axle(executed[-1], float(self.scene.agents.size[self.agent, 0])), float(np.hypot(*way)) * FRAME_HZ
+            compute_rear_axle(executed[-1], float(self.scene.agents.size[self.agent, 0])),
+            float(np.hypot(*way)) * FRAME_HZ,
         )
         replanning = Replanning(frame, None, braked=True)
-        return _Chosen(executed, _ahead(poses, steps), poses[steps + 1 :], state, replanning)
+        return _ChosenMotion(executed, _compute_ahead(poses, steps), poses[steps + 1 :], state, replanning)
 
     @staticmethod
-    def _slowed(path: Floats, seconds: Floats, state: VehicleState, braking_m_s2: float) -> Floats:
+    def _slow_on_path(path: Floats, seconds: Floats, state: VehicleState, braking_m_s2: float) -> Floats:
         """(K, 3) poses of who leaves its plan's speed for a steady braking from now on."""
         # A pose before now gives the path the speed that it is driven with.
         back = np.array([np.cos(path[0, 2]), np.sin(path[0, 2])]) / FRAME_HZ * state.speed
         before = np.array([[*(path[0, :2] - back), path[0, 2]]])
         times = np.concatenate([[-1.0 / FRAME_HZ], seconds])
-        return braked(np.concatenate([before, path]), 1, times, braking_m_s2)[1:]
+        return brake_on_path(np.concatenate([before, path]), 1, times, braking_m_s2)[1:]
 
 
-def driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
+def build_driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
     """Motion of one track, (S + 1, 3) of the box centre, one a frame, as if a candidate had done it.
 
     What the tracker asked for is not known.
     """
-    axle = rear_axle(poses, length_m)
+    axle = compute_rear_axle(poses, length_m)
     heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
     velocity = np.gradient(axle[:, :2], 1.0 / FRAME_HZ, axis=0) if len(poses) > 1 else np.zeros((1, 2))
     speed = (velocity * heading).sum(axis=1)
@@ -356,13 +391,13 @@ def driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
     return SimulatedMotion(poses[None], states[None], np.zeros((1, len(poses) - 1, 2)), np.ones(1, np.bool_))
 
 
-def _ahead(poses: Floats, steps: int) -> Floats:
+def _compute_ahead(poses: Floats, steps: int) -> Floats:
     """(60, 3) how a motion goes on after some frames; its last pose stands for what is beyond it."""
     rest = poses[steps + 1 : steps + 1 + AHEAD_FRAMES]
     missing = AHEAD_FRAMES - len(rest)
     return np.concatenate([rest, np.repeat(poses[-1:], missing, axis=0)]) if missing else rest
 
 
-def _leaves_road(refinement: Refinement, number: int, index: int, steps: int) -> bool:
+def _is_leaving_road(refinement: Refinement, number: int, index: int, steps: int) -> bool:
     """Whether a candidate's centre is off the road in what would be executed."""
     return bool(refinement.batches[number].evaluated.terms.center_off_road[index, :steps].any())

@@ -9,7 +9,7 @@ from benchmark.constants import FRAME_HZ
 from benchmark.errors import InputError
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.hyperparameters import HyperParameters
-from generation.search.presets import threatening
+from generation.search.presets import build_default_settings
 
 VERSION: Final = 3
 """Raised whenever the same adversary would drive elsewhere in the same drive."""
@@ -19,7 +19,7 @@ LONGEST_FRAMES: Final = 36
 OTHERS: Final = ("replay", "idm")
 
 
-class Knows(StrEnum):
+class EgoPrediction(StrEnum):
     """Knowledge of an adversary about the ego.
 
     ``PLAN``: that it drives its plan in force. ``MOTION``: that it keeps its speed on its route, or its turn where it
@@ -33,9 +33,9 @@ class Knows(StrEnum):
     RECORDING = "recording"
 
 
-def in_the_loop() -> HyperParameters:
+def build_reactive_settings() -> HyperParameters:
     """The default search of open loop, and that who falls behind the ego comes back ahead of it."""
-    return replace(threatening(), ahead_weight=AHEAD_WEIGHT)
+    return replace(build_default_settings(), ahead_weight=AHEAD_WEIGHT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +51,10 @@ class AdversarySettings:
         InputError: If it is never planned anew, or there are no such others.
     """
 
-    knows: Knows = Knows.MOTION
+    knows: EgoPrediction = EgoPrediction.MOTION
     every_frames: int = FRAME_HZ
     others: str = "replay"
-    hyper: HyperParameters = field(default_factory=in_the_loop)
+    hyper: HyperParameters = field(default_factory=build_reactive_settings)
     keep_considered: bool = False
 
     def __post_init__(self) -> None:
@@ -93,10 +93,12 @@ class AdversarySettings:
         Raises:
             InputError: If a value is none.
         """
-        known = {prediction.value: prediction for prediction in Knows if prediction is not Knows.RECORDING}
+        known = {
+            prediction.value: prediction for prediction in EgoPrediction if prediction is not EgoPrediction.RECORDING
+        }
         if knows not in known:
             raise InputError(f"an adversary knows {', '.join(known)}, not {knows!r} (--adversary-knows)")
-        hyper = in_the_loop()
+        hyper = build_reactive_settings()
         hyper = replace(
             hyper,
             rounds=hyper.rounds if rounds is None else rounds,

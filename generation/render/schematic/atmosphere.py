@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
-from benchmark.scene import Look
+from benchmark.scene import Conditions
 
 Rgb = tuple[float, float, float]
 
@@ -49,7 +49,7 @@ class Atmosphere:
         """Share of the haze colour at distances of (...) metres: 0 near, towards 1 far away."""
         return np.asarray(1.0 - np.exp(-((np.maximum(distance_m, 0.0) / self.haze_m) ** 1.5)))
 
-    def beam_at(self, ahead_m: Floats, left_m: Floats) -> Floats:
+    def compute_beam(self, ahead_m: Floats, left_m: Floats) -> Floats:
         """Light of the ego's head lamps at points around it.
 
         Metres ahead of the rear axle and to the left; the result is a factor to add to the tint.
@@ -63,19 +63,19 @@ class Atmosphere:
 
 
 ATMOSPHERES: Final = {
-    Look.DAY: Atmosphere(
+    Conditions.DAY: Atmosphere(
         sky=(98, 150, 212), haze=(206, 220, 232), haze_m=135.0, tint=(1.0, 1.0, 1.0), sun=(0.45, 0.35, 0.82),
         sun_share=0.45, shadow=0.55, wetness=0.0, lamps=False, beam=0.0, rain=False,
     ),
-    Look.DUSK: Atmosphere(
+    Conditions.DUSK: Atmosphere(
         sky=(58, 70, 116), haze=(226, 158, 118), haze_m=125.0, tint=(0.66, 0.55, 0.56), sun=(-0.85, 0.3, 0.35),
         sun_share=0.42, shadow=0.35, wetness=0.0, lamps=True, beam=0.30, rain=False,
     ),
-    Look.NIGHT: Atmosphere(
+    Conditions.NIGHT: Atmosphere(
         sky=(8, 11, 24), haze=(26, 29, 44), haze_m=95.0, tint=(0.22, 0.23, 0.30), sun=(0.2, 0.3, 0.9),
         sun_share=0.25, shadow=0.25, wetness=0.0, lamps=True, beam=0.80, rain=False,
     ),
-    Look.RAIN: Atmosphere(
+    Conditions.RAIN: Atmosphere(
         sky=(132, 140, 150), haze=(172, 179, 186), haze_m=80.0, tint=(0.74, 0.77, 0.81), sun=(0.1, 0.1, 0.95),
         sun_share=0.25, shadow=0.25, wetness=0.6, lamps=True, beam=0.10, rain=True,
     ),
@@ -104,17 +104,17 @@ _FACADES: Final[tuple[Rgb, ...]] = (
 )  # fmt: skip
 
 
-def car_paint(instance: str, salt: tuple[str, ...] = ()) -> Rgb:
+def choose_car_paint(instance: str, salt: tuple[str, ...] = ()) -> Rgb:
     """Paint of a vehicle, from its identifier alone: nothing else may tell an adversary from other cars."""
     wheel = [paint for paint, share in _CAR_PAINTS for _ in range(share)]
     return wheel[content_seed("paint", *salt, instance) % len(wheel)]
 
 
-def clothes(instance: str, salt: tuple[str, ...] = ()) -> Rgb:
+def choose_clothes(instance: str, salt: tuple[str, ...] = ()) -> Rgb:
     """Colour of a person's clothes, from the identifier alone."""
     return _CLOTHES[content_seed("clothes", *salt, instance) % len(_CLOTHES)]
 
 
-def facade(seed: int, salt: tuple[str, ...] = ()) -> Rgb:
+def choose_facade(seed: int, salt: tuple[str, ...] = ()) -> Rgb:
     """Colour of a building."""
     return _FACADES[(content_seed("facade", *salt, seed) if salt else seed) % len(_FACADES)]

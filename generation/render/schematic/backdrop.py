@@ -10,7 +10,7 @@ from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
 from generation.render.schematic.atmosphere import Atmosphere
 from generation.render.schematic.ground import FINE_UNTIL_M, MIDDLE_UNTIL_M, PlanView
-from generation.render.schematic.view import View
+from generation.render.schematic.view import PlacedCamera
 
 _SAMPLES = (1, 2, 4, 6)
 _TEXELS_PER_SAMPLE = 2.5
@@ -24,7 +24,7 @@ _STEEPEST, _LEVELS = 0.6, 1 << 12
 
 
 @dataclass(frozen=True, slots=True)
-class Band:
+class GroundBand:
     """Rows of an image, ``first`` to before ``last``, that look at the ground from similar distances.
 
     ``plan`` is the plan view that they read, 0 fine, 1 middle, 2 coarse; ``samples`` per pixel, vertical, are
@@ -54,24 +54,26 @@ class Backdrop:
     fade: NDArray[np.float32]
     clear: NDArray[np.float32]
     light: NDArray[np.uint8] | None
-    bands: tuple[Band, ...]
+    bands: tuple[GroundBand, ...]
     hazy_until: int
 
     @classmethod
-    def of(cls, view: View, air: Atmosphere, ego_yaw: float, ego_xy: Floats) -> "Backdrop":
+    def of(cls, view: PlacedCamera, air: Atmosphere, ego_yaw: float, ego_xy: Floats) -> "Backdrop":
         """Work out a backdrop. Head lamps follow ``ego_yaw``, radians; ``ego_xy`` is the rear axle, global."""
         height = float(view.eye[2] - view.ground_z)
-        x, y, z = view.pixel_rays()
+        x, y, z = view.compute_pixel_rays()
         slope = z / np.sqrt(np.maximum(x * x + y * y, np.float32(1e-12)))
         level = np.clip((slope + _STEEPEST) * (_LEVELS / (2 * _STEEPEST)), 0, _LEVELS).astype(np.int32)
-        fade_of, sky_of = _by_slope(air, height)
+        fade_of, sky_of = _compute_slope_tables(air, height)
         fade, sky = fade_of[level], sky_of[level]
         below = slope < -_HORIZON_SLOPE
-        light = _ground_light(view, air, height, ego_yaw, ego_xy)
-        bands, hazy_until = _bands(height, below, z[:, z.shape[1] // 2], fade)
+        light = _compute_ground_light(view, air, height, ego_yaw, ego_xy)
+        bands, hazy_until = _find_bands(height, below, z[:, z.shape[1] // 2], fade)
         return cls(sky, fade, np.asarray(1.0 - fade, np.float32), light, bands, hazy_until)
 
-    def draw(self, view: View, plans: tuple[PlanView, PlanView, PlanView], skyline: "Skyline") -> NDArray[np.uint8]:
+    def draw(
+        self, view: PlacedCamera, plans: tuple[PlanView, PlanView, PlanView], skyline: "Skyline"
+    ) -> NDArray[np.uint8]:
         """Picture, (h, w, 3) RGB, of everything that does not stand on the ground: ground, sky and skyline."""
         image = self.sky.copy()
         skyline.draw(image, view)
@@ -79,11 +81,11 @@ class Backdrop:
             return image
         first = self.bands[0].first
         ground = np.empty_like(image[first:])
-        from_ground = np.linalg.inv(view.ground_to_pixel())
+        from_ground = np.linalg.inv(view.compute_ground_homography())
         to_plans = [np.vstack([plan.world_to_pixel, [0.0, 0.0, 1.0]]) @ from_ground for plan in plans]
         for band in self.bands:
             rows = ground[band.first - first : band.last - first]
-            _look_through(rows, plans[band.plan].pixels, to_plans[band.plan], band)
+            _warp_ground(rows, plans[band.plan].pixels, to_plans[band.plan], band)
         if self.light is not None:
             cv2.multiply(ground, self.light[first:], dst=ground, scale=1.0 / 255.0)
         hazy = slice(first, self.hazy_until)
@@ -94,7 +96,7 @@ class Backdrop:
         return image
 
 
-def _by_slope(air: Atmosphere, height: float) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def _compute_slope_tables(air: Atmosphere, height: float) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Haze over the ground (n,) and colour of the sky (n, 3) for rising slopes of the line of sight."""
     slope = np.linspace(-_STEEPEST, _STEEPEST, _LEVELS + 1)
     below = slope < -_HORIZON_SLOPE
@@ -104,26 +106,26 @@ def _by_slope(air: Atmosphere, height: float) -> tuple[NDArray[np.float32], NDAr
     return fade.astype(np.float32), np.rint(sky).astype(np.uint8)
 
 
-def _ground_light(
-    view: View, air: Atmosphere, height: float, ego_yaw: float, ego_xy: Floats
+def _compute_ground_light(
+    view: PlacedCamera, air: Atmosphere, height: float, ego_yaw: float, ego_xy: Floats
 ) -> NDArray[np.uint8] | None:
     """Light on the ground under each pixel, or ``None`` for plain daylight."""
     if air.tint == (1.0, 1.0, 1.0) and air.beam == 0.0:
         return None
     # Light changes slowly over the picture: every fourth pixel is enough.
-    x, y, z = view.pixel_rays(4).astype(np.float64)
+    x, y, z = view.compute_pixel_rays(4).astype(np.float64)
     reach = height / np.maximum(-z, 1e-4)
     east, north = view.eye[0] - ego_xy[0] + x * reach, view.eye[1] - ego_xy[1] + y * reach
     cos, sin = np.cos(ego_yaw), np.sin(ego_yaw)
-    beam = air.beam_at(east * cos + north * sin, north * cos - east * sin)
+    beam = air.compute_beam(east * cos + north * sin, north * cos - east * sin)
     light = np.clip(255.0 * (np.array(air.tint) + beam[..., None]), 0, 255).astype(np.uint8)
     size = (view.camera.width, view.camera.height)
     return np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
 
 
-def _bands(
+def _find_bands(
     height: float, below: NDArray[np.bool_], drop: NDArray[np.float32], fade: NDArray[np.float32]
-) -> tuple[tuple[Band, ...], int]:
+) -> tuple[tuple[GroundBand, ...], int]:
     """Cut the rows that see ground into bands of similar distance, by the middle column and its downward rays."""
     height_px = len(below)
     rows = np.flatnonzero(below.any(axis=1))
@@ -136,17 +138,17 @@ def _bands(
     texel = np.array([0.05, 0.1, 0.2])[plan]
     wanted = step / (_TEXELS_PER_SAMPLE * texel)
     samples = np.array(_SAMPLES)[np.clip(np.searchsorted(_SAMPLES, wanted), 0, len(_SAMPLES) - 1)]
-    bands: list[Band] = []
+    bands: list[GroundBand] = []
     start = first
     for row in range(first + 1, height_px + 1):
         if row == height_px or (plan[row], samples[row]) != (plan[start], samples[start]):
-            bands.append(Band(start, row, int(plan[start]), int(samples[start])))
+            bands.append(GroundBand(start, row, int(plan[start]), int(samples[start])))
             start = row
     visible = np.flatnonzero((fade > 1.0 / 255.0).any(axis=1))
     return tuple(bands), int(max(visible[-1] + 1 if len(visible) else first, first))
 
 
-def _look_through(image: NDArray[np.uint8], plan: NDArray[np.uint8], image_to_plan: Floats, band: Band) -> None:
+def _warp_ground(image: NDArray[np.uint8], plan: NDArray[np.uint8], image_to_plan: Floats, band: GroundBand) -> None:
     """Fill some rows of a view, (h, w, 3), with the ground of a plan view."""
     # Row r of the finer image looks through row (r + 0.5) / samples - 0.5 of the band.
     rows = np.array(
@@ -194,7 +196,7 @@ class Skyline:
         quads = np.stack([np.stack(corner, axis=-1) for corner in corners], axis=1)
         return cls(quads, shade[:, None] * np.array(air.haze))
 
-    def draw(self, image: NDArray[np.uint8], view: View) -> None:
+    def draw(self, image: NDArray[np.uint8], view: PlacedCamera) -> None:
         """Draw the part that a view sees, in place."""
         in_camera = self.quads @ view.rotation.T
         ahead = (in_camera[..., 2] > 0.05).all(axis=1)

@@ -23,7 +23,7 @@ _STOP_BAR_M = 0.4
 _KERB_M = 0.22
 
 
-class Coat(IntEnum):
+class PaintCoat(IntEnum):
     """Paint of a polygon; later coats cover earlier ones."""
 
     CAR_PARK = 0
@@ -43,44 +43,46 @@ class PaintedPolygons:
         bounds: (P, 4) x_min, y_min, x_max, y_max of each polygon.
     """
 
-    coat: Coat
+    coat: PaintCoat
     rings: tuple[tuple[Floats, ...], ...]
     bounds: Floats
 
 
-def painted_polygons(road_map: RoadMap) -> tuple[PaintedPolygons, ...]:
+def build_painted_polygons(road_map: RoadMap) -> tuple[PaintedPolygons, ...]:
     """Everything on the ground that has a colour of its own, lowest coat first."""
     roads = list(shapely.get_parts(road_map.drivable_area))
-    white = [stripe for name in sorted(road_map.ped_crossings) for stripe in _stripes(road_map.ped_crossings[name])]
-    white += [bar for name in sorted(road_map.stop_lines) for bar in _stop_bar(road_map.stop_lines[name])]
+    white = [
+        stripe for name in sorted(road_map.ped_crossings) for stripe in _build_stripes(road_map.ped_crossings[name])
+    ]
+    white += [bar for name in sorted(road_map.stop_lines) for bar in _build_stop_bar(road_map.stop_lines[name])]
     yellow: list[shapely.Geometry] = []
     for divider in road_map.dividers:
         if divider.kind is not DividerKind.UNPAINTED:
             is_white = divider.kind in (DividerKind.SOLID_WHITE, DividerKind.DASHED_WHITE)
-            (white if is_white else yellow).extend(_line_paint(divider))
-    coats: dict[Coat, Iterable[shapely.Geometry]] = {
-        Coat.CAR_PARK: [road_map.carparks[name] for name in sorted(road_map.carparks)],
-        Coat.PAVEMENT: [road_map.walkways[name] for name in sorted(road_map.walkways)],
-        Coat.KERB: [shape.buffer(_KERB_M, join_style="mitre") for shape in roads],
-        Coat.ROAD: roads,
-        Coat.WHITE: white,
-        Coat.YELLOW: yellow,
+            (white if is_white else yellow).extend(_build_line_paint(divider))
+    coats: dict[PaintCoat, Iterable[shapely.Geometry]] = {
+        PaintCoat.CAR_PARK: [road_map.carparks[name] for name in sorted(road_map.carparks)],
+        PaintCoat.PAVEMENT: [road_map.walkways[name] for name in sorted(road_map.walkways)],
+        PaintCoat.KERB: [shape.buffer(_KERB_M, join_style="mitre") for shape in roads],
+        PaintCoat.ROAD: roads,
+        PaintCoat.WHITE: white,
+        PaintCoat.YELLOW: yellow,
     }
-    return tuple(_polygons(coat, shapes) for coat, shapes in coats.items())
+    return tuple(_build_polygons(coat, shapes) for coat, shapes in coats.items())
 
 
 def paint(
     canvas: NDArray[np.uint8],
     polygons: tuple[PaintedPolygons, ...],
     world_to_pixel: Floats,
-    colours: Mapping[Coat, tuple[float, float, float]],
+    colours: Mapping[PaintCoat, tuple[float, float, float]],
 ) -> None:
     """Fill polygons in a plan view, (h, w, 3) RGB, in place; pixels that no polygon covers stay.
 
     ``world_to_pixel`` is the (2, 3) affine map from metres to columns and rows; coats without a colour are left
     out.
     """
-    window = _world_window(canvas, world_to_pixel)
+    window = _compute_world_window(canvas, world_to_pixel)
     for layer in polygons:
         if layer.coat not in colours or not len(layer.rings):
             continue
@@ -92,7 +94,7 @@ def paint(
             rings = [
                 to_fixed_point(ring @ world_to_pixel[:, :2].T + world_to_pixel[:, 2]) for ring in layer.rings[index]
             ]
-            if layer.coat >= Coat.WHITE and len(rings) == 1:
+            if layer.coat >= PaintCoat.WHITE and len(rings) == 1:
                 simple.append(rings[0])
             else:
                 cv2.fillPoly(canvas, rings, colour, cv2.LINE_AA, SHIFT)
@@ -105,14 +107,14 @@ def to_fixed_point(pixels: Floats) -> NDArray[np.int32]:
     return np.asarray(np.rint(np.clip(pixels, -1e6, 1e6) * (1 << SHIFT)), dtype=np.int32)
 
 
-def _world_window(canvas: NDArray[np.uint8], world_to_pixel: Floats) -> Floats:
+def _compute_world_window(canvas: NDArray[np.uint8], world_to_pixel: Floats) -> Floats:
     height, width = canvas.shape[:2]
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], dtype=np.float64)
     world = (corners - world_to_pixel[:, 2]) @ np.linalg.inv(world_to_pixel[:, :2]).T
     return np.concatenate([world.min(axis=0), world.max(axis=0)])
 
 
-def _polygons(coat: Coat, shapes: Iterable[shapely.Geometry]) -> PaintedPolygons:
+def _build_polygons(coat: PaintCoat, shapes: Iterable[shapely.Geometry]) -> PaintedPolygons:
     parts = [part for shape in shapes for part in shapely.get_parts(shape)]
     parts = [part for part in parts if isinstance(part, Polygon) and not part.is_empty]
     rings = tuple(
@@ -122,7 +124,7 @@ def _polygons(coat: Coat, shapes: Iterable[shapely.Geometry]) -> PaintedPolygons
     return PaintedPolygons(coat, rings, bounds)
 
 
-def _line_paint(divider: Divider) -> list[shapely.Geometry]:
+def _build_line_paint(divider: Divider) -> list[shapely.Geometry]:
     """The painted strips of a divider."""
     line = shapely.LineString(divider.line)
     if line.length == 0.0:
@@ -136,9 +138,9 @@ def _line_paint(divider: Divider) -> list[shapely.Geometry]:
     return [strip.buffer(_LINE_WIDTH_M / 2, cap_style="flat", join_style="mitre") for strip in strips]
 
 
-def _stripes(crossing: Polygon) -> list[shapely.Geometry]:
+def _build_stripes(crossing: Polygon) -> list[shapely.Geometry]:
     """Zebra stripes: bars along the driving direction, repeated along the long side, which people walk along."""
-    corner, along, across, length, width = _long_side(crossing)
+    corner, along, across, length, width = _find_long_side(crossing)
     count = int(length // (2 * _STRIPE_M))
     if count == 0 or width == 0.0:
         return []
@@ -151,9 +153,9 @@ def _stripes(crossing: Polygon) -> list[shapely.Geometry]:
     return bars
 
 
-def _stop_bar(stop_area: Polygon) -> list[shapely.Geometry]:
+def _build_stop_bar(stop_area: Polygon) -> list[shapely.Geometry]:
     """One bar in the middle of a stop area, because sources draw the area in which to stop, not the paint."""
-    corner, along, across, length, width = _long_side(stop_area)
+    corner, along, across, length, width = _find_long_side(stop_area)
     bar = min(_STOP_BAR_M, width)
     if length == 0.0 or bar == 0.0:
         return []
@@ -161,7 +163,7 @@ def _stop_bar(stop_area: Polygon) -> list[shapely.Geometry]:
     return [Polygon([near, near + length * along, near + length * along + bar * across, near + bar * across])]
 
 
-def _long_side(shape: Polygon) -> tuple[Floats, Floats, Floats, float, float]:
+def _find_long_side(shape: Polygon) -> tuple[Floats, Floats, Floats, float, float]:
     """Corner, unit vectors along and across the long side, and both lengths of the tightest rectangle."""
     box = shape.minimum_rotated_rectangle
     if not isinstance(box, Polygon):

@@ -19,31 +19,31 @@ from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
 from generation.render.contract import Images, require_frames
 from generation.render.schematic import surroundings
-from generation.render.schematic.atmosphere import ATMOSPHERES, Atmosphere, Rgb, car_paint, clothes
+from generation.render.schematic.atmosphere import ATMOSPHERES, Atmosphere, Rgb, choose_car_paint, choose_clothes
 from generation.render.schematic.backdrop import Backdrop, Skyline
-from generation.render.schematic.ground import Ground
-from generation.render.schematic.shapes import Role, Shape, shape_name, shape_named
-from generation.render.schematic.standing import draw_shadows, draw_standing
-from generation.render.schematic.styles import FIRST, Style, developed
-from generation.render.schematic.surroundings import Facets, joined, seen_colours, unit_normals
-from generation.render.schematic.view import View
-from generation.sources.rig import default_cameras
+from generation.render.schematic.ground import PaintedGround
+from generation.render.schematic.shapes import FacetMaterial, SolidShape, choose_shape_name, get_shape
+from generation.render.schematic.standing import draw_shadows, draw_solids
+from generation.render.schematic.styles import FIRST, DrawingStyle, develop
+from generation.render.schematic.surroundings import Facets, compute_seen_colours, compute_unit_normals, join_facets
+from generation.render.schematic.view import PlacedCamera
+from generation.sources.rig import build_default_cameras
 
 DRAWN_WITHIN_M = 80.0
 _TERRAIN_M = 4.0
 """Recordings have hills, the drawn ground is flat: what is annotated less than this above or below it stands on it."""
 _BRAKING_M_S2 = -1.0
-_MATERIALS: dict[Role, Rgb] = {
-    Role.GLASS: (54, 66, 80),
-    Role.RUBBER: (30, 30, 32),
-    Role.METAL: (150, 152, 156),
-    Role.SKIN: (214, 170, 140),
-    Role.TROUSERS: (48, 54, 72),
-    Role.WHITE: (236, 236, 232),
-    Role.ORANGE: (232, 112, 32),
-    Role.CARGO: (206, 206, 200),
-    Role.HAIR: (52, 40, 34),
-    Role.BEACON: (52, 96, 226),
+_MATERIALS: dict[FacetMaterial, Rgb] = {
+    FacetMaterial.GLASS: (54, 66, 80),
+    FacetMaterial.RUBBER: (30, 30, 32),
+    FacetMaterial.METAL: (150, 152, 156),
+    FacetMaterial.SKIN: (214, 170, 140),
+    FacetMaterial.TROUSERS: (48, 54, 72),
+    FacetMaterial.WHITE: (236, 236, 232),
+    FacetMaterial.ORANGE: (232, 112, 32),
+    FacetMaterial.CARGO: (206, 206, 200),
+    FacetMaterial.HAIR: (52, 40, 34),
+    FacetMaterial.BEACON: (52, 96, 226),
 }
 _HEAD_LAMP: dict[bool, Rgb] = {False: (226, 230, 236), True: (255, 250, 224)}
 _TAIL_LAMP: dict[bool, Rgb] = {False: (122, 20, 22), True: (206, 30, 30)}
@@ -51,18 +51,22 @@ _BRAKE_LAMP: Rgb = (255, 48, 40)
 
 
 @functools.lru_cache(maxsize=4096)
-def _colours(instance: str, category: str, salt: tuple[str, ...]) -> Floats:
+def _choose_colours(instance: str, category: str, salt: tuple[str, ...]) -> Floats:
     """(roles, 3) colours of one agent, lamps off."""
-    table = np.zeros((len(Role), 3))
+    table = np.zeros((len(FacetMaterial), 3))
     for role, colour in _MATERIALS.items():
         table[role] = colour
-    table[Role.PAINT] = (236, 236, 236) if category.startswith("vehicle.emergency") else car_paint(instance, salt)
-    table[Role.CLOTH] = (232, 140, 40) if category.endswith("construction_worker") else clothes(instance, salt)
+    table[FacetMaterial.PAINT] = (
+        (236, 236, 236) if category.startswith("vehicle.emergency") else choose_car_paint(instance, salt)
+    )
+    table[FacetMaterial.CLOTH] = (
+        (232, 140, 40) if category.endswith("construction_worker") else choose_clothes(instance, salt)
+    )
     return table
 
 
 @dataclass(frozen=True, slots=True)
-class Traffic:
+class AgentFacets:
     """The agents of a scene, ready to be placed.
 
     Attributes:
@@ -77,22 +81,22 @@ class Traffic:
     braking: Bools
 
     @classmethod
-    def of(cls, scene: Scene, salt: tuple[str, ...] = ()) -> "Traffic":
+    def of(cls, scene: Scene, salt: tuple[str, ...] = ()) -> "AgentFacets":
         """Prepare the agents of a scene; the salt of a style goes into their colours."""
         agents = scene.agents
-        shapes = [shape_named(shape_name(kind, size)) for kind, size in zip(agents.categories, agents.size)]
-        bodies = joined(
+        shapes = [get_shape(choose_shape_name(kind, size)) for kind, size in zip(agents.categories, agents.size)]
+        bodies = join_facets(
             [
-                _body(shape, size, _colours(instance, kind, salt))
+                _build_body(shape, size, _choose_colours(instance, kind, salt))
                 for shape, size, instance, kind in zip(shapes, agents.size, agents.ids, agents.categories)
             ]
         )
         role = np.concatenate([np.zeros(0, np.int64), *(shape.role for shape in shapes)])
-        return cls(scene, bodies, role, _braking(scene))
+        return cls(scene, bodies, role, _find_braking(scene))
 
-    def in_scene(self, scene: Scene) -> "Traffic":
+    def in_scene(self, scene: Scene) -> "AgentFacets":
         """The same agents in a scene in which they have other tracks."""
-        return replace(self, scene=scene, braking=_braking(scene))
+        return replace(self, scene=scene, braking=_find_braking(scene))
 
     def near(self, frame: int) -> NDArray[np.int64]:
         """Indices of the agents that exist at a frame and are close enough to be drawn."""
@@ -103,29 +107,29 @@ class Traffic:
     def facets(self, frame: int, *, lamps: bool) -> Facets:
         """Facets of everything near the ego at a frame, one solid per agent; ``lamps`` are head and tail lamps."""
         agents, members = self.scene.agents, self.near(frame)
-        bodies, chosen = self.bodies.solids(members)
+        bodies, chosen = self.bodies.select_solids(members)
         role, solid = self.role[chosen], bodies.solid
-        yaw, centre = agents.yaw[members, frame], self._standing_centres(members, frame)
+        yaw, centre = agents.yaw[members, frame], self._compute_standing_centres(members, frame)
         cos, sin = np.cos(yaw), np.sin(yaw)
         heading = np.stack([cos, sin], axis=-1)
         colour = bodies.colour.copy()
-        colour[role == Role.HEAD_LAMP] = _HEAD_LAMP[lamps]
-        colour[role == Role.TAIL_LAMP] = _TAIL_LAMP[lamps]
-        stopping = (role == Role.TAIL_LAMP) & self.braking[members, frame][solid]
+        colour[role == FacetMaterial.HEAD_LAMP] = _HEAD_LAMP[lamps]
+        colour[role == FacetMaterial.TAIL_LAMP] = _TAIL_LAMP[lamps]
+        stopping = (role == FacetMaterial.TAIL_LAMP) & self.braking[members, frame][solid]
         colour[stopping] = _BRAKE_LAMP
-        is_lamp = (role == Role.HEAD_LAMP) | (role == Role.TAIL_LAMP) | (role == Role.BEACON)
+        is_lamp = (role == FacetMaterial.HEAD_LAMP) | (role == FacetMaterial.TAIL_LAMP) | (role == FacetMaterial.BEACON)
         return replace(
             bodies,
-            quads=_turned(bodies.quads, cos[solid, None], sin[solid, None]) + centre[solid, None],
-            normal=_turned(bodies.normal, cos[solid], sin[solid]),
+            quads=_rotate_vectors(bodies.quads, cos[solid, None], sin[solid, None]) + centre[solid, None],
+            normal=_rotate_vectors(bodies.normal, cos[solid], sin[solid]),
             colour=colour,
             glows=stopping | (is_lamp & lamps),
-            footprint=_turned(bodies.footprint, cos[:, None], sin[:, None]) + centre[:, None, :2],
+            footprint=_rotate_vectors(bodies.footprint, cos[:, None], sin[:, None]) + centre[:, None, :2],
             centre=centre,
             split=np.column_stack([heading, (heading * centre[:, :2]).sum(axis=1) + bodies.split[:, 2]]),
         )
 
-    def _standing_centres(self, members: NDArray[np.int64], frame: int) -> Floats:
+    def _compute_standing_centres(self, members: NDArray[np.int64], frame: int) -> Floats:
         """Box centres with the boxes put down on the ground, (n, 3)."""
         centre: Floats = self.scene.agents.position[members, frame]
         on_ground = self.scene.ego.position[frame, 2] + 0.5 * self.scene.agents.size[members, 2]
@@ -133,19 +137,19 @@ class Traffic:
         return centre
 
 
-def _turned(vectors: Floats, cos: Floats, sin: Floats) -> Floats:
+def _rotate_vectors(vectors: Floats, cos: Floats, sin: Floats) -> Floats:
     """Vectors (..., 2 or 3) turned about the vertical."""
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([x * cos - y * sin, x * sin + y * cos, *np.moveaxis(vectors[..., 2:], -1, 0)], axis=-1)
 
 
-def _body(shape: Shape, size: Floats, colours: Floats) -> Facets:
+def _build_body(shape: SolidShape, size: Floats, colours: Floats) -> Facets:
     """One agent around the origin, its box centred there."""
     quads = (shape.quads - np.array([0.0, 0.0, 0.5])) * size
     count = len(quads)
     return Facets(
         quads=quads,
-        normal=unit_normals(quads),
+        normal=compute_unit_normals(quads),
         colour=colours[shape.role],
         glows=np.zeros(count, dtype=np.bool_),
         solid=np.zeros(count, dtype=np.int64),
@@ -161,7 +165,7 @@ def _body(shape: Shape, size: Floats, colours: Floats) -> Facets:
     )
 
 
-def _braking(scene: Scene) -> Bools:
+def _find_braking(scene: Scene) -> Bools:
     """(N, T) whether the speed fell by more than 1 m/s^2 over the last quarter of a second or so."""
     position, seconds = scene.agents.position[..., :2], scene.seconds
     count = len(seconds)
@@ -196,7 +200,7 @@ class SchematicRenderer:
 
     version = "1"
 
-    def __init__(self, width: int = 448, height: int = 256, style: Style = FIRST) -> None:
+    def __init__(self, width: int = 448, height: int = 256, style: DrawingStyle = FIRST) -> None:
         if width < 1 or height < 1:
             raise InputError(f"images need a positive size, got {width} x {height}; choose for example 448 x 256")
         self.width, self.height, self.style = width, height, style
@@ -204,7 +208,7 @@ class SchematicRenderer:
 
     def cameras(self, scene: Scene) -> tuple[Camera, ...]:
         """The scene's cameras, or the default rig where it has none, at the size that is rendered."""
-        return tuple(camera.resized(self.width, self.height) for camera in scene.cameras or default_cameras())
+        return tuple(camera.resized(self.width, self.height) for camera in scene.cameras or build_default_cameras())
 
     def render(self, scene: Scene, frames: Sequence[int]) -> Iterator[Images]:
         """Render frames of one scene.
@@ -226,40 +230,40 @@ class SchematicRenderer:
         for frame in frames:
             yield stage.pictures(int(frame))
 
-    def stage(self, scene: Scene) -> "Stage":
+    def stage(self, scene: Scene) -> "PreparedScene":
         """A scene made ready for drawing."""
         cv2.setNumThreads(1)
-        return Stage.of(scene, self.cameras(scene), self.style)
+        return PreparedScene.of(scene, self.cameras(scene), self.style)
 
 
 @dataclass(slots=True)
-class Stage:
+class PreparedScene:
     """A scene made ready for drawing: what does not change from frame to frame."""
 
     scene: Scene
     cameras: tuple[Camera, ...]
     air: Atmosphere
-    ground: Ground
+    ground: PaintedGround
     skyline: Skyline
     standing: Facets
-    traffic: Traffic
+    traffic: AgentFacets
     casts_shadow: Bools
-    style: Style
+    style: DrawingStyle
     beside: tuple[tuple[float, float], Facets] | None = None
     backdrops: dict[str, tuple[bytes, Backdrop]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, scene: Scene, cameras: tuple[Camera, ...], style: Style) -> "Stage":
+    def of(cls, scene: Scene, cameras: tuple[Camera, ...], style: DrawingStyle) -> "PreparedScene":
         """Make a scene ready."""
-        air = style.lit(ATMOSPHERES[scene.look])
+        air = style.apply_light(ATMOSPHERES[scene.look])
         return cls(
             scene=scene,
             cameras=cameras,
             air=air,
-            ground=Ground.of(_along_the_way(scene), air, style),
+            ground=PaintedGround.of(_clip_map_to_sight(scene), air, style),
             skyline=Skyline.of(scene.road_map.location, air),
-            standing=surroundings.surroundings(scene, lamps=air.lamps, salt=style.salt),
-            traffic=Traffic.of(scene, style.salt),
+            standing=surroundings.build_roadside(scene, lamps=air.lamps, salt=style.salt),
+            traffic=AgentFacets.of(scene, style.salt),
             casts_shadow=np.array(
                 [kind in VEHICLE_CATEGORIES or kind.startswith("human") for kind in scene.agents.categories], np.bool_
             ),
@@ -279,35 +283,35 @@ class Stage:
         position, rotation = ego.position[frame], ego.rotation[frame]
         pose = ego.pose[frame]
         plans = self.ground.around(position[:2])
-        facets, colours = self._solids(frame, pose, float(position[2]))
-        shadows = self._shadow_casters(frame)
+        facets, colours = self._build_solids(frame, pose, float(position[2]))
+        shadows = self._find_shadow_casters(frame)
         images: Images = {}
         for number, camera in enumerate(self.cameras):
-            view = View.of(camera, position, rotation)
-            image = self._backdrop(view, pose).draw(view, plans, self.skyline)
+            view = PlacedCamera.of(camera, position, rotation)
+            image = self._get_backdrop(view, pose).draw(view, plans, self.skyline)
             draw_shadows(image, view, shadows, self.air)
-            draw_standing(image, view, facets, colours)
+            draw_solids(image, view, facets, colours)
             if self.air.rain:
                 _draw_rain(image, content_seed("rain", number, frame))
             if self.style.pipeline is not None:
-                image = developed(image, self.style.pipeline, content_seed("sensor", number, frame))
+                image = develop(image, self.style.pipeline, content_seed("sensor", number, frame))
             images[camera.name] = image
         return images
 
-    def _solids(self, frame: int, pose: Floats, ground_z: float) -> tuple[Facets, NDArray[np.uint8]]:
+    def _build_solids(self, frame: int, pose: Floats, ground_z: float) -> tuple[Facets, NDArray[np.uint8]]:
         """Everything that stands near the ego, and its colours."""
-        around = self.ground.centre_of(pose[:2])
+        around = self.ground.find_centre(pose[:2])
         if self.beside is None or self.beside[0] != around:
             offset = self.standing.centre[:, :2] - np.array(around)
             near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < surroundings.DRAWN_WITHIN_M)
-            self.beside = (around, self.standing.solids(near)[0])
+            self.beside = (around, self.standing.select_solids(near)[0])
         beside, lift = self.beside[1], np.array([0.0, 0.0, ground_z])
         if ground_z != 0.0:
             beside = replace(beside, quads=beside.quads + lift, centre=beside.centre + lift)
-        facets = joined([beside, self.traffic.facets(frame, lamps=self.air.lamps)])
-        return facets, seen_colours(facets, self.air, pose)
+        facets = join_facets([beside, self.traffic.facets(frame, lamps=self.air.lamps)])
+        return facets, compute_seen_colours(facets, self.air, pose)
 
-    def _shadow_casters(self, frame: int) -> Floats:
+    def _find_shadow_casters(self, frame: int) -> Floats:
         """(N, 4, 2) outlines of the vehicles and people near the ego."""
         members = self.traffic.near(frame)
         members = members[self.casts_shadow[members]]
@@ -316,7 +320,7 @@ class Stage:
             np.column_stack([agents.position[members, frame, :2], agents.size[members, :2], agents.yaw[members, frame]])
         )
 
-    def _backdrop(self, view: View, pose: Floats) -> Backdrop:
+    def _get_backdrop(self, view: PlacedCamera, pose: Floats) -> Backdrop:
         """The camera's backdrop, made anew only when the camera stands differently above the ground."""
         stance = np.concatenate([view.rotation[:, 2], [view.eye[2] - view.ground_z]]).tobytes()
         known = self.backdrops.get(view.camera.name)
@@ -326,7 +330,7 @@ class Stage:
         return known[1]
 
 
-def _along_the_way(scene: Scene) -> RoadMap:
+def _clip_map_to_sight(scene: Scene) -> RoadMap:
     """The part of a map that can come into sight; whole cities are painted too slowly."""
     low, high = scene.ego.position[:, :2].min(axis=0) - _SIGHT_M, scene.ego.position[:, :2].max(axis=0) + _SIGHT_M
     return scene.road_map.near((float(low[0]), float(low[1]), float(high[0]), float(high[1])))

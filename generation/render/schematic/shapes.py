@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmark.geometry import Bools, Floats
 
 
-class Role(IntEnum):
+class FacetMaterial(IntEnum):
     """Material of a facet; decides its colour."""
 
     PAINT = 0
@@ -33,7 +33,7 @@ class Role(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class SolidShape:
     """A solid of flat facets in a unit box.
 
     Attributes:
@@ -61,14 +61,14 @@ class SolidDraft:
     """Facets being collected."""
 
     split: float = 0.0
-    facets: list[tuple[Quad, Role, int, bool, float]] = field(default_factory=list)
+    facets: list[tuple[Quad, FacetMaterial, int, bool, float]] = field(default_factory=list)
 
     def box(
         self,
         x: tuple[float, float],
         y: tuple[float, float],
         z: tuple[float, float],
-        role: Role,
+        role: FacetMaterial,
         *,
         layer: int,
         inset: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -97,12 +97,12 @@ class SolidDraft:
             self.facets.append((face, role, layer, ahead, detail_px))
         return faces
 
-    def decal(
+    def add_decal(
         self,
         face: Quad,
         u: tuple[float, float],
         v: tuple[float, float],
-        role: Role,
+        role: FacetMaterial,
         *,
         layer: int,
         ahead: bool = False,
@@ -118,7 +118,7 @@ class SolidDraft:
         quad = [at(u[0], v[0]), at(u[1], v[0]), at(u[1], v[1]), at(u[0], v[1])]
         self.facets.append((quad, role, layer, ahead, detail_px))
 
-    def wheels(
+    def add_wheels(
         self,
         at_x: tuple[float, ...],
         radius_x: float,
@@ -141,211 +141,238 @@ class SolidDraft:
             for y, turn in ((-side, 1), (side, -1)):
                 for piece in pieces:
                     quad = [(px, y, pz) for px, pz in piece][::turn]
-                    self.facets.append((quad, Role.RUBBER, layer, ahead, 7.0))
-                self.facets.append(([(px, y, pz) for px, pz in hub][::turn], Role.METAL, layer + 1, ahead, 20.0))
+                    self.facets.append((quad, FacetMaterial.RUBBER, layer, ahead, 7.0))
+                self.facets.append(
+                    ([(px, y, pz) for px, pz in hub][::turn], FacetMaterial.METAL, layer + 1, ahead, 20.0)
+                )
 
-    def shape(self) -> Shape:
+    def shape(self) -> SolidShape:
         """The finished solid."""
         quads, role, layer, ahead, detail = zip(*self.facets)
-        return Shape(
+        return SolidShape(
             np.array(quads, dtype=np.float64), np.array(role), np.array(layer), np.array(ahead, dtype=np.bool_),
             np.array(detail, dtype=np.float64), self.split,
         )  # fmt: skip
 
 
-def _lamps(
+def _add_lamps(
     draft: SolidDraft, faces: dict[str, Quad], *, layer: int, heights: tuple[float, float, float, float]
 ) -> None:
     """Head lamps on the front, tail lamps on the rear; heights are v ranges on the two faces."""
     for u in ((0.03, 0.26), (0.74, 0.97)):
-        draft.decal(faces["front"], u, heights[:2], Role.HEAD_LAMP, layer=layer, detail_px=4.0)
-        draft.decal(faces["rear"], u, heights[2:], Role.TAIL_LAMP, layer=layer, detail_px=4.0)
-    draft.decal(faces["front"], (0.28, 0.72), (0.32, 0.72), Role.RUBBER, layer=layer)
-    draft.decal(faces["rear"], (0.36, 0.64), (0.30, 0.52), Role.WHITE, layer=layer)
+        draft.add_decal(faces["front"], u, heights[:2], FacetMaterial.HEAD_LAMP, layer=layer, detail_px=4.0)
+        draft.add_decal(faces["rear"], u, heights[2:], FacetMaterial.TAIL_LAMP, layer=layer, detail_px=4.0)
+    draft.add_decal(faces["front"], (0.28, 0.72), (0.32, 0.72), FacetMaterial.RUBBER, layer=layer)
+    draft.add_decal(faces["rear"], (0.36, 0.64), (0.30, 0.52), FacetMaterial.WHITE, layer=layer)
     for end in ("front", "rear"):
-        draft.decal(faces[end], (0.0, 1.0), (0.0, 0.16), Role.RUBBER, layer=layer)
+        draft.add_decal(faces[end], (0.0, 1.0), (0.0, 0.16), FacetMaterial.RUBBER, layer=layer)
 
 
-def _car(cabin: tuple[float, float], inset: tuple[float, float, float], *, bonnet_drop: float, belt: float) -> Shape:
+def _build_car(
+    cabin: tuple[float, float], inset: tuple[float, float, float], *, bonnet_drop: float, belt: float
+) -> SolidShape:
     """A car: sill and wheels, lower body with lamps, and a cabin with windows."""
     draft = SolidDraft()
-    draft.box((-0.45, 0.45), (-0.42, 0.42), (0.04, 0.22), Role.RUBBER, layer=0)
+    draft.box((-0.45, 0.45), (-0.42, 0.42), (0.04, 0.22), FacetMaterial.RUBBER, layer=0)
     body = draft.box(
-        (-0.5, 0.5), (-0.5, 0.5), (0.14, belt), Role.PAINT, layer=1, inset=(0.015, 0.03, 0.03), drop=bonnet_drop
+        (-0.5, 0.5),
+        (-0.5, 0.5),
+        (0.14, belt),
+        FacetMaterial.PAINT,
+        layer=1,
+        inset=(0.015, 0.03, 0.03),
+        drop=bonnet_drop,
     )
-    _lamps(draft, body, layer=2, heights=(0.58, 0.88, 0.60, 0.90))
+    _add_lamps(draft, body, layer=2, heights=(0.58, 0.88, 0.60, 0.90))
     for side in ("left", "right"):
-        draft.decal(body[side], (0.02, 0.98), (0.0, 0.13), Role.RUBBER, layer=2)
-    draft.wheels((-0.30, 0.31), 0.074, 0.20, layer=3)
-    top = draft.box(cabin, (-0.46, 0.46), (belt - 0.03, 1.0), Role.PAINT, layer=5, inset=inset)
-    draft.decal(top["front"], (0.06, 0.94), (0.10, 0.90), Role.GLASS, layer=6, detail_px=5.0)
-    draft.decal(top["rear"], (0.08, 0.92), (0.18, 0.88), Role.GLASS, layer=6, detail_px=5.0)
+        draft.add_decal(body[side], (0.02, 0.98), (0.0, 0.13), FacetMaterial.RUBBER, layer=2)
+    draft.add_wheels((-0.30, 0.31), 0.074, 0.20, layer=3)
+    top = draft.box(cabin, (-0.46, 0.46), (belt - 0.03, 1.0), FacetMaterial.PAINT, layer=5, inset=inset)
+    draft.add_decal(top["front"], (0.06, 0.94), (0.10, 0.90), FacetMaterial.GLASS, layer=6, detail_px=5.0)
+    draft.add_decal(top["rear"], (0.08, 0.92), (0.18, 0.88), FacetMaterial.GLASS, layer=6, detail_px=5.0)
     for side, front_first in (("right", False), ("left", True)):
         doors = ((0.07, 0.48), (0.53, 0.95))
         for u in doors:
             low, high = (1 - u[1], 1 - u[0]) if front_first else u
-            draft.decal(top[side], (low, high), (0.12, 0.86), Role.GLASS, layer=6, detail_px=6.0)
+            draft.add_decal(top[side], (low, high), (0.12, 0.86), FacetMaterial.GLASS, layer=6, detail_px=6.0)
     return draft.shape()
 
 
-def _bus() -> Shape:
+def _build_bus() -> SolidShape:
     draft = SolidDraft()
-    draft.box((-0.48, 0.48), (-0.42, 0.42), (0.02, 0.12), Role.RUBBER, layer=0)
-    body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.09, 1.0), Role.PAINT, layer=1, inset=(0.004, 0.01, 0.03))
-    draft.decal(body["front"], (0.05, 0.95), (0.34, 0.86), Role.GLASS, layer=2, detail_px=5.0)
-    draft.decal(body["front"], (0.2, 0.8), (0.89, 0.97), Role.ORANGE, layer=2)
-    draft.decal(body["rear"], (0.12, 0.88), (0.50, 0.84), Role.GLASS, layer=2, detail_px=5.0)
+    draft.box((-0.48, 0.48), (-0.42, 0.42), (0.02, 0.12), FacetMaterial.RUBBER, layer=0)
+    body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.09, 1.0), FacetMaterial.PAINT, layer=1, inset=(0.004, 0.01, 0.03))
+    draft.add_decal(body["front"], (0.05, 0.95), (0.34, 0.86), FacetMaterial.GLASS, layer=2, detail_px=5.0)
+    draft.add_decal(body["front"], (0.2, 0.8), (0.89, 0.97), FacetMaterial.ORANGE, layer=2)
+    draft.add_decal(body["rear"], (0.12, 0.88), (0.50, 0.84), FacetMaterial.GLASS, layer=2, detail_px=5.0)
     for u in ((0.03, 0.2), (0.8, 0.97)):
-        draft.decal(body["front"], u, (0.08, 0.18), Role.HEAD_LAMP, layer=2, detail_px=4.0)
-        draft.decal(body["rear"], u, (0.12, 0.26), Role.TAIL_LAMP, layer=2, detail_px=4.0)
+        draft.add_decal(body["front"], u, (0.08, 0.18), FacetMaterial.HEAD_LAMP, layer=2, detail_px=4.0)
+        draft.add_decal(body["rear"], u, (0.12, 0.26), FacetMaterial.TAIL_LAMP, layer=2, detail_px=4.0)
     for side in ("left", "right"):
         for pane in range(7):
-            draft.decal(body[side], (0.03 + 0.135 * pane, 0.15 + 0.135 * pane), (0.42, 0.84), Role.GLASS, layer=2)
-        draft.decal(body[side], (0.0, 1.0), (0.14, 0.24), Role.CARGO, layer=2, detail_px=20.0)
-    draft.wheels((-0.28, 0.33), 0.046, 0.16, layer=3)
+            draft.add_decal(
+                body[side], (0.03 + 0.135 * pane, 0.15 + 0.135 * pane), (0.42, 0.84), FacetMaterial.GLASS, layer=2
+            )
+        draft.add_decal(body[side], (0.0, 1.0), (0.14, 0.24), FacetMaterial.CARGO, layer=2, detail_px=20.0)
+    draft.add_wheels((-0.28, 0.33), 0.046, 0.16, layer=3)
     return draft.shape()
 
 
-def _truck() -> Shape:
+def _build_truck() -> SolidShape:
     draft = SolidDraft(split=0.24)
-    draft.box((-0.49, 0.49), (-0.38, 0.38), (0.08, 0.20), Role.RUBBER, layer=0)
-    cargo = draft.box((-0.5, 0.22), (-0.5, 0.5), (0.19, 1.0), Role.CARGO, layer=1)
-    draft.decal(cargo["rear"], (0.47, 0.53), (0.04, 0.96), Role.METAL, layer=2)
+    draft.box((-0.49, 0.49), (-0.38, 0.38), (0.08, 0.20), FacetMaterial.RUBBER, layer=0)
+    cargo = draft.box((-0.5, 0.22), (-0.5, 0.5), (0.19, 1.0), FacetMaterial.CARGO, layer=1)
+    draft.add_decal(cargo["rear"], (0.47, 0.53), (0.04, 0.96), FacetMaterial.METAL, layer=2)
     for u in ((0.02, 0.16), (0.84, 0.98)):
-        draft.decal(cargo["rear"], u, (0.02, 0.12), Role.TAIL_LAMP, layer=2, detail_px=4.0)
+        draft.add_decal(cargo["rear"], u, (0.02, 0.12), FacetMaterial.TAIL_LAMP, layer=2, detail_px=4.0)
     for side in ("left", "right"):
-        draft.decal(cargo[side], (0.0, 1.0), (0.0, 0.07), Role.METAL, layer=2)
-    draft.wheels((-0.34, -0.22), 0.055, 0.16, layer=3)
-    cab = draft.box((0.26, 0.5), (-0.47, 0.47), (0.10, 0.82), Role.PAINT, layer=1, inset=(0.0, 0.035, 0.03), ahead=True)
-    draft.decal(cab["front"], (0.06, 0.94), (0.52, 0.92), Role.GLASS, layer=2, ahead=True, detail_px=5.0)
-    draft.decal(cab["front"], (0.25, 0.75), (0.16, 0.42), Role.RUBBER, layer=2, ahead=True)
+        draft.add_decal(cargo[side], (0.0, 1.0), (0.0, 0.07), FacetMaterial.METAL, layer=2)
+    draft.add_wheels((-0.34, -0.22), 0.055, 0.16, layer=3)
+    cab = draft.box(
+        (0.26, 0.5), (-0.47, 0.47), (0.10, 0.82), FacetMaterial.PAINT, layer=1, inset=(0.0, 0.035, 0.03), ahead=True
+    )
+    draft.add_decal(cab["front"], (0.06, 0.94), (0.52, 0.92), FacetMaterial.GLASS, layer=2, ahead=True, detail_px=5.0)
+    draft.add_decal(cab["front"], (0.25, 0.75), (0.16, 0.42), FacetMaterial.RUBBER, layer=2, ahead=True)
     for u in ((0.03, 0.2), (0.8, 0.97)):
-        draft.decal(cab["front"], u, (0.12, 0.26), Role.HEAD_LAMP, layer=2, ahead=True, detail_px=4.0)
+        draft.add_decal(cab["front"], u, (0.12, 0.26), FacetMaterial.HEAD_LAMP, layer=2, ahead=True, detail_px=4.0)
     for side, u in (("right", (0.35, 0.9)), ("left", (0.1, 0.65))):
-        draft.decal(cab[side], u, (0.55, 0.9), Role.GLASS, layer=2, ahead=True)
-    draft.wheels((0.36,), 0.055, 0.16, layer=3, ahead=True)
+        draft.add_decal(cab[side], u, (0.55, 0.9), FacetMaterial.GLASS, layer=2, ahead=True)
+    draft.add_wheels((0.36,), 0.055, 0.16, layer=3, ahead=True)
     return draft.shape()
 
 
-def _trailer() -> Shape:
+def _build_trailer() -> SolidShape:
     draft = SolidDraft()
-    draft.box((-0.48, 0.48), (-0.38, 0.38), (0.08, 0.28), Role.RUBBER, layer=0)
-    body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.26, 1.0), Role.CARGO, layer=1)
-    draft.decal(body["rear"], (0.47, 0.53), (0.04, 0.96), Role.METAL, layer=2)
+    draft.box((-0.48, 0.48), (-0.38, 0.38), (0.08, 0.28), FacetMaterial.RUBBER, layer=0)
+    body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.26, 1.0), FacetMaterial.CARGO, layer=1)
+    draft.add_decal(body["rear"], (0.47, 0.53), (0.04, 0.96), FacetMaterial.METAL, layer=2)
     for u in ((0.02, 0.16), (0.84, 0.98)):
-        draft.decal(body["rear"], u, (0.02, 0.12), Role.TAIL_LAMP, layer=2, detail_px=4.0)
-    draft.wheels((-0.36, -0.25), 0.05, 0.14, layer=3)
+        draft.add_decal(body["rear"], u, (0.02, 0.12), FacetMaterial.TAIL_LAMP, layer=2, detail_px=4.0)
+    draft.add_wheels((-0.36, -0.25), 0.05, 0.14, layer=3)
     return draft.shape()
 
 
-def _construction() -> Shape:
+def _build_construction_vehicle() -> SolidShape:
     draft = SolidDraft(split=0.1)
-    draft.box((-0.5, 0.1), (-0.5, 0.5), (0.0, 0.28), Role.RUBBER, layer=0)
-    draft.box((-0.5, 0.08), (-0.44, 0.44), (0.28, 0.62), Role.ORANGE, layer=1)
-    cabin = draft.box((-0.3, 0.05), (-0.34, 0.34), (0.62, 1.0), Role.ORANGE, layer=2, inset=(0.02, 0.02, 0.02))
+    draft.box((-0.5, 0.1), (-0.5, 0.5), (0.0, 0.28), FacetMaterial.RUBBER, layer=0)
+    draft.box((-0.5, 0.08), (-0.44, 0.44), (0.28, 0.62), FacetMaterial.ORANGE, layer=1)
+    cabin = draft.box((-0.3, 0.05), (-0.34, 0.34), (0.62, 1.0), FacetMaterial.ORANGE, layer=2, inset=(0.02, 0.02, 0.02))
     for side in ("front", "rear", "left", "right"):
-        draft.decal(cabin[side], (0.1, 0.9), (0.15, 0.85), Role.GLASS, layer=3)
-    draft.box((0.12, 0.5), (-0.2, 0.2), (0.2, 0.6), Role.ORANGE, layer=1, inset=(0.0, 0.1, 0.05), drop=0.2, ahead=True)
-    draft.wheels((-0.36, -0.06), 0.1, 0.18, layer=4)
+        draft.add_decal(cabin[side], (0.1, 0.9), (0.15, 0.85), FacetMaterial.GLASS, layer=3)
+    draft.box(
+        (0.12, 0.5),
+        (-0.2, 0.2),
+        (0.2, 0.6),
+        FacetMaterial.ORANGE,
+        layer=1,
+        inset=(0.0, 0.1, 0.05),
+        drop=0.2,
+        ahead=True,
+    )
+    draft.add_wheels((-0.36, -0.06), 0.1, 0.18, layer=4)
     return draft.shape()
 
 
-def _cycle(*, motor: bool) -> Shape:
+def _build_cycle(*, motor: bool) -> SolidShape:
     """Two wheels, a frame and a rider, who leans a little forward."""
     draft = SolidDraft()
     thick = 0.10 if motor else 0.06
     for x in (-0.33, 0.33):
-        draft.box((x - 0.13, x + 0.13), (-thick, thick), (0.02, 0.34), Role.RUBBER, layer=0, inset=(0.03, 0.03, 0.0))
-    draft.wheels((-0.33, 0.33), 0.17, 0.18, layer=0, side=thick + 0.005)
-    frame = draft.box((-0.36, 0.36), (-1.8 * thick, 1.8 * thick), (0.26, 0.52), Role.PAINT, layer=1)
-    draft.box((0.22, 0.30), (-0.45, 0.45), (0.56, 0.62), Role.METAL, layer=2, detail_px=12.0)
-    draft.decal(frame["front"], (0.1, 0.9), (0.5, 0.95), Role.HEAD_LAMP, layer=2, detail_px=8.0)
-    draft.decal(frame["rear"], (0.1, 0.9), (0.4, 0.8), Role.TAIL_LAMP, layer=2, detail_px=8.0)
-    draft.box((-0.16, 0.10), (-0.26, 0.26), (0.22, 0.52), Role.TROUSERS, layer=2)
-    draft.box((-0.18, 0.14), (-0.40, 0.40), (0.50, 0.84), Role.CLOTH, layer=3, inset=(0.06, -0.02, 0.06))
-    head = draft.box((-0.03, 0.14), (-0.17, 0.17), (0.85, 1.0), Role.HAIR, layer=4, inset=(0.02, 0.02, 0.04))
-    draft.decal(head["front"], (0.1, 0.9), (0.1, 0.7), Role.SKIN, layer=5)
+        draft.box(
+            (x - 0.13, x + 0.13), (-thick, thick), (0.02, 0.34), FacetMaterial.RUBBER, layer=0, inset=(0.03, 0.03, 0.0)
+        )
+    draft.add_wheels((-0.33, 0.33), 0.17, 0.18, layer=0, side=thick + 0.005)
+    frame = draft.box((-0.36, 0.36), (-1.8 * thick, 1.8 * thick), (0.26, 0.52), FacetMaterial.PAINT, layer=1)
+    draft.box((0.22, 0.30), (-0.45, 0.45), (0.56, 0.62), FacetMaterial.METAL, layer=2, detail_px=12.0)
+    draft.add_decal(frame["front"], (0.1, 0.9), (0.5, 0.95), FacetMaterial.HEAD_LAMP, layer=2, detail_px=8.0)
+    draft.add_decal(frame["rear"], (0.1, 0.9), (0.4, 0.8), FacetMaterial.TAIL_LAMP, layer=2, detail_px=8.0)
+    draft.box((-0.16, 0.10), (-0.26, 0.26), (0.22, 0.52), FacetMaterial.TROUSERS, layer=2)
+    draft.box((-0.18, 0.14), (-0.40, 0.40), (0.50, 0.84), FacetMaterial.CLOTH, layer=3, inset=(0.06, -0.02, 0.06))
+    head = draft.box((-0.03, 0.14), (-0.17, 0.17), (0.85, 1.0), FacetMaterial.HAIR, layer=4, inset=(0.02, 0.02, 0.04))
+    draft.add_decal(head["front"], (0.1, 0.9), (0.1, 0.7), FacetMaterial.SKIN, layer=5)
     return draft.shape()
 
 
-def _pedestrian() -> Shape:
+def _build_pedestrian() -> SolidShape:
     draft = SolidDraft()
     for y in (-0.17, 0.17):
-        draft.box((-0.18, 0.18), (y - 0.13, y + 0.13), (0.0, 0.48), Role.TROUSERS, layer=0)
-    draft.box((-0.24, 0.24), (-0.38, 0.38), (0.45, 0.83), Role.CLOTH, layer=1, inset=(0.03, 0.03, 0.05))
+        draft.box((-0.18, 0.18), (y - 0.13, y + 0.13), (0.0, 0.48), FacetMaterial.TROUSERS, layer=0)
+    draft.box((-0.24, 0.24), (-0.38, 0.38), (0.45, 0.83), FacetMaterial.CLOTH, layer=1, inset=(0.03, 0.03, 0.05))
     for y in (-0.43, 0.43):
-        draft.box((-0.12, 0.12), (y - 0.07, y + 0.07), (0.42, 0.81), Role.CLOTH, layer=1, detail_px=16.0)
-    head = draft.box((-0.19, 0.19), (-0.17, 0.17), (0.86, 1.0), Role.HAIR, layer=2, inset=(0.04, 0.04, 0.03))
-    draft.decal(head["front"], (0.0, 1.0), (0.0, 0.75), Role.SKIN, layer=3, detail_px=8.0)
+        draft.box((-0.12, 0.12), (y - 0.07, y + 0.07), (0.42, 0.81), FacetMaterial.CLOTH, layer=1, detail_px=16.0)
+    head = draft.box((-0.19, 0.19), (-0.17, 0.17), (0.86, 1.0), FacetMaterial.HAIR, layer=2, inset=(0.04, 0.04, 0.03))
+    draft.add_decal(head["front"], (0.0, 1.0), (0.0, 0.75), FacetMaterial.SKIN, layer=3, detail_px=8.0)
     for side, u in (("left", (0.0, 0.6)), ("right", (0.4, 1.0))):
-        draft.decal(head[side], u, (0.0, 0.6), Role.SKIN, layer=3, detail_px=16.0)
+        draft.add_decal(head[side], u, (0.0, 0.6), FacetMaterial.SKIN, layer=3, detail_px=16.0)
     return draft.shape()
 
 
-def _cone() -> Shape:
+def _build_cone() -> SolidShape:
     draft = SolidDraft()
-    draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 0.07), Role.RUBBER, layer=0)
+    draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 0.07), FacetMaterial.RUBBER, layer=0)
     inset = 0.15
-    lower = draft.box((-0.36, 0.36), (-0.36, 0.36), (0.07, 1.0), Role.ORANGE, layer=1, inset=(0.27, 0.27, 0.27))
+    lower = draft.box(
+        (-0.36, 0.36), (-0.36, 0.36), (0.07, 1.0), FacetMaterial.ORANGE, layer=1, inset=(0.27, 0.27, 0.27)
+    )
     for side in ("front", "rear", "left", "right"):
-        draft.decal(lower[side], (0.0, 1.0), (0.45, 0.45 + inset), Role.WHITE, layer=2, detail_px=6.0)
+        draft.add_decal(lower[side], (0.0, 1.0), (0.45, 0.45 + inset), FacetMaterial.WHITE, layer=2, detail_px=6.0)
     return draft.shape()
 
 
-def _barrier() -> Shape:
+def _build_barrier() -> SolidShape:
     draft = SolidDraft()
-    body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0), Role.WHITE, layer=0, inset=(0.1, 0.1, 0.05))
+    body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0), FacetMaterial.WHITE, layer=0, inset=(0.1, 0.1, 0.05))
     for side in ("front", "rear", "left", "right"):
         for stripe in range(3):
             u = (0.04 + 0.34 * stripe, 0.20 + 0.34 * stripe)
-            draft.decal(body[side], u, (0.3, 0.9), Role.ORANGE, layer=1, detail_px=6.0)
+            draft.add_decal(body[side], u, (0.3, 0.9), FacetMaterial.ORANGE, layer=1, detail_px=6.0)
     return draft.shape()
 
 
-def _lump(role: Role) -> Shape:
+def _build_crate(role: FacetMaterial) -> SolidShape:
     draft = SolidDraft()
     draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0), role, layer=0, inset=(0.08, 0.08, 0.08))
     return draft.shape()
 
 
-def _emergency(base: Shape) -> Shape:
+def _add_emergency_lights(base: SolidShape) -> SolidShape:
     draft = SolidDraft()
-    draft.box((-0.14, -0.04), (-0.34, 0.34), (1.0, 1.08), Role.BEACON, layer=8)
+    draft.box((-0.14, -0.04), (-0.34, 0.34), (1.0, 1.08), FacetMaterial.BEACON, layer=8)
     bar = draft.shape()
-    joined = {name: np.concatenate([getattr(base, name), getattr(bar, name)]) for name in Shape.__slots__[:-1]}
-    return Shape(**joined, split=base.split)
+    joined = {name: np.concatenate([getattr(base, name), getattr(bar, name)]) for name in SolidShape.__slots__[:-1]}
+    return SolidShape(**joined, split=base.split)
 
 
 @functools.cache
-def _shapes() -> dict[str, Shape]:
-    sedan = _car((-0.38, 0.24), (0.13, 0.17, 0.09), bonnet_drop=0.05, belt=0.60)
+def _build_shapes() -> dict[str, SolidShape]:
+    sedan = _build_car((-0.38, 0.24), (0.13, 0.17, 0.09), bonnet_drop=0.05, belt=0.60)
     return {
         "sedan": sedan,
-        "suv": _car((-0.48, 0.22), (0.05, 0.14, 0.08), bonnet_drop=0.03, belt=0.60),
-        "van": _car((-0.49, 0.36), (0.01, 0.12, 0.05), bonnet_drop=0.06, belt=0.50),
-        "truck": _truck(),
-        "bus": _bus(),
-        "trailer": _trailer(),
-        "construction": _construction(),
-        "emergency": _emergency(sedan),
-        "motorcycle": _cycle(motor=True),
-        "bicycle": _cycle(motor=False),
-        "pedestrian": _pedestrian(),
-        "cone": _cone(),
-        "barrier": _barrier(),
-        "crate": _lump(Role.CARGO),
-        "rack": _lump(Role.METAL),
-        "animal": _lump(Role.HAIR),
+        "suv": _build_car((-0.48, 0.22), (0.05, 0.14, 0.08), bonnet_drop=0.03, belt=0.60),
+        "van": _build_car((-0.49, 0.36), (0.01, 0.12, 0.05), bonnet_drop=0.06, belt=0.50),
+        "truck": _build_truck(),
+        "bus": _build_bus(),
+        "trailer": _build_trailer(),
+        "construction": _build_construction_vehicle(),
+        "emergency": _add_emergency_lights(sedan),
+        "motorcycle": _build_cycle(motor=True),
+        "bicycle": _build_cycle(motor=False),
+        "pedestrian": _build_pedestrian(),
+        "cone": _build_cone(),
+        "barrier": _build_barrier(),
+        "crate": _build_crate(FacetMaterial.CARGO),
+        "rack": _build_crate(FacetMaterial.METAL),
+        "animal": _build_crate(FacetMaterial.HAIR),
     }
 
 
-def shape_named(name: str) -> Shape:
-    """A shape by the name that `shape_name` gives."""
-    return _shapes()[name]
+def get_shape(name: str) -> SolidShape:
+    """A shape by the name that `choose_shape_name` gives."""
+    return _build_shapes()[name]
 
 
-def shape_name(category: str, size: Floats) -> str:
-    """Name of an object's shape, for `shape_named`; an unknown category is a crate.
+def choose_shape_name(category: str, size: Floats) -> str:
+    """Name of an object's shape, for `get_shape`; an unknown category is a crate.
 
     ``size`` is length, width, height, metres.
     """

@@ -14,13 +14,13 @@ from benchmark.geometry import Bools, Floats, wrap_angle
 from generation.render.schematic.atmosphere import Atmosphere
 from generation.render.schematic.painting import SHIFT, to_fixed_point
 from generation.render.schematic.surroundings import Facets
-from generation.render.schematic.view import NEAR_M, View, clip_near
+from generation.render.schematic.view import NEAR_M, PlacedCamera, clip_near
 
 _NEXT = (1, 2, 3, 0)
 """Of each corner the one that follows."""
 
 
-def drawing_order(footprints: Floats, eye: Floats) -> list[int]:
+def compute_drawing_order(footprints: Floats, eye: Floats) -> list[int]:
     """Order upright convex solids so that each is drawn after everything that it can hide.
 
     Of two solids seen in the same direction, the one whose farthest point is nearer than the other's nearest point
@@ -31,12 +31,12 @@ def drawing_order(footprints: Floats, eye: Floats) -> list[int]:
     behind = _is_behind(np.asarray(footprints, np.float64) - np.asarray(eye, np.float64))
     offset = footprints - eye
     farthest = np.hypot(offset[..., 0], offset[..., 1]).max(axis=1, initial=0.0)
-    return _topological(behind, farthest)
+    return _sort_topologically(behind, farthest)
 
 
 def _is_behind(corners: Floats) -> Bools:
     """(N, N) whether the first solid must be drawn before the second; corners relative to the eye."""
-    nearest, farthest = _distances(corners)
+    nearest, farthest = _compute_distances(corners)
     centre = corners.mean(axis=1)
     bearing = np.arctan2(centre[:, 1], centre[:, 0])
     spread = wrap_angle(np.arctan2(corners[..., 1], corners[..., 0]) - bearing[:, None])
@@ -51,13 +51,13 @@ def _is_behind(corners: Floats) -> Bools:
     unclear = np.argwhere(np.triu(same_direction & ~behind & ~behind.T))
     if len(unclear):
         first, second = unclear.T
-        first_is_behind = _first_is_behind(corners[first], corners[second])
+        first_is_behind = _is_first_behind(corners[first], corners[second])
         behind[first, second] = first_is_behind
         behind[second, first] = ~first_is_behind
     return np.asarray(behind)
 
 
-def _distances(corners: Floats) -> tuple[Floats, Floats]:
+def _compute_distances(corners: Floats) -> tuple[Floats, Floats]:
     """Nearest and farthest distance of each footprint from the eye; zero where the eye is inside."""
     side = corners[:, _NEXT] - corners
     length_sq = np.maximum((side**2).sum(axis=-1), 1e-12)
@@ -68,7 +68,7 @@ def _distances(corners: Floats) -> tuple[Floats, Floats]:
     return np.where(inside, 0.0, nearest), np.hypot(corners[..., 0], corners[..., 1]).max(axis=1)
 
 
-def _first_is_behind(first: Floats, second: Floats) -> Bools:
+def _is_first_behind(first: Floats, second: Floats) -> Bools:
     """(P,) verdicts for pairs whose distances overlap; the eye is the origin."""
     centre_distance = [np.hypot(*shape.mean(axis=1).T) for shape in (first, second)]
     verdict = np.asarray(centre_distance[0] > centre_distance[1])
@@ -88,7 +88,7 @@ def _first_is_behind(first: Floats, second: Floats) -> Bools:
     return verdict
 
 
-def _topological(behind: Bools, farthest: Floats) -> list[int]:
+def _sort_topologically(behind: Bools, farthest: Floats) -> list[int]:
     """Far to near; a cycle (solids that interlock) is opened at its farthest member."""
     waiting = behind.sum(axis=0).tolist()
     in_front: list[list[int]] = [[] for _ in range(len(behind))]
@@ -118,15 +118,15 @@ def _topological(behind: Bools, farthest: Floats) -> list[int]:
 _PART_STEP = 64
 
 
-def draw_standing(image: NDArray[np.uint8], view: View, facets: Facets, colours: NDArray[np.uint8]) -> None:
+def draw_solids(image: NDArray[np.uint8], view: PlacedCamera, facets: Facets, colours: NDArray[np.uint8]) -> None:
     """Draw solids with correct occlusion into an (h, w, 3) RGB backdrop.
 
     ``colours`` are (Q, 3) as seen, from `facets.seen_colours`.
     """
-    in_view = _solids_in_view(view, facets)
+    in_view = _find_solids_in_view(view, facets)
     if not len(in_view):
         return
-    order = in_view[drawing_order(facets.footprint[in_view], view.eye[:2])]
+    order = in_view[compute_drawing_order(facets.footprint[in_view], view.eye[:2])]
     rank = np.full(len(facets.footprint), -1)
     rank[order] = np.arange(len(order))
     depth = np.maximum((facets.centre - view.eye) @ view.rotation[2], 1.0)
@@ -143,7 +143,7 @@ def draw_standing(image: NDArray[np.uint8], view: View, facets: Facets, colours:
     _fill(image, view, facets, colours, drawn)
 
 
-def draw_shadows(image: NDArray[np.uint8], view: View, footprints: Floats, air: Atmosphere) -> None:
+def draw_shadows(image: NDArray[np.uint8], view: PlacedCamera, footprints: Floats, air: Atmosphere) -> None:
     """Darken the ground under and beside vehicles, softly, in place.
 
     ``image`` is (h, w, 3) RGB, nothing standing drawn yet; ``footprints`` are (N, 4, 2).
@@ -156,7 +156,7 @@ def draw_shadows(image: NDArray[np.uint8], view: View, footprints: Floats, air: 
     parts = [centre + (footprints - centre) * grow + lean * offset for grow, offset in ((1.10, 1.0), (1.0, 0.4))]
     outline = np.concatenate(parts)
     ground = np.concatenate([outline, np.full((*outline.shape[:2], 1), view.ground_z)], axis=-1)
-    visible, polygons = _on_image(view, view.to_camera(ground))
+    visible, polygons = _project_to_image(view, view.to_camera(ground))
     if not len(visible):
         return
     mask = np.full(image.shape[:2], 255, dtype=np.uint8)
@@ -164,14 +164,16 @@ def draw_shadows(image: NDArray[np.uint8], view: View, footprints: Floats, air: 
         share = 0.45 if index < len(footprints) else 1.0
         cv2.fillConvexPoly(mask, pixels, (255 * (1 - share * air.shadow),), cv2.LINE_AA, SHIFT)
     size = max(3, image.shape[0] // 64 | 1)
-    part = _around(polygons, size + 2, image.shape)
+    part = _compute_image_window(polygons, size + 2, image.shape)
     if not image[part].size:
         return
     soft = cv2.blur(mask[part], (size, size))
     image[part] = cv2.multiply(image[part], cv2.merge([soft, soft, soft]), scale=1.0 / 255.0)
 
 
-def _around(polygons: list[NDArray[np.int32]], margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+def _compute_image_window(
+    polygons: list[NDArray[np.int32]], margin: int, shape: tuple[int, ...]
+) -> tuple[slice, slice]:
     """Rows and columns of an image that polygons in fixed point lie in, with a margin in pixels."""
     points = np.concatenate(polygons) >> SHIFT
     (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
@@ -180,18 +182,18 @@ def _around(polygons: list[NDArray[np.int32]], margin: int, shape: tuple[int, ..
     return rows, columns
 
 
-def _solids_in_view(view: View, facets: Facets) -> NDArray[np.int64]:
+def _find_solids_in_view(view: PlacedCamera, facets: Facets) -> NDArray[np.int64]:
     """Indices of solids whose sphere touches the view's pyramid."""
     if not len(facets.footprint):
         return np.zeros(0, dtype=np.int64)
     in_camera = view.to_camera(facets.centre)
-    sides = _pyramid(view.camera.width, view.camera.height, view.camera.intrinsic.tobytes())
+    sides = _compute_view_pyramid(view.camera.width, view.camera.height, view.camera.intrinsic.tobytes())
     inside = (in_camera @ sides.T > -facets.radius[:, None]).all(axis=1) & (in_camera[:, 2] > NEAR_M - facets.radius)
     return np.flatnonzero(inside)
 
 
 @functools.lru_cache(maxsize=64)
-def _pyramid(width: int, height: int, intrinsic: bytes) -> Floats:
+def _compute_view_pyramid(width: int, height: int, intrinsic: bytes) -> Floats:
     """(4, 3) inward normals of the sides of what a camera sees, in camera axes."""
     corners = np.array([[0, 0, 1], [width, 0, 1], [width, height, 1], [0, height, 1]], dtype=np.float64)
     rays = corners @ np.linalg.inv(np.frombuffer(intrinsic, np.float64).reshape(3, 3)).T
@@ -199,7 +201,7 @@ def _pyramid(width: int, height: int, intrinsic: bytes) -> Floats:
     return np.asarray(sides / np.linalg.norm(sides, axis=1, keepdims=True))
 
 
-def _on_image(view: View, in_camera: Floats) -> tuple[NDArray[np.int64], list[NDArray[np.int32]]]:
+def _project_to_image(view: PlacedCamera, in_camera: Floats) -> tuple[NDArray[np.int64], list[NDArray[np.int32]]]:
     """Which quadrilaterals (Q, 4, 3) can touch the image, and their pixels, clipped at the near plane."""
     depth = in_camera[..., 2]
     ahead = depth > NEAR_M
@@ -218,9 +220,9 @@ def _on_image(view: View, in_camera: Floats) -> tuple[NDArray[np.int64], list[ND
 
 
 def _fill(
-    image: NDArray[np.uint8], view: View, facets: Facets, colours: NDArray[np.uint8], drawn: NDArray[np.int64]
+    image: NDArray[np.uint8], view: PlacedCamera, facets: Facets, colours: NDArray[np.uint8], drawn: NDArray[np.int64]
 ) -> None:
-    visible, polygons = _on_image(view, view.to_camera(facets.quads[drawn]))
+    visible, polygons = _project_to_image(view, view.to_camera(facets.quads[drawn]))
     drawn = drawn[visible]
     batch = facets.batch[drawn]
     starts = np.flatnonzero(np.diff(batch, prepend=-1)).tolist()

@@ -24,15 +24,15 @@ from numpy.typing import NDArray
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
 from generation.render.schematic.atmosphere import Atmosphere, Rgb
-from generation.render.schematic.painting import Coat
+from generation.render.schematic.painting import PaintCoat
 
 _LEVELS: Final = 256
 _NOISE_TILE: Final = 512
 
 
 @dataclass(frozen=True, slots=True)
-class Pipeline:
-    """Effects of a camera on the light that reaches it; see `developed`.
+class CameraPipeline:
+    """Effects of a camera on the light that reaches it; see `develop`.
 
     Attributes:
         blur: Standard deviation of the lens's blur, as a share of the image's width.
@@ -54,7 +54,7 @@ class Pipeline:
 
 
 @dataclass(frozen=True, slots=True)
-class Style:
+class DrawingStyle:
     """Way of drawing a scene beyond its content.
 
     Attributes:
@@ -79,12 +79,12 @@ class Style:
     shadow: float = 1.0
     haze: float = 1.0
     sky: Rgb = (1.0, 1.0, 1.0)
-    surfaces: Mapping[Coat, Rgb] = field(default_factory=dict)
+    surfaces: Mapping[PaintCoat, Rgb] = field(default_factory=dict)
     fine_grain: float = 4.0
     patches: float = 5.0
-    pipeline: Pipeline | None = None
+    pipeline: CameraPipeline | None = None
 
-    def lit(self, air: Atmosphere) -> Atmosphere:
+    def apply_light(self, air: Atmosphere) -> Atmosphere:
         """Light and weather of the first style, lit as in this one."""
         cos, sin = np.cos(self.sun_turn_rad), np.sin(self.sun_turn_rad)
         x, y, z = air.sun
@@ -94,17 +94,17 @@ class Style:
             sun_share=self.sun_share * air.sun_share,
             shadow=self.shadow * air.shadow,
             haze_m=self.haze * air.haze_m,
-            sky=tinted(air.sky, self.sky),
-            haze=tinted(air.haze, self.sky),
+            sky=tint(air.sky, self.sky),
+            haze=tint(air.haze, self.sky),
         )
 
-    def surface(self, coat: Coat, colour: Rgb) -> Rgb:
+    def surface(self, coat: PaintCoat, colour: Rgb) -> Rgb:
         """Colour of a surface in this style."""
-        return tinted(colour, self.surfaces[coat]) if coat in self.surfaces else colour
+        return tint(colour, self.surfaces[coat]) if coat in self.surfaces else colour
 
 
-FIRST: Final = Style()
-SECOND: Final = Style(
+FIRST: Final = DrawingStyle()
+SECOND: Final = DrawingStyle(
     name="restyled",
     salt=("restyled",),
     sun_turn_rad=2.1,
@@ -114,16 +114,16 @@ SECOND: Final = Style(
     haze=0.8,
     sky=(1.04, 0.97, 0.90),
     surfaces={
-        Coat.CAR_PARK: (0.92, 0.90, 0.88),
-        Coat.PAVEMENT: (0.90, 0.92, 0.95),
-        Coat.KERB: (0.93, 0.93, 0.93),
-        Coat.ROAD: (1.12, 1.09, 1.05),
-        Coat.WHITE: (0.93, 0.92, 0.88),
-        Coat.YELLOW: (0.95, 0.98, 1.05),
+        PaintCoat.CAR_PARK: (0.92, 0.90, 0.88),
+        PaintCoat.PAVEMENT: (0.90, 0.92, 0.95),
+        PaintCoat.KERB: (0.93, 0.93, 0.93),
+        PaintCoat.ROAD: (1.12, 1.09, 1.05),
+        PaintCoat.WHITE: (0.93, 0.92, 0.88),
+        PaintCoat.YELLOW: (0.95, 0.98, 1.05),
     },
     fine_grain=7.0,
     patches=8.0,
-    pipeline=Pipeline(
+    pipeline=CameraPipeline(
         blur=0.0012,
         vignette=0.30,
         white_balance=(1.05, 1.0, 0.93),
@@ -137,21 +137,21 @@ STYLES: Final = {style.name: style for style in (FIRST, SECOND)}
 """By name."""
 
 
-def tinted(colour: Rgb, factor: Rgb) -> Rgb:
+def tint(colour: Rgb, factor: Rgb) -> Rgb:
     """A colour times a factor for each channel, at most white."""
     red, green, blue = (min(value * by, 255.0) for value, by in zip(colour, factor))
     return red, green, blue
 
 
-def developed(image: NDArray[np.uint8], pipeline: Pipeline, seed: int) -> NDArray[np.uint8]:
+def develop(image: NDArray[np.uint8], pipeline: CameraPipeline, seed: int) -> NDArray[np.uint8]:
     """Picture that a camera delivers of a sharp one without noise, (H, W, 3) RGB."""
     height, width = image.shape[:2]
-    curve, deviation = _tables(pipeline)
+    curve, deviation = _build_tables(pipeline)
     light = cv2.LUT(cv2.GaussianBlur(image, (0, 0), pipeline.blur * width), curve)
-    light = cv2.multiply(light, _falloff(height, width, pipeline.vignette), dst=light)
+    light = cv2.multiply(light, _compute_falloff(height, width, pipeline.vignette), dst=light)
     # The noise of a sensor follows what falls on it: a table by the grey level. Light is never below nothing.
     spread = cv2.LUT(np.minimum(light, 255.0).astype(np.uint8), deviation)
-    spread = cv2.multiply(spread, _noise(height, width, seed), dst=spread)
+    spread = cv2.multiply(spread, _select_noise(height, width, seed), dst=spread)
     # The sum is rounded to even and cut to 0..255 on its way into bytes.
     exposed = cv2.add(light, spread, dtype=cv2.CV_8U)
     options = [cv2.IMWRITE_JPEG_QUALITY, pipeline.jpeg_quality]
@@ -160,7 +160,7 @@ def developed(image: NDArray[np.uint8], pipeline: Pipeline, seed: int) -> NDArra
 
 
 @functools.lru_cache(maxsize=4)
-def _tables(pipeline: Pipeline) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _build_tables(pipeline: CameraPipeline) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(256, 1, 3) tone curve with white balance, and (256,) deviation of the noise, by grey level."""
     level = np.arange(_LEVELS, dtype=np.float64)
     tone = 255.0 * (level / 255.0) ** pipeline.gamma
@@ -169,28 +169,28 @@ def _tables(pipeline: Pipeline) -> tuple[NDArray[np.float32], NDArray[np.float32
 
 
 @functools.lru_cache(maxsize=8)
-def _falloff(height: int, width: int, lost: float) -> NDArray[np.float32]:
+def _compute_falloff(height: int, width: int, lost: float) -> NDArray[np.float32]:
     """(H, W, 3) share of the light that arrives, the same in every channel."""
     y, x = np.mgrid[:height, :width]
     radius = np.hypot((2 * x + 1 - width) / width, (2 * y + 1 - height) / height) / np.sqrt(2.0)
     return np.repeat((1.0 - lost * radius**3)[..., None].astype(np.float32), 3, axis=-1)
 
 
-def _noise(height: int, width: int, seed: int) -> NDArray[np.float32]:
+def _select_noise(height: int, width: int, seed: int) -> NDArray[np.float32]:
     """(H, W, 3) normal noise: a fixed tile, laid from another corner each time; to be read, not to be written."""
     down, right = np.random.default_rng(seed).integers(0, _NOISE_TILE, 2).tolist()
-    return _tiled_noise(height, width)[down : down + height, right : right + width]
+    return _build_tiled_noise(height, width)[down : down + height, right : right + width]
 
 
 @functools.lru_cache(maxsize=2)
-def _tiled_noise(height: int, width: int) -> NDArray[np.float32]:
+def _build_tiled_noise(height: int, width: int) -> NDArray[np.float32]:
     """The tile side by side, so that a picture can be cut out from every corner of the first."""
     random = np.random.default_rng(content_seed("sensor noise"))
     tile = random.standard_normal((_NOISE_TILE, _NOISE_TILE, 3), dtype=np.float32)
     return np.pad(tile, ((0, height), (0, width), (0, 0)), mode="wrap")
 
 
-def grain_tile(count: int, resolution_m: float, style: Style) -> NDArray[np.uint8]:
+def build_grain_tile(count: int, resolution_m: float, style: DrawingStyle) -> NDArray[np.uint8]:
     """The roughness of real surfaces as grey noise around 128: fine grain and soft patches, seamless at its edges.
 
     (count, count, 3).

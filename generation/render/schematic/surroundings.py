@@ -15,7 +15,7 @@ from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap
 from benchmark.machine.storage import content_seed
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
-from generation.render.schematic.atmosphere import Atmosphere, facade
+from generation.render.schematic.atmosphere import Atmosphere, choose_facade
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Facets:
     split: Floats
 
     @classmethod
-    def none(cls) -> "Facets":
+    def empty(cls) -> "Facets":
         """No facets."""
         return cls(
             np.zeros((0, 4, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.bool_), np.zeros(0, np.int64),
@@ -63,7 +63,7 @@ class Facets:
             np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3)),
         )  # fmt: skip
 
-    def solids(self, chosen: NDArray[np.int64]) -> tuple["Facets", NDArray[np.int64]]:
+    def select_solids(self, chosen: NDArray[np.int64]) -> tuple["Facets", NDArray[np.int64]]:
         """Some of the solids, renumbered, and the indices of their facets; ``chosen`` are rising."""
         renumbered = np.full(len(self.footprint), -1)
         renumbered[chosen] = np.arange(len(chosen))
@@ -78,10 +78,10 @@ _BY_SOLID = ("footprint", "centre", "height", "radius", "split")
 _BY_FACET = ("quads", "normal", "colour", "glows", "solid", "layer", "ahead", "detail_px", "batch")
 
 
-def joined(parts: list[Facets]) -> Facets:
+def join_facets(parts: list[Facets]) -> Facets:
     """Several sets of facets as one; solids and batches are renumbered."""
     if not parts:
-        return Facets.none()
+        return Facets.empty()
     fields = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_SOLID + _BY_FACET}
     solid_starts = np.cumsum([0] + [len(part.footprint) for part in parts])
     batch_starts = np.cumsum([0] + [int(part.batch.max(initial=-1)) + 1 for part in parts])
@@ -90,13 +90,13 @@ def joined(parts: list[Facets]) -> Facets:
     return Facets(**fields)
 
 
-def unit_normals(quads: Floats) -> Floats:
+def compute_unit_normals(quads: Floats) -> Floats:
     """Outward unit normals, (..., 3), of (..., 4, 3) corners from the diagonals; zero where degenerate."""
     normal = np.cross(quads[..., 2, :] - quads[..., 0, :], quads[..., 3, :] - quads[..., 1, :])
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12))
 
 
-def seen_colours(facets: Facets, air: Atmosphere, ego_pose: Floats) -> NDArray[np.uint8]:
+def compute_seen_colours(facets: Facets, air: Atmosphere, ego_pose: Floats) -> NDArray[np.uint8]:
     """Colours, (Q, 3) RGB, after light, head lamps and haze.
 
     Head lamps and distance refer to the (3,) planar pose.
@@ -109,7 +109,7 @@ def seen_colours(facets: Facets, air: Atmosphere, ego_pose: Floats) -> NDArray[n
     offset = facets.centre[:, :2] - ego_pose[:2]
     cos, sin = np.cos(ego_pose[2]), np.sin(ego_pose[2])
     ahead, left = offset[:, 0] * cos + offset[:, 1] * sin, offset[:, 1] * cos - offset[:, 0] * sin
-    beam = air.beam_at(ahead, left)[facets.solid]
+    beam = air.compute_beam(ahead, left)[facets.solid]
     # The lamps light what faces the ego.
     towards = -(facets.normal[:, 0] * offset[facets.solid, 0] + facets.normal[:, 1] * offset[facets.solid, 1])
     beam = beam * np.clip(towards / np.maximum(np.hypot(*offset[facets.solid].T), 1e-6), 0.15, 1.0)
@@ -131,25 +131,25 @@ _FOLIAGE = ((74, 112, 58), (88, 122, 60), (62, 100, 62), (108, 128, 66))
 
 
 @dataclass(frozen=True, slots=True)
-class Plot:
+class BuildingPlots:
     """Places where something may stand: (P, 5) global footprints, and P seeds, made of the place."""
 
     boxes: Floats
     seeds: list[int]
 
-    def where(self, kept: Bools) -> "Plot":
+    def where(self, kept: Bools) -> "BuildingPlots":
         """Only some places."""
-        return Plot(self.boxes[kept], [seed for seed, keep in zip(self.seeds, kept) if keep])
+        return BuildingPlots(self.boxes[kept], [seed for seed, keep in zip(self.seeds, kept) if keep])
 
 
-def surroundings(scene: Scene, *, lamps: bool, salt: tuple[str, ...] = ()) -> Facets:
+def build_roadside(scene: Scene, *, lamps: bool, salt: tuple[str, ...] = ()) -> Facets:
     """One solid per building or tree beside the road along the way of the ego; none where the map has no road.
 
     ``lamps`` lights windows; ``salt`` of a style goes into the colours of facades.
     """
     road_map = scene.road_map
     if road_map.drivable_area.is_empty:
-        return Facets.none()
+        return Facets.empty()
     path = shapely.LineString(scene.ego.position[:, :2]) if len(scene.ego.position) > 1 else None
     if path is None or path.length == 0.0:
         path = shapely.Point(scene.ego.position[0, :2])
@@ -157,20 +157,20 @@ def surroundings(scene: Scene, *, lamps: bool, salt: tuple[str, ...] = ()) -> Fa
     bounds = region.bounds
     nearby = road_map.near((bounds[0] - 40, bounds[1] - 40, bounds[2] + 40, bounds[3] + 40))
     if nearby.drivable_area.is_empty:
-        return Facets.none()
+        return Facets.empty()
     paved = shapely.union_all(
         [nearby.drivable_area, *nearby.walkways.values(), *nearby.ped_crossings.values(), *nearby.carparks.values()]
     )
-    occupied = _occupied(scene, bounds)
-    buildings = _building_plots(nearby, region, paved)
-    buildings = buildings.where(~_stands_on(buildings.boxes, occupied, 1.0))
-    trees = _tree_plots(nearby, region, paved, buildings.boxes)
-    trees = trees.where(~_stands_on(trees.boxes, occupied, 0.8))
-    parts = [_building(box, seed, lamps=lamps, salt=salt) for box, seed in zip(buildings.boxes, buildings.seeds)]
-    return joined(parts + [_tree(box, seed) for box, seed in zip(trees.boxes, trees.seeds)])
+    occupied = _find_occupied_points(scene, bounds)
+    buildings = _find_building_plots(nearby, region, paved)
+    buildings = buildings.where(~_is_occupied(buildings.boxes, occupied, 1.0))
+    trees = _find_tree_plots(nearby, region, paved, buildings.boxes)
+    trees = trees.where(~_is_occupied(trees.boxes, occupied, 0.8))
+    parts = [_build_building(box, seed, lamps=lamps, salt=salt) for box, seed in zip(buildings.boxes, buildings.seeds)]
+    return join_facets(parts + [_build_tree(box, seed) for box, seed in zip(trees.boxes, trees.seeds)])
 
 
-def _occupied(scene: Scene, bounds: tuple[float, float, float, float]) -> shapely.MultiPoint:
+def _find_occupied_points(scene: Scene, bounds: tuple[float, float, float, float]) -> shapely.MultiPoint:
     """Every place where an agent or the ego ever is: sources also annotate what is beside their maps."""
     agents = scene.agents.position[..., :2][scene.agents.valid]
     points = np.unique(np.round(np.concatenate([agents, scene.ego.position[:, :2]]) * 2) / 2, axis=0)
@@ -178,7 +178,7 @@ def _occupied(scene: Scene, bounds: tuple[float, float, float, float]) -> shapel
     return shapely.MultiPoint(points[inside])
 
 
-def _stands_on(boxes: Floats, occupied: shapely.MultiPoint, margin_m: float) -> Bools:
+def _is_occupied(boxes: Floats, occupied: shapely.MultiPoint, margin_m: float) -> Bools:
     """(P,) whether an occupied point is within a margin of a box."""
     if not len(boxes):
         return np.zeros(0, dtype=np.bool_)
@@ -187,7 +187,7 @@ def _stands_on(boxes: Floats, occupied: shapely.MultiPoint, margin_m: float) -> 
     return np.isin(np.arange(len(boxes)), hits)
 
 
-def _cells(region: shapely.Geometry, size_m: float, kind: str, location: str) -> tuple[Floats, Floats, list[int]]:
+def _build_cells(region: shapely.Geometry, size_m: float, kind: str, location: str) -> tuple[Floats, Floats, list[int]]:
     """Cell centres in a region, four random numbers and a seed for each, all made of the place alone."""
     x_min, y_min, x_max, y_max = region.bounds
     columns = np.arange(np.floor(x_min / size_m), np.ceil(x_max / size_m)).astype(np.int64)
@@ -200,7 +200,7 @@ def _cells(region: shapely.Geometry, size_m: float, kind: str, location: str) ->
     return centres[inside], draws, seeds
 
 
-def _towards_road(points: Floats, road: MultiPolygon) -> tuple[Floats, Floats]:
+def _compute_road_direction(points: Floats, road: MultiPolygon) -> tuple[Floats, Floats]:
     """Distance to the road and direction towards it, (P,) and (P,) radians."""
     lines = shapely.shortest_line(shapely.points(points), road)
     ends = shapely.get_point(lines, -1)
@@ -208,15 +208,15 @@ def _towards_road(points: Floats, road: MultiPolygon) -> tuple[Floats, Floats]:
     return np.asarray(np.hypot(offset[:, 0], offset[:, 1])), np.asarray(np.arctan2(offset[:, 1], offset[:, 0]))
 
 
-def _building_plots(road_map: RoadMap, region: shapely.Geometry, paved: shapely.Geometry) -> Plot:
-    centres, draws, seeds = _cells(region, _BUILDING_CELL_M, "building", road_map.location)
+def _find_building_plots(road_map: RoadMap, region: shapely.Geometry, paved: shapely.Geometry) -> BuildingPlots:
+    centres, draws, seeds = _build_cells(region, _BUILDING_CELL_M, "building", road_map.location)
     shapely.prepare(road_map.drivable_area)
     shapely.prepare(paved)
     points = centres + (draws[:, :2] - 0.5) * 0.5 * _BUILDING_CELL_M
-    distance, direction = _towards_road(points, road_map.drivable_area)
+    distance, direction = _compute_road_direction(points, road_map.drivable_area)
     depth, width = 9.0 + 6.0 * draws[:, 2], 10.0 + 9.0 * draws[:, 3]
     boxes = np.column_stack([points, depth, width, direction])
-    plot = Plot(boxes, seeds).where((distance > 9.0) & (distance < 60.0))
+    plot = BuildingPlots(boxes, seeds).where((distance > 9.0) & (distance < 60.0))
     footprints = shapely.polygons(box_corners(plot.boxes))
     if len(plot.boxes):
         too_close = shapely.dwithin(footprints, paved, 2.5) | shapely.dwithin(footprints, road_map.drivable_area, 6.0)
@@ -232,11 +232,13 @@ def _building_plots(road_map: RoadMap, region: shapely.Geometry, paved: shapely.
     return plot.where(~np.isin(np.arange(len(plot.boxes)), loser))
 
 
-def _tree_plots(road_map: RoadMap, region: shapely.Geometry, paved: shapely.Geometry, buildings: Floats) -> Plot:
-    centres, draws, seeds = _cells(region, _TREE_CELL_M, "tree", road_map.location)
+def _find_tree_plots(
+    road_map: RoadMap, region: shapely.Geometry, paved: shapely.Geometry, buildings: Floats
+) -> BuildingPlots:
+    centres, draws, seeds = _build_cells(region, _TREE_CELL_M, "tree", road_map.location)
     points = centres + (draws[:, :2] - 0.5) * 0.7 * _TREE_CELL_M
     boxes = np.column_stack([points, np.full((len(points), 2), 0.6), np.zeros(len(points))])
-    plot = Plot(boxes, seeds).where(draws[:, 2] < 0.42)
+    plot = BuildingPlots(boxes, seeds).where(draws[:, 2] < 0.42)
     geometry = shapely.points(plot.boxes[:, :2])
     plot = plot.where(~shapely.dwithin(geometry, paved, 2.6) & shapely.dwithin(geometry, road_map.drivable_area, 45.0))
     if not len(plot.boxes) or not len(buildings):
@@ -245,7 +247,7 @@ def _tree_plots(road_map: RoadMap, region: shapely.Geometry, paved: shapely.Geom
     return plot.where(~boxes_overlap(crowns[:, None], buildings[None]).any(axis=1))
 
 
-def _building(box: Floats, seed: int, *, lamps: bool, salt: tuple[str, ...]) -> Facets:
+def _build_building(box: Floats, seed: int, *, lamps: bool, salt: tuple[str, ...]) -> Facets:
     """A block with rows of windows."""
     random = np.random.default_rng(seed)
     draw = random.random(8)
@@ -255,15 +257,15 @@ def _building(box: Floats, seed: int, *, lamps: bool, salt: tuple[str, ...]) -> 
     walls, windows, side_of = [], [], []
     for side in range(4):
         a, b = corners[side], corners[(side + 1) % 4]
-        walls.append(_upright(a[None], b[None], np.zeros(1), np.full(1, height)))
-        windows.append(_windows(a, b, storeys))
+        walls.append(_build_upright_rectangles(a[None], b[None], np.zeros(1), np.full(1, height)))
+        windows.append(_build_windows(a, b, storeys))
         side_of.append(np.full(len(windows[-1]), side))
     roof = np.column_stack([corners, np.full(4, height)])[None]
     panes = sum(map(len, windows))
     lit = random.random(panes) < 0.3 if lamps else np.zeros(panes, dtype=np.bool_)
-    wall_colour = np.array(facade(seed, salt), dtype=np.float64) * (0.9 + 0.2 * draw[5])
+    wall_colour = np.array(choose_facade(seed, salt), dtype=np.float64) * (0.9 + 0.2 * draw[5])
     glass = np.where(lit[:, None], np.array(_LIT_GLASS), np.array(_GLASS))
-    return _standing(
+    return _build_solid(
         np.concatenate([*walls, roof, *windows]),
         np.concatenate([np.tile(wall_colour, (4, 1)), [_ROOF], glass]),
         glows=np.concatenate([np.zeros(5, np.bool_), lit]),
@@ -276,22 +278,22 @@ def _building(box: Floats, seed: int, *, lamps: bool, salt: tuple[str, ...]) -> 
     )
 
 
-def _windows(a: Floats, b: Floats, storeys: int) -> Floats:
+def _build_windows(a: Floats, b: Floats, storeys: int) -> Floats:
     """(W, 4, 3) panes of the wall from a to b."""
     columns = max(int(np.linalg.norm(b - a) // 3.2), 1)
     column, row = (part.ravel() for part in np.meshgrid(np.arange(columns), np.arange(storeys)))
     start, end = (column + 0.24) / columns, (column + 0.76) / columns
     low = row * _STOREY_M + 1.0
-    return _upright(a + start[:, None] * (b - a), a + end[:, None] * (b - a), low, low + 1.7)
+    return _build_upright_rectangles(a + start[:, None] * (b - a), a + end[:, None] * (b - a), low, low + 1.7)
 
 
-def _upright(start: Floats, end: Floats, low: Floats, high: Floats) -> Floats:
+def _build_upright_rectangles(start: Floats, end: Floats, low: Floats, high: Floats) -> Floats:
     """(W, 4, 3) upright rectangles over ground segments (W, 2) to (W, 2)."""
     rows = [(start, low), (end, low), (end, high), (start, high)]
     return np.stack([np.column_stack(corner) for corner in rows], axis=1)
 
 
-def _tree(box: Floats, seed: int) -> Facets:
+def _build_tree(box: Floats, seed: int) -> Facets:
     """A trunk and a crown of flat facets."""
     draw = np.random.default_rng(seed).random(8)
     height, crown = 5.0 + 5.0 * draw[4], 1.7 + 0.8 * draw[5]
@@ -301,7 +303,7 @@ def _tree(box: Floats, seed: int) -> Facets:
     levels = [(0.22, 0.9), (0.99, 0.06)] if conifer else [(0.30, 0.55), (0.52, 1.0), (0.80, 0.78), (1.0, 0.25)]
     after = np.roll(ring, -1, axis=0)
     level = np.zeros(len(ring))
-    trunk = _upright(0.16 * ring, 0.16 * after, level, level + 0.34 * height)
+    trunk = _build_upright_rectangles(0.16 * ring, 0.16 * after, level, level + 0.34 * height)
     bands = [trunk]
     for (z0, r0), (z1, r1) in itertools.pairwise(levels):
         rows = [(ring * r0, z0), (after * r0, z0), (after * r1, z1), (ring * r1, z1)]
@@ -311,13 +313,13 @@ def _tree(box: Floats, seed: int) -> Facets:
     green = np.array(_FOLIAGE[seed % len(_FOLIAGE)], dtype=np.float64)
     bark, leaves = len(trunk), len(solid) - len(trunk)
     colour = np.concatenate([np.tile(_TRUNK, (bark, 1)), np.tile(green * (0.8 if conifer else 1.0), (leaves, 1))])
-    return _standing(
+    return _build_solid(
         solid, colour, glows=np.zeros(len(solid), np.bool_), layer=np.repeat([0, 1], [bark, leaves]),
         batch=np.arange(len(solid)), detail=np.zeros(len(solid)), footprint=box_corners(box), height=height,
     )  # fmt: skip
 
 
-def _standing(
+def _build_solid(
     quads: Floats, colour: Floats, *, glows: Bools, layer: NDArray[np.int64], batch: NDArray[np.int64],
     detail: Floats, footprint: Floats,
     height: float,
@@ -326,7 +328,7 @@ def _standing(
     middle = footprint.mean(axis=0)
     reach = np.linalg.norm(quads - np.array([*middle, height / 2]), axis=-1).max()
     return Facets(
-        quads, unit_normals(quads), colour, glows, np.zeros(len(quads), np.int64), layer,
+        quads, compute_unit_normals(quads), colour, glows, np.zeros(len(quads), np.int64), layer,
         np.zeros(len(quads), np.bool_), detail, batch, footprint[None],
         np.array([[*middle, height / 2]]), np.array([height]), np.array([reach]), np.array([[1.0, 0.0, 1e9]]),
     )  # fmt: skip

@@ -13,7 +13,7 @@ NEAR_M = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class PlacedCamera:
     """A camera placed in the world.
 
     Attributes:
@@ -29,9 +29,12 @@ class View:
     ground_z: float
 
     @classmethod
-    def of(cls, camera: Camera, ego_position: Floats, ego_rotation: Floats) -> "View":
+    def of(cls, camera: Camera, ego_position: Floats, ego_rotation: Floats) -> "PlacedCamera":
         """Place a camera that is mounted on the ego, at (3,) metres and (4,) quaternion, both global."""
-        body, mount = _turn(ego_rotation.tobytes()), _turn(camera.rotation.tobytes())
+        body, mount = (
+            _compute_rotation_matrix(ego_rotation.tobytes()),
+            _compute_rotation_matrix(camera.rotation.tobytes()),
+        )
         eye = body @ camera.translation + ego_position
         return cls(camera, eye, (body @ mount).T, float(ego_position[2]))
 
@@ -49,14 +52,14 @@ class View:
         homogeneous = in_camera @ self.camera.intrinsic.T
         return np.asarray(homogeneous[..., :2] / homogeneous[..., 2:3])
 
-    def ground_to_pixel(self) -> Floats:
+    def compute_ground_homography(self) -> Floats:
         """(3, 3) homography from ground coordinates (x, y, 1), metres, global, to homogeneous pixels."""
         columns = np.column_stack(
             [self.rotation[:, 0], self.rotation[:, 1], self.rotation @ (np.array([0.0, 0.0, self.ground_z]) - self.eye)]
         )
         return np.asarray(self.camera.intrinsic @ columns)
 
-    def pixel_rays(self, step: int = 1) -> NDArray[np.float32]:
+    def compute_pixel_rays(self, step: int = 1) -> NDArray[np.float32]:
         """Directions, (3, h, w) global x, y, z, in which the pixels look, of every ``step``-th column and row.
 
         Single precision, because pictures need no more and there are many pixels.
@@ -68,7 +71,7 @@ class View:
 
 
 @functools.lru_cache(maxsize=64)
-def _turn(quaternion: bytes) -> Floats:
+def _compute_rotation_matrix(quaternion: bytes) -> Floats:
     """Rotation matrix of a quaternion's bytes: six cameras share the ego's, and all frames each camera's own."""
     matrix = rotation_matrix(np.frombuffer(quaternion, np.float64))
     matrix.flags.writeable = False

@@ -3,10 +3,10 @@
 from generation.sources.town.scenes import (
     DEFAULT_VAL_SCENES,
     MOST_TRAIN_SCENES,
-    town_scene,
-    town_scene_driven,
-    town_scene_names,
-    town_scene_off_path,
+    build_town_scene,
+    build_town_scene_driven,
+    build_town_scene_off_path,
+    list_town_scene_names,
 )
 from generation.sources.town.towns import TOWN_VERSION
 
@@ -14,8 +14,8 @@ __all__ = [
     "DEFAULT_VAL_SCENES",
     "MOST_TRAIN_SCENES",
     "TOWN_VERSION",
-    "town_scene",
-    "town_scene_driven",
-    "town_scene_names",
-    "town_scene_off_path",
+    "build_town_scene",
+    "build_town_scene_driven",
+    "build_town_scene_off_path",
+    "list_town_scene_names",
 ]

@@ -4,10 +4,10 @@ import numpy as np
 
 from benchmark.constants import FRAME_HZ
 from benchmark.geometry import Floats
-from generation.sources.town.curves import at_lengths, headings, lengths_along
+from generation.sources.town.curves import compute_headings, compute_lengths, interpolate_at_lengths
 from generation.sources.town.speed import FRAMES
 from generation.sources.town.traffic import CARS
-from generation.sources.town.world import Track, World
+from generation.sources.town.world import ParticipantTrack, TownWorld
 
 _PARKED_REACH_M = 55.0
 _WALK_REACH_M = 38.0
@@ -19,12 +19,12 @@ _WIDEST_M = 24.0
 _ADULT, _CHILD = "human.pedestrian.adult", "human.pedestrian.child"
 
 
-def add_parked(world: World, near: Floats, rng: np.random.Generator, *, share: float, most: int) -> None:
+def add_parked(world: TownWorld, near: Floats, rng: np.random.Generator, *, share: float, most: int) -> None:
     """Fill part of the parking places along the ego's way; road works block a few of those at the kerb.
 
     ``near`` are (K, 2) points of that way; ``share`` of the places are taken, by at most ``most`` cars.
     """
-    places = [place for place in world.town.standing if _distance(near, place.pose[:2]) < _PARKED_REACH_M]
+    places = [place for place in world.town.standing if _compute_distance(near, place.pose[:2]) < _PARKED_REACH_M]
     kerb = [index for index, place in enumerate(places) if not place.in_car_park]
     works = set()
     if kerb and rng.random() < 0.6:
@@ -48,11 +48,11 @@ def add_parked(world: World, near: Floats, rng: np.random.Generator, *, share: f
             length = min(body.length, 4.9) if place.in_car_park else min(body.length, 5.4)
             box = np.array([[x, y, length, body.width, turned]])
             if world.is_free(box):
-                world.tracks.append(Track(body.category, body.height, box, parked=True))
+                world.tracks.append(ParticipantTrack(body.category, body.height, box, parked=True))
                 parked += 1
 
 
-def _add_road_works(world: World, pose: Floats, rng: np.random.Generator) -> None:
+def _add_road_works(world: TownWorld, pose: Floats, rng: np.random.Generator) -> None:
     """A closed parking place: a barrier inside and cones along the traffic side."""
     along, left = np.array([np.cos(pose[2]), np.sin(pose[2])]), np.array([-np.sin(pose[2]), np.cos(pose[2])])
     barrier = pose[:2] - 0.2 * left
@@ -62,10 +62,10 @@ def _add_road_works(world: World, pose: Floats, rng: np.random.Generator) -> Non
         boxes.append(("movable_object.trafficcone", 0.75, [*cone, 0.4, 0.4, float(rng.uniform(-np.pi, np.pi))]))
     for category, height, box in boxes:
         if world.is_free(np.array([box])):
-            world.tracks.append(Track(category, height, np.array([box]), parked=False))
+            world.tracks.append(ParticipantTrack(category, height, np.array([box]), parked=False))
 
 
-def add_walkers(world: World, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
+def add_walkers(world: TownWorld, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
     """Pedestrians on the pavements along the ego's way, some of them standing.
 
     ``near`` are (K, 2) points of that way.
@@ -75,9 +75,9 @@ def add_walkers(world: World, near: Floats, rng: np.random.Generator, *, wanted:
         if added >= wanted:
             return
         walk = world.town.walks[int(rng.integers(len(world.town.walks)))]
-        length = float(lengths_along(walk)[-1])
+        length = float(compute_lengths(walk)[-1])
         start = float(rng.uniform(0.0, length))
-        if _distance(near, at_lengths(walk, np.array([start]))[0]) > _WALK_REACH_M:
+        if _compute_distance(near, interpolate_at_lengths(walk, np.array([start]))[0]) > _WALK_REACH_M:
             continue
         speed = 0.0 if rng.random() < 0.2 else float(rng.uniform(0.9, 1.6))
         distance = speed * np.arange(FRAMES) / FRAME_HZ
@@ -87,9 +87,11 @@ def add_walkers(world: World, near: Floats, rng: np.random.Generator, *, wanted:
         added += _add_pedestrian(world, line, start + distance, rng, lateral=float(rng.uniform(-0.7, 0.7)))
 
 
-def add_crossing_pedestrians(world: World, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
+def add_crossing_pedestrians(world: TownWorld, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
     """Pedestrians who cross the road ahead of the ego; vehicles that are planned later give way to them."""
-    walks = [walk for walk in world.town.crossing_walks if _distance(near, walk.mean(axis=0)) < _CROSSING_REACH_M]
+    walks = [
+        walk for walk in world.town.crossing_walks if _compute_distance(near, walk.mean(axis=0)) < _CROSSING_REACH_M
+    ]
     if not walks:
         return
     for _ in range(wanted):
@@ -99,7 +101,7 @@ def add_crossing_pedestrians(world: World, near: Floats, rng: np.random.Generato
 
 
 def add_meeting_pedestrians(
-    world: World, way: Floats, rng: np.random.Generator, *, wanted: int, speed_mps: float
+    world: TownWorld, way: Floats, rng: np.random.Generator, *, wanted: int, speed_mps: float
 ) -> None:
     """Pedestrians who walk across the ego's way, from pavement to pavement, when it is about to come there.
 
@@ -108,7 +110,7 @@ def add_meeting_pedestrians(
         wanted: How many; fewer where there is no pavement on both sides or another is in their way.
         speed_mps: About how fast the ego drives where it is free to.
     """
-    length, added = float(lengths_along(way)[-1]), 0
+    length, added = float(compute_lengths(way)[-1]), 0
     for _ in range(_MEETING_TRIES * wanted):
         if added >= wanted:
             return
@@ -116,17 +118,17 @@ def add_meeting_pedestrians(
         early_s = float(rng.uniform(*_EARLY_S))
         if comes_s * speed_mps > length:
             continue
-        walk = _walk_across(world, way, comes_s * speed_mps)
+        walk = _find_walk_across(world, way, comes_s * speed_mps)
         if walk is None:
             continue
         walk = walk if rng.random() < 0.5 else walk[::-1]
         added += _add_crossing(world, walk, max(0.0, comes_s - early_s), rng)
 
 
-def _walk_across(world: World, way: Floats, station_m: float) -> Floats | None:
+def _find_walk_across(world: TownWorld, way: Floats, station_m: float) -> Floats | None:
     """(2, 2) a line square to the way at a station, from the nearest pavement to its right to that to its left."""
-    middle = at_lengths(way, np.array([station_m]))[0]
-    yaw = float(np.interp(station_m, lengths_along(way), headings(way)))
+    middle = interpolate_at_lengths(way, np.array([station_m]))[0]
+    yaw = float(np.interp(station_m, compute_lengths(way), compute_headings(way)))
     ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     offsets = []
     for walk in world.town.walks:
@@ -141,7 +143,7 @@ def _walk_across(world: World, way: Floats, station_m: float) -> Floats | None:
     return np.asarray(middle + np.array([right_m.max(), left_m.min()])[:, None] * left)
 
 
-def _add_crossing(world: World, walk: Floats, begin_s: float, rng: np.random.Generator) -> bool:
+def _add_crossing(world: TownWorld, walk: Floats, begin_s: float, rng: np.random.Generator) -> bool:
     """One who stands at the kerb, walks across from a time on and stands there."""
     speed = float(rng.uniform(1.2, 1.6))
     time = np.arange(FRAMES) / FRAME_HZ
@@ -155,18 +157,18 @@ def _add_crossing(world: World, walk: Floats, begin_s: float, rng: np.random.Gen
     return _add_pedestrian(world, walk, distance, rng, lateral=float(rng.uniform(-1.0, 1.0)))
 
 
-def _add_pedestrian(world: World, line: Floats, along: Floats, rng: np.random.Generator, *, lateral: float) -> bool:
-    where = at_lengths(line, along)
-    yaw = np.interp(along, lengths_along(line), headings(line))
+def _add_pedestrian(world: TownWorld, line: Floats, along: Floats, rng: np.random.Generator, *, lateral: float) -> bool:
+    where = interpolate_at_lengths(line, along)
+    yaw = np.interp(along, compute_lengths(line), compute_headings(line))
     child = rng.random() < 0.15
     x, y = where[:, 0] - lateral * np.sin(yaw), where[:, 1] + lateral * np.cos(yaw)
     size = (0.5, 0.5, float(rng.uniform(1.1, 1.4))) if child else (0.7, 0.65, float(rng.uniform(1.58, 1.9)))
     boxes = np.column_stack([x, y, np.full(len(x), size[0]), np.full(len(x), size[1]), yaw])
     if not world.is_free(boxes):
         return False
-    world.tracks.append(Track(_CHILD if child else _ADULT, round(size[2], 2), boxes, parked=False))
+    world.tracks.append(ParticipantTrack(_CHILD if child else _ADULT, round(size[2], 2), boxes, parked=False))
     return True
 
 
-def _distance(points: Floats, point: Floats) -> float:
+def _compute_distance(points: Floats, point: Floats) -> float:
     return float(np.hypot(points[:, 0] - point[0], points[:, 1] - point[1]).min())

@@ -10,18 +10,18 @@ from benchmark.geometry import Floats, wrap_angle
 _STRAIGHT_BELOW_RAD = np.deg2rad(4.0)
 
 
-def unit(heading_rad: float) -> Floats:
+def unit_vector(heading_rad: float) -> Floats:
     """(2,) unit vector of a heading."""
     return np.array([np.cos(heading_rad), np.sin(heading_rad)])
 
 
-def lengths_along(line: Floats) -> Floats:
+def compute_lengths(line: Floats) -> Floats:
     """(M,) arc length at each vertex, starting at zero."""
     steps = np.hypot(np.diff(line[:, 0]), np.diff(line[:, 1]))
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def headings(line: Floats) -> Floats:
+def compute_headings(line: Floats) -> Floats:
     """(M,) tangent heading at each vertex, unwrapped; central differences inside."""
     slope = np.empty_like(line)
     slope[1:-1] = line[2:] - line[:-2]
@@ -29,41 +29,41 @@ def headings(line: Floats) -> Floats:
     return np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))
 
 
-def offset(line: Floats, left_m: float | Floats) -> Floats:
+def offset_line(line: Floats, left_m: float | Floats) -> Floats:
     """Parallel curve of an (M, 2) smooth polyline, vertex by vertex, with the same stations.
 
     ``left_m`` is the distance to the left of the driving direction, one number or (M,).
     """
-    heading = headings(line)
+    heading = compute_headings(line)
     normal = np.column_stack([-np.sin(heading), np.cos(heading)])
     return np.asarray(line + np.asarray(left_m, np.float64).reshape(-1, 1) * normal)
 
 
-def at_lengths(line: Floats, where: Floats) -> Floats:
+def interpolate_at_lengths(line: Floats, where: Floats) -> Floats:
     """(K, 2) points at given arc lengths, linear between vertices and clamped to the ends."""
-    along = lengths_along(line)
+    along = compute_lengths(line)
     return np.column_stack([np.interp(where, along, line[:, 0]), np.interp(where, along, line[:, 1])])
 
 
-def resampled(line: Floats, step_m: float) -> Floats:
+def resample_line(line: Floats, step_m: float) -> Floats:
     """The same curve with evenly spaced vertices, about ``step_m`` apart; both ends are kept."""
-    total = float(lengths_along(line)[-1])
-    return at_lengths(line, np.linspace(0.0, total, max(round(total / step_m), 1) + 1))
+    total = float(compute_lengths(line)[-1])
+    return interpolate_at_lengths(line, np.linspace(0.0, total, max(round(total / step_m), 1) + 1))
 
 
-def cut(line: Floats, start_m: float, end_m: float, step_m: float) -> Floats:
+def cut_line(line: Floats, start_m: float, end_m: float, step_m: float) -> Floats:
     """The part between two arc lengths, evenly spaced."""
-    return at_lengths(line, np.linspace(start_m, end_m, max(round((end_m - start_m) / step_m), 1) + 1))
+    return interpolate_at_lengths(line, np.linspace(start_m, end_m, max(round((end_m - start_m) / step_m), 1) + 1))
 
 
-def joined(lines: list[Floats]) -> Floats:
+def join_lines(lines: list[Floats]) -> Floats:
     """One polyline from several that meet end to start; repeated vertices are dropped."""
     line = np.concatenate(lines)
     keep = np.concatenate([[True], np.hypot(*np.diff(line, axis=0).T) > 1e-6])
     return np.asarray(line[keep])
 
 
-def turn(
+def build_turn(
     start: Floats, start_heading: float, end: Floats, end_heading: float, *, step_m: float, max_radius_m: float = 1e9
 ) -> Floats:
     """A drivable curve between two poses: straight, one arc, straight where that is possible, else a cubic.
@@ -72,15 +72,15 @@ def turn(
     as the shorter leg allows, its radius below ``max_radius_m``.
     """
     change = float(wrap_angle(np.array(end_heading - start_heading)))
-    first, second = unit(start_heading), unit(end_heading)
+    first, second = unit_vector(start_heading), unit_vector(end_heading)
     chord = np.asarray(end, np.float64) - start
     cross = float(first[0] * second[1] - first[1] * second[0])
     if abs(change) < _STRAIGHT_BELOW_RAD or abs(cross) < 1e-6:
-        return _cubic(start, first, end, second, step_m)
+        return _build_cubic(start, first, end, second, step_m)
     leg = float(chord[0] * second[1] - chord[1] * second[0]) / cross
     exit_leg = float(first[0] * chord[1] - first[1] * chord[0]) / cross
     if leg <= 0.5 or exit_leg <= 0.5:
-        return _cubic(start, first, end, second, step_m)
+        return _build_cubic(start, first, end, second, step_m)
     half_tangent = float(np.tan(abs(change) / 2))
     tangent = min(leg, exit_leg, max_radius_m * half_tangent)
     radius = tangent / half_tangent
@@ -92,24 +92,24 @@ def turn(
     arc = center + radius * np.column_stack([np.cos(angle), np.sin(angle)])
     parts = [arc]
     if leg - tangent > 1e-3:
-        parts.insert(0, resampled(np.stack([start, begin]), step_m))
+        parts.insert(0, resample_line(np.stack([start, begin]), step_m))
     if exit_leg - tangent > 1e-3:
-        parts.append(resampled(np.stack([arc[-1], end]), step_m))
-    line = resampled(joined(parts), step_m)
+        parts.append(resample_line(np.stack([arc[-1], end]), step_m))
+    line = resample_line(join_lines(parts), step_m)
     line[0], line[-1] = start, end
     return line
 
 
-def _cubic(start: Floats, first: Floats, end: Floats, second: Floats, step_m: float) -> Floats:
+def _build_cubic(start: Floats, first: Floats, end: Floats, second: Floats, step_m: float) -> Floats:
     """Cubic curve with given end directions, evenly spaced."""
     reach = float(np.hypot(*(end - start)))
     u = np.linspace(0.0, 1.0, 200)[:, None]
     inner, outer = start + first * reach * 0.4, end - second * reach * 0.4
     line = (1 - u) ** 3 * start + 3 * (1 - u) ** 2 * u * inner + 3 * (1 - u) * u**2 * outer + u**3 * end
-    return resampled(line, step_m)
+    return resample_line(line, step_m)
 
 
-def smoothed(line: Floats, *, spacing_m: float, deviation_m: float) -> Floats:
+def smooth_line(line: Floats, *, spacing_m: float, deviation_m: float) -> Floats:
     """Round the curvature steps of a polyline so that a car can drive it; the ends are extended straight.
 
     A Gaussian over arc length, summed tap by tap so that the bytes do not depend on a linear-algebra library. With
@@ -128,7 +128,7 @@ def smoothed(line: Floats, *, spacing_m: float, deviation_m: float) -> Floats:
     return result
 
 
-def between_grid(values: Floats, where: Floats) -> Floats:
+def interpolate_grid(values: Floats, where: Floats) -> Floats:
     """Smooth look-up between the entries of an even grid (Catmull-Rom cubic).
 
     (K,) fractional indices into (M, ...) entries; up to one beyond the ends is extrapolated.

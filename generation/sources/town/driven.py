@@ -14,17 +14,17 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEPS
-from benchmark.dynamics.bicycle import DriverLimits, broken_limit
+from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_local, wrap_angle
 from benchmark.planning import Command
-from benchmark.records.drive_schema import DriveRow
-from generation.sources.rig import default_lidar
-from generation.sources.town.curves import between_grid
-from generation.sources.town.off_path import PlannedEgo, beside_path, curvature_at, quintic
-from generation.sources.town.paths import EGO_BODY, STATION_M, body_boxes
+from benchmark.records.drive_schema import EpisodeRow
+from generation.sources.rig import build_default_lidar
+from generation.sources.town.curves import interpolate_grid
+from generation.sources.town.off_path import PlannedEgo, compute_curvature, compute_offset_poses, evaluate_quintic
+from generation.sources.town.paths import EGO_BODY, STATION_M, compute_body_boxes
 from generation.sources.town.speed import FRAMES
-from generation.sources.town.world import Track, World
+from generation.sources.town.world import ParticipantTrack, TownWorld
 
 _KEYFRAME_US: Final = round(1e6 * FRAMES_PER_KEYFRAME / FRAME_HZ)
 LEAST_KEYFRAMES: Final = 4
@@ -54,7 +54,7 @@ _GAP_M: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Driven:
+class PlannerDrive:
     """Drive of a planner in the ego of a scene.
 
     (K, 3) poses of the rear axle and (K,) speeds, m/s, at the key frames until the drive was over.
@@ -66,7 +66,7 @@ class Driven:
     commands: tuple[Command, ...]
 
     @classmethod
-    def of_row(cls, planner: str, row: DriveRow) -> "Driven":
+    def of_row(cls, planner: str, row: EpisodeRow) -> "PlannerDrive":
         """A drive of a record; it must have been planned at the town's key frames."""
         ticks = row.ticks
         at_keyframes = np.diff(ticks.time_us[: len(ticks.command)]) == _KEYFRAME_US
@@ -97,7 +97,7 @@ class Driven:
         )
 
 
-def ways_back(world: World, planned: PlannedEgo, driven: Driven) -> Floats:
+def plan_ways_back(world: TownWorld, planned: PlannedEgo, driven: PlannerDrive) -> Floats:
     """Way of a good driver from each key frame.
 
     Args:
@@ -107,17 +107,17 @@ def ways_back(world: World, planned: PlannedEgo, driven: Driven) -> Floats:
         (K, 6, 2) global positions of the lidar origin at the plan's steps; NaN where no way was found, and beyond the
         end of the scene.
     """
-    begin = between_grid(planned.path.rear, planned.stations[:1])[0]
+    begin = interpolate_grid(planned.path.rear, planned.stations[:1])[0]
     if np.hypot(*(begin - driven.poses[0])[:2]) > _SAME_PLACE_M:
         raise InputError(
             "the drives are of another town, their ego begins elsewhere; give the seed (and --crossing) of the town "
             "that was driven in"
         )
     ways = np.full((len(driven), PLAN_STEPS, 2), np.nan)
-    ahead_m = float(default_lidar().translation[0])
+    ahead_m = float(build_default_lidar().translation[0])
     for keyframe in range(len(driven)):
         first = keyframe * FRAMES_PER_KEYFRAME
-        rear = _way_back(world, planned, driven.poses[keyframe], float(driven.speeds[keyframe]), first)
+        rear = _plan_way_back(world, planned, driven.poses[keyframe], float(driven.speeds[keyframe]), first)
         if rear is not None:
             steps = rear[FRAMES_PER_KEYFRAME::FRAMES_PER_KEYFRAME][:PLAN_STEPS]
             lidar = steps[:, :2] + ahead_m * np.column_stack([np.cos(steps[:, 2]), np.sin(steps[:, 2])])
@@ -126,7 +126,7 @@ def ways_back(world: World, planned: PlannedEgo, driven: Driven) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class _Away:
+class _PathDeviation:
     """Place of the ego seen from the planned drive: along the path, to the left of it, heading and speed against it."""
 
     metres: float
@@ -135,32 +135,34 @@ class _Away:
     speed_mps: float
 
 
-def _way_back(world: World, planned: PlannedEgo, pose: Floats, speed: float, first: int) -> Floats | None:
+def _plan_way_back(world: TownWorld, planned: PlannedEgo, pose: Floats, speed: float, first: int) -> Floats | None:
     """(N, 3) rear-axle poses at 12 Hz from a frame on, as far as the scene goes, 3 s at most."""
     metres = planned.stations * STATION_M
     count = min(FRAMES - first, _FORESEEN)
     if count <= FRAMES_PER_KEYFRAME:
         return None
-    away = _away(planned, pose, speed, float(metres[first]))
+    away = _compute_deviation(planned, pose, speed, float(metres[first]))
     if away is None:
         return None
-    others = World(world.town, tracks=[_during(track, first, count) for track in world.tracks])
-    going_on = _going_on(metres, first, count, away)
+    others = TownWorld(world.town, tracks=[_cut_track(track, first, count) for track in world.tracks])
+    going_on = _approach_town_speed(metres, first, count, away)
     # With room ahead: who would only just not touch somebody has to do something else.
-    roomy = others.is_free(_boxes(planned, going_on + _ROOM_M + _ROOM_S * np.gradient(going_on) * FRAME_HZ, away))
+    roomy = others.is_free(
+        _compute_boxes(planned, going_on + _ROOM_M + _ROOM_S * np.gradient(going_on) * FRAME_HZ, away)
+    )
     count = min(count, _HORIZON + 1)
-    others = World(world.town, tracks=[_during(track, first, count) for track in world.tracks])
-    ways = _back_on_time(metres[first : first + count], away)
+    others = TownWorld(world.town, tracks=[_cut_track(track, first, count) for track in world.tracks])
+    ways = _approach_schedule(metres[first : first + count], away)
     for way in (going_on[:count], *ways) if roomy else ways:
-        rear = _rear(planned, way, away)
-        boxes = body_boxes(rear, EGO_BODY)
+        rear = _compute_rear(planned, way, away)
+        boxes = compute_body_boxes(rear, EGO_BODY)
         free = others.is_free(boxes, gap_m=_GAP_M) and others.is_on_road(boxes[_ROAD_FROM:])
-        if free and broken_limit(boxes, DriverLimits()) is None:
+        if free and find_broken_limit(boxes, DriverLimits()) is None:
             return rear
     return None
 
 
-def _away(planned: PlannedEgo, pose: Floats, speed: float, expected_m: float) -> _Away | None:
+def _compute_deviation(planned: PlannedEgo, pose: Floats, speed: float, expected_m: float) -> _PathDeviation | None:
     """``None`` where it has gone astray."""
     first = max(int((expected_m - _SEARCH_M) / STATION_M), 0)
     near = planned.path.rear[first : first + int(2 * _SEARCH_M / STATION_M) + 1]
@@ -168,21 +170,21 @@ def _away(planned: PlannedEgo, pose: Floats, speed: float, expected_m: float) ->
     # The foot of the perpendicular, from the nearest station: once more for bends.
     station_on_path = float(station)
     for _ in range(2):
-        path_pose = between_grid(planned.path.rear, np.array([station_on_path]))[0]
+        path_pose = interpolate_grid(planned.path.rear, np.array([station_on_path]))[0]
         along, aside = to_local(pose[:2], path_pose)
         station_on_path += float(along) / STATION_M
-    path_pose = between_grid(planned.path.rear, np.array([station_on_path]))[0]
+    path_pose = interpolate_grid(planned.path.rear, np.array([station_on_path]))[0]
     _, aside = to_local(pose[:2], path_pose)
     turned = float(wrap_angle(np.array(pose[2] - path_pose[2])))
-    curvature = float(curvature_at(planned.path, np.array([station_on_path]))[0])
+    curvature = float(compute_curvature(planned.path, np.array([station_on_path]))[0])
     astray = abs(float(aside)) > _FURTHEST_ASIDE_M or abs(turned) > _FURTHEST_TURNED_RAD
     if astray or abs(station_on_path * STATION_M - expected_m) > _FURTHEST_ALONG_M:
         return None
     along_mps = speed * np.cos(turned) / max(1 - curvature * float(aside), 0.5)
-    return _Away(station_on_path * STATION_M, float(aside), turned, float(along_mps))
+    return _PathDeviation(station_on_path * STATION_M, float(aside), turned, float(along_mps))
 
 
-def _going_on(planned: Floats, first: int, count: int, away: _Away) -> Floats:
+def _approach_town_speed(planned: Floats, first: int, count: int, away: _PathDeviation) -> Floats:
     """(N,) metres along the path at 12 Hz of who soon drives as the town's driver does at the same places."""
     seconds = np.arange(FRAMES) / FRAME_HZ
     # Where that driver stands, from the moment nearest to now.
@@ -196,18 +198,18 @@ def _going_on(planned: Floats, first: int, count: int, away: _Away) -> Floats:
     scheduled_m = np.interp(later, seconds, planned) + last_mps * np.maximum(later - seconds[-1], 0.0)
     faster = away.speed_mps - float(scheduled_m[1] - scheduled_m[0]) * FRAME_HZ
     fading_s = max(_SOONEST_SPEED_S, abs(faster) / _GENTLY_MPS2)
-    more = quintic(later - begin, 0.0, fading_s, (0.0, faster), (0.5 * faster * fading_s, 0.0))[0]
+    more = evaluate_quintic(later - begin, 0.0, fading_s, (0.0, faster), (0.5 * faster * fading_s, 0.0))[0]
     return np.maximum.accumulate(away.metres + (scheduled_m - scheduled_m[0] + more)[:count])
 
 
-def _back_on_time(schedule: Floats, away: _Away) -> Iterator[Floats]:
+def _approach_schedule(schedule: Floats, away: _PathDeviation) -> Iterator[Floats]:
     """(N,) metres along the path at 12 Hz: back to the schedule, sooner and sooner, and then to a stop."""
     seconds = np.arange(len(schedule)) / FRAME_HZ
     ahead = away.metres - float(schedule[0])
     planned_mps = float(schedule[1] - schedule[0]) * FRAME_HZ
     back_s = max(_SOONEST_BACK_S, _PEAK * abs(ahead) / _HASTE_MPS)
     for quicker in _QUICKER:
-        fading = quintic(seconds, 0.0, quicker * back_s, (ahead, away.speed_mps - planned_mps), (0.0, 0.0))[0]
+        fading = evaluate_quintic(seconds, 0.0, quicker * back_s, (ahead, away.speed_mps - planned_mps), (0.0, 0.0))[0]
         # Nobody drives backwards to be where they should.
         yield np.maximum.accumulate(schedule + fading)
     for braking in _BRAKING_MPS2:
@@ -215,30 +217,30 @@ def _back_on_time(schedule: Floats, away: _Away) -> Iterator[Floats]:
         yield away.metres + away.speed_mps * until - 0.5 * braking * until**2
 
 
-def _rear(planned: PlannedEgo, metres: Floats, away: _Away) -> Floats:
+def _compute_rear(planned: PlannedEgo, metres: Floats, away: _PathDeviation) -> Floats:
     """(N, 3) rear-axle poses of who is back on the path soon."""
-    return beside_path(planned.path, metres, *_fading(metres, away))
+    return compute_offset_poses(planned.path, metres, *_fade_offset(metres, away))
 
 
-def _boxes(planned: PlannedEgo, metres: Floats, away: _Away) -> Floats:
-    return body_boxes(_rear(planned, metres, away), EGO_BODY)
+def _compute_boxes(planned: PlannedEgo, metres: Floats, away: _PathDeviation) -> Floats:
+    return compute_body_boxes(_compute_rear(planned, metres, away), EGO_BODY)
 
 
-def _fading(metres: Floats, away: _Away) -> tuple[Floats, Floats]:
+def _fade_offset(metres: Floats, away: _PathDeviation) -> tuple[Floats, Floats]:
     """(N,) metres to the left of the path and their slope, from where the ego is."""
     reach = max(_LEAST_ASIDE_M, _BACK_ASIDE_S * away.speed_mps)
     slope = float(np.tan(away.turned_rad))
-    aside, rising = quintic(metres, away.metres, away.metres + reach, (away.aside_m, slope), (0.0, 0.0))
+    aside, rising = evaluate_quintic(metres, away.metres, away.metres + reach, (away.aside_m, slope), (0.0, 0.0))
     standing = metres <= away.metres
     return np.where(standing, away.aside_m, aside), np.where(standing, slope, rising)
 
 
-def _during(track: Track, first: int, count: int) -> Track:
+def _cut_track(track: ParticipantTrack, first: int, count: int) -> ParticipantTrack:
     boxes = track.boxes if len(track.boxes) == 1 else track.boxes[first : first + count]
-    return Track(track.category, track.height, boxes, track.parked)
+    return ParticipantTrack(track.category, track.height, boxes, track.parked)
 
 
-def lasting(rows: Sequence[DriveRow]) -> dict[str, DriveRow]:
+def select_lasting_drives(rows: Sequence[EpisodeRow]) -> dict[str, EpisodeRow]:
     """Drives by scene: those that went on for a while and did not fail."""
     scenes = [row.scene for row in rows]
     twice = next((name for name in scenes if scenes.count(name) > 1), None)

@@ -11,7 +11,7 @@ from shapely.geometry import Polygon
 
 from benchmark.geometry import Floats
 from benchmark.road_map import Divider, Lane, RoadMap
-from generation.sources.town.curves import turn
+from generation.sources.town.curves import build_turn
 
 CANVAS_M = 560.0
 _NODE_REACH_M = 170.0
@@ -21,7 +21,7 @@ _STATION_M = 2.0
 EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, np.pi, -np.pi / 2
 
 
-class NodeKind(StrEnum):
+class TownNodeKind(StrEnum):
     """Kind of a node of the road graph."""
 
     CROSSING = "crossing"
@@ -31,16 +31,16 @@ class NodeKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Node:
+class TownNode:
     """A place where roads meet or end, (2,) metres; its name is unique in the town."""
 
     name: str
-    kind: NodeKind
+    kind: TownNodeKind
     position: Floats
 
 
 @dataclass(frozen=True, slots=True)
-class Road:
+class TownRoad:
     """A road between two nodes.
 
     Attributes:
@@ -59,11 +59,11 @@ class Road:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class TownLayout:
     """Nodes and roads of one town, by name."""
 
-    nodes: dict[str, Node]
-    roads: dict[str, Road]
+    nodes: dict[str, TownNode]
+    roads: dict[str, TownRoad]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,15 +104,15 @@ _RING_ROADS = (
 PLANS = ("avenue", "ring")
 
 
-def make_layout(plan: str, rng: np.random.Generator) -> Layout:
+def make_layout(plan: str, rng: np.random.Generator) -> TownLayout:
     """Draw one town's road graph, all coordinates between 0 and `CANVAS_M`. ``plan`` is ``avenue`` or ``ring``."""
     road_plans = _AVENUE_ROADS if plan == "avenue" else _RING_ROADS
-    kinds = dict.fromkeys(("C", "N", "S", "W", "E", "P"), NodeKind.CROSSING)
-    kinds["E" if plan == "avenue" else "C"] = NodeKind.ROUNDABOUT
-    kinds |= {"K": NodeKind.CAR_PARK, "XN": NodeKind.EXIT, "XS": NodeKind.EXIT}
+    kinds = dict.fromkeys(("C", "N", "S", "W", "E", "P"), TownNodeKind.CROSSING)
+    kinds["E" if plan == "avenue" else "C"] = TownNodeKind.ROUNDABOUT
+    kinds |= {"K": TownNodeKind.CAR_PARK, "XN": TownNodeKind.EXIT, "XS": TownNodeKind.EXIT}
     if plan == "avenue":
-        kinds["XE"] = NodeKind.EXIT
-    places = _places(rng)
+        kinds["XE"] = TownNodeKind.EXIT
+    places = _draw_node_positions(rng)
     turned = float(rng.integers(4)) * np.pi / 2 + float(rng.uniform(-0.17, 0.17))
     spin = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
 
@@ -121,10 +121,10 @@ def make_layout(plan: str, rng: np.random.Generator) -> Layout:
         spun = np.stack([spin[0, 0] * x + spin[0, 1] * y, spin[1, 0] * x + spin[1, 1] * y], axis=-1)
         return np.asarray(spun + CANVAS_M / 2)
 
-    nodes = {name: Node(name, kind, place(places[name])) for name, kind in kinds.items()}
+    nodes = {name: TownNode(name, kind, place(places[name])) for name, kind in kinds.items()}
     roads = {}
     for road in road_plans:
-        line = turn(
+        line = build_turn(
             places[road.first],
             road.first_heading,
             places[road.last],
@@ -133,11 +133,11 @@ def make_layout(plan: str, rng: np.random.Generator) -> Layout:
             max_radius_m=float(rng.uniform(70.0, 95.0)),
         )
         name = f"{road.first}-{road.last}"
-        roads[name] = Road(name, (road.first, road.last), place(line), road.lanes, road.parking, road.speed_mps)
-    return Layout(nodes, roads)
+        roads[name] = TownRoad(name, (road.first, road.last), place(line), road.lanes, road.parking, road.speed_mps)
+    return TownLayout(nodes, roads)
 
 
-def _places(rng: np.random.Generator) -> dict[str, Floats]:
+def _draw_node_positions(rng: np.random.Generator) -> dict[str, Floats]:
     """Local positions of all possible nodes, (2,) each."""
     reach = _NODE_REACH_M
     shift = {name: rng.uniform(-9.0, 9.0, 2) for name in ("C", "N", "S", "W", "E")}
@@ -161,7 +161,7 @@ PARKING_WIDTH_M = 2.5
 WALKWAY_WIDTH_M = 2.6
 
 
-class Role(StrEnum):
+class LaneRole(StrEnum):
     """Purpose of a lane."""
 
     ROAD = "road"
@@ -188,7 +188,7 @@ class TownLane:
 
     name: str
     line: Floats
-    role: Role
+    role: LaneRole
     road: str
     index: int
     siblings: tuple[str, ...]
@@ -197,7 +197,7 @@ class TownLane:
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
+class JunctionArm:
     """A road where it meets a node.
 
     ``heading`` points away from the node, radians; lanes are named from the middle outwards.
@@ -210,7 +210,7 @@ class Arm:
 
 
 @dataclass(frozen=True, slots=True)
-class StandingPlace:
+class ParkingPlace:
     """Pose of the box centre, (3,) x, y, yaw, where something can be parked.
 
     It is a bay of a car park, or else a strip at the kerb.
@@ -221,7 +221,7 @@ class StandingPlace:
 
 
 @dataclass(slots=True)
-class Draft:
+class TownDraft:
     """Everything that the builders of roads and junctions add to.
 
     Attributes:
@@ -244,7 +244,7 @@ class Draft:
     stop_lines: dict[str, Polygon] = field(default_factory=dict)
     car_parks: dict[str, Polygon] = field(default_factory=dict)
     walks: list[Floats] = field(default_factory=list)
-    standing: list[StandingPlace] = field(default_factory=list)
+    standing: list[ParkingPlace] = field(default_factory=list)
     green: list[Polygon] = field(default_factory=list)
 
 
@@ -259,22 +259,22 @@ class Town:
         walks: (M, 2) lines along the pavements, 1 m spacing.
     """
 
-    layout: Layout
+    layout: TownLayout
     road_map: RoadMap
     lanes: dict[str, TownLane]
     successors: dict[str, tuple[str, ...]]
     predecessors: dict[str, tuple[str, ...]]
     crossing_walks: tuple[Floats, ...]
     walks: tuple[Floats, ...]
-    standing: tuple[StandingPlace, ...]
+    standing: tuple[ParkingPlace, ...]
 
 
-def strip(right: Floats, left: Floats) -> Polygon:
+def build_strip(right: Floats, left: Floats) -> Polygon:
     """Surface between two sides, (M, 2) each in the same direction."""
     return Polygon(np.concatenate([right, left[::-1]]))
 
 
-def linked_lanes(draft: Draft, end: int) -> dict[str, tuple[str, ...]]:
+def find_linked_lanes(draft: TownDraft, end: int) -> dict[str, tuple[str, ...]]:
     """Names of the lanes after (``end`` 0) or before (1) each lane, sorted."""
     linked: dict[str, list[str]] = {name: [] for name in draft.lanes}
     for link in draft.links:
@@ -282,12 +282,12 @@ def linked_lanes(draft: Draft, end: int) -> dict[str, tuple[str, ...]]:
     return {name: tuple(sorted(others)) for name, others in linked.items()}
 
 
-def map_lanes(draft: Draft) -> dict[str, Lane]:
+def build_map_lanes(draft: TownDraft) -> dict[str, Lane]:
     """The lanes as the road map holds them, connected both ways; connectors have no polygon, as in nuScenes."""
-    after, before = linked_lanes(draft, 0), linked_lanes(draft, 1)
+    after, before = find_linked_lanes(draft, 0), find_linked_lanes(draft, 1)
     lanes = {}
     for name, lane in draft.lanes.items():
-        connector = lane.role not in (Role.ROAD, Role.RING, Role.CAR_PARK)
+        connector = lane.role not in (LaneRole.ROAD, LaneRole.RING, LaneRole.CAR_PARK)
         identifier = draft.prefix + name
         lanes[identifier] = Lane(
             identifier,

@@ -15,16 +15,16 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from benchmark.constants import FRAME_HZ
-from benchmark.dynamics.bicycle import DriverLimits, broken_limit
+from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.records.off_path import Excursion
-from generation.sources.town.curves import between_grid
-from generation.sources.town.paths import EGO_BODY, STATION_M, Path, body_boxes
+from generation.sources.town.curves import interpolate_grid
+from generation.sources.town.paths import EGO_BODY, STATION_M, VehiclePath, compute_body_boxes
 from generation.sources.town.speed import FRAMES
-from generation.sources.town.world import World
+from generation.sources.town.world import TownWorld
 
 
-def quintic(
+def evaluate_quintic(
     where: Floats, first: float, last: float, start: tuple[float, float], goal: tuple[float, float]
 ) -> tuple[Floats, Floats]:
     """(N,) values and (N,) slopes of the quintic between two values and slopes, its second derivatives zero.
@@ -45,15 +45,15 @@ def quintic(
     return value, np.where(inside, slope, 0.0)
 
 
-def curvature_at(path: Path, stations: Floats) -> Floats:
+def compute_curvature(path: VehiclePath, stations: Floats) -> Floats:
     """(N,) curvature of a path, 1/m, at stations (steps of `STATION_M`)."""
     step = 0.5
     yaw = path.rear[:, 2:]
-    turn = between_grid(yaw, stations + step) - between_grid(yaw, stations - step)
+    turn = interpolate_grid(yaw, stations + step) - interpolate_grid(yaw, stations - step)
     return np.asarray(turn[:, 0] / (2 * step * STATION_M))
 
 
-def beside_path(path: Path, metres: Floats, aside: Floats, slope: Floats) -> Floats:
+def compute_offset_poses(path: VehiclePath, metres: Floats, aside: Floats, slope: Floats) -> Floats:
     """Rear-axle poses, (N, 3), of a drive beside a path without slip: the heading is that of its own motion.
 
     Args:
@@ -62,8 +62,8 @@ def beside_path(path: Path, metres: Floats, aside: Floats, slope: Floats) -> Flo
         slope: (N,) change of ``aside`` over a metre.
     """
     stations = metres / STATION_M
-    pose = between_grid(path.rear, stations)
-    heading = pose[:, 2] + np.arctan2(slope, 1 - curvature_at(path, stations) * aside)
+    pose = interpolate_grid(path.rear, stations)
+    heading = pose[:, 2] + np.arctan2(slope, 1 - compute_curvature(path, stations) * aside)
     return np.column_stack([pose[:, 0] - aside * np.sin(pose[:, 2]), pose[:, 1] + aside * np.cos(pose[:, 2]), heading])
 
 
@@ -93,12 +93,12 @@ _GAP_M: Final = 0.25
 class PlannedEgo:
     """The ego as it would drive: its path, and the (FRAMES,) places on it at 12 Hz, in steps of `STATION_M`."""
 
-    path: Path
+    path: VehiclePath
     stations: Floats
 
 
 @dataclass(frozen=True, slots=True)
-class _Wanted:
+class _ExcursionPlan:
     """Seconds and sizes of one excursion before it is known whether it can be driven."""
 
     kind: Kind
@@ -110,8 +110,8 @@ class _Wanted:
     ahead_m: float
     faster_mps: float
 
-    def smaller(self) -> "_Wanted":
-        return _Wanted(
+    def shrink(self) -> "_ExcursionPlan":
+        return _ExcursionPlan(
             self.kind,
             self.begin_s,
             self.departing_s,
@@ -120,8 +120,8 @@ class _Wanted:
         )
 
 
-def driven_off_path(
-    world: World, planned: PlannedEgo, rng: np.random.Generator
+def drive_off_path(
+    world: TownWorld, planned: PlannedEgo, rng: np.random.Generator
 ) -> tuple[Floats, tuple[Excursion, ...]]:
     """Let the ego depart from its path and come back, as often as the scene has time for.
 
@@ -131,46 +131,46 @@ def driven_off_path(
     Returns:
         (FRAMES, 3) rear-axle poses, and the excursions in the order of time.
     """
-    others = World(world.town, tracks=world.tracks)
-    taken: list[_Wanted] = []
-    rear = _rear(planned, taken)
+    others = TownWorld(world.town, tracks=world.tracks)
+    taken: list[_ExcursionPlan] = []
+    rear = _compute_rear(planned, taken)
     # What the planned motion does already is not held against an excursion.
     begin = float(rng.uniform(*_FIRST_S))
     while begin + _DEPARTING_S[1] + _RETURNING_S[0] < FRAMES / FRAME_HZ:
-        wanted = _drawn(planned, begin, rng)
+        wanted = _draw_excursion(planned, begin, rng)
         begin = wanted.begin_s + float(rng.uniform(*_PAUSE_S))
         for _ in range(_TRIES):
-            candidate = _rear(planned, [*taken, wanted])
+            candidate = _compute_rear(planned, [*taken, wanted])
             if _is_drivable(others, candidate):
                 taken.append(wanted)
                 rear = candidate
                 begin += wanted.departing_s + wanted.returning_s
                 break
-            wanted = wanted.smaller()
-    return rear, tuple(_as_driven(planned, taken, excursion) for excursion in taken)
+            wanted = wanted.shrink()
+    return rear, tuple(_build_excursion(planned, taken, excursion) for excursion in taken)
 
 
-def _drawn(planned: PlannedEgo, begin: float, rng: np.random.Generator) -> _Wanted:
+def _draw_excursion(planned: PlannedEgo, begin: float, rng: np.random.Generator) -> _ExcursionPlan:
     """An excursion that begins then, or, where the ego brakes later on, before that."""
     kind: Kind = KINDS[int(rng.integers(len(KINDS)))]
     departing, returning = float(rng.uniform(*_DEPARTING_S)), float(rng.uniform(*_RETURNING_S))
     if kind == "late-braking":
-        braking = _braking_begins_s(planned, begin + departing)
+        braking = _find_braking_start_s(planned, begin + departing)
         # Where nobody brakes it gets off its path sideways.
         kind, begin = ("lateral", begin) if braking is None else (kind, braking - 0.5 * departing)
-    lateral = _size(_LATERAL_M, _LATERAL_ASIDE_M, rng, main=kind == "lateral")
-    heading = _size(_HEADING_RAD, _HEADING_ASIDE_RAD, rng, main=kind == "heading")
+    lateral = _draw_size(_LATERAL_M, _LATERAL_ASIDE_M, rng, main=kind == "lateral")
+    heading = _draw_size(_HEADING_RAD, _HEADING_ASIDE_RAD, rng, main=kind == "heading")
     faster = _FASTER.get(kind, 0.0) * float(rng.uniform(*_SPEED_MPS))
-    return _Wanted(kind, begin, departing, returning, lateral, heading, 0.5 * departing * faster, faster)
+    return _ExcursionPlan(kind, begin, departing, returning, lateral, heading, 0.5 * departing * faster, faster)
 
 
-def _size(main_range: tuple[float, float], aside: float, rng: np.random.Generator, *, main: bool) -> float:
+def _draw_size(main_range: tuple[float, float], aside: float, rng: np.random.Generator, *, main: bool) -> float:
     """Distance to one of the sides: within a range where it is the main thing, else anything up to a little."""
     side = float(rng.choice([-1.0, 1.0]))
     return side * float(rng.uniform(*main_range) if main else rng.uniform(0.0, aside))
 
 
-def _braking_begins_s(planned: PlannedEgo, earliest_s: float) -> float | None:
+def _find_braking_start_s(planned: PlannedEgo, earliest_s: float) -> float | None:
     speed = np.diff(planned.stations) * STATION_M * FRAME_HZ
     change = (speed[_BRAKING_FRAMES:] - speed[:-_BRAKING_FRAMES]) * FRAME_HZ / _BRAKING_FRAMES
     earliest = int(np.ceil(earliest_s * FRAME_HZ))
@@ -183,42 +183,44 @@ def _braking_begins_s(planned: PlannedEgo, earliest_s: float) -> float | None:
     )
 
 
-def _rear(planned: PlannedEgo, wanted: Sequence[_Wanted]) -> Floats:
+def _compute_rear(planned: PlannedEgo, wanted: Sequence[_ExcursionPlan]) -> Floats:
     """(FRAMES, 3) rear-axle poses with all excursions."""
     seconds = np.arange(FRAMES) / FRAME_HZ
-    ahead = sum((_ahead(excursion, seconds) for excursion in wanted), np.zeros(FRAMES))
+    ahead = sum((_compute_ahead(excursion, seconds) for excursion in wanted), np.zeros(FRAMES))
     metres = planned.stations * STATION_M + ahead
     aside, slope = np.zeros(FRAMES), np.zeros(FRAMES)
     for excursion in wanted:
-        left, rising = _aside(planned, excursion, metres)
+        left, rising = _compute_aside(planned, excursion, metres)
         aside, slope = aside + left, slope + rising
-    return beside_path(planned.path, metres, aside, slope)
+    return compute_offset_poses(planned.path, metres, aside, slope)
 
 
-def _ahead(excursion: _Wanted, seconds: Floats) -> Floats:
+def _compute_ahead(excursion: _ExcursionPlan, seconds: Floats) -> Floats:
     """(FRAMES,) metres by which the ego is ahead of where it would be."""
     worst, end = (
         excursion.begin_s + excursion.departing_s,
         excursion.begin_s + excursion.departing_s + excursion.returning_s,
     )
-    departing = quintic(seconds, excursion.begin_s, worst, (0.0, 0.0), (excursion.ahead_m, excursion.faster_mps))[0]
-    returning = quintic(seconds, worst, end, (excursion.ahead_m, excursion.faster_mps), (0.0, 0.0))[0]
+    departing = evaluate_quintic(
+        seconds, excursion.begin_s, worst, (0.0, 0.0), (excursion.ahead_m, excursion.faster_mps)
+    )[0]
+    returning = evaluate_quintic(seconds, worst, end, (excursion.ahead_m, excursion.faster_mps), (0.0, 0.0))[0]
     return np.asarray(np.where(seconds < worst, departing, returning))
 
 
-def _aside(planned: PlannedEgo, excursion: _Wanted, metres: Floats) -> tuple[Floats, Floats]:
+def _compute_aside(planned: PlannedEgo, excursion: _ExcursionPlan, metres: Floats) -> tuple[Floats, Floats]:
     """(FRAMES,) metres to the left of the path, and their slope over the station."""
-    begin, worst, end = _places(planned, excursion)
+    begin, worst, end = _compute_places(planned, excursion)
     slope = float(np.tan(excursion.heading_rad))
-    departing = quintic(metres, begin, worst, (0.0, 0.0), (excursion.lateral_m, slope))
-    returning = quintic(metres, worst, end, (excursion.lateral_m, slope), (0.0, 0.0))
+    departing = evaluate_quintic(metres, begin, worst, (0.0, 0.0), (excursion.lateral_m, slope))
+    returning = evaluate_quintic(metres, worst, end, (excursion.lateral_m, slope), (0.0, 0.0))
     return (
         np.where(metres < worst, departing[0], returning[0]),
         np.where(metres < worst, departing[1], returning[1]),
     )
 
 
-def _places(planned: PlannedEgo, excursion: _Wanted) -> tuple[float, float, float]:
+def _compute_places(planned: PlannedEgo, excursion: _ExcursionPlan) -> tuple[float, float, float]:
     """Metres along the path at which the ego departs sideways, is furthest off, and is back."""
     seconds = np.arange(FRAMES) / FRAME_HZ
     metres = planned.stations * STATION_M
@@ -228,22 +230,22 @@ def _places(planned: PlannedEgo, excursion: _Wanted) -> tuple[float, float, floa
     return begin, worst, max(end, worst + 2 * _LEAST_ROOM_M)
 
 
-def _is_drivable(others: World, rear: Floats) -> bool:
-    boxes = body_boxes(rear, EGO_BODY)
-    return broken_limit(boxes, DriverLimits()) is None and others.is_free(boxes, EGO_BODY, gap_m=_GAP_M)
+def _is_drivable(others: TownWorld, rear: Floats) -> bool:
+    boxes = compute_body_boxes(rear, EGO_BODY)
+    return find_broken_limit(boxes, DriverLimits()) is None and others.is_free(boxes, EGO_BODY, gap_m=_GAP_M)
 
 
-def _as_driven(planned: PlannedEgo, taken: Sequence[_Wanted], excursion: _Wanted) -> Excursion:
+def _build_excursion(planned: PlannedEgo, taken: Sequence[_ExcursionPlan], excursion: _ExcursionPlan) -> Excursion:
     """An excursion as it came out: sideways it lasts as long as its metres take."""
     seconds = np.arange(FRAMES) / FRAME_HZ
-    ahead = sum((_ahead(other, seconds) for other in taken), np.zeros(FRAMES))
+    ahead = sum((_compute_ahead(other, seconds) for other in taken), np.zeros(FRAMES))
     metres = planned.stations * STATION_M + ahead
-    _, worst_m, end_m = _places(planned, excursion)
-    worst = max(excursion.begin_s + excursion.departing_s, _reached_s(metres, worst_m))
+    _, worst_m, end_m = _compute_places(planned, excursion)
+    worst = max(excursion.begin_s + excursion.departing_s, _find_time_at(metres, worst_m))
     end = max(
         worst + 1 / FRAME_HZ,
         excursion.begin_s + excursion.departing_s + excursion.returning_s,
-        _reached_s(metres, end_m),
+        _find_time_at(metres, end_m),
     )
     return Excursion(
         kind=excursion.kind,
@@ -257,7 +259,7 @@ def _as_driven(planned: PlannedEgo, taken: Sequence[_Wanted], excursion: _Wanted
     )
 
 
-def _reached_s(metres: Floats, place: float) -> float:
+def _find_time_at(metres: Floats, place: float) -> float:
     """When the ego gets there; the end of the scene where it does not."""
     frames = np.flatnonzero(metres >= place)
     return (int(frames[0]) if len(frames) else FRAMES) / FRAME_HZ

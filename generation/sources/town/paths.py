@@ -9,16 +9,16 @@ import numpy as np
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M, EGO_LENGTH_M, EGO_WHEELBASE_M, EGO_WIDTH_M
 from benchmark.geometry import Floats
 from generation.sources.town.curves import (
-    at_lengths,
-    between_grid,
-    headings,
-    joined,
-    lengths_along,
-    offset,
-    resampled,
-    smoothed,
+    compute_headings,
+    compute_lengths,
+    interpolate_at_lengths,
+    interpolate_grid,
+    join_lines,
+    offset_line,
+    resample_line,
+    smooth_line,
 )
-from generation.sources.town.network import Role, Town, TownLane
+from generation.sources.town.network import LaneRole, Town, TownLane
 
 STATION_M = 0.5
 LEAD_M = 14.0
@@ -30,7 +30,7 @@ _ROOM_FOR_LANE_CHANGE_M = 75.0
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class VehicleBody:
     """Size, metres, and wheels of a vehicle.
 
     ``wheelbase`` is rear to front axle, ``center_ahead`` the box centre ahead of the rear axle.
@@ -44,11 +44,13 @@ class Body:
     center_ahead: float
 
 
-EGO_BODY = Body("vehicle.car", EGO_LENGTH_M, EGO_WIDTH_M, EGO_HEIGHT_M, EGO_WHEELBASE_M, EGO_CENTER_FROM_REAR_AXLE_M)
+EGO_BODY = VehicleBody(
+    "vehicle.car", EGO_LENGTH_M, EGO_WIDTH_M, EGO_HEIGHT_M, EGO_WHEELBASE_M, EGO_CENTER_FROM_REAR_AXLE_M
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class RouteLeg:
     """One lane of a route.
 
     Attributes:
@@ -69,7 +71,7 @@ class Leg:
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class VehiclePath:
     """Way of a vehicle, station by station (`STATION_M` apart), at any speed.
 
     (M, 3) x, y, yaw of the rear axle, and (M,) limits in m/s by sign and by curvature.
@@ -77,14 +79,14 @@ class Path:
 
     rear: Floats
     speed_limit: Floats
-    body: Body
+    body: VehicleBody
 
     def boxes(self, stations: Floats) -> Floats:
         """(K, 5) boxes at fractional stations."""
-        return body_boxes(between_grid(self.rear, stations), self.body)
+        return compute_body_boxes(interpolate_grid(self.rear, stations), self.body)
 
 
-def body_boxes(rear: Floats, body: Body) -> Floats:
+def compute_body_boxes(rear: Floats, body: VehicleBody) -> Floats:
     """Boxes of a vehicle from (..., 3) rear-axle poses."""
     heading = rear[..., 2]
     x = rear[..., 0] + body.center_ahead * np.cos(heading)
@@ -93,15 +95,17 @@ def body_boxes(rear: Floats, body: Body) -> Floats:
     return np.concatenate([np.stack([x, y], -1), size, heading[..., None]], axis=-1)
 
 
-def lane_length(lane: TownLane) -> float:
+def compute_lane_length(lane: TownLane) -> float:
     """Metres along a lane."""
-    return float(lengths_along(lane.line)[-1])
+    return float(compute_lengths(lane.line)[-1])
 
 
-def dead_end(town: Town, name: str) -> bool:
+def is_dead_end(town: Town, name: str) -> bool:
     """Whether a lane leads out of the map, itself or after its junction."""
     after = town.successors[name]
-    return not after or (town.lanes[name].role is not Role.ROAD and all(not town.successors[lane] for lane in after))
+    return not after or (
+        town.lanes[name].role is not LaneRole.ROAD and all(not town.successors[lane] for lane in after)
+    )
 
 
 def find_route(
@@ -113,7 +117,7 @@ def find_route(
     *,
     likes: Callable[[TownLane], float],
     change_chance: float = 0.0,
-) -> tuple[list[Leg], float] | None:
+) -> tuple[list[RouteLeg], float] | None:
     """A random chain of lanes around a start.
 
     Args:
@@ -133,20 +137,20 @@ def find_route(
             return None
         first = options[int(rng.integers(len(options)))]
         before.insert(0, first)
-        start_m += lane_length(town.lanes[first])
-    legs = [Leg(name) for name in before]
+        start_m += compute_lane_length(town.lanes[first])
+    legs = [RouteLeg(name) for name in before]
     # A change of lane ahead of the start is possible on the start's own lane too.
-    passed = start_m - sum(lane_length(town.lanes[name]) for name in before)
+    passed = start_m - sum(compute_lane_length(town.lanes[name]) for name in before)
     current: str | None = lane
     ahead = -passed
     while current is not None:
-        leg = _leg(town, current, rng, change_chance, max(passed, 0.0))
+        leg = _draw_leg(town, current, rng, change_chance, max(passed, 0.0))
         passed = 0.0
         legs.append(leg)
-        ahead += lane_length(town.lanes[current])
+        ahead += compute_lane_length(town.lanes[current])
         if ahead > length_m:
             return legs, start_m
-        options = tuple(name for name in town.successors[leg.leaves_by] if not dead_end(town, name))
+        options = tuple(name for name in town.successors[leg.leaves_by] if not is_dead_end(town, name))
         weights = np.array([likes(town.lanes[name]) for name in options])
         if not options or weights.sum() <= 0:
             return None
@@ -154,18 +158,20 @@ def find_route(
     return None
 
 
-def _leg(town: Town, name: str, rng: np.random.Generator, change_chance: float, passed: float) -> Leg:
+def _draw_leg(town: Town, name: str, rng: np.random.Generator, change_chance: float, passed: float) -> RouteLeg:
     lane = town.lanes[name]
-    room = lane_length(lane) - passed
+    room = compute_lane_length(lane) - passed
     if len(lane.siblings) < 2 or room < _ROOM_FOR_LANE_CHANGE_M or rng.random() >= change_chance:
-        return Leg(name)
+        return RouteLeg(name)
     others = [other for other in lane.siblings if abs(town.lanes[other].index - lane.index) == 1]
     length = float(rng.uniform(*_LANE_CHANGE_M))
     begin = passed + float(rng.uniform(6.0, room - length - 20.0))
-    return Leg(name, others[int(rng.integers(len(others)))], begin, length)
+    return RouteLeg(name, others[int(rng.integers(len(others)))], begin, length)
 
 
-def build_path(town: Town, legs: list[Leg], start_m: float, body: Body, *, lateral_m: float = 0.0) -> Path:
+def build_path(
+    town: Town, legs: list[RouteLeg], start_m: float, body: VehicleBody, *, lateral_m: float = 0.0
+) -> VehiclePath:
     """The path of a vehicle along a route; its front axle follows the smoothed centrelines exactly.
 
     The rear axle is towed by the front axle, which is the kinematic bicycle with the front wheels along the path:
@@ -177,52 +183,52 @@ def build_path(town: Town, legs: list[Leg], start_m: float, body: Body, *, later
     """
     lines, limits, along = [], [], 0.0
     for leg in legs:
-        line = _leg_line(town, leg)
+        line = _build_leg_line(town, leg)
         limits.append((along, town.lanes[leg.lane].speed_mps))
-        along += float(lengths_along(line)[-1])
+        along += float(compute_lengths(line)[-1])
         lines.append(line)
-    line = resampled(joined(lines), STATION_M)
+    line = resample_line(join_lines(lines), STATION_M)
     spacing = float(np.hypot(*(line[1] - line[0])))
     if lateral_m:
-        line = offset(line, lateral_m)
-    front = smoothed(line, spacing_m=spacing, deviation_m=_SMOOTHING_M)
-    walked = lengths_along(front)
+        line = offset_line(line, lateral_m)
+    front = smooth_line(line, spacing_m=spacing, deviation_m=_SMOOTHING_M)
+    walked = compute_lengths(front)
     skipped = round((start_m - LEAD_M) / spacing)
-    front = at_lengths(front, np.arange(walked[max(skipped, 0)], walked[-1], STATION_M))
-    rear = _towed(front, body.wheelbase)
-    curvature = np.gradient(headings(front)) / STATION_M
+    front = interpolate_at_lengths(front, np.arange(walked[max(skipped, 0)], walked[-1], STATION_M))
+    rear = _compute_rear_axle_path(front, body.wheelbase)
+    curvature = np.gradient(compute_headings(front)) / STATION_M
     stations = np.arange(len(front)) * STATION_M + start_m - LEAD_M
     starts, speeds = np.array(limits).T
     limit = speeds[np.clip(np.searchsorted(starts, stations, side="right") - 1, 0, len(speeds) - 1)]
     bend = np.sqrt(_COMFORTABLE_LATERAL_MPS2 / np.maximum(np.abs(curvature), 1e-3))
     lead = round(LEAD_M / STATION_M)
-    return Path(rear[lead:], np.minimum(limit, bend)[lead:], body)
+    return VehiclePath(rear[lead:], np.minimum(limit, bend)[lead:], body)
 
 
-def fastest_start(path: Path) -> float:
+def compute_fastest_start(path: VehiclePath) -> float:
     """Speed at the start from which gentle braking meets every speed limit ahead, m/s."""
     stations = np.arange(len(path.speed_limit)) * STATION_M
     return float(np.sqrt(path.speed_limit**2 + 2 * _COMFORTABLE_BRAKING_MPS2 * stations).min())
 
 
-def _leg_line(town: Town, leg: Leg) -> Floats:
+def _build_leg_line(town: Town, leg: RouteLeg) -> Floats:
     line = town.lanes[leg.lane].line
     if leg.changes_to is None:
         return line
     # Siblings are parallels of one reference: equal stations lie side by side.
-    u = np.clip((lengths_along(line) - leg.change_from_m) / leg.change_length_m, 0.0, 1.0)
+    u = np.clip((compute_lengths(line) - leg.change_from_m) / leg.change_length_m, 0.0, 1.0)
     blend = (u**3 * (10 - 15 * u + 6 * u**2))[:, None]
     return np.asarray((1 - blend) * line + blend * town.lanes[leg.changes_to].line)
 
 
-def _towed(front: Floats, wheelbase: float) -> Floats:
+def _compute_rear_axle_path(front: Floats, wheelbase: float) -> Floats:
     """(M, 3) rear-axle poses behind a (M, 2) front-axle path.
 
     Kinematic bicycle with the front wheels along the path: d yaw / d s = sin(path heading - yaw) / wheelbase, by the
     midpoint rule.
     """
-    tangent = headings(front)
-    steps = np.diff(lengths_along(front)).tolist()
+    tangent = compute_headings(front)
+    steps = np.diff(compute_lengths(front)).tolist()
     middle = (0.5 * (tangent[1:] + tangent[:-1])).tolist()
     yaw = float(tangent[0])
     yaws = [yaw]

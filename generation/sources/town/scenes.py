@@ -12,38 +12,44 @@ from numpy.typing import NDArray
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, OFFICIAL_LOCATIONS
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw, to_local, wrap_angle
-from benchmark.machine.storage import content_seed, token
-from benchmark.records.driven import DrivenEgo
+from benchmark.machine.storage import content_seed, make_token
+from benchmark.records.driven import DrivenEgoTargets
 from benchmark.records.off_path import Excursion
 from benchmark.scene import Agents, Annotations, EgoTrack, Scene
-from generation.sources.rig import default_cameras, default_lidar
+from generation.sources.rig import build_default_cameras, build_default_lidar
 from generation.sources.town.bystanders import (
     add_crossing_pedestrians,
     add_meeting_pedestrians,
     add_parked,
     add_walkers,
 )
-from generation.sources.town.curves import between_grid
-from generation.sources.town.driven import Driven, ways_back
+from generation.sources.town.curves import interpolate_grid
+from generation.sources.town.driven import PlannerDrive, plan_ways_back
 from generation.sources.town.network import Town
-from generation.sources.town.off_path import KEPT_ON_PATH_EVERY, PlannedEgo, driven_off_path
-from generation.sources.town.paths import EGO_BODY, Leg, build_path, fastest_start, lane_length
+from generation.sources.town.off_path import KEPT_ON_PATH_EVERY, PlannedEgo, drive_off_path
+from generation.sources.town.paths import EGO_BODY, RouteLeg, build_path, compute_fastest_start, compute_lane_length
 from generation.sources.town.speed import FRAMES
-from generation.sources.town.themes import PROGRAMME, Programme, ego_route, leader_pace, route_points
+from generation.sources.town.themes import (
+    PROGRAMME,
+    SceneProgramme,
+    compute_route_points,
+    draw_ego_route,
+    draw_leader_pace,
+)
 from generation.sources.town.towns import TOWN_VERSION, build_town
 from generation.sources.town.traffic import (
     BUS,
     SEDAN,
     LanePoints,
-    Start,
+    VehicleStart,
     add_companions,
     add_cycles,
     add_passing,
     add_vehicle,
-    following,
-    natural_pace,
+    build_route_weights,
+    draw_natural_pace,
 )
-from generation.sources.town.world import World
+from generation.sources.town.world import TownWorld
 
 _RAYS = 7
 _LIDAR_POINTS_M2 = 4200.0
@@ -53,7 +59,7 @@ _MOVING_MPS = 0.3
 _LIDAR_CERTAIN_M = 50.0
 
 
-def annotate(agents: Agents, parked: Bools, ego: EgoTrack, keyframes: NDArray[np.int64]) -> Annotations:
+def build_annotations(agents: Agents, parked: Bools, ego: EgoTrack, keyframes: NDArray[np.int64]) -> Annotations:
     """Annotations, (N, K), of agents at the (K,) keyframes. ``parked`` says (N,) which vehicles are parked.
 
     Visibility is the share of sight lines from the ego's roof that no nearer box crosses; lidar points fall with
@@ -67,7 +73,7 @@ def annotate(agents: Agents, parked: Bools, ego: EgoTrack, keyframes: NDArray[np
         eye = ego.position[frame, :2]
         distance[:, column] = np.hypot(position[:, column, 0] - eye[0], position[:, column, 1] - eye[1])
         present = np.flatnonzero(valid[:, column])
-        visible_share[present, column] = _visible_share(boxes[present, column], agents.size[present, 2], eye)
+        visible_share[present, column] = _compute_visible_share(boxes[present, column], agents.size[present, 2], eye)
     area = agents.size[:, 2] * np.maximum(agents.size[:, 0], agents.size[:, 1])
     points = np.rint(_LIDAR_POINTS_M2 * area[:, None] * visible_share / np.maximum(distance, 3.0) ** 2).astype(np.int64)
     points = np.where((distance < _LIDAR_CERTAIN_M) & (visible_share > 0), np.maximum(points, 1), points)
@@ -77,14 +83,14 @@ def annotate(agents: Agents, parked: Bools, ego: EgoTrack, keyframes: NDArray[np
         rotation=quaternion_from_yaw(yaw),
         size=np.repeat(agents.size[:, None], len(keyframes), axis=1),
         valid=valid,
-        attribute=_attributes(agents, parked, keyframes),
+        attribute=_choose_attributes(agents, parked, keyframes),
         visibility=np.where(valid, levels, 1).astype(np.int64),
         num_lidar_pts=np.where(valid, points, 0),
         num_radar_pts=np.where(valid, np.minimum(np.rint(_RADAR_SHARE * points), 12), 0).astype(np.int64),
     )
 
 
-def _visible_share(boxes: Floats, heights: Floats, eye: Floats) -> Floats:
+def _compute_visible_share(boxes: Floats, heights: Floats, eye: Floats) -> Floats:
     """(N,) share of sight lines to each box, spread over its width as seen, that no other box crosses."""
     count = len(boxes)
     towards = np.arctan2(boxes[:, 1] - eye[1], boxes[:, 0] - eye[0])
@@ -110,7 +116,7 @@ def _visible_share(boxes: Floats, heights: Floats, eye: Floats) -> Floats:
     return np.asarray(1.0 - hidden.mean(axis=1))
 
 
-def _attributes(agents: Agents, parked: Bools, keyframes: NDArray[np.int64]) -> NDArray[np.str_]:
+def _choose_attributes(agents: Agents, parked: Bools, keyframes: NDArray[np.int64]) -> NDArray[np.str_]:
     before = np.maximum(keyframes - 1, 0)
     after = np.minimum(keyframes + 1, agents.yaw.shape[1] - 1)
     moved = agents.position[:, after, :2] - agents.position[:, before, :2]
@@ -150,7 +156,7 @@ _LEAST_SECONDS_PRESENT = 10
 _LEAST_EGO_DISTANCE_M = 60.0
 
 
-def town_scene_names(split: Split, count: int) -> tuple[str, ...]:
+def list_town_scene_names(split: Split, count: int) -> tuple[str, ...]:
     """Names of the first scenes of a split: four digits, none of them a scene of nuScenes.
 
     They are ``scene-8000``... for val and ``scene-9000``... for train; four digits must be enough.
@@ -163,7 +169,7 @@ def town_scene_names(split: Split, count: int) -> tuple[str, ...]:
     return tuple(f"scene-{number:04d}" for number in numbers[:count])
 
 
-def town_scene(split: Split, index: int, *, seed: int = 0, crossing: int = 0) -> Scene:
+def build_town_scene(split: Split, index: int, *, seed: int = 0, crossing: int = 0) -> Scene:
     """One scene of the embedded town, 20 s at 12 Hz; nothing but the arguments decides its bytes.
 
     Args:
@@ -172,51 +178,55 @@ def town_scene(split: Split, index: int, *, seed: int = 0, crossing: int = 0) ->
         seed: Different seeds give different towns and traffic.
         crossing: Most pedestrians more who cross the ego's way when it comes; with any, all is different but the town.
     """
-    return _found(split, index, seed, crossing, off_path=False)[0]
+    return _build_scene(split, index, seed, crossing, off_path=False)[0]
 
 
-def town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -> tuple[Scene, tuple[Excursion, ...]]:
+def build_town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -> tuple[Scene, tuple[Excursion, ...]]:
     """A training scene of the embedded town in which the ego gets off its path and comes back, and when it was off it.
 
-    All others do what they do in `town_scene`. One of `KEPT_ON_PATH_EVERY` scenes stays as it is.
+    All others do what they do in `build_town_scene`. One of `KEPT_ON_PATH_EVERY` scenes stays as it is.
     """
     off_path = index % KEPT_ON_PATH_EVERY != KEPT_ON_PATH_EVERY - 1
-    return _found("train", index, seed, crossing, off_path=off_path)
+    return _build_scene("train", index, seed, crossing, off_path=off_path)
 
 
-def town_scene_driven(index: int, driven: Driven, *, seed: int = 0, crossing: int = 0) -> tuple[Scene, DrivenEgo]:
+def build_town_scene_driven(
+    index: int, driven: PlannerDrive, *, seed: int = 0, crossing: int = 0
+) -> tuple[Scene, DrivenEgoTargets]:
     """A training scene of the embedded town in which the ego goes where a planner drove it, as long as that drove.
 
-    All others do what they do in `town_scene`. With the scene comes where a good driver would go from each key
+    All others do what they do in `build_town_scene`. With the scene comes where a good driver would go from each key
     frame.
     """
-    world, planned, programme = _settled("train", index, seed, crossing)
-    wanted = ways_back(world, planned, driven)
+    world, planned, programme = _find_populated_world("train", index, seed, crossing)
+    wanted = plan_ways_back(world, planned, driven)
     world.place_ego(driven.rear())
-    name = town_scene_names("train", index + 1)[-1]
-    scene = _scene(world, programme, "train", index, seed, name)
+    name = list_town_scene_names("train", index + 1)[-1]
+    scene = _assemble_scene(world, programme, "train", index, seed, name)
     frames = (len(driven) - 1) * FRAMES_PER_KEYFRAME + 1
-    return scene.first_frames(frames), DrivenEgo(driven.planner, driven.commands, wanted)
+    return scene.first_frames(frames), DrivenEgoTargets(driven.planner, driven.commands, wanted)
 
 
-def _found(
+def _build_scene(
     split: Split, index: int, seed: int, crossing: int, *, off_path: bool
 ) -> tuple[Scene, tuple[Excursion, ...]]:
-    world, planned, programme = _settled(split, index, seed, crossing)
+    world, planned, programme = _find_populated_world(split, index, seed, crossing)
     excursions: tuple[Excursion, ...] = ()
     if off_path:
         leaving = np.random.default_rng(content_seed("off path", TOWN_VERSION, split, index, seed))
-        rear, excursions = driven_off_path(world, planned, leaving)
+        rear, excursions = drive_off_path(world, planned, leaving)
         world.place_ego(rear)
-    name = town_scene_names(split, index + 1)[-1]
-    return _scene(world, programme, split, index, seed, name), excursions
+    name = list_town_scene_names(split, index + 1)[-1]
+    return _assemble_scene(world, programme, split, index, seed, name), excursions
 
 
-def _settled(split: Split, index: int, seed: int, crossing: int) -> tuple[World, PlannedEgo, Programme]:
+def _find_populated_world(
+    split: Split, index: int, seed: int, crossing: int
+) -> tuple[TownWorld, PlannedEgo, SceneProgramme]:
     """World of a scene with all in it, and the ego as it would drive."""
     if index < 0:
         raise InputError(f"the number of a town scene starts at 0, got {index}")
-    town_scene_names(split, index + 1)
+    list_town_scene_names(split, index + 1)
     programme = PROGRAMME[index % len(PROGRAMME)]
     place = (index + index // len(PROGRAMME)) % 2
     for attempt in range(_TRIES):
@@ -227,31 +237,31 @@ def _settled(split: Split, index: int, seed: int, crossing: int) -> tuple[World,
         also = (crossing,) if crossing else ()
         rng = np.random.default_rng(content_seed("town scene", TOWN_VERSION, split, index, seed, attempt, *also))
         populated = _populate(town, location, seed, programme, rng, crossing)
-        if populated is None or not _worth_attacking(populated[0]):
+        if populated is None or not _is_worth_attacking(populated[0]):
             continue
         return *populated, programme
     raise InputError(f"the embedded town finds no traffic for {split} scene {index} with seed {seed}; use another seed")
 
 
 @lru_cache(maxsize=8)
-def _lane_points(location: str, seed: int) -> LanePoints:
+def _build_lane_points(location: str, seed: int) -> LanePoints:
     return LanePoints.of(build_town(location, seed))
 
 
 def _populate(
-    town: Town, location: str, seed: int, programme: Programme, rng: np.random.Generator, crossing: int
-) -> tuple[World, PlannedEgo] | None:
+    town: Town, location: str, seed: int, programme: SceneProgramme, rng: np.random.Generator, crossing: int
+) -> tuple[TownWorld, PlannedEgo] | None:
     """One attempt at a scene: a route, then all others in the order in which they have the right of way."""
     theme = programme.theme
-    route = ego_route(town, theme, rng)
+    route = draw_ego_route(town, theme, rng)
     if route is None:
         return None
     legs, start_m = route
-    points = _lane_points(location, seed)
-    way = route_points(town, legs, start_m, 200.0)
-    world = World(town)
+    points = _build_lane_points(location, seed)
+    way = compute_route_points(town, legs, start_m, 200.0)
+    world = TownWorld(town)
     add_parked(world, way, rng, share=0.7, most=theme.parked)
-    pace = natural_pace(rng) if theme.leader == "none" else leader_pace(theme, rng)
+    pace = draw_natural_pace(rng) if theme.leader == "none" else draw_leader_pace(theme, rng)
     if theme.leader != "none" and not _add_leader(world, programme, legs, start_m, pace, rng):
         return None
     add_crossing_pedestrians(world, way[5:], rng, wanted=theme.crossing)
@@ -260,18 +270,18 @@ def _populate(
     if crossing:
         speed = eagerness * float(np.mean(path.speed_limit))
         add_meeting_pedestrians(world, way, rng, wanted=crossing, speed_mps=speed)
-    start = int(min(eagerness * float(path.speed_limit[0]), fastest_start(path)) + 0.3)
+    start = int(min(eagerness * float(path.speed_limit[0]), compute_fastest_start(path)) + 0.3)
     if theme.leader == "slow":
         start = min(start, 9)
     elif theme.leader == "stop-and-go":
         # The search knows the leader's future and would creep; a driver does what the car ahead did a second ago.
         start, pace = min(start, 6), np.concatenate([pace[:1], pace[:-1]])
     stations = world.stations(
-        path, start_mps=start, eagerness=eagerness, pace=natural_pace(rng) if theme.leader == "slow" else pace
+        path, start_mps=start, eagerness=eagerness, pace=draw_natural_pace(rng) if theme.leader == "slow" else pace
     )
     if stations is None:
         return None
-    rear = between_grid(path.rear, stations)
+    rear = interpolate_grid(path.rear, stations)
     world.place_ego(rear)
     add_companions(world, points, legs, rng, wanted=theme.companions)
     add_passing(world, points, rng, wanted=theme.passing, attempts=3 * theme.passing)
@@ -281,22 +291,27 @@ def _populate(
 
 
 def _add_leader(
-    world: World, programme: Programme, legs: list[Leg], start_m: float, pace: Floats, rng: np.random.Generator
+    world: TownWorld,
+    programme: SceneProgramme,
+    legs: list[RouteLeg],
+    start_m: float,
+    pace: Floats,
+    rng: np.random.Generator,
 ) -> bool:
     """A vehicle ahead of the ego on its route, slow or stopping."""
     slow = programme.theme.leader == "slow"
     ahead, index = start_m + float(rng.uniform(24.0, 30.0) if slow else rng.uniform(15.0, 19.0)), 0
-    while ahead > lane_length(world.town.lanes[legs[index].lane]):
-        ahead -= lane_length(world.town.lanes[legs[index].lane])
+    while ahead > compute_lane_length(world.town.lanes[legs[index].lane]):
+        ahead -= compute_lane_length(world.town.lanes[legs[index].lane])
         index += 1
-    start, body = Start(legs[index].lane, ahead, 6.0), BUS if slow else SEDAN
-    likes = following(world.town, legs)
+    start, body = VehicleStart(legs[index].lane, ahead, 6.0), BUS if slow else SEDAN
+    likes = build_route_weights(world.town, legs)
     return any(
         add_vehicle(world, start, body, rng, likes=likes, pace=pace, change_chance=0.0) for _ in range(_LEADER_TRIES)
     )
 
 
-def _worth_attacking(world: World) -> bool:
+def _is_worth_attacking(world: TownWorld) -> bool:
     """Whether the ego moves and enough cars are near it for some seconds and there for long."""
     assert world.ego_rear is not None
     if float(np.hypot(*np.diff(world.ego_rear[:, :2], axis=0).T).sum()) < _LEAST_EGO_DISTANCE_M:
@@ -304,7 +319,7 @@ def _worth_attacking(world: World) -> bool:
     enough = 0
     for track in world.tracks:
         if track.category == "vehicle.car" and len(track.boxes) > 1:
-            near = world.distance_to_ego(track.boxes) < _NEIGHBOUR_REACH_M
+            near = world.compute_distance_to_ego(track.boxes) < _NEIGHBOUR_REACH_M
             enough += bool(
                 near.sum() >= _LEAST_SECONDS_NEAR * FRAME_HZ
                 and world.present(track.boxes).sum() >= _LEAST_SECONDS_PRESENT * FRAME_HZ
@@ -312,18 +327,18 @@ def _worth_attacking(world: World) -> bool:
     return enough >= _LEAST_NEIGHBOURS
 
 
-def _scene(world: World, programme: Programme, split: str, index: int, seed: int, name: str) -> Scene:
+def _assemble_scene(world: TownWorld, programme: SceneProgramme, split: str, index: int, seed: int, name: str) -> Scene:
     assert world.ego_rear is not None
     rear = np.round(world.ego_rear, _DIGITS)
     ego = EgoTrack(np.column_stack([rear[:, :2], np.zeros(FRAMES)]), quaternion_from_yaw(rear[:, 2]))
-    agents, parked = _agents(world, (split, index, seed))
+    agents, parked = _build_agents(world, (split, index, seed))
     keyframes = np.arange(0, FRAMES, FRAMES_PER_KEYFRAME)
     location = world.town.road_map.location
     day = OFFICIAL_LOCATIONS.index(location)
     first = _FIRST_DAY_US + day * _DAY_US + index * _SCENE_SPACING_US
     return Scene(
         name=name,
-        token=token("town scene", TOWN_VERSION, split, index, seed),
+        token=make_token("town scene", TOWN_VERSION, split, index, seed),
         description=f"{programme.theme.title}, {programme.look.value}",
         log=f"n000-2026-01-{day + 1:02d}-08-00-00+0000",
         vehicle="n000",
@@ -332,14 +347,14 @@ def _scene(world: World, programme: Programme, split: str, index: int, seed: int
         keyframes=keyframes.astype(np.int64),
         ego=ego,
         agents=agents,
-        annotations=annotate(agents, parked, ego, keyframes),
-        cameras=default_cameras(),
-        lidar=default_lidar(),
+        annotations=build_annotations(agents, parked, ego, keyframes),
+        cameras=build_default_cameras(),
+        lidar=build_default_lidar(),
         road_map=world.town.road_map,
     )
 
 
-def _agents(world: World, key: tuple[str, int, int]) -> tuple[Agents, Bools]:
+def _build_agents(world: TownWorld, key: tuple[str, int, int]) -> tuple[Agents, Bools]:
     """Agents that are seen at a keyframe, in the order of placement; where absent, the nearest pose is held."""
     rows: list[tuple[str, Floats, Bools, list[float], bool]] = []
     for track in world.tracks:
@@ -347,12 +362,12 @@ def _agents(world: World, key: tuple[str, int, int]) -> tuple[Agents, Bools]:
         valid = world.present(boxes)
         if valid[::FRAMES_PER_KEYFRAME].any():
             size = [float(boxes[0, 2]), float(boxes[0, 3]), track.height]
-            rows.append((track.category, boxes[_nearest(valid)], valid, size, track.parked))
+            rows.append((track.category, boxes[_find_nearest_valid(valid)], valid, size, track.parked))
     held = np.stack([row[1] for row in rows])
     size = np.round(np.array([row[3] for row in rows]), 3)
     height = np.broadcast_to(size[:, None, 2] / 2, held.shape[:2])
     agents = Agents(
-        ids=tuple(token("town agent", TOWN_VERSION, *key, row) for row in range(len(rows))),
+        ids=tuple(make_token("town agent", TOWN_VERSION, *key, row) for row in range(len(rows))),
         categories=tuple(row[0] for row in rows),
         position=np.round(np.concatenate([held[..., :2], height[..., None]], axis=-1), _DIGITS),
         yaw=np.round(wrap_angle(held[..., 4]), _DIGITS),
@@ -362,7 +377,7 @@ def _agents(world: World, key: tuple[str, int, int]) -> tuple[Agents, Bools]:
     return agents, np.array([row[4] for row in rows], dtype=np.bool_)
 
 
-def _nearest(valid: Bools) -> NDArray[np.int64]:
+def _find_nearest_valid(valid: Bools) -> NDArray[np.int64]:
     """(T,) index of the nearest valid frame, the earlier of two."""
     valid_frames = np.flatnonzero(valid)
     frames = np.arange(len(valid))

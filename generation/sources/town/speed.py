@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ
 from benchmark.geometry import Bools, Floats, boxes_overlap
-from generation.sources.town.paths import STATION_M, Path
+from generation.sources.town.paths import STATION_M, VehiclePath
 
 SECONDS = 20
 FRAMES = SECONDS * FRAME_HZ
@@ -32,20 +32,20 @@ _LATERAL_MARGIN_M = 0.5
 _FAR_M = 14.0
 
 
-def reachable_stations(path: Path) -> int:
+def count_reachable_stations(path: VehiclePath) -> int:
     """Number of stations that matter within the scene."""
     return min(len(path.rear), (SECONDS + 1) * TOP_SPEED_MPS * round(1 / STATION_M))
 
 
-def blocked_stations(path: Path, others: Floats, present: Bools) -> Bools:
+def find_blocked_stations(path: VehiclePath, others: Floats, present: Bools) -> Bools:
     """Places, (Q, B), at which the vehicle would touch another, with a margin.
 
     Args:
-        path: The vehicle's path, B = `reachable_stations` of it matter.
+        path: The vehicle's path, B = `count_reachable_stations` of it matter.
         others: (J, Q, 5) boxes at quarter seconds; Q = 1 for things that stand still.
         present: (J, Q) whether they are there.
     """
-    count = reachable_stations(path)
+    count = count_reachable_stations(path)
     own = path.boxes(np.arange(0.0, count, 2.0))
     own[:, 2] += _LONGITUDINAL_MARGIN_M
     own[:, 3] += _LATERAL_MARGIN_M
@@ -67,11 +67,13 @@ def blocked_stations(path: Path, others: Floats, present: Bools) -> Bools:
     return np.asarray(fine[:, :count])
 
 
-def plan_speed(path: Path, blocked: Bools, *, start_mps: int, desired_mps: Floats, pace: Floats) -> Floats | None:
+def plan_speed(
+    path: VehiclePath, blocked: Bools, *, start_mps: int, desired_mps: Floats, pace: Floats
+) -> Floats | None:
     """The cheapest profile along a path: (FRAMES,) fractional stations, or ``None`` if every profile touches another.
 
     Args:
-        blocked: (4 * SECONDS + 1, B) from `blocked_stations`.
+        blocked: (4 * SECONDS + 1, B) from `find_blocked_stations`.
         desired_mps: (B,) speed the driver would like at each station.
         pace: (SECONDS,) factor on it for each second.
     """
@@ -79,10 +81,10 @@ def plan_speed(path: Path, blocked: Bools, *, start_mps: int, desired_mps: Float
     choices = None if blocked[0, :room].any() else _search(path, blocked, start_mps, desired_mps, pace)
     if choices is None:
         return None
-    return _smooth_motion(start_mps, choices) / STATION_M
+    return _compute_smooth_motion(start_mps, choices) / STATION_M
 
 
-def _search(path: Path, blocked: Bools, start_mps: int, desired: Floats, pace: Floats) -> list[int] | None:
+def _search(path: VehiclePath, blocked: Bools, start_mps: int, desired: Floats, pace: Floats) -> list[int] | None:
     # Half a second to import, which commands that make no town need not wait for.
     from scipy.ndimage import minimum_filter1d
 
@@ -108,7 +110,7 @@ def _search(path: Path, blocked: Bools, start_mps: int, desired: Floats, pace: F
         crowded = np.maximum(_STANDING_GAP_M + _GAP_BEHIND_S * speeds - behind[now], 0.0)
         company = np.minimum(missing, 10.0) + 0.5 * np.minimum(crowded, 10.0)
         here = (wish + _HEADWAY_COST * company * (speeds > 0)).ravel()
-        cost, choice = _advance(cost, here, blocked[CHECKS_PER_SECOND * second :], count)
+        cost, choice = _advance_one_second(cost, here, blocked[CHECKS_PER_SECOND * second :], count)
         chosen.append(choice)
     if not np.isfinite(cost).any():
         return None
@@ -122,7 +124,7 @@ def _search(path: Path, blocked: Bools, start_mps: int, desired: Floats, pace: F
     return accelerations[::-1]
 
 
-def _advance(cost: Floats, here: Floats, blocked: Bools, count: int) -> tuple[Floats, NDArray[np.int8]]:
+def _advance_one_second(cost: Floats, here: Floats, blocked: Bools, count: int) -> tuple[Floats, NDArray[np.int8]]:
     """One second of the search: costs after it and the acceleration by which each state was reached."""
     after, choice = np.full_like(cost, np.inf), np.zeros(len(cost), dtype=np.int8)
     active = np.flatnonzero(np.isfinite(cost))
@@ -143,7 +145,7 @@ def _advance(cost: Floats, here: Floats, blocked: Bools, count: int) -> tuple[Fl
     return after, choice
 
 
-def _smooth_motion(start_mps: int, accelerations: list[int]) -> Floats:
+def _compute_smooth_motion(start_mps: int, accelerations: list[int]) -> Floats:
     """(FRAMES,) metres: the piecewise quadratic motion averaged over one and a half seconds."""
     margin = FRAME_HZ
     time = np.arange(-margin, FRAMES + margin) / FRAME_HZ

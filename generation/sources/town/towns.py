@@ -13,7 +13,14 @@ from benchmark.constants import OFFICIAL_LOCATIONS
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.machine.storage import content_seed
 from benchmark.road_map import Divider, DividerKind, RoadMap, as_multipolygon
-from generation.sources.town.curves import at_lengths, cut, headings, lengths_along, offset, resampled
+from generation.sources.town.curves import (
+    compute_headings,
+    compute_lengths,
+    cut_line,
+    interpolate_at_lengths,
+    offset_line,
+    resample_line,
+)
 from generation.sources.town.junctions import build_car_park, build_crossing, build_roundabout
 from generation.sources.town.network import (
     CANVAS_M,
@@ -21,19 +28,19 @@ from generation.sources.town.network import (
     PARKING_WIDTH_M,
     PLANS,
     WALKWAY_WIDTH_M,
-    Arm,
-    Draft,
-    Layout,
-    NodeKind,
-    Road,
-    Role,
-    StandingPlace,
+    JunctionArm,
+    LaneRole,
+    ParkingPlace,
     Town,
+    TownDraft,
     TownLane,
-    linked_lanes,
+    TownLayout,
+    TownNodeKind,
+    TownRoad,
+    build_map_lanes,
+    build_strip,
+    find_linked_lanes,
     make_layout,
-    map_lanes,
-    strip,
 )
 
 KERB_RADIUS_M = 8.5
@@ -48,115 +55,125 @@ _SLOT_M = 6.2
 _DOUBLE_LINE_M = 0.14
 
 
-def half_width(road: Road) -> float:
+def compute_half_width(road: TownRoad) -> float:
     """Half the width of the lanes of a road, metres, without parking strips."""
     return road.lanes * LANE_WIDTH_M
 
 
-def heading_from(road: Road, node: str) -> float:
+def compute_heading_from(road: TownRoad, node: str) -> float:
     """Heading of a road away from one of its nodes."""
-    tangent = headings(road.reference)
+    tangent = compute_headings(road.reference)
     return float(tangent[0]) if road.ends[0] == node else float(tangent[-1] + np.pi)
 
 
-def trim_lengths(layout: Layout) -> dict[tuple[str, str], float]:
+def compute_trim_lengths(layout: TownLayout) -> dict[tuple[str, str], float]:
     """Metres by (road, node) from a node to the beginning of a road there: enough for kerbs of the usual radius."""
     trims: dict[tuple[str, str], float] = {}
     for node in layout.nodes.values():
         roads = [road for road in layout.roads.values() if node.name in road.ends]
         for road in roads:
             trims[road.name, node.name] = 0.0
-            if node.kind is NodeKind.ROUNDABOUT:
+            if node.kind is TownNodeKind.ROUNDABOUT:
                 trims[road.name, node.name] = ROUNDABOUT_TRIM_M
-            elif node.kind is NodeKind.CROSSING:
-                own = heading_from(road, node.name)
+            elif node.kind is TownNodeKind.CROSSING:
+                own = compute_heading_from(road, node.name)
                 for other in roads:
-                    angle = abs(float(wrap_angle(np.array(heading_from(other, node.name) - own))))
+                    angle = abs(float(wrap_angle(np.array(compute_heading_from(other, node.name) - own))))
                     if other.name == road.name or angle > np.deg2rad(140.0):
                         continue
-                    needed = (half_width(other) + _kerb_radius(road, other)) / np.sin(angle) + 1.0
+                    needed = (compute_half_width(other) + _choose_kerb_radius(road, other)) / np.sin(angle) + 1.0
                     trims[road.name, node.name] = max(trims[road.name, node.name], float(needed))
     return trims
 
 
-def _kerb_radius(road: Road, other: Road) -> float:
+def _choose_kerb_radius(road: TownRoad, other: TownRoad) -> float:
     slow = min(road.speed_mps, other.speed_mps)
     return ACCESS_KERB_RADIUS_M if slow < 8.0 else KERB_RADIUS_M
 
 
-def build_road(draft: Draft, layout: Layout, road: Road, trims: dict[tuple[str, str], float]) -> tuple[Arm, Arm]:
+def build_road(
+    draft: TownDraft, layout: TownLayout, road: TownRoad, trims: dict[tuple[str, str], float]
+) -> tuple[JunctionArm, JunctionArm]:
     """Add one road to the draft; gives its arms at its start and at its end.
 
-    ``trims`` are the `trim_lengths` of the graph.
+    ``trims`` are the `compute_trim_lengths` of the graph.
     """
-    total = float(lengths_along(road.reference)[-1])
-    line = cut(road.reference, trims[road.name, road.ends[0]], total - trims[road.name, road.ends[1]], _STATION_M)
-    forward, backward = _lanes(draft, road, line)
-    parking = _parking_width(road, line)
-    side = half_width(road) + parking
-    draft.surfaces[road.name] = strip(offset(line, -side), offset(line, side))
-    _dividers(draft, layout, road, line)
-    busy = [layout.nodes[end].kind in (NodeKind.CROSSING, NodeKind.ROUNDABOUT) for end in road.ends]
+    total = float(compute_lengths(road.reference)[-1])
+    line = cut_line(road.reference, trims[road.name, road.ends[0]], total - trims[road.name, road.ends[1]], _STATION_M)
+    forward, backward = _add_lanes(draft, road, line)
+    parking = _compute_parking_width(road, line)
+    side = compute_half_width(road) + parking
+    draft.surfaces[road.name] = build_strip(offset_line(line, -side), offset_line(line, side))
+    _add_dividers(draft, layout, road, line)
+    busy = [layout.nodes[end].kind in (TownNodeKind.CROSSING, TownNodeKind.ROUNDABOUT) for end in road.ends]
     for at_end in (False, True):
         if busy[at_end] and road.speed_mps >= 8.0:
-            _crossing(draft, road, line[::-1] if at_end else line, at_end)
+            _add_crossing(draft, road, line[::-1] if at_end else line, at_end)
     if road.kerb_parking:
-        _standing_places(draft, road, line)
-    walk = resampled(line, 1.0)
-    middle = half_width(road) + np.interp(lengths_along(walk), lengths_along(line), parking) + 0.5 * WALKWAY_WIDTH_M
-    draft.walks += [offset(walk, -middle), offset(walk, middle)[::-1]]
+        _add_parking_places(draft, road, line)
+    walk = resample_line(line, 1.0)
+    middle = (
+        compute_half_width(road)
+        + np.interp(compute_lengths(walk), compute_lengths(line), parking)
+        + 0.5 * WALKWAY_WIDTH_M
+    )
+    draft.walks += [offset_line(walk, -middle), offset_line(walk, middle)[::-1]]
     start, end = road.ends
     return (
-        Arm(road.name, heading_from(road, start), incoming=backward, outgoing=forward),
-        Arm(road.name, heading_from(road, end), incoming=forward, outgoing=backward),
+        JunctionArm(road.name, compute_heading_from(road, start), incoming=backward, outgoing=forward),
+        JunctionArm(road.name, compute_heading_from(road, end), incoming=forward, outgoing=backward),
     )
 
 
-def _lanes(draft: Draft, road: Road, line: Floats) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _add_lanes(draft: TownDraft, road: TownRoad, line: Floats) -> tuple[tuple[str, ...], tuple[str, ...]]:
     names = []
     for direction, side in (("f", -1.0), ("b", 1.0)):
         siblings = tuple(f"{road.name}/{direction}{index}" for index in range(road.lanes))
         for index, name in enumerate(siblings):
-            edges = [offset(line, side * (index + edge) * LANE_WIDTH_M) for edge in (0.0, 0.5, 1.0)]
+            edges = [offset_line(line, side * (index + edge) * LANE_WIDTH_M) for edge in (0.0, 0.5, 1.0)]
             center = edges[1] if direction == "f" else edges[1][::-1]
-            surface = strip(edges[0], edges[2])
-            draft.lanes[name] = TownLane(name, center, Role.ROAD, road.name, index, siblings, road.speed_mps, surface)
+            surface = build_strip(edges[0], edges[2])
+            draft.lanes[name] = TownLane(
+                name, center, LaneRole.ROAD, road.name, index, siblings, road.speed_mps, surface
+            )
         names.append(siblings)
     return names[0], names[1]
 
 
-def _parking_width(road: Road, line: Floats) -> Floats:
+def _compute_parking_width(road: TownRoad, line: Floats) -> Floats:
     """(M,) width of the parking strip at each station: zero near the ends, with tapers."""
-    along = lengths_along(line)
+    along = compute_lengths(line)
     if not road.kerb_parking:
         return np.zeros(len(line))
     inside = np.minimum(along, along[-1] - along) - _PARKING_CLEAR_M
     return np.asarray(PARKING_WIDTH_M * np.clip(inside / 3.0, 0.0, 1.0))
 
 
-def _standing_places(draft: Draft, road: Road, line: Floats) -> None:
-    along = lengths_along(line)
+def _add_parking_places(draft: TownDraft, road: TownRoad, line: Floats) -> None:
+    along = compute_lengths(line)
     first = _PARKING_CLEAR_M + 3.5
     count = int((along[-1] - 2 * first) // _SLOT_M)
     where = first + (np.arange(count) + 0.5) * _SLOT_M
     for side in (-1.0, 1.0):
-        row = offset(line, side * (half_width(road) + 0.5 * PARKING_WIDTH_M))
-        yaw = np.interp(where, along, headings(line)) + (0.0 if side < 0 else np.pi)
-        for point, heading in zip(at_lengths(row, where * lengths_along(row)[-1] / along[-1]), yaw):
-            draft.standing.append(StandingPlace(np.array([point[0], point[1], heading]), in_car_park=False))
+        row = offset_line(line, side * (compute_half_width(road) + 0.5 * PARKING_WIDTH_M))
+        yaw = np.interp(where, along, compute_headings(line)) + (0.0 if side < 0 else np.pi)
+        for point, heading in zip(interpolate_at_lengths(row, where * compute_lengths(row)[-1] / along[-1]), yaw):
+            draft.standing.append(ParkingPlace(np.array([point[0], point[1], heading]), in_car_park=False))
 
 
-def _dividers(draft: Draft, layout: Layout, road: Road, line: Floats) -> None:
+def _add_dividers(draft: TownDraft, layout: TownLayout, road: TownRoad, line: Floats) -> None:
     """Between directions a yellow line, doubled on four-lane roads; between lanes dashes, solid before junctions."""
-    along = lengths_along(line)
-    paint = [5.6 if layout.nodes[end].kind in (NodeKind.CROSSING, NodeKind.ROUNDABOUT) else 0.0 for end in road.ends]
+    along = compute_lengths(line)
+    paint = [
+        5.6 if layout.nodes[end].kind in (TownNodeKind.CROSSING, TownNodeKind.ROUNDABOUT) else 0.0 for end in road.ends
+    ]
     if road.speed_mps < 8.0:
         paint = [0.0, 0.0]
     begin, end = paint[0], float(along[-1]) - paint[1]
 
     def add(tag: str, lateral: float, start: float, stop: float, kind: DividerKind, between_directions: bool) -> None:
         if stop - start > 2.0:
-            part = cut(offset(line, lateral), start, stop, _STATION_M)
+            part = cut_line(offset_line(line, lateral), start, stop, _STATION_M)
             draft.dividers.append(Divider(f"{draft.prefix}{road.name}/{tag}", part, kind, between_directions))
 
     if road.lanes > 1:
@@ -175,18 +192,18 @@ def _dividers(draft: Draft, layout: Layout, road: Road, line: Floats) -> None:
             add(f"lane-{tag}{index}-solid", lateral, *solid, DividerKind.SOLID_WHITE, False)
 
 
-def _crossing(draft: Draft, road: Road, line: Floats, at_end: bool) -> None:
+def _add_crossing(draft: TownDraft, road: TownRoad, line: Floats, at_end: bool) -> None:
     """A crossing and a stop line; ``line`` leads away from the junction."""
-    side = half_width(road)
+    side = compute_half_width(road)
     name = f"{draft.prefix}{road.name}/{'end' if at_end else 'start'}"
-    near = cut(line, *_CROSSING_M, 1.75)
-    draft.crossings[name] = strip(offset(near, -side), offset(near, side))
+    near = cut_line(line, *_CROSSING_M, 1.75)
+    draft.crossings[name] = build_strip(offset_line(near, -side), offset_line(near, side))
     middle = near[len(near) // 2]
-    heading = headings(near)[len(near) // 2]
+    heading = compute_headings(near)[len(near) // 2]
     across = np.array([-np.sin(heading), np.cos(heading)]) * (side + 0.6 * WALKWAY_WIDTH_M)
     draft.crossing_walks.append(np.stack([middle - across, middle + across]))
-    stop = cut(line, *_STOP_LINE_M, 0.3)
-    draft.stop_lines[name] = Polygon(np.concatenate([stop, offset(stop, side)[::-1]]))
+    stop = cut_line(line, *_STOP_LINE_M, 0.3)
+    draft.stop_lines[name] = Polygon(np.concatenate([stop, offset_line(stop, side)[::-1]]))
 
 
 TOWN_VERSION = "1"
@@ -203,36 +220,36 @@ def build_town(location: str, seed: int) -> Town:
     """
     rng = np.random.default_rng(content_seed("town", TOWN_VERSION, location, seed))
     layout = make_layout(PLANS[OFFICIAL_LOCATIONS.index(location) % len(PLANS)], rng)
-    draft = Draft(prefix=f"town{seed}/")
-    trims = trim_lengths(layout)
-    arms: dict[str, list[Arm]] = {name: [] for name in layout.nodes}
+    draft = TownDraft(prefix=f"town{seed}/")
+    trims = compute_trim_lengths(layout)
+    arms: dict[str, list[JunctionArm]] = {name: [] for name in layout.nodes}
     for road in layout.roads.values():
         for node_name, arm in zip(road.ends, build_road(draft, layout, road, trims)):
             arms[node_name].append(arm)
     for node in layout.nodes.values():
-        if node.kind is NodeKind.CROSSING:
+        if node.kind is TownNodeKind.CROSSING:
             build_crossing(
                 draft, node, arms[node.name], {arm.road: trims[arm.road, node.name] for arm in arms[node.name]}
             )
-        elif node.kind is NodeKind.ROUNDABOUT:
+        elif node.kind is TownNodeKind.ROUNDABOUT:
             build_roundabout(draft, node, arms[node.name])
-        elif node.kind is NodeKind.CAR_PARK:
+        elif node.kind is TownNodeKind.CAR_PARK:
             build_car_park(draft, node, arms[node.name][0], width_m=float(rng.uniform(50.0, 58.0)))
-    road_map = _road_map(draft, layout, location)
+    road_map = _build_road_map(draft, layout, location)
     shapely.prepare(road_map.drivable_area)
     return Town(
         layout=layout,
         road_map=road_map,
         lanes=draft.lanes,
-        successors=linked_lanes(draft, 0),
-        predecessors=linked_lanes(draft, 1),
+        successors=find_linked_lanes(draft, 0),
+        predecessors=find_linked_lanes(draft, 1),
         crossing_walks=tuple(draft.crossing_walks),
         walks=tuple(draft.walks),
         standing=tuple(draft.standing),
     )
 
 
-def _road_map(draft: Draft, layout: Layout, location: str) -> RoadMap:
+def _build_road_map(draft: TownDraft, layout: TownLayout, location: str) -> RoadMap:
     roads = shapely.union_all(list(draft.surfaces.values()))
     # Parts that meet along a line differ in the last bit; growing and shrinking closes the slits between them.
     drivable = shapely.union_all([roads, *draft.car_parks.values()]).buffer(0.05, join_style="mitre")
@@ -240,10 +257,10 @@ def _road_map(draft: Draft, layout: Layout, location: str) -> RoadMap:
     return RoadMap(
         location=location,
         drivable_area=drivable,
-        lanes=map_lanes(draft),
+        lanes=build_map_lanes(draft),
         dividers=tuple(draft.dividers),
         ped_crossings=draft.crossings,
-        walkways=_walkways(draft, layout, drivable),
+        walkways=_build_walkways(draft, layout, drivable),
         road_segments={draft.prefix + name: shape for name, shape in draft.surfaces.items()},
         intersections=frozenset(draft.prefix + name for name in draft.junctions),
         stop_lines=draft.stop_lines,
@@ -252,7 +269,7 @@ def _road_map(draft: Draft, layout: Layout, location: str) -> RoadMap:
     )
 
 
-def _walkways(draft: Draft, layout: Layout, drivable: shapely.Geometry) -> dict[str, Polygon]:
+def _build_walkways(draft: TownDraft, layout: TownLayout, drivable: shapely.Geometry) -> dict[str, Polygon]:
     """Pavements on both sides of the roads and round the corners of junctions, in pieces."""
     everywhere = drivable.buffer(WALKWAY_WIDTH_M, quad_segs=8).difference(drivable)
     islands = [island.buffer(_ISLAND_KERB_M) for island in draft.green]
@@ -260,19 +277,19 @@ def _walkways(draft: Draft, layout: Layout, drivable: shapely.Geometry) -> dict[
     walkways: dict[str, Polygon] = {}
     for road in layout.roads.values():
         line = LineString(draft.lanes[f"{road.name}/f0"].line).offset_curve(0.5 * LANE_WIDTH_M)
-        reach = half_width(road) + PARKING_WIDTH_M + WALKWAY_WIDTH_M + 0.3
+        reach = compute_half_width(road) + PARKING_WIDTH_M + WALKWAY_WIDTH_M + 0.3
         corridor = line.buffer(reach, cap_style="flat")
-        walkways |= _pieces(f"{draft.prefix}{road.name}", rest.intersection(corridor))
+        walkways |= _split_pieces(f"{draft.prefix}{road.name}", rest.intersection(corridor))
         rest = rest.difference(corridor)
     for node in layout.nodes.values():
-        if node.kind is not NodeKind.EXIT:
-            near = shapely.Point(*node.position).buffer(75.0 if node.kind is NodeKind.CAR_PARK else 45.0)
-            walkways |= _pieces(f"{draft.prefix}{node.name}", rest.intersection(near))
+        if node.kind is not TownNodeKind.EXIT:
+            near = shapely.Point(*node.position).buffer(75.0 if node.kind is TownNodeKind.CAR_PARK else 45.0)
+            walkways |= _split_pieces(f"{draft.prefix}{node.name}", rest.intersection(near))
             rest = rest.difference(near)
     return walkways
 
 
-def _pieces(name: str, shape: shapely.Geometry) -> dict[str, Polygon]:
+def _split_pieces(name: str, shape: shapely.Geometry) -> dict[str, Polygon]:
     parts = [part for part in as_multipolygon(shape).geoms if part.area > _SMALLEST_WALKWAY_M2]
     parts.sort(key=lambda part: (round(part.centroid.x, 3), round(part.centroid.y, 3)))
     return {f"{name}/walkway{index}": part for index, part in enumerate(parts)}

@@ -7,30 +7,38 @@ import numpy as np
 
 from benchmark.constants import FRAME_HZ
 from benchmark.geometry import Floats, to_local, wrap_angle
-from generation.sources.town.curves import headings, lengths_along
-from generation.sources.town.network import Role, Town, TownLane
-from generation.sources.town.paths import Body, Leg, body_boxes, build_path, fastest_start, find_route, lane_length
+from generation.sources.town.curves import compute_headings, compute_lengths
+from generation.sources.town.network import LaneRole, Town, TownLane
+from generation.sources.town.paths import (
+    RouteLeg,
+    VehicleBody,
+    build_path,
+    compute_body_boxes,
+    compute_fastest_start,
+    compute_lane_length,
+    find_route,
+)
 from generation.sources.town.speed import FRAMES, SECONDS
-from generation.sources.town.world import Track, World
+from generation.sources.town.world import ParticipantTrack, TownWorld
 
 _ROUTE_AHEAD_M = 270.0
 _LEAST_SECONDS_SEEN = 4
 _COMPANION_REACH_M = (38.0, 5.5)
-_HEAVY_ROLES = (Role.ROAD, Role.STRAIGHT, Role.LEFT)
+_HEAVY_ROLES = (LaneRole.ROAD, LaneRole.STRAIGHT, LaneRole.LEFT)
 
 
 @dataclass(frozen=True, slots=True)
-class Fleet:
+class VehicleFleet:
     """Vehicles of the traffic, and the shares of their kinds, which add up to one."""
 
-    bodies: tuple[Body, ...]
+    bodies: tuple[VehicleBody, ...]
     shares: tuple[float, ...]
 
-    def draw(self, rng: np.random.Generator) -> Body:
+    def draw(self, rng: np.random.Generator) -> VehicleBody:
         """A vehicle of the fleet with its own size."""
         body = self.bodies[int(rng.choice(len(self.bodies), p=np.array(self.shares)))]
         scale = float(rng.uniform(0.95, 1.05))
-        return Body(
+        return VehicleBody(
             body.category,
             round(body.length * scale, 2),
             round(body.width * float(rng.uniform(0.97, 1.03)), 2),
@@ -40,21 +48,21 @@ class Fleet:
         )
 
 
-COMPACT = Body("vehicle.car", 4.1, 1.78, 1.5, 2.55, 1.35)
-SEDAN = Body("vehicle.car", 4.75, 1.88, 1.5, 2.8, 1.4)
-SUV = Body("vehicle.car", 4.8, 1.98, 1.78, 2.85, 1.42)
-VAN = Body("vehicle.car", 5.2, 2.02, 2.1, 3.1, 1.5)
-TRUCK = Body("vehicle.truck", 7.2, 2.4, 3.0, 4.1, 2.3)
-BUS = Body("vehicle.bus.rigid", 11.0, 2.55, 3.2, 5.6, 2.6)
-MOTORCYCLE = Body("vehicle.motorcycle", 2.1, 0.8, 1.5, 1.4, 0.7)
-BICYCLE = Body("vehicle.bicycle", 1.75, 0.65, 1.6, 1.05, 0.52)
+COMPACT = VehicleBody("vehicle.car", 4.1, 1.78, 1.5, 2.55, 1.35)
+SEDAN = VehicleBody("vehicle.car", 4.75, 1.88, 1.5, 2.8, 1.4)
+SUV = VehicleBody("vehicle.car", 4.8, 1.98, 1.78, 2.85, 1.42)
+VAN = VehicleBody("vehicle.car", 5.2, 2.02, 2.1, 3.1, 1.5)
+TRUCK = VehicleBody("vehicle.truck", 7.2, 2.4, 3.0, 4.1, 2.3)
+BUS = VehicleBody("vehicle.bus.rigid", 11.0, 2.55, 3.2, 5.6, 2.6)
+MOTORCYCLE = VehicleBody("vehicle.motorcycle", 2.1, 0.8, 1.5, 1.4, 0.7)
+BICYCLE = VehicleBody("vehicle.bicycle", 1.75, 0.65, 1.6, 1.05, 0.52)
 
-CARS = Fleet((COMPACT, SEDAN, SUV, VAN), (0.25, 0.4, 0.27, 0.08))
-MIXED = Fleet((COMPACT, SEDAN, SUV, VAN, TRUCK, BUS, MOTORCYCLE), (0.21, 0.33, 0.22, 0.07, 0.08, 0.04, 0.05))
+CARS = VehicleFleet((COMPACT, SEDAN, SUV, VAN), (0.25, 0.4, 0.27, 0.08))
+MIXED = VehicleFleet((COMPACT, SEDAN, SUV, VAN, TRUCK, BUS, MOTORCYCLE), (0.21, 0.33, 0.22, 0.07, 0.08, 0.04, 0.05))
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class VehicleStart:
     """Start of a vehicle's drive.
 
     ``along_m`` is its front axle along the lane, negative for a lane before it; ``lateral_m`` is to the left of the
@@ -68,9 +76,9 @@ class Start:
 
 
 def add_vehicle(
-    world: World,
-    start: Start,
-    body: Body,
+    world: TownWorld,
+    start: VehicleStart,
+    body: VehicleBody,
     rng: np.random.Generator,
     *,
     likes: Callable[[TownLane], float],
@@ -97,39 +105,39 @@ def add_vehicle(
     if route is None or (heavy and any(world.town.lanes[leg.lane].role not in _HEAVY_ROLES for leg in route[0])):
         return False
     path = build_path(world.town, *route, body, lateral_m=start.lateral_m)
-    speed = min(start.speed_mps, fastest_start(path))
+    speed = min(start.speed_mps, compute_fastest_start(path))
     rear = world.drive(
         path,
         start_mps=int(speed + 0.3),
         eagerness=eagerness,
-        pace=natural_pace(rng) if pace is None else pace,
+        pace=draw_natural_pace(rng) if pace is None else pace,
     )
     if rear is None:
         return False
-    boxes = body_boxes(rear, path.body)
+    boxes = compute_body_boxes(rear, path.body)
     if world.ego_rear is not None and world.present(boxes).sum() < _LEAST_SECONDS_SEEN * FRAME_HZ:
         return False
-    world.tracks.append(Track(body.category, body.height, boxes, parked=False))
+    world.tracks.append(ParticipantTrack(body.category, body.height, boxes, parked=False))
     return True
 
 
-def natural_pace(rng: np.random.Generator) -> Floats:
+def draw_natural_pace(rng: np.random.Generator) -> Floats:
     """(SECONDS,) factors near one: no driver keeps a speed exactly."""
     period, phase = float(rng.uniform(7.0, 16.0)), float(rng.uniform(0.0, 2 * np.pi))
     return np.asarray(1.0 + float(rng.uniform(0.03, 0.12)) * np.sin(2 * np.pi * np.arange(SECONDS) / period + phase))
 
 
-def indifferent(lane: TownLane) -> float:
+def weigh_any_lane(lane: TownLane) -> float:
     """Weight of a lane for a driver who goes anywhere but rarely to the car park."""
-    return 0.1 if lane.role is Role.CAR_PARK else 1.0
+    return 0.1 if lane.role is LaneRole.CAR_PARK else 1.0
 
 
-def following(town: Town, legs: list[Leg]) -> Callable[[TownLane], float]:
+def build_route_weights(town: Town, legs: list[RouteLeg]) -> Callable[[TownLane], float]:
     """Weights for a driver who prefers to go where a route goes."""
     turns = {(town.lanes[leg.lane].road, town.lanes[leg.lane].role) for leg in legs}
 
     def likes(lane: TownLane) -> float:
-        return indifferent(lane) * (8.0 if (lane.road, lane.role) in turns else 1.0)
+        return weigh_any_lane(lane) * (8.0 if (lane.road, lane.role) in turns else 1.0)
 
     return likes
 
@@ -151,13 +159,19 @@ class LanePoints:
         names, poses, along = [], [], []
         for name, lane in town.lanes.items():
             names += [name] * len(lane.line)
-            poses.append(np.column_stack([lane.line, headings(lane.line)]))
-            along.append(lengths_along(lane.line))
+            poses.append(np.column_stack([lane.line, compute_headings(lane.line)]))
+            along.append(compute_lengths(lane.line))
         return cls(tuple(names), np.concatenate(poses), np.concatenate(along))
 
 
 def add_companions(
-    world: World, points: LanePoints, legs: list[Leg], rng: np.random.Generator, *, wanted: int, fleet: Fleet = CARS
+    world: TownWorld,
+    points: LanePoints,
+    legs: list[RouteLeg],
+    rng: np.random.Generator,
+    *,
+    wanted: int,
+    fleet: VehicleFleet = CARS,
 ) -> None:
     """Vehicles beside, ahead of and behind the ego at the start, which tend to go where it goes."""
     assert world.ego_rear is not None
@@ -166,18 +180,24 @@ def add_companions(
     near = (np.abs(local[:, 0]) < _COMPANION_REACH_M[0]) & (np.abs(local[:, 1]) < _COMPANION_REACH_M[1])
     choices = np.flatnonzero(near & (turned < 0.5))
     added = 0
-    likes = following(world.town, legs)
+    likes = build_route_weights(world.town, legs)
     ego_speed = float(np.hypot(*(world.ego_rear[2, :2] - world.ego_rear[0, :2]))) * FRAME_HZ / 2
     for choice in rng.permutation(choices)[: 5 * wanted].tolist():
         if added >= wanted:
             return
-        start = Start(points.names[choice], float(points.along[choice]), max(ego_speed, 3.0))
+        start = VehicleStart(points.names[choice], float(points.along[choice]), max(ego_speed, 3.0))
         eagerness = float(rng.uniform(0.85, 1.1))
         added += add_vehicle(world, start, fleet.draw(rng), rng, likes=likes, eagerness=eagerness, change_chance=0.3)
 
 
 def add_passing(
-    world: World, points: LanePoints, rng: np.random.Generator, *, wanted: int, attempts: int, fleet: Fleet = MIXED
+    world: TownWorld,
+    points: LanePoints,
+    rng: np.random.Generator,
+    *,
+    wanted: int,
+    attempts: int,
+    fleet: VehicleFleet = MIXED,
 ) -> None:
     """Vehicles that would be near the ego at some moment of the scene: oncoming, crossing, merging."""
     assert world.ego_rear is not None
@@ -194,14 +214,14 @@ def add_passing(
         lane = world.town.lanes[points.names[choice]]
         speed = 0.8 * lane.speed_mps
         back = speed * frame / FRAME_HZ * float(rng.uniform(0.6, 1.0))
-        if back > 130.0 or (lane.role is Role.CAR_PARK and rng.random() < 0.6):
+        if back > 130.0 or (lane.role is LaneRole.CAR_PARK and rng.random() < 0.6):
             continue
-        start = Start(lane.name, float(points.along[choice]) - back, speed)
+        start = VehicleStart(lane.name, float(points.along[choice]) - back, speed)
         eagerness = float(rng.uniform(0.8, 1.05))
-        added += add_vehicle(world, start, fleet.draw(rng), rng, likes=indifferent, eagerness=eagerness)
+        added += add_vehicle(world, start, fleet.draw(rng), rng, likes=weigh_any_lane, eagerness=eagerness)
 
 
-def add_cycles(world: World, points: LanePoints, rng: np.random.Generator, *, wanted: int, attempts: int) -> None:
+def add_cycles(world: TownWorld, points: LanePoints, rng: np.random.Generator, *, wanted: int, attempts: int) -> None:
     """Cyclists at the right edge of single-lane roads near the ego's way."""
     assert world.ego_rear is not None
     added = 0
@@ -213,8 +233,8 @@ def add_cycles(world: World, points: LanePoints, rng: np.random.Generator, *, wa
         distance = np.hypot(*(points.poses[:, :2] - world.ego_rear[frame, :2]).T)
         choice = int(rng.choice(np.flatnonzero(distance < 45.0)))
         lane = world.town.lanes[points.names[choice]]
-        if lane.role is not Role.ROAD or lane_length(lane) < 40.0 or lane.index != len(lane.siblings) - 1:
+        if lane.role is not LaneRole.ROAD or compute_lane_length(lane) < 40.0 or lane.index != len(lane.siblings) - 1:
             continue
-        start = Start(lane.name, float(points.along[choice]), 4.0, lateral_m=-1.05)
-        body = Fleet((BICYCLE,), (1.0,)).draw(rng)
-        added += add_vehicle(world, start, body, rng, likes=indifferent, pace=slow, change_chance=0.0)
+        start = VehicleStart(lane.name, float(points.along[choice]), 4.0, lateral_m=-1.05)
+        body = VehicleFleet((BICYCLE,), (1.0,)).draw(rng)
+        added += add_vehicle(world, start, body, rng, likes=weigh_any_lane, pace=slow, change_chance=0.0)

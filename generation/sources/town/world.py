@@ -7,10 +7,16 @@ import shapely
 
 from benchmark.constants import FRAME_HZ
 from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap
-from generation.sources.town.curves import between_grid
+from generation.sources.town.curves import interpolate_grid
 from generation.sources.town.network import Town
-from generation.sources.town.paths import EGO_BODY, Body, Path, body_boxes
-from generation.sources.town.speed import CHECKS_PER_SECOND, FRAMES, blocked_stations, plan_speed, reachable_stations
+from generation.sources.town.paths import EGO_BODY, VehicleBody, VehiclePath, compute_body_boxes
+from generation.sources.town.speed import (
+    CHECKS_PER_SECOND,
+    FRAMES,
+    count_reachable_stations,
+    find_blocked_stations,
+    plan_speed,
+)
 
 ANNOTATION_RANGE_M = 65.0
 _CHECK_FRAMES = FRAME_HZ // CHECKS_PER_SECOND
@@ -19,7 +25,7 @@ _KERB_TOLERANCE_M = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class ParticipantTrack:
     """Motion of one participant: (FRAMES, 5) boxes, or (1, 5) for things that stand still.
 
     ``parked`` says that it stands there without a driver.
@@ -32,7 +38,7 @@ class Track:
 
 
 @dataclass(slots=True)
-class World:
+class TownWorld:
     """Everything placed so far.
 
     Attributes:
@@ -43,39 +49,39 @@ class World:
     town: Town
     ego_rear: Floats | None = None
     ego_boxes: Floats | None = None
-    tracks: list[Track] = field(default_factory=list)
+    tracks: list[ParticipantTrack] = field(default_factory=list)
 
-    def drive(self, path: Path, *, start_mps: int, eagerness: float, pace: Floats) -> Floats | None:
+    def drive(self, path: VehiclePath, *, start_mps: int, eagerness: float, pace: Floats) -> Floats | None:
         """Plan a vehicle among those already there.
 
         (FRAMES, 3) rear-axle poses, ``None`` if it cannot drive without a touch. ``eagerness`` is a factor on the
         speed limit that it likes to drive, ``pace`` (SECONDS,) one on that in each second.
         """
         stations = self.stations(path, start_mps=start_mps, eagerness=eagerness, pace=pace)
-        return None if stations is None else between_grid(path.rear, stations)
+        return None if stations is None else interpolate_grid(path.rear, stations)
 
-    def stations(self, path: Path, *, start_mps: int, eagerness: float, pace: Floats) -> Floats | None:
+    def stations(self, path: VehiclePath, *, start_mps: int, eagerness: float, pace: Floats) -> Floats | None:
         """As `drive`, but where on its path the vehicle is: (FRAMES,) in steps of `STATION_M`."""
-        count = reachable_stations(path)
+        count = count_reachable_stations(path)
         blocked = np.zeros((FRAMES // _CHECK_FRAMES + 1, count), dtype=np.bool_)
-        for boxes in self._obstacles():
+        for boxes in self._collect_obstacles():
             checks = boxes[:, ::_CHECK_FRAMES]
             if boxes.shape[1] > 1:
                 checks = np.concatenate([checks, checks[:, -1:]], axis=1)
-            blocked |= blocked_stations(path, checks, np.ones(checks.shape[:2], dtype=np.bool_))
+            blocked |= find_blocked_stations(path, checks, np.ones(checks.shape[:2], dtype=np.bool_))
         stations = plan_speed(path, blocked, start_mps=start_mps, desired_mps=eagerness * path.speed_limit, pace=pace)
         if stations is None:
             return None
-        boxes = body_boxes(between_grid(path.rear, stations), path.body)
+        boxes = compute_body_boxes(interpolate_grid(path.rear, stations), path.body)
         return stations if self.is_free(boxes, path.body) else None
 
-    def is_free(self, boxes: Floats, body: Body | None = None, *, gap_m: float = _SMALLEST_GAP_M) -> bool:
+    def is_free(self, boxes: Floats, body: VehicleBody | None = None, *, gap_m: float = _SMALLEST_GAP_M) -> bool:
         """Whether a track, (FRAMES, 5) or (1, 5) boxes, touches none and, for vehicles, keeps to the road where seen.
 
         ``gap_m`` is the free space demanded around it; without ``body`` it may leave the road.
         """
         grown = boxes + np.array([0.0, 0.0, gap_m, gap_m, 0.0])
-        for others in self._obstacles():
+        for others in self._collect_obstacles():
             apart = np.hypot(others[..., 0] - grown[:, 0], others[..., 1] - grown[:, 1])
             close = apart < 0.5 * (np.hypot(others[..., 2], others[..., 3]) + np.hypot(grown[:, 2], grown[:, 3]))
             if not close.any():
@@ -85,7 +91,7 @@ class World:
                 return False
         return body is None or self.is_on_road(boxes)
 
-    def _obstacles(self) -> list[Floats]:
+    def _collect_obstacles(self) -> list[Floats]:
         """Boxes of all: (J, FRAMES, 5) of those who move and (J, 1, 5) of those who stand."""
         moving = [track.boxes for track in self.tracks if len(track.boxes) > 1]
         if self.ego_boxes is not None:
@@ -97,19 +103,19 @@ class World:
         """Whether (N, 5) boxes of a vehicle, a frame apart, are within the kerbs where the vehicle is seen."""
         checked = boxes[::_CHECK_FRAMES]
         if self.ego_rear is not None and len(boxes) > 1:
-            checked = checked[self.distance_to_ego(boxes)[::_CHECK_FRAMES] < ANNOTATION_RANGE_M]
+            checked = checked[self.compute_distance_to_ego(boxes)[::_CHECK_FRAMES] < ANNOTATION_RANGE_M]
         corners = box_corners(checked + np.array([0.0, 0.0, -2 * _KERB_TOLERANCE_M, -2 * _KERB_TOLERANCE_M, 0.0]))
         return bool(shapely.contains_xy(self.town.road_map.drivable_area, corners[..., 0], corners[..., 1]).all())
 
-    def distance_to_ego(self, boxes: Floats) -> Floats:
+    def compute_distance_to_ego(self, boxes: Floats) -> Floats:
         """(FRAMES,) metres between box centres and the ego's rear axle."""
         assert self.ego_rear is not None
         return np.asarray(np.hypot(boxes[:, 0] - self.ego_rear[:, 0], boxes[:, 1] - self.ego_rear[:, 1]))
 
     def present(self, boxes: Floats) -> Bools:
         """(FRAMES,) whether a participant is near enough to be annotated."""
-        return np.asarray(self.distance_to_ego(boxes) < ANNOTATION_RANGE_M)
+        return np.asarray(self.compute_distance_to_ego(boxes) < ANNOTATION_RANGE_M)
 
     def place_ego(self, rear: Floats) -> None:
         """Fix the ego's motion, (FRAMES, 3) rear-axle poses."""
-        self.ego_rear, self.ego_boxes = rear, body_boxes(rear, EGO_BODY)
+        self.ego_rear, self.ego_boxes = rear, compute_body_boxes(rear, EGO_BODY)

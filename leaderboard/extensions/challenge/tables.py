@@ -4,11 +4,19 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from benchmark.metrics.disagreement import EXACT
-from benchmark.records.challenge import ChallengeScores, EntryScore, Measured, PlannerOnEntry, Rank
-from benchmark.report.cells import UNDEFINED, Cell, Origin
+from benchmark.records.challenge import ChallengeScores, EntryScore, PlannerEntryScore, Rank, ScoredQuantity
+from benchmark.report.cells import UNDEFINED, CellSource, ValueSource
 from benchmark.report.table import Table, escape_markdown
-from leaderboard.frame.rows import FEW_NOTE, FEW_SCENES, marks_of, name_cell
-from leaderboard.frame.specification import Columns, Values, estimates, numbers, tabulate, texts, under
+from leaderboard.frame.rows import FEW_NOTE, FEW_SCENES, list_planner_marks, name_cell
+from leaderboard.frame.specification import (
+    Columns,
+    Values,
+    estimate_columns,
+    group_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
 from leaderboard.page.sections import Section
 
 CHALLENGES: Final = "challenges"
@@ -47,28 +55,28 @@ def challenge_tables(scores: ChallengeScores) -> list[Table]:
     return [*tables, _pairs(scores)] if scores.pairs else tables
 
 
-def _origin(scores: ChallengeScores, protocol: str | None) -> Origin:
-    return Origin(protocol=protocol, record=f"rules {scores.rules[:12]}, {scores.challenge}")
+def _find_origin(scores: ChallengeScores, protocol: str | None) -> ValueSource:
+    return ValueSource(protocol=protocol, record=f"rules {scores.rules[:12]}, {scores.challenge}")
 
 
-def _rates(scores: ChallengeScores, of: EntryScore | PlannerOnEntry) -> Values:
+def _rates(scores: ChallengeScores, of: EntryScore | PlannerEntryScore) -> Values:
     """First contacts with a changed vehicle, and contacts under the protocol; what is the planner's fault."""
-    any_contact = _origin(scores, scores.protocol).percent(of.collision)
+    any_contact = _find_origin(scores, scores.protocol).percent(of.collision)
     return {
         **dict.fromkeys(_HEADS[scores.ranks], any_contact),
-        _ADVERSARY: _origin(scores, EXACT).percent(of.adversary),
-        _ATTRIBUTABLE: _origin(scores, None).percent(of.attributable),
+        _ADVERSARY: _find_origin(scores, EXACT).percent(of.adversary),
+        _ATTRIBUTABLE: _find_origin(scores, None).percent(of.attributable),
     }
 
 
 def _rate_columns(scores: ChallengeScores, after: str = "") -> Columns:
     groups = (f"{protocol}, {scores.horizon}{after}" for protocol in (scores.protocol, EXACT))
-    first, other = map(under, groups, map(_estimates, _HEADS[scores.ranks]))
+    first, other = map(group_columns, groups, map(_estimates, _HEADS[scores.ranks]))
     return [*first, *other]
 
 
 def _estimates(*heads: str, digits: int = 1) -> Columns:
-    return estimates(*heads, digits=digits, ends=digits, beside="95 %")
+    return estimate_columns(*heads, digits=digits, ends=digits, beside="95 %")
 
 
 def _ranking(scores: ChallengeScores) -> Table:
@@ -89,17 +97,17 @@ def _ranking(scores: ChallengeScores) -> Table:
         f"challenge-{scores.challenge}",
         f"{scores.challenge}: entries held to {scores.base.name}",
         [
-            *texts("place", "entry"),
-            *numbers("scenes", "refused"),
+            *text_columns("place", "entry"),
+            *number_columns("scenes", "refused"),
             *_rate_columns(scores, f", mean of {len(scores.planners)} planners"),
-            *under("severity, mean of planners", _estimates(_ATTRIBUTABLE)),
-            *under(
+            *group_columns("severity, mean of planners", _estimates(_ATTRIBUTABLE)),
+            *group_columns(
                 "severity",
                 *(_estimates("survives (%)"), _estimates("gap, m", digits=2)),
                 *(_estimates("critical (%)"), _estimates("delta-v, m/s")),
             ),
-            *under("realism", numbers("without fault (%)", digits=1), _estimates("realism", digits=3)),
-            *under("realism", numbers("feature")),
+            *group_columns("realism", number_columns("without fault (%)", digits=1), _estimates("realism", digits=3)),
+            *group_columns("realism", number_columns("feature")),
         ],
         [_row(scores, entry) for entry in scores.entries],
         notes,
@@ -112,7 +120,7 @@ def _ranking(scores: ChallengeScores) -> Table:
 
 
 def _row(scores: ChallengeScores, entry: EntryScore) -> Values:
-    plain = _origin(scores, None)
+    plain = _find_origin(scores, None)
     return {
         "place": _place(entry),
         "entry": entry.entry.name,
@@ -137,7 +145,7 @@ def _place(entry: EntryScore) -> str:
 
 
 def _planners(scores: ChallengeScores) -> Table:
-    plain = _origin(scores, None)
+    plain = _find_origin(scores, None)
     rows = [
         {
             "planner": name_cell(planner.name, planner),
@@ -153,13 +161,13 @@ def _planners(scores: ChallengeScores) -> Table:
         f"challenge-planners-{scores.challenge}",
         f"{scores.challenge}: planners on each entry",
         [
-            *texts("planner", "entry"),
+            *text_columns("planner", "entry"),
             *_rate_columns(scores),
-            *under("severity", _estimates(_ATTRIBUTABLE)),
-            *numbers("failed"),
+            *group_columns("severity", _estimates(_ATTRIBUTABLE)),
+            *number_columns("failed"),
         ],
         rows,
-        marks_of(scores.planners),
+        list_planner_marks(scores.planners),
     )
 
 
@@ -170,14 +178,16 @@ def _pairs(scores: ChallengeScores) -> Table:
         f"challenge-pairs-{scores.challenge}",
         f"{scores.challenge}: which entries are told apart",
         [
-            *texts("first", "second"),
-            *under(label, estimates(difference, beside="95 %", signed=True), numbers("told apart")),
+            *text_columns("first", "second"),
+            *group_columns(
+                label, estimate_columns(difference, beside="95 %", signed=True), number_columns("told apart")
+            ),
         ],
         [
             {
                 "first": pair.first,
                 "second": pair.second,
-                difference: _difference(pair.difference, _origin(scores, scores.protocol)),
+                difference: _difference_cell(pair.difference, _find_origin(scores, scores.protocol)),
                 "told apart": "yes" if pair.told_apart else "no",
             }
             for pair in scores.pairs
@@ -186,13 +196,13 @@ def _pairs(scores: ChallengeScores) -> Table:
     )
 
 
-def _difference(measured: Measured, origin: Origin) -> Cell:
+def _difference_cell(measured: ScoredQuantity, origin: ValueSource) -> CellSource:
     return origin.cell(
         measured.value, "points", measured.denominator, "resamples", low=measured.low, high=measured.high, scale=100
     )
 
 
-def sections(challenges: Sequence[ChallengeScores]) -> Iterator[Section]:
+def build_sections(challenges: Sequence[ChallengeScores]) -> Iterator[Section]:
     """The tables of challenges, beside those of the planners on the same recordings."""
     for scores in challenges:
         heading = f"{escape_markdown(scores.base.name)}: challenge {escape_markdown(scores.challenge)}"

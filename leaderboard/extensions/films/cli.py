@@ -10,18 +10,18 @@ import typer
 
 from benchmark import api
 from benchmark.cli import options as shared
-from benchmark.cli.options import name_list
-from benchmark.cli.output import print_json, same_out, say_next
+from benchmark.cli.options import parse_name_list
+from benchmark.cli.output import print_json, print_next_steps, repeat_out_option
 from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from benchmark.closed_loop.observing import Sensor
-    from benchmark.records.drive_schema import DriveRow
+    from benchmark.records.drive_schema import EpisodeRow
     from benchmark.records.drives import DriveRecord
     from benchmark.report.canvas import Picture
     from leaderboard.extensions.films.film import FilmSettings
-    from leaderboard.extensions.films.filming import Watch
+    from leaderboard.extensions.films.filming import FrameProgress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,11 +63,11 @@ def film_command(options: FilmOptions) -> None:
     """Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/extensions/films.md)."""  # noqa: E501
     from benchmark.constants import FRAME_HZ
     from benchmark.machine.places import require_folder, require_place
-    from benchmark.machine.progress import Count, progress
-    from benchmark.protocols import protocol as known_protocol
+    from benchmark.machine.progress import CountedUnits, track_progress
+    from benchmark.protocols import find_protocol as known_protocol
     from leaderboard.extensions.films.drive_film import DRIVE_FPS
     from leaderboard.extensions.films.film import FilmLayout, FilmSettings
-    from leaderboard.extensions.films.filming import FilmFormat, planner_folder, write_films
+    from leaderboard.extensions.films.filming import FilmFormat, find_planner_folder, write_films
 
     judge = options.protocol if options.protocol == "native" else known_protocol(options.protocol).name
     film_layout, space = FilmLayout(options.layout), api.workspace(options.out)
@@ -88,7 +88,7 @@ def film_command(options: FilmOptions) -> None:
     )
 
     def watch(frames: "Iterable[Picture]", total: int, label: str) -> "Iterable[Picture]":
-        return progress(frames, total=total, label=label, count=Count("frame"))
+        return track_progress(frames, total=total, label=label, count=CountedUnits("frame"))
 
     if options.drives:
         written = write_drive_films(
@@ -99,7 +99,7 @@ def film_command(options: FilmOptions) -> None:
             out=options.out,
             tables=options.tables,
             records=options.records,
-            scenes=name_list(options.scenes),
+            scenes=parse_name_list(options.scenes),
             limit=options.limit,
             form=options.form,
             settings=settings,
@@ -113,10 +113,10 @@ def film_command(options: FilmOptions) -> None:
             options.data,
             options.split,
             options.to,
-            planners_shown(
-                options.model or (), options.records or [planner_folder(runs, options.data, options.split)], runs
+            resolve_planner_names(
+                options.model or (), options.records or [find_planner_folder(runs, options.data, options.split)], runs
             ),
-            scenes=name_list(options.scenes),
+            scenes=parse_name_list(options.scenes),
             limit=options.limit,
             form=FilmFormat(options.form),
             settings=settings,
@@ -128,14 +128,14 @@ def film_command(options: FilmOptions) -> None:
         typer.echo(films[-1], err=options.json_output)
     if options.json_output:
         print_json({"films": films})
-    say_next(
+    print_next_steps(
         f"films: {options.to}",
-        (f"leaderboard{same_out(options.out)}", "a site that plays all scenes"),
+        (f"leaderboard{repeat_out_option(options.out)}", "a site that plays all scenes"),
         json_output=options.json_output,
     )
 
 
-def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Path) -> list[str]:
+def resolve_planner_names(names: Sequence[str], records: Sequence[Path], everywhere: Path) -> list[str]:
     """Planners as records name them: a full model that ran as its miniature, or a short name, is that which ran.
 
     A name stays as it is where the records have none of it. `everywhere` holds all run records, to say what there is
@@ -143,21 +143,23 @@ def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Pa
     """
     from adapters.checkpoints.stand_in import miniature_of
     from adapters.models import MODELS
-    from benchmark.records.store import recorded, said_of
+    from benchmark.records.store import describe_recorded, list_recorded
 
-    records_found = recorded(records)
+    records_found = list_recorded(records)
     ran, shown_names = {planner_name.planner for planner_name in records_found}, []
     for name in names:
         own = MODELS[name].name if name in MODELS else name
         small = miniature_of(own)
         if name not in ran and own not in ran and small in ran:
-            api.say_once(
+            api.notify_once(
                 f"there are no records of {own}: {small}, which ran in its place, is shown (docs/miniatures.md)"
             )
         known = {*ran, *MODELS}
         # Tables may show a planner with what tells its versions apart: "vad-base (seed 1)".
         if name.partition(" (")[0] not in known and ":" not in name:
-            raise InputError(f"no planner is called {name!r}; {did_you_mean(name, known)}{said_of(records_found)}")
+            raise InputError(
+                f"no planner is called {name!r}; {did_you_mean(name, known)}{describe_recorded(records_found)}"
+            )
         shown_names.append(
             next(
                 (
@@ -170,14 +172,14 @@ def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Pa
         )
     if names and not records_found:
         raise InputError(
-            f"there are no run records at {', '.join(map(str, records))}; {said_of(recorded([everywhere]))}; name "
+            f"there are no run records at {', '.join(map(str, records))}; {describe_recorded(list_recorded([everywhere]))}; name "
             "these with --data and --split, or run challenger-bench eval first"
         )
     return shown_names
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class _DriveSelection:
     """Drives that are filmed; see `write_drive_films`."""
 
     data: str
@@ -202,7 +204,7 @@ def write_drive_films(
     limit: int | None = None,
     form: str = "webm",
     settings: "FilmSettings | None" = None,
-    watch: "Watch | None" = None,
+    watch: "FrameProgress | None" = None,
 ) -> Iterator[Path]:
     """Film drives one after the other (docs/extensions/films.md).
 
@@ -226,9 +228,9 @@ def write_drive_films(
     Raises:
         InputError: If there is no such drive, the data set is another one, or a film cannot be written.
     """
-    from benchmark.closed_loop.engines import rides_as
-    from benchmark.runs.drive_sheets import driven_sheet
-    from benchmark.runs.rescoring import replaced_categories
+    from benchmark.closed_loop.engines import restore_backend
+    from benchmark.runs.drive_sheets import write_episode_page
+    from benchmark.runs.rescoring import read_replaced_categories
     from leaderboard.extensions.films.drive_film import DRIVE_FPS
     from leaderboard.extensions.films.film import FilmSettings
     from leaderboard.extensions.films.filming import FilmFormat, require_webm, write_drive_film
@@ -240,20 +242,20 @@ def write_drive_films(
     if form == FilmFormat.WEBM:
         require_webm()
     out = out or api.OUT
-    chosen = _chosen(_Asked(data, split, out, records, models, scenes, limit))
+    chosen = _select_drives(_DriveSelection(data, split, out, records, models, scenes, limit))
     driven_on = api.open_split(api.open_data(data, tables=tables, out=out), split, out)
     how, watched = settings or FilmSettings(fps=DRIVE_FPS), {} if watch is None else {"watch": watch}
     for record, name, rows in chosen:
         measured = record.facts.measured
-        maker = rides_as(measured)
-        own = driven_on.with_categories(replaced_categories(record.facts))
+        maker = restore_backend(measured)
+        own = driven_on.with_categories(read_replaced_categories(record.facts))
         for row in rows:
             with tempfile.TemporaryDirectory() as folder:
-                driven = driven_sheet(Path(folder), own, record, row, maker, _sensor(record))
+                driven = write_episode_page(Path(folder), own, record, row, maker, _find_sensor(record))
                 yield write_drive_film(driven, record, name, to, FilmFormat(form), how, **watched)
 
 
-def _sensor(record: "DriveRecord") -> "Sensor | None":
+def _find_sensor(record: "DriveRecord") -> "Sensor | None":
     """Sensor that drew for the planner; ``None`` where none did, or another version of it than there is now."""
     from generation.render.sensor import SCHEMATIC, SchematicSensor
 
@@ -265,17 +267,17 @@ def _sensor(record: "DriveRecord") -> "Sensor | None":
     return sensor if dict(sensor.facts) == measured.sensor_facts else None
 
 
-def _chosen(selection: _Asked) -> "list[tuple[DriveRecord, str, list[DriveRow]]]":
+def _select_drives(selection: _DriveSelection) -> "list[tuple[DriveRecord, str, list[EpisodeRow]]]":
     """Records, names of their planners and drives."""
     from benchmark.records.drives import find_drives
-    from benchmark.records.planner_versions import labels
-    from leaderboard.extensions.films.filming import data_set_name
+    from benchmark.records.planner_versions import compute_version_labels
+    from leaderboard.extensions.films.filming import find_data_set_name
 
     root = api.workspace(selection.out).drive_root()
     again = f"make some with: challenger-bench drive --data {selection.data} --split {selection.split} --out {selection.out}"
     if selection.records is None and not root.is_dir():
         raise InputError(f"there are no records of drives below {root}; {again}")
-    data = data_set_name(selection.data)
+    data = find_data_set_name(selection.data)
     here = [
         record
         for record in find_drives(*(selection.records or [root]))
@@ -283,7 +285,7 @@ def _chosen(selection: _Asked) -> "list[tuple[DriveRecord, str, list[DriveRow]]]
     ]
     if not here:
         raise InputError(f"there are no records of drives of {data} {selection.split}; {again}")
-    record_labels = labels([(record.facts.planner, data, selection.split) for record in here])
+    record_labels = compute_version_labels([(record.facts.planner, data, selection.split) for record in here])
     named = [(record, label or record.planner) for record, label in zip(here, record_labels, strict=True)]
     known = sorted({name for _, name in named} | {record.planner for record in here})
     for name in selection.models:

@@ -8,13 +8,13 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.records.considered import Did
+from benchmark.records.considered import FrameAction
 from benchmark.records.drives import DriveRecord
-from benchmark.report.birdseye import SceneFromAbove
-from benchmark.report.canvas import SHIFT, Picture, drawable, fitted, text_width, write_text
+from benchmark.report.birdseye import BirdseyeScene
+from benchmark.report.canvas import SHIFT, Picture, sanitise_name, text_width, truncate_to_width, write_text
 from benchmark.report.captions import LegendEntry, draw_entry, draw_swatch
 from benchmark.report.cells import MINIATURE_WORDS
-from benchmark.report.driven import DrivenSheet
+from benchmark.report.driven import EpisodePage
 from benchmark.report.overlays import Overlay
 from benchmark.report.palette import (
     ADVERSARY,
@@ -30,28 +30,28 @@ from benchmark.report.palette import (
     TITLE,
     TITLE_FAINT,
     TITLE_INK,
-    mixed,
-    planner_style,
+    choose_planner_style,
+    mix_colours,
 )
 from leaderboard.extensions.films.film import (
     CAMERAS_PX,
     HEIGHT_PX,
     TITLE_PX,
     WIDTH_PX,
-    CameraPictures,
+    CameraMosaic,
     FilmLayout,
     FilmSettings,
-    composed,
-    film_frames,
-    from_above,
+    compose_frame,
+    draw_from_above,
+    select_film_frames,
 )
-from leaderboard.frame.rows import marked
+from leaderboard.frame.rows import mark_planner_name
 
 HELD_S: Final = 1.5
 """The last frame of a drive that did not reach the scene's end is shown so much longer."""
 DRIVE_FPS: Final = 10.0
 """A drive has an instant each tenth of a second."""
-DID: Final[dict[Did, str]] = {
+OUTCOME_WORDS: Final[dict[FrameAction, str]] = {
     "track": "drives the scene's own track",
     "searched": "drives what its search found",
     "slowed": "nothing it found is allowed; brakes or goes on",
@@ -64,15 +64,15 @@ _LEAST_TOP_M_S: Final = 5.0
 class DriveFilm:
     """One drive's film."""
 
-    def __init__(self, driven: DrivenSheet, record: DriveRecord, name: str, settings: FilmSettings) -> None:
+    def __init__(self, driven: EpisodePage, record: DriveRecord, name: str, settings: FilmSettings) -> None:
         """Find what is to be shown; a drive that ends before the film begins is an `InputError`."""
         self.driven, self.record, self.name, self.settings = driven, record, name, settings
-        self.layout = _possible_layout(driven, settings.layout)
-        self._sheet, self._style = driven.stored.sheet, planner_style(0)
-        self._above = SceneFromAbove(self._sheet)
-        self._cameras = CameraPictures(driven.stored, *CAMERAS_PX[self.layout]) if self.layout in CAMERAS_PX else None
+        self.layout = _choose_layout(driven, settings.layout)
+        self._sheet, self._style = driven.stored.sheet, choose_planner_style(0)
+        self._above = BirdseyeScene(self._sheet)
+        self._cameras = CameraMosaic(driven.stored, *CAMERAS_PX[self.layout]) if self.layout in CAMERAS_PX else None
         last = driven.last
-        frames = tuple(frame for frame in film_frames(self._sheet.scene, self._above, settings) if frame <= last)
+        frames = tuple(frame for frame in select_film_frames(self._sheet.scene, self._above, settings) if frame <= last)
         if not frames:
             raise InputError(
                 f"the drive of {self._sheet.scene} ends after {driven.seconds[last]:.1f} s, a film from "
@@ -103,25 +103,27 @@ class DriveFilm:
         overlays: list[Overlay] = [self.driven.path(), *([] if plan is None else [plan])]
         search_trace = self.driven.candidates_at(frame) if self.settings.candidates else None
         overlays += [] if search_trace is None else [search_trace]
-        return composed(
+        return compose_frame(
             self.layout,
             None if self._cameras is None else self._cameras.at(frame),
             lambda image: self._draw_title(image, frame),
-            lambda width_px, height_px: from_above(self._above, frame, overlays, self.settings, width_px, height_px),
+            lambda width_px, height_px: draw_from_above(
+                self._above, frame, overlays, self.settings, width_px, height_px
+            ),
             lambda image: self._draw_panel(image, frame),
         )
 
     def _draw_title(self, image: Picture, frame: int) -> None:
         cv2.rectangle(image, (0, 0), (image.shape[1], image.shape[0]), TITLE, -1)
-        name, x, y = drawable(self._sheet.scene), 14.0, TITLE_PX / 2
+        name, x, y = sanitise_name(self._sheet.scene), 14.0, TITLE_PX / 2
         write_text(image, name, (x, y), size_px=18, colour=TITLE_INK, bold=True)
         x += text_width(name, size_px=18, bold=True) + 16
         measured, run = self.record.facts.measured, self.driven.row.run
         family = self.driven.row.family
         numbered = f"{f', {family}' if family else ''}{f', run {run}' if self.record.facts.runs > 1 else ''}"
-        world = f"{drawable(measured.world)}, sensor {drawable(measured.sensor)}{numbered}"
-        where = f"closed loop: {world}; {drawable(self._sheet.data.name)} {drawable(self._sheet.split)}"
-        where = fitted(where, image.shape[1] - round(x) - 90, size_px=14)
+        world = f"{sanitise_name(measured.world)}, sensor {sanitise_name(measured.sensor)}{numbered}"
+        where = f"closed loop: {world}; {sanitise_name(self._sheet.data.name)} {sanitise_name(self._sheet.split)}"
+        where = truncate_to_width(where, image.shape[1] - round(x) - 90, size_px=14)
         write_text(image, where, (x, y), size_px=14, colour=TITLE_FAINT)
         now = f"{self.driven.seconds[frame]:.1f} s"
         write_text(image, now, (image.shape[1] - 14.0, y), size_px=18, colour=TITLE_INK, bold=True, anchor="right")
@@ -132,18 +134,22 @@ class DriveFilm:
         top, right = self._draw_legend(image), float(image.shape[1] - _EDGE_PX)
         draw_swatch(image, self._style, (_EDGE_PX, top + 12.0))
         privileged = self.record.facts.planner.privileged
-        name = marked(drawable(self.name), privileged=privileged, miniature=miniature)
-        words, alarm = self._state(frame)
+        name = mark_planner_name(sanitise_name(self.name), privileged=privileged, miniature=miniature)
+        words, alarm = self._describe_state(frame)
         room = image.shape[1] - 70 - text_width(words, size_px=13, bold=alarm)
         write_text(
-            image, fitted(name, room, size_px=14, bold=True), (_EDGE_PX + 40.0, top + 12.0), size_px=14, bold=True
+            image,
+            truncate_to_width(name, room, size_px=14, bold=True),
+            (_EDGE_PX + 40.0, top + 12.0),
+            size_px=14,
+            bold=True,
         )
         colour = CONTACT if alarm else INK
         write_text(image, words, (right, top + 12.0), size_px=13, bold=alarm, colour=colour, anchor="right")
-        outcome = self._outcome(frame)
-        lines = [(line, CONTACT) for line in outcome] or [(line, ADVERSARY) for line in self._pursuit(frame)]
+        outcome = self._describe_outcome(frame)
+        lines = [(line, CONTACT) for line in outcome] or [(line, ADVERSARY) for line in self._describe_pursuit(frame)]
         for number, (line, shade) in enumerate(lines):
-            text = fitted(line, image.shape[1] - 2 * _EDGE_PX, size_px=13)
+            text = truncate_to_width(line, image.shape[1] - 2 * _EDGE_PX, size_px=13)
             write_text(image, text, (_EDGE_PX, top + 34.0 + 18 * number), size_px=13, colour=shade)
         foot = image.shape[0] - 12 - (16 if miniature else 0)
         if miniature:
@@ -158,7 +164,7 @@ class DriveFilm:
             LegendEntry("box", ON_LIGHT.vehicle, "others"),
             LegendEntry("way", EGO, "what happened, 3 s"),
             LegendEntry("path", PATH, "recorded path"),
-            *([LegendEntry("candidates", BEST, "considered")] if self._shows_considered else []),
+            *([LegendEntry("candidates", BEST, "considered")] if self._shows_search_trace else []),
         ]
         entries = entries if self.layout is not FilmLayout.CAMERAS else entries[1:2] if adversaries else []
         x, y = float(_EDGE_PX), 18.0
@@ -168,7 +174,7 @@ class DriveFilm:
             x += draw_entry(image, entry, (x, y)) + 18
         return round(y) + 16
 
-    def _state(self, frame: int) -> tuple[str, bool]:
+    def _describe_state(self, frame: int) -> tuple[str, bool]:
         """Present state of the ego, and whether it is in a contact."""
         contact = self.driven.contact
         if contact is not None and self.driven.seconds[frame] >= contact.seconds - 1e-6:
@@ -184,26 +190,26 @@ class DriveFilm:
         return np.asarray(np.array([ego.x_m[frame], ego.y_m[frame]]) + ahead)
 
     @property
-    def _shows_considered(self) -> bool:
+    def _shows_search_trace(self) -> bool:
         return self.settings.candidates and bool(self.driven.considered)
 
-    def _pursuit(self, frame: int) -> list[str]:
+    def _describe_pursuit(self, frame: int) -> list[str]:
         """Present pursuit of the adversary, where what it considered is shown."""
-        now = self.driven.considered_at(frame) if self._shows_considered else None
-        return [] if now is None else [f"adversary: {DID[now.did]}"]
+        now = self.driven.search_trace_at(frame) if self._shows_search_trace else None
+        return [] if now is None else [f"adversary: {OUTCOME_WORDS[now.did]}"]
 
-    def _outcome(self, frame: int) -> list[str]:
+    def _describe_outcome(self, frame: int) -> list[str]:
         """Contacts of the ego so far, and how the drive ended, once it has."""
         row, driven = self.driven.row, self.driven
         over = frame >= driven.last
         since = driven.seconds[frame] - driven.seconds[driven.begins]
         passed = [touch for touch in row.passed if since >= touch.seconds]
-        lines = [f"touched by {drawable(touch.category)}, not at fault: it is gone" for touch in passed[-1:]]
-        if row.contact is not None and self._state(frame)[1]:
+        lines = [f"touched by {sanitise_name(touch.category)}, not at fault: it is gone" for touch in passed[-1:]]
+        if row.contact is not None and self._describe_state(frame)[1]:
             whom = f"{row.contact.category}{', the adversary' if row.contact.adversary else ''}"
             fault = "at fault" if row.contact.at_fault else "not at fault"
             return [
-                f"contact with {drawable(whom)} ({fault})",
+                f"contact with {sanitise_name(whom)} ({fault})",
                 f"impact {row.contact.impact_speed:.1f} m/s, delta-v {row.contact.delta_v_ego:.1f} m/s",
             ]
         if row.failure is not None and over:
@@ -230,19 +236,19 @@ class DriveFilm:
             write_text(image, f"{share * most:.0f} m/s", (right + 6.0, y), size_px=11, colour=FAINT_INK)
         past = slice(0, frame + 1)
         ways = (
-            (line(driven.recorded_seconds, driven.recorded_speed), mixed(EGO, PANEL, 0.65)),
+            (line(driven.recorded_seconds, driven.recorded_speed), mix_colours(EGO, PANEL, 0.65)),
             (line(driven.seconds[past], driven.speed[past]), EGO),
         )
         for way, colour in ways:
             fixed = np.round(way * (1 << SHIFT)).astype(np.int32)
             cv2.polylines(image, [fixed], False, colour, 2, cv2.LINE_AA, SHIFT)
         x, y_now = ways[1][0][-1]
-        alarm = self._state(frame)[1]
+        alarm = self._describe_state(frame)[1]
         cv2.line(image, (round(x), high - 4), (round(x), low + 4), CONTACT if alarm else INK, 2 if alarm else 1)
         cv2.circle(image, (round(x), round(y_now)), 4, CONTACT if alarm else EGO, -1, cv2.LINE_AA)
 
 
-def _possible_layout(driven: DrivenSheet, layout: FilmLayout) -> FilmLayout:
+def _choose_layout(driven: EpisodePage, layout: FilmLayout) -> FilmLayout:
     if driven.stored.sheet.pictures:
         return layout
     if layout is FilmLayout.CAMERAS:

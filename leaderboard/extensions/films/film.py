@@ -14,20 +14,20 @@ import numpy as np
 from benchmark.constants import FRAME_HZ
 from benchmark.errors import InputError
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import SheetCamera, StoredSheet
-from benchmark.report.birdseye import SceneFromAbove
-from benchmark.report.canvas import SHIFT, Picture, drawable, text_width, write_text
+from benchmark.records.scenes import PageCamera, StoredScenePage
+from benchmark.report.birdseye import BirdseyeScene
+from benchmark.report.canvas import SHIFT, Picture, sanitise_name, text_width, write_text
 from benchmark.report.captions import draw_scale_bar
-from benchmark.report.overlays import EXACT, Overlay, candidates_overlay
+from benchmark.report.overlays import EXACT, Overlay, build_candidates_overlay
 from benchmark.report.palette import ADVERSARY, FAINT_INK, PANEL, PAPER, TITLE, TITLE_FAINT, TITLE_INK
 from leaderboard.extensions.films.panel import MOST_PLANNERS, Panel
-from leaderboard.extensions.films.tracks import PlannerTrack, planner_tracks
+from leaderboard.extensions.films.tracks import PlannerTrack, build_planner_tracks
 
 
-class CameraPictures:
+class CameraMosaic:
     """Pictures of one sheet, each read once and held until the next one."""
 
-    def __init__(self, stored: StoredSheet, width_px: int, height_px: int) -> None:
+    def __init__(self, stored: StoredScenePage, width_px: int, height_px: int) -> None:
         """Pictures within the width and height that there is for all cameras."""
         self._stored = stored
         cells = stored.sheet.cameras
@@ -83,7 +83,7 @@ class CameraPictures:
             for colour, width in ((PAPER, 4), (ADVERSARY, 2)):
                 cv2.polylines(image[top:bottom, left:right], lines, False, colour, width, cv2.LINE_AA, SHIFT)
 
-    def _corners(self, cell: SheetCamera) -> tuple[int, int, int, int]:
+    def _corners(self, cell: PageCamera) -> tuple[int, int, int, int]:
         ends = (cell.left, cell.top, cell.left + cell.width, cell.top + cell.height)
         left, top, right, bottom = (round(end * self._scale) for end in ends)
         return left, top, right, bottom
@@ -92,7 +92,7 @@ class CameraPictures:
         for cell in self._stored.sheet.cameras:
             left, top, right, bottom = self._corners(cell)
             cv2.rectangle(image, (left, top), (right, bottom), PANEL, 1)
-            words = drawable(cell.name.removeprefix("CAM_").replace("_", " ").lower())
+            words = sanitise_name(cell.name.removeprefix("CAM_").replace("_", " ").lower())
             write_text(image, words, (left + 9.0, top + 12.0), size_px=12, colour=TITLE_INK, plate=TITLE)
 
     def _missing(self) -> Picture:
@@ -165,7 +165,7 @@ class FilmSettings:
         return self.width_px * HEIGHT_PX // WIDTH_PX
 
 
-def composed(
+def compose_frame(
     layout: FilmLayout,
     cameras: Picture | None,
     title: Callable[[Picture], None],
@@ -193,8 +193,8 @@ def composed(
     return image
 
 
-def from_above(
-    above: SceneFromAbove,
+def draw_from_above(
+    above: BirdseyeScene,
     frame: int,
     overlays: Sequence[Overlay],
     settings: FilmSettings,
@@ -219,7 +219,7 @@ class Film:
     """One scene's film."""
 
     def __init__(
-        self, stored: StoredSheet, records: Sequence[RunRecord], models: Sequence[str], settings: FilmSettings
+        self, stored: StoredScenePage, records: Sequence[RunRecord], models: Sequence[str], settings: FilmSettings
     ) -> None:
         """Find what is to be shown: plans of `models`, as tables name them.
 
@@ -231,12 +231,12 @@ class Film:
                 f"a film shows {MOST_PLANNERS} planners at most and {len(set(models))} were named; name fewer"
             )
         self.stored, self.settings = stored, settings
-        self._above = SceneFromAbove(stored.sheet)
-        self.tracks: tuple[PlannerTrack, ...] = planner_tracks(stored.sheet, records, models, settings.protocol)
-        self.layout = _possible_layout(stored, settings.layout)
-        self.frames: tuple[int, ...] = film_frames(stored.sheet.scene, self._above, settings)
+        self._above = BirdseyeScene(stored.sheet)
+        self.tracks: tuple[PlannerTrack, ...] = build_planner_tracks(stored.sheet, records, models, settings.protocol)
+        self.layout = _choose_layout(stored, settings.layout)
+        self.frames: tuple[int, ...] = select_film_frames(stored.sheet.scene, self._above, settings)
         self._panel = Panel(stored.sheet, self.tracks, from_above=self.layout is not FilmLayout.CAMERAS)
-        self._cameras = CameraPictures(stored, *CAMERAS_PX[self.layout]) if self.layout in CAMERAS_PX else None
+        self._cameras = CameraMosaic(stored, *CAMERAS_PX[self.layout]) if self.layout in CAMERAS_PX else None
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -261,38 +261,40 @@ class Film:
             height_px, width_px = image.shape[:2]
             image[:] = self._panel.draw(width_px, height_px, overlays, frame)
 
-        return composed(
+        return compose_frame(
             self.layout,
             None if self._cameras is None else self._cameras.at(frame),
             lambda image: self._draw_title(image, frame),
-            lambda width_px, height_px: from_above(self._above, frame, overlays, self.settings, width_px, height_px),
+            lambda width_px, height_px: draw_from_above(
+                self._above, frame, overlays, self.settings, width_px, height_px
+            ),
             panel,
         )
 
     def _overlays(self, frame: int) -> list[Overlay]:
         overlays: list[Overlay] = [plan for track in self.tracks if (plan := track.at(frame)) is not None]
         if self.settings.candidates and self.stored.rounds is not None:
-            candidates = candidates_overlay(self.stored.sheet, self.stored.rounds, frame)
+            candidates = build_candidates_overlay(self.stored.sheet, self.stored.rounds, frame)
             overlays.extend([] if candidates is None else [candidates])
         return overlays
 
     def _draw_title(self, image: Picture, frame: int) -> None:
         sheet = self.stored.sheet
         cv2.rectangle(image, (0, 0), (image.shape[1], image.shape[0]), TITLE, -1)
-        name, x, y = drawable(sheet.scene), 14.0, TITLE_PX / 2
+        name, x, y = sanitise_name(sheet.scene), 14.0, TITLE_PX / 2
         write_text(image, name, (x, y), size_px=18, colour=TITLE_INK, bold=True)
         x += text_width(name, size_px=18, bold=True) + 16
         if sheet.manoeuvre is not None:
-            manoeuvre = drawable(sheet.manoeuvre)
+            manoeuvre = sanitise_name(sheet.manoeuvre)
             write_text(image, manoeuvre, (x, y), size_px=17, colour=TITLE_INK)
             x += text_width(manoeuvre, size_px=17) + 16
-        where = f"{drawable(sheet.data.name)} {drawable(sheet.split)}"
+        where = f"{sanitise_name(sheet.data.name)} {sanitise_name(sheet.split)}"
         write_text(image, where, (x, y), size_px=14, colour=TITLE_FAINT)
         now = f"{self._above.seconds[frame]:.1f} s"
         write_text(image, now, (image.shape[1] - 14.0, y), size_px=18, colour=TITLE_INK, bold=True, anchor="right")
 
 
-def _possible_layout(stored: StoredSheet, layout: FilmLayout) -> FilmLayout:
+def _choose_layout(stored: StoredScenePage, layout: FilmLayout) -> FilmLayout:
     if stored.sheet.pictures and stored.sheet.cameras:
         return layout
     if layout is FilmLayout.CAMERAS:
@@ -303,7 +305,7 @@ def _possible_layout(stored: StoredSheet, layout: FilmLayout) -> FilmLayout:
     return FilmLayout.BIRDSEYE
 
 
-def film_frames(scene: str, above: SceneFromAbove, settings: FilmSettings) -> tuple[int, ...]:
+def select_film_frames(scene: str, above: BirdseyeScene, settings: FilmSettings) -> tuple[int, ...]:
     """The frame that is shown at each moment of a film: the last one that has been."""
     seconds = above.seconds
     end = float(seconds[-1]) if settings.end_s is None else min(settings.end_s, float(seconds[-1]))

@@ -13,13 +13,13 @@ from typing import Any, Final
 from PIL import Image
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import file_name, write_bytes
+from benchmark.machine.storage import sanitise_file_name, write_bytes
 from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord, find_records
-from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, SPLIT_FILE, read_sheet, scene_folder, split_folder
-from benchmark.report.canvas import Picture, png
-from benchmark.report.driven import DrivenSheet
-from benchmark.report.words import split_of
+from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, SPLIT_FILE, read_scene_page, scene_folder, split_folder
+from benchmark.report.canvas import Picture, encode_png
+from benchmark.report.driven import EpisodePage
+from benchmark.report.words import format_split
 from leaderboard.extensions.films.drive_film import DriveFilm
 from leaderboard.extensions.films.film import Film, FilmSettings
 
@@ -29,9 +29,9 @@ _SPEED: Final = 5
 _WEBP_QUALITY: Final = 62
 
 
-def webm(frames: Iterable[Picture], fps: float, quality: int = FINE) -> bytes:
+def encode_webm(frames: Iterable[Picture], fps: float, quality: int = FINE) -> bytes:
     """VP9 in WebM of frames, each (h, w, 3) RGB of the same even size; the quality is `FINE` or `COMPACT`."""
-    av = _pyav()
+    av = _import_pyav()
     rate = Fraction(fps).limit_denominator(1000)
     target = io.BytesIO()
     # Without bitexact the file has a random identifier and the library's version.
@@ -56,7 +56,7 @@ def webm(frames: Iterable[Picture], fps: float, quality: int = FINE) -> bytes:
     return target.getvalue()
 
 
-def animated_webp(frames: Iterable[Picture], fps: float) -> bytes:
+def encode_animated_webp(frames: Iterable[Picture], fps: float) -> bytes:
     """An animated WebP of frames, each (h, w, 3) RGB of the same size, that repeats for ever.
 
     For pages that show pictures but no films.
@@ -82,10 +82,10 @@ def animated_webp(frames: Iterable[Picture], fps: float) -> bytes:
 
 def require_webm() -> None:
     """Raise `InputError` if WebM files cannot be written here."""
-    _pyav()
+    _import_pyav()
 
 
-def _pyav() -> Any:
+def _import_pyav() -> Any:
     try:
         import av
     except ImportError as error:
@@ -98,7 +98,7 @@ def _pyav() -> Any:
 
 LONGEST_WEBP: Final = 400
 """Frames of an animated WebP, which is made in memory."""
-Watch = Callable[[Iterable[Picture], int, str], Iterable[Picture]]
+FrameProgress = Callable[[Iterable[Picture], int, str], Iterable[Picture]]
 """Passes frames on and shows how far the work is: frames, how many, what is done."""
 
 
@@ -110,33 +110,35 @@ class FilmFormat(StrEnum):
     WEBP = "webp"
 
 
-def data_set_name(data: str) -> str:
+def find_data_set_name(data: str) -> str:
     """The name under which sheets and records know what ``--data`` names: that of its folder."""
     return Path(data).resolve().name
 
 
-def planner_folder(root: Path, data: str, split: str) -> Path:
+def find_planner_folder(root: Path, data: str, split: str) -> Path:
     """Folder of the run records of a split, below the folder of all run records."""
-    return root / file_name(data_set_name(data)) / file_name(split)
+    return root / sanitise_file_name(find_data_set_name(data)) / sanitise_file_name(split)
 
 
-def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | None) -> list[Path]:
+def find_scene_page_folders(root: Path, data: str, split: str, scenes: Sequence[str] | None) -> list[Path]:
     """Folders of the sheets of some scenes, by scene; of all that have one by default."""
-    data_name = data_set_name(data)
+    data_name = find_data_set_name(data)
     make = f"make it with: challenger-bench sheets --data {data} --split {split} --out {root.parent}"
     if scenes is None:
         page_files = sorted(split_folder(root, data_name, split).glob(f"{SCENES_FOLDER}/*/{SHEET_FILE}"))
         if not page_files:
-            raise InputError(f"{split_of(split, data_name)} has no scene sheet below {root}; {_others(root)}{make}")
+            raise InputError(
+                f"{format_split(split, data_name)} has no scene sheet below {root}; {_list_other_pages(root)}{make}"
+            )
         return [path.parent for path in page_files]
     folders = [scene_folder(root, data_name, split, scene) for scene in scenes]
     for scene, folder in zip(scenes, folders):
         if not (folder / SHEET_FILE).is_file():
-            raise InputError(f"scene {scene} of {split_of(split, data_name)} has no sheet at {folder}; {make}")
+            raise InputError(f"scene {scene} of {format_split(split, data_name)} has no sheet at {folder}; {make}")
     return folders
 
 
-def _others(root: Path) -> str:
+def _list_other_pages(root: Path) -> str:
     """Sheets that there are instead, in words."""
     splits = sorted(f"{path.parent.name} of {path.parent.parent.name}" for path in root.glob(f"*/*/{SPLIT_FILE}"))
     return f"there are those of split {', '.join(splits)}; name one with --data and --split, or " if splits else ""
@@ -154,7 +156,7 @@ def write_films(
     limit: int | None = None,
     form: FilmFormat = FilmFormat.WEBM,
     settings: FilmSettings | None = None,
-    watch: Watch = lambda frames, _total, _label: frames,
+    watch: FrameProgress = lambda frames, _total, _label: frames,
 ) -> Iterator[Path]:
     """Film scenes one after the other.
 
@@ -177,8 +179,8 @@ def write_films(
     Raises:
         InputError: If a scene has no sheet, there are no records, or as `write_film` does.
     """
-    folders = sheet_folders(sheets, data, split, scenes)[:limit]
-    places = [planner_folder(runs, data, split)] if isinstance(runs, Path) else runs
+    folders = find_scene_page_folders(sheets, data, split, scenes)[:limit]
+    places = [find_planner_folder(runs, data, split)] if isinstance(runs, Path) else runs
     records = find_records(*places) if models else []
     for folder in folders:
         yield write_film(folder, records, models, to, form, settings or FilmSettings(), watch=watch)
@@ -192,7 +194,7 @@ def write_film(
     form: FilmFormat,
     settings: FilmSettings,
     *,
-    watch: Watch = lambda frames, _total, _label: frames,
+    watch: FrameProgress = lambda frames, _total, _label: frames,
 ) -> Path:
     """Write one scene's film.
 
@@ -201,20 +203,20 @@ def write_film(
     """
     if form is FilmFormat.WEBM:
         require_webm()
-    film = Film(read_sheet(folder), records, models, settings)
+    film = Film(read_scene_page(folder), records, models, settings)
     scene = film.stored.sheet.scene
-    return write_frames(film, to / file_name(scene), form, settings.fps, watch=watch, label=f"filming {scene}")
+    return write_frames(film, to / sanitise_file_name(scene), form, settings.fps, watch=watch, label=f"filming {scene}")
 
 
 def write_drive_film(
-    driven: DrivenSheet,
+    driven: EpisodePage,
     record: DriveRecord,
     name: str,
     to: Path,
     form: FilmFormat,
     settings: FilmSettings,
     *,
-    watch: Watch = lambda frames, _total, _label: frames,
+    watch: FrameProgress = lambda frames, _total, _label: frames,
 ) -> Path:
     """Write one drive's film, as `write_film` does.
 
@@ -226,12 +228,12 @@ def write_drive_film(
     parts += ["until-fault"] if facts.measured.until == "fault" else []
     parts += [driven.row.family] if driven.row.family else []
     parts += [f"run{driven.row.run}"] if facts.runs > 1 else []
-    target, label = to / file_name("-".join(parts)), f"filming {name} in {driven.row.scene}"
+    target, label = to / sanitise_file_name("-".join(parts)), f"filming {name} in {driven.row.scene}"
     return write_frames(film, target, form, settings.fps, watch=watch, label=label)
 
 
 def write_frames(
-    film: Film | DriveFilm, target: Path, form: FilmFormat, fps: float, *, watch: Watch, label: str
+    film: Film | DriveFilm, target: Path, form: FilmFormat, fps: float, *, watch: FrameProgress, label: str
 ) -> Path:
     """Write the frames of a film to a target, given without a suffix."""
     frames = watch(film, len(film), label)
@@ -244,7 +246,7 @@ def write_frames(
         )
     path = target.with_name(f"{target.name}.{form.value}")
     quality = COMPACT if isinstance(film, DriveFilm) else FINE
-    data = webm(frames, fps, quality) if form is FilmFormat.WEBM else animated_webp(frames, fps)
+    data = encode_webm(frames, fps, quality) if form is FilmFormat.WEBM else encode_animated_webp(frames, fps)
     write_bytes(path, data)
     return path
 
@@ -255,5 +257,5 @@ def _write_frames(target: Path, frames: Iterable[Picture], count: int) -> Path:
     if others:
         raise InputError(f"{target} has other frames ({others[0]}); delete them or choose another folder with --to")
     for name, frame in zip(names, frames, strict=True):
-        write_bytes(target / name, png(frame), durable=False)
+        write_bytes(target / name, encode_png(frame), durable=False)
     return target

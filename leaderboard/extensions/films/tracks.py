@@ -8,23 +8,23 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.records.planner_versions import labelled
+from benchmark.records.planner_versions import label_versions
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.run import RunRecord, protocol_of
-from benchmark.records.scenes import Sheet
+from benchmark.records.run import RunRecord, resolve_protocol
+from benchmark.records.scenes import ScenePage
 from benchmark.report.cells import UNDEFINED
-from benchmark.report.overlays import PlanOverlay, Whom, plan_overlay
-from benchmark.report.palette import PlannerStyle, planner_style
+from benchmark.report.overlays import CollisionParty, PlanOverlay, build_plan_overlay
+from benchmark.report.palette import PlannerStyle, choose_planner_style
 from benchmark.report.placing import frame_seconds
-from benchmark.report.words import split_of
+from benchmark.report.words import format_split
 
 
 @dataclass(frozen=True, slots=True)
-class Tally:
+class SampleTally:
     """Counted samples of a planner, and how many collide, by whom they touch first; none is left out."""
 
     counted: int
-    touches: Mapping[Whom, int]
+    touches: Mapping[CollisionParty, int]
 
     def words(self, *, adversaries: bool) -> str:
         """Words, for example ``3 of 14 hit it, 2 another``; a dash where the record does not say whom.
@@ -32,11 +32,11 @@ class Tally:
         ``adversaries``: whether there are some in the scene, beside whose contacts stand those with others.
         """
         if not adversaries:
-            return f"{self.touches.get(Whom.ANYBODY, 0)} of {self.counted} collide"
-        if self.touches.get(Whom.UNSAID):
+            return f"{self.touches.get(CollisionParty.ANYBODY, 0)} of {self.counted} collide"
+        if self.touches.get(CollisionParty.UNKNOWN):
             return f"{UNDEFINED} of {self.counted} hit it"
-        others = self.touches.get(Whom.OTHER, 0)
-        return f"{self.touches.get(Whom.ADVERSARY, 0)} of {self.counted} hit it, {others} another"
+        others = self.touches.get(CollisionParty.OTHER, 0)
+        return f"{self.touches.get(CollisionParty.ADVERSARY, 0)} of {self.counted} hit it, {others} another"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,18 +61,18 @@ class PlannerTrack:
         last = max(past)
         return replace(self.plans[last], age_s=float(self.seconds[frame] - self.seconds[last]))
 
-    def so_far(self, frame: int) -> Tally:
+    def tally_until(self, frame: int) -> SampleTally:
         """Tally of the samples up to a frame."""
         counted = [
             plan.verdict
             for planned_frame, plan in self.plans.items()
             if planned_frame <= frame and plan.verdict.counted
         ]
-        return Tally(len(counted), Counter(verdict.whom for verdict in counted if verdict.collides))
+        return SampleTally(len(counted), Counter(verdict.whom for verdict in counted if verdict.collides))
 
 
-def planner_tracks(
-    sheet: Sheet, records: Sequence[RunRecord], models: Sequence[str], protocol: str
+def build_planner_tracks(
+    sheet: ScenePage, records: Sequence[RunRecord], models: Sequence[str], protocol: str
 ) -> tuple[PlannerTrack, ...]:
     """Tracks of planners in a scene, in the order in which they are named.
 
@@ -82,12 +82,12 @@ def planner_tracks(
     """
     tracks = []
     for place, name in enumerate(dict.fromkeys(models)):
-        record = _record_of(sheet, records, name)
-        judge = protocol_of(record, protocol)
+        record = _find_record(sheet, records, name)
+        judge = resolve_protocol(record, protocol)
         rows = {row.sample_token: row for row in record.rows if row.scene == sheet.scene}
-        style = planner_style(place)
+        style = choose_planner_style(place)
         plans = {
-            frame: replace(plan_overlay(sheet, frame, rows[token], judge, name, style), details=place == 0)
+            frame: replace(build_plan_overlay(sheet, frame, rows[token], judge, name, style), details=place == 0)
             for frame, token in zip(sheet.keyframes, sheet.sample_tokens)
             if token in rows
         }
@@ -98,9 +98,9 @@ def planner_tracks(
     return tuple(tracks)
 
 
-def _record_of(sheet: Sheet, records: Sequence[RunRecord], name: str) -> RunRecord:
+def _find_record(sheet: ScenePage, records: Sequence[RunRecord], name: str) -> RunRecord:
     here = [record for record in records if (record.run.data.name, record.run.split) == (sheet.data.name, sheet.split)]
-    known = [record for record in labelled(here) if sheet.scene in record.run.scenes]
+    known = [record for record in label_versions(here) if sheet.scene in record.run.scenes]
     candidates = [record for record in known if record.planner == name] or [
         record for record in known if record.run.planner.name == name
     ]
@@ -109,19 +109,19 @@ def _record_of(sheet: Sheet, records: Sequence[RunRecord], name: str) -> RunReco
     if not preferred:
         there = f"; there are {', '.join(sorted({record.planner for record in known}))}" if known else ""
         raise InputError(
-            f"no run record of {name} has scene {sheet.scene} of {split_of(sheet.split, sheet.data.name)}{there}; run "
+            f"no run record of {name} has scene {sheet.scene} of {format_split(sheet.split, sheet.data.name)}{there}; run "
             f"challenger-bench eval --split {sheet.split} --model {name} for that data set"
         )
     if len(preferred) > 1:
         raise InputError(
-            f"{name} ran {len(preferred)} times on {split_of(sheet.split, sheet.data.name)} "
+            f"{name} ran {len(preferred)} times on {format_split(sheet.split, sheet.data.name)} "
             f"({', '.join(str(record.directory) for record in preferred)}); name one of {', '.join(e.planner for e in preferred)} "
             "with --model, or the folder of one run with --records"
         )
     return preferred[0]
 
 
-def _require_same_samples(sheet: Sheet, record: RunRecord, rows: Mapping[str, SampleRow]) -> None:
+def _require_same_samples(sheet: ScenePage, record: RunRecord, rows: Mapping[str, SampleRow]) -> None:
     same = record.run.data.fingerprint == sheet.data.fingerprint
     if not same or not set(rows) <= set(sheet.sample_tokens):
         raise InputError(

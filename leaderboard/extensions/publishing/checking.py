@@ -18,8 +18,16 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.errors import InputError
-from leaderboard.extensions.publishing.elsewhere import Found, Kind, in_markdown, in_page, in_script, in_style, names
-from leaderboard.site.packing import script_data
+from leaderboard.extensions.publishing.elsewhere import (
+    FindingKind,
+    PublicationFinding,
+    check_file_names,
+    check_markdown,
+    check_page,
+    check_script,
+    check_style,
+)
+from leaderboard.site.packing import decode_script
 
 _TOP_FOLDERS: Final = (
     *("home", "Users", "root", "tmp", "var", "mnt", "media", "data", "datasets", "work", "workspace", "opt", "srv"),
@@ -27,7 +35,7 @@ _TOP_FOLDERS: Final = (
     *("storage", "share", "shared", "volumes", "Volumes", "Library", "content", "kaggle", "app", "code"),
 )
 """First parts of absolute paths on many machines, beside those of this one."""
-_ANYBODY: Final = frozenset(
+_COMMON_NAMES: Final = frozenset(
     (
         "root",
         "home",
@@ -65,7 +73,7 @@ _SECRET: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class House:
+class MachineIdentity:
     """House: names that would tell of this machine.
 
     `folders` are first parts of absolute paths, `users` those logged in.
@@ -76,7 +84,7 @@ class House:
     users: tuple[str, ...]
 
     @classmethod
-    def this_one(cls) -> "House":
+    def of_this_machine(cls) -> "MachineIdentity":
         """The machine that this runs on."""
         host = socket.gethostname()
         names = {host, host.partition(".")[0]}
@@ -86,26 +94,26 @@ class House:
         with contextlib.suppress(KeyError, OSError):
             users.add(getpass.getuser())
         here = {path.name for path in Path("/").iterdir() if path.is_dir() and re.fullmatch(r"[\w.-]+", path.name)}
-        return cls(tuple(sorted({*_TOP_FOLDERS, *here})), _telling(names), _telling(users))
+        return cls(tuple(sorted({*_TOP_FOLDERS, *here})), _select_identifying(names), _select_identifying(users))
 
-    def in_text(self, text: str) -> Iterator[tuple[int, Kind, str]]:
+    def search_text(self, text: str) -> Iterator[tuple[int, FindingKind, str]]:
         """Line, kind, and what was found of what tells of the house in a text."""
         ends = [place.start() for place in re.finditer("\n", text)]
-        in_words: tuple[tuple[Kind, str], ...] = (("path", _HOME), ("host", _NUMERIC_HOST), ("user", _MAIL))
+        in_words: tuple[tuple[FindingKind, str], ...] = (("path", _HOME), ("host", _NUMERIC_HOST), ("user", _MAIL))
         patterns = [(kind, re.compile(pattern)) for kind, pattern in in_words]
-        for kind, pattern in (*self._anywhere(_SHORTEST_NAME), *patterns):
+        for kind, pattern in (*self._common_patterns(_SHORTEST_NAME), *patterns):
             for match in pattern.finditer(text):
                 yield 1 + bisect_left(ends, match.start()), kind, match.group()[:_LONGEST_SHOWN]
 
-    def in_binary(self, content: bytes) -> Iterator[tuple[Kind, str]]:
+    def search_binary(self, content: bytes) -> Iterator[tuple[FindingKind, str]]:
         """Findings, without lines, in a picture or another file without lines, where random bytes make short words."""
         text = "\n".join(run.decode("ascii") for run in _READABLE.findall(content))
-        for kind, pattern in self._anywhere(_SHORTEST_IN_BINARY):
+        for kind, pattern in self._common_patterns(_SHORTEST_IN_BINARY):
             for match in pattern.finditer(text):
                 if len(match.group()) >= _SHORTEST_IN_BINARY:
                     yield kind, match.group()[:_LONGEST_SHOWN]
 
-    def _anywhere(self, shortest: int) -> Iterator[tuple[Kind, re.Pattern[str]]]:
+    def _common_patterns(self, shortest: int) -> Iterator[tuple[FindingKind, re.Pattern[str]]]:
         """Patterns looked for in pictures too: they hardly come about by chance."""
         folders = "|".join(map(re.escape, self.folders))
         # Not the path of an address, nor a part of a longer or a relative path.
@@ -113,15 +121,15 @@ class House:
         yield "path", re.compile("|".join((_WINDOWS, _FILE_ADDRESS)))
         yield "host", re.compile(_INNER_HOST)
         yield "secret", re.compile(_SECRET)
-        kinds: tuple[tuple[Kind, tuple[str, ...]], ...] = (("host", self.hosts), ("user", self.users))
+        kinds: tuple[tuple[FindingKind, tuple[str, ...]], ...] = (("host", self.hosts), ("user", self.users))
         for kind, private in kinds:
             known = [re.escape(name) for name in private if len(name) >= shortest]
             if known:
                 yield kind, re.compile(rf"(?<![\w-])(?:{'|'.join(known)})(?![\w-])", re.IGNORECASE)
 
 
-def _telling(names: set[str]) -> tuple[str, ...]:
-    return tuple(sorted(name for name in names if len(name) >= _SHORTEST_NAME and name.lower() not in _ANYBODY))
+def _select_identifying(names: set[str]) -> tuple[str, ...]:
+    return tuple(sorted(name for name in names if len(name) >= _SHORTEST_NAME and name.lower() not in _COMMON_NAMES))
 
 
 INDEX: Final = "data/index.js"
@@ -130,9 +138,9 @@ DRAWN: Final = ("schematic", "schematic-restyled")
 _NAMED: Final = 3
 
 
-def pictures_of_recordings(
+def find_recorded_pictures(
     root: str, read: Mapping[str, str], there: Collection[str], may_show: Collection[str]
-) -> Iterator[Found]:
+) -> Iterator[PublicationFinding]:
     """Findings of camera pictures that are not said to be showable, one for each data set, split and renderer.
 
     Or that it cannot be told. `root` is the path of the site below the folder, with a slash at its end, or empty;
@@ -147,14 +155,16 @@ def pictures_of_recordings(
         return
     index = f"{root}{INDEX}"
     try:
-        scenes = script_data(read[index])["scenes"]
+        scenes = decode_script(read[index])["scenes"]
         known = {str(scene["key"]): scene for scene in scenes}
         rows = [known[key] for key in sorted(recorded_keys)]
         groups: dict[tuple[str, str, str | None], list[str]] = defaultdict(list)
         for row in rows:
-            groups[str(row["data"]), str(row["split"]), _renderer(row)].append(str(row["scene"]))
+            groups[str(row["data"]), str(row["split"]), _find_renderer(row)].append(str(row["scene"]))
     except (InputError, KeyError, TypeError):
-        yield Found(index, 0, "picture", "pictures of cameras lie below media/, and it does not say whose they are")
+        yield PublicationFinding(
+            index, 0, "picture", "pictures of cameras lie below media/, and it does not say whose they are"
+        )
         return
     for (data, split, drawn_by), scenes in sorted(
         groups.items(), key=lambda one: (one[0][0], one[0][1], one[0][2] or "")
@@ -163,7 +173,7 @@ def pictures_of_recordings(
             continue
         maker = f"drawn by {drawn_by} from recordings" if drawn_by else "taken by cameras as far as is known"
         some = ", ".join(sorted(scenes)[:_NAMED]) + (", ..." if len(scenes) > _NAMED else "")
-        yield Found(
+        yield PublicationFinding(
             f"{root}media",
             0,
             "picture",
@@ -173,20 +183,20 @@ def pictures_of_recordings(
         )
 
 
-def _renderer(row: Mapping[str, Any]) -> str | None:
+def _find_renderer(row: Mapping[str, Any]) -> str | None:
     name = row.get("drawnBy")
     return name if isinstance(name, str) else None
 
 
-_MOST_OF_ONE: Final = 5
+_MOST_PER_WORD: Final = 5
 """So often is one word of one file named; then it is counted."""
 _MOST_TEXT_BYTES: Final = 256 * 1024 * 1024
 LEADERBOARD: Final = "leaderboard"
 
 
 def check_publishable(
-    folder: Path, *, may_show: Collection[str] = (), house: House | None = None
-) -> tuple[Path, list[Found]]:
+    folder: Path, *, may_show: Collection[str] = (), house: MachineIdentity | None = None
+) -> tuple[Path, list[PublicationFinding]]:
     """Say what of a site or a leaderboard should not leave the house, or does not work on a static host.
 
     Args:
@@ -207,62 +217,64 @@ def check_publishable(
     files = {path.relative_to(root).as_posix(): path for path in sorted(root.rglob("*")) if not path.is_dir()}
     if not files:
         raise InputError(f"{root} is empty; run challenger-bench leaderboard first")
-    findings = list(_found(files, tuple(may_show), house or House.this_one()))
+    findings = list(_check_files(files, tuple(may_show), house or MachineIdentity.of_this_machine()))
     return root, sorted(set(findings))
 
 
-def _found(files: dict[str, Path], may_show: Collection[str], house: House) -> Iterator[Found]:
+def _check_files(
+    files: dict[str, Path], may_show: Collection[str], house: MachineIdentity
+) -> Iterator[PublicationFinding]:
     there: dict[str, int] = {}
     indices: dict[str, str] = {}
     for file, path in files.items():
         if path.is_symlink():
-            yield Found(file, 0, "link", "is a link to elsewhere; publish a copy")
+            yield PublicationFinding(file, 0, "link", "is a link to elsewhere; publish a copy")
         else:
             there[file] = path.stat().st_size
     for file in there:
-        content = _content(files[file])
-        text = _text(content)
+        content = _read_content(files[file])
+        text = _decode_text(content)
         if text is None:
-            yield from (Found(file, 0, kind, f"{word!r}") for kind, word in house.in_binary(content))
+            yield from (PublicationFinding(file, 0, kind, f"{word!r}") for kind, word in house.search_binary(content))
             continue
-        yield from _words(file, text, house)
-        yield from _followed(file, text, there)
+        yield from _find_identifying_words(file, text, house)
+        yield from _check_addresses(file, text, there)
         if file == INDEX or file.endswith(f"/{INDEX}"):
             indices[file] = text
-    yield from names(there)
+    yield from check_file_names(there)
     roots = {file.removesuffix(INDEX) for file in indices} | {
         file.partition("media/")[0] for file in there if "/cameras/" in file and "media/" in file
     }
     for root in sorted(roots):
-        yield from pictures_of_recordings(root, indices, there, may_show)
+        yield from find_recorded_pictures(root, indices, there, may_show)
 
 
-def _words(file: str, text: str, house: House) -> Iterator[Found]:
+def _find_identifying_words(file: str, text: str, house: MachineIdentity) -> Iterator[PublicationFinding]:
     """Findings of words that tell of the house in a text, each word of a file a few times."""
-    often: Counter[tuple[Kind, str]] = Counter()
-    for line, kind, word in house.in_text(text):
+    often: Counter[tuple[FindingKind, str]] = Counter()
+    for line, kind, word in house.search_text(text):
         often[kind, word] += 1
-        if often[kind, word] <= _MOST_OF_ONE:
-            yield Found(file, line, kind, f"{word!r}")
+        if often[kind, word] <= _MOST_PER_WORD:
+            yield PublicationFinding(file, line, kind, f"{word!r}")
     for (word_kind, word), count in often.items():
-        if count > _MOST_OF_ONE:
-            yield Found(file, 0, word_kind, f"{word!r}, {count} times")
+        if count > _MOST_PER_WORD:
+            yield PublicationFinding(file, 0, word_kind, f"{word!r}, {count} times")
 
 
-def _followed(file: str, text: str, there: dict[str, int]) -> Iterator[Found]:
+def _check_addresses(file: str, text: str, there: dict[str, int]) -> Iterator[PublicationFinding]:
     """Findings of addresses that a browser would follow from a text."""
     kind = Path(file).suffix.lower()
     if kind in (".html", ".htm", ".svg"):
-        yield from in_page(file, text, there, is_whole=kind != ".svg")
+        yield from check_page(file, text, there, is_whole=kind != ".svg")
     elif kind == ".css":
-        yield from in_style(file, text, there)
+        yield from check_style(file, text, there)
     elif kind in (".js", ".mjs"):
-        yield from in_script(file, text)
+        yield from check_script(file, text)
     elif kind == ".md":
-        yield from in_markdown(file, text, there)
+        yield from check_markdown(file, text, there)
 
 
-def _content(path: Path) -> bytes:
+def _read_content(path: Path) -> bytes:
     try:
         if path.stat().st_size > _MOST_TEXT_BYTES:
             raise InputError(f"{path} has more than {_MOST_TEXT_BYTES:,} bytes; take it out of what is to be published")
@@ -271,7 +283,7 @@ def _content(path: Path) -> bytes:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _text(content: bytes) -> str | None:
+def _decode_text(content: bytes) -> str | None:
     """A file's text, or ``None`` where it is none."""
     if b"\0" in content[:8192]:
         return None

@@ -11,11 +11,11 @@ from pathlib import PurePosixPath
 from typing import Final, Literal
 from urllib.parse import unquote, urlsplit
 
-Kind = Literal["path", "host", "user", "secret", "picture", "request", "link", "name"]
+FindingKind = Literal["path", "host", "user", "secret", "picture", "request", "link", "name"]
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Found:
+class PublicationFinding:
     """One thing that should not leave the house, or that does not work elsewhere.
 
     `file` is below the folder, ``/`` between parts; empty where it is about several. Lines count from 1; 0 where there
@@ -24,7 +24,7 @@ class Found:
 
     file: str
     line: int
-    kind: Kind
+    kind: FindingKind
     says: str
 
     def sentence(self) -> str:
@@ -64,7 +64,7 @@ _LARGEST_BYTES: Final = 100 * 1024 * 1024
 _INSIDE: Final = ("data", "blob", "mailto")
 
 
-class _Page(HTMLParser):
+class _PageParser(HTMLParser):
     """Addresses that a page loads and links, and its security policy."""
 
     def __init__(self) -> None:
@@ -86,80 +86,88 @@ class _Page(HTMLParser):
             self.policies.append(known.get("content", ""))
 
 
-def in_page(file: str, text: str, there: Mapping[str, int], *, is_whole: bool = True) -> Iterator[Found]:
+def check_page(
+    file: str, text: str, there: Mapping[str, int], *, is_whole: bool = True
+) -> Iterator[PublicationFinding]:
     """Requests of an HTML page that leave the folder, and what is not in it.
 
     A page that ``is_whole`` is no page in a picture: it has a security policy.
     """
-    page = _Page()
+    page = _PageParser()
     page.feed(text)
     if is_whole and not any("default-src 'none'" in policy for policy in page.policies):
-        yield Found(file, 0, "request", "no security policy forbids requests to others (default-src 'none')")
+        yield PublicationFinding(
+            file, 0, "request", "no security policy forbids requests to others (default-src 'none')"
+        )
     for policy in page.policies:
         for source in re.findall(r"(?:https?|wss?):\S*", policy):
-            yield Found(file, 0, "request", f"its security policy allows {source.rstrip(';')}")
+            yield PublicationFinding(file, 0, "request", f"its security policy allows {source.rstrip(';')}")
     for line, address in page.loads:
-        yield from _loaded(file, line, address, there)
+        yield from _check_address(file, line, address, there)
     for line, address in page.links:
         if not urlsplit(address).scheme and not address.startswith("//"):
-            yield from _loaded(file, line, address, there)
+            yield from _check_address(file, line, address, there)
 
 
-def in_style(file: str, text: str, there: Mapping[str, int]) -> Iterator[Found]:
-    """Findings of addresses that a style sheet loads and that do not work elsewhere; as `in_page`."""
+def check_style(file: str, text: str, there: Mapping[str, int]) -> Iterator[PublicationFinding]:
+    """Findings of addresses that a style sheet loads and that do not work elsewhere; as `check_page`."""
     for match in _STYLE_URL.finditer(text):
-        yield from _loaded(file, _line(text, match.start()), match[1] or match[2], there)
+        yield from _check_address(file, _find_line(text, match.start()), match[1] or match[2], there)
 
 
-def in_script(file: str, text: str) -> Iterator[Found]:
+def check_script(file: str, text: str) -> Iterator[PublicationFinding]:
     """Calls of a script that leave the folder."""
     for match in _ASKS.finditer(text):
         address = next(group for group in match.groups() if group)
-        yield Found(file, _line(text, match.start()), "request", f"asks {address[:120]}")
+        yield PublicationFinding(file, _find_line(text, match.start()), "request", f"asks {address[:120]}")
 
 
-def in_markdown(file: str, text: str, there: Mapping[str, int]) -> Iterator[Found]:
+def check_markdown(file: str, text: str, there: Mapping[str, int]) -> Iterator[PublicationFinding]:
     """Links of a Markdown page to what is not in the folder."""
     for match in _PAGE_LINK.finditer(text):
         if not urlsplit(match[1]).scheme:
-            yield from _loaded(file, _line(text, match.start()), match[1], there)
+            yield from _check_address(file, _find_line(text, match.start()), match[1], there)
 
 
-def names(there: Mapping[str, int]) -> Iterator[Found]:
+def check_file_names(there: Mapping[str, int]) -> Iterator[PublicationFinding]:
     """Names and sizes of files that some hosts do not serve."""
     files_by_lower_name: dict[str, str] = {}
     for file, size in there.items():
         other = files_by_lower_name.setdefault(file.lower(), file)
         if other != file:
-            yield Found(file, 0, "name", f"differs from {other} in capitals alone; some hosts keep one of them")
+            yield PublicationFinding(
+                file, 0, "name", f"differs from {other} in capitals alone; some hosts keep one of them"
+            )
         if any(part.startswith(("_", ".")) for part in PurePosixPath(file).parts) and file != ".nojekyll":
-            yield Found(file, 0, "name", "begins with _ or a dot; some hosts do not serve such names")
+            yield PublicationFinding(file, 0, "name", "begins with _ or a dot; some hosts do not serve such names")
         if re.search(r'[?#:*"<>|\\\x00-\x1f]', file):
-            yield Found(file, 0, "name", "has a letter that addresses or other systems do not allow")
+            yield PublicationFinding(file, 0, "name", "has a letter that addresses or other systems do not allow")
         if size > _LARGEST_BYTES:
-            yield Found(file, 0, "name", f"has {size:,} bytes; some hosts take no more than {_LARGEST_BYTES:,}")
+            yield PublicationFinding(
+                file, 0, "name", f"has {size:,} bytes; some hosts take no more than {_LARGEST_BYTES:,}"
+            )
 
 
-def _loaded(file: str, line: int, address: str, there: Mapping[str, int]) -> Iterator[Found]:
+def _check_address(file: str, line: int, address: str, there: Mapping[str, int]) -> Iterator[PublicationFinding]:
     """Findings of an address that is followed from a file."""
     parts = urlsplit(address)
     if parts.scheme in _INSIDE:
         return
     if parts.scheme or address.startswith("//"):
-        yield Found(file, line, "request", f"asks {address[:120]}")
+        yield PublicationFinding(file, line, "request", f"asks {address[:120]}")
         return
     if not parts.path:
         return
     path = unquote(parts.path)
     if path.startswith("/"):
-        yield Found(
+        yield PublicationFinding(
             file, line, "link", f"{path[:120]} begins at the host's root; below another address it leads nowhere"
         )
         return
     target_parts: list[str] = list(PurePosixPath(file).parent.parts)
     for part in PurePosixPath(path).parts:
         if part == ".." and not target_parts:
-            yield Found(file, line, "link", f"{path[:120]} leads out of the folder")
+            yield PublicationFinding(file, line, "link", f"{path[:120]} leads out of the folder")
             return
         if part == "..":
             target_parts.pop()
@@ -167,8 +175,8 @@ def _loaded(file: str, line: int, address: str, there: Mapping[str, int]) -> Ite
             target_parts.append(part)
     target = "/".join(target_parts)
     if target not in there and not any(name.startswith(f"{target}/") for name in there):
-        yield Found(file, line, "link", f"{path[:120]} is not in the folder")
+        yield PublicationFinding(file, line, "link", f"{path[:120]} is not in the folder")
 
 
-def _line(text: str, place: int) -> int:
+def _find_line(text: str, place: int) -> int:
     return text.count("\n", 0, place) + 1

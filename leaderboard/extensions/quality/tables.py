@@ -7,13 +7,20 @@ from typing import Final
 from benchmark.machine.storage import content_key
 from benchmark.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE
 from benchmark.records.quality import QualityRecord
-from benchmark.records.review import review_words
-from benchmark.report.cells import Origin, named_record
+from benchmark.records.review import describe_review
+from benchmark.report.cells import ValueSource, format_record_name
 from benchmark.report.table import Table
-from leaderboard.frame.rows import CAVEAT_MARK, FEW_NOTE, FEW_SCENES, part_of_split, split_place
-from leaderboard.frame.specification import Values, estimates, numbers, tabulate, texts, under
+from leaderboard.frame.rows import CAVEAT_MARK, FEW_NOTE, FEW_SCENES, describe_split_part, split_sort_key
+from leaderboard.frame.specification import (
+    Values,
+    estimate_columns,
+    group_columns,
+    number_columns,
+    tabulate,
+    text_columns,
+)
 from leaderboard.page.sections import Section
-from leaderboard.tables.published import quoted_quality
+from leaderboard.tables.published import quote_quality
 
 _MEASURES: Final = {
     "SC": "subject consistency",
@@ -21,10 +28,14 @@ _MEASURES: Final = {
     "IQ of frames": "imaging quality of frames",
 }
 _COLUMNS: Final = [
-    *texts("split", "subjects"),
-    *(each for name, of in _MEASURES.items() for each in under(of, estimates(name, digits=4, ends=3, beside="95 %"))),
-    *under("counted", numbers("vehicles", "appearances", "scenes")),
-    *under("paper", numbers("SC (paper)", "IQ (paper)")),
+    *text_columns("split", "subjects"),
+    *(
+        each
+        for name, of in _MEASURES.items()
+        for each in group_columns(of, estimate_columns(name, digits=4, ends=3, beside="95 %"))
+    ),
+    *group_columns("counted", number_columns("vehicles", "appearances", "scenes")),
+    *group_columns("paper", number_columns("SC (paper)", "IQ (paper)")),
 ]
 _BRIEF: Final = ("split", "subjects", "SC", "95 % of SC", "IQ", "95 % of IQ", "vehicles", "scenes")
 """Columns that a terminal shows."""
@@ -47,22 +58,22 @@ def quality_tables(records: Sequence[QualityRecord]) -> list[Table]:
     """
     kinds: dict[str, list[QualityRecord]] = {}
     for record in records:
-        kinds.setdefault(_kind(record), []).append(record)
+        kinds.setdefault(_find_kind(record), []).append(record)
     ordered = sorted(
-        kinds.values(), key=lambda found: (found[0].masks != "grounded-sam2", found[0].masks, _kind(found[0]))
+        kinds.values(), key=lambda found: (found[0].masks != "grounded-sam2", found[0].masks, _find_kind(found[0]))
     )
     of_source = Counter(kind_records[0].masks for kind_records in ordered)
     return [_table(kind_records, several=of_source[kind_records[0].masks] > 1) for kind_records in ordered]
 
 
 def _table(records: Sequence[QualityRecord], *, several: bool) -> Table:
-    kind = _kind(records[0])
+    kind = _find_kind(records[0])
     name = f"quality-{records[0].masks}" + (f"-{kind[:8]}" if several else "")
-    chosen = _one_each(records)
+    chosen = _choose_records(records)
     rows = [row for record in chosen for row in _rows(record)]
     data_name, definition = chosen[0].facts.data.name, chosen[0].facts.definition
     title = f"{data_name}: video quality, masks from {chosen[0].masks}, {_frame_rate(definition)}"
-    differences = _what_was_seen(chosen)
+    differences = _list_differences(chosen)
     paper = "Paper: frame rate, resolution and regions are not published: its values are a reference and no target."
     return tabulate(
         name,
@@ -78,9 +89,9 @@ def _table(records: Sequence[QualityRecord], *, several: bool) -> Table:
 
 def _rows(record: QualityRecord) -> Iterator[Values]:
     summary, split = record.facts.summary, record.facts.split
-    origin = Origin(record=named_record(record.content_id, "video quality", split))
+    origin = ValueSource(record=format_record_name(record.content_id, "video quality", split))
     frames = origin.amount(summary.frames_imaging, "IQ", "frames")
-    paper = zip(("SC (paper)", "IQ (paper)"), quoted_quality(DATA_SET_OF_SPLIT.get(split, "")))
+    paper = zip(("SC (paper)", "IQ (paper)"), quote_quality(DATA_SET_OF_SPLIT.get(split, "")))
     of_whole: Values = {"IQ of frames": frames, **dict(paper)}
     for group in _GROUPS:
         if group in summary.groups:
@@ -97,7 +108,7 @@ def _rows(record: QualityRecord) -> Iterator[Values]:
             }
 
 
-def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:
+def _list_differences(records: Sequence[QualityRecord]) -> list[str]:
     """Notes on differences of rows beside the split: size and format of frames, parts of splits, few scenes."""
     notes = []
     frames_by_split = {record.facts.split: _frames(record) for record in records}
@@ -109,9 +120,9 @@ def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:
     for record in records:
         notes += [f"{CAVEAT_MARK} {record.facts.split}: {caveat.sentence}." for caveat in record.caveats]
         if record.facts.review is not None:
-            notes.append(f"{record.facts.split}: {review_words(record.facts.review)}.")
+            notes.append(f"{record.facts.split}: {describe_review(record.facts.review)}.")
         if not record.covers_split:
-            part = part_of_split(len(record.facts.scenes), record.facts.scenes_in_split)
+            part = describe_split_part(len(record.facts.scenes), record.facts.scenes_in_split)
             notes.append(f"{record.facts.split}: {part} only.")
     if any(len({facts.source for facts in record.facts.scene_facts.values()}) < FEW_SCENES for record in records):
         notes.append(FEW_NOTE)
@@ -128,21 +139,21 @@ def _frame_rate(definition: dict[str, object]) -> str:
     return "2 Hz keyframes" if definition["frames"] == "keyframes" else "12 Hz frames"
 
 
-def _one_each(records: Sequence[QualityRecord]) -> list[QualityRecord]:
+def _choose_records(records: Sequence[QualityRecord]) -> list[QualityRecord]:
     """Record with most scenes of each split, in the order of the paper."""
     best: dict[str, QualityRecord] = {}
     for record in sorted(records, key=lambda record: (-len(record.facts.scenes), record.directory.as_posix())):
         best.setdefault(record.facts.split, record)
-    return [best[split] for split in sorted(best, key=split_place)]
+    return [best[split] for split in sorted(best, key=split_sort_key)]
 
 
-def _kind(record: QualityRecord) -> str:
+def _find_kind(record: QualityRecord) -> str:
     facts = record.facts
     weights = {name: used.content for name, used in facts.weights.items()}
     return content_key(facts.definition, weights, facts.device)
 
 
-def sections(records: Sequence[QualityRecord]) -> Iterator[Section]:
+def build_sections(records: Sequence[QualityRecord]) -> Iterator[Section]:
     """The tables on video quality, under one heading."""
     names = sorted({record.facts.data.name for record in records})
     for name in names:

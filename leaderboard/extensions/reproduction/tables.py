@@ -4,7 +4,7 @@ from typing import Final
 
 from benchmark.records.reproduction import UNITS, ComparedNumber, Reproduction
 from benchmark.report.table import Table
-from leaderboard.frame.specification import Values, numbers, tabulate, texts
+from leaderboard.frame.specification import Values, number_columns, tabulate, text_columns
 
 _NAMES: Final = {"collision": "collision (%)", "l2": "L2 (m)", "samples": "samples"}
 
@@ -19,7 +19,7 @@ def reproduction_table(found: Reproduction) -> Table:
         f"reproduction-{found.planner.name}",
         f"{found.planner.name} on {found.data.name}, {found.split}, protocol {found.protocol} (version "
         f"{found.version}): {found.of}",
-        [*texts("", "number", "at"), *numbers("expected", "ours", "difference", "allowed", "from")],
+        [*text_columns("", "number", "at"), *number_columns("expected", "ours", "difference", "allowed", "from")],
         rows,
         [*(f"{place}: {source}." for place, source in enumerate(sources, 1)), f"Verdict: {verdict}."],
     )

@@ -22,7 +22,7 @@ from adapters.checkpoints.importing import fetch_checkpoint, import_checkpoint, 
 from adapters.models import Model, Network, published_models
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
-from benchmark.weights.catalogue import CHECKPOINTS, PublishedFile, PublishedWeights, checkpoint_of
+from benchmark.weights.catalogue import CHECKPOINTS, PublishedFile, PublishedWeights, find_checkpoint
 from benchmark.weights.folders import read_checkpoint
 
 
@@ -361,11 +361,11 @@ def test_a_cache_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
 def test_official_files_are_found_by_either_name() -> None:
     assert len({entry.files[0].name for entry in CHECKPOINTS}) == len(CHECKPOINTS)
     for entry in CHECKPOINTS:
-        assert checkpoint_of(entry.files[0].name) is entry and checkpoint_of(entry.name) is entry
+        assert find_checkpoint(entry.files[0].name) is entry and find_checkpoint(entry.name) is entry
         assert "nuScenes" in entry.licence and not entry.is_folder
         assert all(entry.url(file).startswith("https://") and file.page for file in entry.files)
     with pytest.raises(InputError, match="known are vad-tiny"):
-        checkpoint_of("nonsense")
+        find_checkpoint("nonsense")
 
 
 def test_the_list_says_what_there_is_and_what_is_here(tmp_path: Path) -> None:

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from adapters.checkpoints.anchor_files import (
     agent_futures,
     box_centres,
+    collect_anchor_samples,
     line_centres,
     read_anchors,
-    sightings_of,
     write_anchors,
 )
-from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS, anchors_of, with_anchors
+from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS, add_anchors, cluster_anchors
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseDrive
 from benchmark.constants import CATEGORIES, DETECTION_CLASS_OF_CATEGORY, DETECTION_CLASSES
@@ -114,7 +114,7 @@ def test_a_map_without_anything_has_no_elements() -> None:
 
 
 def test_a_split_is_gathered_whole(data: NuScenesData) -> None:
-    found = sightings_of(data, "val", MINIATURE)
+    found = collect_anchor_samples(data, "val", MINIATURE)
     scenes = [data.scene(name) for name in data.scene_names("val")]
     assert len(np.asarray(found.box_centres)) == sum(len(box_centres(scene, classes_of(scene))) for scene in scenes)
     assert [len(np.asarray(futures)) > 0 for futures in found.futures] == [
@@ -125,17 +125,17 @@ def test_a_split_is_gathered_whole(data: NuScenesData) -> None:
     truths = [truth for name in data.scene_names("val") for truth in data.truth(name) if truth.complete]
     assert np.array_equal(straight, [truth.ego_future[:, :2] for truth in truths])
     with pytest.raises(InputError, match="no-such-split"):
-        sightings_of(data, "no-such-split", MINIATURE)
+        collect_anchor_samples(data, "no-such-split", MINIATURE)
     with pytest.raises(InputError, match="plans of 6 steps"):
-        sightings_of(data, "val", replace(MINIATURE, steps=5))
+        collect_anchor_samples(data, "val", replace(MINIATURE, steps=5))
 
 
 def turning(data: NuScenesData, config: SparseConfig) -> dict[str, torch.Tensor]:
     """Anchors where the missing commands are made up: hand-made scenes only go straight on."""
-    found = sightings_of(data, "val", config)
+    found = collect_anchor_samples(data, "val", config)
     straight = np.asarray(found.plans[2])
     plans: list[ArrayLike] = [straight + [side, 0.0] for side in (5.0, -5.0, 0.0)]
-    return anchors_of(replace(found, plans=plans), config)
+    return cluster_anchors(replace(found, plans=plans), config)
 
 
 def test_anchors_of_a_data_set_fit_a_network_and_are_refused_by_one_with_others(data: NuScenesData) -> None:
@@ -143,9 +143,9 @@ def test_anchors_of_a_data_set_fit_a_network_and_are_refused_by_one_with_others(
     network = SparseDrive(FEW)
     state = {name: tensor + 1.0 for name, tensor in network.state_dict().items()}
     bare = {name: tensor for name, tensor in state.items() if name not in anchors}
-    network.load_state_dict(with_anchors(bare, anchors), strict=True)
+    network.load_state_dict(add_anchors(bare, anchors), strict=True)
     with pytest.raises(InputError, match="was trained with other anchors"):
-        with_anchors(state, anchors)
+        add_anchors(state, anchors)
 
 
 def test_a_small_data_set_is_one_sentence(data: NuScenesData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save
 
 from adapters.planners.constant_velocity import ConstantVelocity
 from adapters.planners.constant_velocity_on_path import ConstantVelocityOnPath
-from adapters.planners.ego_status import EgoStatus, motion_of
+from adapters.planners.ego_status import EgoStatus, read_ego_status
 from adapters.planners.log_replay import LogReplay
 from adapters.planners.stop import Stop
 from benchmark.errors import InputError
@@ -137,10 +137,10 @@ def test_ego_status_drives_on_and_sees_only_the_ego() -> None:
 
 
 def test_a_past_that_is_not_there_is_not_looked_at() -> None:
-    first = motion_of(observation(scene_on_straight_road(), 0, {}))
+    first = read_ego_status(observation(scene_on_straight_road(), 0, {}))
     assert not first.past_valid.any()
     assert torch.isfinite(first.features()).all()
-    third = motion_of(observation(scene_on_straight_road(ego_speed=8.0), 2, {}))
+    third = read_ego_status(observation(scene_on_straight_road(ego_speed=8.0), 2, {}))
     assert third.past_valid.tolist() == [[False, False, True, True]]
     assert third.past[0, 2:, 0] == pytest.approx([-8.0, -4.0])
 

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.planners.idm import IntelligentDriver
-from benchmark.dynamics.idm import DriverSettings
-from benchmark.dynamics.lane_path import Path, lane_path, nearest_lane
+from benchmark.dynamics.idm import DriverParameters
+from benchmark.dynamics.lane_path import LanePath, build_lane_path, find_nearest_lane
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.planning import Command, Plan, SceneInfo
-from benchmark.protocols.exact import Exact
+from benchmark.protocols.exact import ExactProtocol
 from benchmark.road_map import Lane, RoadMap
 from benchmark.scene import Scene
 from tests.benchmark.fake_data import observation, sample_truth
@@ -29,13 +29,13 @@ def planned(scene: Scene, index: int) -> Plan:
 
 def hits(scene: Scene, index: int) -> bool:
     plans = planned(scene, index).waypoints_in_lidar()[None]
-    return bool(Exact().evaluate([sample_truth(scene, index)], plans).collision.any())
+    return bool(ExactProtocol().evaluate([sample_truth(scene, index)], plans).collision.any())
 
 
 def test_on_a_free_road_it_speeds_up_to_the_limit() -> None:
     ahead = planned(scene_on_straight_road((), ego_speed=8.0), 5).waypoints
     speed = np.diff(ahead[:, 0], prepend=0.0) / 0.5
-    assert (np.diff(speed) > 0).all() and speed[-1] < DriverSettings().speed_limit
+    assert (np.diff(speed) > 0).all() and speed[-1] < DriverParameters().speed_limit
     assert np.abs(ahead[:, 1]).max() < 0.01
 
 
@@ -177,7 +177,7 @@ def fork() -> RoadMap:
     [(Command.LEFT, (55.0, 15.0)), (Command.RIGHT, (55.0, -15.0)), (Command.STRAIGHT, (70.0, 0.0))],
 )
 def test_the_command_chooses_the_branch(command: Command, end: tuple[float, float]) -> None:
-    path = lane_path(fork(), np.array([30.0, 0.2, 0.0]), command, 5.0, 40.0)
+    path = build_lane_path(fork(), np.array([30.0, 0.2, 0.0]), command, 5.0, 40.0)
     assert path is not None
     assert np.hypot(*(path.points - end).T).min() < 0.6
 
@@ -193,20 +193,20 @@ def test_it_slows_down_for_a_bend() -> None:
 
 def test_lanes_the_other_way_are_not_followed() -> None:
     road = scene_on_straight_road(()).road_map
-    east, west = (nearest_lane(road, np.array([100.0, y, yaw])) for y, yaw in ((198.4, 0.1), (201.6, np.pi)))
+    east, west = (find_nearest_lane(road, np.array([100.0, y, yaw])) for y, yaw in ((198.4, 0.1), (201.6, np.pi)))
     assert east is not None and west is not None
     assert (east.identifier, west.identifier) == ("east-0", "west-0")
-    assert nearest_lane(road, np.array([100.0, 198.25, np.pi / 2])) is None
+    assert find_nearest_lane(road, np.array([100.0, 198.25, np.pi / 2])) is None
 
 
 def test_a_path_projects_points_back() -> None:
     angle = np.linspace(0.0, 1.5, 60)
-    path = Path.through(30.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]))
+    path = LanePath.through(30.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]))
     along, left = path.project(path.at(np.array([5.0, 20.0])) + 1e-9)
     assert along == pytest.approx([5.0, 20.0], abs=0.05) and left == pytest.approx(0.0, abs=0.05)
     assert path.curvature[10:-10] == pytest.approx(1 / 30, rel=0.1)
     with pytest.raises(ValueError, match="two different points"):
-        Path.through(np.zeros((3, 2)))
+        LanePath.through(np.zeros((3, 2)))
 
 
 def test_planning_before_a_scene_is_revealed_is_an_error() -> None:

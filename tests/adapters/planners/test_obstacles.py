@@ -6,24 +6,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.planners.idm import IntelligentDriver, Obstacles, expected_centres, obstacles_along
-from benchmark.dynamics.lane_path import Path, straight_path
+from benchmark.dynamics.lane_path import LanePath, build_straight_path
 from benchmark.geometry import Floats
 from benchmark.planning import SceneInfo
 from tests.benchmark.fake_data import observation
 from tests.hand_made import Car, scene_on_straight_road
 
 SECONDS = 0.1 * np.arange(30)
-EAST = straight_path(np.zeros(3), 60.0)
+EAST = build_straight_path(np.zeros(3), 60.0)
 
 
-def along(path: Path, *movers: tuple[float, float, float, float]) -> Obstacles:
+def along(path: LanePath, *movers: tuple[float, float, float, float]) -> Obstacles:
     """Cars of 4.6 m x 1.9 m at x, y, yaw, driving forwards."""
     boxes = np.array([(x, y, 4.6, 1.9, yaw) for x, y, yaw, _ in movers])
     velocity = np.array([(speed * np.cos(yaw), speed * np.sin(yaw)) for _, _, yaw, speed in movers])
     return obstacles_along(path, boxes, velocity, SECONDS, side_margin_m=0.3, foresight_s=1.5)
 
 
-def centres(path: Path, *movers: tuple[float, float, float, float]) -> Floats:
+def centres(path: LanePath, *movers: tuple[float, float, float, float]) -> Floats:
     boxes = np.array([(x, y, 4.6, 1.9, yaw) for x, y, yaw, _ in movers])
     velocity = np.array([(speed * np.cos(yaw), speed * np.sin(yaw)) for _, _, yaw, speed in movers])
     return expected_centres(path, boxes, velocity, SECONDS, foresight_s=1.5)
@@ -63,7 +63,7 @@ def test_who_crosses_is_in_the_way_when_it_gets_there_and_not_after() -> None:
 
 def test_on_a_ring_the_car_behind_is_not_taken_for_a_leader_at_the_bumper() -> None:
     angle = np.linspace(-np.pi / 2, 1.45 * np.pi, 300)
-    ring = Path.through(14.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
+    ring = LanePath.through(14.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
     behind = -np.pi / 2 - 7.0 / 14.0
     found = along(ring, (14.5 * np.cos(behind), 14.5 * np.sin(behind), behind + np.pi / 2, 4.0))
     assert (found.rear > 70.0).all()
@@ -77,9 +77,9 @@ def test_it_stops_behind_a_leader_that_stands_close_ahead() -> None:
     assert last_speed(Car(50.0 + 7.0 + 10.0, 198.25, 0.0), ego_speed=7.0) == pytest.approx(0.0, abs=0.2)
 
 
-def arc(radius_m: float) -> Path:
+def arc(radius_m: float) -> LanePath:
     angle = np.linspace(0.0, 1.8, 200)
-    return Path.through(radius_m * np.column_stack([np.sin(angle), 1 - np.cos(angle)]))
+    return LanePath.through(radius_m * np.column_stack([np.sin(angle), 1 - np.cos(angle)]))
 
 
 MOVERS = st.tuples(st.floats(2.0, 30.0), st.floats(-4.0, 4.0), st.floats(-np.pi, np.pi), st.floats(0.0, 12.0))

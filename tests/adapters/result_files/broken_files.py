@@ -15,10 +15,10 @@ from unittest.mock import patch
 import numpy as np
 
 from adapters.result_files.contract import FileFrame
-from adapters.result_files.made_up import made_up_samples
-from adapters.result_files.samples import RecordedSamples, turned
+from adapters.result_files.made_up import make_synthetic_samples
+from adapters.result_files.samples import RecordedSamples, rotate
 from adapters.result_files.writing.formats import WRITERS
-from adapters.result_files.writing.pickles import DumpedPlans, PickledTensor, write_pickle
+from adapters.result_files.writing.pickles import PickledTensor, PlansToWrite, write_pickle
 from benchmark.geometry import Floats
 from benchmark.planning import Plan, PlanFrame
 from benchmark.untrusted.files import Category
@@ -42,10 +42,10 @@ class Broken:
     categories: tuple[Category, ...]
 
 
-SAMPLES: RecordedSamples = made_up_samples()
+SAMPLES: RecordedSamples = make_synthetic_samples()
 
 
-def recorded_plans() -> DumpedPlans:
+def recorded_plans() -> PlansToWrite:
     """Plans as the car drove; past the end of a scene it goes on a little."""
     plans = {}
     for row in range(len(SAMPLES.tokens)):
@@ -53,7 +53,7 @@ def recorded_plans() -> DumpedPlans:
         last = way[valid][-1] if valid.any() else np.zeros(2)
         more = np.cumsum(~valid)[:, None] * np.array([0.0, 1.0])
         plans[row] = Plan(np.where(valid[:, None], way, last + more), PlanFrame.LIDAR)
-    return DumpedPlans(SAMPLES, tuple(dict.fromkeys(SAMPLES.scenes)), plans, 6)
+    return PlansToWrite(SAMPLES, tuple(dict.fromkeys(SAMPLES.scenes)), plans, 6)
 
 
 VALID = recorded_plans()
@@ -144,9 +144,9 @@ def _tensor(*said: Any) -> bytes:
     """A UniAD entry with a tensor of 12 numbers, of whose place anything is said."""
     from torch._utils import _rebuild_tensor_v2
 
-    from adapters.result_files.writing.pickles import _Storage
+    from adapters.result_files.writing.pickles import _PickledStorage
 
-    storage = _Storage(np.zeros(12, np.float32))
+    storage = _PickledStorage(np.zeros(12, np.float32))
     plan = _Call(_rebuild_tensor_v2, storage, *said, False, OrderedDict())
     return pickle.dumps({"bbox_results": [{"token": SAMPLES.tokens[0], "planning_traj": plan}]}, 2)
 
@@ -161,9 +161,9 @@ def _inner(body: bytes) -> bytes:
 
 
 def _storage_of(count: int) -> bytes:
-    from adapters.result_files.writing.pickles import _Storage, _storage_bytes
+    from adapters.result_files.writing.pickles import _PickledStorage, _storage_bytes
 
-    whole = _storage_bytes(_Storage(np.zeros(12, np.float32)))
+    whole = _storage_bytes(_PickledStorage(np.zeros(12, np.float32)))
     return whole.replace((12).to_bytes(8, "little"), count.to_bytes(8, "little"))
 
 
@@ -239,7 +239,7 @@ MISPLACED = (
     _plans("millimetres", _each(lambda plan: 1000.0 * plan), "unit"),
     _plans("offsets for positions", _each(lambda plan: np.diff(plan, axis=0, prepend=0.0)), "offsets", "unit"),
     _plans("swapped axes", _each(lambda plan: plan[:, ::-1]), "frame"),
-    _plans("axes of the ego pose", _each(lambda plan: turned(plan, -np.pi / 2)), "frame"),
+    _plans("axes of the ego pose", _each(lambda plan: rotate(plan, -np.pi / 2)), "frame"),
     _plans("turned about", _each(lambda plan: -plan), "frame"),
     _plans("mirrored", _each(lambda plan: plan * [-1.0, 1.0]), "frame"),
     _plans("one step late", _each(lambda plan: np.concatenate([np.zeros((1, 2)), plan[:-1]])), "time"),

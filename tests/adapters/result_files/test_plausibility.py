@@ -8,7 +8,7 @@ import pytest
 
 from adapters.result_files.importing import require_plausible
 from benchmark.geometry import Floats
-from benchmark.untrusted.files import RefusedFile
+from benchmark.untrusted.files import RefusedFileError
 from benchmark.untrusted.plan_plausibility import FEWEST, TESTS
 from tests.adapters.result_files.broken_files import SAMPLES
 
@@ -65,7 +65,7 @@ def test_below_the_counts_nothing_is_tested() -> None:
 
 @pytest.mark.parametrize("far_m", [2e4, 1e300])
 def test_what_is_beyond_all_plans_is_refused_however_few_there_are(far_m: float) -> None:
-    with pytest.raises(RefusedFile, match=r"reaches \S+e\+\d+ m") as refused:
+    with pytest.raises(RefusedFileError, match=r"reaches \S+e\+\d+ m") as refused:
         require_plausible(PATH, np.full((2, 6, 2), far_m), ROWS[:2], SAMPLES)
     assert refused.value.category == "unit"
 
@@ -77,5 +77,5 @@ def test_the_reason_says_what_would_fit() -> None:
         (SAMPLES.future * [-1.0, 1.0], "mirrored 0.00 m"),
         (SAMPLES.future + [0.0, 0.943713], "begin 0.94 m away"),
     ):
-        with pytest.raises(RefusedFile, match=says):
+        with pytest.raises(RefusedFileError, match=says):
             require_plausible(PATH, plans, ROWS, SAMPLES)

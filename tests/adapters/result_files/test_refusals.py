@@ -11,11 +11,11 @@ from adapters.registry import planner_factory
 from adapters.result_files.importing import import_results
 from adapters.result_files.planner import result_file_factory
 from adapters.result_files.recognition import recognise, require_format
-from adapters.result_files.samples import samples_of_data
+from adapters.result_files.samples import read_recorded_samples
 from adapters.result_files.writing.formats import require_writable, write_results
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.untrusted.files import CATEGORIES, RefusedFile
+from benchmark.untrusted.files import CATEGORIES, RefusedFileError
 from tests.adapters.result_files.broken_files import BROKEN, HOSTILE, SAMPLES, Broken, valid
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.fake_data import FakeData
@@ -33,7 +33,7 @@ def test_each_is_one_sentence_of_its_kind(broken: Broken, tmp_path: Path, monkey
     monkeypatch.setattr(os, "getcwd", called)
     monkeypatch.setattr("posix.getcwd", called)
     began = time.process_time()
-    with pytest.raises(RefusedFile) as refused:
+    with pytest.raises(RefusedFileError) as refused:
         import_results([recognise(path)], SAMPLES)
     assert refused.value.category in broken.categories, str(refused.value)
     assert str(path) in str(refused.value) and "\n" not in str(refused.value) and len(str(refused.value)) < 500
@@ -98,7 +98,7 @@ def test_a_file_of_another_split_is_told_which(name: str, says: str, tmp_path: P
     scenes = {each: scene_on_straight_road(name=each, seconds=s) for each, s in (("scene-1", 8.0), ("scene-2", 5.0))}
     data = FakeData(scenes, train=("scene-1",))
     record = evaluate(data, "train", planner_factory("constant-velocity"), tmp_path / "runs")
-    path = write_results(record, samples_of_data(data, "train"), name, tmp_path / name)
+    path = write_results(record, read_recorded_samples(data, "train"), name, tmp_path / name)
     assert result_file_factory([recognise(path)], data, "train").facts.name
-    with pytest.raises(RefusedFile, match=f"{says}.*--split train"):
+    with pytest.raises(RefusedFileError, match=f"{says}.*--split train"):
         result_file_factory([recognise(path)], data, "val")

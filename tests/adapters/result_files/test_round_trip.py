@@ -13,19 +13,19 @@ from adapters.registry import planner_factory
 from adapters.result_files.contract import FileFrame
 from adapters.result_files.frames import ego_waypoints, lidar_waypoints, plans_of
 from adapters.result_files.importing import ImportedPlans, import_results
-from adapters.result_files.made_up import PRECISION_M, SINGLE_M, made_up_plans, made_up_samples
+from adapters.result_files.made_up import PRECISION_M, SINGLE_M, make_synthetic_plans, make_synthetic_samples
 from adapters.result_files.planner import result_file_factory
 from adapters.result_files.recognition import FORMATS, recognise
-from adapters.result_files.samples import RecordedSamples, samples_of_data, turned
+from adapters.result_files.samples import RecordedSamples, read_recorded_samples, rotate
 from adapters.result_files.writing.formats import WRITERS, write_results
-from adapters.result_files.writing.pickles import DumpedPlans, PickledTensor
+from adapters.result_files.writing.pickles import PickledTensor, PlansToWrite
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Plan, PlanFrame
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.rescoring import rescore
-from leaderboard.frame.runs import Frame
-from leaderboard.site.index_data import model_index
+from leaderboard.frame.runs import DataSetRuns
+from leaderboard.site.index_data import build_model_index
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.transfer import transfer_matrices, transfer_table
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -39,15 +39,15 @@ def test_every_format_is_written() -> None:
 
 def written(folder: Path, name: str, samples: RecordedSamples, plans: dict[int, Plan]) -> ImportedPlans:
     steps = min(len(plan.waypoints) for plan in plans.values())
-    dumped = DumpedPlans(samples, tuple(dict.fromkeys(samples.scenes)), plans, steps)
+    dumped = PlansToWrite(samples, tuple(dict.fromkeys(samples.scenes)), plans, steps)
     return import_results([recognise(WRITERS[name](folder / name, dumped))], samples)
 
 
 @pytest.mark.parametrize("frame", list(PlanFrame))
 @pytest.mark.parametrize("name", list(WRITERS))
 def test_plans_come_back_through_the_real_calibration(name: str, frame: PlanFrame, tmp_path: Path) -> None:
-    samples = made_up_samples(REAL_YAW)
-    plans = made_up_plans(samples, frame)
+    samples = make_synthetic_samples(REAL_YAW)
+    plans = make_synthetic_plans(samples, frame)
     found = written(tmp_path, name, samples, plans)
     lidar_ahead_m = float(samples.lidar_in_ego[0, 0])
     worst = max(
@@ -60,8 +60,8 @@ def test_plans_come_back_through_the_real_calibration(name: str, frame: PlanFram
 
 
 def test_what_is_known_of_the_order(tmp_path: Path) -> None:
-    samples = made_up_samples()
-    plans = made_up_plans(samples)
+    samples = make_synthetic_samples()
+    plans = make_synthetic_plans(samples)
     orders = {name: written(tmp_path, name, samples, plans).found.order for name in WRITERS}
     proven, consistent = {"vad-out", "bev-planner", "bev-planner-json"}, {"sparsedrive"}
     assert {name for name, order in orders.items() if order == "proven"} == proven
@@ -74,15 +74,15 @@ def test_what_is_known_of_the_order(tmp_path: Path) -> None:
 def test_variants_are_found_whether_info_files_keep_them_apart_or_mix_them(
     tmp_path: Path, name: str, mixed: bool
 ) -> None:
-    recorded = made_up_samples()
+    recorded = make_synthetic_samples()
     ticks = [recorded.scenes[:row].count(scene) for row, scene in enumerate(recorded.scenes)]
     times = np.array(ticks, np.int64) * 500_000
     samples = dataclasses.replace(recorded, timestamps_us=times, by_time=np.argsort(times, kind="stable"))
-    apart, official = samples.in_orders()
+    apart, official = samples.possible_orders()
     assert [samples.scenes[row] for row in apart.by_time] == sorted(samples.scenes)
     assert official.by_time.tolist() == samples.by_time.tolist() != apart.by_time.tolist()
-    plans = made_up_plans(samples)
-    dumped = DumpedPlans(samples, tuple(dict.fromkeys(samples.scenes)), plans, 6)
+    plans = make_synthetic_plans(samples)
+    dumped = PlansToWrite(samples, tuple(dict.fromkeys(samples.scenes)), plans, 6)
     # A cached property: what a run on mixed info files would have dumped.
     vars(dumped)["info_rows"] = (official if mixed else apart).by_time
     found = import_results([recognise(WRITERS[name](tmp_path, dumped))], samples).found
@@ -91,10 +91,10 @@ def test_variants_are_found_whether_info_files_keep_them_apart_or_mix_them(
 
 
 def test_one_command_alone_leaves_the_order_assumed(tmp_path: Path) -> None:
-    samples = made_up_samples()
+    samples = make_synthetic_samples()
     straight = tuple(scene for scene in ("scene-0003", "scene-0004"))
-    plans = {row: plan for row, plan in made_up_plans(samples).items() if samples.scenes[row] in straight}
-    dumped = DumpedPlans(samples, straight, plans, 6)
+    plans = {row: plan for row, plan in make_synthetic_plans(samples).items() if samples.scenes[row] in straight}
+    dumped = PlansToWrite(samples, straight, plans, 6)
     opened = [recognise(WRITERS["sparsedrive"](tmp_path, dumped))]
     found = import_results(opened, samples, straight).found
     assert found.order == "assumed" and len(found.rows) == len(plans)
@@ -103,10 +103,10 @@ def test_one_command_alone_leaves_the_order_assumed(tmp_path: Path) -> None:
 
 
 def test_plans_of_six_seconds_keep_their_steps_and_judges_take_the_first_three(tmp_path: Path) -> None:
-    samples = made_up_samples()
+    samples = make_synthetic_samples()
     plans = {
         row: dataclasses.replace(plan, waypoints=np.concatenate([plan.waypoints, 1.5 * plan.waypoints]))
-        for row, plan in made_up_plans(samples).items()
+        for row, plan in make_synthetic_plans(samples).items()
     }
     found = written(tmp_path, "sparsedrive", samples, plans)
     assert found.found.waypoints.shape == (len(plans), 12, 2)
@@ -115,8 +115,8 @@ def test_plans_of_six_seconds_keep_their_steps_and_judges_take_the_first_three(t
 
 
 def test_the_sign_of_x_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    samples = made_up_samples()
-    plans = made_up_plans(samples)
+    samples = make_synthetic_samples()
+    plans = make_synthetic_plans(samples)
     assert written(tmp_path / "a", "uniad", samples, plans).found.mirrored is True
     monkeypatch.setattr("adapters.result_files.writing.pickles.MIRRORED", np.array([1.0, 1.0]))
     found = written(tmp_path / "b", "uniad", samples, plans)
@@ -125,7 +125,7 @@ def test_the_sign_of_x_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_lidar_beside_the_middle_of_the_car_gives_plans_of_the_rear_axle() -> None:
-    samples = made_up_samples()
+    samples = make_synthetic_samples()
     aside = dataclasses.replace(samples, lidar_in_ego=samples.lidar_in_ego + [0.0, 0.4, 0.0])
     found = written_in_memory(aside)
     assert {plan.frame for plan in plans_of(found.found, aside)} == {PlanFrame.EGO}
@@ -135,15 +135,15 @@ def written_in_memory(samples: RecordedSamples) -> ImportedPlans:
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
-        return written(Path(folder), "pred-trajs", samples, made_up_plans(samples))
+        return written(Path(folder), "pred-trajs", samples, make_synthetic_plans(samples))
 
 
 def test_frames_go_there_and_back() -> None:
-    samples = made_up_samples(REAL_YAW)
-    plans = made_up_plans(samples)
-    dumped = DumpedPlans(samples, (), plans, 6)
+    samples = make_synthetic_samples(REAL_YAW)
+    plans = make_synthetic_plans(samples)
+    dumped = PlansToWrite(samples, (), plans, 6)
     lidar, away = dumped.waypoints(5, FileFrame.LIDAR), dumped.waypoints(5, FileFrame.DISPLACEMENT)
-    assert np.allclose(turned(lidar, REAL_YAW), away) and np.allclose(turned(away, np.pi / 2), plans[5].waypoints)
+    assert np.allclose(rotate(lidar, REAL_YAW), away) and np.allclose(rotate(away, np.pi / 2), plans[5].waypoints)
 
 
 @pytest.mark.parametrize("kind", ["<f4", "<f8", "<f2", "<i8", "<i4", "<i2", "|b1"])
@@ -158,7 +158,7 @@ def test_tensors_are_what_pytorch_reads_and_the_same_bytes_each_time(kind: str) 
 @pytest.mark.parametrize("protocol", [2, 3, 4, 5])
 @pytest.mark.parametrize("kind", ["float32", "float64", "float16", "bfloat16", "int64", "bool"])
 def test_tensors_that_pytorch_wrote_are_read(tmp_path: Path, kind: str, protocol: int) -> None:
-    samples = made_up_samples()
+    samples = make_synthetic_samples()
     plans = {
         token: torch.zeros(6, 2, dtype=getattr(torch, kind))
         if kind == "bool"
@@ -184,7 +184,7 @@ def test_a_record_of_the_file_is_that_of_the_planner_but_for_what_the_format_lac
     town: tuple[FakeData, RunRecord], name: str, tmp_path: Path
 ) -> None:
     data, record = town
-    path = write_results(record, samples_of_data(data, "val"), name, tmp_path)
+    path = write_results(record, read_recorded_samples(data, "val"), name, tmp_path)
     factory = result_file_factory([recognise(path)], data, "val", name="again", native="uniad")
     timings = tmp_path / "timings"
     planner = pickle.loads(pickle.dumps(factory))  # noqa: S301
@@ -209,16 +209,16 @@ def test_a_record_of_the_file_is_that_of_the_planner_but_for_what_the_format_lac
 
 def test_the_record_and_every_table_say_where_plans_come_from(town: tuple[FakeData, RunRecord], tmp_path: Path) -> None:
     data, record = town
-    path = write_results(record, samples_of_data(data, "val"), "sparsedrive", tmp_path)
+    path = write_results(record, read_recorded_samples(data, "val"), "sparsedrive", tmp_path)
     factory = result_file_factory([recognise(path)], data, "val", name="SD")
     assert factory.facts.native_protocol == "sparsedrive"
     found = evaluate(data, "val", factory, tmp_path / "runs")
     says = "SD on val: plans from a file (sparsedrive), samples in an order that is assumed"
-    assert any(note.startswith(says) for note in collision_table(Frame("fake", [record, found]), "exact").notes)
+    assert any(note.startswith(says) for note in collision_table(DataSetRuns("fake", [record, found]), "exact").notes)
     for matrix in transfer_matrices([record, found], "val").values():
         assert any(note.startswith(says) for note in transfer_table("fake", matrix).notes)
     assert any("order assumed" in sentence for sentence in factory.sentences)
-    told = {entry["name"]: entry["runs"][0].get("plansFrom") for entry in model_index([record, found])}
+    told = {entry["name"]: entry["runs"][0].get("plansFrom") for entry in build_model_index([record, found])}
     assert told["constant-velocity"] is None and str(told["SD"]).startswith(says)
     again = load_record(found.directory)
     assert again.run == found.run and rescore(found.directory, data).run.plans_from == found.run.plans_from
@@ -226,7 +226,7 @@ def test_the_record_and_every_table_say_where_plans_come_from(town: tuple[FakeDa
 
 def test_what_a_file_lacks_of_samples_is_said_and_no_zero(town: tuple[FakeData, RunRecord], tmp_path: Path) -> None:
     data, record = town
-    path = write_results(record, samples_of_data(data, "val"), "omnidrive", tmp_path)
+    path = write_results(record, read_recorded_samples(data, "val"), "omnidrive", tmp_path)
     first, second, *_ = sorted(path.iterdir())
     first.unlink()
     second.write_text('[{"Q": "", "A": ["The car should slow down."]}]')
@@ -242,7 +242,7 @@ def test_what_a_file_lacks_of_samples_is_said_and_no_zero(town: tuple[FakeData, 
 
 def test_several_files_of_one_run(town: tuple[FakeData, RunRecord], tmp_path: Path) -> None:
     data, record = town
-    samples = samples_of_data(data, "val")
+    samples = read_recorded_samples(data, "val")
     parts = []
     for number, scene in enumerate(("scene-9901", "scene-9902", "scene-9902")):
         rows = tuple(row for row in record.rows if row.scene == scene)
@@ -262,13 +262,13 @@ def test_a_file_that_names_no_samples_needs_a_plan_for_each(town: tuple[FakeData
     )
     for name in ("sparsedrive", "vad-out"):
         with pytest.raises(InputError, match="names no samples, so each needs a plan, and 2 have none"):
-            write_results(dataclasses.replace(record, rows=rows), samples_of_data(data, "val"), name, tmp_path)
+            write_results(dataclasses.replace(record, rows=rows), read_recorded_samples(data, "val"), name, tmp_path)
 
 
 def test_part_of_a_split(town: tuple[FakeData, RunRecord], tmp_path: Path) -> None:
     data, _ = town
     record = evaluate(data, "val", planner_factory("constant-velocity"), tmp_path, EvalSettings(scenes=("scene-9902",)))
     for name in WRITERS:
-        path = write_results(record, samples_of_data(data, "val"), name, tmp_path / name)
+        path = write_results(record, read_recorded_samples(data, "val"), name, tmp_path / name)
         factory = result_file_factory([recognise(path)], data, "val", scenes=("scene-9902",))
         assert factory.plans_from.plans == len(record.rows)

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adapters.result_files.made_up import made_up_samples
-from adapters.result_files.samples import RecordedSamples, samples_of_data
+from adapters.result_files.made_up import make_synthetic_samples
+from adapters.result_files.samples import RecordedSamples, read_recorded_samples
 from benchmark.geometry import rotation_matrix
 from benchmark.planning import Command
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -14,7 +14,7 @@ from tests.benchmark.fake_data import FakeData, town_of_two
 
 def test_samples_are_those_of_the_protocols() -> None:
     data = town_of_two()
-    samples = samples_of_data(data, "val")
+    samples = read_recorded_samples(data, "val")
     truths = [truth for scene in data.scene_names("val") for truth in data.truth(scene)]
     assert samples.tokens == tuple(truth.sample_token for truth in truths)
     for row, truth in enumerate(truths):
@@ -26,7 +26,7 @@ def test_samples_are_those_of_the_protocols() -> None:
 
 
 def test_infos_are_sorted_by_time_over_all_scenes_and_by_scene_where_they_are_not() -> None:
-    samples = samples_of_data(town_of_two(), "val")
+    samples = read_recorded_samples(town_of_two(), "val")
     times = samples.timestamps_us[samples.by_time]
     assert (np.diff(times) >= 0).all()
     # Both scenes begin at the same time: they take turns, the first by name first.
@@ -46,15 +46,15 @@ def test_on_a_slope_the_way_is_that_of_the_lidar_in_space() -> None:
     position[:, 2] = slope * position[:, 0]
     ego = dataclasses.replace(scene.ego, position=position, rotation=np.tile(up, (len(position), 1)))
     assert np.allclose(rotation_matrix(up)[:, 0], np.array([1.0, 0.0, slope]) / np.hypot(1.0, slope))
-    samples = samples_of_data(FakeData({scene.name: dataclasses.replace(scene, ego=ego)}), "val")
-    level = samples_of_data(FakeData({scene.name: scene}), "val")
+    samples = read_recorded_samples(FakeData({scene.name: dataclasses.replace(scene, ego=ego)}), "val")
+    level = read_recorded_samples(FakeData({scene.name: scene}), "val")
     assert np.allclose(samples.future[0, :, 1], level.future[0, :, 1] * np.hypot(1.0, slope))
     assert np.allclose(samples.future[0, :, 0], level.future[0, :, 0])
 
 
 @pytest.fixture(scope="module")
 def at_the_border() -> RecordedSamples:
-    samples = made_up_samples()
+    samples = make_synthetic_samples()
     future = np.zeros_like(samples.future)
     future[:4, -1, 0] = (1.97, 2.03, -1.97, 1.9)
     valid = np.ones_like(samples.valid)
@@ -63,5 +63,5 @@ def at_the_border() -> RecordedSamples:
 
 def test_near_the_border_of_commands_either_may_have_been_stored(at_the_border: RecordedSamples) -> None:
     right, left, straight = Command.RIGHT, Command.LEFT, Command.STRAIGHT
-    allowed = [{each for each in Command if at_the_border.may_be(row, each)} for row in range(5)]
+    allowed = [{each for each in Command if at_the_border.may_have_command(row, each)} for row in range(5)]
     assert allowed == [{right, straight}, {right, straight}, {left, straight}, {straight}, {straight}]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from benchmark.machine.storage import only_writer
+from benchmark.machine.storage import lock_folder
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.cli.in_process import Done, run_here
@@ -98,7 +98,7 @@ def test_two_commands_on_the_same_record_do_not_mix(source: Path, tmp_path: Path
     models = ("--model", "stop", "--no-baselines")
     (record,) = json.loads(driving(source, tmp_path, *models, "--json").out)
     before: dict[str, Any] = bytes_below(tmp_path)
-    with only_writer(Path(record["directory"])):
+    with lock_folder(Path(record["directory"])):
         done = driving(source, tmp_path, *models)
     assert done.code == 2 and "another command is writing to" in done.err and bytes_below(tmp_path) == before
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmark.datasets.roots import open_data
-from benchmark.records.driven import driven_ego
+from benchmark.records.driven import read_driven_ego_targets
 from benchmark.records.drives import DriveRecord, find_drives
 from tests.benchmark.cli.cli_runs import challenger_bench
 
@@ -48,7 +48,7 @@ def test_the_ego_goes_where_it_was_driven(folder: Path) -> None:
     data = open_data(folder / "driven")
     assert data.scene_names("train") == tuple(row.scene for row in record.rows)
     for row in record.rows:
-        scene, learned = data.scene(row.scene), driven_ego(data.provenance(), row.scene)
+        scene, learned = data.scene(row.scene), read_driven_ego_targets(data.provenance(), row.scene)
         assert learned is not None and learned.planner == "constant-velocity"
         states = np.array(row.ticks.ego)[: len(row.ticks.command)]
         assert len(scene.keyframes) == len(states)

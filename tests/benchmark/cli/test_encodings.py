@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.cli.app import replace_what_cannot_be_shown
+from benchmark.cli.app import replace_unencodable_characters
 from benchmark.report.cells import MINIATURE_MARK
 from leaderboard.frame import rows
 from tests.benchmark.edited_roots import small_town
@@ -45,7 +45,7 @@ def test_every_mark_of_a_table_is_replaced_by_another_character(monkeypatch: pyt
     marks = rows.PRIVILEGED_MARK, rows.STALE_MARK, rows.REPRODUCED_MARK, rows.CAVEAT_MARK, MINIATURE_MARK
     out = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(out, "ascii", write_through=True))
-    replace_what_cannot_be_shown()
+    replace_unencodable_characters()
     sys.stdout.write("".join(marks))
     assert len(set(out.getvalue())) == len(marks)
     out.seek(0)

@@ -9,7 +9,7 @@ import pytest
 import typer
 
 from benchmark.cli import app as extensions
-from benchmark.cli.app import Offered, add_commands_of_others
+from benchmark.cli.app import OfferedCommands, add_commands_of_others
 
 ROOT = Path(__file__).resolve().parents[3]
 WITHOUT = """
@@ -57,9 +57,9 @@ class Entry:
     """An entry point of another package."""
 
     name: str
-    loaded: Offered | None
+    loaded: OfferedCommands | None
 
-    def load(self) -> Offered:
+    def load(self) -> OfferedCommands:
         if self.loaded is None:
             raise ImportError("no such\nmodule")
         return self.loaded

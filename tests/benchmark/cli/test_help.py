@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from benchmark.cli.app import app
-from benchmark.cli.help import summary
+from benchmark.cli.help import first_paragraph
 
 
 def groups(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -29,7 +29,7 @@ def test_summaries_are_whole_sentences(path: tuple[str, ...], group: Any) -> Non
     listed = " ".join(said[said.index("Commands:") :].split())
     assert "..." not in listed
     for name, command in group.commands.items():
-        sentence = summary(command.help or "")
+        sentence = first_paragraph(command.help or "")
         assert sentence.endswith(".") and sentence[0].isupper() and len(sentence.split()) > 3, name
         assert f"{name} {sentence}" in listed
 

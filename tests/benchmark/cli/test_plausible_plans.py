@@ -13,7 +13,7 @@ from adapters.result_files.writing.pickles import write_pickle
 from benchmark.datasets.roots import open_data
 from benchmark.geometry import Floats
 from benchmark.records.run import load_record
-from generation.sources.mini import TownSettings, build_town
+from generation.sources.mini import TownSettings, build_town_data_set
 from leaderboard.tables.collision import run_tables
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.untrusted.misread import MISREAD, to_ego
@@ -25,7 +25,7 @@ SCENES = 4
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Some scenes of mini with small pictures."""
     settings = TownSettings(val_scenes=SCENES, width=96, height=54, frames="keyframes")
-    return build_town(tmp_path_factory.mktemp("town") / "root", settings, workers=1)
+    return build_town_data_set(tmp_path_factory.mktemp("town") / "root", settings, workers=1)
 
 
 @pytest.fixture(scope="module")

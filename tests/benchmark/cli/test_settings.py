@@ -13,9 +13,9 @@ from benchmark.cli.app import app
 from benchmark.cli.drive import DriveOptions
 from benchmark.cli.eval_options import EvalOptions
 from benchmark.cli.generate import GenerateOptions
-from benchmark.cli.settings import Option, add_command, command, is_given, rare_settings
+from benchmark.cli.settings import Option, add_command, command, is_given, list_rare_settings
 from benchmark.errors import InputError
-from benchmark.machine.extension import OFFERS, extension_of
+from benchmark.machine.extension import OFFERS, parse_extension_name
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.cli.in_process import Done, run_here
 from tests.benchmark.cli.small_path import SEARCH, SMALL, done, small_town
@@ -143,7 +143,7 @@ def test_help_has_panels_and_few_options_and_names_where_the_others_are(name: st
     panels = [line for line in said.splitlines() if line.endswith(":") and not line.startswith(" ")]
     assert {"Input:", "Output:", "Search:", "Execution:", "Advanced:"} - {*panels} <= {"Search:"}
     assert len(panels) == len({*panels})
-    rare = rare_settings(options)
+    rare = list_rare_settings(options)
     assert not [each for each in rare if f"  --{each.replace('_', '-')} " in said]
     assert {*rare} <= {each.name for each in dataclasses.fields(options)}
     assert f"{len(rare)} rare settings" in said and "docs/settings.md" in said
@@ -160,7 +160,7 @@ def test_the_page_of_settings_lists_every_rare_one() -> None:
 
 def test_commands_of_extensions_declare_their_settings() -> None:
     for words, reference in OFFERS["command"].items():
-        if not reference.endswith(":app") and extension_of(reference):
+        if not reference.endswith(":app") and parse_extension_name(reference):
             found: Any = typer.main.get_command(app)
             for word in words.split():
                 found = found.commands[word]

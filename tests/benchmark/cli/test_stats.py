@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.datasets.judged import JUDGEMENTS_FILE, judgements_text
+from benchmark.datasets.judged import ASSESSMENTS_FILE, format_assessments
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.records.made_judgements import made_judgement
@@ -28,7 +28,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     finish_data_set(plan, keys)
     judged = made_judgement(adversary="of-the-recording", unsolvable=True)
-    (root / "v1.0-mini" / JUDGEMENTS_FILE).write_text(judgements_text({"scene-0001-aa": (judged,)}))
+    (root / "v1.0-mini" / ASSESSMENTS_FILE).write_text(format_assessments({"scene-0001-aa": (judged,)}))
     return root
 
 

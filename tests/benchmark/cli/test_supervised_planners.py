@@ -9,9 +9,9 @@ import pytest
 from benchmark import api
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.sandbox.limits import Supervision
+from benchmark.sandbox.limits import SandboxLimits
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
-from generation.pipeline.surrogate import judged
+from generation.pipeline.surrogate import read_surrogate_result
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.cli.in_process import Done, run_here
 from tests.benchmark.fake_data import town_of_two
@@ -93,13 +93,13 @@ def test_drive_goes_on_after_a_death_and_asks_again(source: Path, home: Path, wa
 def test_a_surrogate_is_watched_over_and_its_death_is_no_verdict(home: Path) -> None:
     data = town_of_two()
     data.scenes["scene-1"] = replace(data.scenes.pop("scene-9901"), name="scene-1")
-    under_test = api.planner_under_test("mortal_planner:Mortal", supervision=Supervision(30.0))
+    under_test = api.planner_under_test("mortal_planner:Mortal", supervision=SandboxLimits(30.0))
     settings = EvalSettings(("exact",))
-    assert judged(evaluate(data, "val", under_test.factory, home / "sound", settings)).scenes == 2
+    assert read_surrogate_result(evaluate(data, "val", under_test.factory, home / "sound", settings)).scenes == 2
     (home / "dies").touch()
     record = evaluate(data, "val", under_test.factory, home / "runs", settings)
     with pytest.raises(InputError, match=r"mortal raised on .* the planner's process ended by itself"):
-        judged(record)
+        read_surrogate_result(record)
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "1e9"])

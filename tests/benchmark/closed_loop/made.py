@@ -4,26 +4,28 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.closed_loop.courses import course_of, recorded_poses, replay_of
-from benchmark.closed_loop.idm import Idm
-from benchmark.closed_loop.stepping import begin, step
-from benchmark.closed_loop.world import STEP_US, Course, World
+from benchmark.closed_loop.courses import build_log_replay, build_simulation_config, interpolate_recorded_poses
+from benchmark.closed_loop.idm import IdmPolicy
+from benchmark.closed_loop.stepping import begin_simulation, step
+from benchmark.closed_loop.world import STEP_US, SimulationConfig, WorldState
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats, to_local
 from benchmark.scene import Scene
 from tests.hand_made import Car, scene_on_straight_road
 
 
-def course(*cars: Car, ego_speed: float = 8.0, seconds: float = 8.0, idm: bool = False, **changes: Any) -> Course:
+def course(
+    *cars: Car, ego_speed: float = 8.0, seconds: float = 8.0, idm: bool = False, **changes: Any
+) -> SimulationConfig:
     """The hand-made road; the ego is the recorded one at first."""
     scene = scene_on_straight_road(cars, ego_speed=ego_speed, seconds=seconds)
-    made = course_of(scene, **changes)
-    return course_of(scene, policy=idm_of(scene, made), **changes) if idm else made
+    made = build_simulation_config(scene, **changes)
+    return build_simulation_config(scene, policy=idm_of(scene, made), **changes) if idm else made
 
 
-def idm_of(scene: Scene, made: Course) -> Idm:
-    replay = replay_of(scene, made.start_us, made.end_us)
-    return Idm.of(replay, scene.agents.categories, scene.road_map)
+def idm_of(scene: Scene, made: SimulationConfig) -> IdmPolicy:
+    replay = build_log_replay(scene, made.start_us, made.end_us)
+    return IdmPolicy.of(replay, scene.agents.categories, scene.road_map)
 
 
 def straight(speed: float, count: int = PLAN_STEPS) -> Floats:
@@ -35,20 +37,20 @@ def bend(speed: float, radius: float, count: int = PLAN_STEPS) -> Floats:
     return radius * np.column_stack([np.sin(turned), 1 - np.cos(turned)])
 
 
-def recorded_plan(scene: Scene, world: World) -> Floats:
+def recorded_plan(scene: Scene, world: WorldState) -> Floats:
     """The recorded future from where the ego is."""
     times = world.time_us + STEP_US * np.arange(1, PLAN_STEPS + 1)
-    return to_local(recorded_poses(scene, times)[:, :2], world.ego.pose)
+    return to_local(interpolate_recorded_poses(scene, times)[:, :2], world.ego.pose)
 
 
-def driven(made: Course, plan: Floats, steps: int) -> list[World]:
-    worlds = [begin(made)]
+def driven(made: SimulationConfig, plan: Floats, steps: int) -> list[WorldState]:
+    worlds = [begin_simulation(made)]
     for _ in range(steps):
         worlds.append(step(made, worlds[-1], plan))
     return worlds
 
 
-def same(first: World, second: World) -> bool:
+def same(first: WorldState, second: WorldState) -> bool:
     """Whether two worlds are equal to the last bit."""
     if (first.contact is None) != (second.contact is None) or first.step != second.step:
         return False

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from benchmark.closed_loop.contract import Moment
+from benchmark.closed_loop.contract import TrafficSnapshot
 from benchmark.closed_loop.idm import SIDE_MARGIN_M, SIGHT_M
-from benchmark.dynamics.lane_path import SPACING_M, Path
+from benchmark.dynamics.lane_path import SPACING_M, LanePath
 from benchmark.geometry import Floats
 from benchmark.interactions.tracks import Integers
 
 
 def slow_leaders(
-    paths: tuple[Path, ...], driving: Integers, station: Floats, here: Integers, moment: Moment
+    paths: tuple[LanePath, ...], driving: Integers, station: Floats, here: Integers, moment: TrafficSnapshot
 ) -> tuple[Floats, Floats]:
     gaps, speeds = np.full(len(driving), np.inf), np.zeros(len(driving))
     yaw = moment.ego[4]
@@ -33,7 +33,7 @@ def slow_leaders(
     return gaps, speeds
 
 
-def _in_the_way(path: Path, station: float, own: Floats, boxes: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+def _in_the_way(path: LanePath, station: float, own: Floats, boxes: Floats, velocity: Floats) -> tuple[Floats, Floats]:
     path = _window(path, station)
     along, left = path.project(boxes[:, :2])
     heading = np.interp(along, path.arc_length, path.heading)
@@ -47,7 +47,7 @@ def _in_the_way(path: Path, station: float, own: Floats, boxes: Floats, velocity
     return np.asarray(np.maximum(gap, 0.0)[ahead]), np.asarray(speed[ahead])
 
 
-def _window(path: Path, station: float) -> Path:
+def _window(path: LanePath, station: float) -> LanePath:
     first = max(int((station - 20.0) / SPACING_M), 0)
     rows = slice(first, int((station + 2 * SIGHT_M) / SPACING_M) + 1)
-    return Path(path.points[rows], path.heading[rows], path.arc_length[rows], path.curvature[rows])
+    return LanePath(path.points[rows], path.heading[rows], path.arc_length[rows], path.curvature[rows])

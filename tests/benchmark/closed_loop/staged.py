@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.driving import Stage
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.driving import EpisodeSpec
 from benchmark.closed_loop.observing import NoSensor
-from benchmark.closed_loop.riding import RecordedCan, RideMaker
+from benchmark.closed_loop.riding import RecordedCan, SimulatorBackend
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.scene import Scene
 from tests.benchmark.fake_data import FakeData
@@ -15,9 +15,9 @@ def can_of(scene: Scene) -> RecordedCan:
     return RecordedCan.of(each.ego for each in FakeData({scene.name: scene}).observations(scene.name))
 
 
-def staged(scene: Scene, maker: RideMaker | None = None, **changes: float) -> Stage:
+def staged(scene: Scene, maker: SimulatorBackend | None = None, **changes: float) -> EpisodeSpec:
     timeout_s = changes.get("timeout_s", 30.0)
-    return Stage(scene, can_of(scene), 0, maker or DefaultRides(), NoSensor(), timeout_s)
+    return EpisodeSpec(scene, can_of(scene), 0, maker or DefaultBackend(), NoSensor(), timeout_s)
 
 
 class Watching:

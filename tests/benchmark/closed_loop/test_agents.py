@@ -6,33 +6,33 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.contract import Moment, Moved, check_policy
-from benchmark.closed_loop.courses import course_of, replay_of
-from benchmark.closed_loop.idm import Idm
-from benchmark.closed_loop.replay import Replay
-from benchmark.closed_loop.stepping import begin, step
-from benchmark.closed_loop.world import World
-from generation.sources.town import town_scene
+from benchmark.closed_loop.contract import AgentMotion, TrafficSnapshot, check_policy
+from benchmark.closed_loop.courses import build_log_replay, build_simulation_config
+from benchmark.closed_loop.idm import IdmPolicy
+from benchmark.closed_loop.replay import TrackReplay
+from benchmark.closed_loop.stepping import begin_simulation, step
+from benchmark.closed_loop.world import WorldState
+from generation.sources.town import build_town_scene
 from tests.benchmark.closed_loop.made import course, driven, idm_of, straight
 from tests.hand_made import Car, scene_on_straight_road
 
 
-def moving(worlds: list[World], agent: int) -> tuple[Any, Any]:
+def moving(worlds: list[WorldState], agent: int) -> tuple[Any, Any]:
     """x and y of an agent at all planning instants."""
     boxes = np.array([world.others.boxes[agent] for world in worlds])
     return boxes[:, 0], boxes[:, 1]
 
 
 def test_both_policies_keep_the_contract() -> None:
-    scene = town_scene("val", 0)
-    made = course_of(scene)
+    scene = build_town_scene("val", 0)
+    made = build_simulation_config(scene)
     for policy in (made.policy, idm_of(scene, made)):
-        check_policy(policy, begin(made).others, steps=8)
+        check_policy(policy, begin_simulation(made).others, steps=8)
 
 
 def test_replayed_agents_are_where_their_tracks_are_and_gone_after_them() -> None:
     scene = scene_on_straight_road((Car(80.0, 198.25, 6.0),), seconds=4.0)
-    made = course_of(scene, duration_s=6.0)
+    made = build_simulation_config(scene, duration_s=6.0)
     worlds = driven(made, straight(2.0), 12)
     x, _ = moving(worlds[:8], 0)
     assert x == pytest.approx(80.0 + 6.0 * 0.5 * np.arange(8), abs=1e-5)
@@ -78,7 +78,7 @@ def test_an_idm_agent_drives_on_where_its_recording_ends() -> None:
 def test_parked_cars_and_people_do_what_their_tracks_say() -> None:
     walker = Car(100.0, 190.0, 1.2, np.pi / 2, "human.pedestrian.adult", (0.7, 0.7, 1.7))
     made = course(Car(120.0, 194.75), walker, idm=True)
-    assert isinstance(made.policy, Idm) and not len(made.policy.driving)
+    assert isinstance(made.policy, IdmPolicy) and not len(made.policy.driving)
     worlds = driven(made, straight(1.0), 6)
     assert moving(worlds, 0)[0] == pytest.approx(np.full(7, 120.0))
     assert moving(worlds, 1)[1] == pytest.approx(190.0 + 0.6 * np.arange(7), abs=1e-5)
@@ -89,7 +89,7 @@ def test_who_comes_later_drives_from_where_it_comes() -> None:
     valid = scene.agents.valid.copy()
     valid[:, :24] = False
     scene = replace(scene, agents=replace(scene.agents, valid=valid))
-    made = course_of(scene)
+    made = build_simulation_config(scene)
     worlds = driven(replace(made, policy=idm_of(scene, made)), straight(1.0), 10)
     assert [bool(world.others.present[0]) for world in worlds] == [number >= 4 for number in range(11)]
     x, _ = moving(worlds, 0)
@@ -99,7 +99,7 @@ def test_who_comes_later_drives_from_where_it_comes() -> None:
 def test_an_empty_road_is_a_road() -> None:
     for idm in (False, True):
         made = course(idm=idm)
-        world = step(made, begin(made), straight(8.0))
+        world = step(made, begin_simulation(made), straight(8.0))
         assert world.contact is None and world.others.boxes.shape == (0, 5)
 
 
@@ -107,15 +107,15 @@ def test_an_empty_road_is_a_road() -> None:
 class Hidden:
     """A policy whose memory is an attribute."""
 
-    replay: Replay
+    replay: TrackReplay
     calls: list[int] = field(default_factory=list)
     name: str = "hidden"
     draws: bool = False
 
-    def init(self, time_us: int, key: int) -> tuple[None, Moved]:
+    def init(self, time_us: int, key: int) -> tuple[None, AgentMotion]:
         return self.replay.init(time_us, key)
 
-    def act(self, memory: None, moment: Moment, key: int) -> tuple[None, Moved]:
+    def act(self, memory: None, moment: TrafficSnapshot, key: int) -> tuple[None, AgentMotion]:
         self.calls.append(key)
         _, moved = self.replay.act(memory, moment, key)
         return None, replace(moved, velocity=moved.velocity + len(self.calls))
@@ -124,7 +124,7 @@ class Hidden:
 class Meddling(Hidden):
     """A policy that changes what it is given."""
 
-    def act(self, memory: None, moment: Moment, key: int) -> tuple[None, Moved]:
+    def act(self, memory: None, moment: TrafficSnapshot, key: int) -> tuple[None, AgentMotion]:
         moment.boxes[:, 0] += 1.0
         return self.replay.act(memory, moment, key)
 
@@ -132,9 +132,9 @@ class Meddling(Hidden):
 class Short(Hidden):
     """A policy that forgets one instant."""
 
-    def act(self, memory: None, moment: Moment, key: int) -> tuple[None, Moved]:
+    def act(self, memory: None, moment: TrafficSnapshot, key: int) -> tuple[None, AgentMotion]:
         _, moved = self.replay.act(memory, moment, key)
-        return None, Moved(moved.boxes[:1], moved.present[:1], moved.velocity)
+        return None, AgentMotion(moved.boxes[:1], moved.present[:1], moved.velocity)
 
 
 @pytest.mark.parametrize(
@@ -142,11 +142,11 @@ class Short(Hidden):
 )
 def test_a_policy_that_breaks_the_contract_is_told_how(policy: type[Hidden], says: str) -> None:
     scene = scene_on_straight_road()
-    made = course_of(scene)
-    replay = replay_of(scene, made.start_us, made.end_us)
+    made = build_simulation_config(scene)
+    replay = build_log_replay(scene, made.start_us, made.end_us)
     copied = replace(replay, boxes=replay.boxes.copy())
     with pytest.raises(ValueError, match=says):
-        check_policy(policy(copied), begin(made).others)
+        check_policy(policy(copied), begin_simulation(made).others)
 
 
 def test_courses_are_named_by_what_is_measured() -> None:

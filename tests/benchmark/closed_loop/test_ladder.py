@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.courses import course_of
-from benchmark.closed_loop.ladder import climbed
-from benchmark.interactions.driving import LADDER, Rung, Situation, drive
-from benchmark.interactions.outcomes import Surroundings
-from benchmark.interactions.tracks import Tracks
+from benchmark.closed_loop.courses import build_simulation_config
+from benchmark.closed_loop.ladder import simulate_reference_drivers
+from benchmark.interactions.driving import REFERENCE_DRIVER_KINDS, DrivingSituation, ReferenceDriver, simulate_drivers
+from benchmark.interactions.outcomes import CollisionChecker
+from benchmark.interactions.tracks import ContinuousTracks
 from tests.hand_made import Car, scene_on_straight_road
 
 SCENES = {
@@ -23,12 +23,15 @@ SCENES = {
 def test_replayed_agents_give_the_outcomes_of_open_loop(which: str) -> None:
     scene = scene_on_straight_road(SCENES[which], seconds=9.0)
     keyframe = int(scene.keyframes[2])
-    tracks = Tracks.of_scene(scene)
-    situation = Situation(tracks, tracks.grid(float(scene.seconds[keyframe])))
-    surroundings = Surroundings.of(situation)
-    expected = [surroundings.outcome(motion) for motion in drive(situation, [Rung(driver) for driver in LADDER])]
-    found = climbed(scene, course_of(scene, keyframe=2), LADDER)
-    assert list(found) == list(LADDER)
+    tracks = ContinuousTracks.of_scene(scene)
+    situation = DrivingSituation(tracks, tracks.grid(float(scene.seconds[keyframe])))
+    surroundings = CollisionChecker.of(situation)
+    expected = [
+        surroundings.find_outcome(motion)
+        for motion in simulate_drivers(situation, [ReferenceDriver(driver) for driver in REFERENCE_DRIVER_KINDS])
+    ]
+    found = simulate_reference_drivers(scene, build_simulation_config(scene, keyframe=2), REFERENCE_DRIVER_KINDS)
+    assert list(found) == list(REFERENCE_DRIVER_KINDS)
     last = float(scene.seconds[scene.keyframes[-1]])
     for ours, theirs in zip(found.values(), expected, strict=True):
         contact = theirs.contact
@@ -41,7 +44,7 @@ def test_replayed_agents_give_the_outcomes_of_open_loop(which: str) -> None:
 
 def test_a_driver_is_answered_by_a_world_of_its_own() -> None:
     scene = scene_on_straight_road(SCENES["all parked"], seconds=9.0)
-    course = course_of(scene, keyframe=2)
-    together = climbed(scene, course, LADDER)
-    alone = {driver: climbed(scene, course, [driver])[driver] for driver in LADDER}
+    course = build_simulation_config(scene, keyframe=2)
+    together = simulate_reference_drivers(scene, course, REFERENCE_DRIVER_KINDS)
+    alone = {driver: simulate_reference_drivers(scene, course, [driver])[driver] for driver in REFERENCE_DRIVER_KINDS}
     assert together == alone

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.contract import Moment
-from benchmark.closed_loop.idm import Roads, leaders
-from benchmark.dynamics.lane_path import Path
+from benchmark.closed_loop.contract import TrafficSnapshot
+from benchmark.closed_loop.idm import VehicleRoads, find_leaders
+from benchmark.dynamics.lane_path import LanePath
 from benchmark.geometry import Floats
 from tests.benchmark.closed_loop.slow_leaders import slow_leaders
 
 
-def road(kind: str, rng: np.random.Generator) -> Path:
+def road(kind: str, rng: np.random.Generator) -> LanePath:
     length = float(rng.uniform(8.0, 400.0))
     along = np.arange(0.0, length, 1.3)
     if kind == "straight":
@@ -24,10 +24,10 @@ def road(kind: str, rng: np.random.Generator) -> Path:
         points = np.column_stack([along / 6.0 + rng.normal(0.0, 0.6, len(along)), rng.normal(0.0, 0.6, len(along))])
     turn = float(rng.uniform(-np.pi, np.pi))
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    return Path.through(points @ rotation.T + rng.uniform(-40.0, 40.0, 2))
+    return LanePath.through(points @ rotation.T + rng.uniform(-40.0, 40.0, 2))
 
 
-def boxes_around(count: int, paths: list[Path], rng: np.random.Generator) -> Floats:
+def boxes_around(count: int, paths: list[LanePath], rng: np.random.Generator) -> Floats:
     """Half of them on roads, where they matter."""
     places = rng.uniform(-150.0, 150.0, (count, 2))
     for row in range(0, count, 2):
@@ -54,8 +54,8 @@ def test_they_are_those_of_one_after_the_other(kinds: tuple[str, ...]) -> None:
             boxes[driving[vehicle], :2] = path.at(station[vehicle])
         here = np.flatnonzero(rng.random(6) < 0.8)
         ego = boxes_around(2, list(paths), rng)[0]
-        moment = Moment(0, ego, 5.0, boxes, rng.random(24) < 0.9, rng.normal(0.0, 5.0, (24, 2)))
-        fast = leaders(Roads.of(paths), driving, station, here, moment)
+        moment = TrafficSnapshot(0, ego, 5.0, boxes, rng.random(24) < 0.9, rng.normal(0.0, 5.0, (24, 2)))
+        fast = find_leaders(VehicleRoads.of(paths), driving, station, here, moment)
         slow = slow_leaders(paths, driving, station, here, moment)
         assert [each.tobytes() for each in fast] == [each.tobytes() for each in slow]
         led += int(np.isfinite(slow[0]).sum())
@@ -66,12 +66,12 @@ def test_nobody_drives_and_nobody_is_seen() -> None:
     rng = np.random.default_rng(1)
     ego = np.array([500.0, 500.0, 4.0, 1.7, 0.0])
     none = np.zeros(0, np.int64)
-    nobody = Moment(0, ego, 5.0, np.zeros((0, 5)), np.zeros(0, np.bool_), np.zeros((0, 2)))
-    gaps, _ = leaders(Roads.of(()), none, np.zeros(0), none, nobody)
+    nobody = TrafficSnapshot(0, ego, 5.0, np.zeros((0, 5)), np.zeros(0, np.bool_), np.zeros((0, 2)))
+    gaps, _ = find_leaders(VehicleRoads.of(()), none, np.zeros(0), none, nobody)
     assert gaps.shape == (0,)
     paths = (road("straight", rng),)
-    alone = Moment(
+    alone = TrafficSnapshot(
         0, ego, 5.0, np.array([[*paths[0].points[3], 4.0, 1.7, 0.0]]), np.ones(1, np.bool_), np.zeros((1, 2))
     )
-    gaps, speeds = leaders(Roads.of(paths), np.zeros(1, np.int64), np.ones(1), np.zeros(1, np.int64), alone)
+    gaps, speeds = find_leaders(VehicleRoads.of(paths), np.zeros(1, np.int64), np.ones(1), np.zeros(1, np.int64), alone)
     assert gaps.tolist() == [np.inf] and speeds.tolist() == [0.0]

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.default_engine import PRIMING_STEPS, DefaultRides
-from benchmark.closed_loop.driving import drive
+from benchmark.closed_loop.default_engine import PRIMING_STEPS, DefaultBackend
+from benchmark.closed_loop.driving import run_episode
 from benchmark.closed_loop.observing import STEERING_RATIO
-from benchmark.closed_loop.riding import RideMaker
+from benchmark.closed_loop.riding import SimulatorBackend
 from benchmark.closed_loop.world import STEP_US
 from benchmark.geometry import Floats
 from benchmark.planning import CameraView, Observation
@@ -23,11 +23,11 @@ from tests.benchmark.closed_loop.staged import Peeking, Watching, can_of, staged
 from tests.benchmark.fake_data import FakeData
 from tests.hand_made import Car, scene_on_straight_road
 
-MAKERS = [DefaultRides(), DefaultRides("idm")]
+MAKERS = [DefaultBackend(), DefaultBackend("idm")]
 
 
-def seen_by(planner: Watching, scene: Scene, maker: RideMaker) -> list[Observation]:
-    drive(staged(scene, maker), planner)
+def seen_by(planner: Watching, scene: Scene, maker: SimulatorBackend) -> list[Observation]:
+    run_episode(staged(scene, maker), planner)
     return planner.seen
 
 
@@ -52,12 +52,12 @@ def arrays_reachable(value: Any) -> Iterator[Floats]:
 
 
 @pytest.mark.parametrize(("maker", "with_images"), [*((maker, False) for maker in MAKERS), (MAKERS[0], True)])
-def test_nothing_of_the_recordings_future_can_be_reached(maker: RideMaker, with_images: bool) -> None:
+def test_nothing_of_the_recordings_future_can_be_reached(maker: SimulatorBackend, with_images: bool) -> None:
     scene = marked_future(scene_on_straight_road((Car(80.0, 201.75, 8.0),), seconds=5.0))
     scene = replace(scene, cameras=tuple(camera.resized(56, 32) for camera in scene.cameras))
     stage = staged(scene, maker)
     planner = Watching()
-    drive(replace(stage, sensor=SchematicSensor()) if with_images else stage, planner)
+    run_episode(replace(stage, sensor=SchematicSensor()) if with_images else stage, planner)
     assert len(planner.seen) > PRIMING_STEPS + 2
     future = future_numbers(scene, PRIMING_STEPS + 1)
     for observation in planner.seen[: PRIMING_STEPS + 2]:
@@ -71,7 +71,7 @@ def test_nothing_of_the_recordings_future_can_be_reached(maker: RideMaker, with_
 def test_a_leak_would_be_found() -> None:
     scene = marked_future(scene_on_straight_road((), seconds=5.0))
     planner = Watching()
-    drive(staged(scene), planner)
+    run_episode(staged(scene), planner)
     view = CameraView(scene.cameras[0], Path("x"), 0, np.eye(4), lambda: np.asarray(scene.ego.position, np.uint8))
     leaking = replace(planner.seen[0], views={"CAM_FRONT": view})
     found = [set(np.round(array.ravel(), 9).tolist()) for array in arrays_reachable(leaking) if array.dtype.kind == "f"]
@@ -96,14 +96,14 @@ def future_numbers(scene: Scene, keyframe: int) -> set[float]:
 def test_no_sample_of_the_recording_is_named() -> None:
     scene = scene_on_straight_road((), seconds=4.0)
     names = {each.sample_token for each in FakeData({scene.name: scene}).observations(scene.name)}
-    seen = seen_by(Watching(), scene, DefaultRides())
+    seen = seen_by(Watching(), scene, DefaultBackend())
     assert not names & {each.sample_token for each in seen}
     assert len({each.sample_token for each in seen}) == len(seen)
 
 
 def test_motion_is_measured_while_primed_and_simulated_from_then_on() -> None:
     scene = scene_on_straight_road((), ego_speed=8.0, seconds=6.0)
-    seen = seen_by(Watching(speed=4.0), scene, DefaultRides())
+    seen = seen_by(Watching(speed=4.0), scene, DefaultBackend())
     recorded = can_of(scene)
     for tick in range(PRIMING_STEPS + 1):
         assert seen[tick].ego.can_motion == pytest.approx(recorded.motion[tick])
@@ -119,7 +119,7 @@ def test_who_reads_the_message_after_is_given_none_of_later() -> None:
     class Reading(Watching):
         reads_message_after = True
 
-    for observation in seen_by(Reading(speed=4.0), scene_on_straight_road((), seconds=5.0), DefaultRides()):
+    for observation in seen_by(Reading(speed=4.0), scene_on_straight_road((), seconds=5.0), DefaultBackend()):
         ego = observation.ego
         assert ego.can_motion is not None and ego.can_motion_after is not None
         assert ego.can_motion_after.tolist() == ego.can_motion.tolist()
@@ -127,7 +127,7 @@ def test_who_reads_the_message_after_is_given_none_of_later() -> None:
 
 def test_a_bend_is_in_yaw_rate_acceleration_and_wheel() -> None:
     scene = scene_on_straight_road((), ego_speed=6.0, seconds=6.0)
-    ego = seen_by(Watching(speed=6.0, left=0.4), scene, DefaultRides())[-1].ego
+    ego = seen_by(Watching(speed=6.0, left=0.4), scene, DefaultBackend())[-1].ego
     assert ego.yaw_rate > 0.02 and ego.steering_angle is not None
     assert ego.acceleration[1] == pytest.approx(ego.velocity[0] * ego.yaw_rate)
     assert np.tan(ego.steering_angle / STEERING_RATIO) * ego.velocity[0] / 2.588 == pytest.approx(ego.yaw_rate)
@@ -135,7 +135,7 @@ def test_a_bend_is_in_yaw_rate_acceleration_and_wheel() -> None:
 
 def test_poses_are_those_that_were_driven() -> None:
     scene = scene_on_straight_road((), ego_speed=8.0, seconds=6.0)
-    seen = seen_by(Watching(speed=2.0), scene, DefaultRides())
+    seen = seen_by(Watching(speed=2.0), scene, DefaultBackend())
     for before, after in pairwise(seen):
         assert after.past_poses[-2] == pytest.approx(before.ego.pose) and after.past_valid[-2]
         assert after.index == before.index + 1 and after.timestamp_us - before.timestamp_us == STEP_US
@@ -147,7 +147,7 @@ def test_poses_are_those_that_were_driven() -> None:
 def test_the_privileged_see_the_world_as_driven_up_to_now() -> None:
     scene = scene_on_straight_road((Car(90.0, 198.25, 1.0), Car(70.0, 201.75, 9.0)), ego_speed=8.0, seconds=6.0)
     planner = Peeking(speed=3.0)
-    seen = seen_by(planner, scene, DefaultRides("idm"))
+    seen = seen_by(planner, scene, DefaultBackend("idm"))
     assert len(planner.revealed) == len(seen)
     for revealed, observation in zip(planner.revealed, seen):
         assert int(revealed.timestamps_us[-1]) == observation.timestamp_us
@@ -161,7 +161,7 @@ def test_the_privileged_see_the_world_as_driven_up_to_now() -> None:
 def test_agents_that_answer_are_seen_where_they_went() -> None:
     ego_stands = scene_on_straight_road((Car(20.0, 198.25, 8.0),), ego_speed=8.0, seconds=8.0)
     replayed, answering = Peeking(speed=0.0), Peeking(speed=0.0)
-    seen_by(replayed, ego_stands, DefaultRides("replay"))
-    seen_by(answering, ego_stands, DefaultRides("idm"))
+    seen_by(replayed, ego_stands, DefaultBackend("replay"))
+    seen_by(answering, ego_stands, DefaultBackend("idm"))
     last = min(len(replayed.revealed), len(answering.revealed)) - 1
     assert answering.revealed[last].agents.position[0, -1, 0] < replayed.revealed[last].agents.position[0, -1, 0] - 2.0

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from benchmark.closed_loop.route import EXTENSION_M, Route
-from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.datasets.sample_truth import compute_truth
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.planning import Command
 from benchmark.scene import EgoTrack, Scene
-from generation.sources.town import town_scene
+from generation.sources.town import build_town_scene
 from tests.hand_made import scene_on_straight_road
 
 
@@ -49,10 +49,10 @@ def test_a_path_that_crosses_itself_is_followed_from_where_one_was() -> None:
 
 @pytest.mark.parametrize("index", range(3))
 def test_beside_the_recording_commands_are_those_of_the_data_set(index: int) -> None:
-    scene = town_scene("val", index)
+    scene = build_town_scene("val", index)
     route, station = Route.of(scene), None
     poses, seconds = scene.ego.pose[scene.keyframes], scene.seconds[scene.keyframes]
-    truths = truth_of_scene(scene, [str(number) for number in range(len(poses))])
+    truths = compute_truth(scene, [str(number) for number in range(len(poses))])
     found = []
     for pose, second in zip(poses, seconds):
         station = route.place(pose, station).station

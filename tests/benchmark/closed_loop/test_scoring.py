@@ -7,9 +7,15 @@ import pytest
 
 from adapters.planners.log_replay import LogReplay
 from adapters.planners.stop import Stop
-from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.driving import Drive, drive
-from benchmark.closed_loop.scoring import DriveScores, Progress, no_collision, nuplan_score, score_drive
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.driving import Episode, run_episode
+from benchmark.closed_loop.scoring import (
+    EpisodeScores,
+    RouteProgress,
+    compute_no_collision,
+    nuplan_score,
+    score_episode,
+)
 from benchmark.interactions.contacts import EGO_MASS_KG, mass_kg
 from benchmark.planning import Planner
 from benchmark.records.drive_schema import NuplanTerms
@@ -20,12 +26,12 @@ from tests.hand_made import Car, scene_on_straight_road
 FREE = scene_on_straight_road((), ego_speed=8.0, seconds=10.0)
 
 
-def scored(scene: Scene, planner: Planner, agents: str = "replay") -> tuple[Drive, DriveScores]:
-    found = drive(staged(scene, DefaultRides(agents)), planner)
-    return found, score_drive(scene, found)
+def scored(scene: Scene, planner: Planner, agents: str = "replay") -> tuple[Episode, EpisodeScores]:
+    found = run_episode(staged(scene, DefaultBackend(agents)), planner)
+    return found, score_episode(scene, found)
 
 
-def terms(scores: DriveScores) -> NuplanTerms:
+def terms(scores: EpisodeScores) -> NuplanTerms:
     assert scores.nuplan is not None
     return scores.nuplan
 
@@ -84,7 +90,7 @@ def test_a_thing_costs_half() -> None:
         (Car(95.0, 198.25, 0.0, category="movable_object.barrier", size=(2.0, 1.0, 1.0)),), ego_speed=8.0, seconds=12.0
     )
     _, scores = scored(scene, Watching(speed=8.0))
-    assert scores.contact is not None and scores.contact.at_fault and no_collision(scores.contact) == 0.5
+    assert scores.contact is not None and scores.contact.at_fault and compute_no_collision(scores.contact) == 0.5
 
 
 def test_leaving_the_road_is_seen_with_a_tolerance() -> None:
@@ -95,7 +101,7 @@ def test_leaving_the_road_is_seen_with_a_tolerance() -> None:
     # The outer edge of the road is 5.25 m to the right of the ego's middle.
     far, _ = scored(FREE, slow_right)
     edge = far.motion.ego[:, 1].min()
-    assert (edge - 0.925 < 193.0 - 0.3) == (terms(score_drive(FREE, far)).dac == 0.0)
+    assert (edge - 0.925 < 193.0 - 0.3) == (terms(score_episode(FREE, far)).dac == 0.0)
 
 
 def test_driving_against_the_traffic_is_the_wrong_way() -> None:
@@ -129,7 +135,7 @@ def test_without_lanes_there_are_no_scores_of_the_road() -> None:
     [(10.0, 20.0, 0.5), (30.0, 20.0, 1.0), (-3.0, 20.0, 0.0), (-1.0, 20.0, 0.1), (0.0, 0.5, 1.0), (4.0, 1.0, 1.0)],
 )
 def test_progress_is_compared_as_in_nuplan(metres: float, recorded: float, expected: float) -> None:
-    assert Progress(metres, recorded, 100.0).beside_recorded == pytest.approx(expected)
+    assert RouteProgress(metres, recorded, 100.0).relative_to_recorded == pytest.approx(expected)
 
 
 def test_the_score_is_the_formula() -> None:
@@ -138,7 +144,7 @@ def test_the_score_is_the_formula() -> None:
 
 
 def test_a_route_that_hardly_moves_has_no_share() -> None:
-    assert Progress(0.0, 0.0, 1.0).share is None and Progress(-5.0, 1.0, 50.0).share == 0.0
+    assert RouteProgress(0.0, 0.0, 1.0).share is None and RouteProgress(-5.0, 1.0, 50.0).share == 0.0
 
 
 def test_scores_are_the_same_twice() -> None:

@@ -9,20 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.closed_loop.contract import coasting
-from benchmark.closed_loop.courses import course_of, recorded_poses
-from benchmark.closed_loop.following import INSTANT_US, LIMITS, SUBSTEP_S, followed
-from benchmark.closed_loop.replay import Replay
-from benchmark.closed_loop.stepping import UndrivablePlanError, begin, goes_on, step, step_together
-from benchmark.closed_loop.world import STEP_US, Course, World, ego_boxes
+from benchmark.closed_loop.contract import make_coasting_plan
+from benchmark.closed_loop.courses import build_simulation_config, interpolate_recorded_poses
+from benchmark.closed_loop.following import INSTANT_US, LIMITS, SUBSTEP_S, follow_waypoints
+from benchmark.closed_loop.replay import TrackReplay
+from benchmark.closed_loop.stepping import InfeasiblePlanError, begin_simulation, is_running, step, step_together
+from benchmark.closed_loop.world import STEP_US, SimulationConfig, WorldState, compute_ego_boxes
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_WHEELBASE_M
-from benchmark.dynamics.lane_path import lane_path
+from benchmark.dynamics.lane_path import build_lane_path
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap, to_local
 from benchmark.interactions.contacts import KINDS, ContactKind
 from benchmark.planning import Command
 from benchmark.scene import Scene
-from generation.sources.town import town_scene
+from generation.sources.town import build_town_scene
 from tests.benchmark.closed_loop.made import bend, course, driven, recorded_plan, same, straight
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -31,20 +31,20 @@ TOWN = range(4)
 
 def distances(scene: Scene) -> Floats:
     """How far from the recording a planner drives that answers it, every 0.05 s."""
-    made = course_of(scene)
-    world, found = begin(made), []
-    while goes_on(made, replace(world, contact=None)):
+    made = build_simulation_config(scene)
+    world, found = begin_simulation(made), []
+    while is_running(made, replace(world, contact=None)):
         world = step(made, world, recorded_plan(scene, world))
         assert world.trace is not None
         times = world.time_us - STEP_US + INSTANT_US * np.arange(1, 11)
-        found.append(np.hypot(*(world.trace.egos[1:, :2] - recorded_poses(scene, times)[:, :2]).T))
+        found.append(np.hypot(*(world.trace.egos[1:, :2] - interpolate_recorded_poses(scene, times)[:, :2]).T))
     assert world.contact is None
     return np.concatenate(found)
 
 
 @pytest.fixture(scope="module")
 def town() -> list[Scene]:
-    return [town_scene("val", index) for index in TOWN]
+    return [build_town_scene("val", index) for index in TOWN]
 
 
 def test_a_planner_that_gives_the_recording_reproduces_it(town: list[Scene]) -> None:
@@ -54,36 +54,36 @@ def test_a_planner_that_gives_the_recording_reproduces_it(town: list[Scene]) -> 
 
 def test_the_start_has_the_recorded_motion(town: list[Scene]) -> None:
     for scene in town:
-        made = course_of(scene, keyframe=4)
-        around = recorded_poses(scene, [made.start_us - 100_000, made.start_us + 100_000])
+        made = build_simulation_config(scene, keyframe=4)
+        around = interpolate_recorded_poses(scene, [made.start_us - 100_000, made.start_us + 100_000])
         assert made.start.speed == pytest.approx(np.hypot(*(around[1] - around[0])[:2]) / 0.2, abs=0.5)
         assert made.start.yaw_rate == pytest.approx((around[1] - around[0])[2] / 0.2, abs=0.1)
 
 
 def test_a_planner_that_follows_its_lane_never_leaves_it(town: list[Scene]) -> None:
     for scene in town:
-        made = course_of(scene, duration_s=20.0)
-        world = begin(replace(made, start=replace(made.start, speed=7.0)))
-        path = lane_path(scene.road_map, world.ego.pose, Command.STRAIGHT, 7.0, 180.0)
+        made = build_simulation_config(scene, duration_s=20.0)
+        world = begin_simulation(replace(made, start=replace(made.start, speed=7.0)))
+        path = build_lane_path(scene.road_map, world.ego.pose, Command.STRAIGHT, 7.0, 180.0)
         assert path is not None
-        while goes_on(made, replace(world, contact=None)):
+        while is_running(made, replace(world, contact=None)):
             along = path.project(world.ego.pose[:2])[0] + 3.5 * np.arange(1, 7)
             world = step(made, world, to_local(path.at(along), world.ego.pose))
             assert world.trace is not None
             assert np.abs(path.project(world.trace.egos[:, :2])[1]).max() < 0.35
 
 
-def plain_loop(made: Course, plan: Floats, steps: int) -> tuple[Floats, tuple[int, int] | None]:
+def plain_loop(made: SimulationConfig, plan: Floats, steps: int) -> tuple[Floats, tuple[int, int] | None]:
     """What one would write down first: the ego after some steps, and when it touches whom."""
     replay, row, time, contact = made.policy, np.array([made.start.row]).T, made.start_us, None
-    assert isinstance(replay, Replay)
-    ignored = begin(made).ignored
+    assert isinstance(replay, TrackReplay)
+    ignored = begin_simulation(made).ignored
     for _ in range(steps):
-        rows = followed(row, plan[:, :, None])
+        rows = follow_waypoints(row, plan[:, :, None])
         for instant in range(1, 11):
             now = time + INSTANT_US * instant
             at = (now - made.start_us) // INSTANT_US
-            own = ego_boxes(rows[instant, :, 0])
+            own = compute_ego_boxes(rows[instant, :, 0])
             hit = replay.present[at] & ~ignored & boxes_overlap(own[None], replay.boxes[at])
             contact = (now, int(hit.argmax())) if contact is None and hit.any() else contact
         row, time = rows[-1], time + STEP_US
@@ -93,7 +93,7 @@ def plain_loop(made: Course, plan: Floats, steps: int) -> tuple[Floats, tuple[in
 def test_the_steps_are_those_of_a_plain_loop_to_the_last_bit(town: list[Scene]) -> None:
     crash = course(Car(92.0, 198.25, 20.0), Car(92.0, 194.75))
     found = []
-    for made in (course_of(town[1]), course_of(town[2]), crash):
+    for made in (build_simulation_config(town[1]), build_simulation_config(town[2]), crash):
         plan = bend(9.0, -200.0)
         row, contact = plain_loop(made, plan, 12)
         world = driven(made, plan, 12)[-1]
@@ -104,13 +104,13 @@ def test_the_steps_are_those_of_a_plain_loop_to_the_last_bit(town: list[Scene]) 
 
 
 def test_company_and_order_change_no_byte(town: list[Scene]) -> None:
-    courses = [course_of(scene) for scene in town] * 3
+    courses = [build_simulation_config(scene) for scene in town] * 3
     courses += [replace(made, latency_us=latency) for made, latency in zip(courses[:3], (100_000, 300_000, 700_000))]
     rng = np.random.default_rng(3)
     plans = [straight(speed) + rng.normal(0, 0.5, (6, 2)) for speed in rng.uniform(0, 12, len(courses))]
     alone = [driven(made, plan, 6)[-1] for made, plan in zip(courses, plans)]
     for order in (np.arange(len(courses)), rng.permutation(len(courses)), np.arange(len(courses))[::2]):
-        worlds = [begin(courses[index]) for index in order]
+        worlds = [begin_simulation(courses[index]) for index in order]
         for _ in range(6):
             worlds = step_together([courses[i] for i in order], worlds, [plans[i] for i in order])
         assert all(same(world, alone[index]) for world, index in zip(worlds, order))
@@ -138,7 +138,7 @@ def test_contact_is_seen_within_a_twentieth_of_a_second() -> None:
     assert 0 <= (world.contact.time_us - made.start_us) / 1e6 - begins <= 0.05
     pair = world.contact.pair
     assert pair.impact_speed == pytest.approx([8.0]) and KINDS[pair.kinds[0]] == ContactKind.STOPPED_TRACK
-    assert not goes_on(made, world)
+    assert not is_running(made, world)
 
 
 def test_who_overlaps_the_ego_at_the_start_never_counts() -> None:
@@ -170,7 +170,7 @@ def test_a_car_does_not_drive_backwards_or_turn_on_the_spot() -> None:
 )
 def test_any_plan_stays_within_the_limits_of_the_car(speed: float, steering: float, waypoints: list[float]) -> None:
     egos = np.array([[0.0], [0.0], [0.3], [speed], [0.0], [steering]])
-    rows = followed(egos, np.array(waypoints).reshape(6, 2, 1))[:, :, 0]
+    rows = follow_waypoints(egos, np.array(waypoints).reshape(6, 2, 1))[:, :, 0]
     assert np.isfinite(rows).all() and (rows[:, 3] >= 0).all()
     assert (rows[:, 4] <= LIMITS.acceleration_m_s2 + 1e-9).all() and (rows[:, 4] >= -LIMITS.braking_m_s2 - 1e-9).all()
     assert (np.abs(rows[:, 5]) <= LIMITS.steering_rad + 1e-12).all()
@@ -208,9 +208,9 @@ def test_a_latency_that_does_not_divide_is_refused(latency_us: int) -> None:
 def test_a_course_without_time_is_refused() -> None:
     scene = scene_on_straight_road()
     with pytest.raises(InputError, match="ends when it starts"):
-        course_of(scene, keyframe=len(scene.keyframes) - 1)
+        build_simulation_config(scene, keyframe=len(scene.keyframes) - 1)
     with pytest.raises(InputError, match="none of number 99"):
-        course_of(scene, keyframe=99)
+        build_simulation_config(scene, keyframe=99)
 
 
 UNUSABLE: dict[str, Any] = {
@@ -228,20 +228,20 @@ UNUSABLE: dict[str, Any] = {
 @pytest.mark.parametrize("plan", UNUSABLE.values(), ids=UNUSABLE)
 def test_a_plan_that_cannot_be_driven_is_a_failure(plan: Any) -> None:
     made = course()
-    with pytest.raises(UndrivablePlanError, match="scene-9901"):
-        step(made, begin(made), plan)
+    with pytest.raises(InfeasiblePlanError, match="scene-9901"):
+        step(made, begin_simulation(made), plan)
 
 
 def test_coasting_keeps_speed_and_curvature() -> None:
     made = course()
     turning = replace(made.start, steering=0.1)
     radius = EGO_WHEELBASE_M / np.tan(0.1)
-    plan = coasting(turning, 0)
+    plan = make_coasting_plan(turning, 0)
     assert np.hypot(plan.waypoints[:, 0], plan.waypoints[:, 1] - radius) == pytest.approx(np.full(6, radius))
-    assert coasting(made.start, 0).waypoints == pytest.approx(straight(made.start.speed))
+    assert make_coasting_plan(made.start, 0).waypoints == pytest.approx(straight(made.start.speed))
 
 
 def test_time_is_whole_microseconds() -> None:
-    worlds: list[World] = driven(course(), straight(8.0), 3)
+    worlds: list[WorldState] = driven(course(), straight(8.0), 3)
     assert [world.time_us - worlds[0].time_us for world in worlds] == [0, 500_000, 1_000_000, 1_500_000]
     assert all(isinstance(world.time_us, int) for world in worlds)

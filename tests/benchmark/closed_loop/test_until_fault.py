@@ -8,23 +8,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.driving import Drive, drive
-from benchmark.closed_loop.engines import rides_as, rides_of
-from benchmark.closed_loop.scoring import DriveScores, score_drive
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.driving import Episode, run_episode
+from benchmark.closed_loop.engines import make_backend, restore_backend
+from benchmark.closed_loop.scoring import EpisodeScores, score_episode
 from benchmark.errors import InputError
 from benchmark.planning import Planner
-from benchmark.records.drive_schema import DriveRow, Measured
-from benchmark.records.drives import load_drives, values_of
-from benchmark.runs.drive_rows import row_of
+from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow
+from benchmark.records.drives import compute_column_values, load_drives
+from benchmark.runs.drive_rows import build_episode_row
 from benchmark.runs.driving import DriveSettings, drive_split
-from benchmark.runs.redriving import driven_again
+from benchmark.runs.redriving import redrive_and_score
 from benchmark.scene import Scene
 from tests.benchmark.closed_loop.staged import Peeking, Watching, staged
 from tests.benchmark.fake_data import FakeData
 from tests.hand_made import Car, scene_on_straight_road
 
-FAULT = DefaultRides(until="fault")
+FAULT = DefaultBackend(until="fault")
 BEHIND = Car(20.0, 198.25, 12.0)
 """Runs into whoever is slower."""
 STANDING = Car(110.0, 198.25, 0.0)
@@ -34,14 +34,14 @@ def road(*cars: Car, seconds: float = 12.0) -> Scene:
     return scene_on_straight_road(cars, ego_speed=8.0, seconds=seconds)
 
 
-def driven(scene: Scene, planner: Planner, maker: DefaultRides = FAULT) -> tuple[Drive, DriveScores]:
-    found = drive(staged(scene, maker), planner)
-    return found, score_drive(scene, found)
+def driven(scene: Scene, planner: Planner, maker: DefaultBackend = FAULT) -> tuple[Episode, EpisodeScores]:
+    found = run_episode(staged(scene, maker), planner)
+    return found, score_episode(scene, found)
 
 
 def test_whoever_runs_into_the_ego_goes_and_the_drive_goes_on() -> None:
     scene = road(BEHIND)
-    ended, before = driven(scene, Watching(speed=6.0), DefaultRides())
+    ended, before = driven(scene, Watching(speed=6.0), DefaultBackend())
     found, scores = driven(scene, Watching(speed=6.0))
     assert before.contact is not None and scores.passed == (before.contact,) and scores.contact is None
     assert found.end == "end" and found.touch is None and not before.contact.at_fault
@@ -85,7 +85,7 @@ def test_of_two_at_once_the_fault_counts() -> None:
 @given(x=st.floats(20.0, 140.0), y=st.floats(193.0, 203.0), speed=st.floats(0.0, 14.0), left=st.floats(-0.6, 0.6))
 def test_the_engine_blames_as_the_scores_do(x: float, y: float, speed: float, left: float) -> None:
     scene = road(Car(x, y, speed))
-    ended, before = driven(scene, Watching(speed=7.0, left=left), DefaultRides())
+    ended, before = driven(scene, Watching(speed=7.0, left=left), DefaultBackend())
     found, scores = driven(scene, Watching(speed=7.0, left=left))
     assert all(not each.at_fault for each in scores.passed)
     assert scores.contact is None or scores.contact.at_fault
@@ -98,50 +98,52 @@ def test_the_engine_blames_as_the_scores_do(x: float, y: float, speed: float, le
 def test_the_row_says_both_and_drives_again_to_the_same() -> None:
     scene = road(BEHIND, STANDING, seconds=16.0)
     stage = staged(scene, FAULT)
-    found = drive(stage, Watching(speed=6.0))
-    row = row_of(stage, found, score_drive(scene, found))
-    assert DriveRow.model_validate_json(row.model_dump_json()) == row
+    found = run_episode(stage, Watching(speed=6.0))
+    row = build_episode_row(stage, found, score_episode(scene, found))
+    assert EpisodeRow.model_validate_json(row.model_dump_json()) == row
     assert row.first_contact == row.passed[0] and row.contact is not None
-    values = values_of(row)
+    values = compute_column_values(row)
     assert values["contact"] == values["at_fault"] == 1.0 and values["impact_speed"] == row.passed[0].impact_speed
-    assert driven_again(FAULT, scene, FakeData({scene.name: scene}), row) == row
+    assert redrive_and_score(FAULT, scene, FakeData({scene.name: scene}), row) == row
     with pytest.raises(InputError, match="lead elsewhere"):
-        driven_again(DefaultRides(), scene, FakeData({scene.name: scene}), row)
+        redrive_and_score(DefaultBackend(), scene, FakeData({scene.name: scene}), row)
     blamed = {**asdict(row.passed[0]), "at_fault": True}
     with pytest.raises(ValueError, match="ends a drive"):
-        DriveRow.model_validate({**row.model_dump(), "passed": [blamed]})
+        EpisodeRow.model_validate({**row.model_dump(), "passed": [blamed]})
 
 
 def test_records_say_what_ended_their_drives_and_lie_apart(tmp_path: Path) -> None:
     data = FakeData({"scene-9901": road(BEHIND)})
     records = {}
     for until in ("contact", "fault"):
-        how = DriveSettings("default", rides_of("default", until=until))
+        how = DriveSettings("default", make_backend("default", until=until))
         records[until] = drive_split(data, "val", Watching(speed=6.0), tmp_path, how)
     assert records["contact"].directory != records["fault"].directory
     assert records["fault"].facts.measured.world.endswith(", until fault")
     assert "until" not in (records["contact"].directory / "drive.json").read_text()
     assert "passed" not in (records["contact"].directory / "drives.jsonl").read_text()
     again = load_drives(records["fault"].directory)
-    assert again == records["fault"] and rides_as(again.facts.measured) == FAULT
+    assert again == records["fault"] and restore_backend(again.facts.measured) == FAULT
     assert again.rows[0].end == "end" and records["contact"].rows[0].end == "contact"
 
 
 def test_what_there_is_not_is_refused() -> None:
     with pytest.raises(InputError, match="no drive ends at 'faults'; did you mean fault"):
-        rides_of("default", until="faults")
+        make_backend("default", until="faults")
     with pytest.raises(InputError, match="every contact ends a run"):
-        rides_of("neuroncap@code", until="fault")
-    assert rides_as(Measured(engine="default", agents="replay", sensor="none", until="fault")) == FAULT
+        make_backend("neuroncap@code", until="fault")
+    assert (
+        restore_backend(ClosedLoopDefinition(engine="default", agents="replay", sensor="none", until="fault")) == FAULT
+    )
 
 
 def test_many_together_are_each_as_alone() -> None:
-    from benchmark.closed_loop.driving import drive_together
+    from benchmark.closed_loop.driving import run_episodes
 
     scenes = [replace(road(BEHIND), name=f"scene-{number}") for number in range(3)]
     makers = [Watching(speed=speed) for speed in (5.0, 6.0, 8.0)]
-    together = dict(drive_together([staged(scene, FAULT) for scene in scenes], makers))
+    together = dict(run_episodes([staged(scene, FAULT) for scene in scenes], makers))
     for place, (scene, planner) in enumerate(zip(scenes, makers, strict=True)):
-        alone = drive(staged(scene, FAULT), planner)
+        alone = run_episode(staged(scene, FAULT), planner)
         assert together[place].passed and alone.motion.ego.tobytes() == together[place].motion.ego.tobytes()
         assert alone.motion.present.tobytes() == together[place].motion.present.tobytes()

@@ -8,7 +8,7 @@ from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import open_data
 from benchmark.datasets.schema.check import check_tables
-from benchmark.datasets.split_names import scenes_of_split
+from benchmark.datasets.split_names import select_scenes
 from benchmark.errors import InputError
 from tests.benchmark.datasets.hostile_tables import HOSTILE_ROOTS, HostileRoot
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
@@ -169,7 +169,7 @@ def test_a_scene_without_objects_is_fine(tmp_path: Path) -> None:
 def splits(
     split: str, present: list[str], custom: dict[str, list[str]] | None = None, built_as: str | None = None
 ) -> tuple[str, ...]:
-    return scenes_of_split(split, present, custom or {}, where="here", built_as=built_as)
+    return select_scenes(split, present, custom or {}, where="here", built_as=built_as)
 
 
 def test_split_rules() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.constants import CATEGORIES
-from benchmark.datasets.categories import READY, names_in, read_categories
+from benchmark.datasets.categories import READY, read_categories, select_category_names
 from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
 from tests.benchmark.edited_roots import copy_of, rename_categories, small_town
@@ -20,8 +20,8 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", READY)
 def test_ready_maps_lead_to_categories_of_nuscenes_and_leave_those_alone(name: str) -> None:
     assert set(READY[name].values()) <= set(CATEGORIES)
-    assert names_in(CATEGORIES, read_categories(name)) == ()
-    assert dict(names_in(READY[name], read_categories(name))) == {
+    assert select_category_names(CATEGORIES, read_categories(name)) == ()
+    assert dict(select_category_names(READY[name], read_categories(name))) == {
         own: to for own, to in READY[name].items() if own != to
     }
 
@@ -40,13 +40,13 @@ def test_ready_maps_lead_to_categories_of_nuscenes_and_leave_those_alone(name: s
     ],
 )
 def test_names_are_found_whatever_their_case_and_what_stands_between_words(given: str, own: str, meant: str) -> None:
-    assert names_in([own, "no such thing"], read_categories(given)) == ((own, meant),)
+    assert select_category_names([own, "no such thing"], read_categories(given)) == ((own, meant),)
 
 
 def test_a_file_of_names(tmp_path: Path) -> None:
     path = tmp_path / "names.json"
     path.write_text('{"Pkw": "vehicle.car"}')
-    assert names_in(["Pkw", "Lkw"], read_categories(str(path))) == (("Pkw", "vehicle.car"),)
+    assert select_category_names(["Pkw", "Lkw"], read_categories(str(path))) == (("Pkw", "vehicle.car"),)
     for content, word in (("[]", "is no object"), ("{}", "is no object"), ('{"Pkw": "car"}', "maps 'Pkw' to 'car'")):
         path.write_text(content)
         with pytest.raises(InputError, match=word):
@@ -65,7 +65,7 @@ def test_a_root_with_replaced_names_has_the_scenes_of_the_root_with_nuscenes_nam
     assert dict(meant.categories)["VEHICLE_CAR"] == "vehicle.car"
     assert meant.annotation_counts([name]) == original.annotation_counts([name])
     counts = as_it_is.annotation_counts([name])[name]
-    assert counts.foreign and sum(counts.unknown.values()) == counts.annotations > 0
+    assert counts.is_mostly_unknown and sum(counts.unknown.values()) == counts.annotations > 0
     # Planners that see objects go by categories, so that plans on the one are none on the other.
     assert len({as_it_is.fingerprint(), meant.fingerprint()}) == 2
     assert as_it_is.with_categories(meant.categories).fingerprint() == meant.fingerprint()

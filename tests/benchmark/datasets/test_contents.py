@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.datasets.contents import contents, contents_text
+from benchmark.datasets.contents import contents, format_contents
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import open_data
 from benchmark.evaluation import EvalSettings
@@ -46,7 +46,7 @@ def test_splits_that_are_listed_can_be_evaluated_and_others_say_why_not(case: st
     assert all(
         split in ("train", "val") and "splits.json puts" in why for split, why in found["unusable_splits"].items()
     )
-    text = contents_text(found, 300)
+    text = format_contents(found, 300)
     assert all(f"{split} cannot be evaluated: " in text for split in found["unusable_splits"])
 
 

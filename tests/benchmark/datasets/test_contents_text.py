@@ -1,6 +1,6 @@
 from typing import Any
 
-from benchmark.datasets.contents import contents_text
+from benchmark.datasets.contents import format_contents
 
 FOUND: dict[str, Any] = {
     "name": "adv",
@@ -19,7 +19,7 @@ FOUND: dict[str, Any] = {
 
 
 def test_a_data_set_is_told_in_words_and_a_table_not_in_dictionaries() -> None:
-    text = contents_text(FOUND, 80)
+    text = format_contents(FOUND, 80)
     assert not set("{}[]'") & set(text)
     assert all(len(line) <= 80 for line in text.splitlines())
     assert "made from:   mini (0123456789ab…)" in text and "158,400" in text
@@ -27,5 +27,5 @@ def test_a_data_set_is_told_in_words_and_a_table_not_in_dictionaries() -> None:
 
 
 def test_recordings_are_made_from_nothing_and_foreign_provenance_is_no_crash() -> None:
-    assert "made from" not in contents_text({**FOUND, "made_from": None}, 80)
-    assert "made from" not in contents_text({**FOUND, "made_from": "somewhere"}, 80)
+    assert "made from" not in format_contents({**FOUND, "made_from": None}, 80)
+    assert "made from" not in format_contents({**FOUND, "made_from": "somewhere"}, 80)

@@ -11,7 +11,7 @@ import pytest
 
 from benchmark.datasets import fingerprint as kept_digests
 from benchmark.datasets import kept_tables
-from benchmark.datasets.kept_tables import kept_at
+from benchmark.datasets.kept_tables import find_cache_folder
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.scene_tables import read_scene_tables
 from benchmark.datasets.schema import FaultList
@@ -60,7 +60,7 @@ def opened(tables: TinyRoot, monkeypatch: pytest.MonkeyPatch) -> Opened:
 @pytest.fixture
 def kept(tables: TinyRoot) -> Path:
     """The file in the cache."""
-    found = kept_at(tables.root / VERSION)
+    found = find_cache_folder(tables.root / VERSION)
     assert found is not None
     return found
 
@@ -172,7 +172,7 @@ def test_what_is_kept_of_a_root_that_is_gone_is_removed(tables: TinyRoot, opened
     moved = tables.root.with_name("moved")
     tables.root.rename(moved)
     NuScenesData.open(moved).fingerprint()
-    new = kept_at(moved / VERSION)
+    new = find_cache_folder(moved / VERSION)
     assert new is not None
     assert not kept.exists() and not kept.with_suffix(".digests.json").exists()
     assert sorted(path.name for path in kept.parent.iterdir()) == [new.name, new.with_suffix(".digests.json").name]
@@ -180,5 +180,5 @@ def test_what_is_kept_of_a_root_that_is_gone_is_removed(tables: TinyRoot, opened
 
 def test_other_checks_are_made_again(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
     opened()
-    monkeypatch.setattr(kept_tables, "_checks", lambda: "of another version")
+    monkeypatch.setattr(kept_tables, "_checks_key", lambda: "of another version")
     assert opened()[1] == 1

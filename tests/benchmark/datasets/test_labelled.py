@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmark.datasets.annotated import labelled_keyframes
+from benchmark.datasets.annotated import find_labelled_keyframes
 
 
 @pytest.mark.parametrize(
@@ -21,5 +21,5 @@ from benchmark.datasets.annotated import labelled_keyframes
     ],
 )
 def test_a_stretch_without_boxes_beside_three_or_more_is_not_labelled(boxes: tuple[int, ...], labelled: str) -> None:
-    found = labelled_keyframes(np.array(boxes, np.int64))
+    found = find_labelled_keyframes(np.array(boxes, np.int64))
     assert "".join("x" if one else "." for one in found) == labelled

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import shapely
 
-from benchmark.datasets.map_layers import centerline_of, expansion_file, read_road_map
+from benchmark.datasets.map_layers import compute_centerline, find_expansion_file, read_road_map
 from benchmark.datasets.nuscenes import MAP_MARGIN_M, NuScenesData
 from benchmark.errors import InputError
 from benchmark.road_map import DividerKind
@@ -130,7 +130,7 @@ def test_an_arc_turns_as_far_as_it_says() -> None:
         "start_pose": [0.0, 0.0, 0.0], "end_pose": [10.0, 10.0, np.pi / 2], "shape": "LSL", "radius": 10.0,
         "segment_length": [5 * np.pi, 0.0, 0.0],
     }  # fmt: skip
-    line = centerline_of([quarter])
+    line = compute_centerline([quarter])
     assert np.allclose(line[-1], [10.0, 10.0], atol=0.02)
     assert np.allclose(np.hypot(line[:, 0], line[:, 1] - 10.0), 10.0, atol=0.02)
 
@@ -199,7 +199,7 @@ def test_a_scene_gets_the_map_around_its_path(tmp_path: Path) -> None:
 def test_a_location_is_no_path(tmp_path: Path) -> None:
     (tmp_path / "maps" / "expansion").mkdir(parents=True)
     (tmp_path / "maps" / "x.json").write_text("{}")
-    assert expansion_file(tmp_path, "../x") is None
+    assert find_expansion_file(tmp_path, "../x") is None
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="no shared material beside the repository")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.datasets.annotated import nearest_valid
+from benchmark.datasets.annotated import find_nearest_valid
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
@@ -316,7 +316,7 @@ def test_what_the_writer_writes_is_read_back(tmp_path: Path) -> None:
 @given(st.lists(st.booleans(), min_size=1, max_size=12).filter(any))
 def test_nearest_valid_is_nearest_and_valid(flags: list[bool]) -> None:
     valid = np.array([flags])
-    found = nearest_valid(valid)[0]
+    found = find_nearest_valid(valid)[0]
     for index, held in enumerate(found.tolist()):
         assert flags[held]
         assert abs(held - index) == min(abs(other - index) for other, flag in enumerate(flags) if flag)

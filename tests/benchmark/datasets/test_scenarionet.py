@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, OFFICIAL_LOCATIONS
-from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.datasets.sample_truth import compute_truth
 from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
 from benchmark.errors import InputError
 from benchmark.geometry import to_global
@@ -320,7 +320,7 @@ def test_real_scenes_agree_with_the_golden_protocol_inputs(path: Path) -> None:
     """Poses, futures, commands and boxes of ``golden/protocols``, which come from the same recordings."""
     scene = read_scenarionet(path)
     golden = dict(np.load(SHARED / "golden" / "protocols" / f"{scene.name}.npz"))
-    truths = truth_of_scene(scene, [str(index) for index in range(len(scene.keyframes))])
+    truths = compute_truth(scene, [str(index) for index in range(len(scene.keyframes))])
     assert len(truths) == len(golden["ego_pose"]) and scene.road_map.location in OFFICIAL_LOCATIONS
     assert np.allclose(scene.ego.pose[scene.keyframes], golden["ego_pose"], atol=1e-9)
     assert scene.road_map.is_drivable(scene.ego.position[:, :2]).all()
@@ -351,7 +351,7 @@ def test_real_boxes_are_centres_on_the_global_ground() -> None:
     cars = [index for index, name in enumerate(scene.agents.categories) if name == "vehicle.car"]
     bottoms = scene.agents.position[cars, :, 2] - scene.agents.size[cars, 2][:, None] / 2
     assert np.abs(np.median(bottoms)) < 0.6
-    truth = truth_of_scene(scene, [str(index) for index in range(len(scene.keyframes))])[0]
+    truth = compute_truth(scene, [str(index) for index in range(len(scene.keyframes))])[0]
     right, forward = truth.boxes[0, 0, :2]
     row = scene.agents.ids.index(truth.instances[0])
     assert np.allclose(to_global(np.array([forward, -right]), truth.lidar_pose), scene.annotations.position[row, 0, :2])

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from benchmark.datasets.roots import open_data
-from benchmark.datasets.scene_facts import scene_facts_of
+from benchmark.datasets.scene_facts import build_scene_facts
 from benchmark.errors import InputError
-from benchmark.records.attempts import stored_labels
+from benchmark.records.attempts import list_stored_labels
 from benchmark.records.run_schema import LightName, SceneFacts
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
 from tests.hand_made import scene_on_straight_road
@@ -43,12 +43,14 @@ def labelled(manoeuvre: str) -> dict[str, Any]:
 )
 def test_a_name_of_the_published_form_names_its_source(name: str, source: str) -> None:
     adversaries = 0 if source == name else None
-    assert scene_facts_of(name, {}) == SceneFacts(source=source, manoeuvre=None, adversaries=adversaries)
+    assert build_scene_facts(name, {}) == SceneFacts(source=source, manoeuvre=None, adversaries=adversaries)
 
 
 def test_what_the_data_set_says_goes_before_its_names() -> None:
     made = {"source_scene": "scene-0103", "adversaries": ["a"], "report": labelled("blocking")}
-    assert scene_facts_of("scene-0061-a", made) == SceneFacts(source="scene-0103", manoeuvre="blocking", adversaries=1)
+    assert build_scene_facts("scene-0061-a", made) == SceneFacts(
+        source="scene-0103", manoeuvre="blocking", adversaries=1
+    )
 
 
 @pytest.mark.parametrize(
@@ -65,20 +67,20 @@ def test_what_the_data_set_says_goes_before_its_names() -> None:
     ],
 )
 def test_light_is_what_the_description_names_and_nothing_else(description: str | None, light: list[str] | None) -> None:
-    assert scene_facts_of("s", {}, description).light == light
+    assert build_scene_facts("s", {}, description).light == light
 
 
 def test_the_first_of_several_adversaries_counts() -> None:
     report = {"challenge": 1.0, "adversaries": [labelled("tailgating"), labelled("blocking")]}
-    assert scene_facts_of("s", {"report": report}).manoeuvre == "tailgating"
-    assert [found["manoeuvre"] for found in stored_labels(report)] == ["tailgating", "blocking"]
+    assert build_scene_facts("s", {"report": report}).manoeuvre == "tailgating"
+    assert [found["manoeuvre"] for found in list_stored_labels(report)] == ["tailgating", "blocking"]
 
 
 @pytest.mark.parametrize(
     "report", [None, {}, [], "kept", {"labels": None}, {"labels": {}}, {"labels": []}, {"labels": {"manoeuvre": 3}}]
 )
 def test_without_labels_there_is_no_manoeuvre(report: Any) -> None:
-    assert scene_facts_of("s", {"report": report}).manoeuvre is None
+    assert build_scene_facts("s", {"report": report}).manoeuvre is None
 
 
 def test_a_generated_root_says_where_its_scenes_come_from(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from benchmark.datasets import devkit, scene_tables, stored_rows
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.scene_tables import GROWING_TABLES
-from benchmark.datasets.stored_rows import PassOverRows
+from benchmark.datasets.stored_rows import TableScan
 from benchmark.errors import InputError
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
 from tests.hand_made import scene_on_straight_road
@@ -39,7 +39,7 @@ def whole(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], NuScenesData]:
         with monkeypatch.context() as context:
             context.setattr(devkit, "read_or_kept", lambda *_: None)
             data = NuScenesData.open(root)
-        assert isinstance(data._tables, devkit.AllScenes)
+        assert isinstance(data._tables, devkit.AllSceneTables)
         return data
 
     return opened
@@ -78,14 +78,14 @@ def test_scene_by_scene_gives_what_the_whole_tables_give(
         path = root / VERSION / f"{table}.json"
         path.write_text(json.dumps(tables.tables[table], ensure_ascii=False, indent=1), encoding="utf-8")
     data = NuScenesData.open(root)
-    assert isinstance(data._tables, devkit.SceneByScene)
+    assert isinstance(data._tables, devkit.PerSceneTables)
     assert list(everything(data)) == list(everything(whole(root)))
 
 
 def test_tables_without_any_object(tables: TinyRoot, whole: Callable[[Path], NuScenesData]) -> None:
     tables.tables["instance"], tables.tables["sample_annotation"] = [], []
     data = NuScenesData.open(tables.write())
-    assert isinstance(data._tables, devkit.SceneByScene)
+    assert isinstance(data._tables, devkit.PerSceneTables)
     assert not data.scene("scene-9902").agents.ids
     assert list(everything(data)) == list(everything(whole(tables.root)))
 
@@ -118,7 +118,7 @@ def test_tables_with_rows_that_only_the_devkit_reads_are_read_whole(
     root = tables.write()
     (root / VERSION / "image_annotations.json").write_text("[]")
     data = NuScenesData.open(root)
-    assert isinstance(data._tables, devkit.AllScenes)
+    assert isinstance(data._tables, devkit.AllSceneTables)
     assert list(everything(data)) == list(everything(whole(root)))
     (root / VERSION / "image_annotations.json").unlink()
     assert list(everything(data)) == list(everything(NuScenesData.open(root)))
@@ -129,7 +129,7 @@ def test_tokens_with_one_hash_are_read_whole(
 ) -> None:
     monkeypatch.setattr(scene_tables, "hash", lambda text: len(text), raising=False)
     data = NuScenesData.open(tables.write())
-    assert isinstance(data._tables, devkit.AllScenes)
+    assert isinstance(data._tables, devkit.AllSceneTables)
     assert list(everything(data)) == list(everything(whole(tables.root)))
 
 
@@ -171,7 +171,7 @@ def test_rows_are_those_of_json_or_none(
         expected = None
     if not isinstance(expected, list) or not all(isinstance(row, dict) for row in expected):
         expected = None
-    reading = PassOverRows(path)
+    reading = TableScan(path)
     with pytest.MonkeyPatch.context() as context:
         context.setattr(stored_rows, "_CHUNK_BYTES", chunk)
         context.setattr(stored_rows, "_BATCH_ROWS", 2)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmark.datasets.scenarionet import read_scenarionet
-from benchmark.datasets.scene_words import place_and_light, traffic_and_road
-from benchmark.scene import Look
+from benchmark.datasets.scene_words import describe_place_and_light, describe_traffic_and_road
+from benchmark.scene import Conditions
 from tests.benchmark.datasets.test_scenarionet import FILES, needs_shared, recording, track, write
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -30,7 +30,7 @@ from tests.hand_made import Car, scene_on_straight_road
     ],
 )
 def test_place_and_light_are_said_where_they_are_known(metadata: dict[str, Any], words: list[str]) -> None:
-    assert place_and_light(metadata) == words
+    assert describe_place_and_light(metadata) == words
 
 
 def test_an_imported_recording_is_described(tmp_path: Path) -> None:
@@ -41,18 +41,18 @@ def test_an_imported_recording_is_described(tmp_path: Path) -> None:
     value["tracks"] |= {f"p{number}": track("VEHICLE", -290.0 + number, 9.0) for number in range(3)}
     night = read_scenarionet(write(tmp_path, value))
     assert night.description.startswith("Pittsburgh, night, some traffic, bicycle, parked cars")
-    assert night.look is Look.NIGHT and scene.look is Look.DAY
+    assert night.look is Conditions.NIGHT and scene.look is Conditions.DAY
 
 
 def test_turns_and_standing_are_seen_in_the_ego_s_way() -> None:
     straight = scene_on_straight_road((Car(60.0, 194.75, 10.0),))
-    assert not {"turn left", "turn right", "waiting"} & set(traffic_and_road(straight))
+    assert not {"turn left", "turn right", "waiting"} & set(describe_traffic_and_road(straight))
     half = np.linspace(0.0, np.pi / 4, len(straight.ego.position))
     for sign, word in ((1, "turn left"), (-1, "turn right")):
         rotation = np.stack([np.cos(half), 0 * half, 0 * half, sign * np.sin(half)], axis=1)
-        assert word in traffic_and_road(replace(straight, ego=replace(straight.ego, rotation=rotation)))
+        assert word in describe_traffic_and_road(replace(straight, ego=replace(straight.ego, rotation=rotation)))
     still = replace(straight.ego, position=np.repeat(straight.ego.position[:1], len(straight.ego.position), axis=0))
-    assert "waiting" in traffic_and_road(replace(straight, ego=still))
+    assert "waiting" in describe_traffic_and_road(replace(straight, ego=still))
 
 
 @needs_shared
@@ -60,4 +60,6 @@ def test_real_recordings_have_descriptions_of_their_own() -> None:
     said = {read_scenarionet(path).description for path in FILES}
     assert len(said) == len(FILES)
     for words in said:
-        assert "ScenarioNet" not in words and Look.of_description(words) is Look.DAY, "their files say no light"
+        assert "ScenarioNet" not in words and Conditions.from_description(words) is Conditions.DAY, (
+            "their files say no light"
+        )

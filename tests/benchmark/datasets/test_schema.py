@@ -14,9 +14,9 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
 from benchmark.datasets.schema import LINKS, SCHEMA, FaultList, check_rows
 from benchmark.datasets.schema.check import check_tables
-from benchmark.datasets.schema.tables import Kind, is_file_inside, is_file_name
+from benchmark.datasets.schema.tables import ValueKind, is_file_inside, is_file_name
 from benchmark.scene import Scene
-from generation.sources.town import town_scene
+from generation.sources.town import build_town_scene
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary, write_root
 from tests.hand_made import Car, scene_on_straight_road
@@ -48,7 +48,7 @@ def test_all_tables_are_described_and_every_link_leads_into_one() -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(kind=st.sampled_from(list(KINDS.values())), values=st.lists(VALUES, min_size=1, max_size=3))
-def test_a_column_that_passes_the_quick_look_holds_only_what_it_may(kind: Kind, values: list[Any]) -> None:
+def test_a_column_that_passes_the_quick_look_holds_only_what_it_may(kind: ValueKind, values: list[Any]) -> None:
     alone = [kind.holds(value) for value in values]
     # Links are looked up, so the quick look leaves it to that whether they are tokens.
     if kind.column(values) and "token" not in kind.words:
@@ -106,7 +106,7 @@ def written(root: Path, scenes: list[Scene]) -> None:
 
 
 def test_the_embedded_town_conforms(tmp_path: Path) -> None:
-    written(tmp_path, [town_scene("val", index) for index in range(2)])
+    written(tmp_path, [build_town_scene("val", index) for index in range(2)])
 
 
 def test_recorded_scenes_conform(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from benchmark.datasets import stored_rows as reading
 from benchmark.datasets.statistics import statistics
-from benchmark.datasets.stored_rows import count_rows, table_rows
+from benchmark.datasets.stored_rows import count_rows, iterate_rows
 from benchmark.errors import InputError
 from benchmark.published import ADV_NUSC
 from benchmark.records.statistics import TableCounts
@@ -254,7 +254,7 @@ def test_reading_row_by_row_gives_what_reading_at_once_gives(
     path.write_text(json.dumps(rows, indent=indent, ensure_ascii=ascii_only) + "\n", encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reading, "_CHUNK_BYTES", chunk)
-        assert list(table_rows(path)) == json.loads(path.read_text(encoding="utf-8"))
+        assert list(iterate_rows(path)) == json.loads(path.read_text(encoding="utf-8"))
 
 
 def test_counting_needs_no_scene_to_be_there(tmp_path: Path) -> None:

@@ -7,9 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.datasets.observations import past_of
-from benchmark.datasets.sample_truth import planar_lidar_poses, recorded_command, truth_of_scene
-from benchmark.datasets.steps import KeyFrameSteps, is_step, other_interval_us, require_two_hz, values_at
+from benchmark.datasets.observations import compute_past
+from benchmark.datasets.sample_truth import compute_planar_lidar_poses, compute_recorded_command, compute_truth
+from benchmark.datasets.steps import (
+    KeyFrameSteps,
+    find_irregular_interval_us,
+    interpolate_values,
+    is_step,
+    require_two_hz,
+)
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_global, wrap_angle
 from benchmark.planning import Command
@@ -35,7 +41,7 @@ def curved() -> Scene:
 
 
 def truths(scene: Scene, steps: int = 6) -> tuple[SampleTruth, ...]:
-    return truth_of_scene(scene, [str(index) for index in range(len(scene.keyframes))], steps)
+    return compute_truth(scene, [str(index) for index in range(len(scene.keyframes))], steps)
 
 
 def in_global(truth: SampleTruth, boxes: Floats) -> Floats:
@@ -114,7 +120,7 @@ def test_a_missing_key_frame_leaves_unknown_what_lies_in_the_gap_and_beyond() ->
         require_slow_truth(scene, truth)
         # The official rule: the k-th key frame, whenever that is.
         expected = in_global(truth, truth.ego_future)[-1]
-        np.testing.assert_allclose(expected, planar_lidar_poses(scene)[truth.index + 6], atol=1e-9)
+        np.testing.assert_allclose(expected, compute_planar_lidar_poses(scene)[truth.index + 6], atol=1e-9)
 
 
 def test_longer_plans_go_by_the_clock_too() -> None:
@@ -135,8 +141,8 @@ def test_the_command_is_where_the_car_is_after_three_seconds_whatever_lies_betwe
             round((truth.timestamp_us - scene.timestamps_us[0]) * 2e-6, 3): truth.command for truth in truths(other)
         }
         assert all(commands[at] is expected[int(at)] for at in commands if at in range(8))
-        lidar = planar_lidar_poses(other)
-        asked = [recorded_command(other, clock, lidar, truth.index) for truth in truths(other)]
+        lidar = compute_planar_lidar_poses(other)
+        asked = [compute_recorded_command(other, clock, lidar, truth.index) for truth in truths(other)]
         assert asked == [truth.command for truth in truths(other)]
 
 
@@ -145,9 +151,9 @@ def test_history_is_half_a_second_back_step_by_step() -> None:
     dense = with_key_frames(scene_on_straight_road(CARS), np.arange(91))
     dense = replace(dense, ego=scene.ego)
     for at in range(16):
-        poses, valid = past_of(scene, scene.ego.pose, KeyFrameSteps.of(scene), at)
+        poses, valid = compute_past(scene, scene.ego.pose, KeyFrameSteps.of(scene), at)
         if 6 * at in dense.keyframes:
-            same, same_valid = past_of(dense, dense.ego.pose, KeyFrameSteps.of(dense), 6 * at)
+            same, same_valid = compute_past(dense, dense.ego.pose, KeyFrameSteps.of(dense), 6 * at)
             assert same_valid.tolist() == valid.tolist()
             np.testing.assert_allclose(same[valid][:, :2], poses[valid][:, :2], atol=1e-4)
             np.testing.assert_allclose(wrap_angle(same[valid] - poses[valid]), 0.0, atol=1e-4)
@@ -156,23 +162,23 @@ def test_history_is_half_a_second_back_step_by_step() -> None:
 def test_history_ends_at_a_gap_and_the_oldest_known_pose_stands_there() -> None:
     scene = without_key_frames(scene_on_straight_road(CARS), 7)
     clock = KeyFrameSteps.of(scene)
-    poses, valid = past_of(scene, scene.ego.pose, clock, 8)
+    poses, valid = compute_past(scene, scene.ego.pose, clock, 8)
     assert valid.tolist() == [False, False, False, True, True]
     assert poses[:4, 0].tolist() == [poses[3, 0]] * 4 and poses[4, 0] - poses[3, 0] == pytest.approx(4.0)
-    assert past_of(scene, scene.ego.pose, clock, 6)[1].all()
+    assert compute_past(scene, scene.ego.pose, clock, 6)[1].all()
 
 
 def test_a_rate_is_the_median_interval() -> None:
-    assert other_interval_us([0, 500_000, 1_500_000, 2_000_000]) is None
-    assert other_interval_us([0, 100_000, 200_000, 700_000]) == 100_000
-    assert other_interval_us([0]) is None and other_interval_us([]) is None
+    assert find_irregular_interval_us([0, 500_000, 1_500_000, 2_000_000]) is None
+    assert find_irregular_interval_us([0, 100_000, 200_000, 700_000]) == 100_000
+    assert find_irregular_interval_us([0]) is None and find_irregular_interval_us([]) is None
     with pytest.raises(InputError, match=r"0\.0833 s apart .* the search needs one every 0\.5 s"):
         require_two_hz(with_key_frames(scene_on_straight_road(CARS), np.arange(91)), "the search")
 
 
 def test_headings_are_interpolated_by_the_shortest_turn() -> None:
     values = np.array([[0.0, 0.0, 3.1], [1.0, 2.0, -3.1]])
-    found = values_at(values, np.array([0, 1_000_000]), np.array([-5, 500_000, 2_000_000]))
+    found = interpolate_values(values, np.array([0, 1_000_000]), np.array([-5, 500_000, 2_000_000]))
     np.testing.assert_allclose(found[[0, 2]], values)
     np.testing.assert_allclose(found[1, :2], [0.5, 1.0])
     assert abs(found[1, 2]) == pytest.approx(np.pi)

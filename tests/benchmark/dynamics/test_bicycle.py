@@ -8,8 +8,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_limits
 
-from benchmark.dynamics.bicycle import DriverLimits, MotionModel, SimulatedMotion, VehicleState, rear_axle, simulate
-from benchmark.dynamics.reference_path import _interpolation, _speed_fit, reference_path
+from benchmark.dynamics.bicycle import (
+    DriverLimits,
+    MotionModel,
+    SimulatedMotion,
+    VehicleState,
+    compute_rear_axle,
+    simulate,
+)
+from benchmark.dynamics.reference_path import _interpolation, _speed_fit, build_reference_path
 from benchmark.geometry import Floats, wrap_angle
 from tests.benchmark.dynamics.slow_physics import slow_path, slow_simulate
 
@@ -71,7 +78,7 @@ def test_what_is_kept_for_the_whole_process_does_not_depend_on_threads() -> None
 
 def test_reference_profiles_repeat_the_golden_numbers() -> None:
     golden = np.load(GOLDEN / "physics.npz")
-    path = reference_path(golden["waypoints_local"][..., :2], dt=1.0, frames_per_waypoint=5, smooth=False)
+    path = build_reference_path(golden["waypoints_local"][..., :2], dt=1.0, frames_per_waypoint=5, smooth=False)
     good = golden["well_conditioned"]
     np.testing.assert_allclose(path.speed.T[good], golden["velocity_profile"][good], atol=1e-10)
     np.testing.assert_allclose(path.curvature.T[good], golden["curvature_profile"][good], atol=1e-8)
@@ -95,7 +102,7 @@ DEGENERATE = {
 def test_reference_model_repeats_degenerate_cases(name: str) -> None:
     golden = np.load(SHARED_GOLDEN / "physics_degenerate.npz")
     x, y, yaw, _, length, _ = golden["common_center_x_y_heading_width_length_height"]
-    state = VehicleState(rear_axle(np.array([x, y, yaw]), length), float(golden[f"{name}/speed_per_step"]))
+    state = VehicleState(compute_rear_axle(np.array([x, y, yaw]), length), float(golden[f"{name}/speed_per_step"]))
     motion = simulate(golden[f"{name}/waypoints_local"][None], state, length, steps=80, model=REFERENCE)
     error = motion.center[0] - golden[f"{name}/center_pose"]
     error[:, 2] = wrap_angle(error[:, 2])
@@ -138,7 +145,9 @@ def test_the_fast_side_agrees_with_the_slow_one(
         float(rng.uniform(-0.05, 0.05)),
     )
     fast = simulate(candidates, state, length, steps=steps, model=model)
-    path = reference_path(candidates, dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth)
+    path = build_reference_path(
+        candidates, dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth
+    )
     around = np.hypot(*(path.position[2:] - path.position[:-2]).transpose(1, 0, 2))
     # Where a path turns on the spot, its direction is a matter of the last bit.
     assume(model.smooth or around.min() > 1e-6)
@@ -275,4 +284,4 @@ def test_going_on_from_a_state_is_the_same_as_not_stopping() -> None:
 
 
 def test_rear_axle_is_behind_the_center() -> None:
-    np.testing.assert_allclose(rear_axle(np.array([10.0, 5.0, np.pi / 2]), 5.0), [10.0, 3.5, np.pi / 2])
+    np.testing.assert_allclose(compute_rear_axle(np.array([10.0, 5.0, np.pi / 2]), 5.0), [10.0, 3.5, np.pi / 2])

@@ -4,10 +4,10 @@ import numpy as np
 from shapely.geometry import Polygon
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.fairness.encounter import Severity, severity_of
+from benchmark.fairness.encounter import SeveritySeries, measure_severity
 from benchmark.geometry import Floats, box_corners, ego_footprints, poses_between
-from benchmark.interactions.contacts import KINDS, Pairs, is_agent
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.contacts import KINDS, ContactPairs, is_agent_category
+from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings
 
@@ -24,11 +24,11 @@ def ego_of(plan_lidar: Floats) -> Floats:
     return np.array([ego_footprints(pose) for pose in poses])
 
 
-def tracks_of(truth: SampleTruth, ego: Floats) -> Tracks:
+def tracks_of(truth: SampleTruth, ego: Floats) -> ContinuousTracks:
     """The world of the next 3 s in steps of 0.1 s."""
-    keyframes = Tracks(0.5 * np.arange(7), np.zeros((7, 5)), truth.boxes, truth.annotated, truth.categories)
+    keyframes = ContinuousTracks(0.5 * np.arange(7), np.zeros((7, 5)), truth.boxes, truth.annotated, truth.categories)
     boxes, valid = keyframes.agents_at(TIMES)
-    return Tracks(TIMES, ego, boxes, valid, truth.categories)
+    return ContinuousTracks(TIMES, ego, boxes, valid, truth.categories)
 
 
 def first_contact(truth: SampleTruth, plan_lidar: Floats) -> tuple[float, str, str, float] | None:
@@ -45,18 +45,18 @@ def first_contact(truth: SampleTruth, plan_lidar: Floats) -> tuple[float, str, s
             row = min(hit, key=lambda one: truth.instances[one])
             back = max(at - 2, 0)
             speed = float(np.hypot(*(ego[at, :2] - ego[back, :2]))) / (0.1 * (at - back))
-            pair = Pairs(
+            pair = ContactPairs(
                 ego=ego[at, None],
                 ego_speed=np.array([speed]),
                 other=tracks.agents[row, at, None],
                 other_velocity=tracks.velocities_at(TIMES[at : at + 1], np.array([row]))[0],
-                is_agent=np.array([is_agent(truth.categories[row])]),
+                is_agent=np.array([is_agent_category(truth.categories[row])]),
             )
             return float(TIMES[at]), truth.instances[row], KINDS[pair.kinds[0]].value, float(pair.impact_speed[0])
     return None
 
 
-def encounters(truth: SampleTruth, plan_lidar: Floats) -> list[Severity]:
+def encounters(truth: SampleTruth, plan_lidar: Floats) -> list[SeveritySeries]:
     """With every adversary that does not touch the ego in the present."""
     ego = ego_of(plan_lidar)
     tracks = tracks_of(truth, ego)
@@ -66,5 +66,5 @@ def encounters(truth: SampleTruth, plan_lidar: Floats) -> list[Severity]:
             continue
         now = Polygon(box_corners(ego)[0]).intersects(Polygon(box_corners(tracks.agents[row])[0]))
         if not (now and tracks.valid[row, 0]):
-            found.append(severity_of(tracks, row))
+            found.append(measure_severity(tracks, row))
     return found

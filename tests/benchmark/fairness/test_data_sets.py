@@ -8,24 +8,24 @@ import numpy as np
 import pytest
 
 from benchmark.datasets.judged import (
-    JUDGEMENTS_FILE,
-    judgements_text,
-    read_judgements,
-    stored_judgements,
-    stored_realism,
+    ASSESSMENTS_FILE,
+    collect_assessments,
+    collect_realism,
+    format_assessments,
+    read_assessments,
 )
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.fairness.data_sets import generated_agents, judge_data, launches_of
+from benchmark.fairness.data_sets import assess_data_set, find_generated_agents, read_launches
 from benchmark.fairness.splits import (
     OWN_TOWN_REASON,
-    adversarial_names,
+    build_validity_rows,
+    find_adversarial_names,
     judge_split,
-    ladder,
-    split_realism,
-    validity_rows,
+    measure_split_realism,
+    summarise_reference_drivers,
 )
-from benchmark.fairness.tables import judgement_text, split_tables
+from benchmark.fairness.tables import build_split_tables, format_assessment
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.judgement import DRIVER_NAMES
 from benchmark.scene import Scene
@@ -82,8 +82,8 @@ def adversarial(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 
 
 def test_scenes_that_nobody_judged_are_judged_when_asked_by_any_number_of_workers(adversarial: DataSet) -> None:
-    found = judge_data(adversarial, SCENES, HERE)
-    assert list(found) == list(SCENES) and found == judge_data(adversarial, SCENES, LocalProcesses(2))
+    found = assess_data_set(adversarial, SCENES, HERE)
+    assert list(found) == list(SCENES) and found == assess_data_set(adversarial, SCENES, LocalProcesses(2))
     gentle, hard = (said[0] for said in found.values())
     assert gentle.tracks == "annotated" and gentle.adversary == adversarial.scene(SCENES[0]).adversaries[0]
     assert all(gentle.drivers[name].survives for name in DRIVER_NAMES)
@@ -93,19 +93,21 @@ def test_scenes_that_nobody_judged_are_judged_when_asked_by_any_number_of_worker
 def test_stored_judgements_are_taken_and_change_no_fingerprint(adversarial: DataSet, tmp_path: Path) -> None:
     data = written(tmp_path / "adv", adversarial_scenes("n008"), made_from=True)
     assert data.scene_facts(SCENES)[SCENES[0]].judgement is None
-    path = data.root / data.version / JUDGEMENTS_FILE
+    path = data.root / data.version / ASSESSMENTS_FILE
     stored = made_judgement(adversary="stored")
-    path.write_text(judgements_text({SCENES[0]: (stored,)}))
+    path.write_text(format_assessments({SCENES[0]: (stored,)}))
     again = open_data(data.root)
-    assert again.fingerprint() == data.fingerprint() and stored_judgements(data.root, data.version) == {
+    assert again.fingerprint() == data.fingerprint() and collect_assessments(data.root, data.version) == {
         SCENES[0]: (stored,)
     }
-    found = judge_data(again, SCENES, HERE)
-    assert found[SCENES[0]] == (stored,) and found[SCENES[1]] == judge_data(adversarial, SCENES[1:], HERE)[SCENES[1]]
-    assert stored_realism(again.root, again.version) is None
-    told = split_realism(adversarial, found)
-    path.write_text(judgements_text({SCENES[0]: (stored,)}, told))
-    assert stored_realism(again.root, again.version) == told
+    found = assess_data_set(again, SCENES, HERE)
+    assert (
+        found[SCENES[0]] == (stored,) and found[SCENES[1]] == assess_data_set(adversarial, SCENES[1:], HERE)[SCENES[1]]
+    )
+    assert collect_realism(again.root, again.version) is None
+    told = measure_split_realism(adversarial, found)
+    path.write_text(format_assessments({SCENES[0]: (stored,)}, told))
+    assert collect_realism(again.root, again.version) == told
     facts = again.scene_facts(SCENES)
     assert facts[SCENES[1]].judgement is None
     judgement = facts[SCENES[0]].judgement
@@ -113,14 +115,14 @@ def test_stored_judgements_are_taken_and_change_no_fingerprint(adversarial: Data
 
 
 def test_judgements_by_other_definitions_are_none_and_damage_is_one_sentence(tmp_path: Path) -> None:
-    path = tmp_path / JUDGEMENTS_FILE
-    assert read_judgements(tmp_path) == {}
-    path.write_text(judgements_text({"scene": (made_judgement(definition=1),), "bare": ()}))
-    assert read_judgements(tmp_path) == {}
+    path = tmp_path / ASSESSMENTS_FILE
+    assert read_assessments(tmp_path) == {}
+    path.write_text(format_assessments({"scene": (made_judgement(definition=1),), "bare": ()}))
+    assert read_assessments(tmp_path) == {}
     for text in ('{"schema": 2, "scenes": {}}', '{"schema": 1, "scenes": {"a": [{}]}}', "[]", "{"):
         path.write_text(text)
-        with pytest.raises(InputError, match=JUDGEMENTS_FILE):
-            read_judgements(tmp_path)
+        with pytest.raises(InputError, match=ASSESSMENTS_FILE):
+            read_assessments(tmp_path)
 
 
 def test_variants_of_recordings_have_judgements_of_their_own(tmp_path: Path) -> None:
@@ -129,28 +131,28 @@ def test_variants_of_recordings_have_judgements_of_their_own(tmp_path: Path) -> 
         folder.mkdir(parents=True)
         (folder / "scene.json").write_text("[]")
         judged = made_judgement(adversary=str(number))
-        (folder / JUDGEMENTS_FILE).write_text(judgements_text({"scene-0001": (judged,)}))
-    found = stored_judgements(tmp_path, "v1.0-mini")
+        (folder / ASSESSMENTS_FILE).write_text(format_assessments({"scene-0001": (judged,)}))
+    found = collect_assessments(tmp_path, "v1.0-mini")
     assert {name: said[0].adversary for name, said in found.items()} == {"v0/scene-0001": "0", "v1/scene-0001": "1"}
 
 
 def test_who_does_not_do_what_anybody_did_was_generated(recordings: DataSet, tmp_path: Path) -> None:
     scene, base = adversarial_scenes("n008")[0], recordings.scene("scene-0001")
-    assert generated_agents(scene, base) == (0,) and generated_agents(base, base) == ()
+    assert find_generated_agents(scene, base) == (0,) and find_generated_agents(base, base) == ()
     unnamed = [replace(each, adversaries=()) for each in adversarial_scenes("n008")]
     data = written(tmp_path / "published", unnamed, made_from=True)
     (data.root / data.version / "challenger.json").unlink()
     stranger = open_data(data.root)
-    assert adversarial_names(stranger, SCENES) == SCENES
-    alone, compared = (judge_data(stranger, SCENES, HERE, base) for base in (None, recordings))
+    assert find_adversarial_names(stranger, SCENES) == SCENES
+    alone, compared = (assess_data_set(stranger, SCENES, HERE, base) for base in (None, recordings))
     assert [said[0].adversary for said in alone.values()] == [None, None]
     assert [said[0].adversary for said in compared.values()] == [stranger.scene(name).agents.ids[0] for name in SCENES]
 
 
 def test_the_launch_is_what_the_data_set_says(adversarial: DataSet) -> None:
     scene = adversarial.scene(SCENES[0])
-    assert launches_of(adversarial, scene) == {scene.adversaries[0]: 6}
-    assert launches_of(adversarial, replace(scene, name="unknown")) == {}
+    assert read_launches(adversarial, scene) == {scene.adversaries[0]: 6}
+    assert read_launches(adversarial, replace(scene, name="unknown")) == {}
 
 
 @pytest.mark.parametrize(("told", "found"), [([12, 6], 6), ([12], None), ([12, None], None), ([12, 10_000], None)])
@@ -163,12 +165,12 @@ def test_of_several_adversaries_the_earliest_launch_is_known(
     provenance["scenes"][SCENES[0]]["report"] = {"adversaries": [{"launch_frame": each} for each in told]}
     path.write_text(json.dumps(provenance))
     scene = replace(data.scene(SCENES[0]), adversaries=("a", "b"))
-    assert launches_of(open_data(data.root), scene) == ({} if found is None else {"a": found, "b": found})
+    assert read_launches(open_data(data.root), scene) == ({} if found is None else {"a": found, "b": found})
 
 
 def test_drivers_of_a_data_set_take_over_at_the_launch_that_it_names(adversarial: DataSet) -> None:
-    found = judge_data(adversarial, SCENES[:1], HERE)[SCENES[0]]
-    assert [each.acts_s for each in found] == [0.5] and "first frame" not in judgement_text(
+    found = assess_data_set(adversarial, SCENES[:1], HERE)[SCENES[0]]
+    assert [each.acts_s for each in found] == [0.5] and "first frame" not in format_assessment(
         judge_split(adversarial, SCENES[:1], HERE)
     )
 
@@ -181,7 +183,7 @@ def test_the_ladder_counts_whom_drivers_hit() -> None:
         (made_judgement(drivers={**drivers, "constant": hits(), "rss": {**behind, "beyond_end": True}}),),
         (made_judgement(),),
     ]
-    rows = {row.driver: row for row in ladder(scenes)}
+    rows = {row.driver: row for row in summarise_reference_drivers(scenes)}
     assert (rows["constant"].survives, rows["constant"].hit_adversary, rows["constant"].hit_from_behind) == (1, 1, 0)
     assert (rows["rss"].survives, rows["rss"].hit_adversary, rows["rss"].hit_from_behind) == (1, 0, 1)
     assert rows["rss"].beyond_end == 1 and rows["rss"].share == 0.5 and rows["cc"].share == 1.0
@@ -190,7 +192,7 @@ def test_the_ladder_counts_whom_drivers_hit() -> None:
 def test_rates_count_those_who_could_be_asked() -> None:
     faults = dict.fromkeys(("off_road", "contact", "against_traffic", "hovering"), False)
     unknown = {"beyond_limits": "no track", "teleport": "no track"}
-    rows = {row.fault: row for row in validity_rows([
+    rows = {row.fault: row for row in build_validity_rows([
         made_judgement(), made_judgement(faults={**faults, "hovering": True, "unknown": unknown})
     ])}  # fmt: skip
     assert (rows["hovering"].count, rows["hovering"].of) == (1, 2)
@@ -207,12 +209,12 @@ def test_a_split_is_compared_with_its_recordings_feature_by_feature(adversarial:
     assert [row.name for row in realism.features][-1] == "road_edge" and len(realism.features) == 9
     assert realism.headline is not None and realism.headline.realism == min(row.realism for row in realism.features)
     assert realism.ctg is not None and (realism.ctg.version, realism.ctg.mask) == ("ctg", "current_speed")
-    text = judgement_text(judged)
+    text = format_assessment(judged)
     assert all(
         name in text
         for name in (*SCENES, "Realism, worst feature", "of the recordings", "ctg-realism@code, version ctg", "halves")
     )
-    itself = split_realism(adversarial, judged.scenes, None)
+    itself = measure_split_realism(adversarial, judged.scenes, None)
     assert itself.reference == "the unchanged agents of the same scenes" and itself.ctg is None
     severity = {row.name: row for row in judged.severity}
     assert judged.contacts == 1 and severity["least gap, m"].of == 2 and severity["TET, s"].of == 1
@@ -222,12 +224,12 @@ def test_in_our_own_town_only_rates_are_given_and_why(tmp_path: Path) -> None:
     data = written(tmp_path / "adv", adversarial_scenes("n000"), made_from=True)
     judged = judge_split(data, SCENES, HERE)
     assert judged.realism.not_compared == OWN_TOWN_REASON and judged.realism.features == ()
-    assert len(judged.realism.validity) == 6 and OWN_TOWN_REASON in judgement_text(judged)
+    assert len(judged.realism.validity) == 6 and OWN_TOWN_REASON in format_assessment(judged)
     assert json.loads(judged.model_dump_json())["realism"]["worst"] is None
 
 
 def test_recordings_have_nobody_to_compare(recordings: DataSet) -> None:
-    assert adversarial_names(recordings, recordings.scene_names(None)) == ()
+    assert find_adversarial_names(recordings, recordings.scene_names(None)) == ()
     judged = judge_split(recordings, recordings.scene_names(None), HERE)
     assert judged.realism.adversaries == 0 and judged.realism.not_compared is not None
-    assert len(split_tables(judged)) == 2
+    assert len(build_split_tables(judged)) == 2

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from benchmark.fairness.attack import Attack, AttackSuccess, any_known, attack_success
-from benchmark.fairness.encounter import severity_of
-from benchmark.fairness.scenes import impact_of
-from benchmark.interactions.driving import Rung, Situation, drive
-from benchmark.interactions.outcomes import Surroundings
+from benchmark.fairness.attack import Attack, AttackSuccess, any_or_unknown, compute_attack_success
+from benchmark.fairness.encounter import measure_severity
+from benchmark.fairness.scenes import compute_impact
+from benchmark.interactions.driving import DrivingSituation, ReferenceDriver, simulate_drivers
+from benchmark.interactions.outcomes import CollisionChecker
 from benchmark.interactions.reaction import HARDEST_BRAKING, Driver
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.tracks import ContinuousTracks
 from tests.benchmark.interactions.made import CAR, SECONDS, along, boxes, ego, scene
 
 GAP_M = 0.5 * (4.084 + CAR[0])
@@ -17,7 +17,7 @@ GAP_M = 0.5 * (4.084 + CAR[0])
 
 def test_closing_in_on_a_slower_leader() -> None:
     """5 m/s faster and 30 m away: contact after 6 s, so that 1.5 s are left at 4.5 s."""
-    found = severity_of(scene(ego(10.0), along(GAP_M + 30.0, 0.0, 5.0)), 0)
+    found = measure_severity(scene(ego(10.0), along(GAP_M + 30.0, 0.0, 5.0)), 0)
     assert found.contact_s == pytest.approx(6.0, abs=0.11) and found.min_gap == 0.0
     assert found.ttc[0] == pytest.approx(6.0) and found.ttc[30] == pytest.approx(3.0)
     assert found.btn[20] == pytest.approx(25.0 / (2 * 20.0) / HARDEST_BRAKING)
@@ -26,7 +26,7 @@ def test_closing_in_on_a_slower_leader() -> None:
 
 
 def test_following_at_the_same_speed_is_no_threat() -> None:
-    found = severity_of(scene(ego(10.0), along(GAP_M + 12.0, 0.0, 10.0)), 0)
+    found = measure_severity(scene(ego(10.0), along(GAP_M + 12.0, 0.0, 10.0)), 0)
     assert found.contact_s is None and found.min_gap == pytest.approx(12.0)
     assert found.tet == found.tit == 0.0
     assert found.max_btn == pytest.approx(0.0, abs=1e-9)
@@ -38,27 +38,29 @@ def test_crossing_paths() -> None:
     """The other crosses 10 m ahead while the ego is 4 s away from there."""
     seconds = SECONDS
     crossing = boxes(np.full(len(seconds), 20.0), -12.0 + 6.0 * seconds, yaw=np.pi / 2)
-    found = severity_of(scene(ego(4.0), crossing), 0)
+    found = measure_severity(scene(ego(4.0), crossing), 0)
     leaves = (12.0 + 0.865 + 2.3) / 6.0
     enters = (20.0 - 0.95 - 2.042) / 4.0
     assert found.first == "other" and found.pet == pytest.approx(enters - leaves, abs=0.2)
-    passed = severity_of(scene(ego(4.0), along(-30.0, 40.0, 3.0)), 0)
+    passed = measure_severity(scene(ego(4.0), along(-30.0, 40.0, 3.0)), 0)
     assert passed.pet is None and passed.first is None and passed.min_ttc is None
 
 
 def test_an_agent_that_is_never_there_has_no_severity() -> None:
     tracks = scene(ego(5.0), along(10.0, 0.0, 3.0))
-    absent = Tracks(tracks.seconds, tracks.ego, tracks.agents, np.zeros_like(tracks.valid), tracks.categories)
-    found = severity_of(absent, 0)
+    absent = ContinuousTracks(tracks.seconds, tracks.ego, tracks.agents, np.zeros_like(tracks.valid), tracks.categories)
+    found = measure_severity(absent, 0)
     assert found.min_gap is None and found.min_ttc is None and found.max_btn is None and found.pet is None
 
 
 def test_an_impact_in_numbers() -> None:
     tracks = scene(ego(10.0), boxes(np.full(97, 40.0), np.zeros(97), yaw=0.0), categories=("vehicle.truck",))
-    situation = Situation.of(tracks)
-    outcome = Surroundings.of(situation).outcome(drive(situation, [Rung(Driver.RECORDED)])[0])
+    situation = DrivingSituation.of(tracks)
+    outcome = CollisionChecker.of(situation).find_outcome(
+        simulate_drivers(situation, [ReferenceDriver(Driver.RECORDED)])[0]
+    )
     assert outcome.contact is not None
-    impact = impact_of(outcome.contact, "vehicle.truck", True)
+    impact = compute_impact(outcome.contact, "vehicle.truck", True)
     assert impact.kind == "stopped_track" and impact.at_fault
     assert impact.impact_speed_m_s == pytest.approx(10.0) and impact.delta_v_ego_m_s == pytest.approx(
         10.0 * 12000 / 13600
@@ -73,8 +75,8 @@ def test_attack_success_in_three_readings() -> None:
         Attack.of(True, True, False),
         Attack.of(True, True, True),
     ]
-    assert attack_success(attacks) == AttackSuccess(4, 0.75, 0.5, 0.25)
-    assert attack_success([]) == AttackSuccess(0, None, None, None)
+    assert compute_attack_success(attacks) == AttackSuccess(4, 0.75, 0.5, 0.25)
+    assert compute_attack_success([]) == AttackSuccess(0, None, None, None)
 
 
 def test_what_nobody_can_tell_is_in_no_share() -> None:
@@ -84,7 +86,7 @@ def test_what_nobody_can_tell_is_in_no_share() -> None:
     # Nothing can be attributed to a planner in a scene in which the careful human fares no better.
     assert Attack.of(True, None, False).attributable is False
     assert Attack.of(False, None, None) == Attack(False, False, None)
-    assert attack_success([unjudged, side]) == AttackSuccess(2, 1.0, 1.0, None)
-    assert attack_success([unjudged, side, Attack.of(False, None, True)]) == AttackSuccess(3, 2 / 3, 0.5, 0.0)
-    assert any_known([False, None, True]) is True and any_known([False, None]) is None
-    assert any_known([False]) is False and any_known([]) is False
+    assert compute_attack_success([unjudged, side]) == AttackSuccess(2, 1.0, 1.0, None)
+    assert compute_attack_success([unjudged, side, Attack.of(False, None, True)]) == AttackSuccess(3, 2 / 3, 0.5, 0.0)
+    assert any_or_unknown([False, None, True]) is True and any_or_unknown([False, None]) is None
+    assert any_or_unknown([False]) is False and any_or_unknown([]) is False

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.fairness.plan_severity import plan_severities
+from benchmark.fairness.plan_severity import measure_plan_severities
 from benchmark.geometry import Bools, Floats, ego_footprints
 from benchmark.planning import Command
-from benchmark.protocols.exact import Exact
+from benchmark.protocols.exact import ExactProtocol
 from benchmark.truth import SampleTruth
 from tests.benchmark.fairness.slow_plans import encounters, first_contact
 
@@ -59,7 +59,7 @@ def straight(speed: float) -> Floats:
 
 
 def one(sample: SampleTruth, plan: Floats, lanes: Any = None) -> Any:
-    return plan_severities([sample], plan[None], lanes)[0]
+    return measure_plan_severities([sample], plan[None], lanes)[0]
 
 
 def test_running_into_a_standing_car() -> None:
@@ -177,7 +177,7 @@ def _random(rng: np.random.Generator, count: int) -> tuple[list[SampleTruth], Fl
 
 def test_all_plans_at_once_are_what_each_is_alone_by_the_definition() -> None:
     truths, plans = _random(np.random.default_rng(26), 120)
-    found = plan_severities(truths, plans)
+    found = measure_plan_severities(truths, plans)
     kinds, nears = set(), 0
     for sample, plan, severity in zip(truths, plans, found, strict=True):
         expected = first_contact(sample, plan)
@@ -209,17 +209,17 @@ def test_all_plans_at_once_are_what_each_is_alone_by_the_definition() -> None:
 def test_a_plan_is_measured_alike_in_any_company(monkeypatch: pytest.MonkeyPatch) -> None:
     truths, plans = _random(np.random.default_rng(27), 12)
     monkeypatch.setattr("benchmark.fairness.plan_severity._SAMPLES_AT_ONCE", 5)
-    together = plan_severities(truths, plans)
+    together = measure_plan_severities(truths, plans)
     assert [one(sample, plan) for sample, plan in zip(truths, plans)] == together
-    assert plan_severities([], np.zeros((0, 6, 2))) == []
+    assert measure_plan_severities([], np.zeros((0, 6, 2))) == []
 
 
 def test_contact_is_that_of_exact_but_for_the_present() -> None:
     truths, plans = _random(np.random.default_rng(28), 80)
-    exact = Exact().evaluate(truths, plans)
+    exact = ExactProtocol().evaluate(truths, plans)
     differs = 0
     for sample, severity, time, hit in zip(
-        truths, plan_severities(truths, plans), exact.facts["first_contact_s"], exact.facts["hit"], strict=True
+        truths, measure_plan_severities(truths, plans), exact.facts["first_contact_s"], exact.facts["hit"], strict=True
     ):
         mine = (None, None) if severity.contact is None else (severity.contact.time_s, severity.contact.agent)
         if mine != (time, hit):

@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 import shapely
 
-from benchmark.fairness.ctg import Mask, Normalisation, SceneTracks, Version, deviations, histograms
-from benchmark.fairness.features import FEATURES, RoadEdge, recorded_runs, runs_of, stretches
+from benchmark.fairness.ctg import (
+    CtgMask,
+    CtgNormalisation,
+    CtgVersion,
+    SceneTracks,
+    compute_deviations,
+    compute_histograms,
+)
+from benchmark.fairness.features import FEATURES, RoadEdge, extract_recorded_runs, extract_runs, find_stretches
 from benchmark.fairness.realism import equal_bins, quantile_bins, w1
-from benchmark.fairness.splits import realism_of
-from benchmark.fairness.validity import NO_MAP, faults_of, teleports
+from benchmark.fairness.splits import measure_realism
+from benchmark.fairness.validity import NO_MAP, find_teleports, find_track_defects
 from benchmark.geometry import Floats, box_gap
-from benchmark.interactions.tracks import Tracks
-from benchmark.records.judgement import FAULT_NAMES, TrackFaults
+from benchmark.interactions.tracks import ContinuousTracks
+from benchmark.records.judgement import TRACK_DEFECT_NAMES, StoredTrackDefects
 from benchmark.road_map import RoadMap
 from tests.benchmark.interactions.made import SECONDS, along, boxes, ego, made_scene, scene
 from tests.hand_made import straight_road
@@ -25,7 +32,7 @@ def test_a_circle_has_the_acceleration_of_a_circle() -> None:
     angle = 8.0 / 40.0 * SECONDS
     circle = boxes(40.0 * np.sin(angle), 40.0 - 40.0 * np.cos(angle))
     circle[:, 4] = angle
-    (run,) = runs_of(scene(ego(5.0), circle), KEYFRAMES, 0)
+    (run,) = extract_runs(scene(ego(5.0), circle), KEYFRAMES, 0)
     middle = slice(20, -20)
     assert run.values["speed"][middle] == pytest.approx(8.0, abs=0.02)
     assert run.values["yaw_rate"][middle] == pytest.approx(0.2, abs=1e-3)
@@ -34,7 +41,7 @@ def test_a_circle_has_the_acceleration_of_a_circle() -> None:
 
 
 def test_steady_braking_is_seen_as_it_is() -> None:
-    (run,) = runs_of(scene(ego(5.0), along(20.0, 3.5, 16.0, brakes=1.5)), KEYFRAMES, 0)
+    (run,) = extract_runs(scene(ego(5.0), along(20.0, 3.5, 16.0, brakes=1.5)), KEYFRAMES, 0)
     middle = slice(20, -20)
     assert run.values["acceleration_along"][middle] == pytest.approx(-1.5, abs=0.05)
     assert np.abs(run.values["jerk_along"][middle]).max() < 0.5
@@ -42,7 +49,7 @@ def test_steady_braking_is_seen_as_it_is() -> None:
 
 def test_gap_and_time_to_contact_are_those_of_the_slow_version() -> None:
     tracks, keyframes = made_scene(0)
-    for run in recorded_runs(tracks, keyframes, "vehicle.car"):
+    for run in extract_recorded_runs(tracks, keyframes, "vehicle.car"):
         others, present = tracks.agents_at(run.times)
         present[run.agent] = False
         egos = tracks.ego_at(run.times)
@@ -57,9 +64,9 @@ def test_gap_and_time_to_contact_are_those_of_the_slow_version() -> None:
 def test_a_run_needs_five_keyframes_and_five_metres() -> None:
     line = np.column_stack([np.arange(10.0), np.zeros(10)])
     valid = np.arange(10) != 4
-    assert stretches(valid, 2.0 * line) == [slice(5, 10)]
-    assert stretches(np.ones(10, np.bool_), np.asarray(0.5 * line)) == []
-    (inside,) = runs_of(scene(ego(5.0), along(20.0, 3.5, 8.0)), KEYFRAMES, 0, between=(2.0, 6.0))
+    assert find_stretches(valid, 2.0 * line) == [slice(5, 10)]
+    assert find_stretches(np.ones(10, np.bool_), np.asarray(0.5 * line)) == []
+    (inside,) = extract_runs(scene(ego(5.0), along(20.0, 3.5, 8.0)), KEYFRAMES, 0, between=(2.0, 6.0))
     assert inside.times[0] == pytest.approx(2.5) and inside.times[-1] == pytest.approx(5.5)
 
 
@@ -84,33 +91,33 @@ def test_the_worst_feature_is_named_and_halves_stand_beside() -> None:
     recorded, swerving = {}, {}
     for number in range(4):
         tracks, keyframes = made_scene(number)
-        recorded[f"scene-{number}"] = recorded_runs(tracks, keyframes, "vehicle.car")
+        recorded[f"scene-{number}"] = extract_recorded_runs(tracks, keyframes, "vehicle.car")
         changed = tracks.agents.copy()
         changed[0, :, 1] += 1.2 * np.sin(2 * np.pi * tracks.seconds / 3.0)
-        swerving[f"scene-{number}"] = runs_of(replace(tracks, agents=changed), keyframes, 0)
-    found = realism_of(swerving, recorded)
+        swerving[f"scene-{number}"] = extract_runs(replace(tracks, agents=changed), keyframes, 0)
+    found = measure_realism(swerving, recorded)
     assert found is not None and [feature.name for feature in found.features] == list(FEATURES)
     # Of the features of swerving, not of those of driving along.
     assert found.worst.name in FEATURES[1:6]
     across = found.features[FEATURES.index("acceleration_across")]
     assert across.w1_in_halves is not None and across.w1_in_halves > 1.0 and across.realism < across.realism_of_halves  # type: ignore[operator]
     assert across.interval is not None and across.interval[0] <= across.realism + 0.05
-    assert realism_of(swerving, recorded) == found, "seeded"
-    assert realism_of({}, recorded) is None and realism_of(swerving, {}) is None
-    same = realism_of(recorded, recorded)
+    assert measure_realism(swerving, recorded) == found, "seeded"
+    assert measure_realism({}, recorded) is None and measure_realism(swerving, {}) is None
+    same = measure_realism(recorded, recorded)
     assert same is not None and same.worst.realism == 1.0 and same.mean == 1.0
 
 
-def faults(track: Floats, *others: Floats, road_map: RoadMap | None = None) -> TrackFaults:
+def faults(track: Floats, *others: Floats, road_map: RoadMap | None = None) -> StoredTrackDefects:
     tracks = scene(ego(3.0), track, *others)
-    return faults_of(tracks, 0, slice(None), road_map)
+    return find_track_defects(tracks, 0, slice(None), road_map)
 
 
 def test_a_car_that_drives_has_no_faults() -> None:
     road = straight_road()
     own = along(40.0, 198.25, 6.0)
     found = faults(own, along(80.0, 198.25, 6.0), road_map=road)
-    assert found == TrackFaults.model_validate(dict.fromkeys(FAULT_NAMES, False))
+    assert found == StoredTrackDefects.model_validate(dict.fromkeys(TRACK_DEFECT_NAMES, False))
     assert faults(own).unknown == {"off_road": NO_MAP, "against_traffic": NO_MAP}
 
 
@@ -128,7 +135,7 @@ def test_each_fault_is_found() -> None:
     assert faults(wrong_way, road_map=road).against_traffic
     jumping = own.copy()
     jumping[50:, 0] += 2.0
-    assert faults(jumping).teleport and teleports(SECONDS, jumping).sum() == 1
+    assert faults(jumping).teleport and find_teleports(SECONDS, jumping).sum() == 1
     spinning = own.copy()
     spinning[50:, 4] += 0.6
     assert faults(spinning).teleport
@@ -138,10 +145,10 @@ def test_frames_at_which_it_is_not_there_do_not_count() -> None:
     jumping = along(40.0, 198.25, 6.0)
     jumping[:20, 0] = jumping[20, 0]
     tracks = scene(ego(3.0), jumping)
-    assert faults_of(tracks, 0, slice(None)).beyond_limits
+    assert find_track_defects(tracks, 0, slice(None)).beyond_limits
     late = tracks.valid.copy()
     late[0, :20] = False
-    assert not faults_of(replace(tracks, valid=late), 0, slice(None)).beyond_limits
+    assert not find_track_defects(replace(tracks, valid=late), 0, slice(None)).beyond_limits
 
 
 def ctg_scene(angle: float = 0.0, noise: float = 0.0) -> SceneTracks:
@@ -154,15 +161,15 @@ def ctg_scene(angle: float = 0.0, noise: float = 0.0) -> SceneTracks:
     return SceneTracks(place, cars[..., 4] + angle)
 
 
-@pytest.mark.parametrize("version", Version)
-def test_the_literatures_deviation_changes_when_the_map_is_turned(version: Version) -> None:
-    settings = (version, Normalisation.SCENE, Mask.NONE)
-    recorded = histograms([ctg_scene()], *settings)
-    assert deviations(recorded, recorded)["mean_real_dev"] == 0.0
-    turned = deviations(histograms([ctg_scene(0.8)], *settings), recorded)
+@pytest.mark.parametrize("version", CtgVersion)
+def test_the_literatures_deviation_changes_when_the_map_is_turned(version: CtgVersion) -> None:
+    settings = (version, CtgNormalisation.SCENE, CtgMask.NONE)
+    recorded = compute_histograms([ctg_scene()], *settings)
+    assert compute_deviations(recorded, recorded)["mean_real_dev"] == 0.0
+    turned = compute_deviations(compute_histograms([ctg_scene(0.8)], *settings), recorded)
     assert turned["mean_real_dev"] > 0.001
-    if version is Version.CTG:
-        noisy = deviations(histograms([ctg_scene(noise=0.05)], *settings), recorded)
+    if version is CtgVersion.CTG:
+        noisy = compute_deviations(compute_histograms([ctg_scene(noise=0.05)], *settings), recorded)
         assert noisy["mean_real_dev_int"] > turned["mean_real_dev_int"]
     else:
         assert "mean_real_dev_int" not in turned
@@ -172,16 +179,20 @@ def test_agents_that_appear_late_or_stand_do_not_count() -> None:
     whole = ctg_scene()
     late = SceneTracks(whole.position.copy(), whole.yaw.copy())
     late.position[0, :8], late.yaw[0, :8] = np.nan, np.nan
-    settings = (Version.CTG, Normalisation.DATASET, Mask.CURRENT_SPEED)
+    settings = (CtgVersion.CTG, CtgNormalisation.DATASET, CtgMask.CURRENT_SPEED)
     without = SceneTracks(whole.position[1:], whole.yaw[1:])
-    assert histograms([late], *settings)["jerk"] == pytest.approx(histograms([without], *settings)["jerk"])
+    assert compute_histograms([late], *settings)["jerk"] == pytest.approx(
+        compute_histograms([without], *settings)["jerk"]
+    )
     standing = SceneTracks(np.repeat(whole.position[:, :1], 101, axis=1), whole.yaw)
-    assert histograms([standing], *settings)["velocity"].sum() == 0.0
+    assert compute_histograms([standing], *settings)["velocity"].sum() == 0.0
 
 
 def test_nobody_gives_no_runs() -> None:
-    empty = Tracks(SECONDS, ego(3.0), np.empty((0, len(SECONDS), 5)), np.zeros((0, len(SECONDS)), np.bool_), ())
-    assert recorded_runs(empty, KEYFRAMES, "vehicle.car") == []
+    empty = ContinuousTracks(
+        SECONDS, ego(3.0), np.empty((0, len(SECONDS), 5)), np.zeros((0, len(SECONDS)), np.bool_), ()
+    )
+    assert extract_recorded_runs(empty, KEYFRAMES, "vehicle.car") == []
 
 
 def test_how_far_a_body_reaches_over_the_edge_of_the_road() -> None:
@@ -190,5 +201,7 @@ def test_how_far_a_body_reaches_over_the_edge_of_the_road() -> None:
     boxes = np.array([[0.0, 0.0, 4.0, 2.0, 0.0], [49.0, 20.0, 4.0, 2.0, 0.0], [90.0, 0.0, 4.0, 2.0, 0.0],
                       [0.0, 0.0, 4.0, 2.0, np.pi / 2], [9.0, 0.0, 4.0, 2.0, 0.0]])  # fmt: skip
     # 8 m to the island, 1 m over, far outside, 9 m to the island, 1 m inside the island's hole.
-    assert edge.beyond(boxes) == pytest.approx([-8.0, 1.0, 5.0, -9.0, 1.0])
-    assert RoadEdge(shapely.MultiPolygon([shapely.box(-99, -99, 99, 99)])).beyond(boxes[:1]) == pytest.approx([-20.0])
+    assert edge.measure_overhang(boxes) == pytest.approx([-8.0, 1.0, 5.0, -9.0, 1.0])
+    assert RoadEdge(shapely.MultiPolygon([shapely.box(-99, -99, 99, 99)])).measure_overhang(boxes[:1]) == pytest.approx(
+        [-20.0]
+    )

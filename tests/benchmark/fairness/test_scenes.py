@@ -6,30 +6,36 @@ import numpy as np
 import pytest
 import shapely
 
-from benchmark.fairness.scenes import Blame, TracksAtHand, judge_scene
+from benchmark.fairness.scenes import AdversaryProvenance, SceneFaultAttribution, assess_scene
 from benchmark.fairness.validity import NO_MAP, NO_TRACK
 from benchmark.interactions.contacts import ContactKind
-from benchmark.records.judgement import DRIVER_NAMES, FAULT_NAMES, JudgementSummary, SceneJudgement, unsolvable
+from benchmark.records.judgement import (
+    DRIVER_NAMES,
+    TRACK_DEFECT_NAMES,
+    AssessmentSummary,
+    SceneAssessment,
+    is_unsolvable,
+)
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
 from tests.benchmark.fairness.made_scenes import LANE_Y, RIGHT_Y, driven, far_cut_in, hard_stop
 from tests.hand_made import Car, scene_on_straight_road
 
-GENERATED = TracksAtHand(generated=True)
+GENERATED = AdversaryProvenance(generated=True)
 
 
-def judged(scene: Scene, known: TracksAtHand = GENERATED) -> SceneJudgement:
-    (found,) = judge_scene(scene, known)
+def judged(scene: Scene, known: AdversaryProvenance = GENERATED) -> SceneAssessment:
+    (found,) = assess_scene(scene, known)
     return found
 
 
-def survivors(judgement: SceneJudgement) -> set[str]:
+def survivors(judgement: SceneAssessment) -> set[str]:
     return {name for name, run in judgement.drivers.items() if run.survives}
 
 
 def test_nobody_survives_a_leader_5_m_ahead_that_brakes_at_9_m_s2_to_a_stand() -> None:
     found = judged(hard_stop())
-    assert survivors(found) == set() and found.unsolvable and unsolvable([found])
+    assert survivors(found) == set() and found.unsolvable and is_unsolvable([found])
     # A swerve at once would do, but nobody can react at once.
     assert found.chance == "until" and found.margin_s is not None and found.margin_s < 0.0
     assert found.first_visible_s == 0.0
@@ -57,7 +63,7 @@ def test_everybody_survives_one_that_cuts_in_40_m_ahead_and_keeps_the_speed(spee
 def test_what_is_judged_is_the_same_every_time_and_rounded() -> None:
     first, again = judged(hard_stop()), judged(hard_stop())
     assert first.model_dump_json() == again.model_dump_json()
-    assert SceneJudgement.model_validate_json(first.model_dump_json()) == first
+    assert SceneAssessment.model_validate_json(first.model_dump_json()) == first
     # As a process sends it, and as a file has it.
     assert first.model_dump(mode="json", exclude_unset=True) == first.model_dump(mode="json")
 
@@ -67,14 +73,14 @@ def test_each_of_several_adversaries_has_a_judgement() -> None:
     time = np.minimum(scene.seconds, 8.0 / 2.0)
     scene = driven(scene, 0, 40.0 + 8.0 * time - 1.0 * time**2, np.full(len(scene.seconds), LANE_Y))
     scene = driven(scene, 1, 52.0 + 8.0 * scene.seconds, np.full(len(scene.seconds), RIGHT_Y))
-    first, second = judge_scene(scene, GENERATED)
+    first, second = assess_scene(scene, GENERATED)
     assert first.encounter is not None and second.encounter is not None and second.encounter.contact is None
     assert (first.adversary, second.adversary) == scene.adversaries
     hit = first.drivers["constant"].contact, second.drivers["constant"].contact
     assert hit[0] is not None and hit[1] is not None
     assert (hit[0].party, hit[1].party) == ("adversary", "another_adversary")
     assert survivors(first) == survivors(second) and first.last_chance_s == second.last_chance_s is not None
-    summary = JudgementSummary.of([first, second])
+    summary = AssessmentSummary.of([first, second])
     assert not summary.unsolvable and not summary.survives["constant"] and summary.contact == first.encounter.contact
 
 
@@ -82,7 +88,7 @@ def test_without_an_adversary_only_the_drivers_are_judged() -> None:
     found = judged(scene_on_straight_road(seconds=4.0))
     assert (found.adversary, found.unsolvable, found.encounter, found.faults) == (None, None, None, None)
     assert found.first_visible_s is None and found.drivers["recorded"].survives
-    assert JudgementSummary.of([found]).unsolvable is None and not unsolvable([found])
+    assert AssessmentSummary.of([found]).unsolvable is None and not is_unsolvable([found])
 
 
 def test_an_adversary_that_is_not_in_the_scene_is_none() -> None:
@@ -90,25 +96,25 @@ def test_an_adversary_that_is_not_in_the_scene_is_none() -> None:
 
 
 def test_a_scene_of_one_frame_is_not_judged() -> None:
-    assert judge_scene(far_cut_in().first_frames(1), GENERATED) == ()
+    assert assess_scene(far_cut_in().first_frames(1), GENERATED) == ()
 
 
 def test_limits_and_jumps_are_not_asked_of_what_a_reader_interpolates() -> None:
     scene = far_cut_in()
-    generated, annotated = judged(scene), judged(scene, TracksAtHand(generated=False))
+    generated, annotated = judged(scene), judged(scene, AdversaryProvenance(generated=False))
     assert generated.faults is not None and annotated.faults is not None
     assert (generated.tracks, generated.faults.unknown) == ("generated", {})
     # The made-up car turns its heading at once.
     assert generated.faults.found == ("beyond_limits",)
     assert annotated.faults.unknown == {"beyond_limits": NO_TRACK, "teleport": NO_TRACK}
-    assert {name for name in FAULT_NAMES if getattr(annotated.faults, name) is False} == {
+    assert {name for name in TRACK_DEFECT_NAMES if getattr(annotated.faults, name) is False} == {
         "off_road", "contact", "against_traffic", "hovering",
     }  # fmt: skip
 
 
 def test_only_the_adversarial_stretch_counts() -> None:
     scene = far_cut_in()
-    late = TracksAtHand(generated=True, launches={scene.adversaries[0]: 72})
+    late = AdversaryProvenance(generated=True, launches={scene.adversaries[0]: 72})
     found = judged(scene, late).faults
     assert found is not None and found.found == ()
 
@@ -120,8 +126,8 @@ def test_what_happens_before_the_adversary_acts_is_nobodys_verdict() -> None:
     aside = LANE_Y + np.clip((scene.seconds - 3.0) * 1.75, 0.0, 3.5)
     scene = replace(driven(scene, 0, 36.0 + 10.0 * scene.seconds, aside), adversaries=(scene.agents.ids[2],))
 
-    def launched(frame: int) -> SceneJudgement:
-        return judged(scene, TracksAtHand(generated=True, launches={scene.adversaries[0]: frame}))
+    def launched(frame: int) -> SceneAssessment:
+        return judged(scene, AdversaryProvenance(generated=True, launches={scene.adversaries[0]: frame}))
 
     early, late = launched(12), launched(72)
     assert (early.acts_s, late.acts_s) == (1.0, 6.0) and survivors(late) == set(DRIVER_NAMES)
@@ -141,7 +147,7 @@ def test_drivers_take_over_when_the_first_of_several_adversaries_acts() -> None:
     first, second = scene.agents.ids
     scene = replace(scene, adversaries=(first, second))
     for launches, acts in (({first: 24, second: 12}, 1.0), ({first: 24}, None)):
-        found = judge_scene(scene, TracksAtHand(generated=True, launches=launches))
+        found = assess_scene(scene, AdversaryProvenance(generated=True, launches=launches))
         assert [each.acts_s for each in found] == [acts, acts]
 
 
@@ -156,8 +162,8 @@ def test_a_lateral_contact_is_the_egos_fault_in_several_lanes_alone() -> None:
     scene = scene_on_straight_road(seconds=4.0)
     inside, between = np.array([60.0, LANE_Y, 4.084, 1.73, 0.0]), np.array([60.0, 196.5, 4.084, 1.73, 0.0])
     outside = np.array([60.0, 192.5, 4.084, 1.73, 0.0])
-    blame = Blame(scene)
+    blame = SceneFaultAttribution(scene)
     assert [blame.at_fault(ContactKind.LATERAL, box) for box in (inside, between, outside)] == [False, True, True]
     assert blame.at_fault(ContactKind.FRONT, inside) and not blame.at_fault(ContactKind.REAR, between)
-    nowhere = Blame(replace(scene, road_map=RoadMap("nowhere", shapely.MultiPolygon())))
+    nowhere = SceneFaultAttribution(replace(scene, road_map=RoadMap("nowhere", shapely.MultiPolygon())))
     assert nowhere.at_fault(ContactKind.LATERAL, inside) is None and nowhere.at_fault(ContactKind.FRONT, inside)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_LENGTH_M
 from benchmark.geometry import Floats, to_global
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.tracks import ContinuousTracks
 
 CAR = (4.6, 1.9)
 SECONDS = np.arange(97) / 12.0
@@ -31,11 +31,11 @@ def ego(speed: float, seconds: Floats = SECONDS) -> Floats:
     return boxes(speed * seconds, np.zeros(len(seconds)), (EGO_LENGTH_M, EGO_BODY_WIDTH_M), 0.0)
 
 
-def scene(own: Floats, *others: Floats, categories: tuple[str, ...] = ()) -> Tracks:
+def scene(own: Floats, *others: Floats, categories: tuple[str, ...] = ()) -> ContinuousTracks:
     """Tracks of an ego and others who are always there, cars unless said otherwise."""
     agents = np.array(others) if others else np.empty((0, len(SECONDS), 5))
     valid = np.ones(agents.shape[:2], np.bool_)
-    return Tracks(SECONDS, own, agents, valid, categories or ("vehicle.car",) * len(others))
+    return ContinuousTracks(SECONDS, own, agents, valid, categories or ("vehicle.car",) * len(others))
 
 
 def shifting(start_x: float, speed: float, y: float, when: float, side_speed: float, to: float = 0.0) -> Floats:
@@ -44,17 +44,17 @@ def shifting(start_x: float, speed: float, y: float, when: float, side_speed: fl
     return boxes(start_x + speed * SECONDS, y + np.sign(to - y) * sideways)
 
 
-def turned(tracks: Tracks, angle: float, shift: tuple[float, float]) -> Tracks:
+def turned(tracks: ContinuousTracks, angle: float, shift: tuple[float, float]) -> ContinuousTracks:
     """The same scene elsewhere."""
 
     def move(old: Floats) -> Floats:
         place = to_global(old[..., :2], np.array([*shift, angle]))
         return np.concatenate([place, old[..., 2:4], old[..., 4:] + angle], axis=-1)
 
-    return Tracks(tracks.seconds, move(tracks.ego), move(tracks.agents), tracks.valid, tracks.categories)
+    return ContinuousTracks(tracks.seconds, move(tracks.ego), move(tracks.agents), tracks.valid, tracks.categories)
 
 
-def made_scene(number: int) -> tuple[Tracks, NDArray[np.int64]]:
+def made_scene(number: int) -> tuple[ContinuousTracks, NDArray[np.int64]]:
     """A made-up drive along a bend with traffic, 12 Hz, and its keyframes."""
     rng = np.random.default_rng(number)
     seconds = np.round(np.arange(181) / 12.0, 6)
@@ -84,7 +84,7 @@ def made_scene(number: int) -> tuple[Tracks, NDArray[np.int64]]:
     valid = np.ones((len(agents), len(seconds)), np.bool_)
     valid[2, :24] = valid[1, 150:] = False
     names = ("vehicle.car", "vehicle.car", "vehicle.car", "vehicle.truck", "vehicle.car", "human.pedestrian.adult")
-    return Tracks(seconds, np.round(own, 6), np.round(agents, 6), valid, names), keyframes
+    return ContinuousTracks(seconds, np.round(own, 6), np.round(agents, 6), valid, names), keyframes
 
 
 def along_bend(

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from benchmark.geometry import Floats, box_corners, boxes_overlap
 from benchmark.interactions.contacts import (
     ContactKind,
-    Pairs,
-    at_fault,
-    delta_v,
-    fatal_probability,
+    ContactPairs,
+    compute_delta_v,
+    compute_fatal_probability,
+    compute_time_to_contact,
+    is_at_fault,
     mass_kg,
-    time_to_contact,
 )
-from benchmark.interactions.driving import visible
+from benchmark.interactions.driving import find_visible
 from benchmark.interactions.ego_path import EgoPath
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.tracks import ContinuousTracks
 from tests.benchmark.interactions.made import SECONDS, along, boxes, ego, scene
 
 numbers = st.floats(-20.0, 20.0)
@@ -37,7 +37,7 @@ def test_the_time_to_contact_is_when_small_steps_first_touch(
     place: tuple[float, ...], first: tuple[float, float], second: tuple[float, float]
 ) -> None:
     one, other = np.array([0.0, 0.0, 4.0, 1.8, 0.3]), np.array([place[0], place[1], 4.6, 1.9, place[2]])
-    found = float(time_to_contact(one, np.array(first), other, np.array(second)))
+    found = float(compute_time_to_contact(one, np.array(first), other, np.array(second)))
     times = np.arange(0.0, 6.0, 0.01)
     mine, theirs = np.repeat(one[None], len(times), axis=0), np.repeat(other[None], len(times), axis=0)
     mine[:, :2] += times[:, None] * np.array(first)
@@ -53,7 +53,7 @@ def test_the_time_to_contact_is_when_small_steps_first_touch(
 
 def test_a_head_on_impact_by_hand() -> None:
     """10 m/s against 8 m/s, car against car: the difference is 18, of which the ego takes 1800 / 3400."""
-    pair = Pairs(
+    pair = ContactPairs(
         ego=np.array([[0.0, 0.0, 4.084, 1.73, 0.0]]),
         ego_speed=np.array([10.0]),
         other=np.array([[4.0, 0.0, 4.6, 1.9, np.pi]]),
@@ -61,10 +61,10 @@ def test_a_head_on_impact_by_hand() -> None:
         is_agent=np.array([True]),
     )
     assert pair.impact_speed[0] == pytest.approx(18.0) and pair.gap[0] == 0.0
-    own, others = delta_v(pair.impact_speed, np.array([mass_kg("vehicle.car")]))
+    own, others = compute_delta_v(pair.impact_speed, np.array([mass_kg("vehicle.car")]))
     assert own[0] == pytest.approx(18.0 * 1800 / 3400) and own[0] + others[0] == pytest.approx(18.0)
-    assert fatal_probability(own)[0] == pytest.approx((own[0] / 31.74) ** 4)
-    assert fatal_probability(np.array([40.0]))[0] == 1.0
+    assert compute_fatal_probability(own)[0] == pytest.approx((own[0] / 31.74) ** 4)
+    assert compute_fatal_probability(np.array([40.0]))[0] == 1.0
     assert pair.delta_v_nuplan[0] == pytest.approx(9.0)
 
 
@@ -82,7 +82,7 @@ def test_a_head_on_impact_by_hand() -> None:
 def test_kinds_of_contact(x: float, y: float, speed: float, velocity: float, agent: bool, kind: ContactKind) -> None:
     from benchmark.interactions.contacts import KINDS
 
-    pair = Pairs(
+    pair = ContactPairs(
         np.array([[0.0, 0.0, 4.084, 1.73, 0.0]]),
         np.array([speed]),
         np.array([[x, y, 4.6, 1.9, 0.0]]),
@@ -93,8 +93,8 @@ def test_kinds_of_contact(x: float, y: float, speed: float, velocity: float, age
 
 
 def test_who_is_to_blame() -> None:
-    assert [at_fault(kind, False) for kind in ContactKind] == [False, True, True, False, False]
-    assert [at_fault(kind, True) for kind in ContactKind] == [False, True, True, False, True]
+    assert [is_at_fault(kind, False) for kind in ContactKind] == [False, True, True, False, False]
+    assert [is_at_fault(kind, True) for kind in ContactKind] == [False, True, True, False, True]
 
 
 def test_masses() -> None:
@@ -107,15 +107,15 @@ def test_one_sees_past_a_car_but_not_through_it() -> None:
     everybody = np.array([[20.0, 0.0, 4.6, 1.9, 0.0], [10.0, 0.0, 4.6, 1.9, 0.0], [10.0, 6.0, 4.6, 1.9, 0.0]])
     present, hides = np.ones(3, np.bool_), np.array([True, True, False])
     target = np.array([0])
-    assert not visible(eye, target, everybody, present, hides)[0]
-    assert visible(eye, target, everybody, np.array([True, False, True]), hides)[0]
-    assert visible(eye, target, everybody, present, np.array([True, False, False]))[0]
+    assert not find_visible(eye, target, everybody, present, hides)[0]
+    assert find_visible(eye, target, everybody, np.array([True, False, True]), hides)[0]
+    assert find_visible(eye, target, everybody, present, np.array([True, False, False]))[0]
     half = everybody.copy()
     half[1, 1] = 1.2
-    assert visible(eye, target, half, present, hides)[0], "a corner is free"
+    assert find_visible(eye, target, half, present, hides)[0], "a corner is free"
     far = everybody.copy()
     far[0, 0], far[1, 0] = 80.5, 200.0
-    assert not visible(eye, target, far, present, hides)[0]
+    assert not find_visible(eye, target, far, present, hides)[0]
 
 
 def test_velocities_look_at_the_past_only_and_inside_a_run() -> None:
@@ -123,17 +123,17 @@ def test_velocities_look_at_the_past_only_and_inside_a_run() -> None:
     x = np.where(seconds < 0.5, 0.0, 10.0 * (seconds - 0.5))
     track = boxes(x, 0.0 * x, yaw=0.0)
     valid = np.ones((1, 13), np.bool_)
-    tracks = Tracks(seconds, boxes(0.0 * x, 0.0 * x, yaw=0.0), track[None], valid, ("vehicle.car",))
+    tracks = ContinuousTracks(seconds, boxes(0.0 * x, 0.0 * x, yaw=0.0), track[None], valid, ("vehicle.car",))
     assert tracks.velocities_at(np.array([0.5]))[0, 0, 0] == 0.0
     assert tracks.velocities_at(np.array([0.6]))[0, 0, 0] == pytest.approx(5.0)
     assert tracks.velocities_at(np.array([1.0]))[0, 0, 0] == pytest.approx(10.0)
     late = valid.copy()
     late[0, :9] = False
-    appeared = Tracks(seconds, tracks.ego, track[None], late, ("vehicle.car",))
+    appeared = ContinuousTracks(seconds, tracks.ego, track[None], late, ("vehicle.car",))
     assert appeared.velocities_at(np.array([9 / 12]))[0, 0, 0] == pytest.approx(10.0), "forward at its first frame"
     only = np.zeros((1, 13), np.bool_)
     only[0, 9] = True
-    alone = Tracks(seconds, tracks.ego, track[None], only, ("vehicle.car",))
+    alone = ContinuousTracks(seconds, tracks.ego, track[None], only, ("vehicle.car",))
     assert alone.velocities_at(np.array([9 / 12]))[0, 0].tolist() == [0.0, 0.0]
 
 
@@ -141,7 +141,7 @@ def test_an_agent_between_two_frames_is_there_if_it_is_there_at_both() -> None:
     track = along(0.0, 5.0, 6.0)
     valid = np.ones((1, len(SECONDS)), np.bool_)
     valid[0, 10:] = False
-    tracks = Tracks(SECONDS, ego(5.0), track[None], valid, ("vehicle.car",))
+    tracks = ContinuousTracks(SECONDS, ego(5.0), track[None], valid, ("vehicle.car",))
     times = np.array([8.5, 9.0, 9.5, 10.0]) / 12
     assert tracks.present_at(times).tolist() == [[True, True, False, False]]
 

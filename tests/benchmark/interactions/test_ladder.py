@@ -6,26 +6,26 @@ import shapely
 
 from benchmark.constants import EGO_LENGTH_M
 from benchmark.interactions.contacts import ContactKind
-from benchmark.interactions.driving import LADDER, Rung, Situation, drive
-from benchmark.interactions.last_chance import Base
-from benchmark.interactions.outcomes import Outcome, Surroundings
+from benchmark.interactions.driving import REFERENCE_DRIVER_KINDS, DrivingSituation, ReferenceDriver, simulate_drivers
+from benchmark.interactions.last_chance import BaselineEgo
+from benchmark.interactions.outcomes import CollisionChecker, DriverOutcome
 from benchmark.interactions.reaction import Driver
-from benchmark.interactions.solvability import SceneLadder
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.solvability import SceneReferenceDrivers
+from benchmark.interactions.tracks import ContinuousTracks
 from tests.benchmark.interactions.made import CAR, along, boxes, ego, scene, shifting, turned
 
 GAP_M = 0.5 * (EGO_LENGTH_M + CAR[0])
 """Between centres of the ego and a car that touches its bumper."""
 
 
-def outcomes(tracks: Tracks, *rungs: Rung) -> list[Outcome]:
-    situation = Situation.of(tracks, adversary=0)
-    return [Surroundings.of(situation).outcome(motion) for motion in drive(situation, rungs)]
+def outcomes(tracks: ContinuousTracks, *rungs: ReferenceDriver) -> list[DriverOutcome]:
+    situation = DrivingSituation.of(tracks, adversary=0)
+    return [CollisionChecker.of(situation).find_outcome(motion) for motion in simulate_drivers(situation, rungs)]
 
 
-def survivors(tracks: Tracks) -> set[Driver]:
-    ladder = SceneLadder.of(tracks, 0)
-    return {driver for driver in LADDER if ladder.survives(driver)}
+def survivors(tracks: ContinuousTracks) -> set[Driver]:
+    ladder = SceneReferenceDrivers.of(tracks, 0)
+    return {driver for driver in REFERENCE_DRIVER_KINDS if ladder.survives(driver)}
 
 
 HARD_STOP = scene(ego(25.0), along(GAP_M + 5.0, 0.0, 25.0, brakes=9.0))
@@ -36,33 +36,33 @@ CUT_IN_AHEAD = scene(ego(12.0), shifting(40.0 + GAP_M, 12.0, 3.5, 1.0, 1.2))
 def test_nobody_survives_a_leader_that_stops_hard_close_ahead(place: tuple[float, tuple[float, float]]) -> None:
     tracks = turned(HARD_STOP, *place)
     assert survivors(tracks) == set()
-    ladder = SceneLadder.of(tracks, 0)
+    ladder = SceneReferenceDrivers.of(tracks, 0)
     assert ladder.first_visible == 0.0 and ladder.unsolvable
-    assert {ladder.outcomes[driver].contact.kind for driver in LADDER} <= {  # type: ignore[union-attr]
+    assert {ladder.outcomes[driver].contact.kind for driver in REFERENCE_DRIVER_KINDS} <= {  # type: ignore[union-attr]
         ContactKind.FRONT,
         ContactKind.STOPPED_TRACK,
     }
 
 
 def test_everybody_survives_one_that_cuts_in_far_ahead_at_the_same_speed() -> None:
-    assert survivors(CUT_IN_AHEAD) == set(LADDER)
-    ladder = SceneLadder.of(CUT_IN_AHEAD, 0)
+    assert survivors(CUT_IN_AHEAD) == set(REFERENCE_DRIVER_KINDS)
+    ladder = SceneReferenceDrivers.of(CUT_IN_AHEAD, 0)
     assert not ladder.unsolvable and ladder.last_chance.contact is None and ladder.margin_s is None
 
 
 def test_what_runs_into_a_standing_or_slow_car_from_behind_is_nobodys_to_avoid() -> None:
     tracks = scene(ego(6.0), along(-25.0, 0.3, 13.0))
-    found = outcomes(tracks, *map(Rung, LADDER))
+    found = outcomes(tracks, *map(ReferenceDriver, REFERENCE_DRIVER_KINDS))
     assert all(outcome.contact and outcome.contact.kind is ContactKind.REAR for outcome in found)
     assert all(outcome.reacted is None for outcome in found)
-    ladder = SceneLadder.of(tracks, 0)
+    ladder = SceneReferenceDrivers.of(tracks, 0)
     assert ladder.last_chance.time is None and not ladder.last_chance.unsolvable and not ladder.unsolvable
 
 
 def test_the_careful_human_reacts_two_seconds_from_contact_and_then_takes_0_8_s() -> None:
     """A car that stands 60 m ahead: at 10 m/s contact is 2 s away when 20 m are left."""
     standing = boxes(np.full(97, 60.0 + GAP_M), np.zeros(97), yaw=0.0)
-    (careful,) = outcomes(scene(ego(10.0), standing), Rung(Driver.CC))
+    (careful,) = outcomes(scene(ego(10.0), standing), ReferenceDriver(Driver.CC))
     assert careful.survives and careful.reacted == pytest.approx(4.0)
     first = int(np.argmax(careful.unsafe))
     # 0.8 s of coasting at 0.4 m/s^2, then braking that rises from 1.665 m/s^2.
@@ -78,7 +78,9 @@ def test_constant_speed_does_not_brake_as_the_recording_did() -> None:
     own[:, 0] = np.where(seconds < 2.0, 8.0 * seconds, 16.0 + 8.0 * (seconds - 2.0) - 1.0 * (seconds - 2.0) ** 2)
     own[seconds > 6.0, 0] = 32.0
     leader = boxes(np.full(97, 36.0 + GAP_M), np.zeros(97), yaw=0.0)
-    recorded, constant = outcomes(scene(own, leader), Rung(Driver.RECORDED), Rung(Driver.CONSTANT))
+    recorded, constant = outcomes(
+        scene(own, leader), ReferenceDriver(Driver.RECORDED), ReferenceDriver(Driver.CONSTANT)
+    )
     assert recorded.survives and not recorded.beyond_end
     assert constant.contact is not None and constant.contact.kind is ContactKind.STOPPED_TRACK
     assert constant.contact.time == pytest.approx(4.5, abs=0.021) and constant.beyond_end
@@ -90,16 +92,16 @@ def test_what_nobody_sees_makes_nobody_react() -> None:
     truck = boxes(np.full(97, 20.0), np.full(97, 0.0), (8.0, 3.0), 0.0)
     both = scene(ego(8.0), hidden, truck, categories=("vehicle.car", "vehicle.truck"))
     alone = scene(ego(8.0), hidden)
-    assert SceneLadder.of(alone, 0).first_visible == 0.0
-    ladder = SceneLadder.of(both, 0)
+    assert SceneReferenceDrivers.of(alone, 0).first_visible == 0.0
+    ladder = SceneReferenceDrivers.of(both, 0)
     assert ladder.first_visible is None or ladder.first_visible > 1.0
-    (only_adversary,) = outcomes(both, Rung(Driver.CC, adversary_only=True))
+    (only_adversary,) = outcomes(both, ReferenceDriver(Driver.CC, adversary_only=True))
     assert only_adversary.reacted is None and only_adversary.contact is not None and only_adversary.contact.agent == 1
 
 
 def test_whom_the_ego_touches_at_the_start_is_ignored_for_good() -> None:
     inside = boxes(np.full(97, 2.0), np.full(97, 0.5), yaw=0.0)
-    assert survivors(scene(ego(5.0), inside)) == set(LADDER)
+    assert survivors(scene(ego(5.0), inside)) == set(REFERENCE_DRIVER_KINDS)
 
 
 def test_all_drivers_together_do_what_each_does_alone() -> None:
@@ -109,15 +111,15 @@ def test_all_drivers_together_do_what_each_does_alone() -> None:
         along(-30.0, -3.5, 14.0),
         along(60.0, 3.5, 5.0),
     )
-    together = outcomes(tracks, *map(Rung, LADDER))
-    for driver, outcome in zip(LADDER, together):
-        (alone,) = outcomes(tracks, Rung(driver))
+    together = outcomes(tracks, *map(ReferenceDriver, REFERENCE_DRIVER_KINDS))
+    for driver, outcome in zip(REFERENCE_DRIVER_KINDS, together):
+        (alone,) = outcomes(tracks, ReferenceDriver(driver))
         assert np.array_equal(alone.motion.speed, outcome.motion.speed)
         assert (alone.contact is None) == (outcome.contact is None)
 
 
 def test_the_last_chance_is_found_by_bisection_as_by_looking_at_every_moment() -> None:
-    base = Base(Situation.of(scene(ego(12.0), shifting(22.0, 7.0, 3.5, 1.0, 1.2))))
+    base = BaselineEgo(DrivingSituation.of(scene(ego(12.0), shifting(22.0, 7.0, 3.5, 1.0, 1.2))))
     chance = base.last_chance()
     assert chance.contact is not None and chance.time is not None
     moments = 0.1 * np.arange(int(np.ceil(chance.contact.time / 0.1)))
@@ -126,21 +128,21 @@ def test_the_last_chance_is_found_by_bisection_as_by_looking_at_every_moment() -
 
 
 def test_a_narrow_road_leaves_less_time_than_an_open_field() -> None:
-    situation = Situation.of(scene(ego(12.0), shifting(22.0, 7.0, 3.5, 1.0, 1.2)))
+    situation = DrivingSituation.of(scene(ego(12.0), shifting(22.0, 7.0, 3.5, 1.0, 1.2)))
     lane = shapely.MultiPolygon([shapely.box(-50.0, -1.75, 400.0, 5.25)])
-    field, road = Base(situation).last_chance(), Base(situation, drivable=lane).last_chance()
+    field, road = BaselineEgo(situation).last_chance(), BaselineEgo(situation, drivable=lane).last_chance()
     assert field.time is not None and road.time is not None and road.time <= field.time
     wall = shapely.MultiPolygon([shapely.box(-50.0, -1.0, 400.0, 1.0)])
-    swerving = Base(situation, drivable=wall).try_from(1.0).succeeds
+    swerving = BaselineEgo(situation, drivable=wall).try_from(1.0).succeeds
     # Only manoeuvres that stay on the path (every fifth) are left.
     assert not swerving.reshape(5, 5)[:, 1:].any()
 
 
 def test_a_base_must_be_recorded_or_constant() -> None:
     with pytest.raises(ValueError, match="cc is no base"):
-        Base(Situation.of(CUT_IN_AHEAD), Driver.CC)
+        BaselineEgo(DrivingSituation.of(CUT_IN_AHEAD), Driver.CC)
 
 
 def test_a_scene_without_anybody_is_survived_by_all() -> None:
-    found = outcomes(scene(ego(9.0)), *map(Rung, LADDER))
+    found = outcomes(scene(ego(9.0)), *map(ReferenceDriver, REFERENCE_DRIVER_KINDS))
     assert all(outcome.survives for outcome in found)

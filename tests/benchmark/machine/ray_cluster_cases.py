@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.errors import InputError
 from benchmark.machine import ray_cluster
-from benchmark.machine.progress import Count
+from benchmark.machine.progress import CountedUnits
 from benchmark.machine.ray_cluster import Item, RayCluster, Result
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.runs.driving import DriveSettings, drive_split
@@ -20,7 +20,7 @@ from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
 from generation.search.definition import PackagedPrior
 from generation.search.hyperparameters import HyperParameters
-from generation.sources.town import town_scene
+from generation.sources.town import build_town_scene
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.machine import units_of_work
@@ -141,7 +141,7 @@ class LosesANode:
         *,
         total: int,
         label: str,
-        count: Count | None = None,
+        count: CountedUnits | None = None,
     ) -> Iterator[Result]:
         dies = label == self.stage and not self.lost
         node = self.cluster.add_node(num_cpus=1, object_store_memory=80 * 2**20) if dies else None
@@ -163,7 +163,7 @@ def test_a_build_that_loses_a_node_has_the_bytes_of_local_processes(
     cluster: Any, executor: RayCluster, tmp_path: Path
 ) -> None:
     """Town, the packaged denoiser and the writer, from a recorded scene to files."""
-    source = write_source(tmp_path / "town", town_scene("val", 0))
+    source = write_source(tmp_path / "town", build_town_scene("val", 0))
     settings = BuildSettings(
         out=tmp_path / "here",
         hyper=HyperParameters(candidates=64, multi_round=False, candidate_limit=16),
@@ -182,6 +182,6 @@ def test_a_build_that_loses_a_node_has_the_bytes_of_local_processes(
 
 def test_drives_on_a_cluster_are_the_same_bytes(executor: RayCluster, tmp_path: Path) -> None:
     for name, where in (("here", LocalProcesses(1)), ("cluster", executor)):
-        settings = DriveSettings("default", DefaultRides("idm"), "idm", executor=where)
+        settings = DriveSettings("default", DefaultBackend("idm"), "idm", executor=where)
         drive_split(town_of_two(), "val", Factory(Remembering), tmp_path / name, settings, reopen=town_of_two)
     assert bytes_below(tmp_path / "here") == bytes_below(tmp_path / "cluster")

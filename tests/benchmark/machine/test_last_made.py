@@ -1,6 +1,6 @@
 """What is remembered is what was made of the same object."""
 
-from benchmark.machine.last_made import LastMade
+from benchmark.machine.last_made import IdentityCache
 
 
 def test_it_is_made_once_for_each_object_and_value_and_the_oldest_is_forgotten() -> None:
@@ -10,7 +10,7 @@ def test_it_is_made_once_for_each_object_and_value_and_the_oldest_is_forgotten()
         made.append((source[0], number))
         return [*source, str(number)]
 
-    last = LastMade[list[str], list[str]](make, kept=2)
+    last = IdentityCache[list[str], list[str]](make, kept=2)
     first, equal = ["a"], ["a"]
     assert last(first, 1) is last(first, 1) and made == [("a", 1)]
     # Equal is not the same: what is equal now may be told apart by whoever made it.

@@ -42,9 +42,9 @@ def test_kept_pages_are_not_cleared_again() -> None:
 
 def test_pages_are_kept_for_planners_that_have_weights(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[bool] = []
-    monkeypatch.setattr(pages, "keep_pages", lambda: asked.append(True))
-    pages.keep_pages_of()
-    pages.keep_pages_of(None, None)
+    monkeypatch.setattr(pages, "disable_malloc_trim", lambda: asked.append(True))
+    pages.disable_malloc_trim_for()
+    pages.disable_malloc_trim_for(None, None)
     assert not asked
-    pages.keep_pages_of(None, "0" * 64)
+    pages.disable_malloc_trim_for(None, "0" * 64)
     assert asked == [True]

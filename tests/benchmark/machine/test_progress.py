@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.machine.progress import Count, Watch, clock_time, progress
+from benchmark.machine.progress import CountedUnits, ProgressReporter, format_duration, track_progress
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -37,7 +37,9 @@ class Terminal(io.StringIO):
         return True
 
 
-def watched(watch: Watch, clock: Clock, each_s: float, units: int, count: Count | None = None) -> Iterator[str]:
+def watched(
+    watch: ProgressReporter, clock: Clock, each_s: float, units: int, count: CountedUnits | None = None
+) -> Iterator[str]:
     """Units of work, with what was told by the end of each."""
 
     def work() -> Iterator[int]:
@@ -47,7 +49,7 @@ def watched(watch: Watch, clock: Clock, each_s: float, units: int, count: Count 
 
     stream = watch.stream
     assert isinstance(stream, io.StringIO)
-    for _ in progress(work(), total=units, label="rendering", count=count, watch=watch):
+    for _ in track_progress(work(), total=units, label="rendering", count=count, watch=watch):
         before = len(stream.getvalue())
         watch.tick()
         yield plain(stream.getvalue()[before:])
@@ -61,7 +63,7 @@ def plain(told: str) -> str:
 
 def test_a_terminal_has_one_bar_with_the_time_left_from_work_done() -> None:
     clock, stream = Clock(), Terminal()
-    lines = list(watched(Watch(stream, clock, beat=False), clock, 10.0, 3))
+    lines = list(watched(ProgressReporter(stream, clock, beat=False), clock, 10.0, 3))
     assert [line.strip() for line in lines] == [
         "rendering: 1 of 3 scenes, 0:10, about 0:20 left",
         "rendering: 2 of 3 scenes, 0:20, about 0:10 left",
@@ -73,8 +75,8 @@ def test_a_terminal_has_one_bar_with_the_time_left_from_work_done() -> None:
 def test_a_line_fits_and_says_how_far_the_work_is_however_long_its_label(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmark.machine.progress.terminal_width", lambda: 70)
     clock, stream = Clock(), Terminal()
-    watch = Watch(stream, clock, beat=False)
-    with watch.work("a label that takes more room than there is, " * 3, 3, Count()) as work:
+    watch = ProgressReporter(stream, clock, beat=False)
+    with watch.work("a label that takes more room than there is, " * 3, 3, CountedUnits()) as work:
         clock.seconds += 10.0
         work.add("scene")
         watch.tick()
@@ -85,19 +87,19 @@ def test_a_line_fits_and_says_how_far_the_work_is_however_long_its_label(monkeyp
 def test_a_terminal_without_a_cursor_has_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "dumb")
     clock, stream = Clock(), Terminal()
-    list(watched(Watch(stream, clock, beat=False), clock, 50.0, 2))
+    list(watched(ProgressReporter(stream, clock, beat=False), clock, 50.0, 2))
     assert stream.getvalue() == "rendering: 2 of 2 scenes, 1:40\n"
 
 
 def test_short_work_says_nothing() -> None:
     clock, stream = Clock(), Terminal()
-    assert list(watched(Watch(stream, clock, beat=False), clock, 0.4, 4)) == [""] * 4
+    assert list(watched(ProgressReporter(stream, clock, beat=False), clock, 0.4, 4)) == [""] * 4
     assert stream.getvalue() == ""
 
 
 def test_without_a_terminal_there_is_a_line_a_minute_over_all_work() -> None:
     clock, stream = Clock(), io.StringIO()
-    watch = Watch(stream, clock, beat=False)
+    watch = ProgressReporter(stream, clock, beat=False)
     for _ in range(3):
         list(watched(watch, clock, 25.0, 4))
     assert stream.getvalue().splitlines() == [
@@ -110,8 +112,8 @@ def test_without_a_terminal_there_is_a_line_a_minute_over_all_work() -> None:
 
 def test_what_was_there_before_makes_nothing_look_quicker() -> None:
     clock, stream = Clock(), Terminal()
-    count = Count("vehicle", before=2, total=6, kept=lambda unit: unit < 2)
-    lines = [line.strip() for line in watched(Watch(stream, clock, beat=False), clock, 10.0, 4, count)]
+    count = CountedUnits("vehicle", before=2, total=6, kept=lambda unit: unit < 2)
+    lines = [line.strip() for line in watched(ProgressReporter(stream, clock, beat=False), clock, 10.0, 4, count)]
     assert lines == [
         "rendering: 3 of 6 vehicles, 0:10",
         "rendering: 4 of 6 vehicles, 0:20",
@@ -122,24 +124,24 @@ def test_what_was_there_before_makes_nothing_look_quicker() -> None:
 
 def test_a_result_may_stand_for_several() -> None:
     clock, stream = Clock(), Terminal()
-    count = Count("sample", total=9, each=lambda unit: 1 + 2 * unit)
-    lines = [line.strip() for line in watched(Watch(stream, clock, beat=False), clock, 60.0, 3, count)]
+    count = CountedUnits("sample", total=9, each=lambda unit: 1 + 2 * unit)
+    lines = [line.strip() for line in watched(ProgressReporter(stream, clock, beat=False), clock, 60.0, 3, count)]
     assert [line.split(", ")[0] for line in lines] == [f"rendering: {done} of 9 samples" for done in (1, 4, 9)]
     assert lines[1].endswith("about 2:30 left")
 
 
 def test_work_within_work_has_no_line_of_its_own() -> None:
     clock, stream = Clock(), Terminal()
-    watch = Watch(stream, clock, beat=False)
-    with watch.work("outer", 2, Count()):
+    watch = ProgressReporter(stream, clock, beat=False)
+    with watch.work("outer", 2, CountedUnits()):
         assert all("outer: 0 of 2" in line for line in watched(watch, clock, 10.0, 2))
 
 
 def test_the_parts_of_a_unit_stand_in_brackets_and_count_for_the_time_left() -> None:
     clock, stream = Clock(), Terminal()
-    watch = Watch(stream, clock, beat=False)
-    with watch.work("planning", 3, Count()) as scenes:
-        lines = [line.strip() for line in watched(watch, clock, 10.0, 4, Count("sample"))]
+    watch = ProgressReporter(stream, clock, beat=False)
+    with watch.work("planning", 3, CountedUnits()) as scenes:
+        lines = [line.strip() for line in watched(watch, clock, 10.0, 4, CountedUnits("sample"))]
         scenes.add("a scene")
         watch.tick()
         told = plain(stream.getvalue())
@@ -154,13 +156,13 @@ def test_the_parts_of_a_unit_stand_in_brackets_and_count_for_the_time_left() -> 
 
 def test_a_silent_watch_says_nothing() -> None:
     clock, stream = Clock(), Terminal()
-    watch = Watch(stream, clock, beat=False)
+    watch = ProgressReporter(stream, clock, beat=False)
     watch.silence()
     assert list(watched(watch, clock, 100.0, 2)) == ["", ""]
 
 
 def test_durations() -> None:
-    assert [clock_time(seconds) for seconds in (-1.0, 0.4, 41.0, 725.0, 3723.0)] == [
+    assert [format_duration(seconds) for seconds in (-1.0, 0.4, 41.0, 725.0, 3723.0)] == [
         *("0:00", "0:00", "0:41", "12:05", "1:02:03")
     ]
 

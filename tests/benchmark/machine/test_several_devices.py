@@ -9,7 +9,7 @@ from adapters.registry import NamedPlanner, planner_factory
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine import workers
-from benchmark.machine.several_devices import device_here, device_names, require_one_device, workers_for
+from benchmark.machine.several_devices import count_workers, find_own_device, parse_device_names, require_one_device
 from generation.search.definition import PackagedPrior
 from tests.benchmark.cli.cli_runs import bytes_below, refusal
 from tests.benchmark.test_evaluation import town_of_six
@@ -18,24 +18,24 @@ PLACED = "tests.benchmark.planners:Placed"
 
 
 def test_names_are_those_between_commas() -> None:
-    assert device_names("cuda:0, cuda:1") == ("cuda:0", "cuda:1") and device_names("cpu") == ("cpu",)
+    assert parse_device_names("cuda:0, cuda:1") == ("cuda:0", "cuda:1") and parse_device_names("cpu") == ("cpu",)
     for text, why in (("cpu,", "empty"), (",", "empty"), ("", "empty"), ("cpu,cuda:0", "different kinds")):
         with pytest.raises(InputError, match=why):
-            device_names(text)
+            parse_device_names(text)
 
 
 @pytest.mark.parametrize("number", range(5))
 def test_workers_take_them_in_turns(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "_number", number)
-    assert device_here("cuda:0,cuda:1") == f"cuda:{number % 2}"
-    assert device_here("cuda:3") == "cuda:3" and device_here(None) is None
+    assert find_own_device("cuda:0,cuda:1") == f"cuda:{number % 2}"
+    assert find_own_device("cuda:3") == "cuda:3" and find_own_device(None) is None
 
 
 def test_there_is_a_process_for_each() -> None:
-    assert workers_for(0, "cuda:0,cuda:1,cuda:2") == 3 and workers_for(4, "cuda:0,cuda:1") == 4
-    assert workers_for(0, "cuda") == 0 and workers_for(0, None) == 0 and workers_for(1, "cpu") == 1
+    assert count_workers(0, "cuda:0,cuda:1,cuda:2") == 3 and count_workers(4, "cuda:0,cuda:1") == 4
+    assert count_workers(0, "cuda") == 0 and count_workers(0, None) == 0 and count_workers(1, "cpu") == 1
     with pytest.raises(InputError, match="leaves some"):
-        workers_for(1, "cuda:0,cuda:1")
+        count_workers(1, "cuda:0,cuda:1")
     require_one_device("cuda:1", "why")
     with pytest.raises(InputError, match="why; name one device"):
         require_one_device("cpu,cpu", "why")
@@ -44,7 +44,7 @@ def test_there_is_a_process_for_each() -> None:
 def test_a_factory_builds_on_the_device_of_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str | None] = []
     facts = planner_factory("constant-velocity").facts
-    monkeypatch.setattr("adapters.registry.planner", lambda *_, device, **__: asked.append(device))
+    monkeypatch.setattr("adapters.registry.build_planner", lambda *_, device, **__: asked.append(device))
     factory = NamedPlanner("constant-velocity", None, 0, facts, "cuda:0,cuda:1")
     for number in range(3):
         monkeypatch.setattr(workers, "_number", number)
@@ -63,7 +63,9 @@ def test_two_devices_give_the_bytes_of_one(tmp_path: Path, monkeypatch: pytest.M
 
 def test_the_trajectory_model_is_on_the_device_of_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
-    monkeypatch.setattr("generation.search.definition._loaded", lambda weights, device, sampler: asked.append(device))
+    monkeypatch.setattr(
+        "generation.search.definition._load_prior", lambda weights, device, sampler: asked.append(device)
+    )
     prior = PackagedPrior(device="cuda:0,cuda:1")
     for number in range(3):
         monkeypatch.setattr(workers, "_number", number)

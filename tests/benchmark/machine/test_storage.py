@@ -9,16 +9,16 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.machine import storage
-from benchmark.machine.storage import is_left_over, only_writer, read_kept_json, write_bytes
+from benchmark.machine.storage import is_leftover, lock_folder, read_cached_json, write_bytes
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_only_one_writer_at_a_time(tmp_path: Path) -> None:
-    second = only_writer(tmp_path / "new")
-    with only_writer(tmp_path / "new"), pytest.raises(InputError, match="another command is writing"):
+    second = lock_folder(tmp_path / "new")
+    with lock_folder(tmp_path / "new"), pytest.raises(InputError, match="another command is writing"):
         second.__enter__()
-    with only_writer(tmp_path / "new"):
+    with lock_folder(tmp_path / "new"):
         assert not list((tmp_path / "new").iterdir())
 
 
@@ -26,7 +26,7 @@ def test_only_one_writer_at_a_time(tmp_path: Path) -> None:
 def test_damaged_work_is_as_good_as_none(tmp_path: Path, data: bytes | None) -> None:
     if data is not None:
         (tmp_path / "kept.json").write_bytes(data)
-    assert read_kept_json(tmp_path / "kept.json") is None
+    assert read_cached_json(tmp_path / "kept.json") is None
 
 
 def test_files_are_whole_and_nothing_else_is_there(tmp_path: Path) -> None:
@@ -61,7 +61,7 @@ def test_who_is_killed_while_writing_leaves_nothing(tmp_path: Path, there: bool)
 
 def _is_named_first(folder: Path, path: Path) -> bool:
     """Whether a file is one that is left where files without a name cannot be had."""
-    return is_left_over(path) and storage._nameless(folder) is None
+    return is_leftover(path) and storage._nameless(folder) is None
 
 
 def test_what_a_killed_process_left_is_taken_away_by_the_next(tmp_path: Path) -> None:

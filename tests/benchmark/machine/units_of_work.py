@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import content_key, read_json, read_kept_json, write_json
+from benchmark.machine.storage import content_key, read_cached_json, read_json, write_json
 from benchmark.machine.workers import worker_number
 
 
@@ -56,7 +56,7 @@ def kept_square(folder: Path, seconds: float, item: int) -> int:
 
 
 def is_kept(folder: Path, item: int) -> bool:
-    return read_kept_json(_path(folder, item)) is not None
+    return read_cached_json(_path(folder, item)) is not None
 
 
 def _path(folder: Path, item: int) -> Path:

@@ -4,15 +4,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from benchmark.records.judgement import (
-    FAULT_NAMES,
+    TRACK_DEFECT_NAMES,
+    AssessmentSummary,
     CtgRow,
     FeatureRealism,
-    JudgementSummary,
     KindName,
     SplitRealism,
     ValidityRow,
 )
-from benchmark.records.row_schema import PlanContactRow, PlanNearRow, PlanSeverityRow
+from benchmark.records.row_schema import PlanCollision, PlanNearRow, PlanSeverityRow
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED, hand_made
@@ -32,7 +32,7 @@ def contact(letter: str) -> PlanSeverityRow:
     """A sample that touches somebody: f and F in front, r from behind, s at the side without a map."""
     kind, blamed, speed, adversary = _CONTACTS[letter]
     return PlanSeverityRow(
-        contact=PlanContactRow(
+        contact=PlanCollision(
             time_s=1.3,
             kind=kind,
             at_fault=blamed,
@@ -93,7 +93,7 @@ def attacked(
     return replace(record, rows=tuple(rows), run=record.run.model_copy(update={"scene_facts": facts}))
 
 
-def judged(survives: bool | None) -> JudgementSummary | None:
+def judged(survives: bool | None) -> AssessmentSummary | None:
     """What was said of a scene; where the careful human does not survive, its adversary leaves the road."""
     if survives is None:
         return None
@@ -101,8 +101,8 @@ def judged(survives: bool | None) -> JudgementSummary | None:
     drivers = {name: run.model_dump() for name, run in judgement.drivers.items()}
     drivers |= {} if survives else {name: hits() for name in ("constant", "idm", "r157", "cc", "fsm", "rss")}
     chance = {} if survives else {"chance": "until", "last_chance_s": 2.0, "margin_s": 1.25}
-    faults = {name: name == "off_road" and not survives for name in FAULT_NAMES}
-    return JudgementSummary.of([made_judgement(drivers=drivers, faults=faults, **chance)])
+    faults = {name: name == "off_road" and not survives for name in TRACK_DEFECT_NAMES}
+    return AssessmentSummary.of([made_judgement(drivers=drivers, faults=faults, **chance)])
 
 
 def with_realism(record: RunRecord, worst: float | None) -> RunRecord:

@@ -5,9 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.metrics.attacks import attack_facts, attack_rates, has_adversaries, says_severity, scene_attacks
-from benchmark.metrics.judgements import contacts_of, near_passes_of, split_ladders, spread_of
-from benchmark.metrics.rates import ratios_over_scenes
+from benchmark.metrics.attacks import (
+    attack_rates_to_json,
+    collect_scene_attacks,
+    compute_attack_rates,
+    has_adversaries,
+    has_severity,
+)
+from benchmark.metrics.judgements import (
+    collect_split_reference_drivers,
+    compute_spread,
+    summarise_contacts,
+    summarise_near_passes,
+)
+from benchmark.metrics.rates import compute_ratios_over_scenes
 from tests.benchmark.metrics.made_attacks import attacked
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
 
@@ -16,7 +27,7 @@ CAREFUL = {"a": True, "b": False, "c": None, "d": True}
 
 def test_three_readings_of_samples_and_of_scenes() -> None:
     record = attacked("p", {"a": "f.r.", "b": "F...", "c": "f...", "d": "r..."}, CAREFUL)
-    found = attack_rates(record)
+    found = compute_attack_rates(record)
     assert {name: (rate.numerator, rate.denominator) for name, rate in found.samples.items()} == {
         # The contact in scene b is with another than the adversary.
         "contact": (4, 16),
@@ -31,36 +42,36 @@ def test_three_readings_of_samples_and_of_scenes() -> None:
     }
     assert (found.bystander_samples.numerator, found.bystander_samples.denominator) == (1, 16)
     assert (found.bystander_scenes.numerator, found.bystander_scenes.denominator) == (1, 4)
-    assert (found.judged, found.spared, found.unknown_blame) == (3, 2, 0)
+    assert (found.judged, found.spared, found.unknown_fault) == (3, 2, 0)
 
 
 def test_nobody_judged_anything() -> None:
-    found = attack_rates(attacked("p", {"a": "f.", "b": ".."}, {"a": None, "b": None}))
+    found = compute_attack_rates(attacked("p", {"a": "f.", "b": ".."}, {"a": None, "b": None}))
     assert found.samples["attributable"].value is None and found.scenes["attributable"].denominator == 0
     assert found.scenes["at_fault"].value == 0.5 and found.judged == 0
 
 
 def test_what_is_unknown_in_a_scene_makes_it_unknown_unless_something_is_found() -> None:
     record = attacked("p", {"a": "s...", "b": "sf..", "c": "!...", "d": "!f.."}, dict.fromkeys("abcd", True))
-    verdicts = {scene: attack.verdicts for scene, attack in scene_attacks(record).items()}
+    verdicts = {scene: attack.verdicts for scene, attack in collect_scene_attacks(record).items()}
     assert verdicts["a"] == {"contact": True, "at_fault": None, "attributable": None}
     assert verdicts["b"] == {"contact": True, "at_fault": True, "attributable": True}
     assert verdicts["c"] == {"contact": None, "at_fault": None, "attributable": None}
     assert verdicts["d"] == {"contact": True, "at_fault": True, "attributable": True}
-    found = attack_rates(record)
+    found = compute_attack_rates(record)
     assert (found.scenes["at_fault"].numerator, found.scenes["at_fault"].denominator) == (2, 2)
-    assert found.unknown_blame == 2 and found.samples["at_fault"].denominator == 12
+    assert found.unknown_fault == 2 and found.samples["at_fault"].denominator == 12
 
 
 def test_where_the_careful_human_fares_no_better_nothing_is_attributed() -> None:
     record = attacked("p", {"a": "s...", "b": "!f..", "c": "!!!!"}, dict.fromkeys("abc", False))
-    verdicts = [attack.verdicts["attributable"] for attack in scene_attacks(record).values()]
+    verdicts = [attack.verdicts["attributable"] for attack in collect_scene_attacks(record).values()]
     assert verdicts == [False, False, None]
 
 
 def test_samples_whose_recording_ends_early_are_in_no_rate() -> None:
     record = attacked("p", {"a": "--f.", "b": "----"}, {"a": True, "b": True})
-    found = attack_rates(record)
+    found = compute_attack_rates(record)
     assert found.samples["contact"].denominator == 2
     assert found.scenes["contact"].denominator == 1
 
@@ -68,16 +79,16 @@ def test_samples_whose_recording_ends_early_are_in_no_rate() -> None:
 def test_intervals_draw_recorded_scenes() -> None:
     scenes = {"a1": "f...", "a2": "ff..", "b1": "....", "c1": "f..."}
     sources = {"a1": "a", "a2": "a", "b1": "b", "c1": "c"}
-    found = attack_rates(attacked("p", scenes, dict.fromkeys(scenes, True), sources=sources)).scenes["contact"]
+    found = compute_attack_rates(attacked("p", scenes, dict.fromkeys(scenes, True), sources=sources)).scenes["contact"]
     values = [[1.0], [1.0], [0.0], [1.0]]
-    (expected,) = ratios_over_scenes(np.array(values), np.ones((4, 1)), list(sources.values()), seed=0)
+    (expected,) = compute_ratios_over_scenes(np.array(values), np.ones((4, 1)), list(sources.values()), seed=0)
     assert found == expected and found.low is not None and found.low < 0.75
 
 
 def test_older_records_do_not_say_how_severe_plans_are() -> None:
     old = hand_made("p", {"a": [CLEAN]})
-    assert not says_severity(old) and has_adversaries(old)
-    assert says_severity(attacked("p", {"a": ".!"}, {"a": True}))
+    assert not has_severity(old) and has_adversaries(old)
+    assert has_severity(attacked("p", {"a": ".!"}, {"a": True}))
     assert not has_adversaries(hand_made("p", {"a": [CLEAN]}, split="val"))
     elsewhere = attacked("p", {"a": "."}, {"a": None}, split="night")
     assert has_adversaries(elsewhere)
@@ -85,38 +96,38 @@ def test_older_records_do_not_say_how_severe_plans_are() -> None:
 
 def test_distributions_over_contacts_and_near_passes() -> None:
     record = attacked("p", {"a": "fFr.", "b": "..-s", "c": "!..."}, dict.fromkeys("abc", True))
-    found = contacts_of(record)
+    found = summarise_contacts(record)
     assert (found.samples, found.at_fault) == (3, 1)
     assert found.kinds == {"front": 1, "rear": 1, "lateral": 1}
     assert found.impact_speed.median == 4.0 and found.impact_speed.worst_tenth == 10.0
     assert found.most_fatal == pytest.approx((5.0 / 31.74) ** 4)
-    others = contacts_of(record, bystanders=True)
+    others = summarise_contacts(record, bystanders=True)
     assert (others.samples, others.at_fault, others.kinds) == (1, 1, {"front": 1})
     assert others.impact_speed.median == 20.0 and others.most_fatal == pytest.approx((10.0 / 31.74) ** 4)
-    passes = near_passes_of(record)
+    passes = summarise_near_passes(record)
     assert passes.samples == 6 and passes.ttc.samples == 5 and passes.ttc.worst_tenth == 1.0
     assert passes.gap.worst_tenth == 2.0 and passes.btn.worst_tenth == 1.5 and passes.critical == 3
 
 
 def test_a_spread_is_made_of_values_that_are_there() -> None:
     values = [float(each) for each in range(1, 22)]
-    assert spread_of(values).median == 11.0 and spread_of(values).worst_tenth == 19.0
-    assert spread_of(values, less_is_worse=True).worst_tenth == 3.0
-    assert spread_of([1.0, 2.0]).median == 2.0 and spread_of([1.0, 2.0], less_is_worse=True).median == 1.0
-    assert spread_of([]) == spread_of([], less_is_worse=True) and spread_of([]).median is None
+    assert compute_spread(values).median == 11.0 and compute_spread(values).worst_tenth == 19.0
+    assert compute_spread(values, less_is_worse=True).worst_tenth == 3.0
+    assert compute_spread([1.0, 2.0]).median == 2.0 and compute_spread([1.0, 2.0], less_is_worse=True).median == 1.0
+    assert compute_spread([]) == compute_spread([], less_is_worse=True) and compute_spread([]).median is None
 
 
 def test_the_ladder_of_a_split_is_that_of_the_record_that_says_most() -> None:
     scenes = {"a": "..", "b": "..", "c": ".."}
     poor = attacked("p", scenes, {"a": True, "b": None, "c": None})
     rich = attacked("q", scenes, {"a": True, "b": False, "c": True})
-    ladder = split_ladders([poor, rich])["adv"]
+    ladder = collect_split_reference_drivers([poor, rich])["adv"]
     assert ladder.record is rich and ladder.scenes == 3
     assert ladder.survives["recorded"].value == 1.0 and ladder.survives["cc"].value == pytest.approx(2 / 3)
     assert ladder.margin.samples == 1 and ladder.margin.median == 1.25 and ladder.too_late == 0
     assert ladder.without_fault.value == pytest.approx(2 / 3) and ladder.unsolvable == 0
     assert ladder.gap.median == 2.0 and ladder.ttc.median == 3.0
-    assert split_ladders([attacked("p", scenes, dict.fromkeys(scenes))]) == {}
+    assert collect_split_reference_drivers([attacked("p", scenes, dict.fromkeys(scenes))]) == {}
 
 
 def test_a_driver_that_a_record_does_not_name_is_unknown() -> None:
@@ -126,14 +137,16 @@ def test_a_driver_that_a_record_does_not_name_is_unknown() -> None:
     some = facts["a"].judgement.model_copy(update={"survives": {"recorded": True}})
     changed = {**facts, "a": facts["a"].model_copy(update={"judgement": some})}
     poor = replace(record, run=record.run.model_copy(update={"scene_facts": changed}))
-    assert scene_attacks(poor)["a"].verdicts["attributable"] is None and attack_rates(poor).judged == 1
-    ladder = split_ladders([poor])["adv"]
+    assert collect_scene_attacks(poor)["a"].verdicts["attributable"] is None and compute_attack_rates(poor).judged == 1
+    ladder = collect_split_reference_drivers([poor])["adv"]
     assert ladder.survives["cc"].denominator == 1 and ladder.survives["recorded"].denominator == 2
 
 
 def test_machines_read_the_readings_of_splits_with_adversaries() -> None:
-    said = attack_facts(attacked("p", {"a": "f...", "b": "...."}, {"a": True, "b": None}))["attack_success"]
+    said = attack_rates_to_json(attacked("p", {"a": "f...", "b": "...."}, {"a": True, "b": None}))["attack_success"]
     assert said["samples"]["contact"]["value"] == 0.125 and said["scenes"]["attributable"]["denominator"] == 1
     assert (
-        attack_facts(hand_made("p", {"a": [CLEAN]}, split="val")) == {} == attack_facts(hand_made("p", {"a": [CLEAN]}))
+        attack_rates_to_json(hand_made("p", {"a": [CLEAN]}, split="val"))
+        == {}
+        == attack_rates_to_json(hand_made("p", {"a": [CLEAN]}))
     )

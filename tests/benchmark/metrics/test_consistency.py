@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.geometry import Floats, to_global, to_local
-from benchmark.metrics.consistency import INSTANTS, MEAN, apart, consistency
+from benchmark.metrics.consistency import INSTANTS, MEAN, measure_consistency, measure_plan_distance
 from benchmark.records.row_schema import PlanRow, SampleRow
 from benchmark.records.run import RunRecord
 from benchmark.waypoints import waypoints_in_lidar
@@ -59,7 +59,7 @@ def test_a_planner_that_follows_one_fixed_path_is_consistent(seed: int, samples:
     rng = np.random.default_rng(seed)
     poses = driven(rng, samples)
     path = poses[0, :2] + np.cumsum(rng.normal(0.0, 4.0, (samples + 6, 2)), axis=0)
-    found = consistency(record_of(rows_of(poses, lambda index: path[index + 1 : index + 7])))
+    found = measure_consistency(record_of(rows_of(poses, lambda index: path[index + 1 : index + 7])))
     assert found.pairs == samples - 1 and found.without == 0
     for rate in found.distances.values():
         assert rate.value == pytest.approx(0.0, abs=1e-8)
@@ -73,18 +73,18 @@ def test_a_shift_of_every_other_plan_is_the_distance(seed: int, shift_m: float) 
     path = poses[0, :2] + np.cumsum(rng.normal(0.0, 4.0, (14, 2)), axis=0)
     aside = shift_m * np.array([0.6, 0.8])
     rows = rows_of(poses, lambda index: path[index + 1 : index + 7] + (index % 2) * aside)
-    found = consistency(record_of(rows))
+    found = measure_consistency(record_of(rows))
     assert [rate.value for rate in found.distances.values()] == pytest.approx([shift_m] * 6, abs=1e-8)
     # Where and which way the scene lies changes nothing.
     turned = np.concatenate([to_global(poses[:, :2], np.array([9.0, 4.0, 1.0])), poses[:, 2:] + 1.0], axis=1)
     again = rows_of(turned, lambda index: to_global(path[index + 1 : index + 7], np.array([9.0, 4.0, 1.0])))
-    assert apart(again[0], again[1]) == pytest.approx(np.zeros(5), abs=1e-8)
+    assert measure_plan_distance(again[0], again[1]) == pytest.approx(np.zeros(5), abs=1e-8)
 
 
 def test_a_car_that_stands_still_while_the_planner_drives_off_each_time() -> None:
     poses = np.zeros((4, 3))
     rows = rows_of(poses, lambda index: 2.0 * np.arange(1, 7)[:, None] * np.array([1.0, 0.0]))
-    found = consistency(record_of(rows))
+    found = measure_consistency(record_of(rows))
     # The later plan begins half a second later at the same place: it is one step of 2 m behind.
     assert [found.distances[name].value for name in (*INSTANTS, MEAN)] == pytest.approx([2.0] * 6)
 
@@ -94,9 +94,9 @@ def test_missing_plans_ends_of_scenes_and_gaps_are_in_no_pair() -> None:
     rows = rows_of(poses, lambda index: path[index + 1 : index + 7])
     rows[2] = rows[2].model_copy(update={"plan": None, "status": "failed"})
     other = rows_of(poses[:2], lambda index: path[index + 1 : index + 7], scene="b")
-    found = consistency(record_of([*rows, *other]))
+    found = measure_consistency(record_of([*rows, *other]))
     assert (found.pairs, found.without) == (3, 2)
-    nothing = consistency(record_of(rows[:1]))
+    nothing = measure_consistency(record_of(rows[:1]))
     assert nothing.pairs == 0 and nothing.distances[MEAN].value is None
 
 
@@ -112,7 +112,7 @@ def test_intervals_are_over_recorded_scenes() -> None:
             lambda index, path=path, aside=aside: path[index + 1 : index + 7] + (index % 2) * aside,  # type: ignore[misc]
             scene=f"s{number}",
         )
-    rate = consistency(record_of(rows)).distances[MEAN]
+    rate = measure_consistency(record_of(rows)).distances[MEAN]
     assert rate.value == pytest.approx(1.25) and rate.low is not None and rate.high is not None
     assert rate.low < 1.25 < rate.high
 
@@ -122,11 +122,11 @@ def test_plans_of_the_rear_axle_are_moved_to_the_lidar_first() -> None:
     rows = rows_of(poses, lambda index: np.zeros((6, 2)))
     straight = [[2.0 * step, 0.0] for step in range(1, 7)]
     rows = [one.model_copy(update={"plan": PlanRow(frame="ego", waypoints=straight)}) for one in rows]
-    assert apart(*rows) == pytest.approx(np.zeros(5), abs=1e-9)
+    assert measure_plan_distance(*rows) == pytest.approx(np.zeros(5), abs=1e-9)
     assert waypoints_in_lidar(np.array(straight), "ego", 0.94)[0] == pytest.approx([0.0, 2.0])
 
 
 def test_samples_that_are_not_half_a_second_apart_are_not_compared() -> None:
     rows = rows_of(driven(np.random.default_rng(1), 6), lambda _: np.zeros((6, 2)))
     late = [one.model_copy(update={"timestamp_us": one.timestamp_us + 500_000 * (one.index > 2)}) for one in rows]
-    assert [consistency(record_of(some)).pairs for some in (rows, late)] == [5, 4]
+    assert [measure_consistency(record_of(some)).pairs for some in (rows, late)] == [5, 4]

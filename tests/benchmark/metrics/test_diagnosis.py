@@ -9,10 +9,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from benchmark.geometry import Bools, Floats, boxes_overlap, to_global, wrap_angle
-from benchmark.metrics.diagnosis import Reason, diagnose, forecast_boxes, forecasts_in_lidar, matched_forecasts
+from benchmark.metrics.diagnosis import DiagnosisReason, build_forecast_boxes, diagnose, match_forecasts, to_lidar_frame
 from benchmark.planning import Command, Forecasts, Plan, PlanFrame
-from benchmark.protocols.contract import Outcomes
-from benchmark.protocols.exact import Exact
+from benchmark.protocols.contract import ProtocolOutcomes
+from benchmark.protocols.exact import ExactProtocol
 from benchmark.records.row_schema import DiagnosisRow
 from benchmark.truth import SampleTruth
 from tests.benchmark.metrics.slow_diagnosis import slow_reason
@@ -68,7 +68,7 @@ def diagnosis(
     sample: SampleTruth, forecasts: Forecasts | None, waypoints: Floats = STRAIGHT, frame: PlanFrame = PlanFrame.LIDAR
 ) -> DiagnosisRow | None:
     plan = Plan(waypoints, frame, forecasts=forecasts)
-    exact = Exact().evaluate([sample], plan.waypoints_in_lidar(AHEAD_M)[None])
+    exact = ExactProtocol().evaluate([sample], plan.waypoints_in_lidar(AHEAD_M)[None])
     (found,) = diagnose([sample], [plan], exact)
     return found
 
@@ -78,7 +78,7 @@ def reason(
 ) -> str:
     found = diagnosis(sample, forecasts, waypoints, frame)
     assert found is not None
-    assert found.cause == Reason(found.reason).cause
+    assert found.cause == DiagnosisReason(found.reason).cause
     return found.reason
 
 
@@ -102,8 +102,8 @@ def test_driving_into_what_was_expected_is_misplanned() -> None:
 
 def test_a_forecast_that_is_hit_at_another_time_is_hit() -> None:
     late = moving(0.0, 14.0, vy=3.0)
-    assert reason(truth(PARKED), expecting(late)) == Reason.HITS
-    assert reason(truth(PARKED), expecting(moving(0.0, 14.0, vy=5.0))) == Reason.CLEAR
+    assert reason(truth(PARKED), expecting(late)) == DiagnosisReason.HITS
+    assert reason(truth(PARKED), expecting(moving(0.0, 14.0, vy=5.0))) == DiagnosisReason.CLEAR
 
 
 def test_without_forecasts_nothing_is_attributed() -> None:
@@ -115,21 +115,21 @@ def test_without_forecasts_nothing_is_attributed() -> None:
 def test_what_nothing_was_expected_of_is_unseen(frame: PlanFrame) -> None:
     waypoints = STRAIGHT if frame is PlanFrame.LIDAR else STRAIGHT[:, ::-1]
     nothing = Forecasts(np.zeros((0, 5)), np.zeros((0, 1, 6, 2)), np.zeros((0, 1)))
-    assert reason(truth(PARKED), nothing, waypoints, frame) == Reason.NOT_NEAR
+    assert reason(truth(PARKED), nothing, waypoints, frame) == DiagnosisReason.NOT_NEAR
     elsewhere = moving(0.0, 14.0 + 2.4) if frame is PlanFrame.LIDAR else moving(14.0 + AHEAD_M + 2.4, 0.0, yaw=0.0)
-    assert reason(truth(PARKED), expecting(elsewhere), waypoints, frame) == Reason.NOT_NEAR
+    assert reason(truth(PARKED), expecting(elsewhere), waypoints, frame) == DiagnosisReason.NOT_NEAR
 
 
 def test_a_plan_that_touches_nothing_has_no_diagnosis() -> None:
     assert diagnosis(truth(moving(3.5, 14.0)), expecting(PARKED)) is None
     assert diagnosis(truth(np.zeros((0, 7, 5))), expecting(PARKED)) is None
-    assert diagnose([], [], Exact().evaluate([], np.zeros((0, 6, 2)))) == []
-    assert diagnose([], [], Outcomes.from_rows([])) == []
+    assert diagnose([], [], ExactProtocol().evaluate([], np.zeros((0, 6, 2)))) == []
+    assert diagnose([], [], ProtocolOutcomes.from_rows([])) == []
 
 
 def test_a_sample_whose_recording_ends_early_is_diagnosed_too() -> None:
     annotated = np.arange(7)[None] < 4
-    assert reason(truth(PARKED, annotated, valid=3), expecting(PARKED)) == Reason.HITS
+    assert reason(truth(PARKED, annotated, valid=3), expecting(PARKED)) == DiagnosisReason.HITS
 
 
 def test_samples_do_not_mix() -> None:
@@ -140,22 +140,27 @@ def test_samples_do_not_mix() -> None:
         (truth(PARKED), None),
     ]
     truths, plans = [one for one, _ in cases], [Plan(STRAIGHT, PlanFrame.LIDAR, forecasts=two) for _, two in cases]
-    exact = Exact().evaluate(truths, np.array([plan.waypoints for plan in plans]))
+    exact = ExactProtocol().evaluate(truths, np.array([plan.waypoints for plan in plans]))
     together = diagnose(truths, plans, exact)
     assert together == [diagnosis(*case) for case in cases]
-    assert [None if row is None else row.reason for row in together] == [Reason.HITS, None, Reason.CLEAR, Reason.NONE]
+    assert [None if row is None else row.reason for row in together] == [
+        DiagnosisReason.HITS,
+        None,
+        DiagnosisReason.CLEAR,
+        DiagnosisReason.NONE,
+    ]
 
 
 @pytest.mark.parametrize(
     ("scores", "expected"),
     [
-        ((0.7, 0.3), Reason.CLEAR_OF_LIKELIEST),
-        ((0.9, 0.1), Reason.CLEAR),
-        ((0.3, 0.7), Reason.HITS),
+        ((0.7, 0.3), DiagnosisReason.CLEAR_OF_LIKELIEST),
+        ((0.9, 0.1), DiagnosisReason.CLEAR),
+        ((0.3, 0.7), DiagnosisReason.HITS),
     ],
 )
 def test_the_most_likely_mode_decides_and_another_likely_one_is_named(
-    scores: tuple[float, float], expected: Reason
+    scores: tuple[float, float], expected: DiagnosisReason
 ) -> None:
     modes = expecting([KEEPING_ITS_LANE, CUTTING_IN], scores=[scores])
     assert reason(truth(CUTTING_IN), modes) == expected
@@ -163,54 +168,56 @@ def test_the_most_likely_mode_decides_and_another_likely_one_is_named(
 
 def test_a_walker_beside_a_known_car_was_not_known() -> None:
     walker, car = moving(0.0, 14.0, size=WALKER), moving(1.95, 14.3)
-    assert reason(truth(np.array([walker, car])), expecting(car)) == Reason.NOT_NEAR
-    assert reason(truth(walker), expecting(car)) == Reason.NOT_NEAR
-    assert reason(truth(walker), expecting(moving(0.8, 14.3, size=WALKER))) == Reason.HITS
+    assert reason(truth(np.array([walker, car])), expecting(car)) == DiagnosisReason.NOT_NEAR
+    assert reason(truth(walker), expecting(car)) == DiagnosisReason.NOT_NEAR
+    assert reason(truth(walker), expecting(moving(0.8, 14.3, size=WALKER))) == DiagnosisReason.HITS
 
 
 def test_a_forecast_is_of_one_object_only_the_nearest() -> None:
     hit, other = moving(0.0, 14.0, size=WALKER), moving(1.4, 14.0, size=WALKER)
     both = truth(np.array([hit, other]))
-    assert reason(both, expecting(moving(1.2, 14.0, size=WALKER))) == Reason.NOT_NEAR
-    assert reason(both, expecting(moving(0.3, 14.0, size=WALKER))) == Reason.HITS
-    assert reason(both, expecting(moving(1.3, 14.0, size=WALKER), moving(1.0, 14.0, size=WALKER))) == Reason.HITS
+    assert reason(both, expecting(moving(1.2, 14.0, size=WALKER))) == DiagnosisReason.NOT_NEAR
+    assert reason(both, expecting(moving(0.3, 14.0, size=WALKER))) == DiagnosisReason.HITS
+    assert (
+        reason(both, expecting(moving(1.3, 14.0, size=WALKER), moving(1.0, 14.0, size=WALKER))) == DiagnosisReason.HITS
+    )
 
 
 def test_the_centre_of_a_long_vehicle_may_be_off_along_it_but_not_across() -> None:
     bus = truth(moving(0.0, 16.0, size=BUS))
-    assert reason(bus, expecting(moving(0.3, 19.5, size=BUS))) == Reason.HITS
-    assert reason(bus, expecting(moving(0.3, 22.0, size=BUS))) == Reason.NOT_NEAR
-    assert reason(bus, expecting(moving(3.5, 16.0))) == Reason.NOT_NEAR
+    assert reason(bus, expecting(moving(0.3, 19.5, size=BUS))) == DiagnosisReason.HITS
+    assert reason(bus, expecting(moving(0.3, 22.0, size=BUS))) == DiagnosisReason.NOT_NEAR
+    assert reason(bus, expecting(moving(3.5, 16.0))) == DiagnosisReason.NOT_NEAR
 
 
 def test_what_appears_later_is_compared_with_where_others_were_expected_then() -> None:
     emerging = moving(-9.0, 14.0, vx=6.0, yaw=0.0)
     annotated = np.arange(7)[None] >= 2
-    assert reason(truth(emerging, annotated), expecting(emerging)) == Reason.HITS
+    assert reason(truth(emerging, annotated), expecting(emerging)) == DiagnosisReason.HITS
     gone = moving(-3.0, 14.0, vx=-6.0, yaw=0.0)
-    assert reason(truth(emerging, annotated), expecting(gone)) == Reason.NOT_NEAR
+    assert reason(truth(emerging, annotated), expecting(gone)) == DiagnosisReason.NOT_NEAR
     backing_off = moving(-3.0, 14.0, vx=-1.0, yaw=0.0)
-    assert reason(truth(emerging, annotated), expecting(backing_off)) == Reason.CLEAR
+    assert reason(truth(emerging, annotated), expecting(backing_off)) == DiagnosisReason.CLEAR
 
 
 def test_what_is_there_now_takes_its_forecast_before_what_appears_later() -> None:
     there, later = moving(1.5, 14.0, size=WALKER), moving(0.0, 14.0, size=WALKER)
     annotated = np.array([[True] * 7, [False] + [True] * 6])
     assert reason(truth(np.array([there, later]), annotated), expecting(moving(0.5, 14.0, size=WALKER))) == (
-        Reason.NOT_NEAR
+        DiagnosisReason.NOT_NEAR
     )
 
 
 def test_a_parked_car_that_is_expected_to_drift_sideways_is_not_turned_across() -> None:
     drifting = moving(2.4, 12.0, vx=0.3)
-    boxes = forecast_boxes(drifting[0], drifting[None, 1:, :2])
+    boxes = build_forecast_boxes(drifting[0], drifting[None, 1:, :2])
     assert boxes[..., 4] == pytest.approx(NORTH)
     assert not boxes_overlap(np.array([0.0, 12.0, 4.084, 1.85, NORTH]), boxes).any()
 
 
 def test_a_car_that_backs_up_is_not_swung_round() -> None:
     backing = moving(2.0, 8.0, vy=-4.0)
-    boxes = forecast_boxes(backing[0], backing[None, 1:, :2])
+    boxes = build_forecast_boxes(backing[0], backing[None, 1:, :2])
     assert boxes[..., 4] == pytest.approx(NORTH)
     assert boxes[0, 4::5, 1] == pytest.approx(backing[1:, 1])
 
@@ -218,7 +225,7 @@ def test_a_car_that_backs_up_is_not_swung_round() -> None:
 def test_a_forecast_turns_along_its_path() -> None:
     angle = np.linspace(0.0, 1.2, 7)
     bend = np.column_stack([20.0 * np.cos(angle), 20.0 * np.sin(angle), np.tile(CAR, (7, 1)), angle + NORTH])
-    boxes = forecast_boxes(bend[0], bend[None, 1:, :2])[0, 4::5]
+    boxes = build_forecast_boxes(bend[0], bend[None, 1:, :2])[0, 4::5]
     assert boxes[:5, 4] == pytest.approx(bend[1:6, 4], abs=0.02)
     assert boxes[:, :2] == pytest.approx(bend[1:, :2])
 
@@ -274,7 +281,7 @@ def test_the_frame_of_the_plan_does_not_matter(seed: int) -> None:
     boxes[:, 4] -= NORTH
     paths = np.stack([forecasts.trajectories[..., 1] + AHEAD_M, -forecasts.trajectories[..., 0]], axis=-1)
     seen_from_axle = Forecasts(boxes, paths, forecasts.scores)
-    back = forecasts_in_lidar(seen_from_axle, PlanFrame.EGO, AHEAD_M)
+    back = to_lidar_frame(seen_from_axle, PlanFrame.EGO, AHEAD_M)
     assert back.boxes == pytest.approx(forecasts.boxes) and back.trajectories == pytest.approx(forecasts.trajectories)
     plan = Plan(in_ego, PlanFrame.EGO)
     expected = diagnosis(sample, back, plan.waypoints_in_lidar(AHEAD_M))
@@ -321,7 +328,7 @@ def test_who_foresees_everything_only_misplans(seed: int) -> None:
     sample, _, waypoints = random_case(seed)
     # Objects that turn on the spot are foreseen by nobody who forecasts centres: those here keep their heading.
     found = diagnosis(sample, expecting(*sample.boxes), waypoints)
-    assert found is None or found.reason == Reason.HITS
+    assert found is None or found.reason == DiagnosisReason.HITS
 
 
 @settings(max_examples=40, deadline=None)
@@ -330,9 +337,9 @@ def test_the_boxes_of_a_forecast_move_with_it(seed: int, x: float, y: float, yaw
     _, forecasts, _ = random_case(seed)
     pose = np.array([x, y, yaw])
     for box, paths in zip(forecasts.boxes, forecasts.trajectories):
-        here = forecast_boxes(box, paths)
+        here = build_forecast_boxes(box, paths)
         moved = np.array([*to_global(box[:2], pose), box[2], box[3], box[4] + yaw])
-        there = forecast_boxes(moved, to_global(paths, pose))
+        there = build_forecast_boxes(moved, to_global(paths, pose))
         assert there[..., :2] == pytest.approx(to_global(here[..., :2], pose), abs=1e-6)
         # A turn of exactly a quarter may go either way; half turns do not matter.
         turn = wrap_angle(2.0 * (there[..., 4] - here[..., 4] - yaw))
@@ -341,5 +348,5 @@ def test_the_boxes_of_a_forecast_move_with_it(seed: int, x: float, y: float, yaw
 
 def test_matching_leaves_out_what_has_no_forecast() -> None:
     sample = truth(np.array([PARKED, CUTTING_IN, moving(-20.0, 5.0)]))
-    assert matched_forecasts(sample, expecting(CUTTING_IN, PARKED)) == {"object-0": 1, "object-1": 0}
-    assert matched_forecasts(sample, expecting(moving(40.0, 40.0))) == {}
+    assert match_forecasts(sample, expecting(CUTTING_IN, PARKED)) == {"object-0": 1, "object-1": 0}
+    assert match_forecasts(sample, expecting(moving(40.0, 40.0))) == {}

@@ -18,16 +18,16 @@ from benchmark.geometry import Bools, Floats
 from benchmark.metrics.disagreement import (
     CAUSES,
     Confusion,
-    confusion,
-    disagreements,
-    ladder,
-    objects_by_filter,
-    sample_confusion,
-    step_confusion,
+    compute_counterfactuals,
+    count_confusion,
+    count_sample_confusion,
+    count_step_confusion,
+    explain_disagreements,
+    filter_objects,
 )
 from benchmark.planning import Command
-from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
-from benchmark.protocols.sparsedrive import SparseDrive
+from benchmark.protocols import PROTOCOLS, STANDARD, ProtocolOutcomes
+from benchmark.protocols.sparsedrive import SparseDriveProtocol
 from benchmark.protocols.stacked import stack
 from benchmark.truth import SampleTruth
 
@@ -37,7 +37,7 @@ STRAIGHT = np.column_stack([np.zeros(6), np.arange(1, 7) * 4.0])
 ASIDE = STRAIGHT + [20.0, 0.0]
 """The recorded ego drives far from everything."""
 CAR = "vehicle.car"
-Verdicts = dict[str, Outcomes]
+Verdicts = dict[str, ProtocolOutcomes]
 
 
 class Object(NamedTuple):
@@ -87,7 +87,9 @@ def judge(truths: list[SampleTruth], plans: Floats) -> Verdicts:
 
 def causes(sample: SampleTruth, plan: Floats = STRAIGHT) -> dict[str, str]:
     judged = judge([sample], plan[None])
-    (found,) = disagreements([sample], plan[None], {name: judged[name] for name in judged if name not in FURTHER})
+    (found,) = explain_disagreements(
+        [sample], plan[None], {name: judged[name] for name in judged if name not in FURTHER}
+    )
     return found
 
 
@@ -168,8 +170,8 @@ def test_a_ghost_on_the_recorded_path_hides_what_the_plan_does_at_that_step() ->
     assert causes(sample) == dict.fromkeys(("uniad", "vad", "vad-23", "sparsedrive", "diffusiondrive"), "miss: mask")
     outcomes = judge([sample], STRAIGHT[None])
     for name in ("uniad", "vad", "sparsedrive"):
-        assert sample_confusion(outcomes["exact"], outcomes[name]).missed == 1
-        assert sample_confusion(outcomes["exact"], outcomes[name], masked=False).missed == 0
+        assert count_sample_confusion(outcomes["exact"], outcomes[name]).missed == 1
+        assert count_sample_confusion(outcomes["exact"], outcomes[name], masked=False).missed == 0
 
 
 def test_samples_that_either_does_not_count_have_no_entry() -> None:
@@ -181,18 +183,18 @@ def test_without_exact_there_is_nothing_to_compare_with() -> None:
     sample = truth(Object([0.0, 12.5], "human.pedestrian.adult"))
     outcomes = judge([sample], STRAIGHT[None])
     del outcomes["exact"]
-    assert disagreements([sample], STRAIGHT[None], outcomes) == [{}]
-    assert disagreements([], np.zeros((0, 6, 2)), judge([], np.zeros((0, 6, 2)))) == []
+    assert explain_disagreements([sample], STRAIGHT[None], outcomes) == [{}]
+    assert explain_disagreements([], np.zeros((0, 6, 2)), judge([], np.zeros((0, 6, 2)))) == []
 
 
 def test_unequal_numbers_of_samples_are_refused() -> None:
     sample = truth(Object([0.0, 12.5]))
     with pytest.raises(ValueError, match="another number"):
-        disagreements([sample, sample], STRAIGHT[None], judge([sample], STRAIGHT[None]))
+        explain_disagreements([sample, sample], STRAIGHT[None], judge([sample], STRAIGHT[None]))
 
 
 def test_shares_of_nothing_are_unknown() -> None:
-    nothing = confusion(np.zeros(4, dtype=np.bool_), np.zeros(4, dtype=np.bool_))
+    nothing = count_confusion(np.zeros(4, dtype=np.bool_), np.zeros(4, dtype=np.bool_))
     assert nothing == Confusion(4, 0, 0, 0, 0)
     assert nothing.missed_share is None and nothing.false_share is None
 
@@ -225,13 +227,13 @@ def random_samples(seed: int, samples: int, objects: int) -> tuple[list[SampleTr
     return truths, np.cumsum(rng.normal([0.0, 3.0], [1.0, 1.5], (samples, 6, 2)), axis=1)
 
 
-class OnlyTheEnd(SparseDrive):
+class OnlyTheEnd(SparseDriveProtocol):
     """A stranger's protocol: no mask, and it looks at 3 s alone."""
 
     def __init__(self) -> None:
         super().__init__("only-the-end")
 
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
         outcomes = super().evaluate(truths, plans_lidar)
         return replace(outcomes, collision=outcomes.collision & (np.arange(6) == 5), steps={})
 
@@ -247,7 +249,7 @@ def test_a_strangers_protocol_without_a_mask_is_explained_too(monkeypatch: pytes
 def test_a_cause_is_given_exactly_where_the_verdicts_differ_whatever_the_order(seed: int) -> None:
     truths, plans = random_samples(seed, 12, 8)
     outcomes = judge(truths, plans)
-    found = disagreements(truths, plans, outcomes)
+    found = explain_disagreements(truths, plans, outcomes)
     exact = outcomes["exact"]
     for name, official in outcomes.items():
         for index, entry in enumerate(found):
@@ -257,7 +259,7 @@ def test_a_cause_is_given_exactly_where_the_verdicts_differ_whatever_the_order(s
             if name in entry:
                 assert entry[name] in CAUSES
                 assert entry[name].startswith("miss" if exact.collision[index].any() else "false alarm")
-    backwards = disagreements(truths[::-1], plans[::-1], judge(truths[::-1], plans[::-1]))
+    backwards = explain_disagreements(truths[::-1], plans[::-1], judge(truths[::-1], plans[::-1]))
     assert backwards == found[::-1]
 
 
@@ -267,7 +269,7 @@ def test_filters_only_take_away_and_end_with_what_the_protocol_counts(seed: int)
     truths, _ = random_samples(seed, 6, 8)
     stacked = stack(truths)
     for definition in PROTOCOLS.values():
-        filters = objects_by_filter(definition, stacked)
+        filters = filter_objects(definition, stacked)
         complete = stacked.ego_future_valid.all(axis=1)[stacked.sample_of]
         for more, fewer in pairwise(filters):
             assert not (fewer & ~more).any()
@@ -280,7 +282,7 @@ def test_decisive_steps_exist_exactly_where_there_is_a_cause(seed: int) -> None:
     truths, plans = random_samples(seed, 12, 8)
     outcomes = judge(truths, plans)
     for name, official in outcomes.items():
-        rungs = ladder(PROTOCOLS[name], stack(truths), plans, outcomes["exact"], official)
+        rungs = compute_counterfactuals(PROTOCOLS[name], stack(truths), plans, outcomes["exact"], official)
         decisive = rungs.decisive_steps()
         for index, cause in enumerate(rungs.causes()):
             assert decisive[index].any() == (cause is not None)
@@ -361,7 +363,7 @@ def test_the_table_by_samples_of_the_specification(
     false_alarms: int,
 ) -> None:
     _, _, outcomes = seven_scenes[kind]
-    found = sample_confusion(outcomes["exact"], outcomes[protocol], masked=False)
+    found = count_sample_confusion(outcomes["exact"], outcomes[protocol], masked=False)
     assert (found.exact, found.official, found.missed, found.false_alarms) == (exact, official, missed, false_alarms)
     if protocol == "sparsedrive":
         at_waypoints = outcomes["exact"].step("waypoint_collision").any(axis=-1)
@@ -386,12 +388,12 @@ def test_the_table_by_steps_of_the_specification(
     expected: tuple[int, int, int, int],
 ) -> None:
     _, _, outcomes = seven_scenes[kind]
-    found = step_confusion(outcomes["exact"], outcomes[protocol], masked=False)
+    found = count_step_confusion(outcomes["exact"], outcomes[protocol], masked=False)
     assert (found.exact, found.official, found.missed, found.false_alarms) == expected
 
 
 def test_causes_on_real_scenes(seven_scenes: dict[str, tuple[list[SampleTruth], Floats, Verdicts]]) -> None:
-    found = disagreements(*seven_scenes["benign"])
+    found = explain_disagreements(*seven_scenes["benign"])
     causes = {name: Counter(entry[name] for entry in found if name in entry) for name in PROTOCOLS}
     assert causes["uniad"] == {"miss: class not counted": 14, "miss: raster": 1, "false alarm: raster": 2}
     assert causes["vad"] == {
@@ -409,9 +411,9 @@ def test_causes_on_real_scenes_add_up_and_are_found_quickly(
 ) -> None:
     for truths, plans, outcomes in seven_scenes.values():
         started = time.process_time()
-        found = disagreements(truths, plans, outcomes)
+        found = explain_disagreements(truths, plans, outcomes)
         assert time.process_time() - started < 5.0
         for name in ("uniad", "vad", "vad-23", "sparsedrive"):
             counts = Counter(entry[name].split(":")[0] for entry in found if name in entry)
-            whole = sample_confusion(outcomes["exact"], outcomes[name])
+            whole = count_sample_confusion(outcomes["exact"], outcomes[name])
             assert (counts["miss"], counts["false alarm"]) == (whole.missed, whole.false_alarms)

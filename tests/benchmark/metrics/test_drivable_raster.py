@@ -7,7 +7,7 @@ from shapely.geometry import MultiPolygon
 
 from benchmark.geometry import Bools, Floats, to_global
 from benchmark.road_map import DrivableRaster, RoadMap, as_multipolygon
-from generation.sources.town import town_scene
+from generation.sources.town import build_town_scene
 
 
 def slow_cells(road_map: RoadMap, pose: Floats, half_extent_m: float, resolution_m: float) -> Bools:
@@ -46,7 +46,7 @@ def test_every_node_is_as_the_point_test_says(seed: int, half_extent_m: float, r
 
 
 def test_nodes_of_the_town() -> None:
-    scene = town_scene("val", 0)
+    scene = build_town_scene("val", 0)
     shapely.prepare(scene.road_map.drivable_area)
     raster = DrivableRaster.around(scene.road_map, scene.ego.pose[100])
     assert np.array_equal(raster.cells, slow_cells(scene.road_map, scene.ego.pose[100], 50.0, 0.5))

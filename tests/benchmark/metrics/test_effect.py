@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.metrics.effect import AdversaryEffect, effect_of
-from benchmark.metrics.rates import FEWEST_DIFFERING_OF_TEN, FEWEST_RECORDINGS, paired_difference
-from benchmark.metrics.unchanged import unchanged_record
+from benchmark.metrics.effect import AdversaryEffect, compute_effect
+from benchmark.metrics.rates import FEWEST_DIFFERING_OF_TEN, FEWEST_RECORDINGS, compute_paired_difference
+from benchmark.metrics.unchanged import find_unchanged_record
 from benchmark.records.run import RunRecord
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.effect import effect_table
 from tests.benchmark.metrics.made_attacks import attacked
 
@@ -44,7 +44,7 @@ def ran(scenes: Mapping[str, str], split: str = "adv") -> RunRecord:
 
 
 def effect(adversarial: Mapping[str, str], unchanged: Mapping[str, str]) -> AdversaryEffect:
-    found = effect_of(ran(adversarial), ran(unchanged, "val"))
+    found = compute_effect(ran(adversarial), ran(unchanged, "val"))
     assert found is not None and found.paired is not None
     return found
 
@@ -81,8 +81,8 @@ def test_what_has_no_pair_is_counted_and_named() -> None:
 
 def test_a_record_that_does_not_say_whom_contacts_are_with_has_dashes_and_no_zeros() -> None:
     old = attacked("p", ADVERSARIAL, dict.fromkeys(ADVERSARIAL, True))
-    assert effect_of(old, None) is None
-    table = effect_table(Frame("d", [old]))
+    assert compute_effect(old, None) is None
+    table = effect_table(DataSetRuns("d", [old]))
     assert table is not None and set(table.rows[0][2:]) == {"–"}
     assert any("older records do not say whom contacts are with" in note for note in table.notes)
 
@@ -108,12 +108,12 @@ def test_a_second_variant_that_is_the_same_changes_no_number_and_no_interval(
 
 def test_too_few_recordings_that_differ_give_no_interval_and_say_how_many_would() -> None:
     weights = np.full(10, 34.0)
-    few = paired_difference(np.array([3.0, 2.0, *[0.0] * 8]), weights)
+    few = compute_paired_difference(np.array([3.0, 2.0, *[0.0] * 8]), weights)
     assert (few.low, few.high, few.differing) == (None, None, 2) and few.value == pytest.approx(5 / 340)
     assert few.enough == FEWEST_DIFFERING_OF_TEN * 5
-    assert paired_difference(np.zeros(10), weights).enough is None
-    assert paired_difference(np.full(3, 2.0), weights[:3]).enough == FEWEST_RECORDINGS
-    assert paired_difference(np.zeros(0), np.zeros(0)).value is None
+    assert compute_paired_difference(np.zeros(10), weights).enough is None
+    assert compute_paired_difference(np.full(3, 2.0), weights[:3]).enough == FEWEST_RECORDINGS
+    assert compute_paired_difference(np.zeros(0), np.zeros(0)).value is None
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_four_of_fewer_than_ten_recordings_must_differ_and_five_of_more(
     recordings: int, differing: int, enough: int | None
 ) -> None:
     sums = np.array([*np.linspace(1.0, 4.0, differing), *[0.0] * (recordings - differing)])
-    found = paired_difference(sums, np.full(recordings, 30.0))
+    found = compute_paired_difference(sums, np.full(recordings, 30.0))
     assert (found.low is None, found.enough) == (enough is not None, enough)
     if enough is not None:
         # What is named does, and one fewer does not.
@@ -133,7 +133,7 @@ def test_four_of_fewer_than_ten_recordings_must_differ_and_five_of_more(
 
 def _given(recordings: int, differing: int) -> bool:
     sums = np.array([*np.linspace(1.0, 4.0, differing), *[0.0] * (recordings - differing)])
-    return paired_difference(sums, np.full(recordings, 30.0)).low is not None
+    return compute_paired_difference(sums, np.full(recordings, 30.0)).low is not None
 
 
 @pytest.mark.parametrize(
@@ -145,13 +145,13 @@ def _given(recordings: int, differing: int) -> bool:
 )
 def test_the_table_says_in_words_how_many_recordings_differ(adversarial: Mapping[str, str], said: str) -> None:
     unchanged = ran({scene[0]: "...." for scene in adversarial}, "val")
-    table = effect_table(Frame("d", [ran(adversarial), unchanged]))
+    table = effect_table(DataSetRuns("d", [ran(adversarial), unchanged]))
     assert table is not None and sum(said in note for note in table.notes) == 1
 
 
 def test_the_interval_is_that_of_t_over_recordings_of_equal_length() -> None:
     sums, weights = np.array([2.0, 0.0, 5.0, 1.0, 3.0, 0.0]), np.full(6, 30.0)
-    found, means = paired_difference(sums, weights), sums / 30.0
+    found, means = compute_paired_difference(sums, weights), sums / 30.0
     reach = 2.5705818 * means.std(ddof=1) / np.sqrt(6)
     assert (found.low, found.high) == pytest.approx((means.mean() - reach, means.mean() + reach), rel=1e-6)
 
@@ -159,14 +159,14 @@ def test_the_interval_is_that_of_t_over_recordings_of_equal_length() -> None:
 def test_the_partner_is_of_the_same_planner_and_has_most_of_the_recordings() -> None:
     adversarial, val = ran(ADVERSARIAL), ran(UNCHANGED, "val")
     part, rendered = ran({"A": "...."}, "val"), ran(UNCHANGED, "val-r")
-    assert unchanged_record(adversarial, [part, val, adversarial]) is val
-    assert unchanged_record(adversarial, [val, rendered]) is val
+    assert find_unchanged_record(adversarial, [part, val, adversarial]) is val
+    assert find_unchanged_record(adversarial, [val, rendered]) is val
     seeing = [
         replace(
             each, run=each.run.model_copy(update={"planner": each.run.planner.model_copy(update={"miniature": True})})
         )
         for each in (adversarial, val, rendered)
     ]
-    assert unchanged_record(seeing[0], [seeing[2], seeing[1]]) is seeing[2]
+    assert find_unchanged_record(seeing[0], [seeing[2], seeing[1]]) is seeing[2]
     other = val.run.planner.model_copy(update={"weights_sha256": "0" * 64})
-    assert unchanged_record(adversarial, [replace(val, run=val.run.model_copy(update={"planner": other}))]) is None
+    assert find_unchanged_record(adversarial, [replace(val, run=val.run.model_copy(update={"planner": other}))]) is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmark.geometry import Floats
-from benchmark.metrics.disagreement import disagreements
+from benchmark.metrics.disagreement import explain_disagreements
 from benchmark.protocols import PROTOCOLS
 from benchmark.truth import SampleTruth
 from tests.benchmark.metrics.test_disagreement import STRAIGHT, Object, truth
@@ -19,7 +19,7 @@ def cause_of(name: str, sample: SampleTruth, plan: Floats = STRAIGHT) -> str | N
     """Why a protocol differs from exact; the recorded ego stands, so that no warp moves anything."""
     still = replace(sample, index=2, ego_future=np.tile([0.0, 0.0, np.pi / 2], (6, 1)))
     judged = {each: PROTOCOLS[each].evaluate([still], plan[None]) for each in ("exact", name)}
-    (found,) = disagreements([still], plan[None], judged)
+    (found,) = explain_disagreements([still], plan[None], judged)
     return found.get(name)
 
 

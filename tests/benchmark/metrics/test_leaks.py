@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.geometry import Floats
-from benchmark.metrics.leaks import Moment, leak_figures, surprise_m
+from benchmark.metrics.leaks import LeakSample, compute_leak_figures, measure_surprise_m
 
 AHEAD = np.array([0.0, 1.0])
 TIMES = 0.5 * np.arange(1, 7)
@@ -21,8 +21,8 @@ def straight(distances: Floats) -> Floats:
 
 def moment(
     recorded: Floats, planned: Floats | None = None, *, before: float, now: float, danger: bool = False
-) -> Moment:
-    return Moment(recorded if planned is None else planned, recorded, AHEAD, (before, now), danger)
+) -> LeakSample:
+    return LeakSample(recorded if planned is None else planned, recorded, AHEAD, (before, now), danger)
 
 
 @pytest.mark.parametrize(
@@ -37,22 +37,22 @@ def moment(
     ],
 )
 def test_simple_continuations_are_no_surprise(before: float, now: float, distances: Floats) -> None:
-    assert surprise_m(moment(straight(distances), before=before, now=now)) == pytest.approx(0.0, abs=1e-9)
+    assert measure_surprise_m(moment(straight(distances), before=before, now=now)) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_bend_is_no_surprise_and_braking_is() -> None:
     angles = 8.0 * TIMES / 20.0
     bend = 20.0 * np.stack([1 - np.cos(angles), np.sin(angles)], axis=1)
     # Chords are a little shorter than the bend.
-    assert surprise_m(moment(bend, before=8.0, now=8.0)) < 0.3
+    assert measure_surprise_m(moment(bend, before=8.0, now=8.0)) < 0.3
     moves = np.minimum(TIMES, 8.0 / 3.0)
     braked = 8.0 * moves - 1.5 * moves**2
     kept, stood = 8.0 * TIMES - braked, braked
     expected = min(math.sqrt(np.mean(kept**2)), math.sqrt(np.mean(stood**2)))
-    assert surprise_m(moment(straight(braked), before=8.0, now=8.0)) == pytest.approx(expected)
+    assert measure_surprise_m(moment(straight(braked), before=8.0, now=8.0)) == pytest.approx(expected)
 
 
-def drives(count: int, rng: np.random.Generator) -> list[Moment]:
+def drives(count: int, rng: np.random.Generator) -> list[LeakSample]:
     """Cars that keep 8 m/s or begin to brake or speed up at a moment that nobody can foretell; the plan keeps it."""
     found = []
     for number in range(count):
@@ -66,7 +66,7 @@ def drives(count: int, rng: np.random.Generator) -> list[Moment]:
 
 
 def test_honest_plans_are_not_suspected() -> None:
-    assert leak_figures(drives(300, np.random.default_rng(1))).suspicions == ()
+    assert compute_leak_figures(drives(300, np.random.default_rng(1))).suspicions == ()
 
 
 @settings(deadline=None, max_examples=20)
@@ -81,7 +81,7 @@ def test_the_future_with_noise_is_suspected_also_on_dangerous_samples_alone(
         else each
         for each in drives(300, rng)
     ]
-    said = leak_figures(leaks).suspicions
+    said = compute_leak_figures(leaks).suspicions
     assert any("could not be foretold" in sentence for sentence in said)
     assert any("dangerous" in sentence for sentence in said) or not hard_only
 
@@ -89,19 +89,19 @@ def test_the_future_with_noise_is_suspected_also_on_dangerous_samples_alone(
 def test_who_knows_when_somebody_will_brake_is_suspected() -> None:
     rng = np.random.default_rng(2)
     braking = [each for each in drives(600, rng) if each.recorded[-1, 1] - each.recorded[-2, 1] < 2.8]
-    assert len(braking) > 20 and not any("will brake" in said for said in leak_figures(braking).suspicions)
+    assert len(braking) > 20 and not any("will brake" in said for said in compute_leak_figures(braking).suspicions)
     knows = [replace(each, planned=each.recorded + rng.normal(0.0, 0.1, (6, 2))) for each in braking]
-    assert any("will brake" in said for said in leak_figures(knows).suspicions)
+    assert any("will brake" in said for said in compute_leak_figures(knows).suspicions)
 
 
 def test_of_few_samples_and_of_cars_that_stand_nothing_is_said() -> None:
     standing = [moment(np.zeros((6, 2)), before=0.0, now=0.0) for _ in range(100)]
-    assert leak_figures(standing).suspicions == () and leak_figures(standing).moving == 0
-    assert leak_figures(drives(5, np.random.default_rng(0))).error_m is None
-    assert leak_figures([]).suspicions == ()
+    assert compute_leak_figures(standing).suspicions == () and compute_leak_figures(standing).moving == 0
+    assert compute_leak_figures(drives(5, np.random.default_rng(0))).error_m is None
+    assert compute_leak_figures([]).suspicions == ()
 
 
 def test_plans_that_are_off_by_one_offset_are_not_taken_for_the_future() -> None:
     # A wrong lidar mount: errors do not grow either, and are large at once.
     off = [replace(each, planned=each.planned + [0.0, 0.94]) for each in drives(300, np.random.default_rng(3))]
-    assert leak_figures(off).suspicions == ()
+    assert compute_leak_figures(off).suspicions == ()

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from benchmark.metrics.loops import (
+    compare_loops,
+    compute_rank_correlation,
+    find_run,
     is_stale,
     kendall_tau,
-    planner_loops,
-    rank_correlation,
-    run_of,
 )
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
@@ -28,11 +28,11 @@ def run(name: str = "p", hits: Sequence[str] = (), **changes: Any) -> RunRecord:
     return hand_made(name, {scene: [CLEAN, HIT if scene in hits else CLEAN] for scene in SCENES}, **changes)
 
 
-def hit(scene: str, run: int = 0, *, at_fault: bool = True) -> DriveRow:
+def hit(scene: str, run: int = 0, *, at_fault: bool = True) -> EpisodeRow:
     return row(scene, run, end="contact", contact=contact(at_fault))
 
 
-def drives(folder: Path, *rows: DriveRow, name: str = "p", **changes: Any) -> DriveRecord:
+def drives(folder: Path, *rows: EpisodeRow, name: str = "p", **changes: Any) -> DriveRecord:
     """Drives on the data of `run`."""
     data = {"name": "d", "version": "v", "fingerprint": "d adv"}
     scenes = list(dict.fromkeys(each.scene for each in rows))
@@ -43,7 +43,7 @@ def drives(folder: Path, *rows: DriveRow, name: str = "p", **changes: Any) -> Dr
 def loops(folder: Path, shares: Mapping[str, tuple[int, int]]) -> list[Any]:
     """Planners that fail so many of the first scenes in open and in closed loop."""
     return [
-        planner_loops(
+        compare_loops(
             drives(
                 folder / name, *(hit(scene) if place < closed else row(scene) for place, scene in enumerate(SCENES))
             ),
@@ -54,7 +54,7 @@ def loops(folder: Path, shares: Mapping[str, tuple[int, int]]) -> list[Any]:
 
 
 def test_rates_and_disagreements_are_over_the_scenes_that_both_have(tmp_path: Path) -> None:
-    found = planner_loops(
+    found = compare_loops(
         drives(tmp_path, hit("s1"), hit("s2", at_fault=False), row("s3")), run(hits=("s1", "s3", "s4"))
     )
     assert [each.scene for each in found.scenes] == ["s1", "s2", "s3"] and found.without == ()
@@ -66,7 +66,7 @@ def test_rates_and_disagreements_are_over_the_scenes_that_both_have(tmp_path: Pa
 
 def test_of_several_runs_any_contact_fails_a_scene_and_rates_are_shares(tmp_path: Path) -> None:
     rows = [row("s1", 0), hit("s1", 1), hit("s1", 2, at_fault=False), row("s1", 3), row("s2", 0), row("s2", 1)]
-    found = planner_loops(drives(tmp_path, *rows, runs=4), run())
+    found = compare_loops(drives(tmp_path, *rows, runs=4), run())
     first, second = found.scenes
     assert (first.contact, first.at_fault, first.closed_fails) == (0.5, 0.25, True) and not second.closed_fails
     assert first.first is not None and first.first.run == 1
@@ -76,25 +76,27 @@ def test_of_several_runs_any_contact_fails_a_scene_and_rates_are_shares(tmp_path
 def test_what_failed_leaves_its_scene_out_unless_there_is_a_contact(tmp_path: Path) -> None:
     opened = hand_made("p", {"s1": [CLEAN], "s2": [CLEAN, FAILED], "s3": [HIT, FAILED], "s4": [CLEAN]})
     rows = [failed("s1"), row("s2"), row("s3"), hit("s4"), failed("s4").model_copy(update={"run": 1})]
-    found = planner_loops(drives(tmp_path, *rows, runs=2), opened)
+    found = compare_loops(drives(tmp_path, *rows, runs=2), opened)
     assert [each.scene for each in found.scenes] == ["s3", "s4"] and found.without == ("s1", "s2")
     assert found.scenes[1].contact == 1.0
-    nothing = planner_loops(drives(tmp_path / "none", failed("s1")), opened)
+    nothing = compare_loops(drives(tmp_path / "none", failed("s1")), opened)
     assert nothing.scenes == () and nothing.open_rate.value is None
 
 
 def test_a_run_stands_beside_drives_of_the_same_planner_and_data_alone(tmp_path: Path) -> None:
     driven = drives(tmp_path / "a", row("s1"))
-    assert run_of(driven, [run("other"), run()]) == run()
-    assert run_of(driven, [run("other")]) is None
-    assert run_of(driven, [run(split="val")]) is None and run_of(driven, [run(data="e")]) is None
-    assert run_of(driven, [run(weights="ab")]) is None
-    assert run_of(drives(tmp_path / "b", row("s1"), planner={"weights_sha256": "ab"}), [run(weights="ab")]) is not None
-    assert run_of(driven, [run(versions={"exact": 0})]) is None
-    assert run_of(drives(tmp_path / "c", row("s9")), [run()]) is None
+    assert find_run(driven, [run("other"), run()]) == run()
+    assert find_run(driven, [run("other")]) is None
+    assert find_run(driven, [run(split="val")]) is None and find_run(driven, [run(data="e")]) is None
+    assert find_run(driven, [run(weights="ab")]) is None
+    assert (
+        find_run(drives(tmp_path / "b", row("s1"), planner={"weights_sha256": "ab"}), [run(weights="ab")]) is not None
+    )
+    assert find_run(driven, [run(versions={"exact": 0})]) is None
+    assert find_run(drives(tmp_path / "c", row("s9")), [run()]) is None
     part = hand_made("p", {"s1": [CLEAN]})
     both = drives(tmp_path / "d", row("s1"), row("s2"))
-    assert run_of(both, [part, run()]) == run() == run_of(both, [run(), part])
+    assert find_run(both, [part, run()]) == run() == find_run(both, [run(), part])
 
 
 def test_kendall_by_hand() -> None:
@@ -109,32 +111,32 @@ def test_kendall_by_hand() -> None:
 
 def test_rank_correlation_says_of_how_many(tmp_path: Path) -> None:
     found = loops(tmp_path, {"a": (0, 1), "b": (1, 2), "c": (3, 4), "d": (2, 0)})
-    correlation = rank_correlation(found)
+    correlation = compute_rank_correlation(found)
     # Of six pairs the three with d: (a, d), (b, d) and (c, d), of which the last alone is in order.
     assert correlation.tau == pytest.approx((4 - 2) / 6) and (correlation.planners, correlation.scenes) == (4, 4)
-    assert rank_correlation(found[:2]).tau is None and rank_correlation(found[:2]).planners == 2
-    assert rank_correlation([]).planners == 0
+    assert compute_rank_correlation(found[:2]).tau is None and compute_rank_correlation(found[:2]).planners == 2
+    assert compute_rank_correlation([]).planners == 0
 
 
 def test_miniatures_rank_nothing_and_only_common_scenes_count(tmp_path: Path) -> None:
     found = loops(tmp_path, {"a": (0, 1), "b": (1, 2), "c": (3, 4)})
-    small = planner_loops(drives(tmp_path / "m", row("s1"), planner={"miniature": True}), run())
-    assert rank_correlation([*found, small]) == rank_correlation(found)
-    part = planner_loops(drives(tmp_path / "p", row("s1"), row("s2")), run())
-    assert rank_correlation([*found, part]).scenes == 2
-    elsewhere = planner_loops(drives(tmp_path / "e", row("s4")), run())
-    assert rank_correlation([*found, part, elsewhere]).tau is None
+    small = compare_loops(drives(tmp_path / "m", row("s1"), planner={"miniature": True}), run())
+    assert compute_rank_correlation([*found, small]) == compute_rank_correlation(found)
+    part = compare_loops(drives(tmp_path / "p", row("s1"), row("s2")), run())
+    assert compute_rank_correlation([*found, part]).scenes == 2
+    elsewhere = compare_loops(drives(tmp_path / "e", row("s4")), run())
+    assert compute_rank_correlation([*found, part, elsewhere]).tau is None
 
 
 def test_at_fault_ranks_apart(tmp_path: Path) -> None:
     found = [
-        planner_loops(
+        compare_loops(
             drives(tmp_path / name, *(hit(each, at_fault=place < blamed) for place, each in enumerate(SCENES))),
             run(name, SCENES[:opened]),
         )
         for name, opened, blamed in (("a", 1, 3), ("b", 2, 2), ("c", 3, 1))
     ]
-    assert rank_correlation(found).tau is None and rank_correlation(found, at_fault=True).tau == -1.0
+    assert compute_rank_correlation(found).tau is None and compute_rank_correlation(found, at_fault=True).tau == -1.0
 
 
 def test_old_scores_are_told(tmp_path: Path) -> None:

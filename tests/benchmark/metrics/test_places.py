@@ -13,9 +13,9 @@ from shapely.geometry import Polygon
 
 from benchmark.constants import OFFICIAL_LOCATIONS
 from benchmark.geometry import Floats, to_global
-from benchmark.metrics.places import Place, place_of, rings
+from benchmark.metrics.places import PlaceKind, classify_place, find_rings
 from benchmark.road_map import Lane, RoadMap, as_multipolygon
-from generation.sources.town.network import NodeKind, Role, Town
+from generation.sources.town.network import LaneRole, Town, TownNodeKind
 from generation.sources.town.towns import build_town
 from tests.hand_made import straight_road
 
@@ -63,8 +63,8 @@ def town(request: pytest.FixtureRequest) -> Town:
 
 
 def test_the_town_has_one_roundabout_and_it_is_found(town: Town) -> None:
-    (center,) = [node.position for node in town.layout.nodes.values() if node.kind is NodeKind.ROUNDABOUT]
-    found = list(rings(town.road_map.lanes))
+    (center,) = [node.position for node in town.layout.nodes.values() if node.kind is TownNodeKind.ROUNDABOUT]
+    found = list(find_rings(town.road_map.lanes))
     assert found
     for ring in found:
         assert float(np.hypot(*(np.array(ring.centroid.coords[0]) - center))) < 1.0
@@ -73,30 +73,30 @@ def test_the_town_has_one_roundabout_and_it_is_found(town: Town) -> None:
 
 def test_lanes_of_the_town_are_named_by_what_they_are(town: Town) -> None:
     nodes = town.layout.nodes
-    expected = {NodeKind.ROUNDABOUT: Place.ROUNDABOUT, NodeKind.CROSSING: Place.JUNCTION}
+    expected = {TownNodeKind.ROUNDABOUT: PlaceKind.ROUNDABOUT, TownNodeKind.CROSSING: PlaceKind.JUNCTION}
     for lane in town.lanes.values():
-        if lane.road in nodes and nodes[lane.road].kind in expected and lane.role is not Role.CAR_PARK:
+        if lane.road in nodes and nodes[lane.road].kind in expected and lane.role is not LaneRole.CAR_PARK:
             car = on(lane.line, 0.5)
-            assert place_of(town.road_map, car, car) is expected[nodes[lane.road].kind], lane.name
+            assert classify_place(town.road_map, car, car) is expected[nodes[lane.road].kind], lane.name
 
 
 def test_roads_away_from_junctions_are_bends_or_straight(town: Town) -> None:
     found = set()
     for lane in town.lanes.values():
         # Middles of long lanes, on roads.
-        if lane.role is Role.ROAD and np.hypot(*np.diff(lane.line, axis=0).T).sum() > 40.0:
+        if lane.role is LaneRole.ROAD and np.hypot(*np.diff(lane.line, axis=0).T).sum() > 40.0:
             car = on(lane.line, 0.5)
-            found.add(place_of(town.road_map, car, car))
-    assert found <= {Place.BEND, Place.STRAIGHT} and Place.STRAIGHT in found
+            found.add(classify_place(town.road_map, car, car))
+    assert found <= {PlaceKind.BEND, PlaceKind.STRAIGHT} and PlaceKind.STRAIGHT in found
 
 
 def test_the_loop_of_a_car_park_is_a_car_park(town: Town) -> None:
-    loops = [lane for lane in town.lanes.values() if lane.role is Role.CAR_PARK]
+    loops = [lane for lane in town.lanes.values() if lane.role is LaneRole.CAR_PARK]
     assert loops
     for lane in loops:
         for share in (0.2, 0.5, 0.8):
             car = on(lane.line, share)
-            assert place_of(town.road_map, car, car) is Place.CAR_PARK
+            assert classify_place(town.road_map, car, car) is PlaceKind.CAR_PARK
 
 
 def test_either_body_in_a_junction_counts() -> None:
@@ -108,41 +108,43 @@ def test_either_body_in_a_junction_counts() -> None:
         intersections=frozenset({"junction"}),
     )
     outside, inside = box(180.0, 198.25), box(192.0, 198.25)
-    assert place_of(road_map, outside, outside) is Place.STRAIGHT
-    assert place_of(road_map, outside, inside) is Place.JUNCTION
-    assert place_of(road_map, inside, outside) is Place.JUNCTION
+    assert classify_place(road_map, outside, outside) is PlaceKind.STRAIGHT
+    assert classify_place(road_map, outside, inside) is PlaceKind.JUNCTION
+    assert classify_place(road_map, inside, outside) is PlaceKind.JUNCTION
 
 
 def test_a_road_that_is_not_called_a_junction_is_none_even_where_lanes_cross() -> None:
     lines = {"a": straight((-40, 0), (40, 0)), "b": straight((0, -40), (0, 40))}
     mapped = line_map(lines, road_segments={"road": shapely.box(-50, -50, 50, 50)})
-    assert place_of(mapped, box(0, 0), box(0, 0)) is Place.STRAIGHT
+    assert classify_place(mapped, box(0, 0), box(0, 0)) is PlaceKind.STRAIGHT
 
 
 def test_without_junction_surfaces_crossing_lanes_tell() -> None:
     lines = {"a": straight((-40, 0), (40, 0)), "b": straight((3, -40), (3, 40))}
-    assert place_of(line_map(lines), box(0, 0), box(0, 0)) is Place.JUNCTION
-    assert place_of(line_map(lines), box(-20, 0), box(-20, 0)) is Place.STRAIGHT
-    assert place_of(line_map(lines), box(-20, 0), box(-4, 0)) is Place.JUNCTION
+    assert classify_place(line_map(lines), box(0, 0), box(0, 0)) is PlaceKind.JUNCTION
+    assert classify_place(line_map(lines), box(-20, 0), box(-20, 0)) is PlaceKind.STRAIGHT
+    assert classify_place(line_map(lines), box(-20, 0), box(-4, 0)) is PlaceKind.JUNCTION
 
 
 def test_lanes_that_part_or_merge_are_no_junction() -> None:
     parting = {"before": straight((-40, 0), (0, 0)), "on": straight((0, 0), (40, 0)), "off": straight((0, 0), (30, 20))}
     mapped = line_map(parting, [("before", "on"), ("before", "off")])
-    assert place_of(mapped, box(0, 0), box(2, 0)) is Place.STRAIGHT
+    assert classify_place(mapped, box(0, 0), box(2, 0)) is PlaceKind.STRAIGHT
 
 
 def test_an_empty_map_and_a_place_without_lanes_are_unknown() -> None:
-    assert place_of(line_map({}), box(0, 0), box(1, 1)) is Place.UNKNOWN
+    assert classify_place(line_map({}), box(0, 0), box(1, 1)) is PlaceKind.UNKNOWN
     lanes = {"a": straight((-40, 0), (40, 0))}
-    assert place_of(line_map(lanes), box(0, 30), box(0, 30)) is Place.UNKNOWN
+    assert classify_place(line_map(lanes), box(0, 30), box(0, 30)) is PlaceKind.UNKNOWN
     # A lane that leads elsewhere is not the ego's.
-    assert place_of(line_map(lanes), box(0, 0, np.pi), box(0, 0)) is Place.UNKNOWN
+    assert classify_place(line_map(lanes), box(0, 0, np.pi), box(0, 0)) is PlaceKind.UNKNOWN
 
 
-@pytest.mark.parametrize(("radius", "place"), [(30.0, Place.BEND), (90.0, Place.BEND), (200.0, Place.STRAIGHT)])
+@pytest.mark.parametrize(
+    ("radius", "place"), [(30.0, PlaceKind.BEND), (90.0, PlaceKind.BEND), (200.0, PlaceKind.STRAIGHT)]
+)
 @pytest.mark.parametrize("pieces", [1, 4])
-def test_bends_are_told_by_radius_however_the_lane_is_cut(radius: float, place: Place, pieces: int) -> None:
+def test_bends_are_told_by_radius_however_the_lane_is_cut(radius: float, place: PlaceKind, pieces: int) -> None:
     span = 60.0 / radius
     edges = np.linspace(-np.pi / 2, -np.pi / 2 + span, pieces + 1)
     lines = {f"lane-{index}": arc(radius, edges[index], edges[index + 1]) for index in range(pieces)}
@@ -150,7 +152,7 @@ def test_bends_are_told_by_radius_however_the_lane_is_cut(radius: float, place: 
     for share in (0.4, 0.5, 0.6):
         angle = -np.pi / 2 + share * span
         car = box(radius * np.cos(angle), radius * np.sin(angle), angle + np.pi / 2)
-        assert place_of(mapped, car, car) is place
+        assert classify_place(mapped, car, car) is place
 
 
 @pytest.mark.parametrize("radius", [6.0, 15.0, 35.0])
@@ -163,9 +165,9 @@ def test_a_ring_of_lanes_is_a_roundabout_either_way_round(radius: float, clockwi
     links = [(f"ring-{index}", f"ring-{(index + 1) % 4}") for index in range(4)]
     mapped = line_map(lines, [*links, ("in", "ring-0")])
     near, far = box(radius + 3.0, 0.0, np.pi), box(radius + 20.0, 0.0, np.pi)
-    assert place_of(mapped, near, near) is Place.ROUNDABOUT
-    assert place_of(mapped, far, far) is not Place.ROUNDABOUT
-    (ring,) = rings(mapped.lanes)
+    assert classify_place(mapped, near, near) is PlaceKind.ROUNDABOUT
+    assert classify_place(mapped, far, far) is not PlaceKind.ROUNDABOUT
+    (ring,) = find_rings(mapped.lanes)
     assert ring.area == pytest.approx(np.pi * radius**2, rel=0.05)
 
 
@@ -185,7 +187,7 @@ def test_streets_round_a_block_are_no_roundabout(side: float, corner: float) -> 
     lines = block(side, corner)
     names = [f"{index}-{part}" for index in range(4) for part in ("street", "turn")]
     mapped = line_map(lines, list(zip(names, [*names[1:], names[0]], strict=True)))
-    assert not list(rings(mapped.lanes))
+    assert not list(find_rings(mapped.lanes))
 
 
 def test_going_back_and_forth_between_two_turning_places_is_no_roundabout() -> None:
@@ -196,14 +198,14 @@ def test_going_back_and_forth_between_two_turning_places_is_no_roundabout() -> N
         "again": arc(3.0, np.pi / 2, 3 * np.pi / 2, (-30.0, 0.0)),
     }
     names = [*lines]
-    assert not list(rings(line_map(lines, list(zip(names, [*names[1:], names[0]], strict=True))).lanes))
+    assert not list(find_rings(line_map(lines, list(zip(names, [*names[1:], names[0]], strict=True))).lanes))
 
 
 def test_a_lane_that_follows_itself_or_is_missing_does_no_harm() -> None:
     lines = {"a": straight((-10, 0), (10, 0)), "ring": arc(10.0, 0.0, 2 * np.pi, (40.0, 0.0))}
     mapped = line_map(lines, [("a", "a"), ("a", "gone"), ("gone", "a"), ("ring", "ring")])
-    assert [ring.area for ring in rings(mapped.lanes)] == [pytest.approx(np.pi * 100.0, rel=0.02)]
-    assert place_of(mapped, box(0, 0), box(0, 0)) is Place.STRAIGHT
+    assert [ring.area for ring in find_rings(mapped.lanes)] == [pytest.approx(np.pi * 100.0, rel=0.02)]
+    assert classify_place(mapped, box(0, 0), box(0, 0)) is PlaceKind.STRAIGHT
 
 
 def test_many_short_lanes_that_part_and_merge_take_no_time() -> None:
@@ -213,20 +215,20 @@ def test_many_short_lanes_that_part_and_merge_take_no_time() -> None:
             lines[f"{row:02d}{side}"] = straight((5.0 * row, 0), (5.0 * row + 5, 0))
             links += [(f"{row:02d}{side}", f"{row + 1:02d}{other}") for other in "ab"]
     begin = time.process_time()
-    assert not list(rings(line_map(lines, links).lanes))
+    assert not list(find_rings(line_map(lines, links).lanes))
     assert time.process_time() - begin < 5.0
 
 
 def test_repeated_points_do_not_matter() -> None:
     line = np.repeat(straight((-40, 0), (40, 0)), 2, axis=0)
-    assert place_of(line_map({"a": line}), box(0, 0), box(0, 0)) is Place.STRAIGHT
+    assert classify_place(line_map({"a": line}), box(0, 0), box(0, 0)) is PlaceKind.STRAIGHT
 
 
 def test_a_parking_strip_on_a_road_is_not_a_car_park() -> None:
     road, strip = shapely.box(-50, -5, 50, 5), shapely.box(-50, 3, 50, 8)
     mapped = line_map({"a": straight((-40, 0), (40, 0))}, road_segments={"road": road}, carparks={"strip": strip})
-    assert place_of(mapped, box(0, 4), box(0, 0)) is Place.STRAIGHT
-    assert place_of(mapped, box(0, 4), box(0, 6.5)) is Place.CAR_PARK
+    assert classify_place(mapped, box(0, 4), box(0, 0)) is PlaceKind.STRAIGHT
+    assert classify_place(mapped, box(0, 4), box(0, 6.5)) is PlaceKind.CAR_PARK
 
 
 @settings(max_examples=10, deadline=None)
@@ -244,15 +246,15 @@ def test_moving_turning_and_mirroring_the_world_change_nothing(
     pose = np.array([x, y, angle])
     mapped = line_map({name: to_global(line * flip, pose) for name, line in lines.items()}, [("ring", "ring")])
     cars = {
-        Place.STRAIGHT: box(-20, 0),
-        Place.JUNCTION: box(18, 0),
-        Place.ROUNDABOUT: box(66, 0),
-        Place.BEND: on(lines["bend"], 0.5),
+        PlaceKind.STRAIGHT: box(-20, 0),
+        PlaceKind.JUNCTION: box(18, 0),
+        PlaceKind.ROUNDABOUT: box(66, 0),
+        PlaceKind.BEND: on(lines["bend"], 0.5),
     }
     for place, car in cars.items():
         center = to_global(car[:2] * flip, pose)
         moved = np.array([*center, *car[2:4], flip[1] * car[4] + angle])
-        assert place_of(mapped, moved, moved) is place
+        assert classify_place(mapped, moved, moved) is place
 
 
 def test_surfaces_with_holes_count_their_inside_only() -> None:
@@ -260,5 +262,5 @@ def test_surfaces_with_holes_count_their_inside_only() -> None:
     mapped = line_map(
         {"a": straight((-40, 0), (40, 0))}, road_segments={"j": ring_road}, intersections=frozenset({"j"})
     )
-    assert place_of(mapped, box(10, 0), box(10, 0)) is Place.JUNCTION
-    assert place_of(mapped, box(0, 0), box(0, 0)) is Place.STRAIGHT
+    assert classify_place(mapped, box(10, 0), box(10, 0)) is PlaceKind.JUNCTION
+    assert classify_place(mapped, box(0, 0), box(0, 0)) is PlaceKind.STRAIGHT

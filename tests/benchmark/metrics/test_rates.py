@@ -7,34 +7,42 @@ from hypothesis import strategies as st
 
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
-from benchmark.metrics.rates import HORIZONS, RESAMPLES, all_ends, ends, rates, ratios_over_scenes, sums_by_scene
-from benchmark.protocols import Outcomes
-from benchmark.protocols.exact import Exact
+from benchmark.metrics.rates import (
+    HORIZONS,
+    RESAMPLES,
+    compute_ratios_over_scenes,
+    find_interval,
+    find_intervals,
+    rates,
+    sum_by_scene,
+)
+from benchmark.protocols import ProtocolOutcomes
+from benchmark.protocols.exact import ExactProtocol
 
 
-def outcomes_of(collision: list[list[int]], counted: list[bool]) -> Outcomes:
+def outcomes_of(collision: list[list[int]], counted: list[bool]) -> ProtocolOutcomes:
     flags = np.array(collision, dtype=np.bool_).reshape(-1, 6)
-    return Outcomes(flags, flags * 2.0, np.ones_like(flags), np.array(counted))
+    return ProtocolOutcomes(flags, flags * 2.0, np.ones_like(flags), np.array(counted))
 
 
 def test_rates_are_shares_of_the_counted_samples() -> None:
     outcomes = outcomes_of(
         [[0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 0, 0, 0, 1], [1, 1, 1, 1, 1, 1]], [True, True, True, False]
     )
-    found = rates(Exact(), outcomes, ["a", "a", "b", "b"])["collision"]
+    found = rates(ExactProtocol(), outcomes, ["a", "a", "b", "b"])["collision"]
     assert [found[horizon].value for horizon in HORIZONS] == pytest.approx([1 / 3, 1 / 3, 2 / 3, 4 / 9])
     assert all(found[horizon].denominator == 3 for horizon in HORIZONS)
     assert [found[horizon].numerator for horizon in HORIZONS[:3]] == [1, 1, 2]
 
 
 def test_without_counted_samples_there_is_no_rate() -> None:
-    found = rates(Exact(), outcomes_of([[1, 1, 1, 1, 1, 1]], [False]), ["a"])["collision"]["3s"]
+    found = rates(ExactProtocol(), outcomes_of([[1, 1, 1, 1, 1, 1]], [False]), ["a"])["collision"]["3s"]
     assert found.value is None and found.low is None and found.denominator == 0
-    assert rates(Exact(), outcomes_of([], []), [])["l2"]["avg"].value is None
+    assert rates(ExactProtocol(), outcomes_of([], []), [])["l2"]["avg"].value is None
 
 
 def test_one_scene_has_no_interval() -> None:
-    found = rates(Exact(), outcomes_of([[1, 1, 1, 1, 1, 1]] * 5, [True] * 5), ["a"] * 5)["collision"]["3s"]
+    found = rates(ExactProtocol(), outcomes_of([[1, 1, 1, 1, 1, 1]] * 5, [True] * 5), ["a"] * 5)["collision"]["3s"]
     assert found.value == 1.0 and found.low is None and found.high is None
 
 
@@ -42,7 +50,7 @@ def test_the_interval_is_that_of_a_slow_bootstrap_over_scenes() -> None:
     rng = np.random.default_rng(3)
     scenes = [f"scene-{index // 10}" for index in range(200)]
     values = (rng.random(200) < 0.2).astype(float)
-    fast = ratios_over_scenes(values[:, None], np.ones((200, 1)), scenes, seed=7)[0]
+    fast = compute_ratios_over_scenes(values[:, None], np.ones((200, 1)), scenes, seed=7)[0]
     names = sorted(set(scenes))
     draws = np.random.default_rng(content_seed("scene bootstrap", names, 7)).multinomial(
         20, np.full(20, 1 / 20), size=RESAMPLES
@@ -68,16 +76,16 @@ def test_the_order_of_samples_changes_no_bit(seed: int) -> None:
     values, weights = rng.normal(size=(40, 2)), np.ones((40, 2))
     scenes = [f"scene-{index}" for index in rng.integers(0, 6, 40)]
     order = rng.permutation(40)
-    shuffled = ratios_over_scenes(values[order], weights[order], [scenes[index] for index in order], seed=1)
-    assert ratios_over_scenes(values, weights, scenes, seed=1) == shuffled
+    shuffled = compute_ratios_over_scenes(values[order], weights[order], [scenes[index] for index in order], seed=1)
+    assert compute_ratios_over_scenes(values, weights, scenes, seed=1) == shuffled
 
 
 def test_draws_without_a_number_widen_both_ends_to_the_bounds() -> None:
     draws = np.linspace(0.4, 0.6, 1000)
-    assert ends(draws, (0.0, 1.0)) == (draws[24], draws[975])
+    assert find_interval(draws, (0.0, 1.0)) == (draws[24], draws[975])
     draws[::10] = np.nan
-    assert ends(draws, (0.0, 1.0)) == (0.0, 1.0)
-    assert ends(np.full(10, np.inf), (-1.0, np.inf)) == (np.inf, np.inf)
+    assert find_interval(draws, (0.0, 1.0)) == (0.0, 1.0)
+    assert find_interval(np.full(10, np.inf), (-1.0, np.inf)) == (np.inf, np.inf)
 
 
 @settings(max_examples=15, deadline=None)
@@ -86,13 +94,13 @@ def test_the_interval_holds_the_rate_where_there_are_many_scenes(seed: int, chan
     rng = np.random.default_rng(seed)
     scenes = [f"scene-{index // 5}" for index in range(200)]
     values = (rng.random((200, 1)) < chance).astype(float)
-    found = ratios_over_scenes(values, np.ones_like(values), scenes, seed=0)[0]
+    found = compute_ratios_over_scenes(values, np.ones_like(values), scenes, seed=0)[0]
     assert found.value is not None and found.low is not None and found.high is not None
     assert found.low <= found.value <= found.high
 
 
 def test_sums_over_other_names_are_zero_where_there_was_nothing() -> None:
-    sums = sums_by_scene(np.array([[1.0], [2.0], [4.0]]), np.ones((3, 1)), ["b", "a", "b"])
+    sums = sum_by_scene(np.array([[1.0], [2.0], [4.0]]), np.ones((3, 1)), ["b", "a", "b"])
     assert sums.names == ("a", "b") and sums.numerators.tolist() == [[2.0], [5.0]]
     other = sums.over(["b", "c"])
     assert other.numerators.tolist() == [[5.0], [0.0]] and other.denominators.tolist() == [[2.0], [0.0]]
@@ -100,7 +108,7 @@ def test_sums_over_other_names_are_zero_where_there_was_nothing() -> None:
 
 def one_after_the_other(values: Floats, weights: Floats, scenes: list[str]) -> list[tuple[float | None, float | None]]:
     """Intervals by the plainest way that adds in the same order: all columns in one product, a percentile each."""
-    sums = sums_by_scene(values, weights, scenes)
+    sums = sum_by_scene(values, weights, scenes)
     rng = np.random.default_rng(content_seed("scene bootstrap", list(sums.names), 0))
     count = len(sums.names)
     drawn = rng.multinomial(count, np.full(count, 1 / count), size=RESAMPLES).astype(np.float64)
@@ -124,19 +132,19 @@ def test_columns_that_are_alike_or_whole_give_the_bits_that_they_give_with_all_o
     kinds = [rng.random(150), rng.random(150) < 0.2, rng.integers(0, 4, 150) / 3.0]
     values = np.stack([np.asarray(kinds[(column + seed) % 3], np.float64) for column in range(columns)], axis=1)
     weights = (rng.random((150, columns)) < (0.05, 0.5, 1.0)[seed]).astype(np.float64)
-    found = ratios_over_scenes(values * weights, weights, scenes, seed=0)
+    found = compute_ratios_over_scenes(values * weights, weights, scenes, seed=0)
     expected = one_after_the_other(values * weights, weights, scenes)
     assert [(rate.low, rate.high) for rate in found] == expected
     # Asked once more, from what is remembered.
-    assert ratios_over_scenes(values * weights, weights, scenes, seed=0) == found
+    assert compute_ratios_over_scenes(values * weights, weights, scenes, seed=0) == found
 
 
 def test_ends_of_several_numbers_are_those_of_each() -> None:
     rng = np.random.default_rng(0)
     draws = rng.random((4, RESAMPLES))
     draws[1, ::3], draws[2, :], draws[3, :5] = np.nan, np.nan, np.inf
-    low, high = all_ends(draws, (-1.0, 1.0))
-    assert list(zip(low.tolist(), high.tolist())) == [ends(one, (-1.0, 1.0)) for one in draws]
+    low, high = find_intervals(draws, (-1.0, 1.0))
+    assert list(zip(low.tolist(), high.tolist())) == [find_interval(one, (-1.0, 1.0)) for one in draws]
     whole = np.sort(draws[0])
     assert (low[0], high[0]) == (whole[49], whole[1950])
     assert (low[2], high[2]) == (-1.0, 1.0)

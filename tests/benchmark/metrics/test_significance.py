@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_seed
 from benchmark.metrics.rates import HORIZONS, RESAMPLES
-from benchmark.metrics.scores import scored, source_of_scenes
+from benchmark.metrics.scores import map_scenes_to_sources, score_record
 from benchmark.metrics.significance import PlannerComparison, SplitComparison, compare_planners, compare_splits
 from benchmark.records.run import RunRecord
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, UNCOUNTED, hand_made
@@ -21,11 +21,11 @@ SIX = [f"s{index}" for index in range(6)]
 
 
 def splits(baseline: RunRecord, other: RunRecord, protocol: str = "exact") -> SplitComparison:
-    return compare_splits(scored(baseline, protocol=protocol), scored(other, protocol=protocol))
+    return compare_splits(score_record(baseline, protocol=protocol), score_record(other, protocol=protocol))
 
 
 def planners(first: RunRecord, second: RunRecord, protocol: str = "exact") -> PlannerComparison:
-    return compare_planners(scored(first, protocol=protocol), scored(second, protocol=protocol))
+    return compare_planners(score_record(first, protocol=protocol), score_record(second, protocol=protocol))
 
 
 def random_scenes(rng: np.random.Generator, names: list[str], chance: float) -> Scenes:
@@ -189,7 +189,7 @@ def test_where_a_scene_comes_from_is_taken_from_the_record_and_else_from_its_nam
     assert by_name.sources == ("scene-1", "scene-1-b", "scene-12")
     assert by_name.only_split == ("other", "scene-123") and by_name.only_baseline == ()
     told = hand_made("p", adv, sources={"other": "scene-12", "scene-1-b-77": "scene-1"})
-    assert source_of_scenes(told)["other"] == "scene-12"
+    assert map_scenes_to_sources(told)["other"] == "scene-12"
     found = splits(val, told)
     assert found.sources == ("scene-1", "scene-12")
     assert found.only_baseline == ("scene-1-b",) and found.only_split == ("scene-123",)
@@ -213,12 +213,12 @@ def test_what_does_not_compare_is_refused() -> None:
     scenes: Scenes = {"s0": [CLEAN], "s1": [HIT]}
     val, adv = hand_made("p", scenes, split="val"), hand_made("p", scenes)
     with pytest.raises(InputError, match=r"p on adv of d was judged by version 0 of protocol exact, now .* rescore"):
-        scored(hand_made("p", scenes, versions={"exact": 0}))
+        score_record(hand_made("p", scenes, versions={"exact": 0}))
     with pytest.raises(InputError, match="was not judged by protocol 'vad'; run challenger-bench rescore"):
-        scored(adv, protocol="vad")
+        score_record(adv, protocol="vad")
     unknown = replace(adv, run=adv.run.model_copy(update={"protocols": {"gone": 1}}))
     with pytest.raises(InputError, match="not known here"):
-        scored(unknown, protocol="gone")
+        score_record(unknown, protocol="gone")
     with pytest.raises(InputError, match="same planner"):
         splits(val, hand_made("q", scenes))
     with pytest.raises(InputError, match="different weights"):

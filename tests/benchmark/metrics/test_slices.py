@@ -10,24 +10,24 @@ import pytest
 
 from benchmark.cli import options
 from benchmark.errors import InputError
-from benchmark.metrics.rates import HORIZONS, ratios_over_scenes, sums_by_scene
-from benchmark.metrics.scores import scored, source_of_scenes
+from benchmark.metrics.rates import HORIZONS, compute_ratios_over_scenes, sum_by_scene
+from benchmark.metrics.scores import map_scenes_to_sources, score_record
 from benchmark.metrics.slices import (
     KINDS,
-    NOT_SAID,
+    NOT_STATED,
     SPEEDS,
     SliceKind,
-    causes_by,
-    driving_by,
-    kinds_named,
-    rates_by,
-    slice_sums,
-    slicing,
+    compute_causes_by,
+    compute_driving_by,
+    compute_rates_by,
+    select_kinds,
+    slice_samples,
+    sum_by_slice,
 )
 from benchmark.pdm.totals import DrivenPlan
-from benchmark.records.driving import summarise_driving
+from benchmark.records.driving import summarise_driving_scores
 from benchmark.records.row_schema import DiagnosisRow, SampleRow
-from benchmark.records.run import RunRecord, summarise
+from benchmark.records.run import RunRecord, summarise_rows
 from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, UNCOUNTED, hand_made
 
@@ -84,7 +84,7 @@ def alone(record: RunRecord, chosen: Sequence[int]) -> RunRecord:
 
 def members(record: RunRecord, kind: SliceKind) -> dict[str, list[tuple[str, int]]]:
     """Scene and number of the samples of each slice."""
-    parts = slicing(record, kind)
+    parts = slice_samples(record, kind)
     assert parts is not None
     return {
         name: [(row.scene, row.index) for row, inside in zip(record.rows, parts.members[:, place]) if inside]
@@ -95,7 +95,7 @@ def members(record: RunRecord, kind: SliceKind) -> dict[str, list[tuple[str, int
 def test_the_command_line_knows_every_kind() -> None:
     repeated, _ = typing.get_args(typing.get_args(options.By)[0])
     assert typing.get_args(typing.get_args(repeated)[0]) == KINDS
-    assert kinds_named(["speed", "nonsense", "place"]) == ("place", "speed")
+    assert select_kinds(["speed", "nonsense", "place"]) == ("place", "speed")
 
 
 def test_every_sample_is_in_the_slices_that_the_record_names_and_in_their_order() -> None:
@@ -110,27 +110,27 @@ def test_every_sample_is_in_the_slices_that_the_record_names_and_in_their_order(
         "day": ["b-again"],
         "night": ["a", "c"],
         "rain": ["a"],
-        NOT_SAID: ["b"],
+        NOT_STATED: ["b"],
     }
     # Frequent ones first.
     assert {name: sorted({scene for scene, _ in found}) for name, found in by["manoeuvre"].items()} == {
         "tailgating": ["a", "b-again"],
         "cut-in-left": ["b"],
-        NOT_SAID: ["c"],
+        NOT_STATED: ["c"],
     }
-    assert list(by["manoeuvre"]) == ["tailgating", "cut-in-left", NOT_SAID]
+    assert list(by["manoeuvre"]) == ["tailgating", "cut-in-left", NOT_STATED]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("protocol", ["exact", "vad"])
 def test_rates_are_those_of_a_record_with_the_samples_of_the_slice_alone(kind: SliceKind, protocol: str) -> None:
     record = made()
-    parts = slicing(record, kind)
+    parts = slice_samples(record, kind)
     assert parts is not None
-    found = {one.name: one for one in rates_by(record, kind, protocol)}
+    found = {one.name: one for one in compute_rates_by(record, kind, protocol)}
     assert found
     for place, name in enumerate(parts.names):
-        inside = scored(alone(record, np.flatnonzero(parts.members[:, place]).tolist()), protocol=protocol)
+        inside = score_record(alone(record, np.flatnonzero(parts.members[:, place]).tolist()), protocol=protocol)
         counted = int(inside.counted.sum())
         if not counted:
             assert name not in found
@@ -145,19 +145,19 @@ def test_rates_are_those_of_a_record_with_the_samples_of_the_slice_alone(kind: S
 
 
 def test_failed_and_uncounted_samples_are_in_no_rate() -> None:
-    found = {one.name: one for one in rates_by(made(), "place", "exact")}
+    found = {one.name: one for one in compute_rates_by(made(), "place", "exact")}
     # Number 3 of the first scene has no future, number 1 of the second no plan.
     assert found["roundabout"].samples == 3 and found["junction"].samples == 3
 
 
 def test_intervals_draw_recordings_of_the_whole_split() -> None:
     record = made()
-    (junction,) = [one for one in rates_by(record, "place", "exact") if one.name == "junction"]
+    (junction,) = [one for one in compute_rates_by(record, "place", "exact") if one.name == "junction"]
     rows = [row for row in record.rows if row.status == "ok" and row.outcomes["exact"].counted]
     weights = np.array([[float(row.place == "junction")] for row in rows])
     hit = np.array([[float(any(row.outcomes["exact"].collision or ()))] for row in rows])
-    sources = source_of_scenes(record)
-    (expected,) = ratios_over_scenes(hit * weights, weights, [sources[row.scene] for row in rows], seed=0)
+    sources = map_scenes_to_sources(record)
+    (expected,) = compute_ratios_over_scenes(hit * weights, weights, [sources[row.scene] for row in rows], seed=0)
     rate = junction.columns["collision"]["3s"]
     assert (rate.value, rate.low, rate.high) == (expected.value, expected.low, expected.high)
     # The two scenes of one recording are not independent: three recordings, one of which collides there.
@@ -170,17 +170,17 @@ def test_driving_scores_of_a_slice_are_those_of_its_samples() -> None:
         return None if row.status == "failed" else replace(DRIVEN, **worse)
 
     record = made(driving=driving)
-    summary = summarise(record.rows, record.run.protocols, seed=0)
+    summary = summarise_rows(record.rows, record.run.protocols, seed=0)
     record = replace(record, summary=summary)
-    parts = slicing(record, "speed")
+    parts = slice_samples(record, "speed")
     assert parts is not None
-    for place, one in enumerate(driving_by(record, "speed")):
+    for place, one in enumerate(compute_driving_by(record, "speed")):
         rows = [row for row, inside in zip(record.rows, parts.members[:, place]) if inside and row.driving]
-        whole = summarise_driving(rows, [row.scene for row in rows], seed=0)
+        whole = summarise_driving_scores(rows, [row.scene for row in rows], seed=0)
         assert whole is not None and one.samples == whole.counted
         for column, rates in one.columns.items():
             assert rates["mean"].value == pytest.approx(whole.columns[column]["mean"].value)
-    assert driving_by(made(), "speed") == []
+    assert compute_driving_by(made(), "speed") == []
 
 
 def test_causes_are_shares_of_the_colliding_samples() -> None:
@@ -188,13 +188,13 @@ def test_causes_are_shares_of_the_colliding_samples() -> None:
         said = {"cause": "unseen" if row.scene == "a" else "misplanned", "reason": "r", "hit": "h"}
         return DiagnosisRow.model_validate({**said, "first_contact_s": 1.0})
 
-    found = {one.name: one for one in causes_by(made(diagnosis=cause), "place")}
+    found = {one.name: one for one in compute_causes_by(made(diagnosis=cause), "place")}
     shares = {name: {cause: rate.value for cause, rate in one.columns["cause"].items()} for name, one in found.items()}
     # Straight on: two of the first scene, one each of the two of the second recording.
     assert found["straight"].samples == 4 and found["straight"].scenes == 3
     assert shares["straight"]["unseen"] == shares["straight"]["misplanned"] == 0.5
     assert shares["roundabout"]["misplanned"] == 1.0
-    assert causes_by(made(), "place") == []
+    assert compute_causes_by(made(), "place") == []
 
 
 @pytest.mark.parametrize(
@@ -202,8 +202,8 @@ def test_causes_are_shares_of_the_colliding_samples() -> None:
 )
 def test_what_an_old_record_does_not_say_is_in_no_slice(kind: SliceKind, changes: dict[str, Any]) -> None:
     record = made(**changes)
-    assert slicing(record, kind) is None
-    assert rates_by(record, kind, "exact") == [] and driving_by(record, kind) == []
+    assert slice_samples(record, kind) is None
+    assert compute_rates_by(record, kind, "exact") == [] and compute_driving_by(record, kind) == []
 
 
 def test_light_and_manoeuvre_are_not_guessed() -> None:
@@ -211,20 +211,20 @@ def test_light_and_manoeuvre_are_not_guessed() -> None:
     without = {name: facts.model_copy(update={"light": None, "manoeuvre": None}) for name, facts in FACTS.items()}
     for facts in (without, {}):
         old = replace(record, run=record.run.model_copy(update={"scene_facts": facts}))
-        assert slicing(old, "light") is None and slicing(old, "manoeuvre") is None
+        assert slice_samples(old, "light") is None and slice_samples(old, "manoeuvre") is None
 
 
 def test_a_command_that_is_none_is_not_said() -> None:
-    assert list(members(made(command=7), "command")) == [NOT_SAID]
+    assert list(members(made(command=7), "command")) == [NOT_STATED]
 
 
 def test_verdicts_of_another_version_are_refused() -> None:
     record = made()
     stale = replace(record, run=record.run.model_copy(update={"protocols": {"exact": 0}}))
     with pytest.raises(InputError, match="version 0 of protocol exact"):
-        rates_by(stale, "place", "exact")
+        compute_rates_by(stale, "place", "exact")
     with pytest.raises(InputError, match="not judged by protocol 'vad'"):
-        rates_by(stale, "place", "vad")
+        compute_rates_by(stale, "place", "vad")
 
 
 @pytest.mark.parametrize("several", [False, True])
@@ -237,8 +237,8 @@ def test_sums_of_slices_are_those_of_all_slices_at_once(several: bool) -> None:
     values[:, 1] = chance.random(400) * 30
     scenes = [f"scene-{place}" for place in chance.integers(0, 20, 400).tolist()]
     spread = (weights[:, None, :] * members[:, :, None]).reshape(400, 12)
-    slow = sums_by_scene(np.tile(values, (1, 3)) * spread, spread, scenes)
-    found = slice_sums(members, values, weights, scenes)
+    slow = sum_by_scene(np.tile(values, (1, 3)) * spread, spread, scenes)
+    found = sum_by_slice(members, values, weights, scenes)
     assert found.names == slow.names
     assert found.numerators.tobytes() == slow.numerators.tobytes()
     assert found.denominators.tobytes() == slow.denominators.tobytes()

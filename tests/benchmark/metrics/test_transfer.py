@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
-from benchmark.metrics.rates import RESAMPLES, Estimate, ends, resampled
-from benchmark.metrics.transfer import Failures, transfer
+from benchmark.metrics.rates import RESAMPLES, Estimate, find_interval, resample_totals
+from benchmark.metrics.transfer import FailureMatrix, transfer
 from benchmark.records.run import RunRecord
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
 
@@ -256,19 +256,19 @@ def test_all_pairs_at_once_give_what_each_pair_gives_alone(seed: int) -> None:
         for _ in range(4)
     ]
     verdicts.append(dict.fromkeys(scenes, False))
-    failures = Failures.of(verdicts, sources)
+    failures = FailureMatrix.of(verdicts, sources)
     names = [f"planner-{number}" for number in range(len(verdicts))]
     for row, surrogate in enumerate(verdicts):
-        cells, agreements = failures.transferred(row, 0), failures.agreements(row, names, 0)
+        cells, agreements = failures.compute_transfer(row, 0), failures.agreements(row, names, 0)
         for column, victim in enumerate(verdicts):
             units, counts = slow_counts(surrogate, victim, sources)
             failed = counts[:, 0] + counts[:, 1]
             assert (cells[column].numerator, cells[column].denominator) == (counts[:, 0].sum(), failed.sum())
             interval: tuple[float | None, float | None] = (None, None)
             if np.count_nonzero(failed) > 1:
-                drawn = resampled(np.stack([counts[:, 0], failed], axis=1), units, seed=0)
+                drawn = resample_totals(np.stack([counts[:, 0], failed], axis=1), units, seed=0)
                 shares = [above / below if below > 0 else math.nan for above, below in drawn.tolist()]
-                interval = ends(np.array(shares), (0.0, 1.0))
+                interval = find_interval(np.array(shares), (0.0, 1.0))
             assert (cells[column].low, cells[column].high) == interval
             if column <= row:
                 continue
@@ -278,6 +278,6 @@ def test_all_pairs_at_once_give_what_each_pair_gives_alone(seed: int) -> None:
             assert told == tuple(counts.sum(axis=0).tolist())
             expected: Estimate = Estimate(None, None, None)
             if not math.isnan(phi):
-                drawn = resampled(counts, units, seed=0)
-                expected = Estimate(phi, *ends(np.array([phi_of_counts(one) for one in drawn]), (-1.0, 1.0)))
+                drawn = resample_totals(counts, units, seed=0)
+                expected = Estimate(phi, *find_interval(np.array([phi_of_counts(one) for one in drawn]), (-1.0, 1.0)))
             assert found.phi == expected

@@ -6,10 +6,10 @@ import numpy as np
 from shapely.geometry import Polygon
 
 from benchmark.geometry import Floats
-from benchmark.pdm.layers import Layer, Road
-from benchmark.pdm.motion import history_rows
-from benchmark.pdm.scoring import Surroundings, log_replay
-from benchmark.pdm.traffic import KeyFrames, at_states
+from benchmark.pdm.layers import RoadPolygons, SurfaceKind
+from benchmark.pdm.motion import build_history_rows
+from benchmark.pdm.scoring import ScoringContext, remove_touching_objects
+from benchmark.pdm.traffic import KeyFrameObjects, interpolate_traffic
 from tests.benchmark.pdm.slow_pdm import SlowObject, SlowSample
 
 LANE_M = 3.5
@@ -21,22 +21,22 @@ class Case:
 
     now: Floats
     past: Floats
-    key_frames: KeyFrames
-    surfaces: list[tuple[Layer, Polygon, bool]]
+    key_frames: KeyFrameObjects
+    surfaces: list[tuple[SurfaceKind, Polygon, bool]]
     route: Floats
     plans: Floats
 
     @property
-    def road(self) -> Road:
-        return Road.of(self.surfaces)
+    def road(self) -> RoadPolygons:
+        return RoadPolygons.of(self.surfaces)
 
     @property
-    def surroundings(self) -> Surroundings:
-        return Surroundings(
+    def build_context(self) -> ScoringContext:
+        return ScoringContext(
             now=self.now,
-            history=history_rows(self.past),
+            history=build_history_rows(self.past),
             has_history=np.ones(len(self.now), np.bool_),
-            traffic=log_replay(at_states(self.key_frames), self.now),
+            traffic=remove_touching_objects(interpolate_traffic(self.key_frames), self.now),
             road=self.road,
             route=self.route,
         )
@@ -46,7 +46,7 @@ class Case:
         return SlowSample(self.now[sample], self.past[sample], objects, self.road, self.route)
 
 
-def slow_objects(frames: KeyFrames, sample: int) -> list[SlowObject]:
+def slow_objects(frames: KeyFrameObjects, sample: int) -> list[SlowObject]:
     """Objects of one sample as the slow side takes them."""
     return [
         SlowObject(
@@ -96,7 +96,7 @@ def _plans(rng: np.random.Generator, now: Floats) -> Floats:
     return np.array(plans)
 
 
-def _objects(rng: np.random.Generator, now: Floats, count: int) -> KeyFrames:
+def _objects(rng: np.random.Generator, now: Floats, count: int) -> KeyFrameObjects:
     """Around each car: standing, moving along or across, seen once, with gaps, and one on the car itself."""
     total = len(now) * count
     box, annotated = np.zeros((total, 7, 3)), np.ones((total, 7), np.bool_)
@@ -122,28 +122,32 @@ def _objects(rng: np.random.Generator, now: Floats, count: int) -> KeyFrames:
             annotated[number] = rng.random(7) < 0.6
             annotated[number, rng.integers(7)] = True
     offsets = np.arange(len(now) + 1) * count
-    return KeyFrames(offsets, box, size, annotated, velocity, agents, np.arange(total))
+    return KeyFrameObjects(offsets, box, size, annotated, velocity, agents, np.arange(total))
 
 
-def _surfaces() -> list[tuple[Layer, Polygon, bool]]:
+def _surfaces() -> list[tuple[SurfaceKind, Polygon, bool]]:
     """Lanes along x and y, a crossing in the middle with connectors, a car park beside; slits where they meet."""
-    surfaces: list[tuple[Layer, Polygon, bool]] = []
+    surfaces: list[tuple[SurfaceKind, Polygon, bool]] = []
     for low, high in ((-100.0, -10.0), (10.0, 100.0)):
         for left in (-LANE_M, 0.0):
-            surfaces.append((Layer.LANE, _box(low, left, high, left + LANE_M), left < 0))
-            surfaces.append((Layer.LANE, _box(left, low, left + LANE_M, high), False))
-        surfaces.append((Layer.ROAD_BLOCK, _box(low, -LANE_M, high, LANE_M), False))
-        surfaces.append((Layer.ROAD_BLOCK, _box(-LANE_M, low, LANE_M, high), False))
-    surfaces.append((Layer.CONNECTOR, _box(-10.0, -LANE_M, 10.0, 0.0), True))
-    surfaces.append((Layer.CONNECTOR, _box(-10.0, 0.0, 10.0, LANE_M), False))
+            surfaces.append((SurfaceKind.LANE, _box(low, left, high, left + LANE_M), left < 0))
+            surfaces.append((SurfaceKind.LANE, _box(left, low, left + LANE_M, high), False))
+        surfaces.append((SurfaceKind.ROAD_BLOCK, _box(low, -LANE_M, high, LANE_M), False))
+        surfaces.append((SurfaceKind.ROAD_BLOCK, _box(-LANE_M, low, LANE_M, high), False))
+    surfaces.append((SurfaceKind.CONNECTOR, _box(-10.0, -LANE_M, 10.0, 0.0), True))
+    surfaces.append((SurfaceKind.CONNECTOR, _box(-10.0, 0.0, 10.0, LANE_M), False))
     surfaces.append(
-        (Layer.CONNECTOR, Polygon([(-10, -LANE_M), (LANE_M, -LANE_M), (LANE_M, 10), (0, 10), (0, 0), (-10, 0)]), True)
+        (
+            SurfaceKind.CONNECTOR,
+            Polygon([(-10, -LANE_M), (LANE_M, -LANE_M), (LANE_M, 10), (0, 10), (0, 0), (-10, 0)]),
+            True,
+        )
     )
-    surfaces.append((Layer.INTERSECTION, _box(-10.0, -LANE_M - 1, 10.0, LANE_M + 1), False))
-    surfaces.append((Layer.CAR_PARK, _box(-60.0, LANE_M, -40.0, 15.0), False))
+    surfaces.append((SurfaceKind.INTERSECTION, _box(-10.0, -LANE_M - 1, 10.0, LANE_M + 1), False))
+    surfaces.append((SurfaceKind.CAR_PARK, _box(-60.0, LANE_M, -40.0, 15.0), False))
     # With an island in it.
     walled = Polygon(_box(20.0, -9.0, 60.0, -LANE_M).exterior.coords, [_box(30.0, -8.0, 34.0, -5.0).exterior.coords])
-    surfaces.append((Layer.DRIVABLE_AREA, walled, False))
+    surfaces.append((SurfaceKind.DRIVABLE_AREA, walled, False))
     return surfaces
 
 

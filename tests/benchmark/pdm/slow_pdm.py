@@ -13,7 +13,7 @@ from scipy.signal import savgol_filter
 from shapely.geometry import LineString, Point, Polygon
 
 from benchmark.geometry import Floats
-from benchmark.pdm.layers import Road
+from benchmark.pdm.layers import RoadPolygons
 from tests.benchmark.pdm.slow_motion import slow_motion, wrap
 
 LENGTH, WIDTH, AHEAD = 4.084, 1.85, 1.39
@@ -39,7 +39,7 @@ class SlowSample:
     now: Floats
     past: Floats | None
     objects: list[SlowObject]
-    road: Road
+    road: RoadPolygons
     route: Floats
 
 
@@ -181,7 +181,7 @@ def slow_center(state: Floats) -> Point:
     return Point(state[0] + AHEAD * math.cos(state[2]), state[1] + AHEAD * math.sin(state[2]))
 
 
-def slow_place(state: Floats, road: Road) -> dict[str, bool]:
+def slow_place(state: Floats, road: RoadPolygons) -> dict[str, bool]:
     corners = [Point(*corner) for corner in list(ego_rectangle(state).exterior.coords)[:4]]
     center, axle = slow_center(state), Point(state[0], state[1])
     touched = [lane for lane in road.lanes if any(lane.contains(corner) for corner in corners)]

@@ -8,7 +8,7 @@ import pytest
 from shapely.geometry import MultiPolygon
 
 from benchmark.pdm import judging
-from benchmark.pdm.judging import judge_scene
+from benchmark.pdm.judging import score_scene_plans
 from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan, PlanFrame
 from benchmark.road_map import RoadMap
@@ -26,7 +26,7 @@ def plans(scene: Scene, speed: float = 8.0, across: float = 0.0) -> list[Plan | 
 
 
 def verdicts(scene: Scene, given: list[Plan | None] | None = None) -> list[dict[str, Any]]:
-    found = judge_scene(scene, plans(scene) if given is None else given)
+    found = score_scene_plans(scene, plans(scene) if given is None else given)
     return [asdict(verdict) for verdict in found if verdict is not None]
 
 
@@ -46,17 +46,17 @@ def test_who_drives_on_in_its_lane_has_everything() -> None:
 def test_samples_without_plan_or_future_have_no_verdict_and_nothing_to_agree_with() -> None:
     given = plans(EMPTY)
     given[4] = None
-    found = judge_scene(EMPTY, given)
+    found = score_scene_plans(EMPTY, given)
     assert [verdict is None for verdict in found] == [sample == 4 or sample >= 10 for sample in range(16)]
     agreement = [verdict.ec for verdict in found[:7] if verdict is not None]
     assert agreement == [None, 1.0, 1.0, 1.0, None, 1.0]
-    assert judge_scene(EMPTY, [None] * 16) == [None] * 16
+    assert score_scene_plans(EMPTY, [None] * 16) == [None] * 16
 
 
 def test_a_map_that_says_nothing_gives_no_verdicts() -> None:
     for road_map in (RoadMap("boston-seaport", MultiPolygon()), replace(EMPTY.road_map, lanes={})):
         scene = replace(EMPTY, road_map=road_map)
-        assert judge_scene(scene, plans(scene)) == [None] * 16
+        assert score_scene_plans(scene, plans(scene)) == [None] * 16
 
 
 def test_running_into_a_standing_car_costs_everything_and_a_standing_thing_half() -> None:
@@ -127,9 +127,9 @@ def test_samples_that_are_too_far_apart_have_no_agreement() -> None:
 
 def test_batches_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scene_on_straight_road()
-    whole = judge_scene(scene, plans(scene, across=2.0))
+    whole = score_scene_plans(scene, plans(scene, across=2.0))
     monkeypatch.setattr(judging, "AT_ONCE", 3)
-    assert judge_scene(scene, plans(scene, across=2.0)) == whole
+    assert score_scene_plans(scene, plans(scene, across=2.0)) == whole
     assert isinstance(whole[0], DrivenPlan)
 
 

@@ -9,10 +9,10 @@ import shapely
 
 from benchmark.datasets.map_layers import read_road_map
 from benchmark.datasets.scenarionet import read_scenarionet
-from benchmark.pdm.judging import judge_scene
-from benchmark.pdm.layers import road_of, route_of
+from benchmark.pdm.judging import score_scene_plans
+from benchmark.pdm.layers import build_road_polygons, build_route
 from benchmark.planning import Plan, PlanFrame
-from generation.nuscenes_writer.expansion import map_expansion
+from generation.nuscenes_writer.expansion import build_map_expansion
 from tests.benchmark.pdm.test_road import crossing_map
 from tests.hand_made import straight_road
 
@@ -26,9 +26,9 @@ NAMES = ("nc", "dac", "ddc", "ttc", "lk", "hc")
 def test_a_road_is_the_same_after_it_was_written_as_a_map_expansion(tmp_path: Path, named: bool) -> None:
     road_map = crossing_map(named=named)
     path = tmp_path / "boston-seaport.json"
-    path.write_text(json.dumps(map_expansion(road_map)))
-    route = route_of(np.array([[-50.0, 0.0, 0.0], [50.0, 0.0, 0.0]]))
-    before, after = road_of(road_map, route), road_of(read_road_map(path), route)
+    path.write_text(json.dumps(build_map_expansion(road_map)))
+    route = build_route(np.array([[-50.0, 0.0, 0.0], [50.0, 0.0, 0.0]]))
+    before, after = build_road_polygons(road_map, route), build_road_polygons(read_road_map(path), route)
     assert before.on_route == after.on_route
     for layer in ("lanes", "drivable", "intersections"):
         pairs = list(zip(getattr(before, layer), getattr(after, layer), strict=True))
@@ -37,9 +37,9 @@ def test_a_road_is_the_same_after_it_was_written_as_a_map_expansion(tmp_path: Pa
 
 def test_road_segments_that_are_no_intersections_stay_none(tmp_path: Path) -> None:
     path = tmp_path / "boston-seaport.json"
-    path.write_text(json.dumps(map_expansion(straight_road())))
-    route = route_of(np.array([[50.0, 198.25, 0.0], [90.0, 198.25, 0.0]]))
-    road = road_of(read_road_map(path), route)
+    path.write_text(json.dumps(build_map_expansion(straight_road())))
+    route = build_route(np.array([[50.0, 198.25, 0.0], [90.0, 198.25, 0.0]]))
+    road = build_road_polygons(read_road_map(path), route)
     assert road.intersections == () and len(road.lanes) == 4 and sum(road.on_route) == 2
 
 
@@ -56,7 +56,7 @@ def test_a_recorded_scene_comes_to_nearly_all_official_verdicts() -> None:
         given: list[Plan | None] = [None] * len(scene.keyframes)
         for sample in usual:
             given[frames[sample]] = Plan(plans[sample, number, :, :2], PlanFrame.EGO)
-        found = judge_scene(scene, given)
+        found = score_scene_plans(scene, given)
         for sample in usual:
             verdict = found[frames[sample]]
             assert verdict is not None

@@ -9,18 +9,18 @@ from shapely.geometry import MultiPolygon
 
 from benchmark.pdm.layers import (
     EXTENSION_M,
-    Layer,
-    Road,
-    derived_intersections,
-    on_route,
-    road_of,
-    route_of,
-    whereabouts,
+    RoadPolygons,
+    SurfaceKind,
+    build_road_polygons,
+    build_route,
+    derive_intersections,
+    find_lanes_on_route,
+    locate_on_road,
 )
 from benchmark.road_map import Lane, RoadMap
 from tests.hand_made import scene_on_straight_road, straight_road
 
-EAST = route_of(np.column_stack([np.linspace(50, 130, 100), np.full(100, 198.25), np.zeros(100)]))
+EAST = build_route(np.column_stack([np.linspace(50, 130, 100), np.full(100, 198.25), np.zeros(100)]))
 
 
 def lane(name: str, *points: tuple[float, float], connector: bool = False, width_m: float | None = 3.5) -> Lane:
@@ -45,7 +45,7 @@ def crossing_map(*, named: bool = True) -> RoadMap:
 
 def test_lanes_of_the_route_are_those_under_it_and_beside_it_in_its_direction() -> None:
     lanes = straight_road().lanes
-    found = dict(zip(lanes, on_route(list(lanes.values()), EAST)))
+    found = dict(zip(lanes, find_lanes_on_route(list(lanes.values()), EAST)))
     assert found == {"east-0": True, "east-1": True, "west-0": False, "west-1": False}
 
 
@@ -53,34 +53,34 @@ def test_thirty_metres_of_the_extension_make_lanes_lanes_of_the_route() -> None:
     end = EAST[len(EAST) - EXTENSION_M - 1]
     near, far = (lane("ahead", (end[0] + gap, end[1]), (end[0] + gap + 20, end[1])) for gap in (20, 40))
     across = lane("across", (end[0] - 10, end[1] - 20), (end[0] - 10, end[1] + 20))
-    assert on_route([near, far, across], EAST).tolist() == [True, False, False]
+    assert find_lanes_on_route([near, far, across], EAST).tolist() == [True, False, False]
 
 
 def test_lanes_ahead_of_or_behind_others_are_not_beside_them() -> None:
     lanes = [lane("on", (50, 198.25), (100, 198.25)), lane("next", (140, 198.25), (150, 194.0))]
-    assert on_route(lanes, EAST[:60]).tolist()[0] is True
-    short = route_of(np.column_stack([np.linspace(50, 60, 20), np.full(20, 198.25), np.full(20, np.pi / 2)]))
-    assert on_route(lanes, short).tolist() == [True, False]
+    assert find_lanes_on_route(lanes, EAST[:60]).tolist()[0] is True
+    short = build_route(np.column_stack([np.linspace(50, 60, 20), np.full(20, 198.25), np.full(20, np.pi / 2)]))
+    assert find_lanes_on_route(lanes, short).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("named", [True, False])
 def test_a_map_without_intersections_gets_them_where_lanes_cross(named: bool) -> None:
     road_map = crossing_map(named=named)
     lanes = list(road_map.lanes.values())
-    road = road_of(road_map, route_of(np.array([[-50.0, 0.0, 0.0], [50.0, 0.0, 0.0]])))
+    road = build_road_polygons(road_map, build_route(np.array([[-50.0, 0.0, 0.0], [50.0, 0.0, 0.0]])))
     (found,) = road.intersections
     assert found.contains(shapely.Point(0, 0)) and not found.intersects(shapely.Point(0, 20))
     assert 30.0 < found.area < 144.0
-    assert not derived_intersections(road_map, lanes[:4], [each.polygon or shapely.Polygon() for each in lanes[:4]])
+    assert not derive_intersections(road_map, lanes[:4], [each.polygon or shapely.Polygon() for each in lanes[:4]])
 
 
 def test_a_map_with_road_segments_keeps_to_what_it_says() -> None:
     road_map = replace(crossing_map(), road_segments={"block": shapely.box(-60, -3, -6, 3)})
-    assert road_of(road_map, EAST).intersections == ()
+    assert build_road_polygons(road_map, EAST).intersections == ()
 
 
 def test_connectors_without_a_surface_are_strips() -> None:
-    road = road_of(crossing_map(), EAST)
+    road = build_road_polygons(crossing_map(), EAST)
     assert sorted(round(shape.area) for shape in road.lanes) == [42, 42, 189, 189, 189, 189]
 
 
@@ -89,8 +89,8 @@ def test_a_corner_on_a_border_is_outside() -> None:
     # The right corners of the car lie on the edge of the first area; 1 mm more holds them.
     for margin, outside in ((0.0, True), (1e-3, False)):
         area = shapely.box(-5, -1.85 / 2 - margin, 10, 5)
-        road = Road.of([(Layer.DRIVABLE_AREA, area, False), (Layer.LANE, area, True)])
-        found = whereabouts(road, state)
+        road = RoadPolygons.of([(SurfaceKind.DRIVABLE_AREA, area, False), (SurfaceKind.LANE, area, True)])
+        found = locate_on_road(road, state)
         assert bool(found.non_drivable[0, 0]) is outside and not found.oncoming[0, 0]
 
 
@@ -98,13 +98,15 @@ def test_a_slit_between_two_surfaces_is_not_drivable() -> None:
     halves = [shapely.box(-5, -5, 1.39, 5), shapely.box(1.39, -5, 10, 5)]
     state = np.zeros((1, 1, 11))
     state[0, 0, 0] = -4.084 / 2
-    road = Road.of([(Layer.DRIVABLE_AREA, half, False) for half in halves])
-    assert whereabouts(road, state).non_drivable[0, 0]
-    assert not whereabouts(Road.of([(Layer.DRIVABLE_AREA, shapely.union_all(halves), False)]), state).non_drivable.any()
+    road = RoadPolygons.of([(SurfaceKind.DRIVABLE_AREA, half, False) for half in halves])
+    assert locate_on_road(road, state).non_drivable[0, 0]
+    assert not locate_on_road(
+        RoadPolygons.of([(SurfaceKind.DRIVABLE_AREA, shapely.union_all(halves), False)]), state
+    ).non_drivable.any()
 
 
 def test_the_road_of_a_scene_is_prepared_once_and_holds_all_layers() -> None:
     scene = scene_on_straight_road()
-    road = road_of(scene.road_map, EAST)
+    road = build_road_polygons(scene.road_map, EAST)
     assert len(road.lanes) == 4 and len(road.drivable) == 1 and road.intersections == ()
     assert road.on_route == (True, True, False, False)

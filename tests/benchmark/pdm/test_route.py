@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmark.pdm.definition import STATE_COLUMNS, STATES
-from benchmark.pdm.scoring import OFF_LANE_M, course, offsets
+from benchmark.pdm.scoring import OFF_LANE_M, measure_along_route, measure_offsets
 
 
 def test_being_beside_the_route_is_what_the_distance_says() -> None:
@@ -14,7 +14,7 @@ def test_being_beside_the_route_is_what_the_distance_says() -> None:
     states[..., 0] = chance.uniform(-10, 160, states.shape[:2])
     states[..., 1] = 20 * np.sin(states[..., 0] / 30) + chance.choice([0.0, 0.3, 0.5, 0.7, 9.0], states.shape[:2])
     nowhere = np.zeros(states.shape[:2], np.bool_)
-    found, apart = course(states, route, nowhere, nowhere).beside, offsets(states, route)
+    found, apart = measure_along_route(states, route, nowhere, nowhere).beside, measure_offsets(states, route)
     assert np.array_equal(found, apart > OFF_LANE_M)
     assert 100 < found.sum() < found.size - 100
 
@@ -24,4 +24,6 @@ def test_on_the_edge() -> None:
     states = np.zeros((1, STATES, STATE_COLUMNS))
     states[0, :4, 1] = [0.5, 0.5 + 1e-12, 0.0, -0.5]
     nowhere = np.zeros((1, STATES), np.bool_)
-    assert np.array_equal(course(states, route, nowhere, nowhere).beside, offsets(states, route) > OFF_LANE_M)
+    assert np.array_equal(
+        measure_along_route(states, route, nowhere, nowhere).beside, measure_offsets(states, route) > OFF_LANE_M
+    )

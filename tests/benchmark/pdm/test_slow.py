@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from benchmark.geometry import wrap_angle
 from benchmark.pdm.definition import HEADING
-from benchmark.pdm.motion import disagreement, extended_comfort, tracked
-from benchmark.pdm.scoring import Judged, beside, judged
+from benchmark.pdm.motion import compute_disagreement, score_extended_comfort, track_plans
+from benchmark.pdm.scoring import ScoredMotions, score_against_references, score_motions
 from tests.benchmark.pdm.cases import Case, crossing
 from tests.benchmark.pdm.slow_pdm import (
     SlowVerdict,
@@ -21,12 +21,12 @@ from tests.benchmark.pdm.slow_pdm import (
 SEEDS = range(6)
 
 
-def judged_fast(case: Case) -> tuple[Judged, NDArray[np.int64]]:
+def judged_fast(case: Case) -> tuple[ScoredMotions, NDArray[np.int64]]:
     """All plans of all samples at once, sample after sample."""
     samples, plans = case.plans.shape[:2]
     of = np.repeat(np.arange(samples), plans)
-    states = tracked(case.plans.reshape(-1, 6, 3), case.now[of])
-    return judged(states, of, case.surroundings), of
+    states = track_plans(case.plans.reshape(-1, 6, 3), case.now[of])
+    return score_motions(states, of, case.build_context), of
 
 
 def judged_slowly(case: Case) -> list[SlowVerdict]:
@@ -34,14 +34,14 @@ def judged_slowly(case: Case) -> list[SlowVerdict]:
 
 
 @pytest.fixture(scope="module")
-def both() -> dict[int, tuple[Case, Judged, list[SlowVerdict]]]:
+def both() -> dict[int, tuple[Case, ScoredMotions, list[SlowVerdict]]]:
     cases = {seed: crossing(seed) for seed in SEEDS}
     return {seed: (case, judged_fast(case)[0], judged_slowly(case)) for seed, case in cases.items()}
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_motions_are_those_of_the_slow_tracker(
-    seed: int, both: dict[int, tuple[Case, Judged, list[SlowVerdict]]]
+    seed: int, both: dict[int, tuple[Case, ScoredMotions, list[SlowVerdict]]]
 ) -> None:
     _, fast, slow = both[seed]
     difference = fast.states - np.array([each.states for each in slow])
@@ -51,7 +51,7 @@ def test_motions_are_those_of_the_slow_tracker(
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_every_verdict_is_that_of_the_slow_version(
-    seed: int, both: dict[int, tuple[Case, Judged, list[SlowVerdict]]]
+    seed: int, both: dict[int, tuple[Case, ScoredMotions, list[SlowVerdict]]]
 ) -> None:
     _, fast, slow = both[seed]
     for name in ("nc", "dac", "ddc", "ttc", "lk", "hc"):
@@ -62,7 +62,7 @@ def test_every_verdict_is_that_of_the_slow_version(
 
 
 def test_the_made_up_samples_decide_everything_both_ways(
-    both: dict[int, tuple[Case, Judged, list[SlowVerdict]]],
+    both: dict[int, tuple[Case, ScoredMotions, list[SlowVerdict]]],
 ) -> None:
     found = [each for _, _, slow in both.values() for each in slow]
     for name, values in {"nc": {0.0, 0.5, 1.0}, "ddc": {0.0, 0.5, 1.0}}.items():
@@ -73,18 +73,18 @@ def test_the_made_up_samples_decide_everything_both_ways(
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_progress_agreement_and_totals_are_those_of_the_slow_version(
-    seed: int, both: dict[int, tuple[Case, Judged, list[SlowVerdict]]]
+    seed: int, both: dict[int, tuple[Case, ScoredMotions, list[SlowVerdict]]]
 ) -> None:
     case, fast, slow = both[seed]
     plans = case.plans.shape[1]
     # The first plan of each sample stands for its recorded future.
     reference = np.repeat(np.arange(0, len(slow), plans), plans)
-    scores = beside(fast, fast.course.progress_m[reference], fast.scores.multiplier[reference])
+    scores = score_against_references(fast, fast.course.progress_m[reference], fast.scores.multiplier[reference])
     progress = [slow_progress(each, slow[place]) for each, place in zip(slow, reference)]
     assert scores.ep == pytest.approx(progress, abs=1e-6)
     # One sample's plans for the plans of the next: any two motions will do.
     earlier, later = fast.states[:plans], fast.states[plans : 2 * plans]
-    ec = extended_comfort(disagreement(earlier, later, 5))
+    ec = score_extended_comfort(compute_disagreement(earlier, later, 5))
     assert ec.tolist() == [slow_agreement(slow_differences(a, b, 5)) for a, b in zip(earlier, later)]
     expected = [slow_score(slow[plans + row], progress[plans + row], ec[row]) for row in range(plans)]
     assert scores.score(np.tile(ec, len(case.now)))[plans : 2 * plans] == pytest.approx(expected, abs=1e-6)
@@ -95,9 +95,9 @@ def test_progress_agreement_and_totals_are_those_of_the_slow_version(
 def test_a_sample_is_judged_alike_alone_and_among_others() -> None:
     case = crossing(3)
     together, of = judged_fast(case)
-    around = case.surroundings
+    around = case.build_context
     some = of == 2
-    alone = judged(together.states[some], of[some], around)
+    alone = score_motions(together.states[some], of[some], around)
     for name in ("nc", "dac", "ddc", "ttc", "lk", "hc"):
         assert getattr(alone.scores, name).tolist() == getattr(together.scores, name)[some].tolist()
     assert np.array_equal(alone.extremes, together.extremes[some])
@@ -105,5 +105,5 @@ def test_a_sample_is_judged_alike_alone_and_among_others() -> None:
 
 def test_no_plans_have_no_verdicts() -> None:
     case = crossing(0)
-    none = judged(tracked(np.zeros((0, 6, 3)), np.zeros((0, 11))), np.zeros(0, np.int64), case.surroundings)
+    none = score_motions(track_plans(np.zeros((0, 6, 3)), np.zeros((0, 11))), np.zeros(0, np.int64), case.build_context)
     assert none.scores.nc.shape == (0,) and len(none.collisions.events) == 0

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.geometry import Floats
-from benchmark.pdm.judging import judge_scene
-from benchmark.pdm.motion import comfort_series, extremes_of, tracked
+from benchmark.pdm.judging import score_scene_plans
+from benchmark.pdm.motion import compute_comfort_series, compute_extremes, track_plans
 from benchmark.pdm.recording import RecordedScene
 from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan, PlanFrame
@@ -57,10 +57,10 @@ def test_a_drive_through_180_degrees_scores_as_the_same_one_turned_by_a_quarter(
 ) -> None:
     scene = in_a_bend(start_rad, turn_rad_s)
     plans = plans_of(scene, turn_rad_s=turn_rad_s)
-    found = judge_scene(scene, plans)
+    found = score_scene_plans(scene, plans)
     assert sum(verdict is not None for verdict in found) == 10
     for turns in (1, 2, 3):
-        for some, others in zip(found, judge_scene(turned_scene(scene, turns * QUARTER), plans)):
+        for some, others in zip(found, score_scene_plans(turned_scene(scene, turns * QUARTER), plans)):
             require_alike(some, others)
 
 
@@ -69,8 +69,10 @@ def test_comfort_is_that_of_unwrapped_headings() -> None:
 
     def extremes(scene: Scene) -> Floats:
         recorded = RecordedScene(scene)
-        around = recorded.surroundings(samples)
-        return extremes_of(comfort_series(tracked(recorded.recorded_plans(samples), around.now), around.history))
+        around = recorded.build_context(samples)
+        return compute_extremes(
+            compute_comfort_series(track_plans(recorded.build_recorded_plans(samples), around.now), around.history)
+        )
 
     expected = extremes(in_a_bend(-2.0))
     # The heading turns at 0.25 rad/s; the official history lacks 0.1 s, so that it seems to turn faster there.
@@ -85,8 +87,8 @@ def test_comfort_is_that_of_unwrapped_headings() -> None:
 def test_more_key_frames_of_the_same_motion_score_the_same(every: int) -> None:
     scene = in_a_bend(2.0)
     dense = with_key_frames(scene, np.arange(0, scene.keyframes[-1] + 1, every))
-    found = judge_scene(scene, plans_of(scene))
-    often = judge_scene(dense, plans_of(dense))
+    found = score_scene_plans(scene, plans_of(scene))
+    often = score_scene_plans(dense, plans_of(dense))
     step = 6 // every
     for sample, verdict in enumerate(found):
         same = often[sample * step]
@@ -100,10 +102,10 @@ def test_more_key_frames_of_the_same_motion_score_the_same(every: int) -> None:
 def test_nothing_is_said_where_a_gap_lies_ahead_and_no_history_where_one_lies_behind() -> None:
     scene = in_a_bend(2.0)
     gap = without_key_frames(scene, 6)
-    found = judge_scene(gap, plans_of(gap))
+    found = score_scene_plans(gap, plans_of(gap))
     assert [verdict is not None for verdict in found] == [False] * 6 + [True] * 3 + [False] * 6
     assert [verdict.hc for verdict in found[6:9] if verdict is not None] == [None] * 3
-    whole = judge_scene(scene, plans_of(scene))
+    whole = score_scene_plans(scene, plans_of(scene))
     for at in (6, 7, 8):
         some, other = found[at], whole[at + 1]
         assert some is not None and other is not None
@@ -130,7 +132,7 @@ def test_shorter_gaps_are_interpolated() -> None:
         ),
     )
     moved = with_key_frames(replace(moved, agents=agents), moved.keyframes)
-    regular, irregular = judge_scene(scene, plans_of(scene)), judge_scene(moved, plans_of(moved))
+    regular, irregular = score_scene_plans(scene, plans_of(scene)), score_scene_plans(moved, plans_of(moved))
     for at in (0, 1, 2, 3, 4, 5, 7, 8):
         some, others = regular[at], irregular[at]
         assert some is not None and others is not None

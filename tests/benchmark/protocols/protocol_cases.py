@@ -7,7 +7,7 @@ import shapely
 from hypothesis import strategies as st
 
 from benchmark.constants import CATEGORIES
-from benchmark.datasets.sample_truth import RoadsAround, RoadSurfaces
+from benchmark.datasets.sample_truth import SampleRoads, SceneRoadSurfaces
 from benchmark.geometry import Floats
 from benchmark.planning import Command
 from benchmark.road_map import RoadMap, as_multipolygon
@@ -91,7 +91,7 @@ def sample_of(kind: Traits, name: str = "s") -> SampleTruth:
     )
 
 
-def roads_of(rng: np.random.Generator) -> RoadsAround:
+def roads_of(rng: np.random.Generator) -> SampleRoads:
     """A road ahead with a crossing road and an island in it, seen from somewhere on it."""
     width = rng.uniform(5.0, 9.0)
     ahead = shapely.box(-80.0, -width, 120.0, width)
@@ -100,7 +100,7 @@ def roads_of(rng: np.random.Generator) -> RoadsAround:
     surface = as_multipolygon(shapely.union_all([ahead, across]).difference(island))
     segments = {str(number): polygon for number, polygon in enumerate(surface.geoms)}
     road_map = RoadMap("made-up", surface, road_segments=segments)
-    return RoadsAround(RoadSurfaces(road_map), np.array([rng.uniform(-9.0, 9.0), *rng.normal(0.0, [1.0, 0.05])]))
+    return SampleRoads(SceneRoadSurfaces(road_map), np.array([rng.uniform(-9.0, 9.0), *rng.normal(0.0, [1.0, 0.05])]))
 
 
 def plan_of(kind: Traits) -> Floats:

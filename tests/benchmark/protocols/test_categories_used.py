@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.protocols import PROTOCOLS, using_categories
+from benchmark.protocols import PROTOCOLS, find_category_protocols
 from benchmark.protocols.stacked import stack
 from tests.benchmark.fake_data import town_of_two
 
@@ -20,5 +20,5 @@ def test_another_name_hides_an_object_from_those_that_go_by_names_and_from_no_ot
     )
     assert named.any()
     assert np.array_equal(named, foreign) != definition.uses_categories
-    assert (name in using_categories([name])) == definition.uses_categories
+    assert (name in find_category_protocols([name])) == definition.uses_categories
     assert not (definition.uses_categories and foreign.any())

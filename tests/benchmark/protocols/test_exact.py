@@ -5,8 +5,8 @@ import pytest
 
 from benchmark.geometry import Bools, Floats
 from benchmark.planning import Command
-from benchmark.protocols import PROTOCOLS, Outcomes, protocol, register
-from benchmark.protocols.exact import Exact
+from benchmark.protocols import PROTOCOLS, ProtocolOutcomes, find_protocol, register
+from benchmark.protocols.exact import ExactProtocol
 from benchmark.truth import SampleTruth
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of
 
@@ -48,10 +48,10 @@ def test_contact_between_waypoints_counts_and_is_not_undone() -> None:
     # A pedestrian-sized box stands where the ego passes between 0.5 s (y = 8) and 1.0 s (y = 16).
     post = np.tile([0.0, 12.2, 0.4, 0.4, 0.0], (7, 1))
     plan = np.column_stack([np.zeros(6), 8.0 * np.arange(1, 7)])
-    outcomes = Exact().evaluate([truth(post)], plan[None])
+    outcomes = ExactProtocol().evaluate([truth(post)], plan[None])
     assert not outcomes.steps["waypoint_collision"].any()
     assert outcomes.collision[0].tolist() == [False, True, False, False, False, False]
-    assert Exact().sample_values(outcomes)["collision"].tolist() == [[1.0, 1.0, 1.0]]
+    assert ExactProtocol().sample_values(outcomes)["collision"].tolist() == [[1.0, 1.0, 1.0]]
     assert outcomes.facts["first_contact_s"] == (0.6,) and outcomes.facts["hit"] == ("s-0",)
 
 
@@ -59,37 +59,39 @@ def test_contact_now_does_not_count() -> None:
     stays = np.zeros((1, 6, 2))
     away = np.concatenate([[[0.0, 1.0, *CAR]], np.tile([50.0, 50.0, *CAR], (6, 1))])
     annotated = np.array([[True, False, True, True, True, True, True]])
-    assert not Exact().evaluate([truth(away, annotated)], stays).collision.any()
+    assert not ExactProtocol().evaluate([truth(away, annotated)], stays).collision.any()
 
 
 def test_an_object_is_between_keyframes_only_if_annotated_at_both() -> None:
     crossing = np.array([[-20.0 + 10.0 * step, 10.0, *CAR] for step in range(7)])
     waits = np.column_stack([np.zeros(6), np.full(6, 10.0)])[None]
     both = np.ones((1, 7), dtype=np.bool_)
-    seen = Exact().evaluate([truth(crossing, both)], waits)
+    seen = ExactProtocol().evaluate([truth(crossing, both)], waits)
     assert seen.collision[0].tolist() == [False, True, False, False, False, False]
     gone = both.copy()
     gone[0, 2] = False
-    assert not Exact().evaluate([truth(crossing, gone)], waits).collision.any()
+    assert not ExactProtocol().evaluate([truth(crossing, gone)], waits).collision.any()
 
 
 def test_the_box_turns_with_the_plan() -> None:
     # A wall that a box with a frozen heading would reach into, and a car that has turned left drives along.
     turning = np.array([[0.0, 2.0], [-1.0, 3.6], [-2.6, 4.6], [-4.6, 4.8], [-6.6, 4.8], [-8.6, 4.8]])
     wall = np.tile([-5.0, 6.6, 10.0, 1.0, 0.0], (7, 1))
-    outcomes = Exact().evaluate([truth(wall)], turning[None])
+    outcomes = ExactProtocol().evaluate([truth(wall)], turning[None])
     assert not outcomes.collision[0, 4:].any()
 
 
 def test_l2_is_at_the_step_and_ade_is_the_mean() -> None:
     plan = STRAIGHT + np.array([0.0, 1.0]) * np.arange(1, 7)[:, None]
-    values = Exact().sample_values(Exact().evaluate([truth(np.empty((0, 7, 5)))], plan[None]))
+    values = ExactProtocol().sample_values(ExactProtocol().evaluate([truth(np.empty((0, 7, 5)))], plan[None]))
     assert values["l2"].tolist() == [[2.0, 4.0, 6.0]]
     assert values["ade"].tolist() == [[1.5, 2.5, 3.5]]
 
 
 def test_samples_without_a_complete_future_are_not_counted() -> None:
-    outcomes = Exact().evaluate([truth(parked(0, 8), valid=5), truth(parked(0, 8))], np.stack([STRAIGHT, STRAIGHT]))
+    outcomes = ExactProtocol().evaluate(
+        [truth(parked(0, 8), valid=5), truth(parked(0, 8))], np.stack([STRAIGHT, STRAIGHT])
+    )
     assert outcomes.counted.tolist() == [False, True]
     assert outcomes.as_rows()[0]["l2"][5] is None
 
@@ -99,19 +101,19 @@ def test_rows_and_arrays_are_the_same(name: str) -> None:
     kinds = [Traits(seed, seed, 9.0, 6 - seed % 2, "drive", False) for seed in range(5)]
     truths, plans = [sample_of(kind) for kind in kinds], np.array([plan_of(kind) for kind in kinds])
     outcomes = PROTOCOLS[name].evaluate(truths, plans)
-    back = Outcomes.from_rows(outcomes.as_rows())
+    back = ProtocolOutcomes.from_rows(outcomes.as_rows())
     assert back.as_rows() == outcomes.as_rows()
     before, after = (PROTOCOLS[name].sample_values(one) for one in (outcomes, back))
     assert all(np.array_equal(before[column], after[column], equal_nan=True) for column in before)
-    assert len(Outcomes.from_rows([])) == 0
+    assert len(ProtocolOutcomes.from_rows([])) == 0
 
 
 def test_no_samples_give_no_verdicts() -> None:
-    outcomes = Exact().evaluate([], np.empty((0, 6, 2)))
+    outcomes = ExactProtocol().evaluate([], np.empty((0, 6, 2)))
     assert len(outcomes) == 0 and outcomes.collision.shape == (0, 6)
 
 
 def test_a_name_is_registered_once() -> None:
-    assert protocol("exact") is PROTOCOLS["exact"]
+    assert find_protocol("exact") is PROTOCOLS["exact"]
     with pytest.raises(ValueError, match="already"):
-        register(Exact())
+        register(ExactProtocol())

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M
 from benchmark.geometry import Floats
 from benchmark.planning import Command
-from benchmark.protocols import LEAVING_OUT, NATIVE_PROTOCOLS, PROTOCOLS, masking_protocols
+from benchmark.protocols import LEAVING_OUT, NATIVE_PROTOCOLS, PROTOCOLS, find_masking_protocols
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
 from benchmark.protocols.stacked import stack
 from benchmark.records.row_schema import OutcomeRow
-from benchmark.records.run import summarise
+from benchmark.records.run import summarise_rows
 from benchmark.records.run_schema import SceneFacts
 from benchmark.truth import SampleTruth
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
@@ -60,7 +60,7 @@ def beside(
 
 def touched(truth: SampleTruth, name: str) -> list[bool]:
     stacked = stack([truth])
-    found: list[bool] = masking_protocols()[name].recorded_contacts(stacked, stacked.adversarial)[0].tolist()
+    found: list[bool] = find_masking_protocols()[name].recorded_contacts(stacked, stacked.adversarial)[0].tolist()
     return found
 
 
@@ -107,7 +107,7 @@ def test_there_are_no_contacts_past_the_end_of_the_recording(name: str) -> None:
     assert touched(on_top, name) == [True, True, *NONE[2:]]
 
 
-@pytest.mark.parametrize("name", masking_protocols())
+@pytest.mark.parametrize("name", find_masking_protocols())
 def test_only_adversaries_are_in_their_column_and_the_mask_holds_for_all(name: str) -> None:
     on_top = beside(left_m=-0.1)
     on_top.boxes[:, :, 0] -= 1.2
@@ -119,13 +119,13 @@ def test_only_adversaries_are_in_their_column_and_the_mask_holds_for_all(name: s
         assert outcomes.collision[0].tolist() == NONE
 
 
-@pytest.mark.parametrize("name", masking_protocols())
+@pytest.mark.parametrize("name", find_masking_protocols())
 @settings(max_examples=40, deadline=None)
 @given(kind=traits(coarse=True))
 def test_the_check_of_all_objects_is_the_mask_and_that_of_parts_adds_up_to_it(name: str, kind: Traits) -> None:
     sample = sample_of(kind)
     stacked, mask = stack([sample]), PROTOCOLS[name].evaluate([sample], plan_of(kind)[None]).step("recorded")
-    check, some = masking_protocols()[name].recorded_contacts, np.arange(len(sample.instances)) % 2 == 0
+    check, some = find_masking_protocols()[name].recorded_contacts, np.arange(len(sample.instances)) % 2 == 0
     np.testing.assert_array_equal(check(stacked, np.ones_like(some)), mask)
     np.testing.assert_array_equal(check(stacked, some) | check(stacked, ~some), mask)
 
@@ -145,7 +145,7 @@ def test_samples_that_are_left_out_are_told_and_their_colliding_steps_counted(na
         for place, one in enumerate(outcomes.as_rows())
     ]
     facts = {"s": SceneFacts(source="s", adversaries=1)}
-    summary = summarise(rows, {name: 1}, seed=0, scene_facts=facts).protocols[name]
+    summary = summarise_rows(rows, {name: 1}, seed=0, scene_facts=facts).protocols[name]
     assert (summary.mask_removed_steps, summary.mask_removed_for_adversary, summary.counted) == (12, 6, 1)
 
 

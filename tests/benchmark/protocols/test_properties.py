@@ -10,11 +10,11 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.datasets.sample_truth import compute_truth
 from benchmark.geometry import Floats, box_corners, box_gap, boxes_overlap, to_global, yaw_of_quaternion
 from benchmark.protocols import PROTOCOLS
-from benchmark.protocols.exact import contacts, ego_boxes
-from benchmark.records.rows import scene_failures
+from benchmark.protocols.exact import compute_plan_boxes, find_contacts
+from benchmark.records.rows import find_scene_failures
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings
@@ -43,10 +43,10 @@ def test_overlap_is_that_of_polygons_away_from_touching(first: Box, second: Box)
 @given(traits(coarse=True))
 def test_a_box_collides_wherever_its_centre_does(kind: Traits) -> None:
     sample, plan = sample_of(kind), plan_of(kind)
-    ego = ego_boxes(plan[None])
+    ego = compute_plan_boxes(plan[None])
     point = ego.copy()
     point[..., 2:4] = 0.0
-    of_box, of_centre = contacts(ego, [sample])[0], contacts(point, [sample])[0]
+    of_box, of_centre = find_contacts(ego, [sample])[0], find_contacts(point, [sample])[0]
     assert (of_box | ~of_centre).all()
 
 
@@ -145,7 +145,7 @@ def test_where_the_scene_lies_changes_nothing_in_exact(
 ) -> None:
     scene = scene_on_straight_road(tuple(cars), seconds=5.0)
     tokens = [str(index) for index in range(len(scene.keyframes))]
-    here, there = truth_of_scene(scene, tokens), truth_of_scene(moved(scene, np.array(pose)), tokens)
+    here, there = compute_truth(scene, tokens), compute_truth(moved(scene, np.array(pose)), tokens)
     rng = np.random.default_rng(seed)
     plans = np.cumsum(rng.normal([0.0, 4.0], [0.5, 1.0], (len(tokens), 6, 2)), axis=1)
     first, second = (PROTOCOLS["exact"].evaluate(truths, plans) for truths in (here, there))
@@ -159,11 +159,11 @@ def test_where_the_scene_lies_changes_nothing_in_exact(
 
 def touches_barely(truth: SampleTruth, plan: Floats) -> bool:
     """Whether a contact appears or goes when the ego grows or shrinks by a micrometre."""
-    ego = ego_boxes(plan[None])
+    ego = compute_plan_boxes(plan[None])
     wider, narrower = ego.copy(), ego.copy()
     wider[..., 2:4] += 1e-6
     narrower[..., 2:4] -= 1e-6
-    return bool((contacts(wider, [truth])[0] != contacts(narrower, [truth])[0]).any())
+    return bool((find_contacts(wider, [truth])[0] != find_contacts(narrower, [truth])[0]).any())
 
 
 @settings(max_examples=60, deadline=None)
@@ -172,7 +172,7 @@ def test_contact_is_where_the_gap_is_zero(kind: Traits) -> None:
     sample, plan = sample_of(kind), plan_of(kind)
     if touches_barely(sample, plan):
         return
-    ego = ego_boxes(plan[None])[0, 4::5]
+    ego = compute_plan_boxes(plan[None])[0, 4::5]
     touching = np.array(
         [(box_gap(ego[step], sample.boxes[sample.annotated[:, step + 1], step + 1]) == 0).any() for step in range(6)]
     )
@@ -201,5 +201,5 @@ def test_a_failed_sample_is_never_a_zero(samples: list[str | None]) -> None:
         expected = planned.count(HIT) / len(planned) if planned else None
         assert rate.value == (None if expected is None else pytest.approx(expected))
         # A scene is not clean while a sample of it failed.
-        for scene, fails in scene_failures(record.rows, name).items():
+        for scene, fails in find_scene_failures(record.rows, name).items():
             assert fails == (True if HIT in scenes[scene] else None if FAILED in scenes[scene] else False)

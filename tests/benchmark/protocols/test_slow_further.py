@@ -9,7 +9,7 @@ import shapely
 import torch
 from hypothesis import given, settings
 
-from benchmark.datasets.sample_truth import RoadsAround, RoadSurfaces
+from benchmark.datasets.sample_truth import SampleRoads, SceneRoadSurfaces
 from benchmark.protocols import PROTOCOLS, stp3
 from benchmark.road_map import RoadMap, as_multipolygon
 from tests.benchmark.protocols import slow_further_protocols as further
@@ -128,7 +128,7 @@ def test_a_map_without_roads_says_nothing_of_kerbs() -> None:
     sample = sample_of(Traits(5, 3, 9.0, 6, "drive", False))
     assert sample.roads is not None and sample.axle_poses is None
     area = RoadMap("made-up", as_multipolygon(shapely.box(-60.0, -60.0, 60.0, 60.0)))
-    bare = replace(sample, roads=RoadsAround(RoadSurfaces(area), np.zeros(3)))
+    bare = replace(sample, roads=SampleRoads(SceneRoadSurfaces(area), np.zeros(3)))
     plan = plan_of(Traits(5, 3, 9.0, 6, "drive", False))[None]
     values = {name: PROTOCOLS[name].sample_values(PROTOCOLS[name].evaluate([bare], plan)) for name in SLOW}
     assert np.isnan(values["bev-planner"]["kerb"]).all() and not np.isnan(values["omnidrive"]["off_road"]).any()

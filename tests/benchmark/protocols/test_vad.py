@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.datasets.sample_truth import compute_truth
 from benchmark.geometry import Floats
 from benchmark.protocols import PROTOCOLS
 from benchmark.truth import SampleTruth
@@ -19,7 +19,7 @@ def parked_ahead(lidar_points: int, radar_points: int) -> SampleTruth:
     lidar, radar = (np.full_like(known.num_lidar_pts, count) for count in (lidar_points, radar_points))
     annotations = replace(known, num_lidar_pts=lidar, num_radar_pts=radar)
     tokens = [str(index) for index in range(len(scene.keyframes))]
-    return truth_of_scene(replace(scene, annotations=annotations), tokens)[0]
+    return compute_truth(replace(scene, annotations=annotations), tokens)[0]
 
 
 def straight_into(sample: SampleTruth) -> Floats:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.row_schema import OutcomeRow, SampleRow
-from benchmark.records.run import RunRecord, summarise
+from benchmark.records.run import RunRecord, summarise_rows
 from benchmark.records.run_schema import DataFacts, PlannerFacts, RunFacts, SceneFacts
 from tests.benchmark.records.test_run import row
 
@@ -38,7 +38,7 @@ def hand_made(
     )
     judged = {name: (versions or {}).get(name, PROTOCOLS[name].version) for name in protocols}
     facts = {scene: SceneFacts(source=source) for scene, source in (sources or {}).items()}
-    summary = summarise(rows, judged, seed=0, scene_facts=facts)
+    summary = summarise_rows(rows, judged, seed=0, scene_facts=facts)
     run = RunFacts(
         schema=2,
         planner=PlannerFacts(name=planner, privileged=privileged, native_protocol=native, weights_sha256=weights),

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from benchmark.records.judgement import DRIVER_NAMES, FAULT_NAMES, SceneJudgement
+from benchmark.records.judgement import DRIVER_NAMES, TRACK_DEFECT_NAMES, SceneAssessment
 
 
-def made_judgement(**changes: Any) -> SceneJudgement:
+def made_judgement(**changes: Any) -> SceneAssessment:
     """A harmless encounter that every driver survives, with some fields changed."""
     said: dict[str, Any] = {
         "adversary": "a",
@@ -27,9 +27,9 @@ def made_judgement(**changes: Any) -> SceneJudgement:
             "pet_first": None,
             "max_btn": 0.1,
         },
-        "faults": dict.fromkeys(FAULT_NAMES, False),
+        "faults": dict.fromkeys(TRACK_DEFECT_NAMES, False),
     }
-    return SceneJudgement.model_validate({**said, **changes})
+    return SceneAssessment.model_validate({**said, **changes})
 
 
 def hits(party: str = "adversary") -> dict[str, Any]:

@@ -6,11 +6,11 @@ import pytest
 
 from benchmark.cli.output import warn_of_caveats
 from benchmark.evaluation import evaluate
-from benchmark.records.caveats import Caveat, in_order
-from benchmark.records.rows import Rows
+from benchmark.records.caveats import Caveat, sort_caveats
+from benchmark.records.rows import SampleRows
 from benchmark.records.run import RunRecord, load_record, write_record
-from benchmark.runs.caveats import run_caveats
-from leaderboard.frame.runs import Frame
+from benchmark.runs.caveats import list_run_caveats
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.collision import collision_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
@@ -38,10 +38,10 @@ def test_they_are_stored_and_mark_the_row_with_a_note(record: RunRecord, tmp_pat
     write_record(tmp_path / "again", facts, record.rows, record.run.protocols, seed=record.run.seed)
     again = load_record(tmp_path / "again")
     assert again.run.caveats == [NO_MAP]
-    table = collision_table(Frame("town", [again]), "exact")
+    table = collision_table(DataSetRuns("town", [again]), "exact")
     assert table.rows[0][0] == "straight ¶"
     assert "¶ straight on val: no map, so that it drives without lanes." in table.notes
-    assert "¶" not in collision_table(Frame("town", [record]), "exact").markdown()
+    assert "¶" not in collision_table(DataSetRuns("town", [record]), "exact").markdown()
 
 
 def test_each_sentence_is_printed_once_with_the_planners_that_it_concerns(
@@ -57,6 +57,6 @@ def test_each_sentence_is_printed_once_with_the_planners_that_it_concerns(
 
 
 def test_what_only_the_door_knows_stays_when_plans_are_judged_anew(record: RunRecord) -> None:
-    found = run_caveats(record.run.planner, record.run.scene_facts, Rows.of(record.rows), [AS_IS, NO_MAP])
+    found = list_run_caveats(record.run.planner, record.run.scene_facts, SampleRows.of(record.rows), [AS_IS, NO_MAP])
     assert found == [AS_IS]
-    assert in_order([AS_IS, NO_MAP, AS_IS]) == [NO_MAP, AS_IS]
+    assert sort_caveats([AS_IS, NO_MAP, AS_IS]) == [NO_MAP, AS_IS]

@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from benchmark.records.considered import ConsideredFrame, considered_path, read_considered, write_considered
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.considered import SearchTraceFrame, read_search_trace, search_trace_path, write_search_trace
+from benchmark.records.drive_schema import EpisodeRow
 from tests.benchmark.records.test_drives import row
 
 FRAMES = (
-    ConsideredFrame(frame=12, time_us=1_000_000, did="track"),
-    ConsideredFrame(
+    SearchTraceFrame(frame=12, time_us=1_000_000, did="track"),
+    SearchTraceFrame(
         frame=24,
         time_us=2_000_000,
         did="searched",
@@ -22,7 +22,7 @@ FRAMES = (
 )
 
 
-def pursued(y: float = 0.0) -> DriveRow:
+def pursued(y: float = 0.0) -> EpisodeRow:
     adversary = {
         "agent": 0,
         "uuid": "a",
@@ -35,18 +35,18 @@ def pursued(y: float = 0.0) -> DriveRow:
 
 
 def test_it_reads_back_for_its_own_drive_alone(tmp_path: Path) -> None:
-    assert read_considered(tmp_path, pursued()) is None
-    write_considered(tmp_path, pursued(), FRAMES)
-    assert read_considered(tmp_path, pursued()) == FRAMES
-    assert read_considered(tmp_path, pursued(y=1.0)) is None
-    assert read_considered(tmp_path, row()) is None
+    assert read_search_trace(tmp_path, pursued()) is None
+    write_search_trace(tmp_path, pursued(), FRAMES)
+    assert read_search_trace(tmp_path, pursued()) == FRAMES
+    assert read_search_trace(tmp_path, pursued(y=1.0)) is None
+    assert read_search_trace(tmp_path, row()) is None
 
 
 @pytest.mark.parametrize("damage", ["{", "[]", '{"adversary": "x"}'])
 def test_what_is_damaged_is_not_there(tmp_path: Path, damage: str) -> None:
-    write_considered(tmp_path, pursued(), FRAMES)
-    considered_path(tmp_path, "scene-1", 0).write_text(damage)
-    assert read_considered(tmp_path, pursued()) is None
+    write_search_trace(tmp_path, pursued(), FRAMES)
+    search_trace_path(tmp_path, "scene-1", 0).write_text(damage)
+    assert read_search_trace(tmp_path, pursued()) is None
 
 
 @pytest.mark.parametrize(
@@ -61,4 +61,4 @@ def test_what_is_damaged_is_not_there(tmp_path: Path, damage: str) -> None:
 )
 def test_what_does_not_fit_together_is_refused(changes: dict[str, Any], why: str) -> None:
     with pytest.raises(ValueError, match=why):
-        ConsideredFrame.model_validate({**FRAMES[1].model_dump(), **changes})
+        SearchTraceFrame.model_validate({**FRAMES[1].model_dump(), **changes})

@@ -5,14 +5,14 @@ from typing import Any
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.records.driven import DrivenEgo
+from benchmark.records.driven import DrivenEgoTargets
 
 WAY: list[Any] = [[float(step), 0.5] for step in range(5)] + [None]
 SAID: dict[str, Any] = {"planner": "vad-mini", "commands": [2, 0], "wanted": [WAY, [None] * 6]}
 
 
 def test_it_is_read() -> None:
-    found = DrivenEgo.from_json(SAID)
+    found = DrivenEgoTargets.from_json(SAID)
     assert found.known.sum() == 5 and found.wanted.shape == (2, 6, 2)
     assert found.as_json() == SAID
 
@@ -41,4 +41,4 @@ def test_it_is_read() -> None:
 )
 def test_anything_else_is_refused(broken: object) -> None:
     with pytest.raises(InputError, match="build the data again"):
-        DrivenEgo.from_json(broken)
+        DrivenEgoTargets.from_json(broken)

@@ -8,13 +8,20 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
-from benchmark.records.drive_schema import SCHEMA, DriveRow
-from benchmark.records.drives import DriveRecord, find_drives, load_drives, summarise, values_of, write_drives
+from benchmark.records.drive_schema import SCHEMA, EpisodeRow
+from benchmark.records.drives import (
+    DriveRecord,
+    compute_column_values,
+    find_drives,
+    load_drives,
+    summarise_episodes,
+    write_drives,
+)
 from benchmark.records.run_schema import SceneFacts
-from benchmark.records.store import pending
+from benchmark.records.store import pending_path
 
 
-def row(scene: str = "scene-1", run: int = 0, **changes: Any) -> DriveRow:
+def row(scene: str = "scene-1", run: int = 0, **changes: Any) -> EpisodeRow:
     """A drive of two instants, without contact."""
     ego = [[0.0] * 7, [4.0, 0.0, 0.0, 8.0, 0.0, 0.0, 0.0]]
     made = {
@@ -29,7 +36,7 @@ def row(scene: str = "scene-1", run: int = 0, **changes: Any) -> DriveRow:
         "scores": scores(),
         "failure": None,
     }
-    return DriveRow.model_validate({**made, **changes})
+    return EpisodeRow.model_validate({**made, **changes})
 
 
 def scores(route: float | None = 0.5, **changes: Any) -> dict[str, Any]:
@@ -60,7 +67,7 @@ def contact(at_fault: bool = True) -> dict[str, Any]:
     }
 
 
-def failed(scene: str = "scene-2", reason: str = "raised") -> DriveRow:
+def failed(scene: str = "scene-2", reason: str = "raised") -> EpisodeRow:
     failure = {"reason": reason, "text": "ValueError: no"}
     return row(scene, status="failed", end="failed", scores=None, failure=failure)
 
@@ -82,7 +89,7 @@ def facts(**changes: Any) -> dict[str, Any]:
     return {**made, **changes}
 
 
-def written(folder: Path, *rows: DriveRow, **changes: Any) -> DriveRecord:
+def written(folder: Path, *rows: EpisodeRow, **changes: Any) -> DriveRecord:
     return write_drives(folder, facts(**changes), rows or (row(), row("scene-2")), seed=0)
 
 
@@ -122,29 +129,35 @@ def test_of_failed_drives_alone_there_is_no_number(tmp_path: Path) -> None:
     made = written(tmp_path, failed("scene-1", "timeout"), failed("scene-2"))
     assert made.summary.columns == {} and made.summary.reasons == {"raised": 1, "timeout": 1}
     with pytest.raises(AssertionError):
-        values_of(failed())
+        compute_column_values(failed())
 
 
 def test_what_says_nothing_is_no_zero() -> None:
     hit = row("scene-1", end="contact", contact=contact())
-    summary = summarise([hit, row("scene-2", scores=scores(route=None))], {}, seed=0)
+    summary = summarise_episodes([hit, row("scene-2", scores=scores(route=None))], {}, seed=0)
     assert summary.columns["impact_speed"].value == 5.0 and summary.columns["impact_speed"].denominator == 1
     assert summary.columns["contact"].value == 0.5 and summary.columns["route"].denominator == 1
 
 
 def test_intervals_draw_recordings_and_not_what_was_made_from_them() -> None:
     rows = [row(f"scene-{number}", end="contact", contact=contact()) for number in range(6)] + [row("scene-6")]
-    apart = summarise(rows, {}, seed=0).columns["contact"]
+    apart = summarise_episodes(rows, {}, seed=0).columns["contact"]
     one = {each.scene: SceneFacts(source="recorded") for each in rows}
-    together = summarise(rows, one, seed=0).columns["contact"]
+    together = summarise_episodes(rows, one, seed=0).columns["contact"]
     assert apart.low is not None and together.low is None and apart.value == together.value
 
 
 def test_numbers_of_two_engines_have_no_column_in_common_but_the_road() -> None:
     own = {"score": 3.0, "impact_speed": 2.0, "reference_speed": 8.0}
-    ncap = values_of(row(scores=scores(nuplan=None, hd=None, neuroncap=own)))
+    ncap = compute_column_values(row(scores=scores(nuplan=None, hd=None, neuroncap=own)))
     assert ncap["nns"] == 3.0 and "contact" not in ncap
-    assert set(ncap) & set(values_of(row())) == {"impact_speed", "route", "progress_m", "comfortable", "seconds"}
+    assert set(ncap) & set(compute_column_values(row())) == {
+        "impact_speed",
+        "route",
+        "progress_m",
+        "comfortable",
+        "seconds",
+    }
 
 
 @pytest.mark.parametrize(
@@ -195,7 +208,7 @@ def test_an_interrupted_replacement_leaves_a_whole_record(tmp_path: Path, monkey
     with pytest.raises(KeyboardInterrupt):
         written(tmp_path, row("scene-1", end="contact", contact=contact()), row("scene-2"))
     monkeypatch.undo()
-    assert load_drives(tmp_path) == before and pending(tmp_path, "drive.json").exists()
+    assert load_drives(tmp_path) == before and pending_path(tmp_path, "drive.json").exists()
     again = written(tmp_path, row("scene-1", end="contact", contact=contact()), row("scene-2"))
     assert load_drives(tmp_path) == again and not list(tmp_path.glob(".*"))
 
@@ -215,8 +228,8 @@ def test_what_was_measured_is_part_of_the_name() -> None:
 
 
 def write_measured(engine: str, agents: str, latency_ms: int) -> str:
-    from benchmark.records.drive_schema import Measured
+    from benchmark.records.drive_schema import ClosedLoopDefinition
 
-    return Measured.model_validate(
+    return ClosedLoopDefinition.model_validate(
         {"engine": engine, "agents": agents, "sensor": "none", "latency_ms": latency_ms}
     ).world

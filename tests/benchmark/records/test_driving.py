@@ -10,9 +10,9 @@ import pytest
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.pdm.definition import VERSION
 from benchmark.pdm.totals import DrivenPlan
-from benchmark.records.driving import COLUMNS, SUB_SCORES, sample_scores, summarise_driving
+from benchmark.records.driving import COLUMNS, SUB_SCORES, read_sample_scores, summarise_driving_scores
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.run import load_record, summarise
+from benchmark.records.run import load_record, summarise_rows
 from benchmark.runs.rescoring import rescore
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Failing, Straight
@@ -33,7 +33,7 @@ def sample(scene: str, index: int, **changed: Any) -> SampleRow:
 
 
 def column(rows: list[DrivenPlan], name: str) -> list[float | None]:
-    values, known = sample_scores(rows)
+    values, known = read_sample_scores(rows)
     place = COLUMNS.index(name)
     return [float(value) if there else None for value, there in zip(values[:, place], known[:, place])]
 
@@ -60,7 +60,7 @@ def test_a_summary_has_means_shares_counts_and_intervals_over_scenes() -> None:
         sample("b", 0, ec=None, nc=0.0),
         row("b", 1, counted=False),
     ]
-    summary = summarise_driving(rows, [each.scene for each in rows], seed=0)
+    summary = summarise_driving_scores(rows, [each.scene for each in rows], seed=0)
     assert summary is not None and summary.version == VERSION
     assert (summary.counted, summary.incomplete) == (3, 1)
     nc = summary.columns["nc"]
@@ -69,13 +69,13 @@ def test_a_summary_has_means_shares_counts_and_intervals_over_scenes() -> None:
     assert summary.columns["score"]["mean"].denominator == 1 and summary.columns["score"]["mean"].low is None
     assert set(summary.columns) == set(COLUMNS)
     # Two scenes made from one recording are one.
-    again = summarise_driving(rows, ["a"] * 4, seed=0)
+    again = summarise_driving_scores(rows, ["a"] * 4, seed=0)
     assert again is not None and again.columns["nc"]["mean"].low is None
 
 
 def test_no_driving_scores_are_no_summary() -> None:
-    assert summarise_driving([row("a", 0)], ["a"], seed=0) is None
-    assert summarise([row("a", 0)], {"exact": 1}, seed=0).driving is None
+    assert summarise_driving_scores([row("a", 0)], ["a"], seed=0) is None
+    assert summarise_rows([row("a", 0)], {"exact": 1}, seed=0).driving is None
 
 
 def test_eval_writes_them_and_they_read_back(tmp_path: Path) -> None:
@@ -114,5 +114,5 @@ def test_without_a_map_there_are_none(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_scores_of_no_samples_have_every_column() -> None:
-    values, known = sample_scores([])
+    values, known = read_sample_scores([])
     assert values.shape == known.shape == (0, len(COLUMNS)) and not np.isnan(values).any()

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from benchmark.machine.storage import read_json, write_json
 from benchmark.records.attempts import Attempt
-from benchmark.records.judgement import DRIVER_NAMES, JudgementSummary, SceneJudgement, unsolvable
+from benchmark.records.judgement import DRIVER_NAMES, AssessmentSummary, SceneAssessment, is_unsolvable
 from benchmark.records.run import load_record
 from tests.benchmark.records.made_judgements import hits, made_judgement
 
@@ -22,7 +22,7 @@ def drivers(**changed: dict[str, object]) -> dict[str, object]:
 def test_a_judgement_is_the_same_after_it_was_stored() -> None:
     judged = made_judgement(drivers=drivers(constant=hits(), cc={"survives": True, "reacted_s": 1.0,
         "reacted_to": "adversary", "reacted_to_instance": "a"}))  # fmt: skip
-    assert SceneJudgement.model_validate_json(judged.model_dump_json()) == judged
+    assert SceneAssessment.model_validate_json(judged.model_dump_json()) == judged
 
 
 @pytest.mark.parametrize(
@@ -74,22 +74,22 @@ def test_a_summary_has_the_most_severe_of_several_adversaries() -> None:
             "unknown": {"beyond_limits": "no 12 Hz track"},
         },
     )
-    summary = JudgementSummary.of([far, near])
+    summary = AssessmentSummary.of([far, near])
     assert (summary.least_gap_m, summary.least_ttc_s, summary.tet_s, summary.pet_s) == (0.5, 3.0, 0.3, 1.2)
     assert (summary.max_btn, summary.faults, summary.unknown_faults) == (0.1, ["off_road"], ["beyond_limits"])
     assert summary.survives == dict.fromkeys(DRIVER_NAMES, True) and not summary.unsolvable
 
 
 def test_of_several_adversaries_the_one_that_is_hit_decides() -> None:
-    assert not unsolvable([])
+    assert not is_unsolvable([])
     hopeless, harmless = made_judgement(unsolvable=True), made_judgement()
-    assert unsolvable([hopeless]) and not unsolvable([hopeless, harmless])
+    assert is_unsolvable([hopeless]) and not is_unsolvable([hopeless, harmless])
     struck = made_judgement(unsolvable=True, drivers=drivers(constant=hits()))
-    assert unsolvable([struck, harmless])
+    assert is_unsolvable([struck, harmless])
     passed = made_judgement(drivers=drivers(constant=hits()))
-    assert not unsolvable([passed, hopeless])
+    assert not is_unsolvable([passed, hopeless])
     elsewhere = made_judgement(unsolvable=True, drivers=drivers(constant=hits("another_adversary")))
-    assert not unsolvable([elsewhere, passed])
+    assert not is_unsolvable([elsewhere, passed])
 
 
 def test_attempts_of_older_versions_have_no_judgement() -> None:

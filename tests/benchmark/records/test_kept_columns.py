@@ -15,12 +15,12 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.machine.kept_arrays import kept_place, read_batch, write_batch
+from benchmark.machine.kept_arrays import find_cache_file, read_batch, write_batch
 from benchmark.machine.storage import file_sha256
 from benchmark.records import rows as stored_rows
 from benchmark.records import run
-from benchmark.records.columns import LINES, RowColumns, batch_of
-from benchmark.records.rows import Rows, scene_failures
+from benchmark.records.columns import LINES, RowColumns, build_batch
+from benchmark.records.rows import SampleRows, find_scene_failures
 from benchmark.records.run import RunRecord, find_records, load_record, write_record
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing
@@ -48,7 +48,7 @@ def record(real: RunRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.fixture
 def kept(record: Path) -> Path:
     """The file in the cache."""
-    found = kept_place("records", record / "samples.jsonl")
+    found = find_cache_file("records", record / "samples.jsonl")
     assert found is not None
     return found
 
@@ -77,15 +77,15 @@ def test_the_second_reading_parses_nothing_and_says_the_same(loaded: Loaded, rec
     (first, parsed), (second, parsed_again) = loaded(), loaded()
     assert (parsed, parsed_again) == (len(real.rows), 0)
     assert first == second and list(second.rows) == list(real.rows) and first.content_id == second.content_id
-    assert list(Rows.of(second.rows).lines()) == list(Rows.of(real.rows).lines())
+    assert list(SampleRows.of(second.rows).lines()) == list(SampleRows.of(real.rows).lines())
     assert sorted(path.name for path in record.iterdir()) == before
     plain = RowColumns(list(real.rows))
     assert second.columns.brief == plain.brief == plain.brief_at(range(len(plain)))
     for name in real.run.protocols:
         assert second.columns.outcomes(name).as_rows() == plain.outcomes(name).as_rows()
-        assert scene_failures(second.rows, name) == scene_failures(real.rows, name)
+        assert find_scene_failures(second.rows, name) == find_scene_failures(real.rows, name)
     assert second.rows_of(real.run.scenes[-1]) == real.rows_of(real.run.scenes[-1])
-    made = batch_of(list(real.rows))
+    made = build_batch(list(real.rows))
     assert made is not None
     found = second.columns.batch.select(made.schema.names)
     # NaN is equal to NaN here.
@@ -117,7 +117,7 @@ def test_rows_that_took_the_place_of_others_are_read(loaded: Loaded, record: Pat
     loaded()
     rows = [row.model_copy(update={"command": 1 - min(row.command, 1)}) for row in real.rows]
     assert rows != list(real.rows)
-    lines = "".join(f"{line}\n" for line in Rows.of(rows).lines())
+    lines = "".join(f"{line}\n" for line in SampleRows.of(rows).lines())
     (record / "samples.jsonl").write_text(lines)
     head = json.loads((record / "run.json").read_text())
     head["files"]["samples.jsonl"] = file_sha256(record / "samples.jsonl")
@@ -203,7 +203,7 @@ def test_arrow_is_imported_for_columns_alone_and_does_not_bring_pandas_along(rec
 
 def test_other_code_reads_again(loaded: Loaded, monkeypatch: pytest.MonkeyPatch) -> None:
     loaded()
-    monkeypatch.setattr(stored_rows, "_checks", lambda: "those of another version")
+    monkeypatch.setattr(stored_rows, "_checks_key", lambda: "those of another version")
     again, parsed = loaded()
     assert parsed == len(again.rows)
 
@@ -265,7 +265,7 @@ def test_what_is_kept_of_records_that_are_gone_is_removed(loaded: Loaded, record
     moved = record.rename(record.parent / "moved")
     assert kept.is_file()
     load_record(moved)
-    assert not kept.exists() and kept_place("records", moved / "samples.jsonl").is_file()  # type: ignore[union-attr]
+    assert not kept.exists() and find_cache_file("records", moved / "samples.jsonl").is_file()  # type: ignore[union-attr]
 
 
 def test_a_kept_record_goes_to_another_process(loaded: Loaded, real: RunRecord) -> None:

@@ -20,14 +20,14 @@ from benchmark.records.planner_cost import (
     cost_path,
     note_cost,
     read_cost,
-    summary_of,
+    summarise_cost,
 )
 from benchmark.records.record_costs import with_cost
 from benchmark.records.run import RunRecord, load_record
-from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.runs.units import Shard
-from leaderboard.frame.runs import Frame
-from leaderboard.tables.contents import data_set_tables
+from leaderboard.frame.runs import DataSetRuns
+from leaderboard.tables.contents import build_data_set_tables
 from leaderboard.tables.runtime import cost_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Factory, Failing, Straight
@@ -58,10 +58,10 @@ def test_the_first_samples_of_each_scene_and_failures_do_not_count() -> None:
         planner="", scenes={"b": scene([9.0, 9.0, 3.0, None, 4.0]), "a": scene([9.0, 9.0, 1.0, 2.0], 200)}
     )
     assert cost.warm_s() == [1.0, 2.0, 3.0, 4.0]
-    summary = summary_of(cost)
+    summary = summarise_cost(cost)
     assert (summary.samples, summary.median_s, summary.peak_memory_mb) == (4, 2.5, 200.0)
     assert summary.p95_s == pytest.approx(np.percentile([1, 2, 3, 4], 95))
-    assert summary_of(PlannerCost(planner="", scenes={"a": scene([9.0])})).median_s is None
+    assert summarise_cost(PlannerCost(planner="", scenes={"a": scene([9.0])})).median_s is None
 
 
 def test_an_evaluation_notes_each_sample_and_the_record_stays_the_same(tmp_path: Path) -> None:
@@ -84,7 +84,7 @@ def test_samples_on_which_the_planner_failed_have_no_latency(tmp_path: Path) -> 
 
 
 def test_plans_that_were_kept_keep_their_cost_and_another_version_begins_anew(tmp_path: Path) -> None:
-    path, facts = tmp_path / "x.timing.json", facts_of(Straight())
+    path, facts = tmp_path / "x.timing.json", build_planner_facts(Straight())
     note_cost(path, facts, {"a": scene([1.0]), "b": scene([2.0])})
     note_cost(path, facts, {"a": None, "b": scene([3.0])})
     found = read_cost(path)
@@ -108,7 +108,7 @@ def test_a_damaged_note_is_named_and_written_anew(tmp_path: Path, broken: str) -
     path.write_text(broken)
     with pytest.raises(InputError, match=r"x\.timing\.json"):
         read_cost(path)
-    note_cost(path, facts_of(Straight()), {"a": scene([1.0])})
+    note_cost(path, build_planner_facts(Straight()), {"a": scene([1.0])})
     assert json.loads(path.read_text())["scenes"]["a"]["latency_s"] == [1.0]
 
 
@@ -120,13 +120,13 @@ def test_notes_of_the_format_before_say_nothing_of_latency(tmp_path: Path) -> No
 
 def test_the_table_has_a_row_for_whom_it_is_known_of(tmp_path: Path) -> None:
     record = timed(tmp_path, Straight(0.01))
-    table = cost_table(Frame("town", [record]))
+    table = cost_table(DataSetRuns("town", [record]))
     assert table is not None
     (row,) = csv_rows(table.csv())
     assert float(row["median, ms"]) >= 10.0 and float(row["p95, ms"]) >= float(row["median, ms"])
-    assert cost_table(Frame("town", [replace(record, cost=None)])) is None
-    names = [each.name for each in data_set_tables(Frame("town", [record])).front]
-    without = [each.name for each in data_set_tables(Frame("town", [replace(record, cost=None)])).front]
+    assert cost_table(DataSetRuns("town", [replace(record, cost=None)])) is None
+    names = [each.name for each in build_data_set_tables(DataSetRuns("town", [record])).front]
+    without = [each.name for each in build_data_set_tables(DataSetRuns("town", [replace(record, cost=None)])).front]
     assert set(names) - set(without) == {"cost"}
 
 
@@ -171,6 +171,6 @@ def test_what_shards_took_is_put_together(tmp_path: Path) -> None:
     record = evaluate(town_of_two(), "val", *planners[0][:1], runs, planners[0][1])
     known = with_cost(load_record(record.directory), [runs], lambda _: timings)
     assert known.cost is not None and set(known.cost.scenes) == set(town_of_two().scene_names("val"))
-    assert summary_of(known.cost).median_s is not None
+    assert summarise_cost(known.cost).median_s is not None
     assert known == load_record(record.directory)
     assert [path.name for path in timings.rglob("*.json")] == [f"{record.directory.name}.timing.json"]

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.records.planner_versions import PLANS_SHA256, labelled
+from benchmark.records.planner_versions import PLANS_SHA256, label_versions
 from benchmark.records.run import RunRecord
-from leaderboard.results import one_run_each
+from leaderboard.results import select_runs
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 
 
@@ -18,15 +18,19 @@ def version(split: str = "adv", **facts: object) -> RunRecord:
 
 
 def test_a_single_version_keeps_its_name() -> None:
-    assert [found.planner for found in labelled([version("val"), version("adv")])] == [version().planner] * 2
+    assert [found.planner for found in label_versions([version("val"), version("adv")])] == [version().planner] * 2
 
 
 def test_versions_are_told_apart_by_what_differs_and_alike_on_every_split() -> None:
     runs = [version("val", seed=1), version("adv", seed=1), version("adv", seed=2)]
     name = runs[0].planner
-    assert [found.planner for found in labelled(runs)] == [f"{name} (seed 1)", f"{name} (seed 1)", f"{name} (seed 2)"]
+    assert [found.planner for found in label_versions(runs)] == [
+        f"{name} (seed 1)",
+        f"{name} (seed 1)",
+        f"{name} (seed 2)",
+    ]
     weights = [version(weights_sha256="3fa2b1c0" * 8), version(weights_sha256="0" * 64), version()]
-    assert [found.label for found in labelled(weights)] == [
+    assert [found.label for found in label_versions(weights)] == [
         f"{name} (weights 3fa2b1c0)",
         f"{name} (weights 00000000)",
         f"{name} (weights none)",
@@ -35,11 +39,14 @@ def test_versions_are_told_apart_by_what_differs_and_alike_on_every_split() -> N
         version(weights_sha256=sha * 64, settings={"checkpoint": f"{sha}.pth", "checkpoint_sha256": sha})
         for sha in "ab"
     ]
-    assert [found.label for found in labelled(files)] == [f"{name} (weights aaaaaaaa)", f"{name} (weights bbbbbbbb)"]
+    assert [found.label for found in label_versions(files)] == [
+        f"{name} (weights aaaaaaaa)",
+        f"{name} (weights bbbbbbbb)",
+    ]
     code = [version(settings={"shared_code_sha256": sha}) for sha in "ab"]
-    assert [found.label for found in labelled(code)] == [None, None]
+    assert [found.label for found in label_versions(code)] == [None, None]
     settings = [version(settings={"gap": 1.0, "same": 2}), version(settings={"gap": 1.5, "same": 2})]
-    assert [found.label for found in labelled(settings)] == [f"{name} (gap 1.0)", f"{name} (gap 1.5)"]
+    assert [found.label for found in label_versions(settings)] == [f"{name} (gap 1.0)", f"{name} (gap 1.5)"]
 
 
 def test_a_plan_file_for_each_split_is_one_planner() -> None:
@@ -48,13 +55,13 @@ def test_a_plan_file_for_each_split_is_one_planner() -> None:
         for split, digit in (("val", "1"), ("adv", "2"), ("adv", "3"))
     )
     name = val.planner
-    assert [found.planner for found in labelled([val, adv])] == [name, name]
-    assert [found.planner for found in labelled([val, adv, other])] == [
+    assert [found.planner for found in label_versions([val, adv])] == [name, name]
+    assert [found.planner for found in label_versions([val, adv, other])] == [
         f"{name} (plans_sha256 {digit * 8})" for digit in "123"
     ]
 
 
 def test_a_leaderboard_holds_both_versions_but_not_one_version_twice() -> None:
-    assert len(one_run_each([version(seed=1), version(seed=2)])) == 2
+    assert len(select_runs([version(seed=1), version(seed=2)])) == 2
     with pytest.raises(InputError, match="both hold"):
-        one_run_each([version(seed=1), version(seed=1, code_sha256="another commit")])
+        select_runs([version(seed=1), version(seed=1, code_sha256="another commit")])

@@ -10,12 +10,12 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.metrics.consistency import apart, plans_apart
-from benchmark.protocols import Outcomes
+from benchmark.metrics.consistency import measure_plan_distance, measure_plan_distances
+from benchmark.protocols import ProtocolOutcomes
 from benchmark.records import columns as columns_module
-from benchmark.records.columns import RowColumns, batch_of
+from benchmark.records.columns import RowColumns, build_batch
 from benchmark.records.row_schema import OutcomeRow, SampleRow
-from benchmark.records.rows import Rows, columns_of, line_of, scene_failures
+from benchmark.records.rows import SampleRows, find_scene_failures, format_line, get_columns
 from benchmark.records.run import RunRecord, load_record, write_record
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing
@@ -29,7 +29,7 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
 
 def test_compressed_rows_are_the_rows(real: RunRecord) -> None:
     plain = list(real.rows)
-    packed = Rows.of(plain)
+    packed = SampleRows.of(plain)
     assert list(packed) == plain == [packed[at] for at in range(len(packed))]
     assert packed == tuple(plain) and packed[1:3] == plain[1:3] and packed[-1] == plain[-1]
     assert packed != plain[:-1] and packed != [*plain[1:], plain[0]]
@@ -48,7 +48,7 @@ def test_columns_say_what_rows_say(real: RunRecord) -> None:
     columns = RowColumns(plain)
     assert [plain[at].status for at in columns.planned] == ["ok"] * sum(row.status == "ok" for row in plain)
     for name in real.run.protocols:
-        expected = Outcomes.from_rows([vars(row.outcomes[name]) for row in plain if row.status == "ok"])
+        expected = ProtocolOutcomes.from_rows([vars(row.outcomes[name]) for row in plain if row.status == "ok"])
         assert columns.outcomes(name).as_rows() == expected.as_rows()
         hits = [
             row.status == "ok" and row.outcomes[name].counted and any(row.outcomes[name].collision or ())
@@ -74,7 +74,7 @@ def test_columns_that_are_made_piece_by_piece_are_the_same(
     plain = list(real.rows)
     expected = RowColumns(plain)
     monkeypatch.setattr(columns_module, "_ROWS_AT_ONCE", at_once)
-    batch = batch_of(plain)
+    batch = build_batch(plain)
     assert batch is not None
     found = RowColumns([], batch)
     assert found.brief == expected.brief and np.array_equal(found.planned, expected.planned)
@@ -116,9 +116,9 @@ def test_plans_apart_are_those_one_by_one(real: RunRecord) -> None:
     pairs = [at for at, (one, other) in enumerate(pairwise(plain)) if one.scene == other.scene]
     pairs = [at for at in pairs if plain[at].recorded_future[0]]
     after = [at + 1 for at in pairs]
-    found = plans_apart(columns.in_lidar[pairs], columns.moved[pairs], columns.in_lidar[after])
+    found = measure_plan_distances(columns.in_lidar[pairs], columns.moved[pairs], columns.in_lidar[after])
     assert len(pairs) > 10
-    assert np.array_equal(found, [apart(plain[at], plain[at + 1]) for at in pairs])
+    assert np.array_equal(found, [measure_plan_distance(plain[at], plain[at + 1]) for at in pairs])
 
 
 def test_a_record_is_written_and_read_as_the_same_bytes(real: RunRecord, tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_a_record_is_written_and_read_as_the_same_bytes(real: RunRecord, tmp_pat
     write_record(tmp_path, facts, list(again.rows), again.run.protocols, seed=again.run.seed)
     for name in ("samples.jsonl", "summary.json", "run.json"):
         assert (tmp_path / name).read_bytes() == (real.directory / name).read_bytes()
-    assert (tmp_path / "samples.jsonl").read_text().splitlines() == [line_of(row) for row in real.rows]
+    assert (tmp_path / "samples.jsonl").read_text().splitlines() == [format_line(row) for row in real.rows]
 
 
 @pytest.mark.parametrize(
@@ -156,9 +156,13 @@ def test_damaged_rows_are_said_as_before(
 
 def test_verdicts_on_scenes_are_kept_and_nobody_can_change_them() -> None:
     made = hand_made("one", {"a": [CLEAN, HIT], "b": [CLEAN, CLEAN]})
-    first = scene_failures(made.rows, "exact")
+    first = find_scene_failures(made.rows, "exact")
     first["a"] = None
-    assert scene_failures(made.rows, "exact") == {"a": True, "b": False} == scene_failures(list(made.rows), "exact")
-    assert columns_of(made.rows) is made.columns
+    assert (
+        find_scene_failures(made.rows, "exact")
+        == {"a": True, "b": False}
+        == find_scene_failures(list(made.rows), "exact")
+    )
+    assert get_columns(made.rows) is made.columns
     with pytest.raises(ValueError, match="read-only"):
         made.columns.outcomes("exact").collision[0, 0] = True

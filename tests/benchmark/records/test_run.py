@@ -14,8 +14,8 @@ from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.records.row_schema import CAUSES, DiagnosisRow, SampleRow
-from benchmark.records.rows import scene_failures
-from benchmark.records.run import find_records, load_record, protocol_of, summarise
+from benchmark.records.rows import find_scene_failures
+from benchmark.records.run import find_records, load_record, resolve_protocol, summarise_rows
 from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
@@ -53,7 +53,7 @@ def row(scene: str, index: int, *, collides: bool = False, counted: bool = True,
 @pytest.mark.parametrize("directory", sorted(GOLDEN.iterdir()), ids=lambda path: path.name)
 def test_golden_records_load_for_ever_and_summarise_alike(directory: Path) -> None:
     record = load_record(directory)
-    again = summarise(record.rows, record.run.protocols, seed=record.run.seed, scene_facts=record.run.scene_facts)
+    again = summarise_rows(record.rows, record.run.protocols, seed=record.run.seed, scene_facts=record.run.scene_facts)
     assert again.samples == record.summary.samples == len(record.rows)
     for name, summary in record.summary.protocols.items():
         if name not in record.stale_protocols:
@@ -83,7 +83,9 @@ def test_records_of_schema_2_keep_forecasts_diagnosis_and_disagreements() -> Non
     assert [set(row.disagreements) for row in record.rows if row.disagreements] == [{"uniad"}]
     partial = load_record(GOLDEN / "schema-2-partial")
     assert partial.run.status == "partial" and partial.summary.failed == 1 and partial.run.rescored is not None
-    assert partial.native_protocol == "vad" and scene_failures(partial.rows, "uniad") == {"scene-8006-342b7d08": True}
+    assert partial.native_protocol == "vad" and find_scene_failures(partial.rows, "uniad") == {
+        "scene-8006-342b7d08": True
+    }
     assert {row.diagnosis.cause for row in partial.rows if row.diagnosis is not None} == {"not attributable"}
 
 
@@ -128,7 +130,7 @@ def test_a_scene_fails_if_any_counted_sample_collides() -> None:
         row("failed where it does not count", 1, status="failed", counted=False),
         row("never counted", 0, counted=False),
     ]
-    assert scene_failures(rows, "exact") == {
+    assert find_scene_failures(rows, "exact") == {
         "clean": False,
         "hit": True,
         "uncounted hit": False,
@@ -137,24 +139,24 @@ def test_a_scene_fails_if_any_counted_sample_collides() -> None:
         "failed where it does not count": False,
         "never counted": None,
     }
-    assert scene_failures(rows[::-1], "exact") == scene_failures(rows, "exact")
+    assert find_scene_failures(rows[::-1], "exact") == find_scene_failures(rows, "exact")
 
 
 def test_where_short_recordings_count_a_failure_on_them_leaves_the_scene_undecided() -> None:
     rows = [row("a", 0), row("a", 1, status="failed", counted=False)]
-    assert scene_failures(rows, "exact") == {"a": False}
+    assert find_scene_failures(rows, "exact") == {"a": False}
     assert PROTOCOLS["uniad"].counts_incomplete
-    assert scene_failures([judged_by(r, "uniad") for r in rows], "uniad") == {"a": None}
+    assert find_scene_failures([judged_by(r, "uniad") for r in rows], "uniad") == {"a": None}
     # Nothing is recorded after the last sample of a scene: no plan could have collided there.
     last = [rows[0], rows[1].model_copy(update={"recorded_future": [None] * 6})]
-    assert scene_failures([judged_by(r, "uniad") for r in last], "uniad") == {"a": False}
+    assert find_scene_failures([judged_by(r, "uniad") for r in last], "uniad") == {"a": False}
 
 
 def test_scenes_without_verdicts_of_a_protocol_are_one_sentence() -> None:
     with pytest.raises(InputError, match="not judged by protocol 'uniad'; run challenger-bench rescore"):
-        scene_failures([row("a", 0)], "uniad")
+        find_scene_failures([row("a", 0)], "uniad")
     with pytest.raises(InputError, match="unknown protocol 'nonsense'"):
-        scene_failures([row("a", 0)], "nonsense")
+        find_scene_failures([row("a", 0)], "nonsense")
 
 
 def test_steps_that_the_mask_removes_are_those_that_would_count() -> None:
@@ -167,8 +169,8 @@ def test_steps_that_the_mask_removes_are_those_that_would_count() -> None:
         judged_by(row("a", 3), "uniad", steps={**mask, "before_mask": clear}),
         row("a", 4, status="failed"),
     ]
-    assert summarise(rows, {"uniad": 1}, seed=0).protocols["uniad"].mask_removed_steps == 3 + 2
-    assert summarise([row("a", 0)], {"exact": 1}, seed=0).protocols["exact"].mask_removed_steps is None
+    assert summarise_rows(rows, {"uniad": 1}, seed=0).protocols["uniad"].mask_removed_steps == 3 + 2
+    assert summarise_rows([row("a", 0)], {"exact": 1}, seed=0).protocols["exact"].mask_removed_steps is None
 
 
 def test_masked_steps_of_adversaries_are_those_at_which_the_recorded_ego_touches_one() -> None:
@@ -182,7 +184,7 @@ def test_masked_steps_of_adversaries_are_those_at_which_the_recorded_ego_touches
     rows = [judged_by(row(scene, 0), "uniad", steps=mask) for scene in ("a", "b")]
 
     def removed(facts: dict[str, SceneFacts] | None) -> tuple[int | None, int | None]:
-        found = summarise(rows, {"uniad": 1}, seed=0, scene_facts=facts).protocols["uniad"]
+        found = summarise_rows(rows, {"uniad": 1}, seed=0, scene_facts=facts).protocols["uniad"]
         return found.mask_removed_steps, found.mask_removed_for_adversary
 
     known = {name: SceneFacts(source="s", adversaries=1) for name in "ab"}
@@ -206,11 +208,11 @@ def judged_by(judged: SampleRow, name: str, **changes: Any) -> SampleRow:
 
 def test_native_is_the_planners_own_protocol_or_exact(directory: Path) -> None:
     record = load_record(directory)
-    assert record.native_protocol == "exact" and protocol_of(record, "native") == "exact"
+    assert record.native_protocol == "exact" and resolve_protocol(record, "native") == "exact"
     change(directory / "run.json", planner={**record.run.planner.model_dump(), "native_protocol": "vad"})
     record = load_record(directory)
-    assert record.native_protocol == "vad" and protocol_of(record, "native") == "vad"
-    assert protocol_of(record, "uniad") == "uniad"
+    assert record.native_protocol == "vad" and resolve_protocol(record, "native") == "vad"
+    assert resolve_protocol(record, "uniad") == "uniad"
 
 
 def test_records_of_other_versions_load_and_say_so(directory: Path) -> None:
@@ -223,7 +225,7 @@ def test_records_of_other_versions_load_and_say_so(directory: Path) -> None:
 
 def test_a_summary_leaves_failed_samples_out_of_both_sums() -> None:
     rows = [row("a", 0, collides=True), row("a", 1), row("a", 2, status="failed")]
-    summary = summarise(rows, {"exact": 1}, seed=0)
+    summary = summarise_rows(rows, {"exact": 1}, seed=0)
     rate = summary.protocols["exact"].columns["collision"]["3s"]
     assert (rate.numerator, rate.denominator, summary.failed) == (1.0, 2, 1)
 

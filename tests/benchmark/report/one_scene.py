@@ -13,10 +13,10 @@ from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import (
     CAMERA_GRID,
     SCHEMA,
-    Sheet,
-    StoredSheet,
+    ScenePage,
+    StoredScenePage,
     picture_name,
-    read_sheet,
+    read_scene_page,
     scene_folder,
 )
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
@@ -34,7 +34,7 @@ def agent(name: str, x_m: float, y_m: float, **changes: Any) -> dict[str, Any]:
     return {**whole, **there, **changes}
 
 
-def sheet(**changes: Any) -> Sheet:
+def sheet(**changes: Any) -> ScenePage:
     """The ego stands at the origin and looks along +x; a car 10 m ahead, the adversary 5 m to the left."""
     keyframes = list(range(0, FRAMES, EVERY))
     scene = changes.get("scene", SCENE)
@@ -62,10 +62,10 @@ def sheet(**changes: Any) -> Sheet:
         "files": {},
         **changes,
     }
-    return Sheet.model_validate(content)
+    return ScenePage.model_validate(content)
 
 
-def written(root: Path, *, pictures: bool = True, **changes: Any) -> StoredSheet:
+def written(root: Path, *, pictures: bool = True, **changes: Any) -> StoredScenePage:
     """The same on disk, its cameras grey with one edge of the adversary's box in the front one."""
     plain = sheet(**changes)
     folder = scene_folder(root, plain.data.name, plain.split, plain.scene)
@@ -85,10 +85,10 @@ def written(root: Path, *, pictures: bool = True, **changes: Any) -> StoredSheet
             Image.fromarray(np.full((2 * height, 3 * width, 3), 128, np.uint8)).save(path, lossless=True)
             content["files"][picture_name(frame)] = file_sha256(path)
     write_json(folder / "sheet.json", content)
-    return read_sheet(folder)
+    return read_scene_page(folder)
 
 
-def broken_picture(stored: StoredSheet, data: bytes) -> None:
+def broken_picture(stored: StoredScenePage, data: bytes) -> None:
     """Put something else in place of the first picture after the sheet was read."""
     write_bytes(stored.picture_path(6), data)
 

@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.records.scenes import RefinementTrace
-from benchmark.report.birdseye import SceneFromAbove, draw_birdseye
-from benchmark.report.overlays import Whom, candidates_overlay, plan_overlay, verdict_of
+from benchmark.report.birdseye import BirdseyeScene, draw_birdseye
+from benchmark.report.overlays import CollisionParty, build_candidates_overlay, build_plan_overlay, describe_verdict
 from benchmark.report.palette import (
     ADVERSARY,
     BEST,
@@ -17,7 +17,7 @@ from benchmark.report.palette import (
     ON_DARK,
     ON_LIGHT,
     Rgb,
-    planner_style,
+    choose_planner_style,
 )
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED
 from tests.benchmark.report.one_scene import agent, record, sheet, with_plan
@@ -109,11 +109,13 @@ def test_what_cannot_be_drawn_is_one_sentence(frame: int, size: int, extent: flo
 
 def test_a_plan_is_a_line_in_the_planners_colour_and_its_first_contact_is_marked() -> None:
     straight = {"frame": "ego", "waypoints": [[1.5 * step, 0.0] for step in range(1, 7)]}
-    scene, style = sheet(), planner_style(0)
+    scene, style = sheet(), choose_planner_style(0)
     hits = with_plan(record("p", [HIT]), straight).rows[0]
     facts = {"first_contact_s": 1.9, "hit": "car", "hit_adversary": True}
     outcome = hits.outcomes["exact"].model_copy(update={"facts": facts})
-    overlay = plan_overlay(scene, 0, hits.model_copy(update={"outcomes": {"exact": outcome}}), "exact", "p", style)
+    overlay = build_plan_overlay(
+        scene, 0, hits.model_copy(update={"outcomes": {"exact": outcome}}), "exact", "p", style
+    )
     assert overlay.contact is not None and overlay.contact.other is not None
     # The plan's front at 1.9 s: 3 m a second, the lidar 0.94 m ahead of the axle, the body 0.5 m and half its length.
     assert overlay.contact.ego[0] == pytest.approx(5.7 + 0.94 + 0.5, abs=1e-6)
@@ -122,44 +124,44 @@ def test_a_plan_is_a_line_in_the_planners_colour_and_its_first_contact_is_marked
     assert share(image, style.colour) > share(drawn(), style.colour) + 0.001
     assert share(image, CONTACT) > 0.0005
     assert at(image, 8.59, 0.0) == CONTACT
-    clean = plan_overlay(scene, 0, with_plan(record("p", [CLEAN]), straight).rows[0], "exact", "p", style)
+    clean = build_plan_overlay(scene, 0, with_plan(record("p", [CLEAN]), straight).rows[0], "exact", "p", style)
     assert share(drawn(clean), CONTACT) == 0.0
 
 
 def test_verdicts_in_words() -> None:
     rows = record("p", [HIT, CLEAN, FAILED, UNCOUNTED]).rows
-    assert [verdict_of(row, "exact").words for row in rows] == [
+    assert [describe_verdict(row, "exact").words for row in rows] == [
         "collides within 0.5 s",
         "no contact",
         "the planner failed",
         "no contact, not counted",
     ]
-    assert [verdict_of(row, "exact").collides for row in rows] == [True, False, None, False]
+    assert [describe_verdict(row, "exact").collides for row in rows] == [True, False, None, False]
     with pytest.raises(InputError, match="rescore"):
-        verdict_of(rows[0], "vad")
+        describe_verdict(rows[0], "vad")
 
 
 @pytest.mark.parametrize(
     ("adversary", "words", "whom", "alarms"),
     [
-        (True, "hits the adversary 0.1 s ahead", Whom.ADVERSARY, True),
-        (False, "hits another 0.1 s ahead", Whom.OTHER, False),
-        (None, "collides within 0.5 s, whom is not said", Whom.UNSAID, False),
+        (True, "hits the adversary 0.1 s ahead", CollisionParty.ADVERSARY, True),
+        (False, "hits another 0.1 s ahead", CollisionParty.OTHER, False),
+        (None, "collides within 0.5 s, whom is not said", CollisionParty.UNKNOWN, False),
     ],
 )
 def test_contacts_with_others_than_the_adversary_are_told_apart(
-    adversary: bool | None, words: str, whom: Whom, alarms: bool
+    adversary: bool | None, words: str, whom: CollisionParty, alarms: bool
 ) -> None:
     facts = {} if adversary is None else {"hit_adversary": adversary, "first_contact_s": 0.1, "hit": "car"}
     straight = {"frame": "ego", "waypoints": [[1.5 * step, 0.0] for step in range(1, 7)]}
     row = with_plan(record("p", [HIT]), straight).rows[0]
     row = row.model_copy(update={"outcomes": {"exact": row.outcomes["exact"].model_copy(update={"facts": facts})}})
-    overlay = plan_overlay(sheet(), 0, row, "exact", "p", planner_style(0))
+    overlay = build_plan_overlay(sheet(), 0, row, "exact", "p", choose_planner_style(0))
     assert (overlay.verdict.words, overlay.verdict.whom, overlay.verdict.alarms) == (words, whom, alarms)
     image = draw_birdseye(sheet(), 0, [overlay], size_px=SIZE, extent_m=EXTENT, captions=True)
     assert (share(image, CONTACT) > 0) == alarms and (share(image, BYSTANDER) > 0) == (not alarms)
     # In a scene without adversaries any contact counts.
-    alone = plan_overlay(sheet(agents=[agent("car", 10.0, 0.0)]), 0, row, "exact", "p", planner_style(0))
+    alone = build_plan_overlay(sheet(agents=[agent("car", 10.0, 0.0)]), 0, row, "exact", "p", choose_planner_style(0))
     assert alone.verdict.alarms and alone.verdict.words.startswith("collides")
 
 
@@ -174,9 +176,9 @@ def trace(**changes: object) -> RefinementTrace:
 
 def test_candidates_are_those_of_the_planning_frame_in_force() -> None:
     scene = sheet()
-    assert candidates_overlay(scene, trace(), 5) is None
-    assert candidates_overlay(scene, trace(), 19) is None
-    overlay = candidates_overlay(scene, trace(), 18)
+    assert build_candidates_overlay(scene, trace(), 5) is None
+    assert build_candidates_overlay(scene, trace(), 19) is None
+    overlay = build_candidates_overlay(scene, trace(), 18)
     assert overlay is not None and overlay.chosen is not None
     assert overlay.shares.tolist() == [1.0, 0.0] and overlay.chosen[0].tolist() == [0.0, 5.0]
     image = draw_birdseye(scene, 6, [overlay], size_px=SIZE, extent_m=EXTENT)
@@ -186,13 +188,13 @@ def test_candidates_are_those_of_the_planning_frame_in_force() -> None:
 @pytest.mark.parametrize("changes", [{"chosen": 2}, {"chosen_round": 1}, {"chosen": -1}])
 def test_a_trace_that_names_what_it_has_not_is_one_sentence(changes: dict[str, int]) -> None:
     with pytest.raises(InputError, match="does not have"):
-        candidates_overlay(sheet(), trace(**changes), 6)
+        build_candidates_overlay(sheet(), trace(**changes), 6)
 
 
 def test_the_same_picture_twice_with_captions_and_any_name() -> None:
     scene = sheet()
     hostile = "\x00<script>日本語\u202e" * 50
-    plan = plan_overlay(scene, 0, record("p", [HIT]).rows[0], "exact", hostile, planner_style(3))
+    plan = build_plan_overlay(scene, 0, record("p", [HIT]).rows[0], "exact", hostile, choose_planner_style(3))
     first = draw_birdseye(scene, 0, [plan], size_px=SIZE, extent_m=EXTENT, captions=True)
     assert np.array_equal(first, draw_birdseye(scene, 0, [plan], size_px=SIZE, extent_m=EXTENT, captions=True))
     assert draw_birdseye(scene, 0, [plan], size_px=1, captions=True).shape == (1, 1, 3)
@@ -201,7 +203,7 @@ def test_the_same_picture_twice_with_captions_and_any_name() -> None:
 def test_on_dark_everything_but_ego_and_adversary_has_other_colours() -> None:
     scene = sheet()
     light, dark = (
-        SceneFromAbove(scene, colours).draw(3, width_px=SIZE, height_px=SIZE, extent_m=EXTENT)[0]
+        BirdseyeScene(scene, colours).draw(3, width_px=SIZE, height_px=SIZE, extent_m=EXTENT)[0]
         for colours in (ON_LIGHT, ON_DARK)
     )
     for colour in (ADVERSARY, EGO):

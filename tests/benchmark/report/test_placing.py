@@ -5,12 +5,12 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_global
-from benchmark.metrics.diagnosis import forecasts_in_lidar
+from benchmark.metrics.diagnosis import to_lidar_frame
 from benchmark.planning import PlanFrame
-from benchmark.protocols.exact import ego_boxes
+from benchmark.protocols.exact import compute_plan_boxes
 from benchmark.records.row_schema import SampleRow
-from benchmark.report.placing import agent_box_at, ego_box, placed_plan
-from benchmark.runs.judging import plan_of
+from benchmark.report.placing import agent_box_at, ego_box, place_plan
+from benchmark.runs.judging import parse_plan
 from tests.benchmark.records.test_run import row
 from tests.benchmark.report.one_scene import FRAMES, agent, sheet
 
@@ -46,12 +46,12 @@ def in_sheet(points: Floats) -> Floats:
 @pytest.mark.parametrize("seed", range(5))
 def test_plans_lie_exactly_where_the_protocols_put_them(frame: str, seed: int) -> None:
     stored = sample(frame, seed)
-    placed = placed_plan(stored, AXLE)
+    placed = place_plan(stored, AXLE)
     assert placed is not None and stored.plan is not None
-    plan = plan_of(stored.plan.model_dump())
+    plan = parse_plan(stored.plan.model_dump())
     expected = plan.waypoints_in_lidar(AHEAD_M)
     np.testing.assert_array_equal(placed.waypoints, in_sheet(expected))
-    boxes = ego_boxes(expected)
+    boxes = compute_plan_boxes(expected)
     np.testing.assert_allclose(placed.footprints[:, :2], in_sheet(boxes[:, :2]), atol=1e-9)
     np.testing.assert_allclose(placed.footprints[:, 4], boxes[:, 4] + AXLE[2] - np.pi / 2, atol=1e-9)
     np.testing.assert_array_equal(placed.footprints[:, 2:4], boxes[:, 2:4])
@@ -60,11 +60,11 @@ def test_plans_lie_exactly_where_the_protocols_put_them(frame: str, seed: int) -
 @pytest.mark.parametrize("frame", ["lidar", "ego"])
 def test_forecasts_lie_where_the_diagnosis_puts_them(frame: str) -> None:
     stored = sample(frame)
-    placed = placed_plan(stored, AXLE)
+    placed = place_plan(stored, AXLE)
     assert placed is not None and placed.forecasts is not None and stored.plan is not None
-    plan = plan_of(stored.plan.model_dump())
+    plan = parse_plan(stored.plan.model_dump())
     assert plan.forecasts is not None
-    expected = forecasts_in_lidar(plan.forecasts, PlanFrame(frame), AHEAD_M)
+    expected = to_lidar_frame(plan.forecasts, PlanFrame(frame), AHEAD_M)
     likeliest = expected.trajectories[np.arange(3), expected.scores.argmax(axis=1)]
     np.testing.assert_allclose(placed.forecasts.paths, in_sheet(likeliest), atol=1e-12)
     np.testing.assert_allclose(placed.forecasts.boxes[:, :2], in_sheet(expected.boxes[:, :2]), atol=1e-12)
@@ -75,22 +75,22 @@ def test_an_ego_plan_straight_ahead_leads_straight_ahead() -> None:
     stored = SampleRow.model_validate(
         {**row("s", 0).model_dump(), "plan": {"frame": "ego", "waypoints": [[5.0 * k, 0.0] for k in range(1, 7)]}}
     )
-    placed = placed_plan(stored, np.array([100.0, 50.0, np.pi / 2]))
+    placed = place_plan(stored, np.array([100.0, 50.0, np.pi / 2]))
     assert placed is not None
     np.testing.assert_allclose(placed.waypoints, [[100.0, 50.0 + 0.94 + 5.0 * k] for k in range(1, 7)], atol=1e-9)
     np.testing.assert_allclose(placed.start[:2], [100.0, 50.0 + 0.94 + 0.5], atol=1e-9)
 
 
 def test_the_plan_itself_is_no_other_mode_and_failures_have_no_plan() -> None:
-    placed = placed_plan(sample("lidar"), AXLE)
+    placed = place_plan(sample("lidar"), AXLE)
     assert placed is not None and len(placed.modes) == 1
-    assert placed_plan(row("s", 0, status="failed"), AXLE) is None
+    assert place_plan(row("s", 0, status="failed"), AXLE) is None
 
 
 def test_lists_of_wrong_lengths_are_one_sentence() -> None:
     damaged = SampleRow.model_validate({**row("s", 0).model_dump(), "plan": {"frame": "ego", "waypoints": [[1.0]]}})
     with pytest.raises(InputError, match="wrong lengths"):
-        placed_plan(damaged, AXLE)
+        place_plan(damaged, AXLE)
 
 
 def test_objects_move_linearly_between_frames_and_turn_the_short_way() -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from benchmark.report.cells import UNDEFINED, Cell, Origin, interval, number
-from benchmark.report.table import Table, escape_latex, table_of
+from benchmark.report.cells import UNDEFINED, CellSource, ValueSource, format_interval, format_number
+from benchmark.report.table import Table, build_table, escape_latex
 
 TABLE = Table(
     name="rates",
@@ -47,17 +47,22 @@ def test_plain_columns_line_up() -> None:
 
 
 def test_what_does_not_exist_is_a_dash() -> None:
-    nothing = Origin("exact").cell(None, "%", 0, scale=100.0)
-    assert number(None) == nothing.shown(2, after="×").text == nothing.interval().text == UNDEFINED
-    assert Origin().cell(0.0, "%", 4).shown(2).text == "0.00"
-    assert interval(None, None) == interval(0.1, None) == UNDEFINED
+    nothing = ValueSource("exact").cell(None, "%", 0, scale=100.0)
+    assert format_number(None) == nothing.shown(2, after="×").text == nothing.interval().text == UNDEFINED
+    assert ValueSource().cell(0.0, "%", 4).shown(2).text == "0.00"
+    assert format_interval(None, None) == format_interval(0.1, None) == UNDEFINED
 
 
 def test_intervals_and_signed_numbers() -> None:
-    assert Origin().cell(0.2, "%", 4, low=0.0123, high=0.5, scale=100.0).interval().text == "[1.2, 50.0]"
-    assert interval(-0.04, math.inf) == "[0.0, ∞]"
-    assert interval(0.2, 0.2) == UNDEFINED, "without width it would look like certainty"
-    assert [number(value, 1, signed=True) for value in (1.24, -1.26, -0.01, 0.0)] == ["+1.2", "-1.3", "0.0", "0.0"]
+    assert ValueSource().cell(0.2, "%", 4, low=0.0123, high=0.5, scale=100.0).interval().text == "[1.2, 50.0]"
+    assert format_interval(-0.04, math.inf) == "[0.0, ∞]"
+    assert format_interval(0.2, 0.2) == UNDEFINED, "without width it would look like certainty"
+    assert [format_number(value, 1, signed=True) for value in (1.24, -1.26, -0.01, 0.0)] == [
+        "+1.2",
+        "-1.3",
+        "0.0",
+        "0.0",
+    ]
     assert escape_latex("φ → ∞ ‡") == r"$\phi$ $\to$ $\infty$ $\ddagger$"
 
 
@@ -66,8 +71,8 @@ def test_a_row_of_the_wrong_width_is_refused() -> None:
         Table("x", "x", ("a", "b"), (("1",),))
 
 
-RATE = Cell(1.25, "%", 8, "samples", 0.5, math.inf, "vad & co", "0123456789ab idm|x on adv", None)
-GROUPED = table_of(
+RATE = CellSource(1.25, "%", 8, "samples", 0.5, math.inf, "vad & co", "0123456789ab idm|x on adv", None)
+GROUPED = build_table(
     "grouped",
     "Rates",
     ("planner", "avg", "95 %", "95 %"),
@@ -117,5 +122,5 @@ def test_json_reads_back_with_the_facts_of_every_cell() -> None:
 def test_the_last_bits_of_a_number_are_not_in_json() -> None:
     sums = [0.1 + 0.2, 0.3]
     assert sums[0] != sums[1]
-    first, second = (Origin().cell(value, "m", 1).as_json() for value in sums)
+    first, second = (ValueSource().cell(value, "m", 1).as_json() for value in sums)
     assert first == second

@@ -1,6 +1,6 @@
 import pytest
 
-from benchmark.report.words import counted, noun
+from benchmark.report.words import inflect_noun, pluralise
 
 
 @pytest.mark.parametrize(
@@ -16,9 +16,9 @@ from benchmark.report.words import counted, noun
     ],
 )
 def test_numbers_with_their_nouns(count: int, one: str, said: str) -> None:
-    assert counted(count, one) == said
-    assert said.endswith(noun(count, one))
+    assert pluralise(count, one) == said
+    assert said.endswith(inflect_noun(count, one))
 
 
 def test_a_plural_of_its_own() -> None:
-    assert counted(2, "mouse", "mice") == "2 mice" and counted(1, "mouse", "mice") == "1 mouse"
+    assert pluralise(2, "mouse", "mice") == "2 mice" and pluralise(1, "mouse", "mice") == "1 mouse"

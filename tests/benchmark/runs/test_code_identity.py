@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from benchmark.runs import code_identity
-from benchmark.runs.code_identity import code_sha256, is_current, loaded_code, parts_of, project_sha256
+from benchmark.runs.code_identity import code_sha256, hash_loaded_code, is_current, list_part_classes, project_sha256
 
 PLANNER = """
 from made_up.net import Net
@@ -179,7 +179,7 @@ def test_who_made_a_planner_and_what_it_was_given_count(load: Callable[..., Modu
         planner = load(files, "made_up.making").made()
         made = type(planner)
         by = code_sha256(made, made_by="made_up.making:made")
-        return code_sha256(made), by, code_sha256(made, parts=parts_of(planner))
+        return code_sha256(made), by, code_sha256(made, parts=list_part_classes(planner))
 
     before, after = hashes(files), hashes(changed("made_up/net.py", "64", "65", files))
     assert [one == two for one, two in zip(before, after)] == [True, False, False]
@@ -225,7 +225,7 @@ def test_classes_without_a_file_have_no_hash() -> None:
 
 def test_what_was_loaded_is_known_and_checked(load: Callable[..., ModuleType], tmp_path: Path) -> None:
     load(FILES)
-    loaded = {file: sha256 for file, sha256 in loaded_code().items() if Path(file).is_relative_to(tmp_path)}
+    loaded = {file: sha256 for file, sha256 in hash_loaded_code().items() if Path(file).is_relative_to(tmp_path)}
     assert {Path(file).name for file in loaded} == {"__init__.py", "planner.py", "net.py", "gain.py"}
     gain = next(Path(file) for file in loaded if file.endswith("gain.py"))
     assert is_current(loaded)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
 from benchmark.records.drives import DriveRecord, load_drives
@@ -16,7 +16,7 @@ from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Factory, Straight
 
-SETTINGS = DriveSettings("default", DefaultRides())
+SETTINGS = DriveSettings("default", DefaultBackend())
 
 
 def town() -> FakeData:

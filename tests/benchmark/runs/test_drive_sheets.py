@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 
 from adapters.planners.log_replay import LogReplay
-from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.closed_loop.observing import Sensor
 from benchmark.errors import InputError
 from benchmark.geometry import box_gap
 from benchmark.planning import CameraView
 from benchmark.records.drives import DriveRecord
-from benchmark.report.driven import DrivenSheet, speeds_along
-from benchmark.report.palette import planner_style
-from benchmark.runs.drive_sheets import driven_sheet
+from benchmark.report.driven import EpisodePage, compute_speeds
+from benchmark.report.palette import choose_planner_style
+from benchmark.runs.drive_sheets import write_episode_page
 from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.scene import Camera, Scene
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Failing, Straight
 
-STYLE = planner_style(0)
+STYLE = choose_planner_style(0)
 
 
 def town() -> FakeData:
@@ -33,12 +33,12 @@ def town() -> FakeData:
 
 
 def driven(out: Path, planner: Any, agents: str = "replay") -> DriveRecord:
-    return drive_split(town(), "val", planner, out, DriveSettings("default", DefaultRides(agents), agents=agents))
+    return drive_split(town(), "val", planner, out, DriveSettings("default", DefaultBackend(agents), agents=agents))
 
 
-def shown(folder: Path, record: DriveRecord, place: int, sensor: Sensor | None = None) -> DrivenSheet:
-    maker = DefaultRides(record.facts.measured.agents)
-    return driven_sheet(folder, town(), record, record.rows[place], maker, sensor)
+def shown(folder: Path, record: DriveRecord, place: int, sensor: Sensor | None = None) -> EpisodePage:
+    maker = DefaultBackend(record.facts.measured.agents)
+    return write_episode_page(folder, town(), record, record.rows[place], maker, sensor)
 
 
 CAMERA = Camera("CAM_FRONT", np.eye(3), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), 64, 36)
@@ -146,10 +146,10 @@ def test_other_data_and_other_ways_are_refused(tmp_path: Path) -> None:
     states = [[state[0], 0.0, *state[2:]] for state in row.ticks.ego]
     moved = row.model_copy(update={"ticks": row.ticks.model_copy(update={"ego": states})})
     with pytest.raises(InputError, match="lead elsewhere"):
-        driven_sheet(tmp_path, town(), record, moved, DefaultRides(), None)
+        write_episode_page(tmp_path, town(), record, moved, DefaultBackend(), None)
 
 
 def test_speeds_by_hand() -> None:
     points, seconds = np.array([[0.0, 0.0], [3.0, 4.0], [6.0, 8.0]]), np.array([0.0, 1.0, 2.0])
-    assert speeds_along(points, seconds).tolist() == [5.0, 5.0, 5.0]
-    assert speeds_along(points[:1], seconds[:1]).tolist() == [0.0]
+    assert compute_speeds(points, seconds).tolist() == [5.0, 5.0, 5.0]
+    assert compute_speeds(points[:1], seconds[:1]).tolist() == [0.0]

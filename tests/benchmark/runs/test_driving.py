@@ -12,28 +12,28 @@ import pytest
 from adapters.planners.stop import Stop
 from adapters.registry import planner_factory
 from benchmark import api
-from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.engines import ENGINES, rides_of
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.engines import ENGINES, make_backend
 from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.extension import OFFERS
 from benchmark.machine.storage import write_parts
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord, load_drives, write_drives
-from benchmark.runs.drive_estimate import estimate
-from benchmark.runs.driving import DriveSettings, drive_split, drives_directory, job_of, kept_units
-from benchmark.runs.redriving import driven_again
+from benchmark.runs.drive_estimate import estimate_driving
+from benchmark.runs.driving import DriveSettings, count_cached_units, drive_split, drives_directory, make_job
+from benchmark.runs.redriving import redrive_and_score
 from benchmark.runs.rescoring_drives import rescore_all_drives, rescore_drives
 from benchmark.scene import Scene
 from tests.benchmark.cli.cli_runs import bytes_below, refusal
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Factory, Failing, Remembering, Straight
 
-SETTINGS = DriveSettings("default", DefaultRides())
-IDM = replace(SETTINGS, agents="idm", maker=DefaultRides("idm"))
-LATE = replace(SETTINGS, latency_ms=200, maker=DefaultRides(latency_us=200_000))
+SETTINGS = DriveSettings("default", DefaultBackend())
+IDM = replace(SETTINGS, agents="idm", maker=DefaultBackend("idm"))
+LATE = replace(SETTINGS, latency_ms=200, maker=DefaultBackend(latency_us=200_000))
 WORLDS = [SETTINGS, IDM]
 """Those of extensions are asked the same where their tests are."""
 
@@ -182,7 +182,7 @@ def test_a_drive_is_repeated_without_its_planner(settings: DriveSettings, tmp_pa
     record = driven(tmp_path, Remembering(), settings)
     for row in record.rows:
         scene = data.scene(row.scene)
-        assert driven_again(settings.maker, scene, data, row) == row
+        assert redrive_and_score(settings.maker, scene, data, row) == row
 
 
 def test_a_drive_is_scored_anew_without_its_planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -238,7 +238,7 @@ def spoil(record: DriveRecord) -> None:
     write_drives(record.directory, {name: getattr(record.facts, name) for name in names}, worse, seed=0)
 
 
-def spoilt(row: DriveRow) -> Any:
+def spoilt(row: EpisodeRow) -> Any:
     assert row.scores is not None
     return row.scores.model_copy(update={"progress_m": -1.0})
 
@@ -248,7 +248,7 @@ def test_plans_that_lead_elsewhere_are_refused(tmp_path: Path) -> None:
     plans = [plan.model_copy(update={"waypoints": (0.5 * np.array(plan.waypoints)).tolist()}) for plan in row.plans]
     data = town()
     with pytest.raises(InputError, match="lead elsewhere"):
-        driven_again(SETTINGS.maker, data.scene(row.scene), data, row.model_copy(update={"plans": plans}))
+        redrive_and_score(SETTINGS.maker, data.scene(row.scene), data, row.model_copy(update={"plans": plans}))
 
 
 def test_kept_drives_of_scenes_that_are_gone_are_removed(tmp_path: Path) -> None:
@@ -299,13 +299,13 @@ def test_wrong_settings_are_refused(tmp_path: Path, changes: dict[str, Any], say
 )
 def test_engines_that_there_are_not_are_refused(arguments: tuple[Any, ...], says: str) -> None:
     with pytest.raises(InputError, match=says):
-        rides_of(*arguments)
+        make_backend(*arguments)
 
 
 def test_without_anybody_to_make_it_there_is_no_adversary() -> None:
     data = town()
     with pytest.raises(InputError, match="nobody says who the adversary is"):
-        rides_of("default", "adversary").begin(data.scene(data.scene_names("val")[0]), 0, None)  # type: ignore[arg-type]
+        make_backend("default", "adversary").begin(data.scene(data.scene_names("val")[0]), 0, None)  # type: ignore[arg-type]
 
 
 def test_only_an_adversary_considers_anything() -> None:
@@ -315,20 +315,20 @@ def test_only_an_adversary_considers_anything() -> None:
 
 
 def test_the_own_engine_comes_first_and_has_rides() -> None:
-    assert type(rides_of(ENGINES[0])) is DefaultRides and ENGINES[1:] == tuple(OFFERS["engine"])
+    assert type(make_backend(ENGINES[0])) is DefaultBackend and ENGINES[1:] == tuple(OFFERS["engine"])
 
 
 def test_an_estimate_counts_what_is_kept_and_keeps_nothing(tmp_path: Path) -> None:
     data, factory = town(), planner_factory("stop")
-    said = estimate(data, "val", factory, SETTINGS, tmp_path)
+    said = estimate_driving(data, "val", factory, SETTINGS, tmp_path)
     assert "would drive stop through 2 scenes of val" in said and "at most about 0:0" in said
     assert not list(tmp_path.iterdir())
     drive_split(data, "val", Stop(), tmp_path, SETTINGS)
     # Made by hand it has another identity than the registry's; what the registry makes is kept under its own.
     drive_split(data, "val", factory, tmp_path, SETTINGS)
-    assert "2 of them kept already" in estimate(data, "val", factory, SETTINGS, tmp_path)
-    job = job_of(data, "val", factory.facts, tmp_path, SETTINGS)
-    assert kept_units(job, SETTINGS.units(data, ("scene-9901",))) == 1
+    assert "2 of them kept already" in estimate_driving(data, "val", factory, SETTINGS, tmp_path)
+    job = make_job(data, "val", factory.facts, tmp_path, SETTINGS)
+    assert count_cached_units(job, SETTINGS.units(data, ("scene-9901",))) == 1
 
 
 def test_records_of_different_worlds_have_different_folders() -> None:

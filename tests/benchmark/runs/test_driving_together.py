@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from adapters.registry import planner_factory
-from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.driving import drive, drive_together
-from benchmark.closed_loop.riding import RideMaker
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.driving import run_episode, run_episodes
+from benchmark.closed_loop.riding import SimulatorBackend
 from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan, Planner
@@ -24,11 +24,11 @@ from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Factory, Failing, Straight
 from tests.hand_made import Car, scene_on_straight_road
 
-REPLAY = DriveSettings("default", DefaultRides())
+REPLAY = DriveSettings("default", DefaultBackend())
 WORLDS = {
     "replay": REPLAY,
-    "idm": replace(REPLAY, agents="idm", maker=DefaultRides("idm")),
-    "late": replace(REPLAY, latency_ms=300, maker=DefaultRides(latency_us=300_000)),
+    "idm": replace(REPLAY, agents="idm", maker=DefaultBackend("idm")),
+    "late": replace(REPLAY, latency_ms=300, maker=DefaultBackend(latency_us=300_000)),
 }
 """Those of extensions are asked the same where their tests are."""
 PLANNERS = [planner_factory(name) for name in ("stop", "idm")]
@@ -112,25 +112,25 @@ class Faulty(Watching):
 
     def __init__(self, fault: str = "") -> None:
         super().__init__()
-        self._fault = fault
+        self._find_failure = fault
 
     def plan(self, observation: Observation) -> Plan:
         plan = super().plan(observation)
-        if len(self.seen) == 5 and self._fault == "raises":
+        if len(self.seen) == 5 and self._find_failure == "raises":
             raise RuntimeError("no idea")
-        if len(self.seen) == 5 and self._fault == "far away":
+        if len(self.seen) == 5 and self._find_failure == "far away":
             return replace(plan, waypoints=np.full((6, 2), 1e5))
         return plan
 
 
-@pytest.mark.parametrize("maker", [DefaultRides(), DefaultRides("idm", 200_000)])
-def test_a_planner_that_fails_takes_nobody_with_it(maker: RideMaker) -> None:
+@pytest.mark.parametrize("maker", [DefaultBackend(), DefaultBackend("idm", 200_000)])
+def test_a_planner_that_fails_takes_nobody_with_it(maker: SimulatorBackend) -> None:
     scene = scene_on_straight_road((Car(120.0, 198.25, 3.0),), seconds=8.0)
     planners: list[Planner] = [Faulty(), Faulty("raises"), Faulty(), Faulty("far away")]
-    found = dict(drive_together([staged(scene, maker) for _ in planners], planners))
+    found = dict(run_episodes([staged(scene, maker) for _ in planners], planners))
     assert sorted(found) == [0, 1, 2, 3]
     assert [found[place].failure is None for place in range(4)] == [True, False, True, False]
-    alone = drive(staged(scene, maker), Faulty())
+    alone = run_episode(staged(scene, maker), Faulty())
     for place in (0, 2):
         assert found[place].motion.ego.tobytes() == alone.motion.ego.tobytes() and found[place].end == alone.end
 

@@ -8,13 +8,13 @@ import pytest
 
 from adapters.models import MODELS
 from adapters.registry import planner_factory
-from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.datasets.roots import open_data
 from benchmark.evaluation import EvalSettings, evaluate, evaluate_together
 from benchmark.records.caveats import Caveat
-from benchmark.records.rows import Rows
+from benchmark.records.rows import SampleRows
 from benchmark.records.run import load_record
-from benchmark.runs.caveats import planner_caveats
+from benchmark.runs.caveats import list_planner_caveats
 from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.runs.rescoring import rescore
 from benchmark.runs.rescoring_drives import rescore_drives
@@ -88,7 +88,7 @@ def test_without_a_lidar_its_place_is_assumed(tmp_path: Path) -> None:
 def test_planners_that_want_images_say_where_there_is_no_camera(town: Path, tmp_path: Path) -> None:
     record = evaluate(open_data(town), "val", planner_factory("stop"), tmp_path / "runs")
     seeing = record.run.planner.model_copy(update={"wants": ["images"]})
-    found = list(planner_caveats(seeing, record.run.scene_facts, Rows.of(record.rows)))
+    found = list(list_planner_caveats(seeing, record.run.scene_facts, SampleRows.of(record.rows)))
     assert [(each.kind, "2 of 2 scenes have no camera" in each.sentence) for each in found] == [("images", True)]
 
 
@@ -101,7 +101,7 @@ def test_forecasts_are_missed_where_the_planner_has_some(town: Path, tmp_path: P
             for at, row in enumerate(record.rows)
             if row.plan is not None
         ]
-        return list(planner_caveats(record.run.planner, record.run.scene_facts, Rows.of(rows)))
+        return list(list_planner_caveats(record.run.planner, record.run.scene_facts, SampleRows.of(rows)))
 
     assert said(0) == said(len(record.rows)) == []
     assert [each.sentence.split(",")[0] for each in said(3)] == ["3 of 80 plans have no forecasts"]
@@ -121,7 +121,7 @@ def test_judging_anew_says_the_same_again(root: Path, tmp_path: Path) -> None:
 def test_a_drive_without_a_map_says_what_goes_on_without_it(agents: str, root: Path, tmp_path: Path) -> None:
     shutil.rmtree(root / "maps" / "expansion")
     data = open_data(root)
-    settings = DriveSettings("default", DefaultRides(agents), agents, limit=1)
+    settings = DriveSettings("default", DefaultBackend(agents), agents, limit=1)
     record = drive_split(data, "val", planner_factory("idm"), tmp_path / "drives", settings)
     (caveat,) = record.facts.caveats
     assert caveat.kind == "map" and STRAIGHT_ON in caveat.sentence and "no terms of nuPlan" in caveat.sentence
@@ -130,6 +130,6 @@ def test_a_drive_without_a_map_says_what_goes_on_without_it(agents: str, root: P
 
 
 def test_a_drive_on_a_sound_root_has_no_caveats(town: Path, tmp_path: Path) -> None:
-    settings = DriveSettings("default", DefaultRides("idm"), "idm", limit=1)
+    settings = DriveSettings("default", DefaultBackend("idm"), "idm", limit=1)
     record = drive_split(open_data(town), "val", planner_factory("idm"), tmp_path / "drives", settings)
     assert record.facts.caveats == [] and all(fact.truth for fact in record.facts.scene_facts.values())

@@ -8,18 +8,18 @@ import pytest
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.schema.check import check_tables
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.metrics.disagreement import comparisons
+from benchmark.metrics.disagreement import compare_protocols
 from benchmark.metrics.frames import samples_frame
 from benchmark.metrics.rates import HORIZONS
-from benchmark.metrics.scores import scored
+from benchmark.metrics.scores import score_record
 from benchmark.metrics.significance import compare_planners
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.records.caveats import Caveat
-from benchmark.records.rows import scene_failures
+from benchmark.records.rows import find_scene_failures
 from benchmark.records.run import RunRecord
 from benchmark.runs.rescoring import rescore
 from benchmark.scene import Scene
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.collision import collision_table
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.benchmark.irregular_time import at_other_times, with_key_frames, without_key_frames
@@ -82,7 +82,7 @@ def test_the_record_says_so_and_its_row_is_marked(tmp_path: Path) -> None:
     (caveat,) = time_caveats_of(record)
     assert caveat.kind == "time" and caveat.sentence.startswith("6 samples of 1 scene have key frames ahead that are")
     assert "beyond a gap over 0.75 s (6 samples)" in caveat.sentence
-    table = collision_table(Frame("root", [record]), "exact")
+    table = collision_table(DataSetRuns("root", [record]), "exact")
     assert table.rows[0][0] == "straight ¶" and any(caveat.sentence in note for note in table.notes)
     again = rescore(record.directory, NuScenesData.open(tmp_path / "root"), protocols=STANDARD)
     assert time_caveats_of(again) == [caveat] and again.rows == record.rows
@@ -95,17 +95,17 @@ def test_what_is_unknown_is_no_absence_of_contacts(tmp_path: Path) -> None:
     partial = [row for row in record.rows if row.outcomes["exact"].counted]
     assert partial and all(row.outcomes["exact"].cut_short for row in partial)
     collides = any(any(row.outcomes["exact"].collision or ()) for row in partial)
-    assert scene_failures(record.rows, "exact") == {"scene-9901": True if collides else None}
+    assert find_scene_failures(record.rows, "exact") == {"scene-9901": True if collides else None}
     assert record.summary.protocols["exact"].scenes_decided == int(collides)
     clear = run(without_key_frames(town(seconds=4.0), 5), tmp_path / "clear")
-    assert scene_failures(clear.rows, "exact") == {"scene-9901": None}
+    assert find_scene_failures(clear.rows, "exact") == {"scene-9901": None}
     assert clear.summary.protocols["exact"].scenes_decided == 0
 
 
 def test_a_contact_before_the_gap_fails_the_scene(tmp_path: Path) -> None:
     near = Car(60.0, 198.25, 2.0)
     record = run(without_key_frames(town(near, seconds=4.0), 5), tmp_path)
-    assert scene_failures(record.rows, "exact") == {"scene-9901": True}
+    assert find_scene_failures(record.rows, "exact") == {"scene-9901": True}
     first = record.rows[0].outcomes["exact"]
     assert first.collision is not None and first.collision[:2] != [False, False]
     assert first.cut_short and first.l2[4] is None
@@ -116,14 +116,14 @@ def test_comparisons_leave_out_what_is_unknown(tmp_path: Path) -> None:
         run(scene, tmp_path / name)
         for name, scene in (("gap", without_key_frames(town(SLOW), 7)), ("whole", town(SLOW)))
     )
-    judged = scored(gap)
+    judged = score_record(gap)
     assert np.isnan(judged.values[judged.counted]).any()
     sums = judged.sums({"scene-9901": "scene-9901"})
     assert sums.denominators.tolist() == [[7.0, 5.0, 3.0, 3.0]] and not np.isnan(sums.numerators).any()
-    compared = compare_planners(scored(gap), scored(gap))
+    compared = compare_planners(score_record(gap), score_record(gap))
     assert {name: one.difference.value for name, one in compared.by_horizon.items()} == dict.fromkeys(HORIZONS, 0.0)
     assert denominators(whole, "exact") == [10] * 4
-    assert comparisons(gap)["vad"].samples.compared == 3
+    assert compare_protocols(gap)["vad"].samples.compared == 3
 
 
 @pytest.mark.parametrize("every", [1, 2, 3])
@@ -140,10 +140,10 @@ def test_at_another_rate_exact_says_the_same_and_official_protocols_say_nothing(
         assert dense.summary.protocols[name].counted == (len(dense.rows) - 36 // every if name == "exact" else 0)
         if name != "exact":
             assert all(rate.value is None for rate in dense.summary.protocols[name].columns["collision"].values())
-            assert set(scene_failures(dense.rows, name).values()) == {None}
+            assert set(find_scene_failures(dense.rows, name).values()) == {None}
     (caveat,) = time_caveats_of(dense)
     assert caveat.kind == "time" and f"{every / 12:.3g} s apart, not 0.5 s" in caveat.sentence
-    assert "–" in collision_table(Frame("root", [dense]), "vad").markdown()
+    assert "–" in collision_table(DataSetRuns("root", [dense]), "vad").markdown()
 
 
 def test_key_frames_farther_apart_than_steps_may_be_say_nothing(tmp_path: Path) -> None:

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.errors import InputError
-from benchmark.metrics.places import Circumstances, Place
+from benchmark.metrics.places import PlaceKind, SampleContext
 from benchmark.planning import Forecasts, Observation, Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.row_schema import SampleRow
-from benchmark.runs.judging import judge_plans, plan_of
+from benchmark.runs.judging import judge_plans, parse_plan
 from benchmark.runs.plan_rows import plan_scene
 from benchmark.runs.scene_work import SceneReading
 from benchmark.scene import Scene
@@ -33,7 +33,7 @@ class Known(SceneReading):
     def __init__(self, truths: Sequence[SampleTruth], scene: Scene | None = None) -> None:
         self.truth = tuple(truths)
         self.mapped = scene
-        self.around = tuple(Circumstances(Place.BEND, 0.0) for _ in truths)
+        self.around = tuple(SampleContext(PlaceKind.BEND, 0.0) for _ in truths)
 
 
 def judge(
@@ -81,7 +81,7 @@ def test_every_protocol_gives_the_outcomes_that_it_gives_alone(
         alone = judge(rows, truths, (name,))
         assert [row.outcomes.get(name) for row in together] == [row.outcomes.get(name) for row in alone]
     by_hand = PROTOCOLS["uniad"].evaluate(
-        [truths[0]], np.array([plan_of(rows[0]["plan"]).waypoints_in_lidar(truths[0].lidar_ahead_m)])
+        [truths[0]], np.array([parse_plan(rows[0]["plan"]).waypoints_in_lidar(truths[0].lidar_ahead_m)])
     )
     assert together[0].outcomes["uniad"].model_dump() == by_hand.as_rows()[0]
 
@@ -170,7 +170,7 @@ def test_forecasts_of_nobody_are_forecasts(
 ) -> None:
     rows = planned(Foreseeing(forecasts), tmp_path)
     assert rows[0]["plan"]["forecasts"] == {"boxes": [], "trajectories": [], "scores": []}
-    again = plan_of(rows[0]["plan"]).forecasts
+    again = parse_plan(rows[0]["plan"]).forecasts
     assert again is not None and again.boxes.shape == (0, 5) and again.trajectories.shape[2:] == (6, 2)
     assert len(judge(rows, truths, ALL)) == 16
 
@@ -197,7 +197,7 @@ def test_a_plan_reads_back_as_it_was_given(tmp_path: Any) -> None:
             one = super().plan(observation).waypoints
             return Plan(one, PlanFrame.LIDAR, np.stack([one, 2 * one]), np.array([0.7, 0.3]))
 
-    plan = plan_of(planned(Multimodal(), tmp_path)[0]["plan"])
+    plan = parse_plan(planned(Multimodal(), tmp_path)[0]["plan"])
     assert plan.frame is PlanFrame.LIDAR and plan.forecasts is None
     assert plan.modes is not None and np.array_equal(plan.modes[1], 2 * plan.waypoints)
     assert plan.mode_scores is not None and plan.mode_scores.tolist() == [0.7, 0.3]
@@ -215,7 +215,7 @@ def test_a_plan_reads_back_as_it_was_given(tmp_path: Any) -> None:
 )
 def test_a_stored_plan_of_another_form_is_one_sentence(damage: dict[str, Any], rows: list[dict[str, Any]]) -> None:
     with pytest.raises(InputError, match=r"waypoints|a stored plan cannot be read"):
-        plan_of({**rows[0]["plan"], **damage})
+        parse_plan({**rows[0]["plan"], **damage})
 
 
 def test_other_samples_and_unknown_protocols_are_refused(

@@ -9,20 +9,20 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.datasets.sample_truth import compute_truth
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import Floats
-from benchmark.metrics.longer_plans import longer_rates
+from benchmark.metrics.longer_plans import compute_longer_rates
 from benchmark.planning import Observation, Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS, exact
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import load_record
 from benchmark.runs.rescoring import rescore
 from benchmark.truth import SampleTruth
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.collision import run_tables
-from leaderboard.tables.contents import data_set_tables
+from leaderboard.tables.contents import build_data_set_tables
 from leaderboard.tables.longer_plans import longer_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
@@ -81,9 +81,9 @@ def test_a_record_of_longer_plans_is_rescored_to_itself(tmp_path: Path) -> None:
 
 def test_the_table_has_the_horizons_that_plans_and_recordings_reach(tmp_path: Path) -> None:
     records = [evaluate(DATA, "val", FarSighted(steps), tmp_path / str(steps)) for steps in (6, 7, 9, 16)]
-    assert [longer_rates(record) is None for record in records] == [True, True, False, False]
-    assert longer_table(Frame("d", records[:2])) is None
-    four, six = (longer_rates(record) for record in records[2:])
+    assert [compute_longer_rates(record) is None for record in records] == [True, True, False, False]
+    assert longer_table(DataSetRuns("d", records[:2])) is None
+    four, six = (compute_longer_rates(record) for record in records[2:])
     assert four is not None and six is not None
     counts = [sum(_reaches(row, steps) for row in records[3].rows) for steps in (8, 10, 12)]
     assert [rate.denominator for rate in six.collision.values()] == counts and counts[0] > counts[2] > 0
@@ -93,7 +93,7 @@ def test_the_table_has_the_horizons_that_plans_and_recordings_reach(tmp_path: Pa
     assert values[-1] is not None and values[-1] > 0.0
     names = [table.name for table in run_tables("d", records[3:])]
     assert names[-1] == "longer-plans" and "longer-plans" not in [one.name for one in run_tables("d", records[:1])]
-    assert "longer-plans" in [table.name for table in data_set_tables(Frame("d", records[3:])).front]
+    assert "longer-plans" in [table.name for table in build_data_set_tables(DataSetRuns("d", records[3:])).front]
 
 
 def _reaches(row: SampleRow, steps: int) -> bool:
@@ -108,12 +108,12 @@ def test_contacts_beyond_3_s_are_those_of_polygons(seed: int, steps: int) -> Non
     cars = [Car(x=x, y=y, speed=speed, yaw=yaw) for x, y, speed, yaw in places]
     scene = scene_on_straight_road(tuple(cars), seconds=8.0)
     tokens = [str(index) for index in range(len(scene.keyframes))]
-    truths, plain = truth_of_scene(scene, tokens, steps), truth_of_scene(scene, tokens)
+    truths, plain = compute_truth(scene, tokens, steps), compute_truth(scene, tokens)
     index = int(rng.integers(len(tokens)))
     truth = truths[index]
     assert np.array_equal(truth.ego_future[:6], plain[index].ego_future)
     plan: Floats = np.cumsum(rng.normal([0.0, 3.0], [0.4, 1.0], (steps, 2)), axis=0)
-    collision, l2 = exact.judged_longer([truth], plan[None])
+    collision, l2 = exact.evaluate_longer_plans([truth], plan[None])
     poses = [np.array([0.0, 0.0, math.pi / 2])]
     for step in range(steps):
         before = plan[step - 1] if step else np.zeros(2)

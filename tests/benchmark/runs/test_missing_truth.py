@@ -12,21 +12,21 @@ from benchmark.datasets.categories import read_categories
 from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.metrics.attacks import scene_attacks
+from benchmark.metrics.attacks import collect_scene_attacks
 from benchmark.metrics.frames import samples_frame
-from benchmark.metrics.scores import scored
-from benchmark.metrics.slices import rates_by
+from benchmark.metrics.scores import score_record
+from benchmark.metrics.slices import compute_rates_by
 from benchmark.metrics.transfer import transfer
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.drives import load_drives
-from benchmark.records.rows import scene_failures
+from benchmark.records.rows import find_scene_failures
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.driving import drive_split
 from benchmark.runs.rescoring import rescore, rescore_all
 from benchmark.runs.rescoring_drives import rescore_drives
 from generation.pipeline.report import estimate_build
 from generation.pipeline.settings import BuildSettings
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.collision import collision_table
 from tests.benchmark.edited_roots import (
     Row,
@@ -101,7 +101,7 @@ def test_scenes_without_annotations_are_in_no_collision_rate_and_keep_their_l2(
     ]
     truth = {name: facts.truth for name, facts in two_of_three.run.scene_facts.items()}
     assert [each.annotations > 0 for each in truth.values() if each is not None] == [True, False, True]
-    assert "straight ¶" in {row[0] for row in collision_table(Frame("t", [two_of_three]), "exact").rows}
+    assert "straight ¶" in {row[0] for row in collision_table(DataSetRuns("t", [two_of_three]), "exact").rows}
 
 
 def test_unknown_is_never_read_as_no_contact(two_of_three: RunRecord) -> None:
@@ -110,15 +110,15 @@ def test_unknown_is_never_read_as_no_contact(two_of_three: RunRecord) -> None:
         rows = record.rows_of(SCENES[1])
         assert rows and all(row.outcomes[name].collision is None for row in rows for name in row.outcomes)
         assert all(row.severity is None and row.driving is None and row.diagnosis is None for row in rows)
-        assert scene_failures(record.rows, "exact")[SCENES[1]] is None
-        assert scene_attacks(record)[SCENES[1]].samples == ()
-        own = scored(record)
+        assert find_scene_failures(record.rows, "exact")[SCENES[1]] is None
+        assert collect_scene_attacks(record)[SCENES[1]].samples == ()
+        own = score_record(record)
         assert not own.counted[[scene == SCENES[1] for scene in own.scenes]].any()
         frame = samples_frame(record)
         there = frame[(frame["scene"] == SCENES[1])]
         assert there["exact collision 3s"].isna().all() and there["exact l2 1s"].notna().any()
         assert transfer([record]).undecided == ((SCENES[1],),)
-        counted = sum(part.samples for part in rates_by(record, "command", "exact"))
+        counted = sum(part.samples for part in compute_rates_by(record, "command", "exact"))
         assert counted == record.summary.protocols["exact"].counted
     lines = (two_of_three.directory / "samples.jsonl").read_text().splitlines()
     stored = [row["outcomes"]["uniad"]["collision"] for row in map(json.loads, lines) if row["scene"] == SCENES[1]]
@@ -148,10 +148,10 @@ def test_rescoring_brings_truth_to_an_older_record_and_what_tables_say_until_the
         facts["truth"] = None
     path.write_text(json.dumps({**older, "caveats": []}))
     before = load_record(two_of_three.directory)
-    assert any("older records" in note for note in collision_table(Frame("t", [before]), "exact").notes)
+    assert any("older records" in note for note in collision_table(DataSetRuns("t", [before]), "exact").notes)
     after = rescore(two_of_three.directory, data, protocols=tuple(two_of_three.run.protocols))
     assert after.run.scene_facts == two_of_three.run.scene_facts and after.run.caveats == two_of_three.run.caveats
-    assert not any("older records" in note for note in collision_table(Frame("t", [after]), "exact").notes)
+    assert not any("older records" in note for note in collision_table(DataSetRuns("t", [after]), "exact").notes)
 
 
 def test_transfer_refuses_where_no_scene_has_a_verdict(edited: Root, tmp_path: Path) -> None:

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.metrics.attacks import attack_facts
-from benchmark.metrics.effect import effect_facts, effect_of
-from benchmark.metrics.unchanged import unchanged_candidates, unchanged_record
+from benchmark.metrics.attacks import attack_rates_to_json
+from benchmark.metrics.effect import compute_effect, effect_to_json
+from benchmark.metrics.unchanged import find_unchanged_candidates, find_unchanged_record
 from benchmark.records.run import load_record
 from benchmark.records.store import ROWS_FILE
-from leaderboard.build import leaderboard_tables
-from leaderboard.frame.runs import Frame
+from leaderboard.build import build_leaderboard_tables
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.attacks import success_table
 from leaderboard.tables.effect import effect_table
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -42,7 +42,7 @@ def test_published_scenes_are_paired_with_the_recordings_of_the_data_set_that_is
     val = evaluate(town_of_two(), "val", Straight(), tmp_path)
     alone = evaluate(published, "adv", Straight(), tmp_path)
     assert alone.run.unchanged is None
-    table = effect_table(Frame("p", [alone], unchanged_candidates(tmp_path, [alone])))
+    table = effect_table(DataSetRuns("p", [alone], find_unchanged_candidates(tmp_path, [alone])))
     assert table is not None and set(table.rows[0][2:]) == {"–"}
     assert any("name that one here with --unchanged" in note for note in table.notes)
     named = EvalSettings(unchanged="fake")
@@ -54,16 +54,16 @@ def test_published_scenes_are_paired_with_the_recordings_of_the_data_set_that_is
     kept = contents(paired.directory)
     assert contents(evaluate(published, "adv", Straight(), tmp_path, named).directory) == kept
     # Whoever is an adversary is not known, so that nothing is attributed; the pairs are there all the same.
-    effect = effect_of(paired, unchanged_record(paired, unchanged_candidates(tmp_path, [paired])))
+    effect = compute_effect(paired, find_unchanged_record(paired, find_unchanged_candidates(tmp_path, [paired])))
     assert effect is not None and effect.touched is None and effect.paired is not None
     assert effect.paired.pairs == effect.samples > 0 and effect.paired.new_others is None
     assert (effect.paired.difference.value or 0.0) > 0.0
-    told = effect_facts(paired, val)["effect"]
+    told = effect_to_json(paired, val)["effect"]
     assert told["adversary"] is None and told["unchanged"] == {"data": "fake", "split": "val"}
-    assert told["paired"]["pairs"] == effect.paired.pairs and effect_facts(val, None) == {}
+    assert told["paired"]["pairs"] == effect.paired.pairs and effect_to_json(val, None) == {}
     # Nor is success 0 %: it cannot be told.
-    assert success_table(Frame("p", [paired])) is None and attack_facts(paired) == {}
-    table = next(table for table in leaderboard_tables([val, paired])[1].tables if table.name == "effect")
+    assert success_table(DataSetRuns("p", [paired])) is None and attack_rates_to_json(paired) == {}
+    table = next(table for table in build_leaderboard_tables([val, paired])[1].tables if table.name == "effect")
     row = dict(zip(table.columns, table.rows[0]))
     assert row["compared with"] == "val" and row["adversary 3s"] == row["new others"] == "–"
     assert row["difference"].startswith("+")

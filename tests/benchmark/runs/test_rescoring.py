@@ -10,12 +10,12 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.machine.storage import only_writer
+from benchmark.machine.storage import lock_folder
 from benchmark.protocols import PROTOCOLS, STANDARD
-from benchmark.protocols.exact import Exact
+from benchmark.protocols.exact import ExactProtocol
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import SCHEMA
-from benchmark.records.store import replace_files, settle
+from benchmark.records.store import finish_replacement, replace_files
 from benchmark.runs.rescoring import rescore, rescore_all
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Failing, Straight
@@ -119,7 +119,7 @@ def test_rescoring_brings_the_further_protocols_to_a_run_without_its_planner(tmp
 def test_a_changed_protocol_makes_records_stale_until_they_are_rescored(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Stricter(Exact):
+    class Stricter(ExactProtocol):
         version = 99
 
     monkeypatch.setitem(PROTOCOLS, "exact", Stricter())
@@ -214,11 +214,11 @@ def test_leftovers_that_belong_to_nothing_are_dropped(directory: Path) -> None:
     }.items():
         (directory / name).write_text(text)
         assert load_record(directory).planner == "failing"
-    settle(directory)
+    finish_replacement(directory)
     assert contents(directory) == before
     for nonsense in ("", "[]", "{}", '{"files": []}', '{"files": {}}'):
         (directory / ".run.json.pending").write_text(nonsense)
-        settle(directory)
+        finish_replacement(directory)
         assert contents(directory) == before
 
 
@@ -234,7 +234,7 @@ def test_other_data_is_one_sentence(directory: Path) -> None:
 
 
 def test_a_record_that_another_command_writes_is_left_alone(directory: Path) -> None:
-    with only_writer(directory), pytest.raises(InputError, match="another command is writing"):
+    with lock_folder(directory), pytest.raises(InputError, match="another command is writing"):
         rescore(directory, DATA, protocols=ALL)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from benchmark.evaluation import EvalSettings, evaluate, evaluate_together
 from benchmark.records.run import load_record
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.runs.rescoring import rescore_all
 from benchmark.truth import SampleTruth
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -23,7 +23,7 @@ class Made:
 
     @property
     def facts(self) -> PlannerFacts:
-        return facts_of(self.kind())
+        return build_planner_facts(self.kind())
 
     def __call__(self) -> Straight:
         return self.kind()

@@ -10,8 +10,8 @@ from benchmark.datasets.can_bus import CanMessages
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import EgoState, Observation, Plan, PlanFrame, SceneInfo
-from benchmark.runs.planner_facts import facts_of
-from benchmark.runs.scene_work import published_order
+from benchmark.runs.planner_facts import build_planner_facts
+from benchmark.runs.scene_work import sort_as_published
 from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import AHEAD, Straight
 from tests.hand_made import scene_on_straight_road
@@ -62,9 +62,9 @@ def test_scenes_come_in_the_order_of_their_times_and_the_record_in_that_of_the_s
 
 
 def test_variants_of_one_recording_come_in_the_order_of_their_tokens() -> None:
-    assert published_order(town(), ["scene-9900", "scene-9901", "scene-9902"])[0] == "scene-9901"
+    assert sort_as_published(town(), ["scene-9900", "scene-9901", "scene-9902"])[0] == "scene-9901"
     same = town(hours=(1, 1, 2))
-    assert published_order(same, ["scene-9900", "scene-9901", "scene-9902"]) == (
+    assert sort_as_published(same, ["scene-9900", "scene-9901", "scene-9902"]) == (
         "scene-9902",
         "scene-9901",
         "scene-9900",
@@ -149,7 +149,7 @@ def test_the_message_after_the_sample_is_given_to_those_who_say_so_in_their_reco
     assert len(told.given) == len(record.rows) and all(each is not None for each in told.given)
     assert untold.given == [None] * len(record.rows)
     assert record.run.planner.settings == {"reads_message_after": True}
-    assert facts_of(untold).settings == {}
+    assert build_planner_facts(untold).settings == {}
 
 
 def test_the_message_after_a_time() -> None:

@@ -75,9 +75,9 @@ def _is_socket(link: Path) -> bool:
 
 def answer_before_it_is_asked() -> None:
     """What the last question was answered with, once more: whoever takes it is an answer behind for ever."""
-    from benchmark.sandbox.frames import answer
+    from benchmark.sandbox.frames import encode_answer
 
-    os.write(connection(), answer(1, ["done"]))
+    os.write(connection(), encode_answer(1, ["done"]))
 
 
 def outliving(notes: Path) -> None:
@@ -215,7 +215,7 @@ class LoadsElsewhere(Drawing):
 
     def __init__(self) -> None:
         super().__init__()
-        self._late: list[Any] = []
+        self._build_late_error: list[Any] = []
 
     def plan(self, observation: Observation) -> Plan:
         found: dict[str, float] = {}
@@ -229,7 +229,7 @@ class LoadsElsewhere(Drawing):
         for each in threads:
             each.join()
         assert len(found) == len(observation.views)
-        late, self._late = self._late, [view.load for view in observation.views.values()]
+        late, self._build_late_error = self._build_late_error, [view.load for view in observation.views.values()]
         refused = 0
         for again in late:
             try:

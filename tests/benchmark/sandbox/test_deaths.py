@@ -11,8 +11,8 @@ import pytest
 
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import plan_scene
-from benchmark.sandbox.limits import Supervision
-from benchmark.sandbox.planner import Identity, Maker, Supervised, supervised
+from benchmark.sandbox.limits import SandboxLimits
+from benchmark.sandbox.planner import PlannerIdentity, PlannerSpec, SandboxedPlanner, make_sandboxed_planner
 from benchmark.untrusted.files import GIB
 from tests.benchmark.fake_data import FakeData
 from tests.benchmark.sandbox.dying import AT, WAYS
@@ -60,10 +60,12 @@ RAISED = {
 HARMLESS = ("prints", "closes-streams", "forks", "leaves-a-copy", "starts-a-process")
 
 
-def maker(kind: str, **given: Any) -> tuple[Maker, Identity]:
+def maker(kind: str, **given: Any) -> tuple[PlannerSpec, PlannerIdentity]:
     name = {"Dying": "dying", "Silent": "dying", "Drawing": "drawing", "LoadsElsewhere": "loads-elsewhere"}[kind]
     reference = "tests.benchmark.sandbox.dying:made"
-    return Maker(name, reference, {"kind": kind, **given}), Identity(PlannerFacts(name=name, privileged=False))
+    return PlannerSpec(name, reference, {"kind": kind, **given}), PlannerIdentity(
+        PlannerFacts(name=name, privileged=False)
+    )
 
 
 def roads(*names: str) -> FakeData:
@@ -71,7 +73,7 @@ def roads(*names: str) -> FakeData:
     return FakeData({name: replace(road, name=name) for name in names})
 
 
-def planned(planner: Supervised, data: FakeData, name: str, folder: Path) -> list[dict[str, Any]]:
+def planned(planner: SandboxedPlanner, data: FakeData, name: str, folder: Path) -> list[dict[str, Any]]:
     return plan_scene(planner, data, name, folder / f"{name}.jsonl", "key", fresh=False).rows
 
 
@@ -107,7 +109,7 @@ def rows(notes: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, lis
     found: dict[str, list[dict[str, Any]]] = {}
     # Those whose limit is waited for wait for a short one; the others never do.
     for limit_s, late in ((SHORT_S, True), (LIMIT_S, False)):
-        planner = supervised(made, identity, Supervision(limit_s, memory_bytes=GIB, loading_s=60.0))
+        planner = make_sandboxed_planner(made, identity, SandboxLimits(limit_s, memory_bytes=GIB, loading_s=60.0))
         chosen = [name for name in names if (LOST.get(name) == LATE) == late]
         found |= {name: planned(planner, data, name, kept) for name in chosen}
         planner.close()
@@ -161,7 +163,7 @@ def test_nothing_is_left_of_any_of_them(rows: dict[str, list[dict[str, Any]]], n
 @pytest.mark.parametrize("way", ["holds-the-lock", "is-stopped"])
 def test_who_gives_no_sign_of_life_is_not_waited_for(tmp_path: Path, way: str) -> None:
     made, identity = maker("Silent", notes=tmp_path)
-    planner = supervised(made, identity, Supervision(600.0, loading_s=60.0, silence_s=SILENCE_S))
+    planner = make_sandboxed_planner(made, identity, SandboxLimits(600.0, loading_s=60.0, silence_s=SILENCE_S))
     begun = time.monotonic()
     found = planned(planner, roads(way), way, tmp_path)
     assert found[AT]["error"] == f"no plan, and its process gave no sign of life for {SILENCE_S:g} s; it was ended"

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from adapters.registry import planner, planner_factory
+from adapters.registry import build_planner, planner_factory
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.metering import peak_memory_mb
@@ -34,21 +34,21 @@ from benchmark.planning import (
 )
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import BrokenImageError, plan_scene
-from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.sandbox import limits as libraries
-from benchmark.sandbox.frames import Asker, MalformedError, answer
-from benchmark.sandbox.limits import Supervision, on_import_of_torch
-from benchmark.sandbox.observed import Packing, Unpacking
-from benchmark.sandbox.pictures import Shelf, Viewer
-from benchmark.sandbox.planner import Identity, Maker, Supervised, supervised
-from generation.sources.rig import default_cameras
+from benchmark.sandbox.frames import MalformedError, QuestionChannel, encode_answer
+from benchmark.sandbox.limits import SandboxLimits, seed_torch_on_import
+from benchmark.sandbox.observed import ObservationPacker, ObservationUnpacker
+from benchmark.sandbox.pictures import SharedImagePool, SharedImageReader
+from benchmark.sandbox.planner import PlannerIdentity, PlannerSpec, SandboxedPlanner, make_sandboxed_planner
+from generation.sources.rig import build_default_cameras
 from tests.adapters.strangers import Good
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.sandbox.dying import Drawing
 from tests.benchmark.sandbox.test_deaths import gone, maker, processes, roads, wait_until_gone
 
-QUICK = Supervision(60.0, loading_s=60.0)
+QUICK = SandboxLimits(60.0, loading_s=60.0)
 
 
 class Picture:
@@ -72,14 +72,14 @@ def pictured(*, broken: bool = False) -> FakeData:
         camera.name: CameraView(
             camera, Path(f"{camera.name}.jpg"), 5, np.eye(4), Picture(place, writable=place % 2 == 0, broken=broken)
         )
-        for place, camera in enumerate(default_cameras())
+        for place, camera in enumerate(build_default_cameras())
     }
     return replace(town_of_two(), views=views)
 
 
 def test_plans_are_the_same_bytes_as_in_this_process(tmp_path: Path) -> None:
     data, (made, identity) = pictured(), maker("Drawing")
-    planners: dict[str, Planner] = {"here": Drawing(), "there": supervised(made, identity, QUICK)}
+    planners: dict[str, Planner] = {"here": Drawing(), "there": make_sandboxed_planner(made, identity, QUICK)}
     rows = {
         where: [plan_scene(each, data, name, tmp_path / where / name, name, fresh=False).rows for name in data.scenes]
         for where, each in planners.items()
@@ -90,7 +90,7 @@ def test_plans_are_the_same_bytes_as_in_this_process(tmp_path: Path) -> None:
 
 def test_the_memory_that_counts_is_that_of_its_own_process(tmp_path: Path) -> None:
     made, identity = maker("Drawing")
-    planner = supervised(made, identity, QUICK)
+    planner = make_sandboxed_planner(made, identity, QUICK)
     assert isinstance(planner, SupervisedPlanner) and planner.pid is None
     cost = plan_scene(planner, pictured(), "scene-9901", tmp_path / "a", "a", fresh=False).cost
     assert planner.pid is not None and planner.pid != os.getpid() and cost is not None
@@ -104,7 +104,9 @@ def test_the_memory_that_counts_is_that_of_its_own_process(tmp_path: Path) -> No
 def test_pictures_of_a_sample_that_is_over_are_refused(tmp_path: Path) -> None:
     """Here they can still be loaded; there nobody waits for that any more, and nothing is mistaken for an answer."""
     data, (made, identity) = pictured(), maker("LoadsElsewhere")
-    rows = plan_scene(supervised(made, identity, QUICK), data, "scene-9901", tmp_path / "a", "a", fresh=False).rows
+    rows = plan_scene(
+        make_sandboxed_planner(made, identity, QUICK), data, "scene-9901", tmp_path / "a", "a", fresh=False
+    ).rows
     first, *others = (row["plan"]["waypoints"][0][0] for row in rows)
     assert set(others) == {first + 6000.0}
 
@@ -125,13 +127,13 @@ def same(one: Any, other: Any) -> bool:
 
 
 def test_an_observation_arrives_as_it_was() -> None:
-    packing, unpacking = Packing(), Unpacking()
+    packing, unpacking = ObservationPacker(), ObservationUnpacker()
     plain = [*pictured().observations("scene-9901")]
     odd = replace(plain[0], views={}, ego=replace(plain[0].ego, can_motion=np.arange(9.0), steering_angle=0.5))
     narrow = replace(plain[1], past_poses=plain[1].past_poses[:1], past_valid=plain[1].past_valid[:1])
     for each in (*plain[:2], odd, narrow, plain[2]):
         sent = pickle.loads(pickle.dumps(packing.packed(each)))  # noqa: S301 - of the line before
-        arrived = unpacking.unpacked(sent, lambda name: np.zeros((1, 1, 3), np.uint8))
+        arrived = unpacking.unpack(sent, lambda name: np.zeros((1, 1, 3), np.uint8))
         assert same(each, arrived)
     assert not same(plain[0], plain[1])
 
@@ -140,40 +142,45 @@ def test_a_broken_picture_is_nobodys_failure(tmp_path: Path) -> None:
     made, identity = maker("Drawing")
     with pytest.raises(BrokenImageError, match=r"CAM\.jpg is missing"):
         plan_scene(
-            supervised(made, identity, QUICK), pictured(broken=True), "scene-9901", tmp_path / "a", "a", fresh=False
+            make_sandboxed_planner(made, identity, QUICK),
+            pictured(broken=True),
+            "scene-9901",
+            tmp_path / "a",
+            "a",
+            fresh=False,
         )
     assert not (tmp_path / "a").exists()
 
 
 def test_pictures_share_memory_and_blocks_are_used_again() -> None:
-    shelf = Shelf()
-    viewer = Viewer(os.dup(shelf.file))
+    shelf = SharedImagePool()
+    viewer = SharedImageReader(os.dup(shelf.file))
     first: NDArray[np.uint8] = np.arange(12, dtype=np.uint8).reshape(2, 2, 3)
     place = shelf.put(first)
     seen = viewer.look(place, first.shape, writable=True)
     part = seen[1]
-    assert (seen == first).all() and viewer.let_go() == []
+    assert (seen == first).all() and viewer.collect_released() == []
     seen[0] = 99
     assert (viewer.look(place, first.shape, writable=False) == first).all()
-    viewer.let_go()
+    viewer.collect_released()
     del seen
     # A view of it is held still.
-    assert shelf.put(first[::-1]) != place and viewer.let_go() == [] and (part == first[1]).all()
+    assert shelf.put(first[::-1]) != place and viewer.collect_released() == [] and (part == first[1]).all()
     del part
-    assert viewer.let_go() == [place]
-    shelf.take_back([place])
+    assert viewer.collect_released() == [place]
+    shelf.reclaim([place])
     assert shelf.put(first[::-1]) == place and (viewer.look(place, first.shape, writable=False) == first[::-1]).all()
     with pytest.raises(KeyError):
-        shelf.take_back([12345])
+        shelf.reclaim([12345])
     assert shelf.beats() == 0
     viewer.beat()
     assert shelf.beats() == 1
 
 
 def test_who_it_is_and_what_it_can_do_are_as_here() -> None:
-    here = planner("tests.adapters.strangers:Good", seed=3)
+    here = build_planner("tests.adapters.strangers:Good", seed=3)
     factory = planner_factory("tests.adapters.strangers:Good", seed=3)
-    assert factory.facts == facts_of(here, made_by="tests.adapters.strangers:Good")
+    assert factory.facts == build_planner_facts(here, made_by="tests.adapters.strangers:Good")
     there = factory()
     assert isinstance(there, SupervisedPlanner) and there.name == here.name == "good"
     assert not isinstance(there, PrivilegedPlanner | ContinuousPlanner | Good)
@@ -186,7 +193,7 @@ def test_privileged_planners_plan_the_same_there(tmp_path: Path) -> None:
     there = planner_factory("adapters.planners.idm:IntelligentDriver")()
     rows = [
         plan_scene(each, data, "scene-9902", tmp_path / str(place), "a", fresh=False).rows
-        for place, each in enumerate((planner("idm"), there))
+        for place, each in enumerate((build_planner("idm"), there))
     ]
     assert rows[0] == rows[1] and all(row["status"] == "ok" for row in rows[0])
 
@@ -195,7 +202,7 @@ def test_a_planner_that_is_another_one_each_time_is_lost(tmp_path: Path) -> None
     made, identity = maker("Drawing")
     other = replace(identity, facts=identity.facts.model_copy(update={"settings": {"a": 1}}))
     rows = plan_scene(
-        supervised(made, other, QUICK), town_of_two(), "scene-9901", tmp_path / "a", "a", fresh=False
+        make_sandboxed_planner(made, other, QUICK), town_of_two(), "scene-9901", tmp_path / "a", "a", fresh=False
     ).rows
     assert {row["error"] for row in rows} == {"it says that it is another planner whenever it is built"}
 
@@ -203,7 +210,7 @@ def test_a_planner_that_is_another_one_each_time_is_lost(tmp_path: Path) -> None
 def test_no_plan_without_reset() -> None:
     made, identity = maker("Drawing")
     with pytest.raises(PlannerLostError, match="begins with reset"):
-        supervised(made, identity, QUICK).plan(next(town_of_two().observations("scene-9901")))
+        make_sandboxed_planner(made, identity, QUICK).plan(next(town_of_two().observations("scene-9901")))
 
 
 LOADING = """
@@ -241,7 +248,7 @@ def test_who_dies_when_it_is_loaded_is_one_sentence(
     (tmp_path / "at_home.py").write_text(textwrap.dedent(LOADING))
     (tmp_path / "leaving.py").write_text("import os\nos._exit(0)\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    limits = Supervision(1.0, loading_s=2.0 if model == "at_home:Hangs" else 60.0)
+    limits = SandboxLimits(1.0, loading_s=2.0 if model == "at_home:Hangs" else 60.0)
     with pytest.raises(InputError, match=f"model '{model}' cannot be loaded: {says}") as error:
         planner_factory(model, supervision=limits)
     assert "\n" not in str(error.value)
@@ -289,7 +296,7 @@ def endless() -> dict[str, Any]:
 )
 def test_odd_claims_are_one_sentence(attributes: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=says) as error:
-        facts_of(Odd(**attributes))
+        build_planner_facts(Odd(**attributes))
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
 
 
@@ -301,17 +308,17 @@ class Reluctant(Good):
 
 def test_asking_may_raise_and_is_one_sentence() -> None:
     with pytest.raises(InputError, match="asking planner 'good' for its settings raised RuntimeError: ask later"):
-        facts_of(Reluctant())
+        build_planner_facts(Reluctant())
 
 
 def test_limits_are_seconds_and_memory_of_this_world() -> None:
-    assert Supervision.of(None, None) == Supervision() and Supervision.of(2.0, 1.0).memory_bytes == 1 << 30
-    assert Supervision(1.0).longest_loading_s == 300.0 and Supervision(100.0).longest_loading_s == 1000.0
+    assert SandboxLimits.of(None, None) == SandboxLimits() and SandboxLimits.of(2.0, 1.0).memory_bytes == 1 << 30
+    assert SandboxLimits(1.0).longest_loading_s == 300.0 and SandboxLimits(100.0).longest_loading_s == 1000.0
     for wrong in (0.0, -1.0, float("nan"), float("inf"), 1e9):
         with pytest.raises(InputError, match="--sample-limit must be"):
-            Supervision.of(wrong, None)
+            SandboxLimits.of(wrong, None)
         with pytest.raises(InputError, match="--memory-limit must be"):
-            Supervision.of(None, wrong)
+            SandboxLimits.of(None, wrong)
 
 
 def test_a_library_that_comes_late_is_seeded_then(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -322,10 +329,10 @@ def test_a_library_that_comes_late_is_seeded_then(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(libraries, "_TORCH", "made_up_torch")
     before = list(sys.meta_path)
     for seed in (5, 7):
-        on_import_of_torch(seed)
+        seed_torch_on_import(seed)
     late: Any = importlib.import_module("made_up_torch")
     assert late.said == [1, 7] and sys.meta_path == before
-    on_import_of_torch(9)
+    seed_torch_on_import(9)
     assert sys.meta_path == before
     del sys.modules["made_up_torch"]
 
@@ -351,16 +358,16 @@ def test_one_worker_and_two_write_the_same_bytes(tmp_path: Path, monkeypatch: py
 
 @dataclass(frozen=True)
 class _Factory:
-    made: Maker
-    identity: Identity
-    supervision: Supervision = QUICK
+    made: PlannerSpec
+    identity: PlannerIdentity
+    supervision: SandboxLimits = QUICK
 
     @property
     def facts(self) -> PlannerFacts:
         return self.identity.facts
 
-    def __call__(self) -> Supervised:
-        return supervised(self.made, self.identity, self.supervision)
+    def __call__(self) -> SandboxedPlanner:
+        return make_sandboxed_planner(self.made, self.identity, self.supervision)
 
 
 class _Roads:
@@ -373,7 +380,7 @@ class _Roads:
 
 def test_who_watches_takes_no_processor_time() -> None:
     made, identity = maker("Drawing")
-    planner = supervised(made, identity, QUICK)
+    planner = make_sandboxed_planner(made, identity, QUICK)
     planner.reset(SceneInfo("a", "", ()))
 
     def stat(process: int) -> list[str]:
@@ -423,8 +430,8 @@ def test_nothing_outlives_who_asks(tmp_path: Path, how: str) -> None:
 def test_an_answer_may_come_in_pieces_and_with_the_next_one() -> None:
     asking, answering = socket.socketpair()
     with asking, answering:
-        asker, until = Asker(asking), time.monotonic() + 20.0
-        first, second = (answer(number, ["plan", np.arange(count)]) for number, count in ((1, 3), (2, 60_000)))
+        asker, until = QuestionChannel(asking), time.monotonic() + 20.0
+        first, second = (encode_answer(number, ["plan", np.arange(count)]) for number, count in ((1, 3), (2, 60_000)))
 
         def dribbled() -> None:
             for end in range(len(first)):
@@ -438,7 +445,7 @@ def test_an_answer_may_come_in_pieces_and_with_the_next_one() -> None:
             assert asker.wait(select.POLLIN, until - time.monotonic())
             assert asker.receive(number, until)[1].tolist() == [*range(count)]
         thread.join()
-        answering.sendall(answer(3, []) + answer(3, []))
+        answering.sendall(encode_answer(3, []) + encode_answer(3, []))
         assert asker.wait(select.POLLIN, 1.0) and asker.receive(3, until) == []
         # What was said too much is there at the next question, and is no answer to that.
         assert asker.wait(select.POLLIN, 0.0)

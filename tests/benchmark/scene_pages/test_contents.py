@@ -11,16 +11,22 @@ import shapely
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from benchmark.box_projection import BOX_EDGES, agents_at, corners_of_box, to_camera
+from benchmark.box_projection import BOX_EDGES, compute_box_corners, interpolate_agents, to_camera
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.planning import CameraView
-from benchmark.records.scenes import CAMERA_GRID, SheetMap
+from benchmark.records.scenes import CAMERA_GRID, PageMap
 from benchmark.road_map import Divider, DividerKind, RoadMap, as_multipolygon
 from benchmark.scene import Scene
-from benchmark.scene_pages.making import AROUND_M, road_around
-from benchmark.scene_pages.motion import agents_of, ego_of, origin_of
-from benchmark.scene_pages.pictures import adversary_edges, cut_at_borders, layout, mosaic, pictured_frames
+from benchmark.scene_pages.making import AROUND_M, build_page_map
+from benchmark.scene_pages.motion import build_agent_tracks, build_ego_track, find_origin
+from benchmark.scene_pages.pictures import (
+    clip_segment,
+    draw_mosaic,
+    lay_out_cameras,
+    project_adversary_edges,
+    select_pictured_frames,
+)
 from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary
 from tests.hand_made import Car, straight_road, without_frames
 
@@ -30,12 +36,12 @@ WAY = np.column_stack([np.linspace(150.0, 190.0, 9), np.full(9, 198.25)])
 def test_positions_are_the_scenes_to_the_centimetre() -> None:
     scene = short_scene()
     scene = replace(scene, agents=replace(scene.agents, yaw=scene.agents.yaw + 40 * np.pi + 0.1234))
-    origin = origin_of(scene)
-    ego = ego_of(scene, origin)
+    origin = find_origin(scene)
+    ego = build_ego_track(scene, origin)
     assert origin == (50.0, 198.0)
     assert np.abs(np.array(ego.x_m) + origin[0] - scene.ego.position[:, 0]).max() <= 0.0051
     assert np.abs(np.array(ego.y_m) + origin[1] - scene.ego.position[:, 1]).max() <= 0.0051
-    for agent, row in zip(agents_of(scene, origin), range(3), strict=True):
+    for agent, row in zip(build_agent_tracks(scene, origin), range(3), strict=True):
         assert np.abs(np.array(agent.x_m, float) + origin[0] - scene.agents.position[row, :, 0]).max() <= 0.0051
         turned = np.array(agent.yaw_rad, float) - scene.agents.yaw[row]
         assert np.abs(np.angle(np.exp(1j * turned))).max() <= 0.0006
@@ -46,7 +52,7 @@ def test_positions_are_the_scenes_to_the_centimetre() -> None:
 def test_agents_are_shown_while_they_are_near_and_there() -> None:
     cars = (Car(80.0, 198.25, 8.0), Car(160.0, 201.75, 20.0, np.pi), Car(350.0, 194.75))
     scene = without_frames(short_scene(cars=cars, ego_speed=0.0), 0, slice(1, 3))
-    shown = agents_of(scene, origin_of(scene))
+    shown = build_agent_tracks(scene, find_origin(scene))
     assert [agent.id for agent in shown] == list(scene.agents.ids[:2])
     away, coming = shown
     assert [value is None for value in away.x_m] == [not there for there in scene.agents.valid[0]]
@@ -58,19 +64,19 @@ def test_agents_are_shown_while_they_are_near_and_there() -> None:
 
 def test_an_adversary_is_last_and_shown_however_far() -> None:
     far = with_adversary(short_scene(cars=(Car(390.0, 198.25), Car(80.0, 194.75))))
-    near, adversary = agents_of(far, origin_of(far))
+    near, adversary = build_agent_tracks(far, find_origin(far))
     assert (near.adversary, adversary.adversary) == (False, True)
     assert adversary.id == far.adversaries[0]
     assert len(adversary.x_m) == len(far.timestamps_us)
 
 
-def rings(road: SheetMap) -> list[tuple[tuple[float, float], ...]]:
+def rings(road: PageMap) -> list[tuple[tuple[float, float], ...]]:
     layers = (*road.drivable, *road.crossings, *road.walkways, *road.carparks)
     return [ring for polygon in layers for ring in polygon]
 
 
 def test_the_road_is_that_around_the_way() -> None:
-    road = road_around(straight_road(), WAY, (150.0, 198.0))
+    road = build_page_map(straight_road(), WAY, (150.0, 198.0))
     corridor = shapely.LineString(WAY).buffer(AROUND_M)
     (outer,) = road.drivable[0]
     drawn = shapely.transform(shapely.Polygon(outer), lambda points: points + [150.0, 198.0])
@@ -91,15 +97,15 @@ def test_holes_stay_and_slivers_go() -> None:
     road_map = RoadMap(
         "boston-seaport", as_multipolygon(shapely.MultiPolygon([island, sliver])), carparks={"x": twisted}
     )
-    road = road_around(road_map, WAY, (0.0, 0.0))
+    road = build_page_map(road_map, WAY, (0.0, 0.0))
     assert [len(polygon) for polygon in road.drivable] == [2]
     assert len(road.carparks) == 2
 
 
 @pytest.mark.parametrize("way", [WAY[:1], np.repeat(WAY[:1], 5, axis=0), WAY])
 def test_an_ego_that_stands_has_a_road(way: Floats) -> None:
-    assert road_around(straight_road(), way, (150.0, 198.0)).drivable
-    assert road_around(RoadMap("nowhere", shapely.MultiPolygon()), way, (0.0, 0.0)) == SheetMap()
+    assert build_page_map(straight_road(), way, (150.0, 198.0)).drivable
+    assert build_page_map(RoadMap("nowhere", shapely.MultiPolygon()), way, (0.0, 0.0)) == PageMap()
 
 
 def test_a_winding_border_is_simplified_by_no_more_than_5_cm() -> None:
@@ -107,7 +113,7 @@ def test_a_winding_border_is_simplified_by_no_more_than_5_cm() -> None:
     radius = 30 + 0.02 * np.sin(900 * angles)
     disc = shapely.Polygon(np.column_stack([170 + radius * np.cos(angles), 198 + radius * np.sin(angles)]))
     wave = Divider("wave", np.asarray(disc.exterior.coords), DividerKind.UNPAINTED, False)
-    road = road_around(RoadMap("x", as_multipolygon(disc), dividers=(wave,)), WAY, (0.0, 0.0))
+    road = build_page_map(RoadMap("x", as_multipolygon(disc), dividers=(wave,)), WAY, (0.0, 0.0))
     (outer,) = road.drivable[0]
     assert len(outer) < 200
     assert shapely.Polygon(outer).exterior.hausdorff_distance(disc.exterior) < 0.06
@@ -123,8 +129,8 @@ def view_of(scene: Scene, name: str, frame: int) -> CameraView:
 def outline_of_adversary(scene: Scene, view: CameraView, size: tuple[int, int]) -> shapely.Polygon | None:
     """The hull of what of its box is 0.1 m ahead of the camera or more, inside the picture."""
     camera, agent = view.camera.resized(*size), scene.agents.ids.index(scene.adversaries[0])
-    positions, yaws, _ = agents_at(scene, view.timestamp_us)
-    corners = corners_of_box(positions[agent], float(yaws[agent]), scene.agents.size[agent])
+    positions, yaws, _ = interpolate_agents(scene, view.timestamp_us)
+    corners = compute_box_corners(positions[agent], float(yaws[agent]), scene.agents.size[agent])
     corners = to_camera(corners, view.global_T_ego, camera)
     points = [corner for corner in corners if corner[2] >= 0.1]
     for first, second in BOX_EDGES:
@@ -143,9 +149,9 @@ def outline_of_adversary(scene: Scene, view: CameraView, size: tuple[int, int]) 
 def test_edges_are_the_outline_of_the_box(ahead: float, left: float) -> None:
     car = Car(50.0 + ahead, 198.25 + left, 0.0, 0.3)
     scene = with_adversary(short_scene(cars=(car, Car(80.0, 190.0)), ego_speed=0.0))
-    cells = layout({camera.name: camera for camera in scene.cameras}, 320)
+    cells = lay_out_cameras({camera.name: camera for camera in scene.cameras}, 320)
     views = {camera.name: view_of(scene, camera.name, 18) for camera in scene.cameras}
-    found = adversary_edges(scene, cells, views)
+    found = project_adversary_edges(scene, cells, views)
     assert found
     for cell in cells:
         outline = outline_of_adversary(scene, views[cell.name], (cell.width, cell.height))
@@ -167,12 +173,12 @@ def test_cameras_stand_as_in_a_car_and_strangers_below() -> None:
     scene = short_scene()
     cameras = {camera.name: camera for camera in scene.cameras if camera.name != "CAM_BACK"}
     odd = replace(scene.cameras[0], name="ROOF", width=200, height=400)
-    cells = {cell.name: cell for cell in layout({**cameras, "ROOF": odd}, 320)}
+    cells = {cell.name: cell for cell in lay_out_cameras({**cameras, "ROOF": odd}, 320)}
     assert [cell.name for cell in cells.values()][:3] == list(CAMERA_GRID[0])
     assert cells["CAM_BACK_RIGHT"].left == cells["CAM_BACK_LEFT"].width == 320
     assert (cells["ROOF"].left, cells["ROOF"].top) == (0, 360)
     assert (cells["ROOF"].width, cells["ROOF"].height) == (200, 400)
-    assert layout({}, 320) == ()
+    assert lay_out_cameras({}, 320) == ()
 
 
 def taken(scene: Scene, name: str, times_us: Sequence[int]) -> tuple[CameraView, ...]:
@@ -198,15 +204,15 @@ def test_frames_meet_the_images_of_clocks_of_their_own() -> None:
         for name, early, lost in zip(cameras, (43_000, 0), ((), (9,)), strict=True)
     }
     keyframes["CAM_BACK"] = (keyframes["CAM_BACK"][0], keyframes["CAM_BACK"][2])
-    found = pictured_frames(scene, keyframes, sweeps)
+    found = select_pictured_frames(scene, keyframes, sweeps)
     assert [each.frame for each in found] == [frame for frame in range(13) if frame != 9] + [13, 14, 15, 16, 17]
     by_frame = {each.frame: each.views for each in found}
     assert set(by_frame[6]) == {"CAM_FRONT"}
     assert by_frame[6]["CAM_FRONT"].timestamp_us == samples[1] - 43_000
     assert {view.timestamp_us for view in by_frame[8].values()} == {times[8], times[8] - 43_000}
-    assert [each.frame for each in pictured_frames(scene, keyframes, {})] == [0, 6, 12]
-    cells = layout({name: view_of(scene, name, 0).camera for name in cameras}, 32)
-    picture = cv2.imdecode(np.frombuffer(mosaic(cells, by_frame[6]), np.uint8), cv2.IMREAD_COLOR)
+    assert [each.frame for each in select_pictured_frames(scene, keyframes, {})] == [0, 6, 12]
+    cells = lay_out_cameras({name: view_of(scene, name, 0).camera for name in cameras}, 32)
+    picture = cv2.imdecode(np.frombuffer(draw_mosaic(cells, by_frame[6]), np.uint8), cv2.IMREAD_COLOR)
     front, back = ({cell.name: cell for cell in cells}[name] for name in cameras)
     assert abs(int(np.median(picture[: front.height])) - 200) < 5
     assert np.median(picture[back.top :]) < 5
@@ -216,7 +222,7 @@ def test_a_picture_too_large_for_its_format() -> None:
     scene = short_scene(seconds=1.0)
     tall = replace(scene.cameras[0], width=10, height=20_000)
     with pytest.raises(InputError, match="too large for WebP"):
-        mosaic(layout({"CAM_FRONT": tall}, 10), {})
+        draw_mosaic(lay_out_cameras({"CAM_FRONT": tall}, 10), {})
 
 
 near_the_picture = st.floats(-50, 150)
@@ -226,7 +232,7 @@ near_the_picture = st.floats(-50, 150)
 @given(near_the_picture, near_the_picture, near_the_picture, near_the_picture)
 def test_segments_are_cut_as_geometry_says(x1: float, y1: float, x2: float, y2: float) -> None:
     segment = np.array([[x1, y1], [x2, y2]])
-    found = cut_at_borders(segment, 100, 60)
+    found = clip_segment(segment, 100, 60)
     expected = shapely.LineString(segment).intersection(shapely.box(0, 0, 100, 60))
     if found is None:
         # What lies along a border, to within rounding, may be in or out.
@@ -242,5 +248,5 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 @given(anything, anything, anything, anything)
 def test_segments_that_are_none_are_not_drawn(x1: float, y1: float, x2: float, y2: float) -> None:
     with np.errstate(all="ignore"):
-        found = cut_at_borders(np.array([[x1, y1], [x2, y2]]), 100, 60)
+        found = clip_segment(np.array([[x1, y1], [x2, y2]]), 100, 60)
     assert found is None or (np.isfinite(found).all() and (found >= 0).all() and (found <= [100, 60]).all())

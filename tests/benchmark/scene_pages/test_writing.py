@@ -12,15 +12,15 @@ import pytest
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import VariantRoots
 from benchmark.errors import InputError
-from benchmark.machine.storage import only_writer, write_json, write_json_lines
+from benchmark.machine.storage import lock_folder, write_json, write_json_lines
 from benchmark.records.run_schema import DataFacts
-from benchmark.records.scenes import Sheets, StoredSheet, find_sheets, read_sheet, scene_folder
-from benchmark.records.statistics import Runtime
+from benchmark.records.scenes import ScenePages, StoredScenePage, find_scene_pages, read_scene_page, scene_folder
+from benchmark.records.statistics import BuildRuntime
 from benchmark.scene_pages import making
 from benchmark.scene_pages import writing as split_sheets
-from benchmark.scene_pages.writing import SheetSettings, plan_of, write_sheets
+from benchmark.scene_pages.writing import SheetSettings, describe_plan, write_sheets
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.pipeline.estimate import kept_runtime
+from generation.pipeline.estimate import read_runtime_table
 from tests.benchmark.cli.cli_runs import bytes_below, challenger_bench
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.generation.nuscenes_writer.written_roots import SIZE, short_scene, with_adversary
@@ -42,12 +42,12 @@ LABELS = {
 }
 
 
-def written(root: Path, out: Path, settings: SheetSettings = HERE, split: str = "adv") -> Sheets:
+def written(root: Path, out: Path, settings: SheetSettings = HERE, split: str = "adv") -> ScenePages:
     write_sheets(NuScenesData.open(root, name="small"), split, out, settings)
-    return find_sheets(out)
+    return find_scene_pages(out)
 
 
-def sheet_of(sheets: Sheets, scene: str = TWO[0], split: str = "adv") -> StoredSheet:
+def sheet_of(sheets: ScenePages, scene: str = TWO[0], split: str = "adv") -> StoredScenePage:
     return sheets.scenes["small", split, scene]
 
 
@@ -72,11 +72,11 @@ def copied(root: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def sheets(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Sheets:
+def sheets(root: Path, tmp_path_factory: pytest.TempPathFactory) -> ScenePages:
     return written(root, tmp_path_factory.mktemp("sheets"))
 
 
-def test_a_sheet_says_what_the_data_set_says(root: Path, sheets: Sheets) -> None:
+def test_a_sheet_says_what_the_data_set_says(root: Path, sheets: ScenePages) -> None:
     data, sheet = NuScenesData.open(root, name="small"), sheet_of(sheets).sheet
     scene = data.scene(TWO[0])
     assert sheet.timestamps_us == tuple(scene.timestamps_us)
@@ -91,21 +91,21 @@ def test_a_sheet_says_what_the_data_set_says(root: Path, sheets: Sheets) -> None
     assert sheet.road.drivable
 
 
-def test_a_sheet_with_a_frame_too_many_is_named(sheets: Sheets, tmp_path: Path) -> None:
+def test_a_sheet_with_a_frame_too_many_is_named(sheets: ScenePages, tmp_path: Path) -> None:
     folder = tmp_path / "scene"
     shutil.copytree(next(iter(sheets.scenes.values())).directory, folder)
     content = json.loads((folder / "sheet.json").read_text())
     content["timestamps_us"].append(content["timestamps_us"][-1] + 1)
     (folder / "sheet.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"scene/sheet\.json has \d+ frames and another number of ego poses"):
-        read_sheet(folder)
+        read_scene_page(folder)
     content["timestamps_us"] = content["timestamps_us"][-2::-1]
     (folder / "sheet.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"scene/sheet\.json has frames that are not in order"):
-        read_sheet(folder)
+        read_scene_page(folder)
 
 
-def test_a_split_says_what_the_search_tried(sheets: Sheets) -> None:
+def test_a_split_says_what_the_search_tried(sheets: ScenePages) -> None:
     split = sheets.splits["small", "adv"]
     assert split.scenes == TWO
     assert split.statistics.counts.scenes == 2
@@ -118,7 +118,7 @@ def test_a_split_says_what_the_search_tried(sheets: Sheets) -> None:
     assert split.runtime is None
 
 
-def test_pictures_show_each_camera_in_its_cell(root: Path, sheets: Sheets) -> None:
+def test_pictures_show_each_camera_in_its_cell(root: Path, sheets: ScenePages) -> None:
     stored = sheet_of(sheets)
     videos = NuScenesData.open(root).videos(TWO[0], sweeps=False)
     assert stored.sheet.pictures == stored.sheet.keyframes
@@ -157,7 +157,7 @@ def test_finished_work_is_kept_and_damage_is_mended(
     written(root, tmp_path)
     before = bytes_below(tmp_path)
     data = NuScenesData.open(root, name="small")
-    assert plan_of(data, "adv", tmp_path, HERE).endswith("; 2 are there already")
+    assert describe_plan(data, "adv", tmp_path, HERE).endswith("; 2 are there already")
     with monkeypatch.context() as patched:
         patched.setattr(making, "mosaic", None)
         patched.setattr(split_sheets, "statistics", None)
@@ -200,7 +200,7 @@ def test_an_interrupted_sheet_is_no_sheet(root: Path, tmp_path: Path, monkeypatc
         with pytest.raises(KeyboardInterrupt):
             written(root, tmp_path / "out")
     # What is left can be read; the scene that was being written is missing.
-    assert [scene for _, _, scene in find_sheets(tmp_path / "out").scenes] == [TWO[1]]
+    assert [scene for _, _, scene in find_scene_pages(tmp_path / "out").scenes] == [TWO[1]]
     written(root, tmp_path / "out")
     written(root, tmp_path / "at once")
     assert bytes_below(tmp_path / "out") == bytes_below(tmp_path / "at once")
@@ -265,7 +265,7 @@ def test_variants_are_scenes_of_one_split(tmp_path: Path) -> None:
     for variant in ("v0", "v1"):
         write_split(tmp_path / "roots" / variant, [short_scene(seconds=1.0)], frames="keyframes")
     write_sheets(VariantRoots.open(tmp_path / "roots", name="small"), "val", tmp_path / "out", HERE)
-    found = find_sheets(tmp_path / "out")
+    found = find_scene_pages(tmp_path / "out")
     assert [scene for _, _, scene in found.scenes] == ["v0/scene-9901", "v1/scene-9901"]
     assert sheet_of(found, "v1/scene-9901", "val").sheet.source == "scene-9901"
     assert found.splits["small", "val"].statistics.counts.scenes == 2
@@ -287,9 +287,9 @@ def test_labels_are_shown_as_they_are_but_for_numbers_that_are_none(copied: Path
     }
     path.write_text(json.dumps(made))
     data = NuScenesData.open(copied, name="small")
-    job = making.Job(tmp_path, DataFacts(name="small", version="v", fingerprint="f"), "adv", "none", 320)
-    making.written_sheet(job, data, TWO[0])
-    sheet = read_sheet(job.folder(TWO[0])).sheet
+    job = making.PageJob(tmp_path, DataFacts(name="small", version="v", fingerprint="f"), "adv", "none", 320)
+    making.write_page(job, data, TWO[0])
+    sheet = read_scene_page(job.folder(TWO[0])).sheet
     assert sheet.labels == ({"manoeuvre": "<b>", "gap": None},)
     assert sheet.manoeuvre == "<b>"
 
@@ -301,7 +301,7 @@ def test_a_place_that_cannot_be_written_to(root: Path, tmp_path: Path) -> None:
 
 
 def test_two_commands_do_not_write_the_same_sheets(root: Path, tmp_path: Path) -> None:
-    with only_writer(tmp_path / "small" / "adv"), pytest.raises(InputError, match="another command is writing"):
+    with lock_folder(tmp_path / "small" / "adv"), pytest.raises(InputError, match="another command is writing"):
         written(root, tmp_path)
 
 
@@ -311,13 +311,13 @@ def test_seconds_are_those_of_attempts_and_of_written_scenes(copied: Path, tmp_p
     for name in ("old", *timed):
         write_json(timings / "rendering" / f"{name}.timing.json", {"seconds": {"rendering": 2.0}})
     write_json(timings / "attempts" / "a.timing.json", {"seconds": {"physics": 1.5}})
-    runtime = kept_runtime(state, timings)
+    runtime = read_runtime_table(state, timings)
     assert runtime is not None
     assert (runtime.attempts, runtime.scenes) == (1, len(timed)) == (1, 2)
     data = NuScenesData.open(copied, name="small")
     write_sheets(data, "adv", tmp_path / "out", replace(HERE, limit=1, pictures="none"), runtime=runtime)
-    assert find_sheets(tmp_path / "out").splits["small", "adv"].runtime == Runtime(**runtime.model_dump())
-    assert kept_runtime(tmp_path / "nowhere", tmp_path / "nowhere") is None
+    assert find_scene_pages(tmp_path / "out").splits["small", "adv"].runtime == BuildRuntime(**runtime.model_dump())
+    assert read_runtime_table(tmp_path / "nowhere", tmp_path / "nowhere") is None
 
 
 def test_broken_attempts_are_named(copied: Path, tmp_path: Path) -> None:

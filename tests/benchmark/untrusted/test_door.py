@@ -19,8 +19,8 @@ from torch import nn
 
 from benchmark.errors import InputError
 from benchmark.untrusted import children
-from benchmark.untrusted.answers import Unanswerable, read_answer, write_answer
-from benchmark.untrusted.child import answer
+from benchmark.untrusted.answers import UnencodableValueError, read_answer, write_answer
+from benchmark.untrusted.child import read_request
 from benchmark.untrusted.children import read_pickle
 from benchmark.untrusted.files import JSON, MIB, PICKLE
 from benchmark.untrusted.text_files import parse_json, read_json_lines
@@ -89,11 +89,11 @@ def test_what_no_recording_holds_is_not_answered() -> None:
         ("\ud800", "not Unicode"),
         (int, "type"),
     ):
-        with pytest.raises(Unanswerable, match=says):
+        with pytest.raises(UnencodableValueError, match=says):
             through(value)
-    with pytest.raises(Unanswerable, match="more than 10 values"):
+    with pytest.raises(UnencodableValueError, match="more than 10 values"):
         write_answer(io.BytesIO(), list(range(11)), replace(PICKLE, values=10))
-    with pytest.raises(Unanswerable, match="more than 1000 bytes"):
+    with pytest.raises(UnencodableValueError, match="more than 1000 bytes"):
         write_answer(io.BytesIO(), np.zeros(1000), replace(PICKLE, content_bytes=1000))
     assert through(defaultdict(list, a=[1]))["b"] == []
 
@@ -104,7 +104,7 @@ def test_a_damaged_pickle_or_answer_never_breaks_the_reader(data: st.DataObject)
     whole = bytearray(pickle.dumps({"id": "x", "n": 3, "ts": np.arange(4.0), "set": {1, 2}, "t": (1, [2])}))
     for _ in range(data.draw(st.integers(0, 3))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
-    found = answer("pickle", PICKLE, io.BytesIO(bytes(whole)))
+    found = read_request("pickle", PICKLE, io.BytesIO(bytes(whole)))
     assert found[0] in ("value", "refused", "broken", "memory", "unanswerable")
     stream = io.BytesIO()
     write_answer(stream, ("value", {"ts": np.arange(4.0), "t": (1, [2])}), PICKLE)
@@ -239,7 +239,9 @@ def test_the_child_ends_with_its_parent(tmp_path: Path) -> None:
 
 SIGNS = st.text('[]{}\\"a\u00e9\ud7ff')
 JSON_VALUES = st.recursive(
-    st.none() | st.integers(-9, 9) | SIGNS, lambda inner: st.lists(inner) | st.dictionaries(SIGNS, inner), max_leaves=30
+    st.none() | st.integers(-9, 9) | SIGNS,
+    lambda inner: st.lists(inner) | st.dictionaries(SIGNS, inner),
+    max_leaves=30,
 )
 
 

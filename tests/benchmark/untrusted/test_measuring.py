@@ -19,7 +19,7 @@ from benchmark.untrusted.plan_plausibility import (
     MOVED_M,
     NOT_TESTABLE,
     ComparedPlans,
-    plausibility_of,
+    measure_plausibility,
 )
 from tests.benchmark.edited_roots import small_town
 from tests.benchmark.untrusted.misread import AHEAD_M, FRAMES, MISREAD
@@ -66,7 +66,7 @@ def test_every_wrong_reading_is_found_wherever_few_samples_are_taken(wrong: str,
     assert len(pool) > 2 * fewest
     for first in range(0, len(pool) - fewest + 1, 3):
         recorded = pool[first : first + fewest]
-        found = plausibility_of(ComparedPlans(change(recorded), recorded)).misreading
+        found = measure_plausibility(ComparedPlans(change(recorded), recorded)).misreading
         assert found is not None and says in found.sentence, (first, found)
         assert found.frame == FRAMES.get(wrong)
         assert "\n" not in found.sentence and not found.sentence.endswith(".")
@@ -74,23 +74,25 @@ def test_every_wrong_reading_is_found_wherever_few_samples_are_taken(wrong: str,
 
 def test_another_point_of_the_car_is_found_in_five_samples_that_stand() -> None:
     recorded = standing(FEWEST_STANDING)
-    found = plausibility_of(ComparedPlans(recorded + [0.0, AHEAD_M], recorded)).misreading
+    found = measure_plausibility(ComparedPlans(recorded + [0.0, AHEAD_M], recorded)).misreading
     assert found is not None and found.category == "origin" and "begin 0.94 m away" in found.sentence
     wherever = np.random.default_rng(0).normal(0.0, 2.0, (40, 1, 2)) + standing(40)
-    assert plausibility_of(ComparedPlans(wherever, standing(40))).misreading is None
+    assert measure_plausibility(ComparedPlans(wherever, standing(40))).misreading is None
 
 
 @pytest.mark.parametrize("wrong", MISREAD)
 def test_fewer_samples_are_not_testable_and_never_said_to_fit(wrong: str, futures: Floats) -> None:
     pool = turning(futures) if wrong == "mirrored" else moving(futures)
     few = pool[: FEWEST - 1]
-    found = plausibility_of(ComparedPlans(MISREAD[wrong][0](few), few))
+    found = measure_plausibility(ComparedPlans(MISREAD[wrong][0](few), few))
     assert found.misreading is None
     assert all(said.startswith(NOT_TESTABLE) for said in found.measured.values())
     recorded = standing(FEWEST_STANDING - 1)
-    found = plausibility_of(ComparedPlans(recorded + [0.0, AHEAD_M], recorded))
+    found = measure_plausibility(ComparedPlans(recorded + [0.0, AHEAD_M], recorded))
     assert found.misreading is None and found.measured["origin"].startswith(NOT_TESTABLE)
-    assert all(said.startswith(NOT_TESTABLE) for said in plausibility_of(ComparedPlans.joined([])).measured.values())
+    assert all(
+        said.startswith(NOT_TESTABLE) for said in measure_plausibility(ComparedPlans.joined([])).measured.values()
+    )
 
 
 @settings(max_examples=150, deadline=None)
@@ -102,7 +104,7 @@ def test_no_plan_with_two_metres_of_noise_is_suspected(futures: Floats, seed: in
         np.random.default_rng(seed).normal(0.0, sigma_m, recorded.shape),
         noise(1, seed, sigma_m) + 0.0 * recorded,
     ):
-        found = plausibility_of(ComparedPlans(recorded + disturbance, recorded)).misreading
+        found = measure_plausibility(ComparedPlans(recorded + disturbance, recorded)).misreading
         assert found is None, found
 
 
@@ -111,7 +113,7 @@ def test_no_plan_with_two_metres_of_noise_is_suspected(futures: Floats, seed: in
 def test_wrong_readings_of_noisy_plans_are_found_all_the_same(futures: Floats, seed: int, wrong: str) -> None:
     change, says = MISREAD[wrong]
     recorded = moving(futures)[np.random.default_rng(seed).integers(len(moving(futures)), size=20)]
-    found = plausibility_of(ComparedPlans(change(recorded + noise(20, seed)), recorded)).misreading
+    found = measure_plausibility(ComparedPlans(change(recorded + noise(20, seed)), recorded)).misreading
     assert found is not None and says in found.sentence, found
 
 
@@ -133,11 +135,11 @@ def test_no_planner_of_ours_is_suspected_in_whatever_part_of_its_run(
     for fewest in (FEWEST, 20):
         for first in range(0, len(compared.plan) - fewest + 1, 2):
             part = slice(first, first + fewest)
-            found = plausibility_of(ComparedPlans(compared.plan[part], compared.recorded[part])).misreading
+            found = measure_plausibility(ComparedPlans(compared.plan[part], compared.recorded[part])).misreading
             assert found is None, (first, found)
 
 
 def test_plans_too_large_for_squares_are_measured_without_a_warning(futures: Floats) -> None:
     recorded = moving(futures)[:20]
-    found = plausibility_of(ComparedPlans(np.full_like(recorded, 1e300), recorded)).misreading
+    found = measure_plausibility(ComparedPlans(np.full_like(recorded, 1e300), recorded)).misreading
     assert found is not None and "\n" not in found.sentence

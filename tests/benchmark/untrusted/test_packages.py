@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.errors import InputError
-from benchmark.untrusted.compressed import package_bytes, read_package
+from benchmark.untrusted.compressed import encode_package, read_package
 from benchmark.untrusted.files import PACKAGE
 
 PARTS = st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9._+-]{0,8}", fullmatch=True)
@@ -27,8 +27,8 @@ def written(folder: Path, data: bytes) -> Path:
 @settings(deadline=None, max_examples=20)
 @given(st.dictionaries(NAMES, st.binary(max_size=200), max_size=6))
 def test_what_is_packed_is_unpacked(tmp_path_factory: pytest.TempPathFactory, members: dict[str, bytes]) -> None:
-    data = package_bytes(members)
-    assert package_bytes(members) == data
+    data = encode_package(members)
+    assert encode_package(members) == data
     read = read_package(written(tmp_path_factory.mktemp("packed"), data))
     assert read == members and list(read) == list(members)
 
@@ -106,7 +106,7 @@ def test_a_name_that_is_there_twice_is_refused(tmp_path: Path) -> None:
 def test_a_damaged_package_is_refused_or_read_but_never_crashes(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
-    whole = bytearray(package_bytes({"a": b"x" * 40, "b/c": b"y" * 40}))
+    whole = bytearray(encode_package({"a": b"x" * 40, "b/c": b"y" * 40}))
     for _ in range(data.draw(st.integers(1, 4))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     path = written(tmp_path_factory.mktemp("damaged"), bytes(whole[: data.draw(st.integers(0, len(whole)))]))

@@ -13,8 +13,8 @@ import pytest
 import torch
 from PIL import Image
 
-from benchmark.untrusted.files import WIRE_PICTURE
-from benchmark.untrusted.wire_images import TensorRefused, image_of
+from benchmark.untrusted.files import HTTP_PICTURE
+from benchmark.untrusted.wire_images import TensorRefusedError, decode_image
 from tests.benchmark.untrusted.mutations import BYTES
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (6, 8, 3), dtype=np.uint8)
@@ -65,21 +65,21 @@ def with_pickle(pickled: bytes) -> bytes:
 
 @pytest.mark.parametrize("data", [file_of("PNG"), array_of(PIXELS), SAVED], ids=["png", "npy", "tensor"])
 def test_pictures_come_back_to_the_last_bit(data: bytes) -> None:
-    found = image_of(data, tensors=True)
+    found = decode_image(data, tensors=True)
     assert found.dtype == np.uint8 and (found == PIXELS).all()
 
 
 def test_jpeg_and_grey_pictures_are_read() -> None:
-    assert image_of(file_of("JPEG"), tensors=False).shape == (6, 8, 3)
+    assert decode_image(file_of("JPEG"), tensors=False).shape == (6, 8, 3)
     file = io.BytesIO()
     Image.fromarray(PIXELS[..., 0]).save(file, format="PNG")
-    assert (image_of(file.getvalue(), tensors=False) == PIXELS[..., :1]).all()
+    assert (decode_image(file.getvalue(), tensors=False) == PIXELS[..., :1]).all()
 
 
 @pytest.mark.parametrize("data", [SAVED, tensor_of(torch.zeros(3), zipped=False), pickle.dumps([1])])
 def test_a_saved_tensor_is_refused_unless_it_was_allowed(data: bytes) -> None:
-    with pytest.raises(TensorRefused, match="pickle"):
-        image_of(data, tensors=False)
+    with pytest.raises(TensorRefusedError, match="pickle"):
+        decode_image(data, tensors=False)
 
 
 HOSTILE: dict[str, tuple[bytes, str]] = {
@@ -87,7 +87,7 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "text": (b"hello", "no picture"),
     "a cut picture": (file_of("PNG")[:60], "no picture"),
     "a gif": (file_of("GIF"), "no picture"),
-    "many bytes": (bytes(WIRE_PICTURE.file_bytes + 1), "at most 48 MB"),
+    "many bytes": (bytes(HTTP_PICTURE.file_bytes + 1), "at most 48 MB"),
     "an array of floats": (array_of(PIXELS.astype(float)), "not of uint8"),
     "an array of objects": (array_of(np.array([[[Running()]]], dtype=object)), "not of uint8"),
     "columns first": (array_of(np.asfortranarray(PIXELS)), "row by row"),
@@ -112,7 +112,7 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "a long pickle": (with_pickle(b"\x80\x02" + b"N0" * 5000 + b"N."), "no saved tensor"),
     "packed members": (repacked(lambda _, data: data, zipfile.ZIP_DEFLATED), "no saved tensor"),
     "large members": (
-        repacked(lambda name, data: bytes(WIRE_PICTURE.file_bytes // 2) if "data/0" in name else data, 8),
+        repacked(lambda name, data: bytes(HTTP_PICTURE.file_bytes // 2) if "data/0" in name else data, 8),
         "no saved tensor",
     ),
     "a cut archive": (SAVED[:-30], "no saved tensor"),
@@ -125,14 +125,14 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
 def test_everything_else_is_refused(name: str) -> None:
     data, says = HOSTILE[name]
     with pytest.raises(ValueError, match=says):
-        image_of(data, tensors=True)
+        decode_image(data, tensors=True)
 
 
 def test_more_pixels_than_any_camera_has_are_not_decoded() -> None:
-    few = replace(WIRE_PICTURE, values=40)
+    few = replace(HTTP_PICTURE, values=40)
     for data in (file_of("PNG"), array_of(PIXELS), SAVED):
         with pytest.raises(ValueError, match="pixels"):
-            image_of(data, tensors=True, limits=few)
+            decode_image(data, tensors=True, limits=few)
 
 
 def test_nothing_but_a_refusal_comes_of_damage_by_chance() -> None:
@@ -140,7 +140,7 @@ def test_nothing_but_a_refusal_comes_of_damage_by_chance() -> None:
     for whole in (SAVED, file_of("PNG"), file_of("JPEG"), array_of(PIXELS)):
         for _ in range(60):
             try:
-                found = image_of(chance.choice(BYTES).change(whole, chance), tensors=True)
+                found = decode_image(chance.choice(BYTES).change(whole, chance), tensors=True)
             except ValueError:
                 continue
             assert found.dtype == np.uint8 and found.ndim == 3

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from benchmark.verification.checks import Check, Comparison, report
+from benchmark.verification.checks import Check, Comparison, format_report
 
 
 def test_nan_and_nothing_compared_are_no_success() -> None:
@@ -16,7 +16,7 @@ def test_nan_and_nothing_compared_are_no_success() -> None:
 
 
 def test_report_has_a_line_for_each_and_counts() -> None:
-    text = report([Check("speed (m/s)", 1e-9, 1e-6, 1200), Check("hits", 2, 0, 7, "worst in a.npz")])
+    text = format_report([Check("speed (m/s)", 1e-9, 1e-6, 1200), Check("hits", 2, 0, 7, "worst in a.npz")])
     head, first, second, note, last = text.splitlines()
     assert head.split() == ["quantity", "largest", "error", "allowed", "values"]
     assert first.startswith("ok ") and first.endswith("1,200")
@@ -28,7 +28,7 @@ def test_a_report_fits_the_terminal() -> None:
     check = Check(
         "the difference of a quantity whose name takes a lot of words to say", 1e-9, 1e-6, 10**9, "seen " * 30
     )
-    assert all(len(line) <= 80 for line in report([check, Check("short", 0.0, 0.0, 1)]).splitlines())
+    assert all(len(line) <= 80 for line in format_report([check, Check("short", 0.0, 0.0, 1)]).splitlines())
 
 
 def test_json_has_no_nan() -> None:

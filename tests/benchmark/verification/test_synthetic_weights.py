@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from benchmark.verification.synthetic_weights import (
     WeightsRecipe,
+    draw_seeded_normal,
+    make_synthetic_tensor,
     read_shapes,
-    seeded_normal,
-    synthetic_tensor,
 )
 
 ONE_TWO = np.array([1.0, 2.0], np.float32)
@@ -42,11 +42,11 @@ def by_name() -> ModuleType:
 def test_every_tensor_is_the_same(
     by_name: ModuleType, leaf: str, stem: str, shape: list[int], salt: str, rules: dict[str, float] | None
 ) -> None:
-    ours = synthetic_tensor(stem + leaf, shape, salt, rules)
+    ours = make_synthetic_tensor(stem + leaf, shape, salt, rules)
     theirs = by_name.tensor_for(stem + leaf, tuple(shape), salt, rules)
     assert ours.dtype == theirs.dtype and ours.shape == theirs.shape
     np.testing.assert_array_equal(ours, theirs)
-    np.testing.assert_array_equal(seeded_normal(stem, shape, salt), by_name.normal(stem, tuple(shape), salt))
+    np.testing.assert_array_equal(draw_seeded_normal(stem, shape, salt), by_name.normal(stem, tuple(shape), salt))
 
 
 def test_kept_values_win_over_constants_and_constants_over_chance() -> None:
@@ -60,8 +60,8 @@ def test_kept_values_win_over_constants_and_constants_over_chance() -> None:
     state = recipe.state(shapes, {"index": np.array([4, 5])})
     np.testing.assert_array_equal(state["a.bias"], [3.0, 3.0])
     np.testing.assert_array_equal(state["code"], np.array([1.0, 0.2], np.float32))
-    np.testing.assert_array_equal(state["b.bias"], synthetic_tensor("b.bias", (2,), "s") + ONE_TWO)
-    np.testing.assert_array_equal(state["c.bias"], synthetic_tensor("c.bias", (2,), "s") + 100 * ONE_TWO[0])
+    np.testing.assert_array_equal(state["b.bias"], make_synthetic_tensor("b.bias", (2,), "s") + ONE_TWO)
+    np.testing.assert_array_equal(state["c.bias"], make_synthetic_tensor("c.bias", (2,), "s") + 100 * ONE_TWO[0])
     assert state["index"].dtype == np.int64
     assert list(state) == list(shapes)
     assert all(value.dtype == np.float32 for name, value in state.items() if name != "index")

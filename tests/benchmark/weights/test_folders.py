@@ -14,13 +14,13 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
 from benchmark.weights.catalogue import FOLDERS, PublishedFile, PublishedWeights
 from benchmark.weights.folders import (
-    content_hash,
+    compute_content_hash,
     fetch_folder,
-    folder_of,
-    hub_folder,
+    find_cached_folder,
+    find_hub_folder,
     import_folder,
-    kept_folder,
-    weights_at,
+    recognise_weights,
+    require_folder_of,
 )
 
 BIG = bytes(range(256)) * 20_000
@@ -94,14 +94,14 @@ def test_weights_are_fetched_whole_or_not_at_all_and_goes_on_where_it_broke_off(
     with pytest.raises(InputError, match="broke off after 3000000 of 5120000 bytes; run the command again"):
         fetch_folder(weights, tmp_path)
     with pytest.raises(InputError, match="there are no weights small"):
-        folder_of(weights, None, tmp_path)
+        require_folder_of(weights, None, tmp_path)
     server.stop_after, server.asked = None, []
     folder = fetch_folder(weights, tmp_path)
     assert server.asked == [("parts/model.bin", "bytes=3000000-")]
-    assert folder == folder_of(weights, None, tmp_path) == hub_folder(tmp_path) / "small"
+    assert folder == require_folder_of(weights, None, tmp_path) == find_hub_folder(tmp_path) / "small"
     assert {name: (folder / name).read_bytes() for name in CONTENT} == CONTENT
     assert sorted(path.name for path in folder.rglob("*")) == ["config.json", "model.bin", "parts"]
-    assert [path.name for path in hub_folder(tmp_path).iterdir()] == ["small"]
+    assert [path.name for path in find_hub_folder(tmp_path).iterdir()] == ["small"]
     assert fetch_folder(weights, tmp_path) == folder and len(server.asked) == 1
 
 
@@ -139,21 +139,21 @@ def test_the_users_folder_is_found_under_any_of_its_names(tmp_path: Path) -> Non
     weights = entry()
     for place, given in (("own", "own"), ("all/small", "all"), ("clones/small-model", "clones")):
         folder = written(tmp_path / place)
-        assert folder_of(weights, tmp_path / given, tmp_path / "cache") == folder
+        assert require_folder_of(weights, tmp_path / given, tmp_path / "cache") == folder
     (tmp_path / "own" / "config.json").unlink()
     with pytest.raises(
         InputError, match=r"no weights small in .*own lacks config\.json\).*about 5 MB\) from https://page"
     ):
-        folder_of(weights, tmp_path / "own", tmp_path / "cache")
+        require_folder_of(weights, tmp_path / "own", tmp_path / "cache")
 
 
 def test_folders_are_imported_checked_and_replace_older_ones(tmp_path: Path) -> None:
     cache, source = tmp_path / "cache", written(tmp_path / "mine")
     folder = import_folder(entry(), source, cache)
-    assert folder_of(entry(), None, cache) == folder
+    assert require_folder_of(entry(), None, cache) == folder
     (source / "config.json").write_bytes(b"[]")
     assert (import_folder(entry(), source, cache) / "config.json").read_bytes() == b"[]"
-    assert [path.name for path in hub_folder(cache).iterdir()] == ["small"]
+    assert [path.name for path in find_hub_folder(cache).iterdir()] == ["small"]
     for weights, path, says in (
         (entry(), tmp_path / "none", "there is no folder"),
         (entry(files=(PublishedFile("more"),)), source, "lacks more of small"),
@@ -175,23 +175,23 @@ def test_a_cache_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
 
 def test_the_hash_of_the_content_sees_changes_without_reading_everything(tmp_path: Path) -> None:
     folder = written(tmp_path / "mine")
-    first = content_hash(entry(), folder)
-    assert first == content_hash(entry(), folder) and len(first) == 64
+    first = compute_content_hash(entry(), folder)
+    assert first == compute_content_hash(entry(), folder) and len(first) == 64
     for name, at in (("config.json", 0), ("parts/model.bin", 0), ("parts/model.bin", len(BIG) - 1)):
         data = bytearray(CONTENT[name])
         data[at] ^= 1
         (folder / name).write_bytes(data)
-        assert content_hash(entry(), folder) != first
+        assert compute_content_hash(entry(), folder) != first
         (folder / name).write_bytes(CONTENT[name])
     (folder / "config.json").unlink()
     with pytest.raises(InputError, match="cannot read"):
-        content_hash(entry(), folder)
+        compute_content_hash(entry(), folder)
 
 
 def test_sizes_and_places_are_told(tmp_path: Path) -> None:
-    assert kept_folder(entry(), tmp_path) is None
+    assert find_cached_folder(entry(), tmp_path) is None
     folder = import_folder(entry(), written(tmp_path / "mine"), tmp_path)
-    assert kept_folder(entry(), tmp_path) == folder
+    assert find_cached_folder(entry(), tmp_path) == folder
     known = entry(files=(PublishedFile("a", 10**6), PublishedFile("b", 10**6)))
     sizes = [entry().size_text, entry(about_megabytes=None).size_text, known.size_text]
     assert sizes == ["about 5 MB", "size unknown", "2 MB"]
@@ -200,14 +200,14 @@ def test_sizes_and_places_are_told(tmp_path: Path) -> None:
 def test_what_a_path_holds_is_told_by_its_name_or_asked(tmp_path: Path) -> None:
     clone = written(tmp_path / "small-model")
     entries = (entry(), entry(name="one", repository="owner/one", files=(PublishedFile("one.pth"),)))
-    assert weights_at(clone, None, entries) == entries[0]
+    assert recognise_weights(clone, None, entries) == entries[0]
     (tmp_path / "one.pth").touch()
-    assert weights_at(tmp_path / "one.pth", None, entries) == entries[1]
-    assert weights_at(tmp_path / "VAD_tiny.pth", "vad-tiny", entries) is None
-    assert weights_at(tmp_path / "VAD_tiny.pth", None, entries) is None
-    assert weights_at(tmp_path, "small", entries) == entries[0]
+    assert recognise_weights(tmp_path / "one.pth", None, entries) == entries[1]
+    assert recognise_weights(tmp_path / "VAD_tiny.pth", "vad-tiny", entries) is None
+    assert recognise_weights(tmp_path / "VAD_tiny.pth", None, entries) is None
+    assert recognise_weights(tmp_path, "small", entries) == entries[0]
     with pytest.raises(InputError, match=r"say which weights .* holds with --model, one of small, one"):
-        weights_at(tmp_path, None, entries)
+        recognise_weights(tmp_path, None, entries)
 
 
 def test_names_that_leave_the_folder_are_a_mistake_of_the_program() -> None:
@@ -239,7 +239,7 @@ def test_folders_of_the_hub_come_by_its_own_client_and_are_checked(
     wrong = (PublishedFile("config.json", sha256="00000000"), PublishedFile("parts/model.bin"))
     with pytest.raises(InputError, match="its SHA-256 differs"):
         fetch_folder(entry(None, files=wrong), tmp_path)
-    assert kept_folder(entry(None), tmp_path) is None
+    assert find_cached_folder(entry(None), tmp_path) is None
     folder = fetch_folder(entry(None), tmp_path)
     assert asked[-1] == {"repository": "owner/small-model", "revision": "abc", "names": list(CONTENT)}
     assert sorted(path.name for path in folder.rglob("*")) == ["config.json", "model.bin", "parts"]

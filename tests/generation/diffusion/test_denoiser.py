@@ -12,7 +12,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.diffusion import schedule
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
-from generation.diffusion.preconditioning import present_features
+from generation.diffusion.preconditioning import compute_present_features
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 OWN_GOLDEN = GOLDEN / "denoiser" / "small.npz"
@@ -144,7 +144,7 @@ def test_far_tokens_are_not_hidden_but_favoured() -> None:
 def test_one_noise_level_for_all_equals_one_for_each() -> None:
     denoiser = synthetic(TrajectoryDenoiser(PACKAGED))
     assert denoiser.preconditioner is not None
-    standing = present_features(torch.zeros(100, 3))
+    standing = compute_present_features(torch.zeros(100, 3))
     denoiser.preconditioner.fit(np.random.default_rng(0).standard_normal((100, 16, 3)), standing)
     noisy = torch.from_numpy(small_input()).float()
     with torch.inference_mode():
@@ -181,12 +181,12 @@ def test_gaussian_knows_all_about_gaussian_data() -> None:
     denoiser = TrajectoryDenoiser(PACKAGED).eval()
     assert denoiser.preconditioner is not None
     standing = torch.zeros(len(clean), 3)
-    denoiser.preconditioner.fit(clean, present_features(standing))
+    denoiser.preconditioner.fit(clean, compute_present_features(standing))
     covariance, mean = np.cov(clean.reshape(-1, 48).T, ddof=0), clean.reshape(-1, 48).mean(0)
     for timestep in (0, 30, 99):
         noise = rng.standard_normal((64, 16, 3))
         noisy = schedule.add_noise(torch.from_numpy(clean[:64]), torch.from_numpy(noise), timestep).float()
-        signal, spread = schedule.signal_and_noise(timestep)
+        signal, spread = schedule.get_signal_and_noise(timestep)
         gain = np.linalg.solve(signal**2 * covariance + spread**2 * np.eye(48), spread * np.eye(48))
         expected = (noisy.numpy().reshape(64, 48) - signal * mean) @ gain
         with torch.inference_mode():

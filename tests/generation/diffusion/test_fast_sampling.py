@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmark.errors import InputError
-from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser, normal_noise, sample_actions
+from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, draw_normal_noise, load_denoiser, sample_actions
 from generation.diffusion.prior import SOLVER_CALLS
 from generation.diffusion.schedule import (
     ALPHA_BARS,
     STEPS,
-    log_ratios,
-    reverse,
+    choose_solver_timesteps,
+    choose_strided_timesteps,
+    compute_log_ratios,
+    run_reverse_process,
     solve,
-    solver_timesteps,
-    strided_timesteps,
 )
 from tests.generation.diffusion.distances import wasserstein
 
@@ -30,13 +30,13 @@ VARIANCES = torch.logspace(-4, -1.7, 48, dtype=torch.float64).view(16, 3)
 
 @given(st.integers(2, STEPS))
 def test_timesteps_fall_from_the_noisiest_to_the_cleanest(calls: int) -> None:
-    timesteps = solver_timesteps(calls)
+    timesteps = choose_solver_timesteps(calls)
     assert (len(timesteps), timesteps[0], timesteps[-1]) == (calls, STEPS - 1, 0)
     assert all(later < earlier for earlier, later in itertools.pairwise(timesteps))
 
 
 def test_few_timesteps_are_even_in_the_logarithm_of_signal_over_noise() -> None:
-    steps = np.diff(log_ratios()[list(solver_timesteps(8))])
+    steps = np.diff(compute_log_ratios()[list(choose_solver_timesteps(8))])
     assert steps.min() > 0.75 * steps.mean()
     assert steps.max() < 1.25 * steps.mean()
 
@@ -44,7 +44,7 @@ def test_few_timesteps_are_even_in_the_logarithm_of_signal_over_noise() -> None:
 @pytest.mark.parametrize("calls", [1, 0, STEPS + 1])
 def test_impossible_numbers_of_calls_are_refused(calls: int) -> None:
     with pytest.raises(InputError, match="2 to 100 times"):
-        solver_timesteps(calls)
+        choose_solver_timesteps(calls)
 
 
 def gaussian_denoiser(noisy: Tensor, timestep: Tensor) -> Tensor:
@@ -69,7 +69,7 @@ def exact_flow(noisy: Tensor, timestep: int) -> Tensor:
 
 def start(count: int = 64) -> Tensor:
     alpha_bar = float(ALPHA_BARS[-1])
-    noise = normal_noise(np.random.default_rng(0), count).double()
+    noise = draw_normal_noise(np.random.default_rng(0), count).double()
     noisy: Tensor = alpha_bar**0.5 * MEAN + (alpha_bar * VARIANCES + 1 - alpha_bar).sqrt() * noise
     return noisy
 
@@ -86,8 +86,10 @@ def test_error_falls_with_the_square_of_the_step() -> None:
     def order(few: Tensor, many: Tensor) -> float:
         return float(np.log2(root_mean_square(few - exact) / root_mean_square(many - exact)) / 2)
 
-    fast = [solve(gaussian_denoiser, noisy, solver_timesteps(calls)) for calls in (4, 16)]
-    slow = [reverse(gaussian_denoiser, noisy, strided_timesteps(STEPS - 1, calls)) for calls in (4, 16)]
+    fast = [solve(gaussian_denoiser, noisy, choose_solver_timesteps(calls)) for calls in (4, 16)]
+    slow = [
+        run_reverse_process(gaussian_denoiser, noisy, choose_strided_timesteps(STEPS - 1, calls)) for calls in (4, 16)
+    ]
     assert order(*fast) > 1.9
     assert order(*slow) < 1.1
     assert root_mean_square(fast[1] - exact) < 0.01 * root_mean_square(exact - MEAN)
@@ -96,25 +98,26 @@ def test_error_falls_with_the_square_of_the_step() -> None:
 def test_as_many_calls_are_closer_than_the_slow_process_with_a_stride() -> None:
     noisy = start()
     exact = exact_flow(noisy, 0)
-    fast = solve(gaussian_denoiser, noisy, solver_timesteps(8)) - exact
-    strided = reverse(gaussian_denoiser, noisy, strided_timesteps(STEPS - 1, 8)) - exact
+    fast = solve(gaussian_denoiser, noisy, choose_solver_timesteps(8)) - exact
+    strided = run_reverse_process(gaussian_denoiser, noisy, choose_strided_timesteps(STEPS - 1, 8)) - exact
     assert root_mean_square(fast) < 0.2 * root_mean_square(strided)
 
 
 def test_predicted_sample_is_clamped() -> None:
     huge = torch.full((2, 16, 3), 50.0)
-    assert solve(lambda noisy, timestep: torch.zeros_like(noisy), huge, solver_timesteps(4)).max() == 1.0
+    assert solve(lambda noisy, timestep: torch.zeros_like(noisy), huge, choose_solver_timesteps(4)).max() == 1.0
 
 
 def test_few_calls_end_where_the_slow_process_ends_from_the_same_noise() -> None:
     """The reference's 100 steps without their noise solve the same equation, so samples agree one by one."""
     denoiser = load_denoiser(PACKAGED_WEIGHTS)
-    noisy = denoiser.start(normal_noise(np.random.default_rng(1), 128))
+    noisy = denoiser.start(draw_normal_noise(np.random.default_rng(1), 128))
     with torch.inference_mode():
-        finest = solve(denoiser, noisy, solver_timesteps(STEPS))
-        slow = reverse(denoiser, noisy, strided_timesteps(STEPS - 1, None))
+        finest = solve(denoiser, noisy, choose_solver_timesteps(STEPS))
+        slow = run_reverse_process(denoiser, noisy, choose_strided_timesteps(STEPS - 1, None))
         off = [
-            root_mean_square(solve(denoiser, noisy, solver_timesteps(calls)) - finest) for calls in (4, SOLVER_CALLS)
+            root_mean_square(solve(denoiser, noisy, choose_solver_timesteps(calls)) - finest)
+            for calls in (4, SOLVER_CALLS)
         ]
     spread = root_mean_square(finest - finest.mean(0))
     assert root_mean_square(slow - finest) < 0.1 * spread
@@ -127,8 +130,8 @@ def test_fresh_samples_have_the_distribution_of_the_slow_process() -> None:
     denoiser = load_denoiser(PACKAGED_WEIGHTS)
     pool = sample_actions(denoiser, 512, None, np.random.default_rng(2))
     with torch.inference_mode():
-        noisy = denoiser.start(normal_noise(np.random.default_rng(3), 256))
-        drawn = solve(denoiser, noisy, solver_timesteps(SOLVER_CALLS)).numpy().astype(np.float64)
+        noisy = denoiser.start(draw_normal_noise(np.random.default_rng(3), 256))
+        drawn = solve(denoiser, noisy, choose_solver_timesteps(SOLVER_CALLS)).numpy().astype(np.float64)
     for channel in range(3):
         for steps in (slice(0, 16), slice(15, 16)):
             slow, fast = (actions[:, steps, channel].sum(axis=1) for actions in (pool, drawn))

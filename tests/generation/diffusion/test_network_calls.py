@@ -7,13 +7,13 @@ from torch import Tensor
 
 from benchmark.geometry import Floats
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
-from generation.diffusion.network_calls import NetworkCalls
+from generation.diffusion.network_calls import BatchedNetwork
 from generation.diffusion.preconditioning import (
     GaussianPreconditioner,
     ResidualBlock,
     ResidualNetwork,
-    known_speed,
-    present_features,
+    compute_present_features,
+    decode_known_speed,
 )
 
 SPEEDS = (0.0, 0.7, 3.0, 8.0, 30.0)
@@ -36,12 +36,12 @@ def slow_network(network: ResidualNetwork, noisy: Tensor, level: Tensor, present
     return answer.view_as(noisy)
 
 
-def slow_prediction(calls: NetworkCalls, noisy: Tensor, timestep: int, present: Tensor) -> Tensor:
+def slow_prediction(calls: BatchedNetwork, noisy: Tensor, timestep: int, present: Tensor) -> Tensor:
     """All anew in every call."""
     denoiser = calls.denoiser
     gaussians = denoiser.preconditioner
     assert isinstance(gaussians, GaussianPreconditioner)
-    speed, known = known_speed(present)
+    speed, known = decode_known_speed(present)
     kind = int(torch.bucketize(speed, gaussians.edges, right=True))
     mean, axes, variances = gaussians.mean, gaussians.axes, gaussians.variances
     if bool(known):
@@ -62,15 +62,15 @@ def previous_of(speed: float) -> Floats:
 
 def test_what_is_kept_between_calls_changes_no_bit() -> None:
     """Two rounds over speeds and timesteps, so that each kept step is met again by others."""
-    calls = NetworkCalls(load_denoiser(PACKAGED_WEIGHTS), torch.device("cpu"), None, conditioned=True, dropout=False)
+    calls = BatchedNetwork(load_denoiser(PACKAGED_WEIGHTS), torch.device("cpu"), None, conditioned=True, dropout=False)
     torch.manual_seed(0)
     for _ in range(2):
         for speed in SPEEDS:
             noisy = torch.randn(24, 16, 3)
-            told = present_features(torch.from_numpy(previous_of(speed).astype(np.float32)))[None]
+            told = compute_present_features(torch.from_numpy(previous_of(speed).astype(np.float32)))[None]
             denoise = calls.told(calls.present([previous_of(speed)], [24]))
             for timestep in (99, 40, 4, 0):
-                with calls.asking([]):
+                with calls.inference_context([]):
                     answer = denoise(noisy, torch.tensor([timestep], dtype=torch.float32))
                     assert torch.equal(answer, slow_prediction(calls, noisy, timestep, told))
 
@@ -80,7 +80,7 @@ def test_training_goes_through_the_same_blocks() -> None:
     network = load_denoiser(PACKAGED_WEIGHTS).residual_network.eval()
     torch.manual_seed(1)
     noisy, level = torch.randn(6, 16, 3), torch.full((6,), 3.0)
-    present = present_features(torch.tensor([[-2.0, 0.0, 0.0]]))
+    present = compute_present_features(torch.tensor([[-2.0, 0.0, 0.0]]))
     parameters = list(network.parameters())
     fast = torch.autograd.grad(network(noisy, level, present).square().sum(), parameters)
     slow = torch.autograd.grad(slow_network(network, noisy, level, present).square().sum(), parameters)

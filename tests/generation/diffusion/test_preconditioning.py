@@ -7,13 +7,13 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from generation.diffusion.preconditioning import ACTIONS, GaussianPreconditioner, present_features
+from generation.diffusion.preconditioning import ACTIONS, GaussianPreconditioner, compute_present_features
 
 STANDING, FAST = 0.0, 15.0
 
 
 def features(speed: float, count: int = 1) -> Tensor:
-    return present_features(torch.tensor([[-0.5 * speed, 0.0, 0.0]])).expand(count, -1)
+    return compute_present_features(torch.tensor([[-0.5 * speed, 0.0, 0.0]])).expand(count, -1)
 
 
 def made_up(seed: int, mean: float, count: int = 1000) -> Floats:
@@ -46,9 +46,9 @@ def test_each_speed_has_the_moments_of_its_own_windows() -> None:
 @pytest.mark.parametrize("told", [features(STANDING, 4), features(FAST), None])
 def test_join_undoes_residual(told: Tensor | None) -> None:
     split = fitted().split(0.3 * noise(4), torch.tensor([20.0, 1.0, 50.0, 99.0]), told)
-    answer = split.gaussian.back(split.residual(noise(4)))
+    answer = split.gaussian.from_axes(split.compute_residual(noise(4)))
     assert (split.join(answer.view(4, 16, 3)) - noise(4)).abs().max() < 1e-3
-    assert torch.allclose(split.along(answer), split.residual(noise(4)), atol=1e-3)
+    assert torch.allclose(split.along(answer), split.compute_residual(noise(4)), atol=1e-3)
 
 
 def test_one_row_speaks_for_all_and_rows_do_not_mind_each_other() -> None:

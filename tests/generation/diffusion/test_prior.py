@@ -15,7 +15,7 @@ from benchmark.machine.storage import file_sha256
 from benchmark.weights.tensors import write_tensors
 from generation.diffusion.checkpoint import (
     PACKAGED_WEIGHTS,
-    bank_beside,
+    find_bank_path,
     load_denoiser,
     read_bank,
     sample_actions,
@@ -23,10 +23,10 @@ from generation.diffusion.checkpoint import (
     write_bank,
 )
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
-from generation.diffusion.kinematics import motion
-from generation.diffusion.prior import SOLVER_CALLS, SamplerSettings, Samples, TrajectoryPrior, diversify
-from generation.diffusion.standardiser import actions_from_waypoints
-from generation.search.proposals import Mutation, Request, Sampling
+from generation.diffusion.kinematics import compute_motion
+from generation.diffusion.prior import SOLVER_CALLS, CandidateSource, SamplerSettings, TrajectoryPrior, diversify
+from generation.diffusion.standardiser import convert_waypoints_to_actions
+from generation.search.proposals import MutationRequest, Request, SamplingRequest
 from tests.generation.diffusion.distances import wasserstein
 
 CRUISING = np.array([-4.0, 0.0, 0.0])
@@ -44,7 +44,7 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 
 def test_package_stays_small_and_says_where_it_comes_from() -> None:
-    bank = bank_beside(PACKAGED_WEIGHTS)
+    bank = find_bank_path(PACKAGED_WEIGHTS)
     assert PACKAGED_WEIGHTS.stat().st_size + bank.stat().st_size < 1_500_000
     card = (PACKAGED_WEIGHTS.parent / "MODEL_CARD.md").read_text()
     assert file_sha256(PACKAGED_WEIGHTS) in card
@@ -63,7 +63,7 @@ def test_samples_are_deterministic_and_seeded(prior: TrajectoryPrior) -> None:
 
 @pytest.fixture(scope="module")
 def stored() -> TrajectoryPrior:
-    return TrajectoryPrior.load(None, SamplerSettings(samples=Samples.STORED))
+    return TrajectoryPrior.load(None, SamplerSettings(samples=CandidateSource.STORED))
 
 
 def test_stored_samples_are_drawn_without_repetition(stored: TrajectoryPrior) -> None:
@@ -100,7 +100,7 @@ def test_a_model_that_is_told_the_speed_seldom_brakes_into_reverse(speed: float)
     previous = np.array([-0.5 * speed, 0.0, 0.0])
     settings = [SamplerSettings(drivable=False, conditioned=conditioned) for conditioned in (True, False)]
     told, untold = (TrajectoryPrior.load(None, asked).sample(256, previous, rng()) for asked in settings)
-    shares = [float((motion(drawn, previous).excess == 0).mean()) for drawn in (told, untold)]
+    shares = [float((compute_motion(drawn, previous).excess == 0).mean()) for drawn in (told, untold)]
     assert shares[0] > shares[1] + 0.1
 
 
@@ -109,7 +109,7 @@ def test_nearly_everything_drawn_at_speed_can_be_driven(speed: float) -> None:
     """As drawn, without drawing again."""
     previous = np.array([-0.5 * speed, 0.0, 0.0])
     drawn = TrajectoryPrior.load(None, SamplerSettings(drivable=False)).sample(256, previous, rng())
-    assert (motion(drawn, previous).excess == 0).mean() > 0.9
+    assert (compute_motion(drawn, previous).excess == 0).mean() > 0.9
 
 
 def test_wasserstein_measures_shift_and_spread() -> None:
@@ -120,7 +120,7 @@ def test_wasserstein_measures_shift_and_spread() -> None:
 
 def test_bank_and_exact_sampling_have_the_same_distribution() -> None:
     """The distance of both from each other is what chance gives."""
-    bank = read_bank(bank_beside(PACKAGED_WEIGHTS), PACKAGED_WEIGHTS)
+    bank = read_bank(find_bank_path(PACKAGED_WEIGHTS), PACKAGED_WEIGHTS)
     exact = sample_actions(load_denoiser(PACKAGED_WEIGHTS), 96, None, rng(11))
     for channel in range(3):
         for steps in (slice(0, 16), slice(15, 16)):
@@ -130,7 +130,7 @@ def test_bank_and_exact_sampling_have_the_same_distribution() -> None:
 
 
 def test_exact_sampling_through_the_interface() -> None:
-    exact = TrajectoryPrior.load(None, SamplerSettings(samples=Samples.REFERENCE))
+    exact = TrajectoryPrior.load(None, SamplerSettings(samples=CandidateSource.REFERENCE))
     sampled = exact.sample(8, CRUISING, rng())
     assert sampled.shape == (8, 16, 3)
     assert np.array_equal(sampled, exact.sample(8, CRUISING, rng()))
@@ -140,7 +140,7 @@ def test_exact_sampling_through_the_interface() -> None:
 @pytest.mark.parametrize("speed", [0.0, 1.0, 5.0, 15.0, 30.0])
 def test_samples_can_be_driven_from_any_speed(prior: TrajectoryPrior, speed: float) -> None:
     previous = np.array([-0.5 * speed, 0.0, 0.0])
-    moved = motion(prior.sample(64, previous, rng()), previous)
+    moved = compute_motion(prior.sample(64, previous, rng()), previous)
     assert (moved.excess == 0).mean() > 0.9
     assert np.abs(moved.acceleration).max() < 8
 
@@ -170,7 +170,7 @@ def test_mutation_makes_no_candidate_less_drivable(prior: TrajectoryPrior, speed
     candidates = start
     for round_, level in enumerate((5, 4, 3, 2, 1)):
         candidates = prior.mutate(candidates, level, previous, rng(round_))
-    assert (motion(candidates, previous).excess <= motion(start, previous).excess + 1e-6).all()
+    assert (compute_motion(candidates, previous).excess <= compute_motion(start, previous).excess + 1e-6).all()
     unchanged = (candidates == start).all(axis=(1, 2)).mean()
     assert unchanged < 0.5
     free = TrajectoryPrior.load(None, SamplerSettings(drivable=False)).mutate(start, 5, previous, rng())
@@ -265,11 +265,11 @@ def test_bank_of_other_weights_is_refused(tmp_path: Path) -> None:
         save_denoiser(path, TrajectoryDenoiser(SMALL), {})
     bank = write_bank(first, count=4)
     assert bank.read_bytes() == write_bank(first, count=4).read_bytes()
-    asked = SamplerSettings(samples=Samples.STORED)
+    asked = SamplerSettings(samples=CandidateSource.STORED)
     assert TrajectoryPrior.load(first, asked).sample(3, CRUISING, rng()).shape == (3, 16, 3)
     with pytest.raises(InputError, match="no stored samples"):
         TrajectoryPrior.load(second, asked)
-    bank.rename(bank_beside(second))
+    bank.rename(find_bank_path(second))
     with pytest.raises(InputError, match="not sampled from"):
         TrajectoryPrior.load(second, asked)
     with pytest.raises(InputError, match="without dropout"):
@@ -282,8 +282,8 @@ def test_settings_are_part_of_the_fingerprint() -> None:
         TrajectoryPrior.load(),
         TrajectoryPrior.load(None, SamplerSettings(mutation_steps=2)),
         TrajectoryPrior.load(None, SamplerSettings(drivable=False)),
-        TrajectoryPrior.load(None, SamplerSettings(samples=Samples.REFERENCE)),
-        TrajectoryPrior.load(None, SamplerSettings(samples=Samples.STORED)),
+        TrajectoryPrior.load(None, SamplerSettings(samples=CandidateSource.REFERENCE)),
+        TrajectoryPrior.load(None, SamplerSettings(samples=CandidateSource.STORED)),
         TrajectoryPrior.load(None, SamplerSettings(solver_calls=6)),
         TrajectoryPrior.load(None, SamplerSettings(conditioned=False)),
         TrajectoryPrior.load(None, SamplerSettings(dropout=True)),
@@ -316,23 +316,23 @@ def test_wrong_use_is_refused(prior: TrajectoryPrior) -> None:
 
 
 @pytest.mark.parametrize("block", [None, 96])
-@pytest.mark.parametrize("samples", list(Samples))
+@pytest.mark.parametrize("samples", list(CandidateSource))
 def test_an_answer_does_not_depend_on_who_asks_beside_it(
-    prior: TrajectoryPrior, block: int | None, samples: Samples
+    prior: TrajectoryPrior, block: int | None, samples: CandidateSource
 ) -> None:
     """Blocks are what an accelerator computes with; here they run on the processor."""
-    bank = read_bank(bank_beside(PACKAGED_WEIGHTS), PACKAGED_WEIGHTS) if samples is Samples.STORED else None
+    bank = read_bank(find_bank_path(PACKAGED_WEIGHTS), PACKAGED_WEIGHTS) if samples is CandidateSource.STORED else None
     asked = TrajectoryPrior(load_denoiser(PACKAGED_WEIGHTS), SamplerSettings(samples), "", bank, block=block)
     start = prior.sample(40, CRUISING, rng())
 
     def requests() -> list[Request]:
         slow = np.array([-1.5, 0.0, 0.0])
         return [
-            Mutation(start, 5, CRUISING, rng(1)),
-            Sampling(24, slow, rng(2)),
-            Mutation(start[:7], 5, slow, rng(3)),
-            Mutation(start, 1, CRUISING, rng(4)),
-            Sampling(8, CRUISING, rng(5)),
+            MutationRequest(start, 5, CRUISING, rng(1)),
+            SamplingRequest(24, slow, rng(2)),
+            MutationRequest(start[:7], 5, slow, rng(3)),
+            MutationRequest(start, 1, CRUISING, rng(4)),
+            SamplingRequest(8, CRUISING, rng(5)),
         ]
 
     together = asked.answer(requests())
@@ -359,5 +359,5 @@ def test_dropout_changes_answers_but_not_the_seed(prior: TrajectoryPrior) -> Non
 def test_packaged_samples_are_smooth(prior: TrajectoryPrior) -> None:
     """Real driving changes its acceleration by 0.4 m/s^2 per half second (model card)."""
     sampled = prior.sample(512, np.array([-5.0, 0.0, 0.0]), rng())
-    change = np.diff(actions_from_waypoints(sampled, np.array([-5.0, 0.0, 0.0])), axis=1)[..., :2] * 16
+    change = np.diff(convert_waypoints_to_actions(sampled, np.array([-5.0, 0.0, 0.0])), axis=1)[..., :2] * 16
     assert 0.1 < np.sqrt((change**2).sum(-1).mean()) < 1.0

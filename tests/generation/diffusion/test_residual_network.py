@@ -10,8 +10,8 @@ from generation.diffusion.preconditioning import (
     LEVEL_FEATURES,
     PRESENT_FEATURES,
     ResidualNetwork,
-    known_speed,
-    present_features,
+    compute_present_features,
+    decode_known_speed,
 )
 
 
@@ -61,8 +61,8 @@ def test_one_level_for_all_is_the_same_as_one_each() -> None:
 
 def test_speed_and_turn_are_told_in_numbers_of_order_one() -> None:
     previous = torch.tensor([[0.0, 0.0, 0.0], [-6.0, 0.1, -0.2], [-90.0, 0.0, 3.0], [4.0, 0.0, 0.0]])
-    features = present_features(previous)
-    speed, known = known_speed(features)
+    features = compute_present_features(previous)
+    speed, known = decode_known_speed(features)
     assert speed.tolist() == pytest.approx([0.0, 12.0, 40.0, 0.0])
     assert known.all()
     assert features[0].tolist() == pytest.approx([0.0, 1.0, 0.0, 1.0])
@@ -74,7 +74,7 @@ def test_what_is_told_changes_the_answer_and_saying_nothing_is_zeros() -> None:
     torch.manual_seed(0)
     made = trained(ResidualNetwork(24, 16, 2, 0.0, Repeated(), conditioned=True)).eval()
     noisy, level = torch.randn(5, 16, 3), torch.tensor([0.3])
-    said = present_features(torch.tensor([[-4.0, 0.0, 0.0]]))
+    said = compute_present_features(torch.tensor([[-4.0, 0.0, 0.0]]))
     with torch.inference_mode():
         told, each = made(noisy, level, said), made(noisy, level, said.expand(5, -1))
         nothing, zeros = made(noisy, level), made(noisy, level, torch.zeros(5, PRESENT_FEATURES))

@@ -13,11 +13,11 @@ from generation.diffusion.schedule import (
     ALPHA_BARS,
     STEPS,
     add_noise,
-    reverse,
-    reverse_step,
-    strided_timesteps,
+    choose_strided_timesteps,
+    compute_reverse_step,
+    run_reverse_process,
 )
-from generation.diffusion.standardiser import actions_from_waypoints, waypoints_from_actions
+from generation.diffusion.standardiser import convert_actions_to_waypoints, convert_waypoints_to_actions
 
 
 def test_forward_process_never_reaches_pure_noise() -> None:
@@ -33,9 +33,9 @@ def test_true_noise_leads_back_to_the_clean_sample(timestep: int, seed: int) -> 
     clean = torch.from_numpy(rng.uniform(-0.9, 0.9, (3, 16, 3)))
     noise = torch.from_numpy(rng.standard_normal((3, 16, 3)))
     noisy = add_noise(clean, noise, timestep)
-    assert (reverse_step(noisy, noise, timestep, -1) - clean).abs().max() < 1e-9
+    assert (compute_reverse_step(noisy, noise, timestep, -1) - clean).abs().max() < 1e-9
     if timestep:
-        lower = reverse_step(noisy, noise, timestep, timestep // 2)
+        lower = compute_reverse_step(noisy, noise, timestep, timestep // 2)
         assert (lower - add_noise(clean, noise, timestep // 2)).abs().max() < 1e-9
 
 
@@ -49,19 +49,19 @@ def test_perfect_denoiser_recovers_the_sample_at_any_stride(calls: int | None) -
         return noise
 
     for first in (0, 4, 99):
-        end = reverse(perfect, torch.full_like(clean, 0.3), strided_timesteps(first, calls))
+        end = run_reverse_process(perfect, torch.full_like(clean, 0.3), choose_strided_timesteps(first, calls))
         assert (end - clean).abs().max() < 1e-6
 
 
 def test_predicted_sample_is_clamped() -> None:
     noisy = torch.full((1, 16, 3), 5.0)
-    assert reverse_step(noisy, torch.zeros_like(noisy), 50, -1).max() == 1.0
+    assert compute_reverse_step(noisy, torch.zeros_like(noisy), 50, -1).max() == 1.0
 
 
 @settings(max_examples=60, deadline=None)
 @given(first=st.integers(0, 99), calls=st.integers(1, 120))
 def test_strided_timesteps_fall_from_the_first(first: int, calls: int) -> None:
-    asked = strided_timesteps(first, calls)
+    asked = choose_strided_timesteps(first, calls)
     assert asked[0] == first
     assert len(asked) == min(calls, first + 1)
     assert all(later < earlier for earlier, later in itertools.pairwise(asked))
@@ -69,14 +69,14 @@ def test_strided_timesteps_fall_from_the_first(first: int, calls: int) -> None:
 
 
 def test_reference_asks_at_every_step() -> None:
-    assert strided_timesteps(4, None) == (4, 3, 2, 1, 0)
-    assert strided_timesteps(STEPS - 1, None) == tuple(range(99, -1, -1))
+    assert choose_strided_timesteps(4, None) == (4, 3, 2, 1, 0)
+    assert choose_strided_timesteps(STEPS - 1, None) == tuple(range(99, -1, -1))
 
 
 @pytest.mark.parametrize(("first", "calls"), [(-1, None), (100, None), (5, 0), (5, -3)])
 def test_impossible_strides_are_refused(first: int, calls: int | None) -> None:
     with pytest.raises(InputError):
-        strided_timesteps(first, calls)
+        choose_strided_timesteps(first, calls)
 
 
 @settings(max_examples=30, deadline=None)
@@ -84,12 +84,12 @@ def test_impossible_strides_are_refused(first: int, calls: int | None) -> None:
 def test_standardiser_is_its_own_inverse(seed: int) -> None:
     rng = np.random.default_rng(seed)
     actions, previous = rng.uniform(-1, 1, (5, 16, 3)), rng.uniform(-8, 0, 3)
-    waypoints = waypoints_from_actions(actions, previous)
-    assert np.abs(actions_from_waypoints(waypoints, previous) - actions).max() < 1e-10
+    waypoints = convert_actions_to_waypoints(actions, previous)
+    assert np.abs(convert_waypoints_to_actions(waypoints, previous) - actions).max() < 1e-10
 
 
 def test_no_action_keeps_the_speed() -> None:
-    waypoints = waypoints_from_actions(np.zeros((1, 16, 3)), np.array([-5.0, 0.0, 0.0]))
+    waypoints = convert_actions_to_waypoints(np.zeros((1, 16, 3)), np.array([-5.0, 0.0, 0.0]))
     assert np.allclose(waypoints[0, :, 0], 5.0 * np.arange(1, 17))
     assert np.allclose(waypoints[0, :, 1:], 0.0)
 
@@ -97,5 +97,5 @@ def test_no_action_keeps_the_speed() -> None:
 def test_full_action_is_four_metres_of_second_difference() -> None:
     actions = np.zeros((1, 16, 3))
     actions[0, 0, 0] = 1.0
-    waypoints = waypoints_from_actions(actions, np.zeros(3))
+    waypoints = convert_actions_to_waypoints(actions, np.zeros(3))
     assert np.allclose(np.diff(waypoints[0, :, 0], prepend=0.0), 4.0)

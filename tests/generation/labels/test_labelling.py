@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.datasets.statistics import statistics
-from generation.labels.labelling import describe
+from generation.labels.labelling import compute_labels
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary
 
@@ -16,7 +16,7 @@ def test_statistics_read_what_labels_write(tmp_path: Path, layout: str) -> None:
     keys, found = [], []
     for variant in range(2):
         scene = with_adversary(short_scene(seconds=4.0), variant)
-        labels = describe(scene, scene.agents.ids.index(scene.adversaries[0]), 6)
+        labels = compute_labels(scene, scene.agents.ids.index(scene.adversaries[0]), 6)
         found.append(labels)
         name = scene.name if layout == "per-variant" else f"{scene.name}-{variant}"
         report = {"kept": True, "labels": labels.as_json()}

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, FRAME_HZ
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global
-from benchmark.records.attempts import Labels
+from benchmark.records.attempts import ManoeuvreLabels
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import EgoTrack, Scene
-from generation.labels.encounters import PathFrame, encounter
-from generation.labels.labelling import describe
-from generation.labels.manoeuvres import Manoeuvre, encroachment, settled
+from generation.labels.encounters import PathFrame, compute_path_interaction
+from generation.labels.labelling import compute_labels
+from generation.labels.manoeuvres import Manoeuvre, find_encroachment, smooth_mask
 from tests.hand_made import Car, scene_on_straight_road
 
 EGO_M_S = 8.0
@@ -144,7 +144,7 @@ def tracks(scene: Scene) -> tuple[Floats, Floats]:
     return scene.ego.boxes[:, [0, 1, 4]], scene.agents.boxes[0][:, [0, 1, 4]]
 
 
-def kinds(labels: Labels) -> list[Manoeuvre]:
+def kinds(labels: ManoeuvreLabels) -> list[Manoeuvre]:
     return [Manoeuvre(item.kind) for item in labels.occurred]
 
 
@@ -152,7 +152,7 @@ def kinds(labels: Labels) -> list[Manoeuvre]:
 @pytest.mark.parametrize("name", CASES)
 def test_each_kind_is_named_on_straight_roads_and_in_bends(name: str, bend: str) -> None:
     case = CASES[name]
-    labels = describe(scene_of(case, CURVATURES[bend]), 0, 0)
+    labels = compute_labels(scene_of(case, CURVATURES[bend]), 0, 0)
     assert labels.manoeuvre == case.kind, kinds(labels)
     assert labels.occurred[0].kind == labels.manoeuvre
     assert len(set(kinds(labels))) == len(labels.occurred)
@@ -163,7 +163,7 @@ def test_all_kinds_have_a_case() -> None:
 
 
 def test_a_cut_in_begins_when_the_body_reaches_into_the_ego_s_way() -> None:
-    labels = describe(scene_of(CASES["cuts in from the left"]), 0, 0)
+    labels = compute_labels(scene_of(CASES["cuts in from the left"]), 0, 0)
     cut_in, later = labels.occurred[0], labels.occurred[1]
     # The near side of a 1.9 m wide car reaches the 1.73 m wide strip at 1.815 m (4.0 s), a corner sooner.
     assert 3.6 <= cut_in.first_s <= 4.0
@@ -174,7 +174,7 @@ def test_a_cut_in_begins_when_the_body_reaches_into_the_ego_s_way() -> None:
 
 
 def test_what_happened_far_away_first_is_not_the_primary_kind() -> None:
-    labels = describe(scene_of(Case(
+    labels = compute_labels(scene_of(Case(
         Manoeuvre.SQUEEZING_RIGHT,
         lambda t: 25.0 + EGO_M_S * t - 25.0 * _eased(t, 2, 8),
         lambda t: -2.5 * _eased(t, 1, 2.5),
@@ -185,20 +185,20 @@ def test_what_happened_far_away_first_is_not_the_primary_kind() -> None:
 
 
 def test_the_duration_of_a_steady_state_is_the_whole_scene() -> None:
-    (tailgating, following) = describe(scene_of(CASES["tailgates"]), 0, 0).occurred
+    (tailgating, following) = compute_labels(scene_of(CASES["tailgates"]), 0, 0).occurred
     assert (tailgating.kind, following.kind) == (Manoeuvre.TAILGATING, Manoeuvre.FOLLOWING)
     assert tailgating.first_s == 0.0 and tailgating.duration_s == pytest.approx(10.0, abs=0.01)
 
 
 def test_frames_before_the_launch_do_not_count() -> None:
     scene = scene_of(CASES["cuts in from the left"])
-    late = describe(scene, 0, 84)
+    late = compute_labels(scene, 0, 84)
     assert late.manoeuvre == Manoeuvre.LEADING and late.occurred[0].first_s == pytest.approx(7.0)
 
 
 def test_a_vehicle_that_was_always_ahead_does_not_cut_in() -> None:
     wobbling = replace(CASES["leads"], offset=lambda t: 0.6 * np.sin(2 * t))
-    assert describe(scene_of(wobbling), 0, 0).manoeuvre == Manoeuvre.LEADING
+    assert compute_labels(scene_of(wobbling), 0, 0).manoeuvre == Manoeuvre.LEADING
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -208,7 +208,7 @@ def test_moving_and_turning_the_world_changes_nothing(name: str, angle: float, x
     scene = scene_of(CASES[name], CURVATURES["left bend"])
     move = np.array([x, y, angle])
     ego, other = (np.column_stack([to_global(track[:, :2], move), track[:, 2] + angle]) for track in tracks(scene))
-    before, after = describe(scene, 0, 0), describe(placed(scene, ego, other), 0, 0)
+    before, after = compute_labels(scene, 0, 0), compute_labels(placed(scene, ego, other), 0, 0)
     assert kinds(after) == kinds(before)
     first = [item.first_s for item in before.occurred]
     assert [item.first_s for item in after.occurred] == pytest.approx(first, abs=0.1)
@@ -226,7 +226,7 @@ def test_mirroring_swaps_left_and_right(name: str, bend: str) -> None:
         head, _, side = word.rpartition("-")
         return f"{head}-{swap[side]}" if side in swap else word
 
-    before, after = describe(scene, 0, 0), describe(placed(scene, ego, other), 0, 0)
+    before, after = compute_labels(scene, 0, 0), compute_labels(placed(scene, ego, other), 0, 0)
     assert sorted(kinds(after)) == sorted(mirrored(kind) for kind in kinds(before))
     assert after.manoeuvre == mirrored(before.manoeuvre)
     assert after.closest_approach.side == swap.get(before.closest_approach.side, before.closest_approach.side)
@@ -242,36 +242,36 @@ def test_one_noisy_frame_adds_no_kind(name: str, frame: int) -> None:
     # Out of the ego's way, or into it.
     frame = min(frame, len(noisy) - 1)
     noisy[frame, 1] = 4.0 if noisy[frame, 1] == 0.0 else 0.0
-    assert set(kinds(describe(placed(scene, ego, noisy), 0, 0))) <= set(kinds(describe(scene, 0, 0)))
+    assert set(kinds(compute_labels(placed(scene, ego, noisy), 0, 0))) <= set(kinds(compute_labels(scene, 0, 0)))
 
 
 def test_a_condition_is_settled_by_majority() -> None:
     flicker = np.zeros(20, dtype=np.bool_)
     flicker[[4, 10, 11]] = True
-    assert not settled(flicker).any() and settled(~flicker).all()
+    assert not smooth_mask(flicker).any() and smooth_mask(~flicker).all()
     step = np.arange(20) >= 7
-    assert (settled(step) == step).all()
+    assert (smooth_mask(step) == step).all()
 
 
 def test_a_standing_ego_is_challenged_by_nothing_beside_or_behind_it() -> None:
     for name in ("drives alongside", "tailgates", "stays in the blind spot"):
         still = replace(CASES[name], ego=_held(0.0), station=_held(CASES[name].station(np.zeros(1))[0]))
-        assert describe(scene_of(still), 0, 0).manoeuvre == Manoeuvre.PASSING_WIDE, name
+        assert compute_labels(scene_of(still), 0, 0).manoeuvre == Manoeuvre.PASSING_WIDE, name
 
 
 def test_absent_frames_do_not_count() -> None:
     scene = scene_of(CASES["cuts in from the left"])
     valid = scene.agents.valid.copy()
     valid[0, 40:] = False
-    labels = describe(replace(scene, agents=replace(scene.agents, valid=valid)), 0, 0)
+    labels = compute_labels(replace(scene, agents=replace(scene.agents, valid=valid)), 0, 0)
     assert Manoeuvre.CUT_IN_LEFT not in kinds(labels) and labels.closest_approach.frame < 40
     # Two frames decide nothing.
     valid[0] = np.isin(np.arange(valid.shape[1]), [70, 71])
-    labels = describe(replace(scene, agents=replace(scene.agents, valid=valid)), 0, 0)
+    labels = compute_labels(replace(scene, agents=replace(scene.agents, valid=valid)), 0, 0)
     assert kinds(labels) == [Manoeuvre.DISTANT] and labels.closest_approach.frame in (70, 71)
     # Appearing inside the ego's way is not entering it.
     valid[0] = np.arange(valid.shape[1]) >= 70
-    labels = describe(replace(scene, agents=replace(scene.agents, valid=valid)), 0, 0)
+    labels = compute_labels(replace(scene, agents=replace(scene.agents, valid=valid)), 0, 0)
     assert labels.manoeuvre == Manoeuvre.LEADING and labels.closest_approach.frame >= 70
 
 
@@ -279,7 +279,7 @@ def test_absent_frames_do_not_count() -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_the_last_frames_alone_are_described_too(name: str, start: int) -> None:
     scene = scene_of(replace(CASES[name], seconds=10.0))
-    labels = describe(scene, 0, start)
+    labels = compute_labels(scene, 0, start)
     assert labels.occurred and labels.closest_approach.frame >= start
     assert all(np.isfinite([item.first_s, item.duration_s, item.least_gap_m]).all() for item in labels.occurred)
 
@@ -288,18 +288,18 @@ def test_wrong_use_is_one_sentence() -> None:
     scene = scene_of(CASES["leads"])
     for agent, start in ((1, 0), (-1, 0), (0, 120), (0, -1)):
         with pytest.raises(InputError, match="to describe"):
-            describe(scene, agent, start)
+            compute_labels(scene, agent, start)
     ego, other = tracks(scene)
     other[5, 0] = np.nan
     with pytest.raises(InputError, match="not finite"):
-        describe(placed(scene, ego, other), 0, 0)
+        compute_labels(placed(scene, ego, other), 0, 0)
     gone = replace(scene, agents=replace(scene.agents, valid=np.zeros_like(scene.agents.valid)))
     with pytest.raises(InputError, match="not there"):
-        describe(gone, 0, 0)
+        compute_labels(gone, 0, 0)
 
 
 def test_labels_as_json_have_plain_values() -> None:
-    found = describe(scene_of(CASES["crosses before"]), 0, 0).as_json()
+    found = compute_labels(scene_of(CASES["crosses before"]), 0, 0).as_json()
     assert found["manoeuvre"] == "crossing" and found["place"] == "unknown"
     assert set(found["closest_approach"]) == {"gap_m", "frame", "time_s", "side"}
     assert set(found["occurred"][0]) == {"kind", "first_s", "duration_s", "least_gap_m"}
@@ -342,10 +342,10 @@ def test_the_ego_s_own_station_is_the_way_it_drove(bend: str) -> None:
 @given(lead=st.floats(-30, 30), gain=st.floats(-3, 3), offset=st.floats(-2, 2))
 def test_encroachment_agrees_with_trying_all_pairs_of_frames(lead: float, gain: float, offset: float) -> None:
     scene = scene_of(Case(Manoeuvre.LEADING, _at(lead, gain), _held(offset), seconds=4.0))
-    met = encounter(scene.ego.boxes, scene.agents.boxes[0], scene.seconds, scene.agents.valid[0], 0)
-    found = encroachment(met)
+    met = compute_path_interaction(scene.ego.boxes, scene.agents.boxes[0], scene.seconds, scene.agents.valid[0], 0)
+    found = find_encroachment(met)
     least = np.inf
-    for frame in np.flatnonzero(settled(met.inside)):
+    for frame in np.flatnonzero(smooth_mask(met.inside)):
         for other in range(len(met.seconds)):
             apart = met.other.rear[frame] >= met.ego.front[other] or met.other.front[frame] <= met.ego.rear[other]
             least = least if apart else min(least, abs(met.seconds[frame] - met.seconds[other]))
@@ -374,7 +374,7 @@ def test_whatever_the_tracks_there_are_labels_in_json(
     valid = rng.uniform(size=(1, count)) <= present
     valid[0, int(rng.integers(start, count))] = True
     wild = placed(scene, ego, other)
-    labels = describe(replace(wild, agents=replace(wild.agents, valid=valid)), 0, start)
+    labels = compute_labels(replace(wild, agents=replace(wild.agents, valid=valid)), 0, start)
     assert json.loads(json.dumps(labels.as_json(), allow_nan=False)) == labels.as_json()
     assert valid[0, labels.closest_approach.frame] and labels.closest_approach.frame >= start
 
@@ -383,5 +383,5 @@ def test_after_the_recording_the_ego_goes_on_as_fast_as_at_its_end() -> None:
     seconds = np.arange(25) / 12.0
     ego = np.column_stack([8.0 * seconds, np.zeros(25), np.full(25, 4.0), np.full(25, 2.0), np.zeros(25)])
     standing = np.tile([ego[-1, 0] + 2.0 + 40.0 + 2.0, 0.0, 4.0, 2.0, 0.0], (25, 1))
-    met = encounter(ego, standing, seconds, np.ones(25, dtype=np.bool_), 0)
+    met = compute_path_interaction(ego, standing, seconds, np.ones(25, dtype=np.bool_), 0)
     np.testing.assert_allclose(met.reach_s, 5.0 + seconds[-1] - seconds, atol=1e-6)

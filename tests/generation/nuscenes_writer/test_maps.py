@@ -14,9 +14,9 @@ from benchmark.datasets.map_layers import read_road_map
 from benchmark.geometry import Floats
 from benchmark.machine.storage import write_json
 from benchmark.road_map import DividerKind, Lane, RoadMap, as_multipolygon
-from generation.nuscenes_writer.expansion import arcline_path, map_expansion
-from generation.nuscenes_writer.maps import drivable_mask
-from generation.nuscenes_writer.road_maps import merged, pack_road_map, unpack_road_map
+from generation.nuscenes_writer.expansion import build_map_expansion, fit_arcline_path
+from generation.nuscenes_writer.maps import draw_drivable_mask
+from generation.nuscenes_writer.road_maps import merge_road_maps, pack_road_map, unpack_road_map
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 from tests.hand_made import straight_road
 
@@ -24,7 +24,7 @@ from tests.hand_made import straight_road
 def discretized(centerline: Floats) -> Floats:
     from nuscenes.map_expansion.arcline_path_utils import discretize_lane
 
-    return np.array(discretize_lane(arcline_path(centerline), 0.25), np.float64)
+    return np.array(discretize_lane(fit_arcline_path(centerline), 0.25), np.float64)
 
 
 def clothoid(curvatures: list[float], step_m: float) -> Floats:
@@ -52,7 +52,7 @@ def test_arcs_follow_any_road(curvatures: list[float], step_m: float) -> None:
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=2, max_size=8))
 def test_arcs_follow_any_polyline(points: list[tuple[float, float]]) -> None:
     centerline = np.array(points)
-    paths = arcline_path(centerline)
+    paths = fit_arcline_path(centerline)
     if not paths:
         return
     joints = [path["start_pose"][:2] for path in paths[1:]]
@@ -65,16 +65,16 @@ def test_arcs_follow_any_polyline(points: list[tuple[float, float]]) -> None:
 def test_a_circular_arc_is_few_pieces_with_the_right_headings() -> None:
     angle = np.linspace(0, np.pi / 2, 60)
     centerline = 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    paths = arcline_path(centerline)
+    paths = fit_arcline_path(centerline)
     assert len(paths) <= 2
     assert paths[0]["radius"] == pytest.approx(20.0, abs=0.05)
     assert paths[0]["start_pose"][2] == pytest.approx(0.0, abs=0.02)
     assert paths[-1]["end_pose"][2] == pytest.approx(np.pi / 2, abs=0.02)
-    assert len(arcline_path(np.column_stack([np.linspace(0, 400, 41), np.zeros(41)]))) == 1
+    assert len(fit_arcline_path(np.column_stack([np.linspace(0, 400, 41), np.zeros(41)]))) == 1
 
 
 def test_no_length_no_path() -> None:
-    assert arcline_path(np.full((5, 2), 3.0)) == []
+    assert fit_arcline_path(np.full((5, 2), 3.0)) == []
 
 
 def test_packing_is_exact() -> None:
@@ -87,7 +87,7 @@ def test_packing_is_exact() -> None:
 def test_merging_pieces_gives_the_whole() -> None:
     whole = straight_road()
     pieces = [whole.near((0.0, 150.0, 220.0, 250.0)), whole.near((180.0, 150.0, 400.0, 250.0))]
-    joined = merged(pieces)
+    joined = merge_road_maps(pieces)
     assert set(joined.lanes) == set(whole.lanes)
     assert joined.drivable_area.symmetric_difference(whole.drivable_area).area < 0.01
     assert set(joined.ped_crossings) == {"crossing"}
@@ -97,14 +97,14 @@ def test_merging_pieces_gives_the_whole() -> None:
 
 def test_a_canvas_is_made_where_the_source_has_none() -> None:
     road = RoadMap("boston-seaport", as_multipolygon(shapely.box(10, 10, 50.5, 30.2)))
-    assert merged([road]).canvas_m == (51.0, 31.0)
-    assert merged([RoadMap("boston-seaport", shapely.MultiPolygon())]).canvas_m == (1.0, 1.0)
+    assert merge_road_maps([road]).canvas_m == (51.0, 31.0)
+    assert merge_road_maps([RoadMap("boston-seaport", shapely.MultiPolygon())]).canvas_m == (1.0, 1.0)
 
 
 def test_mask_has_holes_and_north_up() -> None:
     ring = shapely.box(10, 10, 90, 90).difference(shapely.box(30, 30, 60, 60))
     road = RoadMap("boston-seaport", as_multipolygon(ring), canvas_m=(100.0, 120.0))
-    image = cv2.imdecode(np.frombuffer(drivable_mask(road), np.uint8), cv2.IMREAD_UNCHANGED)
+    image = cv2.imdecode(np.frombuffer(draw_drivable_mask(road), np.uint8), cv2.IMREAD_UNCHANGED)
     assert image.shape == (1200, 1000)
     assert set(np.unique(image)) == {0, 255}
     assert (image[1200 - 200, 200], image[1200 - 450, 450], image[1200 - 950, 200]) == (255, 0, 0)
@@ -125,7 +125,7 @@ def test_expansion_round_trip_with_connectors_and_bare_lanes(tmp_path: Path) -> 
     )
     write_json(
         tmp_path / "boston-seaport.json",
-        map_expansion(RoadMap("boston-seaport", road.drivable_area, lanes, painted, canvas_m=(400.0, 400.0))),
+        build_map_expansion(RoadMap("boston-seaport", road.drivable_area, lanes, painted, canvas_m=(400.0, 400.0))),
     )
     found = read_road_map(tmp_path / "boston-seaport.json")
     assert set(found.lanes) == {*road.lanes, "bare", "turn"}

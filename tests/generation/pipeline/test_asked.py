@@ -11,14 +11,14 @@ import pytest
 
 from benchmark.datasets.roots import DataSet
 from benchmark.machine.workers import LocalProcesses
-from benchmark.records.attempts import Attempt, ClosestApproach, Labels, Occurrence
+from benchmark.records.attempts import Attempt, ClosestApproach, ManoeuvreLabels, ManoeuvreOccurrence
 from generation.labels.manoeuvres import Manoeuvre
-from generation.pipeline.selection import differing, distance
+from generation.pipeline.selection import compute_distance, select_differing
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.search.attempts import StoredAttempt
-from generation.search.chains import Chain, Tried
-from generation.search.definition import Unit
+from generation.search.chains import AdversaryChain, SearchAttempt
+from generation.search.definition import SearchUnit
 from tests.generation.labels.recorded_roads import CHEAP, contents, recorded, write_source
 
 ASKED = (Manoeuvre.TAILGATING, Manoeuvre.SQUEEZING_LEFT, Manoeuvre.ONCOMING)
@@ -62,12 +62,12 @@ def test_nothing_of_a_build_changes_where_nothing_is_asked(source: DataSet, tmp_
     assert "asked" not in json.loads((tmp_path / "search.json").read_text())
 
 
-def _kept(name: str, offset_m: float, kind: Manoeuvre, challenge: float) -> Chain:
+def _kept(name: str, offset_m: float, kind: Manoeuvre, challenge: float) -> AdversaryChain:
     """A chain of one adversary that drives straight on, so far to the left."""
     poses = tuple((float(x), offset_m, 0.0) for x in range(60))
-    labels = Labels(
+    labels = ManoeuvreLabels(
         manoeuvre=kind.value,
-        occurred=(Occurrence(kind=kind.value, first_s=0.0, duration_s=1.0, least_gap_m=1.0),),
+        occurred=(ManoeuvreOccurrence(kind=kind.value, first_s=0.0, duration_s=1.0, least_gap_m=1.0),),
         closest_approach=ClosestApproach(gap_m=1.0, frame=0, time_s=0.0, side="left"),
         time_to_collision=None,
         encroachment=None,
@@ -77,11 +77,11 @@ def _kept(name: str, offset_m: float, kind: Manoeuvre, challenge: float) -> Chai
         scene="scene", agent=name, seed=0, kept=True, discard=None, launch_frame=0, challenge=challenge,
         closest_approach=None, least_time_to_collision_s=None, labels=labels, plans=(),
     )  # fmt: skip
-    unit = Unit("scene", 0, name)
-    return Chain("scene", (Tried(unit, name, StoredAttempt(agent=0, report=report, poses=poses)),))
+    unit = SearchUnit("scene", 0, name)
+    return AdversaryChain("scene", (SearchAttempt(unit, name, StoredAttempt(agent=0, report=report, poses=poses)),))
 
 
-def _names(chains: Sequence[Chain]) -> list[str]:
+def _names(chains: Sequence[AdversaryChain]) -> list[str]:
     return [chain.agent_id for chain in chains]
 
 
@@ -93,17 +93,17 @@ def test_variants_are_those_that_differ_and_not_the_best_ones() -> None:
         _kept("other side", -3.0, Manoeuvre.SQUEEZING_RIGHT, 0.3),
         _kept("behind", 0.0, Manoeuvre.TAILGATING, 0.2),
     ]
-    assert _names(differing(order, 1)) == ["best"]
-    assert _names(differing(order, 2)) == ["best", "other side"]
-    assert _names(differing(order, 3)) == ["best", "other side", "behind"]
-    assert _names(differing(order, 9)) == _names(order)
+    assert _names(select_differing(order, 1)) == ["best"]
+    assert _names(select_differing(order, 2)) == ["best", "other side"]
+    assert _names(select_differing(order, 3)) == ["best", "other side", "behind"]
+    assert _names(select_differing(order, 9)) == _names(order)
 
 
 def test_distance_is_a_number_between_0_and_2_and_the_same_both_ways() -> None:
     chains = [_kept("a", 0.0, Manoeuvre.LEADING, 0.1), _kept("b", 4.0, Manoeuvre.LEADING, 0.1)]
     chains.append(_kept("c", 400.0, Manoeuvre.CROSSING, 0.1))
     links = [chain.links[0] for chain in chains]
-    values = np.array([[distance(first, second) for second in links] for first in links])
+    values = np.array([[compute_distance(first, second) for second in links] for first in links])
     np.testing.assert_allclose(values, values.T)
     np.testing.assert_allclose(values, [[0.0, 0.4, 2.0], [0.4, 0.0, 2.0], [2.0, 2.0, 0.0]])
 

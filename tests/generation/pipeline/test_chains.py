@@ -13,11 +13,11 @@ from benchmark.dynamics.bicycle import MotionModel
 from benchmark.geometry import boxes_overlap
 from benchmark.machine.workers import LocalProcesses
 from generation.pipeline.split import NothingSurvivedError, build_split
-from generation.search.adversary import ego_already_collides
-from generation.search.chains import Chain, Dropped, search_chains
+from generation.search.adversary import does_ego_already_collide
+from generation.search.chains import AdversaryChain, DropReason, search_chains
 from generation.search.definition import Search
 from generation.search.hyperparameters import HyperParameters
-from generation.search.verify import Discard, Finding, verify
+from generation.search.verify import DiscardReason, VerificationFailure, verify
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
 from tests.generation.search.driving_prior import DrivingPrior
 from tests.hand_made import Car
@@ -55,7 +55,7 @@ def test_each_scene_has_two_adversaries_that_touch_nothing(source: DataSet, buil
     for name in names:
         scene = data.scene(name)
         assert len(scene.adversaries) == 2
-        assert not ego_already_collides(scene)
+        assert not does_ego_already_collide(scene)
         first, second = (scene.agents.ids.index(adversary) for adversary in scene.adversaries)
         assert not boxes_overlap(scene.agents.boxes[first], scene.agents.boxes[second]).any()
 
@@ -78,7 +78,7 @@ def test_every_attempt_is_accounted_for(built: Path) -> None:
     assert report["tried"] == len(rows)
     assert report["discarded"] == Counter(row["discard"] for row in rows if row["discard"])
     assert report["dropped"] == Counter(row["dropped"] for row in rows if row["dropped"])
-    assert {reason for row in rows if (reason := row["dropped"])} <= set(Dropped)
+    assert {reason for row in rows if (reason := row["dropped"])} <= set(DropReason)
     written = Counter(row["written"] for row in rows if row["written"])
     assert written == dict.fromkeys(report["written"], 2)
     for row in rows:
@@ -134,7 +134,7 @@ def test_too_few_vehicles_is_a_reason(tmp_path: Path) -> None:
     with pytest.raises(NothingSurvivedError, match="too-few-adversaries"):
         build_split(lonely, "adv", replace(PAIRS, out=tmp_path / "out"))
     rows = rows_of(tmp_path / "out")
-    assert [row["dropped"] for row in rows] == [Dropped.TOO_FEW_ADVERSARIES]
+    assert [row["dropped"] for row in rows] == [DropReason.TOO_FEW_ADVERSARIES]
 
 
 def test_no_vehicle_to_try_is_counted_by_reason(tmp_path: Path) -> None:
@@ -149,20 +149,20 @@ def test_an_earlier_adversary_that_is_disturbed_discards_the_next(
     """Whatever the new vehicle's own verdict says."""
     checked = []
 
-    def never(scene: Any, agent: int, start: int, hyper: HyperParameters, limits: Any) -> Finding:
+    def never(scene: Any, agent: int, start: int, hyper: HyperParameters, limits: Any) -> VerificationFailure:
         checked.append(scene.agents.ids[agent])
-        return Finding(Discard.HITS_OBJECT)
+        return VerificationFailure(DiscardReason.HITS_OBJECT)
 
     monkeypatch.setattr("generation.search.attempts.verify", never)
     with pytest.raises(NothingSurvivedError, match="too-few-adversaries"):
         build_split(source, "adv", replace(PAIRS, out=tmp_path / "out", scenes=("scene-9901",)))
     rows = rows_of(tmp_path / "out")
-    assert {row["discard"] for row in rows if row["earlier"]} <= set(Discard)
+    assert {row["discard"] for row in rows if row["earlier"]} <= set(DiscardReason)
     assert set(checked) <= {row["earlier"][0] for row in rows if row["earlier"]}
 
 
 def test_a_recording_is_an_empty_chain(source: DataSet) -> None:
     scene = source.scene("scene-9901")
-    chain = Chain("scene-9901")
+    chain = AdversaryChain("scene-9901")
     assert chain.adversarial(scene) is scene
     assert chain.earlier == ()

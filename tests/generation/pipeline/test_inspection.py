@@ -12,7 +12,7 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.records.review import Verdict
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.splits.building import build_frozen
-from generation.splits.packaged import frozen_split
+from generation.splits.packaged import read_frozen_split
 from tests.generation.labels.recorded_roads import CHEAP, contents, write_source
 from tests.generation.pipeline.test_split import few_cars
 
@@ -76,7 +76,7 @@ def test_what_was_rejected_before_freezing_is_counted_where_it_is_rebuilt(source
     written = build_split(source, "adv", settings).written
     reject(settings.out, written[0])
     build_split(source, "adv", replace(settings, freeze=tmp_path / "road-adv-1.json"))
-    named = frozen_split(tmp_path / "road-adv-1.json")
+    named = read_frozen_split(tmp_path / "road-adv-1.json")
     assert written[0] not in {scene.name for scene in named.frozen.scenes}
     rebuilt = replace(CHEAP, out=tmp_path / "rebuilt")
     build_frozen(source, named, rebuilt)

@@ -12,12 +12,12 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.machine.workspace import Workspace
-from benchmark.records.attempts import is_adversarial, seed_of, seed_split
+from benchmark.records.attempts import format_seed_split, is_adversarial, parse_seed
 from benchmark.records.run import RunRecord
 from generation.pipeline.split import build_split
 from generation.splits.building import build_frozen
-from generation.splits.packaged import file_of_seed, frozen_of_seed, seeds_of
-from leaderboard.frame.runs import Frame
+from generation.splits.packaged import format_seed_path, parse_seeds, read_frozen_of_seed
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.contents import drawn_seeds_table
 from tests.benchmark.cli.cli_runs import challenger_bench, refusal
 from tests.generation.labels.recorded_roads import CHEAP, write_source
@@ -37,23 +37,23 @@ def space(source: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Workspac
     """Two seeds, frozen as well."""
     made = Workspace(tmp_path_factory.mktemp("seeds"))
     for seed in SEEDS:
-        root = made.split_root(source.name, seed_split(seed))
-        freeze = file_of_seed(made.out / "road.json", seed)
-        build_split(source, seed_split(seed), replace(CHEAP, out=root, seed=seed, freeze=freeze))
+        root = made.split_root(source.name, format_seed_split(seed))
+        freeze = format_seed_path(made.out / "road.json", seed)
+        build_split(source, format_seed_split(seed), replace(CHEAP, out=root, seed=seed, freeze=freeze))
     return made
 
 
 def run_on(space: Workspace, source: DataSet, seed: int) -> RunRecord:
-    split = seed_split(seed)
+    split = format_seed_split(seed)
     return evaluate(
         space.open_split(source, split), split, benchmark.load_planner("constant-velocity"), space.run_root()
     )
 
 
 def test_names_of_splits_are_those_of_their_seeds() -> None:
-    assert [seed_of(seed_split(seed)) for seed in (0, 7, 10**17)] == [0, 7, 10**17]
+    assert [parse_seed(format_seed_split(seed)) for seed in (0, 7, 10**17)] == [0, 7, 10**17]
     for name in ("adv", "adv-seed-", "adv-seed-01", "adv-seed-1x", "val-seed-1", "adv-seed--1"):
-        assert seed_of(name) is None, name
+        assert parse_seed(name) is None, name
     assert is_adversarial("adv") and is_adversarial("adv-seed-3") and not is_adversarial("val-r")
 
 
@@ -76,19 +76,19 @@ def test_records_name_seed_and_search_and_stand_in_one_table(source: DataSet, sp
     assert [None if facts is None else facts.seed for facts in made] == list(SEEDS)
     hashes = {None if facts is None else facts.search for facts in made}
     assert len(hashes) == 1 and hashes != {None}
-    table = drawn_seeds_table(Frame(source.name, records), "exact")
+    table = drawn_seeds_table(DataSetRuns(source.name, records), "exact")
     assert table is not None and [row[2] for row in table.rows] == ["0", "1", "all"]
 
 
 def test_a_seed_under_the_name_of_another_is_refused(source: DataSet, space: Workspace, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="searched with seed 2 and cannot be adv-seed-1; build it as adv-seed-2"):
         build_split(source, "adv-seed-1", replace(CHEAP, out=tmp_path / "out", seed=2))
-    named = frozen_of_seed(space.out / "road.json", 1)
+    named = read_frozen_of_seed(space.out / "road.json", 1)
     with pytest.raises(InputError, match="cannot be adv-seed-0"):
         build_frozen(source, named, replace(CHEAP, out=tmp_path / "out"), as_split="adv-seed-0")
-    (tmp_path / "wrong-seed-0.json").write_bytes(file_of_seed(space.out / "road.json", 1).read_bytes())
+    (tmp_path / "wrong-seed-0.json").write_bytes(format_seed_path(space.out / "road.json", 1).read_bytes())
     with pytest.raises(InputError, match="was searched with seed 1"):
-        frozen_of_seed(tmp_path / "wrong.json", 0)
+        read_frozen_of_seed(tmp_path / "wrong.json", 0)
 
 
 def test_frozen_splits_of_seeds_are_rebuilt_as_what_they_were(
@@ -96,12 +96,12 @@ def test_frozen_splits_of_seeds_are_rebuilt_as_what_they_were(
 ) -> None:
     rebuilt = Workspace(tmp_path)
     for seed in SEEDS:
-        named = frozen_of_seed(space.out / "road.json", seed)
-        settings = replace(CHEAP, out=rebuilt.split_root(source.name, seed_split(seed)))
-        report = build_frozen(source, named, settings, as_split=seed_split(seed))
-        assert report.other_tables == () and report.split == seed_split(seed)
+        named = read_frozen_of_seed(space.out / "road.json", seed)
+        settings = replace(CHEAP, out=rebuilt.split_root(source.name, format_seed_split(seed)))
+        report = build_frozen(source, named, settings, as_split=format_seed_split(seed))
+        assert report.other_tables == () and report.split == format_seed_split(seed)
     records = [run_on(rebuilt, source, seed) for seed in SEEDS]
-    assert drawn_seeds_table(Frame(source.name, records), "exact") is not None
+    assert drawn_seeds_table(DataSetRuns(source.name, records), "exact") is not None
     searched = run_on(space, source, 0).run.generated
     assert records[0].run.generated == searched and records[0].run.frozen_split == "road-seed-0"
 
@@ -109,7 +109,7 @@ def test_frozen_splits_of_seeds_are_rebuilt_as_what_they_were(
 @pytest.mark.parametrize("text", ["", "1", "0,0", "0,-1", "0,1.5", "0,01", "a,b", "0,", f"0,{10**19}"])
 def test_seeds_are_two_or_more_different_whole_numbers(text: str) -> None:
     with pytest.raises(InputError, match="such as 0,1,2"):
-        seeds_of(text)
+        parse_seeds(text)
 
 
 def test_the_command_refuses_what_contradicts_itself(source: DataSet, tmp_path: Path) -> None:

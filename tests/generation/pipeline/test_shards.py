@@ -20,7 +20,7 @@ from generation.pipeline.surrogate import PlannerUnderTest
 from generation.render.schematic import SchematicRenderer
 from generation.search.hyperparameters import HyperParameters
 from generation.splits.building import build_frozen
-from generation.splits.packaged import NamedSplit, frozen_split
+from generation.splits.packaged import NamedSplit, read_frozen_split
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.planners import Factory
 from tests.generation.labels.recorded_roads import CHEAP as DEAR
@@ -109,7 +109,7 @@ def test_originals_are_drawn_in_shards_at_once(source: DataSet, tmp_path: Path) 
 def test_a_frozen_split_is_drawn_in_shards(source: DataSet, tmp_path: Path) -> None:
     file = tmp_path / "frozen.json"
     build_split(source, "adv", replace(CHEAP, out=tmp_path / "searched", limit=2, freeze=file))
-    split: NamedSplit = frozen_split(file)
+    split: NamedSplit = read_frozen_split(file)
     build_frozen(source, split, replace(CHEAP, out=tmp_path / "whole"))
     settings = replace(CHEAP, out=tmp_path / "cut")
     draw_frozen_shard(source, split, settings, Shard(2, 2))

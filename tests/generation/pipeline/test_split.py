@@ -7,21 +7,21 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from benchmark.datasets.judged import JUDGEMENTS_FILE, stored_judgements, stored_realism
+from benchmark.datasets.judged import ASSESSMENTS_FILE, collect_assessments, collect_realism
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.fairness.splits import OWN_TOWN_REASON
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
-from benchmark.protocols.exact import Exact
+from benchmark.protocols.exact import ExactProtocol
 from benchmark.records.attempts import read_attempts
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from generation.pipeline.report import estimate_build
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
-from generation.search.candidates import NotTried
-from generation.search.recorded_motion import log_replay_contacts
+from generation.search.candidates import ExclusionReason
+from generation.search.recorded_motion import find_log_replay_contacts
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
 from tests.hand_made import Car
 
@@ -67,7 +67,7 @@ def test_the_recorded_ego_never_collides_under_the_exact_protocol(built: Path) -
     for name in data.scene_names("adv"):
         truths = data.truth(name)
         plans = np.stack([truth.ego_future[:, :2] for truth in truths])
-        outcomes = Exact().evaluate(truths, plans)
+        outcomes = ExactProtocol().evaluate(truths, plans)
         assert outcomes.counted.sum() >= 8
         assert not outcomes.collision[outcomes.counted].any()
 
@@ -85,7 +85,7 @@ def test_every_object_is_tried_or_has_a_reason(source: DataSet, built: Path) -> 
     assert [row["scene"] for row in rows] == ["scene-9901", "scene-9902"]
     for row in rows:
         assert row["tried"] + sum(row["not_tried"].values()) == row["objects"] == 3
-        assert row["not_tried"].keys() <= set(NotTried)
+        assert row["not_tried"].keys() <= set(ExclusionReason)
         assert sum(vehicle["not_tried"] is None for vehicle in row["vehicles"]) == row["tried"]
 
 
@@ -248,9 +248,9 @@ def test_solvability_is_judged_as_the_exact_protocol_judges(source: DataSet, tmp
     expected = []
     for agent in range(3):
         alone = [only(truth, scene.agents.ids[agent]) for truth in truths]
-        outcomes = Exact().evaluate(alone, np.stack([truth.ego_future[:, :2] for truth in truths]))
+        outcomes = ExactProtocol().evaluate(alone, np.stack([truth.ego_future[:, :2] for truth in truths]))
         expected.append(bool(outcomes.collision[outcomes.counted].any()))
-    assert log_replay_contacts(scene).tolist() == expected
+    assert find_log_replay_contacts(scene).tolist() == expected
     assert expected[0]
 
 
@@ -279,18 +279,18 @@ def test_without_a_map_there_is_nothing_to_drive_on(source: DataSet, tmp_path: P
 def test_what_is_said_of_each_scene_lies_beside_the_tables_and_in_no_fingerprint(built: Path, tmp_path: Path) -> None:
     data = open_data(built)
     names = data.scene_names("adv")
-    stored = stored_judgements(data.root, data.version)
+    stored = collect_assessments(data.root, data.version)
     assert set(stored) == set(names)
     rows = {row.written: row for row in read_attempts(built / "attempts.jsonl") if row.written is not None}
     assert {name: rows[name].judgements for name in names} == stored
     assert all(facts.judgement is not None for facts in data.scene_facts(names).values())
-    realism = stored_realism(data.root, data.version)
+    realism = collect_realism(data.root, data.version)
     # The hand-made road says that it is our own town.
     assert realism is not None and realism.not_compared == OWN_TOWN_REASON and realism.adversaries == len(names)
     made = json.loads((built / data.version / "challenger.json").read_text())
     assert all("judgements" not in entry["report"] for entry in made["scenes"].values())
     shutil.copytree(built, tmp_path / "copy")
-    (tmp_path / "copy" / data.version / JUDGEMENTS_FILE).unlink()
+    (tmp_path / "copy" / data.version / ASSESSMENTS_FILE).unlink()
     assert open_data(tmp_path / "copy").fingerprint() == data.fingerprint()
 
 

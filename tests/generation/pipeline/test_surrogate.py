@@ -13,7 +13,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
-from benchmark.records.rows import scene_failures
+from benchmark.records.rows import find_scene_failures
 from benchmark.scene import Camera, Scene
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
@@ -61,7 +61,7 @@ def built(source: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def failures(root: Path, out: Path) -> dict[str, bool | None]:
     record = evaluate(open_data(root), "adv", Drivers(speed=10.0), out, EvalSettings(protocols=("exact",)))
-    return scene_failures(record.rows, "exact")
+    return find_scene_failures(record.rows, "exact")
 
 
 def test_what_is_written_fails_the_surrogate_and_what_is_not_does_not(

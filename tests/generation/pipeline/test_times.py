@@ -7,7 +7,13 @@ import pytest
 
 from benchmark.datasets.roots import DataSet
 from benchmark.published import RUNTIME_S
-from generation.pipeline.estimate import Estimate, duration, mean_seconds, rendering_estimate, runtime_table
+from generation.pipeline.estimate import (
+    WorkEstimate,
+    build_runtime_table,
+    compute_mean_seconds,
+    estimate_rendering,
+    format_duration,
+)
 from generation.pipeline.report import estimate_build
 from generation.pipeline.split import build_split
 from generation.render.schematic import SchematicRenderer
@@ -33,15 +39,17 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     ],
 )
 def test_durations_are_said_as_people_do(seconds: float, text: str) -> None:
-    assert duration(seconds) == text
+    assert format_duration(seconds) == text
 
 
 def test_work_is_shared_by_workers() -> None:
-    text = Estimate(90, 8.0, 36, 20.0, 2, 2).sentence()
+    text = WorkEstimate(90, 8.0, 36, 20.0, 2, 2).sentence()
     expected = "6.0 min of planning (90 attempts at 8 s) and 6.0 min of rendering (36 scenes at 20 s)"
     assert text == f"about {expected} on 2 workers"
-    assert Estimate(90, 8.0, 0, 0.0, None, None).sentence() == "about 12 min of planning (90 attempts at 8 s) in all"
-    assert Estimate(0, 0.0, 0, 0.0, 1, 1).sentence() == "about no time"
+    assert (
+        WorkEstimate(90, 8.0, 0, 0.0, None, None).sentence() == "about 12 min of planning (90 attempts at 8 s) in all"
+    )
+    assert WorkEstimate(0, 0.0, 0, 0.0, 1, 1).sentence() == "about no time"
 
 
 def test_a_dry_run_estimates_each_stage(source: DataSet, tmp_path: Path) -> None:
@@ -76,7 +84,7 @@ def test_the_runtime_table_adds_up_notes(tmp_path: Path) -> None:
         path.write_text('{"seconds": {"sampling": 1.0, "physics": 2.0, "scoring": 3.0, "unheard-of": 0.5}}')
     attempts[2].write_text('{"seconds": ')
     scenes[0].write_text('{"seconds": {"rendering": 10.0}}')
-    table = runtime_table(attempts, scenes)
+    table = build_runtime_table(attempts, scenes)
     assert (table.attempts, table.scenes) == (2, 1)
     assert table.total_s == {"sampling": 2.0, "physics": 4.0, "scoring": 6.0, "rendering": 10.0, "other": 1.0}
     assert table.each_s("physics") == 2.0
@@ -84,20 +92,20 @@ def test_the_runtime_table_adds_up_notes(tmp_path: Path) -> None:
     assert lines[2].split() == ["sampling", "2.00", "1.00", "17.36"]
     assert lines[5].split() == ["rendering", "10.00", "10.00", "395.18"]
     assert lines[7].split() == ["all", "23.00", "16.50", f"{sum(RUNTIME_S.values()):.2f}"]
-    assert mean_seconds(attempts) == pytest.approx(6.5)
+    assert compute_mean_seconds(attempts) == pytest.approx(6.5)
 
 
 def test_no_notes_are_no_times(tmp_path: Path) -> None:
-    table = runtime_table([tmp_path / "absent"], [])
+    table = build_runtime_table([tmp_path / "absent"], [])
     assert table.each_s("sampling") is None
     assert "-" in table.table().plain()
-    assert mean_seconds([]) is None
+    assert compute_mean_seconds([]) is None
 
 
 def test_what_a_scene_costs_before_its_first_picture_is_counted_once(source: DataSet, tmp_path: Path) -> None:
     renderer, scene = SchematicRenderer(64, 40), source.scene(source.scene_names("val")[0])
-    few = rendering_estimate(renderer, scene, "keyframes", tmp_path)
-    many = rendering_estimate(renderer, scene, "all", tmp_path)
+    few = estimate_rendering(renderer, scene, "keyframes", tmp_path)
+    many = estimate_rendering(renderer, scene, "all", tmp_path)
     assert few > 0.0
     assert many < 1.5 * few * len(scene.timestamps_us) / len(scene.keyframes)
-    assert rendering_estimate(None, scene, "all", tmp_path) == 0.0
+    assert estimate_rendering(None, scene, "all", tmp_path) == 0.0

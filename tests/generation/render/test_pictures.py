@@ -14,7 +14,7 @@ from benchmark.geometry import box_gap
 from benchmark.report.palette import ADVERSARY, EGO, Rgb
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
-from generation.render.pictures import PANELS, best_camera, moments, scene_strip, write_pictures
+from generation.render.pictures import PANELS, choose_frames, draw_scene_strip, find_best_camera, write_pictures
 from generation.render.schematic import SchematicRenderer
 from tests.benchmark.fake_data import FakeData
 from tests.generation.nuscenes_writer.written_roots import with_adversary
@@ -37,7 +37,7 @@ def middle_of(image: NDArray[np.uint8], colour: Rgb) -> tuple[float, float]:
 def test_the_closest_approach_is_among_the_moments() -> None:
     scene = with_adversary(scene_on_straight_road((Car(20.0, 194.75, 12.0),), ego_x=50.0, ego_speed=5.0))
     gaps = box_gap(scene.agents.boxes[0], scene.ego.boxes)
-    frames = moments(scene)
+    frames = choose_frames(scene)
     assert len(frames) == PANELS
     assert frames == sorted(frames)
     assert min(gaps[frames]) == gaps.min()
@@ -45,7 +45,7 @@ def test_the_closest_approach_is_among_the_moments() -> None:
 
 def test_a_scene_without_an_adversary_is_shown_from_start_to_end() -> None:
     scene = scene_on_straight_road()
-    frames = moments(scene)
+    frames = choose_frames(scene)
     assert frames[0] == 0
     assert frames[-1] == len(scene.timestamps_us) - 1
 
@@ -59,7 +59,7 @@ def test_one_picture_a_scene(tmp_path: Path) -> None:
 
 
 def test_adversary_and_ego_are_seen_from_above_where_they_are() -> None:
-    image = scene_strip(attacked(), [0, 0], RENDERER)
+    image = draw_scene_strip(attacked(), [0, 0], RENDERER)
     assert image.shape[1] == 2 * 360 + 4
     adversary, ego = middle_of(image, ADVERSARY), middle_of(image, EGO)
     # Six pixels a metre: ten metres ahead of the ego (its body, not its axle) and 3.5 to the right.
@@ -67,29 +67,29 @@ def test_adversary_and_ego_are_seen_from_above_where_they_are() -> None:
     assert abs(adversary[0] - (180 + 6 * 3.5)) < 6
     assert adversary[1] < ego[1] - 30
     nobody = dataclasses.replace(attacked(), adversaries=())
-    assert not (scene_strip(nobody, [0, 0], RENDERER)[:360, 364:] == ADVERSARY).all(axis=-1).any()
+    assert not (draw_scene_strip(nobody, [0, 0], RENDERER)[:360, 364:] == ADVERSARY).all(axis=-1).any()
 
 
 def test_a_strip_is_a_row_of_panels_with_pictures_below() -> None:
-    strip = scene_strip(attacked(), [0, 20, 40], RENDERER, panel_px=112)
+    strip = draw_scene_strip(attacked(), [0, 20, 40], RENDERER, panel_px=112)
     assert strip.shape == (112 + 4 + 64, 3 * 112 + 2 * 4, 3)
-    assert np.array_equal(strip, scene_strip(attacked(), [0, 20, 40], RENDERER, panel_px=112))
+    assert np.array_equal(strip, draw_scene_strip(attacked(), [0, 20, 40], RENDERER, panel_px=112))
 
 
 def test_empty_map_and_no_agents() -> None:
     scene = dataclasses.replace(scene_on_straight_road(()), road_map=RoadMap("boston-seaport", MultiPolygon()))
-    assert scene_strip(scene, [95], RENDERER, panel_px=33).shape[1] == 33
+    assert draw_scene_strip(scene, [95], RENDERER, panel_px=33).shape[1] == 33
 
 
 def test_the_strip_looks_through_the_camera_that_sees_the_adversary() -> None:
     scene = scene_on_straight_road((Car(38.0, 198.25, 8.0),))
     behind = dataclasses.replace(scene, adversaries=scene.agents.ids)
-    assert best_camera(behind, [0], RENDERER) == "CAM_BACK"
-    assert best_camera(attacked(), [0], RENDERER) == "CAM_FRONT"
-    assert best_camera(scene, [0], RENDERER) == "CAM_FRONT"
+    assert find_best_camera(behind, [0], RENDERER) == "CAM_BACK"
+    assert find_best_camera(attacked(), [0], RENDERER) == "CAM_FRONT"
+    assert find_best_camera(scene, [0], RENDERER) == "CAM_FRONT"
 
 
 @pytest.mark.parametrize(("frames", "says"), [([], "at least one frame"), ([96], "no frame 96")])
 def test_a_strip_of_nothing_is_refused(frames: list[int], says: str) -> None:
     with pytest.raises(InputError, match=says):
-        scene_strip(attacked(), frames, RENDERER)
+        draw_scene_strip(attacked(), frames, RENDERER)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.driving import drive
+from benchmark.closed_loop.driving import run_episode
 from benchmark.scene import Scene
 from generation.render.schematic import SECOND, SchematicRenderer
 from generation.render.sensor import SchematicSensor
@@ -34,8 +34,8 @@ def test_where_the_world_is_the_recording_pictures_are_the_renderers(scene: Scen
 def test_pictures_are_taken_from_where_the_ego_went(scene: Scene) -> None:
     stage = replace(staged(scene), sensor=SchematicSensor())
     ahead, aside = Watching(speed=8.0), Watching(speed=8.0, left=0.4)
-    drive(stage, ahead)
-    drive(stage, aside)
+    run_episode(stage, ahead)
+    run_episode(stage, aside)
     first, last = (abs_difference(ahead.seen[at], aside.seen[at]) for at in (0, -1))
     assert first == 0.0 and last > 1.0
     view = aside.seen[-1].views["CAM_FRONT"]

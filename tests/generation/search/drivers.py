@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.planner_facts import build_planner_facts
 
 
 class SteadyDriver:
@@ -56,7 +56,7 @@ class Drivers:
 
     @property
     def facts(self) -> PlannerFacts:
-        return facts_of(self())
+        return build_planner_facts(self())
 
     def __call__(self) -> SteadyDriver:
         return self.made(self.speed)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmark.geometry import Floats
-from generation.search.proposals import Request, Sampling
+from generation.search.proposals import Request, SamplingRequest
 
 
 class DrivingPrior:
@@ -14,7 +14,7 @@ class DrivingPrior:
     def answer(self, requests: Sequence[Request]) -> list[Floats]:
         return [
             self.sample(asked.count, asked.previous, asked.rng)
-            if isinstance(asked, Sampling)
+            if isinstance(asked, SamplingRequest)
             else self.mutate(asked.waypoints, asked.noise_level, asked.previous, asked.rng)
             for asked in requests
         ]

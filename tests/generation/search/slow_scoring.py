@@ -12,12 +12,12 @@ import shapely
 from benchmark.geometry import Bools, Floats
 from benchmark.road_map import DrivableRaster
 from generation.search.hyperparameters import CollisionReading, HyperParameters
-from generation.search.scoring import Surroundings
+from generation.search.scoring import ScoringSurroundings
 
 
 @dataclass(frozen=True)
 class SlowTerms:
-    """The fields of `generation.search.scoring.Terms`, and polygon tests that were needed."""
+    """The fields of `generation.search.scoring.ScoreTerms`, and polygon tests that were needed."""
 
     center_off_road: Bools
     corner_off_road: Bools
@@ -30,7 +30,7 @@ class SlowTerms:
 
 
 def slow_score_terms(
-    center: Floats, size: Floats, around: Surroundings, hyper: HyperParameters, speed: Floats | None = None
+    center: Floats, size: Floats, around: ScoringSurroundings, hyper: HyperParameters, speed: Floats | None = None
 ) -> SlowTerms:
     """Terms of (B, S, 3) poses of finite candidates."""
     shape = center.shape[:2]
@@ -49,7 +49,7 @@ def slow_score_terms(
         tests += count
         ego_x, ego_y = around.ego_center[step]
         distance[candidate, step] = math.hypot(x - ego_x, y - ego_y)
-    safety, challenge = hyper.safety_step_weights(), hyper.challenge_step_weights()
+    safety, challenge = hyper.compute_safety_step_weights(), hyper.compute_challenge_step_weights()
     dac, cr, ac = np.zeros(shape[0]), np.zeros(shape[0]), np.zeros(shape[0])
     for candidate, step in np.ndindex(*shape):
         violation = float(center_off[candidate, step]) + hyper.corner_weight * float(corner_off[candidate, step])

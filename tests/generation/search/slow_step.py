@@ -16,7 +16,7 @@ from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.search.hyperparameters import HyperParameters
-from generation.search.scoring import Surroundings
+from generation.search.scoring import ScoringSurroundings
 from tests.benchmark.dynamics.slow_physics import slow_simulate
 from tests.generation.search.slow_reference_scoring import slow_reference
 from tests.generation.search.slow_scoring import slow_final_scores, slow_score_terms
@@ -54,7 +54,7 @@ class SlowStep:
         if self.reference:
             # The switch of the challenge, which is never off so soon after the launch.
             self.rng.random()
-        waypoints = self.sampled()
+        waypoints = self.sample()
         if self.reference:
             waypoints = self.varied(waypoints)
         scores: list[list[float]] = []
@@ -79,7 +79,7 @@ class SlowStep:
         """Standard normal actions, in single precision."""
         return self.rng.standard_normal((count, 16, 3)).astype(np.float32).astype(np.float64)
 
-    def sampled(self) -> Floats:
+    def sample(self) -> Floats:
         """From noise by all 100 steps."""
         noise = torch.from_numpy(self.noise(self.hyper.candidates).astype(np.float32))
         with torch.inference_mode():
@@ -192,7 +192,7 @@ class SlowStep:
         )
         return [float(each) for each in slow.final() - 0.02 + start]
 
-    def around(self) -> Surroundings:
+    def around(self) -> ScoringSurroundings:
         """Everybody else, frame by frame, the ego last."""
         agents, ego = self.scene.agents, self.scene.ego
         others = [each for each in range(len(agents)) if each != self.agent]
@@ -211,7 +211,7 @@ class SlowStep:
         ahead = float(self.scene.lidar.translation[0])
         pose[:2] += [ahead * math.cos(pose[2]), ahead * math.sin(pose[2])]
         raster = DrivableRaster.around(self.scene.road_map, pose)
-        return Surroundings(np.array(boxes), np.array(present), np.array(centers), raster)
+        return ScoringSurroundings(np.array(boxes), np.array(present), np.array(centers), raster)
 
     def drawn(self, scores: list[float]) -> list[int]:
         """With replacement, softmax(-score): walk along the shares until the uniform number is used up."""

@@ -10,7 +10,7 @@ from shapely.geometry import Polygon
 
 from benchmark.geometry import Floats
 from benchmark.scene import Scene
-from generation.search.ego_way import EgoWay
+from generation.search.ego_way import RecordedEgoPath
 from generation.search.hyperparameters import HyperParameters
 from tests.generation.search.slow_scoring import outline
 
@@ -21,7 +21,7 @@ def slow_further(
     scene: Scene, agent: int, frames: list[int], center: Floats, states: Floats, hyper: HyperParameters
 ) -> float:
     """Weighted sum of the terms of one candidate: (S, 3) poses and (S, 6) states at S frames."""
-    way, total = EgoWay.of(scene), 0.0
+    way, total = RecordedEgoPath.of(scene), 0.0
     length, width = (float(value) for value in scene.agents.size[agent, :2])
     for step, frame in enumerate(frames):
         x, y, yaw = (float(value) for value in center[step])
@@ -60,7 +60,7 @@ def slow_further(
     return total / len(frames) + hyper.ahead_weight * min(max((8.0 - room) / 20.0, 0.0), 3.0)
 
 
-def nearest(way: EgoWay, x: float, y: float, first: float, last: float) -> tuple[float, float, float]:
+def nearest(way: RecordedEgoPath, x: float, y: float, first: float, last: float) -> tuple[float, float, float]:
     """Station, offset and heading at the nearest point of the way between 60 m back and 90 m on."""
     best, found = math.inf, (0.0, 0.0, 0.0)
     for (px, py), heading, station in zip(way.points.tolist(), way.headings.tolist(), way.stations.tolist()):

@@ -9,10 +9,16 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.scene import Scene
-from generation.pipeline.estimate import runtime_table
-from generation.search.attempts import attempt_store, attempts, eligibility, eligibility_store, kept_attempt
-from generation.search.definition import Earlier, PackagedPrior, Search, Unit
-from generation.search.presets import SampleSource, trajectory_model
+from generation.pipeline.estimate import build_runtime_table
+from generation.search.attempts import (
+    open_attempt_store,
+    open_eligibility_store,
+    read_cached_attempt,
+    read_or_compute_eligibility,
+    run_attempts,
+)
+from generation.search.definition import EarlierAdversary, PackagedPrior, Search, SearchUnit
+from generation.search.presets import SampleSource, build_trajectory_model
 from tests.executors import Forbidden
 from tests.generation.labels.recorded_roads import HYPER, recorded
 from tests.generation.search.driving_prior import DrivingPrior
@@ -25,57 +31,60 @@ def search_in(folder: Path, seed: int = 0) -> Search:
     return Search("data", HYPER, seed, DrivingPrior, DrivingPrior.fingerprint, folder, folder / "timings")
 
 
-def units_of(scene: Scene) -> list[Unit]:
-    return [Unit(scene.name, agent, scene.agents.ids[agent]) for agent in choose(scene, HYPER, 0)]
+def units_of(scene: Scene) -> list[SearchUnit]:
+    return [SearchUnit(scene.name, agent, scene.agents.ids[agent]) for agent in choose(scene, HYPER, 0)]
 
 
-def never(unit: Unit) -> Scene:
+def never(unit: SearchUnit) -> Scene:
     raise AssertionError(f"{unit} is finished and needs no scene")
 
 
 def test_results_come_in_the_order_of_the_units_and_are_kept(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)
-    found = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    found = run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
     assert [stored.report.agent for stored in found] == [unit.agent_id for unit in units]
-    assert attempts(search, units, never, Forbidden()) == found
-    assert [kept_attempt(search, unit) for unit in units] == found
+    assert run_attempts(search, units, never, Forbidden()) == found
+    assert [read_cached_attempt(search, unit) for unit in units] == found
 
 
-def path_of(search: Search, unit: Unit) -> Path:
-    return attempt_store(search).path(search.key(unit))
+def path_of(search: Search, unit: SearchUnit) -> Path:
+    return open_attempt_store(search).path(search.key(unit))
 
 
 def test_only_missing_ones_are_computed(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)
-    found = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    found = run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
     path_of(search, units[1]).write_text("{")
-    asked: list[Unit] = []
+    asked: list[SearchUnit] = []
 
-    def scene_of(unit: Unit) -> Scene:
+    def scene_of(unit: SearchUnit) -> Scene:
         asked.append(unit)
         return SCENE
 
-    assert attempts(search, units, scene_of, LocalProcesses(1)) == found
+    assert run_attempts(search, units, scene_of, LocalProcesses(1)) == found
     assert asked == [units[1]]
 
 
 @pytest.mark.parametrize("together", [2, 3, 50])
 def test_units_side_by_side_are_as_alone(tmp_path: Path, together: int) -> None:
     units = units_of(SCENE)
-    alone = attempts(search_in(tmp_path / "1"), units, lambda unit: SCENE, LocalProcesses(1))
-    assert attempts(search_in(tmp_path / "n"), units, lambda unit: SCENE, LocalProcesses(1), together=together) == alone
+    alone = run_attempts(search_in(tmp_path / "1"), units, lambda unit: SCENE, LocalProcesses(1))
+    assert (
+        run_attempts(search_in(tmp_path / "n"), units, lambda unit: SCENE, LocalProcesses(1), together=together)
+        == alone
+    )
 
 
 def test_an_attempt_of_another_vehicle_is_not_taken(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)
-    attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
     path_of(search, units[0]).write_bytes(path_of(search, units[1]).read_bytes())
-    assert kept_attempt(search, units[0]) is None
+    assert read_cached_attempt(search, units[0]) is None
 
 
 def test_keys_tell_everything_apart_that_changes_a_result(tmp_path: Path) -> None:
-    unit = Unit("scene-9901", 0, "a")
-    link = Earlier("key of the first", 1, "b", 12)
+    unit = SearchUnit("scene-9901", 0, "a")
+    link = EarlierAdversary("key of the first", 1, "b", 12)
     search = search_in(tmp_path)
     keys = {
         search.key(unit),
@@ -94,11 +103,11 @@ def test_keys_tell_everything_apart_that_changes_a_result(tmp_path: Path) -> Non
 
 def test_times_lie_beside_and_never_in_results(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)
-    attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
-    table = runtime_table([search.timing_path(unit) for unit in units], [])
+    run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    table = build_runtime_table([search.timing_path(unit) for unit in units], [])
     assert table.attempts == len(units)
     assert table.total_s["physics"] > 0.0
-    stored = attempt_store(search).get(search.key(units[0]))
+    stored = open_attempt_store(search).get(search.key(units[0]))
     assert stored is not None and not any("seconds" in name for name in stored.report.as_json())
 
 
@@ -108,30 +117,30 @@ def test_vehicles_are_chosen_once(tmp_path: Path) -> None:
     def unread() -> Scene:
         raise AssertionError("the choice is there")
 
-    chosen = eligibility_store(search).path(search.eligibility_key(SCENE.name, ()))
-    found = eligibility(search, SCENE.name, (), lambda: SCENE, keep=False)
+    chosen = open_eligibility_store(search).path(search.compute_eligibility_key(SCENE.name, ()))
+    found = read_or_compute_eligibility(search, SCENE.name, (), lambda: SCENE, keep=False)
     assert not chosen.exists()
-    assert eligibility(search, SCENE.name, (), lambda: SCENE, keep=True) == found
-    assert eligibility(search, SCENE.name, (), unread, keep=True) == found
+    assert read_or_compute_eligibility(search, SCENE.name, (), lambda: SCENE, keep=True) == found
+    assert read_or_compute_eligibility(search, SCENE.name, (), unread, keep=True) == found
     chosen.write_text('{"objects": 1}')
-    assert eligibility(search, SCENE.name, (), lambda: SCENE, keep=True) == found
+    assert read_or_compute_eligibility(search, SCENE.name, (), lambda: SCENE, keep=True) == found
 
 
 def test_a_damaged_attempt_is_made_again(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)[:1]
     path = path_of(search, units[0])
-    made = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    made = run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
     whole = path.read_bytes()
     path.write_bytes(whole.replace(b'"start":', b'"begin":').replace(b"0.1", b"0.2"))
-    assert kept_attempt(search, units[0]) is None
-    assert attempts(search, units, lambda unit: SCENE, LocalProcesses(1)) == made
+    assert read_cached_attempt(search, units[0]) is None
+    assert run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1)) == made
     assert path.read_bytes() == whole
-    assert attempts(search, units, lambda unit: SCENE, Forbidden()) == made
+    assert run_attempts(search, units, lambda unit: SCENE, Forbidden()) == made
 
 
 def test_a_track_does_not_fit_another_scene(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)
-    stored = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))[0]
+    stored = run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))[0]
     assert stored.adversarial(SCENE).adversaries == (stored.report.agent,)
     for other in (recorded("scene-9902"), replace(SCENE, agents=recorded("scene-9903", ()).agents)):
         with pytest.raises(InputError, match="does not fit"):
@@ -144,16 +153,16 @@ def test_the_packaged_prior_is_loaded_once() -> None:
 
 def fresh_search(folder: Path, source: SampleSource = "fresh") -> Search:
     hyper = replace(HYPER, candidates=24, rounds=2, tries=1)
-    model = trajectory_model(samples=source)
+    model = build_trajectory_model(samples=source)
     return Search("data", hyper, 0, model, model().fingerprint, folder, folder / "timings")
 
 
 def test_fresh_samples_give_the_same_bytes_with_any_number_of_workers(tmp_path: Path) -> None:
     units = units_of(SCENE)[:3]
     one, two, side_by_side = (fresh_search(tmp_path / name) for name in ("one", "two", "together"))
-    found = attempts(one, units, lambda unit: SCENE, LocalProcesses(1))
-    assert attempts(two, units, lambda unit: SCENE, LocalProcesses(2)) == found
-    assert attempts(side_by_side, units, lambda unit: SCENE, LocalProcesses(1), together=3) == found
+    found = run_attempts(one, units, lambda unit: SCENE, LocalProcesses(1))
+    assert run_attempts(two, units, lambda unit: SCENE, LocalProcesses(2)) == found
+    assert run_attempts(side_by_side, units, lambda unit: SCENE, LocalProcesses(1), together=3) == found
     for unit in units:
         assert len({path_of(each, unit).read_bytes() for each in (one, two, side_by_side)}) == 1
 
@@ -168,7 +177,7 @@ def test_where_samples_come_from_is_recorded_and_part_of_the_key(tmp_path: Path)
 
 
 def test_presets_that_follow_others_are_not_told_the_speed_and_draw_nothing_again() -> None:
-    ours, theirs = trajectory_model().sampler, trajectory_model("paper").sampler
+    ours, theirs = build_trajectory_model().sampler, build_trajectory_model("paper").sampler
     assert (ours.samples.value, ours.conditioned, ours.drivable) == ("fresh", True, True)
     assert (theirs.samples.value, theirs.conditioned, theirs.drivable) == ("reference", False, False)
-    assert trajectory_model("paper", samples="stored").sampler.samples.value == "stored"
+    assert build_trajectory_model("paper", samples="stored").sampler.samples.value == "stored"

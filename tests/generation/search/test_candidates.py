@@ -5,14 +5,14 @@ import numpy as np
 from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.scene import Scene
 from generation.search.candidates import (
-    NotTried,
-    draw,
-    eligibility_of,
-    launch_frame,
-    unfit,
+    ExclusionReason,
+    compute_eligibility,
+    draw_candidates,
+    find_exclusion_reason,
+    find_launch_frame,
 )
 from generation.search.hyperparameters import HyperParameters
-from generation.search.recorded_motion import drives_forward, initial_state
+from generation.search.recorded_motion import compute_initial_state, is_driving_forward
 from tests.generation.search.one_vehicle import choose
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -67,9 +67,9 @@ def test_nobody_is_chosen_where_the_ego_stands() -> None:
 
 
 def test_launch_waits_for_history_and_for_the_distance() -> None:
-    assert launch_frame(scene_of(NEAR), 0, HYPER) == HYPER.history_frames
+    assert find_launch_frame(scene_of(NEAR), 0, HYPER) == HYPER.history_frames
     approaching = scene_of(Car(130.0, 201.75, 8.0, np.pi))
-    frame = launch_frame(approaching, 0, HYPER)
+    frame = find_launch_frame(approaching, 0, HYPER)
     assert frame is not None
     gap = np.linalg.norm(approaching.agents.position[0, :, :2] - approaching.ego.boxes[:, :2], axis=1)
     assert gap[frame] < HYPER.launch_distance_m <= gap[frame - 1]
@@ -80,29 +80,32 @@ def test_launch_needs_presence_and_enough_time_left() -> None:
     valid = scene.agents.valid.copy()
     valid[0, 20] = False
     gap = replace(scene, agents=replace(scene.agents, valid=valid))
-    assert launch_frame(gap, 0, HYPER) == 12
+    assert find_launch_frame(gap, 0, HYPER) == 12
     valid[0, :30] = False
     late = replace(scene, agents=replace(scene.agents, valid=valid))
-    assert launch_frame(late, 0, HYPER) == 42
+    assert find_launch_frame(late, 0, HYPER) == 42
     valid[0, :80] = False
-    assert launch_frame(replace(scene, agents=replace(scene.agents, valid=valid)), 0, HYPER) is None
+    assert find_launch_frame(replace(scene, agents=replace(scene.agents, valid=valid)), 0, HYPER) is None
 
 
 def test_reversing_and_sliding_cars_are_not_launched() -> None:
     scene = scene_of(NEAR)
     for turn in (np.pi, 0.8):
         turned = replace(scene, agents=replace(scene.agents, yaw=scene.agents.yaw + turn))
-        assert not drives_forward(turned, 0, 30)
-        assert unfit(turned, 0, HYPER) is not None
+        assert not is_driving_forward(turned, 0, 30)
+        assert find_exclusion_reason(turned, 0, HYPER) is not None
 
 
 def test_an_earlier_adversary_is_not_chosen_again() -> None:
     scene = scene_of(NEAR)
-    assert unfit(replace(scene, adversaries=(scene.agents.ids[0],)), 0, HYPER) is NotTried.ALREADY_ADVERSARY
+    assert (
+        find_exclusion_reason(replace(scene, adversaries=(scene.agents.ids[0],)), 0, HYPER)
+        is ExclusionReason.ALREADY_ADVERSARY
+    )
 
 
 def test_initial_state_is_the_recorded_motion() -> None:
-    state = initial_state(scene_of(NEAR), 0, 24, DriverLimits())
+    state = compute_initial_state(scene_of(NEAR), 0, 24, DriverLimits())
     assert abs(state.speed - 8.0) < 1e-6
     assert abs(state.acceleration) < 1e-6
     assert abs(state.steering) < 1e-6
@@ -119,14 +122,14 @@ def test_initial_state_of_a_turning_accelerating_car() -> None:
     position[0, :, 0] = 62.0 + np.cumsum(steps * np.cos(yaw))
     position[0, :, 1] = 194.75 + np.cumsum(steps * np.sin(yaw))
     agents = replace(scene.agents, position=position, yaw=yaw[None])
-    state = initial_state(replace(scene, agents=agents), 0, 24, DriverLimits())
+    state = compute_initial_state(replace(scene, agents=agents), 0, 24, DriverLimits())
     assert abs(state.speed - 8.0) < 0.2
     assert abs(state.acceleration - 1.0) < 0.2
     assert abs(state.speed * np.tan(state.steering) / (0.6 * 4.6) - 0.2) < 0.02
 
 
 def test_a_car_that_drifts_backwards_starts_standing() -> None:
-    state = initial_state(scene_of(Car(62.0, 194.75, -0.2)), 0, 24, DriverLimits())
+    state = compute_initial_state(scene_of(Car(62.0, 194.75, -0.2)), 0, 24, DriverLimits())
     assert state.speed == 0.0
 
 
@@ -145,32 +148,32 @@ def test_every_reason_has_its_scene() -> None:
         Car(38.0, 201.75, 8.0, category="vehicle.truck"),
     )
     scene = replace(scene, adversaries=(scene.agents.ids[6],))
-    assert [unfit(scene, agent, HYPER) for agent in range(7)] == [
+    assert [find_exclusion_reason(scene, agent, HYPER) for agent in range(7)] == [
         None,
-        NotTried.NOT_FOUR_WHEELED,
-        NotTried.PARKED,
-        NotTried.NEVER_NEAR,
-        NotTried.OFF_ROAD,
-        NotTried.NO_LAUNCH,
-        NotTried.ALREADY_ADVERSARY,
+        ExclusionReason.NOT_FOUR_WHEELED,
+        ExclusionReason.PARKED,
+        ExclusionReason.NEVER_NEAR,
+        ExclusionReason.OFF_ROAD,
+        ExclusionReason.NO_LAUNCH,
+        ExclusionReason.ALREADY_ADVERSARY,
     ]
     standing = scene_on_straight_road((Car(62.0, 194.75, 2.0),), seconds=12.0, ego_speed=0.0)
-    assert unfit(standing, 0, HYPER) is NotTried.EGO_STANDS
+    assert find_exclusion_reason(standing, 0, HYPER) is ExclusionReason.EGO_STANDS
 
 
 def test_every_object_is_accounted_for() -> None:
     cars = [Car(30.0 + 5.0 * row, y, 8.0) for row in range(8) for y in (194.75, 201.75)]
     scene = scene_of(*cars, Car(62.0, 208.0, 1.0, category="human.pedestrian.adult"))
     for seed in range(3):
-        seen = eligibility_of(scene, HYPER, seed)
+        seen = compute_eligibility(scene, HYPER, seed)
         assert tuple(vehicle.agent for vehicle in seen.chosen) == choose(scene, HYPER, seed)
         counts = seen.not_tried()
         assert len(seen.chosen) + sum(counts.values()) == seen.objects == len(scene.agents)
-        assert counts[NotTried.NOT_FOUR_WHEELED] == 1
-        eligible = sum(unfit(scene, agent, HYPER) is None for agent in range(len(scene.agents)))
-        assert counts[NotTried.NOT_DRAWN] == eligible - 10 > 0
+        assert counts[ExclusionReason.NOT_FOUR_WHEELED] == 1
+        eligible = sum(find_exclusion_reason(scene, agent, HYPER) is None for agent in range(len(scene.agents)))
+        assert counts[ExclusionReason.NOT_DRAWN] == eligible - 10 > 0
         assert seen.row(())["tried"] == 10
 
 
 def test_nobody_can_be_drawn_from_an_empty_hat() -> None:
-    assert draw(scene_of(), [], HYPER, 0) == ()
+    assert draw_candidates(scene_of(), [], HYPER, 0) == ()

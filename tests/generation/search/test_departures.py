@@ -3,27 +3,27 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 from generation.search.departures import (
+    INTERPRETATIONS,
     PAPER,
-    READINGS,
     REFERENCE,
-    Departure,
-    departures,
-    told,
+    PresetDifference,
+    format_differences,
+    list_differences,
 )
 from generation.search.hyperparameters import HyperParameters
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "generation.md").read_text()
 
 
-def departures_table(found: Sequence[Departure]) -> str:
+def departures_table(found: Sequence[PresetDifference]) -> str:
     """Markdown for ``docs/generation.md``."""
-    rows = [f"| {each.said} | {each.instead} | {each.reason} |" for each in found]
+    rows = [f"| {each.said} | {each.replacement} | {each.reason} |" for each in found]
     return "\n".join(["| said | here | because |", "|---|---|---|", *rows])
 
 
 def readings_table() -> str:
     """Markdown for ``docs/generation.md``."""
-    rows = [f"| {each.open} | {each.taken} | {each.why} |" for each in READINGS]
+    rows = [f"| {each.open} | {each.taken} | {each.why} |" for each in INTERPRETATIONS]
     return "\n".join(["| open | taken | tried |", "|---|---|---|", *rows])
 
 
@@ -33,7 +33,7 @@ def test_the_page_has_every_departure_and_every_reading() -> None:
 
 
 def test_the_default_follows_neither_and_has_no_departures() -> None:
-    assert told("default", HyperParameters()) == []
+    assert format_differences("default", HyperParameters()) == []
 
 
 def test_every_departure_has_its_reason() -> None:
@@ -41,16 +41,16 @@ def test_every_departure_has_its_reason() -> None:
         ("paper", HyperParameters.paper(), PAPER),
         ("reference", HyperParameters.reference(), REFERENCE),
     ):
-        assert departures(preset, hyper) == known
-        lines = told(preset, hyper)
+        assert list_differences(preset, hyper) == known
+        lines = format_differences(preset, hyper)
         assert lines[0].endswith(f"in {len(known)} points:")
         assert all(" because " in line for line in lines[1 : 1 + len(known)])
-    assert len(told("paper", HyperParameters.paper())) == 2 + len(PAPER) + len(READINGS)
+    assert len(format_differences("paper", HyperParameters.paper())) == 2 + len(PAPER) + len(INTERPRETATIONS)
 
 
 def test_what_was_asked_for_is_a_departure_too() -> None:
     asked = HyperParameters.paper().changed(["varied=true", "tries=3"])
-    lines = told("paper", asked)
+    lines = format_differences("paper", asked)
     assert lines[0].endswith(f"in {len(PAPER) + 2} points:")
     assert "- tries is 1; here it is 3, because it was asked for" in lines
     assert "- varied is False; here it is True, because it was asked for" in lines

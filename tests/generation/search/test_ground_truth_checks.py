@@ -9,14 +9,20 @@ import pytest
 from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M, LIDAR_FROM_REAR_AXLE_M
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.dynamics.bicycle import DriverLimits
-from benchmark.protocols import NATIVE_PROTOCOLS, masking_protocols
+from benchmark.protocols import NATIVE_PROTOCOLS, find_masking_protocols
 from benchmark.records.attempts import read_attempts
 from benchmark.scene import Scene
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
 from generation.search.hyperparameters import HyperParameters
-from generation.search.verify import Discard, masked_steps, raster_footprints, recorded_contacts, verify
-from generation.sources.mini import TownSettings, build_town
+from generation.search.verify import (
+    DiscardReason,
+    compute_raster_footprints,
+    count_masked_steps,
+    find_recorded_contacts,
+    verify,
+)
+from generation.sources.mini import TownSettings, build_town_data_set
 from generation.splits.format import METRE_DIGITS
 from tests.generation.search.test_verify import START, moved, verdict, with_track
 from tests.hand_made import Car, scene_on_straight_road
@@ -29,7 +35,7 @@ LEFT_M = 0.5 * (EGO_WIDTH_M + 1.9)
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     root = tmp_path_factory.mktemp("town")
-    return open_data(build_town(root, TownSettings(val_scenes=2, images=False), workers=1), name="mini")
+    return open_data(build_town_data_set(root, TownSettings(val_scenes=2, images=False), workers=1), name="mini")
 
 
 def test_kept_scenes_of_mini_lose_no_step_to_their_adversary(town: DataSet, tmp_path: Path) -> None:
@@ -42,27 +48,27 @@ def test_kept_scenes_of_mini_lose_no_step_to_their_adversary(town: DataSet, tmp_
         assert all(truth.adversaries for truth in truths)
         plans = np.stack([truth.ego_future[:, :2] for truth in truths])
         for protocol in NATIVE_PROTOCOLS:
-            adversary = masking_protocols()[protocol].evaluate(truths, plans).step("recorded_adversary")
+            adversary = find_masking_protocols()[protocol].evaluate(truths, plans).step("recorded_adversary")
             assert not adversary.any(), (name, protocol)
     written = {attempt.written: attempt for attempt in read_attempts(tmp_path / "attempts.jsonl") if attempt.written}
     assert written.keys() == set(data.scene_names("adv"))
     for name, attempt in written.items():
-        assert attempt.masked_steps == masked_steps(data.scene(name))
-    assert set(report.masked_steps) == set(masking_protocols())
+        assert attempt.masked_steps == count_masked_steps(data.scene(name))
+    assert set(report.masked_steps) == set(find_masking_protocols())
     assert all(report.masked_steps[name]["adversary"] == 0 for name in NATIVE_PROTOCOLS)
     assert "for adversaries / for others: uniad 0 / " in report.summary()
 
 
 @pytest.mark.parametrize(
-    ("left_m", "reason"), [(LEFT_M + 0.3, Discard.TOUCHES_UNIAD), (LEFT_M + 0.9, None), (-LEFT_M - 0.3, None)]
+    ("left_m", "reason"), [(LEFT_M + 0.3, DiscardReason.TOUCHES_UNIAD), (LEFT_M + 0.9, None), (-LEFT_M - 0.3, None)]
 )
-def test_an_adversary_that_a_raster_sees_in_contact_is_discarded(left_m: float, reason: Discard | None) -> None:
+def test_an_adversary_that_a_raster_sees_in_contact_is_discarded(left_m: float, reason: DiscardReason | None) -> None:
     scene = with_track(x=52.0, y=198.25 + left_m)
     finding = verify(scene, 0, START, HYPER, DriverLimits())
     assert (None if finding is None else finding.reason) is reason
     if finding is not None:
         said = finding.as_json()
-        contacts = recorded_contacts(scene, scene.adversaries, ["uniad"])["uniad"][0]
+        contacts = find_recorded_contacts(scene, scene.adversaries, ["uniad"])["uniad"][0]
         assert said == {
             "reason": "touches-under-uniad",
             "frame": int(scene.keyframes[1]),
@@ -81,7 +87,7 @@ def test_a_contact_that_vad_alone_sees_has_its_reason() -> None:
     scene = scene_on_straight_road((ahead,), ego_speed=8.1)
     poses = np.column_stack([scene.agents.position[0, START:, :2], scene.agents.yaw[0, START:]])
     scene = scene.with_adversary(0, slice(START, len(scene.timestamps_us)), poses)
-    assert verdict(scene) is Discard.TOUCHES_VAD
+    assert verdict(scene) is DiscardReason.TOUCHES_VAD
 
 
 def test_what_the_track_becomes_in_a_frozen_split_is_looked_at_too() -> None:
@@ -93,10 +99,11 @@ def test_what_the_track_becomes_in_a_frozen_split_is_looked_at_too() -> None:
         track = np.column_stack([scene.agents.position[0, frames, :2], scene.agents.yaw[0, frames]])
         rounded = scene.with_adversary(0, frames, np.asarray(np.round(track, METRE_DIGITS), np.float64))
         as_is, frozen = (
-            bool(recorded_contacts(seen, seen.adversaries, ["uniad"])["uniad"][0].any()) for seen in (scene, rounded)
+            bool(find_recorded_contacts(seen, seen.adversaries, ["uniad"])["uniad"][0].any())
+            for seen in (scene, rounded)
         )
         if as_is != frozen:
-            assert verdict(scene) is Discard.TOUCHES_UNIAD
+            assert verdict(scene) is DiscardReason.TOUCHES_UNIAD
             found.add((as_is, frozen))
     assert (False, True) in found
 
@@ -105,8 +112,8 @@ def test_contacts_of_the_recording_are_counted_and_no_reason() -> None:
     beside = Car(50.0, 198.25 + LEFT_M + 0.3, 8.0)
     scene = with_track(x=52.0, y=194.75, others=(beside,))
     assert verdict(scene) is None
-    steps = masked_steps(scene)
-    assert set(steps) == set(masking_protocols())
+    steps = count_masked_steps(scene)
+    assert set(steps) == set(find_masking_protocols())
     assert steps["uniad"].adversary == steps["vad"].adversary == 0
     assert steps["uniad"].others > 10 and steps["vad"].others > 10
     assert steps["sparsedrive"].others == 0
@@ -115,8 +122,8 @@ def test_contacts_of_the_recording_are_counted_and_no_reason() -> None:
 def test_a_step_at_which_both_touch_is_the_adversarys() -> None:
     beside = Car(50.0, 198.25 + LEFT_M + 0.3, 8.0)
     scene = with_track(x=50.0, y=198.25 + LEFT_M + 0.3, others=(beside,))
-    assert masked_steps(scene)["uniad"].adversary > 10
-    assert masked_steps(scene)["uniad"].others == 0
+    assert count_masked_steps(scene)["uniad"].adversary > 10
+    assert count_masked_steps(scene)["uniad"].others == 0
 
 
 def turning(scene: Scene, radius_m: float = 12.0) -> Scene:
@@ -133,14 +140,14 @@ def test_footprints_are_what_the_rasters_of_the_steps_before_show() -> None:
     """Something small well inside of a footprint is seen, something well outside of it is not, in a bend as well."""
     scene = turning(with_track(x=52.0, y=194.75, seconds=9.0))
     rng, frames = np.random.default_rng(0), scene.keyframes
-    footprints = raster_footprints(scene, frames)
+    footprints = compute_raster_footprints(scene, frames)
     assert footprints.shape == (len(frames), 6, 5)
     seen = []
     for place in rng.uniform(-4.0, 4.0, (60, 2)):
         poses = np.column_stack([scene.ego.boxes[:, :2] + place, np.full(len(scene.timestamps_us), 0.3)])
         small = replace(scene, agents=replace(scene.agents, size=np.array([[0.6, 0.6, 1.0]])))
         placed = small.with_adversary(0, slice(0, len(poses)), poses)
-        found = recorded_contacts(placed, placed.adversaries, ("uniad", "vad"))
+        found = find_recorded_contacts(placed, placed.adversaries, ("uniad", "vad"))
         either = found["uniad"][0] | found["vad"][0]
         for sample in range(6, len(frames) - 6):
             for step in range(6):
@@ -159,5 +166,5 @@ def test_where_the_adversary_was_recorded_before_its_launch_counts_too() -> None
     close = with_track(x=52.0, y=198.25 + LEFT_M + 0.3)
     away = np.tile([0.0, 0.6], (len(close.timestamps_us) - START, 1))
     finding = verify(moved(close, away), 0, START, HYPER, DriverLimits())
-    assert finding is not None and finding.reason is Discard.TOUCHES_UNIAD
+    assert finding is not None and finding.reason is DiscardReason.TOUCHES_UNIAD
     assert finding.frame is not None and finding.frame < START

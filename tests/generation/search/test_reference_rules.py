@@ -5,17 +5,17 @@ import pytest
 
 from benchmark.geometry import Floats
 from benchmark.scene import Scene
-from generation.search.adversary import Searched
-from generation.search.candidates import NotTried, eligibility_of, launch_frame, unfit
+from generation.search.adversary import SearchOutcome
+from generation.search.candidates import ExclusionReason, compute_eligibility, find_exclusion_reason, find_launch_frame
 from generation.search.hyperparameters import HyperParameters
-from generation.search.planning import fault_of_place, fault_of_step
+from generation.search.planning import find_distance_failure, find_score_failure
 from generation.search.reference_scoring import (
-    lidar_distance,
-    reference_launch,
-    reference_previous,
-    reference_state,
+    compute_lidar_distance,
+    compute_reference_previous,
+    compute_reference_state,
+    find_reference_launch,
 )
-from generation.search.verify import Discard
+from generation.search.verify import DiscardReason
 from tests.generation.search.driving_prior import DrivingPrior
 from tests.generation.search.one_vehicle import attempt
 from tests.hand_made import Car, scene_on_straight_road
@@ -43,36 +43,36 @@ def test_the_reference_tries_cars_alone_parked_ones_among_them() -> None:
         Car(300.0, 194.75, 8.0),
         Car(62.0, 212.0, 8.0),
     )
-    assert [unfit(scene, agent, REFERENCE) for agent in range(6)] == [
-        None, NotTried.NOT_FOUR_WHEELED, NotTried.NO_CAR, None, NotTried.NEVER_NEAR, NotTried.OFF_ROAD,
+    assert [find_exclusion_reason(scene, agent, REFERENCE) for agent in range(6)] == [
+        None, ExclusionReason.NOT_FOUR_WHEELED, ExclusionReason.NO_CAR, None, ExclusionReason.NEVER_NEAR, ExclusionReason.OFF_ROAD,
     ]  # fmt: skip
-    assert unfit(scene_of(NEAR, ego_speed=0.0), 0, REFERENCE) is None
+    assert find_exclusion_reason(scene_of(NEAR, ego_speed=0.0), 0, REFERENCE) is None
 
 
 def test_the_paper_tries_any_vehicle_that_comes_near() -> None:
     scene = scene_of(
         NEAR, Car(38.0, 201.75, 8.0, category="vehicle.truck"), Car(75.0, 205.25, 0.0), Car(62.0, 212.0, 8.0)
     )
-    assert [vehicle.agent for vehicle in eligibility_of(scene, PAPER, 0).chosen] == [0, 1, 2, 3]
+    assert [vehicle.agent for vehicle in compute_eligibility(scene, PAPER, 0).chosen] == [0, 1, 2, 3]
 
 
 def test_the_paper_launches_at_the_first_frame_in_the_area() -> None:
-    assert launch_frame(scene_of(NEAR), 0, PAPER) == 0
-    assert launch_frame(absent(scene_of(NEAR), 0, *range(9)), 0, PAPER) == 9
+    assert find_launch_frame(scene_of(NEAR), 0, PAPER) == 0
+    assert find_launch_frame(absent(scene_of(NEAR), 0, *range(9)), 0, PAPER) == 9
     coming = scene_of(Car(140.0, 201.75, 8.0, np.pi))
-    frame = launch_frame(coming, 0, PAPER)
+    frame = find_launch_frame(coming, 0, PAPER)
     ahead = coming.agents.position[0, :, 0] - coming.ego.pose[:, 0]
     assert frame is not None and ahead[frame] <= 50.0 < ahead[frame - 1]
-    assert launch_frame(absent(scene_of(NEAR), 0, *range(160)), 0, PAPER) is None
+    assert find_launch_frame(absent(scene_of(NEAR), 0, *range(160)), 0, PAPER) is None
 
 
 def test_the_reference_waits_for_frame_20_and_for_25_metres_from_the_lidar() -> None:
-    assert reference_launch(scene_of(NEAR), 0) == 20
+    assert find_reference_launch(scene_of(NEAR), 0) == 20
     coming = scene_of(Car(140.0, 201.75, 8.0, np.pi))
-    frame = reference_launch(coming, 0)
-    distance = lidar_distance(coming, 0)
+    frame = find_reference_launch(coming, 0)
+    distance = compute_lidar_distance(coming, 0)
     assert frame is not None and distance[frame] < 25.0 <= distance[frame - 1]
-    assert reference_launch(scene_of(Car(300.0, 194.75, 8.0)), 0) is None
+    assert find_reference_launch(scene_of(Car(300.0, 194.75, 8.0)), 0) is None
 
 
 def test_the_reference_launches_nobody_after_frame_140() -> None:
@@ -80,59 +80,59 @@ def test_the_reference_launches_nobody_after_frame_140() -> None:
     found = {}
     for ahead in (55.0, 58.0, 61.0, 64.0):
         scene = scene_of(Car(50.0 + ahead, 194.75, 5.0), seconds=20.0)
-        near = int(np.flatnonzero(lidar_distance(scene, 0) < 25.0)[0])
-        found[near] = reference_launch(scene, 0)
+        near = int(np.flatnonzero(compute_lidar_distance(scene, 0) < 25.0)[0])
+        found[near] = find_reference_launch(scene, 0)
     assert min(found) < 140 < max(found)
     assert found == {near: near if near <= 140 else None for near in found}
 
 
 def test_a_history_with_a_gap_is_none() -> None:
-    assert reference_launch(absent(scene_of(NEAR), 0, 18), 0) is None
-    assert reference_launch(absent(scene_of(NEAR), 0, 1, 2, 3), 0) == 20
-    assert reference_launch(absent(scene_of(NEAR), 0, 6), 0) is None
+    assert find_reference_launch(absent(scene_of(NEAR), 0, 18), 0) is None
+    assert find_reference_launch(absent(scene_of(NEAR), 0, 1, 2, 3), 0) == 20
+    assert find_reference_launch(absent(scene_of(NEAR), 0, 6), 0) is None
 
 
 def test_speed_has_lost_its_sign_and_everything_else_is_zero() -> None:
     now, before = np.array([10.0, 5.0, 0.3]), np.array([10.9, 5.0, 0.3])
-    state = reference_state(before, now, 4.0)
+    state = compute_reference_state(before, now, 4.0)
     assert state.speed == pytest.approx(0.45)
     assert (state.acceleration, state.steering) == (0.0, 0.0)
     np.testing.assert_allclose(state.pose, [10.0 - 1.2 * np.cos(0.3), 5.0 - 1.2 * np.sin(0.3), 0.3])
 
 
 def test_the_model_is_told_of_the_centre_in_the_frame_of_the_centre() -> None:
-    told = reference_previous(np.array([3.0, 1.0, np.pi / 2 - 0.1]), np.array([3.0, 4.0, np.pi / 2]))
+    told = compute_reference_previous(np.array([3.0, 1.0, np.pi / 2 - 0.1]), np.array([3.0, 4.0, np.pi / 2]))
     np.testing.assert_allclose(told, [-3.0, 0.0, -0.1], atol=1e-12)
 
 
 def test_a_score_above_seven_drops_a_scene() -> None:
-    assert fault_of_step(7.0, 20) is None
-    finding = fault_of_step(7.001, 32)
-    assert finding is not None and (finding.reason, finding.frame) == (Discard.SCORES_TOO_HIGH, 32)
+    assert find_score_failure(7.0, 20) is None
+    finding = find_score_failure(7.001, 32)
+    assert finding is not None and (finding.reason, finding.frame) == (DiscardReason.SCORES_TOO_HIGH, 32)
 
 
 def test_the_area_is_square_along_the_axes_of_the_map_and_the_last_frame_does_not_count() -> None:
     scene = scene_of(NEAR)
     rear, last = scene.ego.pose[:, :2], len(scene.timestamps_us) - 1
     inside = rear[20:] + [49.9, -49.9]
-    assert fault_of_place(scene, inside, 20) is None
+    assert find_distance_failure(scene, inside, 20) is None
     outside = inside.copy()
     outside[7, 1] -= 0.2
-    finding = fault_of_place(scene, outside, 20)
-    assert finding is not None and (finding.reason, finding.frame) == (Discard.LEAVES_AREA, 27)
+    finding = find_distance_failure(scene, outside, 20)
+    assert finding is not None and (finding.reason, finding.frame) == (DiscardReason.LEAVES_AREA, 27)
     only_last = inside.copy()
     only_last[last - 20] += 100.0
-    assert fault_of_place(scene, only_last, 20) is None
+    assert find_distance_failure(scene, only_last, 20) is None
 
 
-def searched(hyper: HyperParameters, *cars: Car, seed: int = 0) -> Searched:
+def searched(hyper: HyperParameters, *cars: Car, seed: int = 0) -> SearchOutcome:
     return attempt(scene_of(*cars), 0, seed, replace(hyper, candidates=32), DrivingPrior())
 
 
 def test_the_reference_keeps_what_touches_because_it_does_not_look_again() -> None:
     """The recorded ego runs into a car that stands across its lane: no reason here, one in the other presets."""
     standing = Car(95.0, 198.25, 0.0, np.pi / 2)
-    assert searched(PAPER, NEAR, standing).attempt.discard == Discard.ORIGINAL_COLLIDES
+    assert searched(PAPER, NEAR, standing).attempt.discard == DiscardReason.ORIGINAL_COLLIDES
     results = [searched(REFERENCE, NEAR, standing, seed=seed) for seed in range(3)]
     assert any(result.kept for result in results)
 

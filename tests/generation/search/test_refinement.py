@@ -10,20 +10,20 @@ from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.search.hyperparameters import HyperParameters
-from generation.search.proposals import Mutation, run_together
-from generation.search.refinement import Evaluated, NothingToDraw, Refinement, refine, resample
-from generation.search.scoring import Terms
+from generation.search.proposals import MutationRequest, run_searches
+from generation.search.refinement import EvaluatedBatch, Refinement, ResamplingUnderflowError, refine, resample
+from generation.search.scoring import ScoreTerms
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
 
 HYPER = HyperParameters(candidates=32)
 PREVIOUS = np.array([-3.0, 0.0, 0.0])
 
 
-def at_distance(waypoints: Floats, distance: Floats, finite: bool = True) -> Evaluated:
+def at_distance(waypoints: Floats, distance: Floats, finite: bool = True) -> EvaluatedBatch:
     """A batch without faults whose challenge is a given distance."""
     count = len(waypoints)
     none = np.zeros((count, HYPER.horizon), dtype=np.bool_)
-    terms = Terms(
+    terms = ScoreTerms(
         center_off_road=none,
         corner_off_road=none,
         collision=none,
@@ -35,16 +35,16 @@ def at_distance(waypoints: Floats, distance: Floats, finite: bool = True) -> Eva
     )
     states = np.zeros((count, 13, 6))
     motion = SimulatedMotion(states[..., :3], states, np.zeros((count, 12, 2)), terms.finite)
-    return Evaluated(motion, terms)
+    return EvaluatedBatch(motion, terms)
 
 
-def to_a_target(waypoints: Floats) -> Evaluated:
+def to_a_target(waypoints: Floats) -> EvaluatedBatch:
     return at_distance(waypoints, np.hypot(waypoints[:, 3, 0] - 14.0, waypoints[:, 3, 1] - 2.0))
 
 
-def refined(evaluate: Callable[[Floats], Evaluated], hyper: HyperParameters, seed: int = 0) -> Refinement:
+def refined(evaluate: Callable[[Floats], EvaluatedBatch], hyper: HyperParameters, seed: int = 0) -> Refinement:
     search = refine(unchanged, evaluate, PREVIOUS, hyper, np.random.default_rng(seed))
-    return run_together([search], DrivingPrior())[0][0]
+    return run_searches([search], DrivingPrior())[0][0]
 
 
 def search(hyper: HyperParameters, seed: int = 0) -> Refinement:
@@ -91,7 +91,7 @@ def test_every_round_asks_for_less_and_less_noise() -> None:
     request, levels = next(asking), []
     with pytest.raises(StopIteration):
         while True:
-            levels.append(request.noise_level if isinstance(request, Mutation) else None)
+            levels.append(request.noise_level if isinstance(request, MutationRequest) else None)
             request = asking.send(DrivingPrior().answer([request])[0])
     assert levels == [None, 5, 4, 3, 2, 1]
 
@@ -99,7 +99,7 @@ def test_every_round_asks_for_less_and_less_noise() -> None:
 def test_searches_side_by_side_are_as_if_alone() -> None:
     alone = [search(HYPER, seed) for seed in range(4)]
     searches = [refine(unchanged, to_a_target, PREVIOUS, HYPER, np.random.default_rng(seed)) for seed in range(4)]
-    together, seconds = run_together(searches, DrivingPrior())
+    together, seconds = run_searches(searches, DrivingPrior())
     assert len(seconds) == 4
     for one, other in zip(alone, together, strict=True):
         np.testing.assert_array_equal(one.waypoints, other.waypoints)
@@ -111,7 +111,7 @@ def test_an_unstable_softmax_draws_like_a_stable_one_until_it_underflows() -> No
     drawn = [resample(scores, hyper, np.random.default_rng(0)) for hyper in (HYPER, unstable)]
     assert (drawn[0] == drawn[1]).mean() > 0.99
     parked = scores + 133.0
-    with pytest.raises(NothingToDraw, match=r"133\.0"):
+    with pytest.raises(ResamplingUnderflowError, match=r"133\.0"):
         resample(parked, unstable, np.random.default_rng(0))
     np.testing.assert_array_equal(resample(parked, HYPER, np.random.default_rng(0)), drawn[0])
 

@@ -13,12 +13,12 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json
 from benchmark.machine.workers import LocalProcesses
-from benchmark.records.scenes import RefinementTrace, StoredSheet, find_sheets, kept_rounds_path
+from benchmark.records.scenes import RefinementTrace, StoredScenePage, find_scene_pages, kept_rounds_path
 from benchmark.runs.units import ResultStore
 from benchmark.scene_pages.writing import SheetSettings, write_sheets
 from generation.pipeline.report import estimate_build
 from generation.pipeline.split import build_split
-from generation.search.refinement import SHOWN_CANDIDATES, shown_candidates
+from generation.search.refinement import SHOWN_CANDIDATES, select_shown_candidates
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
 from tests.generation.search.one_vehicle import attempt
@@ -43,14 +43,14 @@ def copied(built: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(built, tmp_path / "copied"))
 
 
-def shown(root: Path, sheets: Path, **changes: Any) -> list[StoredSheet]:
+def shown(root: Path, sheets: Path, **changes: Any) -> list[StoredScenePage]:
     """Sheets with rounds of a generated root."""
     data = open_data(root, name="small")
     write_sheets(data, "adv", sheets, SheetSettings("none", workers=1, rounds=True, **changes))
-    return list(find_sheets(sheets).scenes.values())
+    return list(find_scene_pages(sheets).scenes.values())
 
 
-def rounds_of(stored: StoredSheet) -> RefinementTrace:
+def rounds_of(stored: StoredScenePage) -> RefinementTrace:
     assert stored.rounds is not None
     return stored.rounds
 
@@ -74,7 +74,7 @@ def test_keeping_rounds_changes_nothing_else() -> None:
         assert plan.score == pytest.approx(at.rounds[at.chosen_round].scores[at.chosen], abs=1e-5)
 
 
-def assert_is_what_was_driven(stored: StoredSheet, data: DataSet) -> None:
+def assert_is_what_was_driven(stored: StoredScenePage, data: DataSet) -> None:
     """The executed candidates lead along the adversary's track, from each planning frame to the next."""
     rounds, scene = rounds_of(stored), data.scene(stored.sheet.scene)
     track = scene.agents.position[scene.agents.ids.index(rounds.agent), :, :2] - np.array(stored.sheet.origin_m)
@@ -212,7 +212,7 @@ def test_the_best_and_some_of_the_others_are_kept(count: int) -> None:
     scores = np.random.default_rng(count).exponential(size=count)
     drawable = np.ones(count, dtype=np.bool_)
     chosen = int(np.argsort(scores)[count // 2])
-    shown = shown_candidates(scores, drawable, chosen)
+    shown = select_shown_candidates(scores, drawable, chosen)
     assert chosen in shown
     assert len(set(shown.tolist())) == len(shown) == min(count, SHOWN_CANDIDATES)
     assert list(shown) == sorted(shown)
@@ -222,5 +222,5 @@ def test_the_best_and_some_of_the_others_are_kept(count: int) -> None:
 def test_candidates_without_a_finite_motion_are_left_out() -> None:
     drawable = np.array([True, False, True])
     scores = np.array([np.inf, np.inf, 0.5])
-    assert shown_candidates(scores, drawable, 1).tolist() == [0, 2]
-    assert shown_candidates(scores, np.zeros(3, dtype=np.bool_), None).tolist() == []
+    assert select_shown_candidates(scores, drawable, 1).tolist() == [0, 2]
+    assert select_shown_candidates(scores, np.zeros(3, dtype=np.bool_), None).tolist() == []

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from benchmark.geometry import Floats
 from benchmark.road_map import DrivableRaster
 from generation.search.hyperparameters import CollisionReading, HyperParameters
-from generation.search.scoring import Surroundings, collisions, final_scores, score_terms, surroundings
+from generation.search.scoring import (
+    ScoringSurroundings,
+    build_surroundings,
+    compute_final_scores,
+    compute_score_terms,
+    find_collisions,
+)
 from tests.generation.search.slow_scoring import slow_collision, slow_final_scores, slow_score_terms
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -32,9 +38,9 @@ def test_terms_repeat_the_golden_numbers(path: Path, reading: CollisionReading) 
     origin = np.linalg.solve(affine[:, :2], 100.0 - affine[:, 2])
     raster = DrivableRaster(golden["raster"], np.array([*origin, np.arctan2(affine[1, 1], affine[1, 0])]), 0.5)
     ego = boxes[:, int(golden["ego_index"]), :2]
-    around = Surroundings(boxes, golden["valid"][1:13], ego, raster)
+    around = ScoringSurroundings(boxes, golden["valid"][1:13], ego, raster)
     hyper = replace(PAPER, collision_reading=reading)
-    terms = score_terms(golden["candidates"][:, 1:13], golden["adv_width_length"][::-1], around, hyper)
+    terms = compute_score_terms(golden["candidates"][:, 1:13], golden["adv_width_length"][::-1], around, hyper)
     np.testing.assert_array_equal(terms.center_off_road, golden["paper_center_violation"])
     np.testing.assert_array_equal(terms.corner_off_road, golden["paper_corner_violation"])
     np.testing.assert_array_equal(terms.collision, golden[f"paper_collision_{reading}"])
@@ -42,11 +48,11 @@ def test_terms_repeat_the_golden_numbers(path: Path, reading: CollisionReading) 
     np.testing.assert_allclose(terms.dac, golden["paper_dac"], atol=1e-9)
     np.testing.assert_allclose(terms.cr, golden[f"paper_cr_{reading}"], atol=1e-9)
     np.testing.assert_allclose(terms.challenge, golden["paper_ac_raw"], atol=1e-9)
-    scores = final_scores(terms, np.zeros(len(terms.dac)), hyper)
+    scores = compute_final_scores(terms, np.zeros(len(terms.dac)), hyper)
     np.testing.assert_allclose(scores, golden[f"paper_final_{reading}"], atol=1e-9)
     start = golden["paper_init_score_uniform_0_1e-3"]
     np.testing.assert_array_equal(
-        np.argsort(final_scores(terms, start, hyper)), np.argsort(golden[f"paper_final_{reading}"] + start)
+        np.argsort(compute_final_scores(terms, start, hyper)), np.argsort(golden[f"paper_final_{reading}"] + start)
     )
 
 
@@ -60,7 +66,9 @@ def random_boxes(rng: np.random.Generator, *shape: int) -> Floats:
 @given(seed=st.integers(0, 2**32), far=st.sampled_from([0.0, 1e3, 1e6]))
 def test_collisions_agree_with_polygons(reading: CollisionReading, seed: int, far: float) -> None:
     rng = np.random.default_rng(seed)
-    around = Surroundings(random_boxes(rng, 3, 6), rng.random((3, 6)) < 0.7, np.zeros((3, 2)), everything_drivable())
+    around = ScoringSurroundings(
+        random_boxes(rng, 3, 6), rng.random((3, 6)) < 0.7, np.zeros((3, 2)), everything_drivable()
+    )
     around.boxes[..., 0] += far
     around.boxes[~around.present] = np.nan
     candidates = random_boxes(rng, 8, 3)
@@ -72,7 +80,7 @@ def test_collisions_agree_with_polygons(reading: CollisionReading, seed: int, fa
         ]
         for row in candidates
     ]
-    np.testing.assert_array_equal(collisions(candidates, around, reading), expected)
+    np.testing.assert_array_equal(find_collisions(candidates, around, reading), expected)
 
 
 @pytest.mark.parametrize("reading", CollisionReading)
@@ -92,16 +100,18 @@ def test_all_terms_agree_with_the_slow_side(
     raster = DrivableRaster(rng.random((40, 40)) < 0.8, np.array([*rng.uniform(-5.0, 5.0, 2), rng.uniform(-7, 7)]), 0.5)
     ego = random_boxes(rng, steps)[:, :2]
     present = rng.random((steps, objects)) < 0.7
-    around = Surroundings(random_boxes(rng, steps, objects), present, ego, raster)
+    around = ScoringSurroundings(random_boxes(rng, steps, objects), present, ego, raster)
     center, speed = random_boxes(rng, 5, steps)[..., [0, 1, 4]], rng.uniform(0.0, 15.0, (5, steps))
-    fast = score_terms(center, SIZE, around, hyper, speed=speed)
+    fast = compute_score_terms(center, SIZE, around, hyper, speed=speed)
     slow = slow_score_terms(center, SIZE, around, hyper, speed)
     for name in ("center_off_road", "corner_off_road", "collision"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(slow, name), err_msg=name)
     for name in ("distance", "dac", "cr", "challenge"):
         np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), atol=1e-9, err_msg=name)
     start = rng.uniform(0.0, 1e-3, 5)
-    np.testing.assert_allclose(final_scores(fast, start, hyper), slow_final_scores(slow, start, hyper), atol=1e-9)
+    np.testing.assert_allclose(
+        compute_final_scores(fast, start, hyper), slow_final_scores(slow, start, hyper), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -120,47 +130,47 @@ def test_readings_differ_where_they_should(
     dx: float, dy: float, yaw: float, literal: bool, half: bool, geometry: bool
 ) -> None:
     other = np.array([[[0.0, 0.0, *SIZE, 0.0]]])
-    around = Surroundings(other, np.ones((1, 1), dtype=np.bool_), np.zeros((1, 2)), everything_drivable())
+    around = ScoringSurroundings(other, np.ones((1, 1), dtype=np.bool_), np.zeros((1, 2)), everything_drivable())
     own = np.array([[[dx, dy, *SIZE, yaw]]])
-    assert collisions(own, around, CollisionReading.LITERAL)[0, 0] == literal
-    assert collisions(own, around, CollisionReading.HALF)[0, 0] == half
-    assert collisions(own, around)[0, 0] == geometry
+    assert find_collisions(own, around, CollisionReading.LITERAL)[0, 0] == literal
+    assert find_collisions(own, around, CollisionReading.HALF)[0, 0] == half
+    assert find_collisions(own, around)[0, 0] == geometry
 
 
 @pytest.mark.parametrize("reading", CollisionReading)
 def test_growth_only_adds_collisions(reading: CollisionReading) -> None:
     rng = np.random.default_rng(3)
-    around = Surroundings(
+    around = ScoringSurroundings(
         random_boxes(rng, 4, 5), np.ones((4, 5), dtype=np.bool_), np.zeros((4, 2)), everything_drivable()
     )
     bare = random_boxes(rng, 60, 4)
     grown = bare.copy()
     grown[..., 2:4] += 0.5
-    assert not (collisions(bare, around, reading) & ~collisions(grown, around, reading)).any()
-    assert (collisions(grown, around, reading) & ~collisions(bare, around, reading)).any()
+    assert not (find_collisions(bare, around, reading) & ~find_collisions(grown, around, reading)).any()
+    assert (find_collisions(grown, around, reading) & ~find_collisions(bare, around, reading)).any()
 
 
 def test_a_candidate_that_is_nowhere_does_not_hide_the_others() -> None:
     other = np.array([[[4.0, 2.0, 4.0, 2.0, 0.0]]])
-    around = Surroundings(other, np.ones((1, 1), dtype=np.bool_), np.zeros((1, 2)), everything_drivable())
+    around = ScoringSurroundings(other, np.ones((1, 1), dtype=np.bool_), np.zeros((1, 2)), everything_drivable())
     own = np.repeat(np.array([[[3.0, 2.0, 4.0, 2.0, 0.0]]]), 4, axis=0)
     own[1, 0, 0], own[2, 0, 4], own[3, 0, 1] = np.nan, np.nan, 1e300
-    np.testing.assert_array_equal(collisions(own, around)[:, 0], [True, False, False, False])
+    np.testing.assert_array_equal(find_collisions(own, around)[:, 0], [True, False, False, False])
 
 
 def test_corner_to_corner_touching_counts() -> None:
     other = np.array([[[4.0, 2.0, 4.0, 2.0, 0.0]]])
-    around = Surroundings(other, np.ones((1, 1), dtype=np.bool_), np.zeros((1, 2)), everything_drivable())
-    assert collisions(np.array([[[0.0, 0.0, 4.0, 2.0, 0.0]]]), around)[0, 0]
-    assert not collisions(np.array([[[-1e-3, 0.0, 4.0, 2.0, 0.0]]]), around)[0, 0]
+    around = ScoringSurroundings(other, np.ones((1, 1), dtype=np.bool_), np.zeros((1, 2)), everything_drivable())
+    assert find_collisions(np.array([[[0.0, 0.0, 4.0, 2.0, 0.0]]]), around)[0, 0]
+    assert not find_collisions(np.array([[[-1e-3, 0.0, 4.0, 2.0, 0.0]]]), around)[0, 0]
 
 
 def test_step_weights_are_the_papers() -> None:
-    weights = PAPER.safety_step_weights()
+    weights = PAPER.compute_safety_step_weights()
     assert weights[0] == 1.0
     assert weights[-1] == pytest.approx(0.85)
     np.testing.assert_allclose(np.diff(np.sqrt(weights), 2), 0.0, atol=1e-12)
-    np.testing.assert_allclose(np.diff(PAPER.challenge_step_weights()), 0.3 / 11)
+    np.testing.assert_allclose(np.diff(PAPER.compute_challenge_step_weights()), 0.3 / 11)
     assert HyperParameters().scored_frames[:12] == tuple(range(1, 13))
     assert HyperParameters().scored_frames[-1] == 36
 
@@ -170,12 +180,12 @@ def test_absent_objects_the_own_box_and_the_ego_are_treated_as_they_should() -> 
     scene.agents.valid[1] = False
     raster = DrivableRaster.around(scene.road_map, scene.ego.pose[0])
     frames = tuple(range(1, 13))
-    around = surroundings(scene, 0, frames, raster)
+    around = build_surroundings(scene, 0, frames, raster)
     assert around.boxes.shape == (12, 1, 5)
     np.testing.assert_allclose(around.boxes[:, -1], scene.ego.boxes[1:13])
     recorded = np.column_stack([scene.agents.position[0, 1:13, :2], scene.agents.yaw[0, 1:13]])
     on_ego = scene.ego.boxes[1:13][:, [0, 1, 4]]
-    terms = score_terms(np.stack([recorded, on_ego]), SIZE, around, PAPER)
+    terms = compute_score_terms(np.stack([recorded, on_ego]), SIZE, around, PAPER)
     assert not terms.collision[0].any()
     assert terms.collision[1].all()
     assert terms.challenge[1] < terms.challenge[0]
@@ -184,13 +194,13 @@ def test_absent_objects_the_own_box_and_the_ego_are_treated_as_they_should() -> 
 def test_leaving_the_road_counts_and_outside_the_raster_is_off_road() -> None:
     scene = scene_on_straight_road()
     raster = DrivableRaster.around(scene.road_map, scene.ego.pose[0])
-    around = surroundings(scene, 0, tuple(range(1, 13)), raster)
+    around = build_surroundings(scene, 0, tuple(range(1, 13)), raster)
     lanes = np.array([194.75, 193.5, 190.0])
     poses = np.zeros((4, 12, 3))
     poses[..., 0] = 70.0 + 0.7 * np.arange(12)
     poses[:3, :, 1] = lanes[:, None]
     poses[3] = [400.0, 198.25, 0.0]
-    terms = score_terms(poses, SIZE, around, PAPER)
+    terms = compute_score_terms(poses, SIZE, around, PAPER)
     np.testing.assert_array_equal(terms.center_off_road.all(axis=1), [False, False, True, True])
     np.testing.assert_array_equal(terms.corner_off_road.all(axis=1), [False, True, True, True])
     assert terms.dac[0] == 0.0 < terms.dac[1] < terms.dac[2]
@@ -199,27 +209,27 @@ def test_leaving_the_road_counts_and_outside_the_raster_is_off_road() -> None:
 def test_clearance_and_headway_only_add_collisions() -> None:
     scene = scene_on_straight_road((Car(70.0, 198.25, 8.0),))
     raster = DrivableRaster.around(scene.road_map, scene.ego.pose[0])
-    around = surroundings(scene, 0, tuple(range(1, 13)), raster)
+    around = build_surroundings(scene, 0, tuple(range(1, 13)), raster)
     pose = scene.ego.boxes[1:13][:, [0, 1, 4]].copy()
     pose[:, 0] += 0.5 * (4.084 + 4.6) + 0.6
     speed = np.full((1, 12), 8.0)
-    near = score_terms(pose[None], SIZE, around, PAPER, speed=speed)
+    near = compute_score_terms(pose[None], SIZE, around, PAPER, speed=speed)
     careful = HyperParameters(lookahead_frames=0, clearance_m=0.0, headway_s=0.15)
     assert not near.collision.any()
-    assert score_terms(pose[None], SIZE, around, careful, speed=speed).collision.all()
+    assert compute_score_terms(pose[None], SIZE, around, careful, speed=speed).collision.all()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308, -1e160])
 def test_a_broken_candidate_gets_infinity_and_does_not_touch_the_others(bad: float) -> None:
     scene = scene_on_straight_road()
     raster = DrivableRaster.around(scene.road_map, scene.ego.pose[0])
-    around = surroundings(scene, 0, tuple(range(1, 13)), raster)
+    around = build_surroundings(scene, 0, tuple(range(1, 13)), raster)
     poses = np.zeros((3, 12, 3))
     poses[..., 1] = 198.25
     poses[..., 0] = np.array([62.0, 75.0, 90.0])[:, None] + 0.6 * np.arange(12)
-    clean = final_scores(score_terms(poses[[0, 2]], SIZE, around, PAPER), np.zeros(2), PAPER)
+    clean = compute_final_scores(compute_score_terms(poses[[0, 2]], SIZE, around, PAPER), np.zeros(2), PAPER)
     poses[1, 3, 1] = bad
-    scores = final_scores(score_terms(poses, SIZE, around, PAPER), np.zeros(3), PAPER)
+    scores = compute_final_scores(compute_score_terms(poses, SIZE, around, PAPER), np.zeros(3), PAPER)
     assert np.isinf(scores[1])
     np.testing.assert_array_equal(scores[[0, 2]], clean)
 
@@ -227,6 +237,8 @@ def test_a_broken_candidate_gets_infinity_and_does_not_touch_the_others(bad: flo
 def test_equal_challenge_is_zero() -> None:
     scene = scene_on_straight_road((Car(70.0, 198.25, 8.0),))
     raster = DrivableRaster.around(scene.road_map, scene.ego.pose[0])
-    around = surroundings(scene, 0, tuple(range(1, 13)), raster)
+    around = build_surroundings(scene, 0, tuple(range(1, 13)), raster)
     poses = np.repeat(np.array([[[88.0, 198.25, 0.0]]]), 12, axis=1).repeat(4, axis=0)
-    np.testing.assert_array_equal(final_scores(score_terms(poses, SIZE, around, PAPER), np.zeros(4), PAPER), 0.0)
+    np.testing.assert_array_equal(
+        compute_final_scores(compute_score_terms(poses, SIZE, around, PAPER), np.zeros(4), PAPER), 0.0
+    )

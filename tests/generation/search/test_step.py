@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
-from generation.diffusion.prior import SamplerSettings, Samples, TrajectoryPrior, diversify
+from generation.diffusion.prior import CandidateSource, SamplerSettings, TrajectoryPrior, diversify
 from generation.search.hyperparameters import HyperParameters
-from generation.search.planning import Planning
-from generation.search.proposals import run_together
+from generation.search.planning import AdversaryPlanning
+from generation.search.proposals import run_searches
 from tests.generation.search.driving_prior import unchanged
 from tests.generation.search.slow_step import SlowStep
 from tests.hand_made import Car, scene_on_straight_road
@@ -29,12 +29,14 @@ def test_a_planning_step_is_the_one_that_is_written_out(reference: bool) -> None
     hyper = replace(preset, candidates=12, rounds=2)
     denoiser = load_denoiser(PACKAGED_WEIGHTS)
     slow = SlowStep(SCENE, 0, FRAME, hyper, denoiser, np.random.default_rng(5), reference=reference).run()
-    prior = TrajectoryPrior.load(settings=SamplerSettings(samples=Samples.REFERENCE, conditioned=False, drivable=False))
+    prior = TrajectoryPrior.load(
+        settings=SamplerSettings(samples=CandidateSource.REFERENCE, conditioned=False, drivable=False)
+    )
     spread = diversify if hyper.varied else unchanged
-    rng, model = np.random.default_rng(5), hyper.motion_model()
-    planning = Planning(SCENE, 0, FRAME, hyper, spread, model, rng, {"physics": 0.0, "scoring": 0.0})
-    step = planning.plan(FRAME, planning.first_state(), planning.first_pose()[None])
-    found = run_together([step], prior)[0][0]
+    rng, model = np.random.default_rng(5), hyper.build_motion_model()
+    planning = AdversaryPlanning(SCENE, 0, FRAME, hyper, spread, model, rng, {"physics": 0.0, "scoring": 0.0})
+    step = planning.plan(FRAME, planning.compute_first_state(), planning.find_first_pose()[None])
+    found = run_searches([step], prior)[0][0]
     assert found.round == 2
     assert found.chosen == slow.index
     for ours, theirs in zip(found.rounds, slow.scores, strict=True):

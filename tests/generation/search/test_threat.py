@@ -8,10 +8,10 @@ from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
-from generation.search.ego_way import EgoWay, overrun
+from generation.search.ego_way import RecordedEgoPath, compute_overrun
 from generation.search.hyperparameters import HyperParameters
-from generation.search.scoring import surroundings
-from generation.search.threat import LaneHeadings, threat_rating
+from generation.search.scoring import build_surroundings
+from generation.search.threat import LaneHeadings, build_threat_rating
 from generation.search.threat_settings import ThreatSettings
 from tests.generation.search.slow_threat import slow_further
 from tests.hand_made import Car, scene_on_straight_road
@@ -57,8 +57,8 @@ def only(weights: dict[str, float]) -> HyperParameters:
 
 def further(scene: Scene, hyper: HyperParameters, motion: SimulatedMotion, frame: int = 24) -> Floats:
     raster = DrivableRaster(np.ones((200, 200), dtype=np.bool_), np.zeros(3), 0.5)
-    around = surroundings(scene, 0, tuple(frame + offset for offset in OFFSETS), raster, raster_ego=False)
-    return threat_rating(scene, 0, frame, OFFSETS, around, hyper)(motion)
+    around = build_surroundings(scene, 0, tuple(frame + offset for offset in OFFSETS), raster, raster_ego=False)
+    return build_threat_rating(scene, 0, frame, OFFSETS, around, hyper)(motion)
 
 
 @pytest.mark.parametrize("name", WEIGHTS)
@@ -105,7 +105,7 @@ def test_paper_and_reference_have_no_term() -> None:
 
 def test_the_way_of_the_ego_measures_along_and_across() -> None:
     scene = braking_in_a_bend()
-    way = EgoWay.of(scene)
+    way = RecordedEgoPath.of(scene)
     for frame in (0, 30, 80, 119):
         x, y, yaw = scene.ego.boxes[frame, [0, 1, 4]]
         pose = np.array([x - 2.0 * np.sin(yaw), y + 2.0 * np.cos(yaw), yaw + 0.3])
@@ -119,7 +119,7 @@ def test_an_ego_that_brakes_is_overrun_by_one_that_does_not() -> None:
     time = np.arange(72) / FRAME_HZ
     speed = np.where(time < 2.0, 10.0, np.maximum(10.0 - 4.0 * (time - 2.0), 0.0))
     station = np.cumsum(speed) / FRAME_HZ
-    over = overrun(station, speed)
+    over = compute_overrun(station, speed)
     assert np.abs(over[:24]).max() < 1e-9
     # After 1.5 s of braking at 4 m/s^2 it is 4.5 m behind; who set off at full speed 3 s ago is no further.
     assert abs(over[24 + 18] - 4.5) < 0.5

@@ -7,40 +7,40 @@ import pytest
 from benchmark.datasets.roots import open_data
 from benchmark.datasets.schema.check import check_tables
 from benchmark.errors import InputError
-from generation.sources.mini import TownSettings, build_town
+from generation.sources.mini import TownSettings, build_town_data_set
 
 ONE = TownSettings(val_scenes=1, width=64, height=40, frames="keyframes")
 
 
 def test_other_settings_are_not_taken_for_finished_work(tmp_path: Path) -> None:
-    build_town(tmp_path, ONE, workers=1)
+    build_town_data_set(tmp_path, ONE, workers=1)
     first = open_data(tmp_path)
     assert [first.scene(name).cameras[0].width for name in first.scene_names()] == [64]
-    build_town(tmp_path, replace(ONE, width=80), workers=1)
+    build_town_data_set(tmp_path, replace(ONE, width=80), workers=1)
     second = open_data(tmp_path)
     assert [second.scene(name).cameras[0].width for name in second.scene_names()] == [80]
 
 
 def test_finished_work_is_left_alone(tmp_path: Path) -> None:
-    build_town(tmp_path, ONE, workers=1)
+    build_town_data_set(tmp_path, ONE, workers=1)
     times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
-    build_town(tmp_path, ONE, workers=1)
+    build_town_data_set(tmp_path, ONE, workers=1)
     assert times == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
 
 
 def test_a_town_of_before_gets_the_shared_tables_of_now(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now, drawn = ONE.folder_name("town"), ONE.drawn_name("town")
+    now, drawn = ONE.folder_name("town"), ONE.content_name("town")
     monkeypatch.setattr("generation.sources.mini.SHARED_TABLES_VERSION", 1)
     # What is measured depends on the scenes and not on what they share.
-    assert ONE.folder_name("town") != now and ONE.drawn_name("town") == drawn
-    build_town(tmp_path, ONE, workers=1)
+    assert ONE.folder_name("town") != now and ONE.content_name("town") == drawn
+    build_town_data_set(tmp_path, ONE, workers=1)
     categories = tmp_path / "v1.0-mini" / "category.json"
     categories.write_text("[]")
     images = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.jpg")}
-    build_town(tmp_path, ONE, workers=1)
+    build_town_data_set(tmp_path, ONE, workers=1)
     assert categories.read_text() == "[]"
     monkeypatch.undo()
-    build_town(tmp_path, ONE, workers=1)
+    build_town_data_set(tmp_path, ONE, workers=1)
     assert len(json.loads(categories.read_text())) == 32
     assert images == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.jpg")}
 
@@ -48,7 +48,7 @@ def test_a_town_of_before_gets_the_shared_tables_of_now(tmp_path: Path, monkeypa
 @pytest.mark.parametrize("settings", [replace(ONE, val_scenes=10**9), replace(ONE, train_scenes=10**400)])
 def test_more_scenes_than_have_names_are_refused_before_they_are_listed(settings: TownSettings, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"between 0 and \d+ (val|train) scenes"):
-        build_town(tmp_path / "town", settings, workers=1)
+        build_town_data_set(tmp_path / "town", settings, workers=1)
     assert not (tmp_path / "town").exists()
 
 
@@ -61,10 +61,10 @@ def files_of(root: Path) -> dict[str, bytes]:
 def test_samples_are_drawn_first_and_the_rest_when_it_is_asked_for(tmp_path: Path) -> None:
     whole = replace(ONE, frames="all", width=32, height=18)
     first = replace(whole, pictures="keyframes")
-    assert first.folder_name("town") == whole.folder_name("town") and first.drawn_name("a") == whole.drawn_name("a")
-    build_town(tmp_path / "at-once", whole, workers=1)
+    assert first.folder_name("town") == whole.folder_name("town") and first.content_name("a") == whole.content_name("a")
+    build_town_data_set(tmp_path / "at-once", whole, workers=1)
     at_once, root = files_of(tmp_path / "at-once"), tmp_path / "later"
-    build_town(root, first, workers=1)
+    build_town_data_set(root, first, workers=1)
     before, identity = files_of(root), open_data(root).fingerprint()
     sweeps = {name for name in at_once if name.startswith("sweeps/CAM")}
     assert len(sweeps) == 6 * (240 - 40)
@@ -74,20 +74,20 @@ def test_samples_are_drawn_first_and_the_rest_when_it_is_asked_for(tmp_path: Pat
     (fault,) = check_tables(root)
     assert fault.severity == "warning" and "every other image between samples" in fault.sentence
     samples = {path: path.stat().st_mtime_ns for path in root.glob("samples/CAM*/*.jpg")}
-    build_town(root, whole, workers=1)
+    build_town_data_set(root, whole, workers=1)
     assert files_of(root) == at_once and open_data(root).fingerprint() == identity
     assert samples == {path: path.stat().st_mtime_ns for path in samples}
     # Whoever asks for samples alone is content with more.
-    build_town(root, first, workers=1)
+    build_town_data_set(root, first, workers=1)
     assert files_of(root) == at_once
 
 
 def test_an_image_that_is_lost_is_drawn_again_while_others_wait(tmp_path: Path) -> None:
     settings = replace(ONE, frames="all", width=32, height=18, pictures="keyframes")
-    build_town(tmp_path, settings, workers=1)
+    build_town_data_set(tmp_path, settings, workers=1)
     before = files_of(tmp_path)
     lost = sorted(tmp_path.glob("samples/CAM_FRONT/*.jpg"))[3]
     lost.unlink()
     (tmp_path / ".challenger" / "town.json").unlink()
-    build_town(tmp_path, settings, workers=1)
+    build_town_data_set(tmp_path, settings, workers=1)
     assert files_of(tmp_path) == before

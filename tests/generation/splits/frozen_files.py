@@ -12,16 +12,16 @@ from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
 from generation.render.schematic import SchematicRenderer
 from generation.splits.format import (
-    Choice,
     FrozenAdversary,
     FrozenScene,
     FrozenSplit,
-    Recordings,
-    SearchFacts,
+    RecordingsIdentity,
+    SceneChoice,
+    SearchMetadata,
     write_frozen,
 )
-from generation.splits.packaged import NamedSplit, frozen_split
-from generation.splits.tracks import adversarial, tables_digest
+from generation.splits.packaged import NamedSplit, read_frozen_split
+from generation.splits.tracks import add_frozen_adversaries, compute_tables_digest
 from tests.generation.labels.recorded_roads import CHEAP, write_source
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -46,7 +46,7 @@ def frozen_file(source: DataSet, folder: Path, **changes: object) -> NamedSplit:
     file = folder / "road-adv-1.json"
     settings = replace(CHEAP, out=folder / "searched", freeze=file, renderer=DRAWN, frames="keyframes", **changes)  # type: ignore[arg-type]
     build_split(source, "adv", settings)
-    return frozen_split(file)
+    return read_frozen_split(file)
 
 
 def drifting_split(source: DataSet, file: Path) -> NamedSplit:
@@ -63,12 +63,12 @@ def drifting_split(source: DataSet, file: Path) -> NamedSplit:
                 instance=recorded.agents.ids[agent], launch_frame=6, recorded=track[0], track=track
             )
             frozen = FrozenScene(name=f"{name}-{agent:08d}", source=name, adversaries=(adversary,), tables="0" * 64)
-            digest = tables_digest(plan, adversarial(frozen, recorded), frozen)
+            digest = compute_tables_digest(plan, add_frozen_adversaries(frozen, recorded), frozen)
             scenes.append(frozen.model_copy(update={"tables": digest}))
     split = FrozenSplit(
-        recordings=Recordings(name=source.name, fingerprint=source.fingerprint()),
-        search=SearchFacts(algorithm="none", hyper="none", prior="none", seed=0),
-        chosen=Choice(scenes=2, tried=4, survived=4, per_scene=None, total=None, surrogate=None),
+        recordings=RecordingsIdentity(name=source.name, fingerprint=source.fingerprint()),
+        search=SearchMetadata(algorithm="none", hyper="none", prior="none", seed=0),
+        chosen=SceneChoice(scenes=2, tried=4, survived=4, per_scene=None, total=None, surrogate=None),
         images=None,
         scenes=tuple(scenes),
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.datasets.judged import stored_judgements
+from benchmark.datasets.judged import collect_assessments
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.geometry import box_corners
@@ -15,9 +15,9 @@ from benchmark.machine.storage import content_key
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.protocols import NATIVE_PROTOCOLS
-from benchmark.records.judgement import DEFINITION, SceneJudgement
+from benchmark.records.judgement import DEFINITION, SceneAssessment
 from benchmark.runs.units import ResultStore
-from generation.labels.labelling import agent_boxes
+from generation.labels.labelling import read_agent_boxes
 from generation.pipeline.report import estimate_build
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
@@ -81,7 +81,7 @@ def test_the_tracks_are_those_of_the_file_and_within_a_millimetre_of_those_that_
         track = np.array(frozen.adversaries[0].track)
         shown = np.column_stack([scene.agents.position[own, at, :2], scene.agents.yaw[own, at]])
         np.testing.assert_allclose(shown, track[np.array(at) - launch], atol=1e-8)
-        corners, were = (box_corners(agent_boxes(each, who)[at]) for each, who in ((scene, own), (before, agent)))
+        corners, were = (box_corners(read_agent_boxes(each, who)[at]) for each, who in ((scene, own), (before, agent)))
         assert np.hypot(*np.moveaxis(corners - were, -1, 0)).max() <= 1e-3
 
 
@@ -263,8 +263,8 @@ def test_frozen_scenes_are_judged_where_they_are_written_and_kept_as_frozen(
     source: DataSet, split: NamedSplit, built: Path, folder: Path, tmp_path: Path
 ) -> None:
     data = open_data(built)
-    judged = stored_judgements(data.root, data.version)
-    searched = stored_judgements(folder / "searched", data.version)
+    judged = collect_assessments(data.root, data.version)
+    searched = collect_assessments(folder / "searched", data.version)
     assert set(judged) == set(data.scene_names("adv"))
     for name, (said,) in judged.items():
         (before,) = searched[name]
@@ -279,11 +279,11 @@ def test_frozen_scenes_are_judged_where_they_are_written_and_kept_as_frozen(
     bare = replace(BUILT, out=tmp_path / "built", renderer=None, executor=LocalProcesses(2))
     report = build_frozen(source, split, bare)
     again = open_data(tmp_path / "built")
-    assert stored_judgements(again.root, again.version) == judged and report.unsolvable == ()
+    assert collect_assessments(again.root, again.version) == judged and report.unsolvable == ()
     assert "scenes that nobody could have avoided: 0, kept as frozen" in report.summary()
     # Judged once: what was judged is kept.
-    kept: ResultStore[tuple[SceneJudgement, ...]] = ResultStore(
-        tmp_path / "built" / ".challenger" / "judgements", tuple[SceneJudgement, ...]
+    kept: ResultStore[tuple[SceneAssessment, ...]] = ResultStore(
+        tmp_path / "built" / ".challenger" / "judgements", tuple[SceneAssessment, ...]
     )
     for path in kept.folder.iterdir():
         key = content_key(DEFINITION, path.stem)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from benchmark.datasets.roots import DataSet, open_data
-from benchmark.datasets.scenario_map import Exchanged
+from benchmark.datasets.scenario_map import ExchangedScene
 from benchmark.errors import InputError
-from benchmark.machine.storage import token
+from benchmark.machine.storage import make_token
 from generation.sources.importing import ImportSettings, import_scenarionet
 from generation.splits.building import build_frozen
-from generation.splits.edited import edited_scene, edited_split
+from generation.splits.edited import build_edited_scene, build_edited_split
 from generation.splits.format import EDITED, read_frozen
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.datasets.test_scenarionet import recording, write
@@ -32,7 +32,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 
 def test_whoever_was_moved_is_an_adversary_of_a_split_that_is_built_like_any(source: DataSet, tmp_path: Path) -> None:
     recorded, path = source.scene(NAME), tmp_path / "mine.pkl"
-    split = edited_split(source, path, ((path, Exchanged(moved(recorded, 1, 0.5), NAME)),))
+    split = build_edited_split(source, path, ((path, ExchangedScene(moved(recorded, 1, 0.5), NAME)),))
     (scene,) = split.frozen.scenes
     (adversary,) = scene.adversaries
     assert (split.name, scene.source, split.frozen.search.algorithm) == ("mine", NAME, EDITED)
@@ -49,33 +49,35 @@ def test_whoever_was_moved_is_an_adversary_of_a_split_that_is_built_like_any(sou
 def test_scenes_as_recorded_twice_or_recorded_elsewhere_are_refused(source: DataSet) -> None:
     recorded, path = source.scene(NAME), Path("mine.pkl")
     for scenes, message in (
-        ((Exchanged(recorded, NAME),), "as it was recorded; move a vehicle"),
-        ((Exchanged(moved(recorded, 0, 1.0), NAME),) * 2, "the same scene as another file"),
-        ((Exchanged(replace(moved(recorded, 0, 1.0), name="scene-1"), "scene-1"),), "has no recording of"),
+        ((ExchangedScene(recorded, NAME),), "as it was recorded; move a vehicle"),
+        ((ExchangedScene(moved(recorded, 0, 1.0), NAME),) * 2, "the same scene as another file"),
+        ((ExchangedScene(replace(moved(recorded, 0, 1.0), name="scene-1"), "scene-1"),), "has no recording of"),
     ):
         with pytest.raises(InputError, match=message):
-            edited_split(source, path, tuple((path, made) for made in scenes))
+            build_edited_split(source, path, tuple((path, made) for made in scenes))
 
 
 def test_only_vehicles_may_be_moved_and_only_where_they_were_recorded() -> None:
     recorded = scene_on_straight_road((Car(80.0, 198.25, 8.0), Car(60.0, 208.0, 1.0, 0.0, "human.pedestrian.adult")))
     path = Path("mine.pkl")
-    assert edited_scene(moved(recorded, 0, 1.0), recorded, path).adversaries[0].launch_frame == 0
+    assert build_edited_scene(moved(recorded, 0, 1.0), recorded, path).adversaries[0].launch_frame == 0
     with pytest.raises(InputError, match=r"\(human.pedestrian.adult\) is not where it was recorded; only vehicles"):
-        edited_scene(moved(recorded, 1, 1.0), recorded, path)
+        build_edited_scene(moved(recorded, 1, 1.0), recorded, path)
     valid = recorded.agents.valid.copy()
     valid[0, :30] = False
     late = replace(recorded, agents=replace(recorded.agents, valid=valid))
     with pytest.raises(InputError, match="is there before frame 30, where its recording begins"):
-        edited_scene(recorded, late, path)
-    assert edited_scene(moved(late, 0, 1.0), late, path).adversaries[0].launch_frame == 30
+        build_edited_scene(recorded, late, path)
+    assert build_edited_scene(moved(late, 0, 1.0), late, path).adversaries[0].launch_frame == 30
 
 
 def drifting(by_m: float) -> dict[str, Any]:
     """A recording of another source whose car drifts to the left; its tracks have names that a root keeps."""
     value = recording()
     value["tracks"]["1"]["state"]["position"][:, 1] += by_m * np.linspace(0.0, 1.0, value["length"])
-    value["tracks"] = {name if name == "0" else token("track", name): each for name, each in value["tracks"].items()}
+    value["tracks"] = {
+        name if name == "0" else make_token("track", name): each for name, each in value["tracks"].items()
+    }
     return value
 
 

@@ -9,12 +9,12 @@ import pytest
 from benchmark.errors import InputError
 from generation.splits import format as frozen_format
 from generation.splits.format import (
-    Choice,
     FrozenAdversary,
     FrozenScene,
     FrozenSplit,
-    Recordings,
-    SearchFacts,
+    RecordingsIdentity,
+    SceneChoice,
+    SearchMetadata,
     read_frozen,
     write_frozen,
 )
@@ -32,9 +32,9 @@ def scene(name: str = "scene-0001-ab", **changes: Any) -> FrozenScene:
 
 def split() -> FrozenSplit:
     return FrozenSplit(
-        recordings=Recordings(name="road", fingerprint="f"),
-        search=SearchFacts(algorithm="3", hyper="h", prior="p", seed=0),
-        chosen=Choice(scenes=1, tried=2, survived=2, per_scene=None, total=None, surrogate=None),
+        recordings=RecordingsIdentity(name="road", fingerprint="f"),
+        search=SearchMetadata(algorithm="3", hyper="h", prior="p", seed=0),
+        chosen=SceneChoice(scenes=1, tried=2, survived=2, per_scene=None, total=None, surrogate=None),
         images=None,
         scenes=(scene(), scene("scene-0001-cd", adversaries=(adversary(launch_frame=4),))),
     )

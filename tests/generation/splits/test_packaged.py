@@ -11,13 +11,13 @@ import pytest
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.geometry import boxes_overlap
-from generation.labels.labelling import agent_boxes
-from generation.search.verify import contacts
-from generation.sources.mini import TownSettings, build_town
+from generation.labels.labelling import read_agent_boxes
+from generation.search.verify import find_contacts
+from generation.sources.mini import TownSettings, build_town_data_set
 from generation.splits import packaged
 from generation.splits.building import build_frozen
 from generation.splits.format import write_frozen
-from generation.splits.packaged import frozen_split, newest_split, packaged_splits
+from generation.splits.packaged import list_packaged_splits, read_frozen_split, read_newest_split
 from tests.generation.splits.frozen_files import BUILT
 from tests.generation.splits.test_format import split
 
@@ -28,46 +28,46 @@ FILES = sorted((ROOT / "generation" / "splits").glob("*.json"))
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     root = tmp_path_factory.mktemp("town")
-    return open_data(build_town(root, TownSettings(val_scenes=1, images=False), workers=1), name="mini")
+    return open_data(build_town_data_set(root, TownSettings(val_scenes=1, images=False), workers=1), name="mini")
 
 
 def test_every_file_has_a_name_and_comes_with_the_wheel() -> None:
     config = tomllib.loads((ROOT / "pyproject.toml").read_text())
     patterns = config["tool"]["setuptools"]["package-data"]["generation.splits"]
-    assert "mini-adv-1" in packaged_splits() and len(packaged_splits()) == len(FILES)
+    assert "mini-adv-1" in list_packaged_splits() and len(list_packaged_splits()) == len(FILES)
     for file in FILES:
         assert any(fnmatch(file.name, pattern) for pattern in patterns)
-        assert file.stem in packaged_splits()
+        assert file.stem in list_packaged_splits()
 
 
-@pytest.mark.parametrize("name", packaged_splits("mini"))
+@pytest.mark.parametrize("name", list_packaged_splits("mini"))
 def test_each_is_small_valid_and_still_builds(name: str, town: DataSet, tmp_path: Path) -> None:
-    named = frozen_split(name)
+    named = read_frozen_split(name)
     assert len(named.frozen.text()) / len(named.frozen.scenes) < 10_000
     first = next(scene for scene in named.frozen.scenes if scene.source == town.scene_names("val")[0])
     report = build_frozen(town, named, replace(BUILT, out=tmp_path, renderer=None, scenes=(first.name,)))
     assert (report.written, report.other_tables) == ((first.name,), ())
     scene = open_data(tmp_path).scene(first.name)
     agent, start = scene.agents.ids.index(scene.adversaries[0]), first.adversaries[0].launch_frame
-    boxes = agent_boxes(scene, agent)[start:]
+    boxes = read_agent_boxes(scene, agent)[start:]
     assert not boxes_overlap(boxes, scene.ego.boxes[start:]).any()
-    assert not len(contacts(boxes, scene, agent, np.arange(start, start + len(boxes)))[0])
+    assert not len(find_contacts(boxes, scene, agent, np.arange(start, start + len(boxes)))[0])
 
 
 def test_the_newest_has_the_highest_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("mini-adv-2", "mini-adv-10", "mini-adv-9", "maxi-adv-11", "notes"):
         write_frozen(tmp_path / f"{name}.json", split())
     monkeypatch.setattr(packaged, "_FOLDER", tmp_path)
-    assert packaged_splits("mini") == ("mini-adv-2", "mini-adv-9", "mini-adv-10")
-    assert newest_split("mini").name == "mini-adv-10"
-    assert packaged_splits()[0] == "maxi-adv-11"
+    assert list_packaged_splits("mini") == ("mini-adv-2", "mini-adv-9", "mini-adv-10")
+    assert read_newest_split("mini").name == "mini-adv-10"
+    assert list_packaged_splits()[0] == "maxi-adv-11"
     with pytest.raises(InputError, match="no frozen split adv of midi"):
-        newest_split("midi")
+        read_newest_split("midi")
 
 
 def test_a_split_is_a_name_or_a_file(tmp_path: Path) -> None:
     write_frozen(tmp_path / "mine.json", split())
-    assert frozen_split(tmp_path / "mine.json").name == "mine"
-    assert frozen_split("mini-adv-1").frozen.recordings.name == "mini"
+    assert read_frozen_split(tmp_path / "mine.json").name == "mine"
+    assert read_frozen_split("mini-adv-1").frozen.recordings.name == "mini"
     with pytest.raises(InputError, match="mini-adv-1"):
-        frozen_split("mini-adv-0")
+        read_frozen_split("mini-adv-0")

@@ -13,12 +13,12 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.review import Verdict, read_review
-from benchmark.untrusted.compressed import package_bytes, read_package
+from benchmark.untrusted.compressed import encode_package, read_package
 from generation.splits.building import build_frozen
 from generation.splits.packaged import NamedSplit
-from generation.splits.packing import PackageContents, Packed, pack_split
+from generation.splits.packing import PackageContents, WrittenPackage, pack_split
 from generation.splits.rebuilding import rebuild
-from generation.splits.unpacking import read_split_package, write_files
+from generation.splits.unpacking import read_split_package, write_package_files
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.records.test_drives import row, written
@@ -61,12 +61,12 @@ def contents(split: NamedSplit, built: DataSet, folder: Path) -> PackageContents
 
 
 @pytest.fixture(scope="module")
-def packed(contents: PackageContents, folder: Path) -> Packed:
+def packed(contents: PackageContents, folder: Path) -> WrittenPackage:
     return pack_split(folder / "road.zip", contents, HERE)
 
 
 def test_a_package_is_the_same_bytes_and_holds_what_belongs_to_the_split(
-    packed: Packed, contents: PackageContents, split: NamedSplit, tmp_path: Path
+    packed: WrittenPackage, contents: PackageContents, split: NamedSplit, tmp_path: Path
 ) -> None:
     again = pack_split(tmp_path / "again.zip", contents, HERE)
     assert again.sha256 == packed.sha256 and again.path.read_bytes() == packed.path.read_bytes()
@@ -87,7 +87,7 @@ def test_a_package_is_the_same_bytes_and_holds_what_belongs_to_the_split(
 
 
 def test_no_recording_and_no_place_of_this_machine_is_in_it(
-    packed: Packed, source: DataSet, split: NamedSplit, folder: Path
+    packed: WrittenPackage, source: DataSet, split: NamedSplit, folder: Path
 ) -> None:
     adversaries = {each.instance for scene in split.frozen.scenes for each in scene.adversaries}
     others = {name for scene in source.scene_names(None) for name in source.scene(scene).agents.ids} - adversaries
@@ -98,11 +98,11 @@ def test_no_recording_and_no_place_of_this_machine_is_in_it(
 
 
 def test_it_is_unpacked_and_built_again_with_its_verdicts(
-    packed: Packed, source: DataSet, split: NamedSplit, built: DataSet, tmp_path: Path
+    packed: WrittenPackage, source: DataSet, split: NamedSplit, built: DataSet, tmp_path: Path
 ) -> None:
     package = read_split_package(packed.path)
-    files = write_files(package, tmp_path / "files")
-    assert write_files(package, tmp_path / "files") == files and len(files) == len(package.files) + 1
+    files = write_package_files(package, tmp_path / "files")
+    assert write_package_files(package, tmp_path / "files") == files and len(files) == len(package.files) + 1
     report = rebuild(source, package, package.split(None), replace(PLAIN, out=tmp_path / "adv"))
     assert report.other_tables == ()
     assert read_review(tmp_path / "adv") == read_review(built.root)
@@ -115,7 +115,9 @@ def test_it_is_unpacked_and_built_again_with_its_verdicts(
     assert read_package(whole.path)["statistics/split.json"] == package.files["statistics/split.json"]
 
 
-def test_the_commands_of_the_page(source: DataSet, packed: Packed, contents: PackageContents, tmp_path: Path) -> None:
+def test_the_commands_of_the_page(
+    source: DataSet, packed: WrittenPackage, contents: PackageContents, tmp_path: Path
+) -> None:
     folder = packed.path.parent
     done = run_here(
         "data", "pack", folder / "road-adv-1.json", "--root", folder / "built", "--drives", folder / "drives",
@@ -138,11 +140,11 @@ def test_the_commands_of_the_page(source: DataSet, packed: Packed, contents: Pac
     assert done.code == 0 and "would build" in done.out and bytes_below(tmp_path) == before
 
 
-def changed(packed: Packed, folder: Path, change: Any) -> Path:
+def changed(packed: WrittenPackage, folder: Path, change: Any) -> Path:
     members = read_package(packed.path)
     change(members)
     path = folder / "changed.zip"
-    path.write_bytes(package_bytes(members))
+    path.write_bytes(encode_package(members))
     return path
 
 
@@ -177,14 +179,14 @@ def replaced(name: str, data: bytes) -> Any:
         (edit("statistics", more=1), "is not what the manifest says"),
     ],
 )  # fmt: skip
-def test_what_was_tampered_with_is_refused(packed: Packed, tmp_path: Path, change: Any, message: str) -> None:
+def test_what_was_tampered_with_is_refused(packed: WrittenPackage, tmp_path: Path, change: Any, message: str) -> None:
     path = changed(packed, tmp_path, change)
     done = run_here("data", "unpack", path, "--to", tmp_path / "files")
     assert done.code == 2 and message in done.err and len(done.err.splitlines()) == 1
     assert not (tmp_path / "files").exists()
 
 
-def test_a_split_that_names_itself_otherwise_is_refused(packed: Packed, tmp_path: Path) -> None:
+def test_a_split_that_names_itself_otherwise_is_refused(packed: WrittenPackage, tmp_path: Path) -> None:
     def change(members: dict[str, bytes]) -> None:
         manifest = json.loads(members["manifest.json"])
         manifest["splits"][0]["content"] = "0" * 64
@@ -195,7 +197,7 @@ def test_a_split_that_names_itself_otherwise_is_refused(packed: Packed, tmp_path
 
 
 def test_what_does_not_belong_together_is_not_packed(
-    packed: Packed, contents: PackageContents, split: NamedSplit, source: DataSet, tmp_path: Path
+    packed: WrittenPackage, contents: PackageContents, split: NamedSplit, source: DataSet, tmp_path: Path
 ) -> None:
     other = written(tmp_path / "other", row("scene-1"), scenes=["scene-1"])
     (tmp_path / "taken.zip").write_bytes(b"something")
@@ -214,15 +216,15 @@ def test_what_does_not_belong_together_is_not_packed(
         read_split_package(packed.path).split("more")
 
 
-def test_files_that_are_there_are_never_replaced(packed: Packed, tmp_path: Path) -> None:
+def test_files_that_are_there_are_never_replaced(packed: WrittenPackage, tmp_path: Path) -> None:
     mine = tmp_path / "statistics" / "split.json"
     mine.parent.mkdir()
     mine.write_text("mine")
     with pytest.raises(InputError, match="is there and holds something else"):
-        write_files(read_split_package(packed.path), tmp_path)
+        write_package_files(read_split_package(packed.path), tmp_path)
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == [mine]
 
 
-def test_any_tool_opens_it(packed: Packed) -> None:
+def test_any_tool_opens_it(packed: WrittenPackage) -> None:
     with zipfile.ZipFile(packed.path) as archive:
         assert archive.testzip() is None and len(archive.namelist()) == len(packed.manifest.files) + 1

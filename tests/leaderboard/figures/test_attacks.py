@@ -1,14 +1,14 @@
 """The figure of attack success against realism: which settings there are, where they stand, and when there is none."""
 
-from benchmark.report.plots import png_size
+from benchmark.report.plots import read_png_size
 from leaderboard.figures.contents import (
     REALISM_AXIS,
     VALIDITY_AXIS,
     attack_figures,
-    generator_settings,
-    nothing_drawn,
+    explain_missing_figure,
+    list_generator_settings,
 )
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from tests.benchmark.metrics.made_attacks import attacked, with_realism
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
 
@@ -21,7 +21,7 @@ def test_a_setting_is_a_split_with_all_its_planners() -> None:
     real = [
         with_realism(attacked("p", SCENES, CAREFUL, data="real", split=split), 0.7) for split in ("adv", "adv-seed-1")
     ]
-    found = generator_settings([*town, *real, hand_made("p", {"a": [CLEAN]}, split="val", data="real")])
+    found = list_generator_settings([*town, *real, hand_made("p", {"a": [CLEAN]}, split="val", data="real")])
     assert [(each.data_name, each.split, len(each.success)) for each in found] == [
         ("real", "adv", 1),
         ("real", "adv-seed-1", 1),
@@ -35,28 +35,28 @@ def test_a_setting_is_a_split_with_all_its_planners() -> None:
 def test_realism_and_validity_have_axes_of_their_own() -> None:
     town = with_realism(attacked("<p>", SCENES, CAREFUL, data="town"), None)
     real = with_realism(attacked("<p>", SCENES, CAREFUL, data="real"), 0.7)
-    (both,) = attack_figures(Frame("town", [town, real]))
+    (both,) = attack_figures(DataSetRuns("town", [town, real]))
     text = both.svg.decode()
     assert _drawn(text, REALISM_AXIS) and _drawn(text, VALIDITY_AXIS)
     assert _drawn(text, "&lt;p&gt;") and _drawn(text, "worst: jerk along")
-    (alone,) = attack_figures(Frame("real", [real]))
-    assert not _drawn(alone.svg.decode(), VALIDITY_AXIS) and png_size(alone.png)[0] < png_size(both.png)[0]
-    assert attack_figures(Frame("real", [real]))[0].png == alone.png
+    (alone,) = attack_figures(DataSetRuns("real", [real]))
+    assert not _drawn(alone.svg.decode(), VALIDITY_AXIS) and read_png_size(alone.png)[0] < read_png_size(both.png)[0]
+    assert attack_figures(DataSetRuns("real", [real]))[0].png == alone.png
     # The own setting is full, that of another data set is hollow.
-    assert attack_figures(Frame("real", [town, real]))[0].png != both.png
+    assert attack_figures(DataSetRuns("real", [town, real]))[0].png != both.png
 
 
 def test_where_nothing_can_be_drawn_a_sentence_says_why() -> None:
     unjudged = attacked("p", SCENES, dict.fromkeys(SCENES))
-    assert attack_figures(Frame("d", [unjudged])) == ()
-    assert nothing_drawn("d", [unjudged]) == (
+    assert attack_figures(DataSetRuns("d", [unjudged])) == ()
+    assert explain_missing_figure("d", [unjudged]) == (
         "No figure of attack success against realism: nobody said of any scene who survives it."
     )
     old = hand_made("p", {"a": [CLEAN]})
-    assert "how severe its plans are" in (nothing_drawn("d", [old]) or "")
-    assert nothing_drawn("d", [hand_made("p", {"a": [CLEAN]}, split="val")]) is None
+    assert "how severe its plans are" in (explain_missing_figure("d", [old]) or "")
+    assert explain_missing_figure("d", [hand_made("p", {"a": [CLEAN]}, split="val")]) is None
     drawn = attacked("p", SCENES, CAREFUL)
-    assert nothing_drawn("d", [drawn]) is None and nothing_drawn("other", [drawn]) is None
+    assert explain_missing_figure("d", [drawn]) is None and explain_missing_figure("other", [drawn]) is None
 
 
 def _drawn(svg: str, words: str) -> bool:

@@ -12,7 +12,7 @@ from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from benchmark.report.plots import DARK, LIGHT
 from leaderboard.figures.charts import disagreement_figure, manoeuvre_figure, rates_over_horizon, run_figures
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from tests.benchmark.metrics.made_attacks import attacked
 from tests.benchmark.metrics.test_effect import told
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
@@ -36,7 +36,7 @@ def run(name: str, hits: int, *, split: str = "adv", manoeuvres: bool = True) ->
 
 
 def names_of(*records: RunRecord) -> list[str]:
-    return [figure.name for figure in run_figures(Frame("d", records))]
+    return [figure.name for figure in run_figures(DataSetRuns("d", records))]
 
 
 def test_what_the_records_allow_is_drawn() -> None:
@@ -48,9 +48,9 @@ def test_what_the_records_allow_is_drawn() -> None:
     ]
     assert names_of(run("a", 3, manoeuvres=False)) == ["rates-exact", "disagreement-adv"]
     assert names_of() == []
-    assert manoeuvre_figure(Frame("d", [run("a", 3, split="val")]), "exact") is None
-    assert rates_over_horizon(Frame("d", [run("a", 3)]), "vad") is None
-    assert disagreement_figure(Frame("d", [run("a", 3)]), "val") is None
+    assert manoeuvre_figure(DataSetRuns("d", [run("a", 3, split="val")]), "exact") is None
+    assert rates_over_horizon(DataSetRuns("d", [run("a", 3)]), "vad") is None
+    assert disagreement_figure(DataSetRuns("d", [run("a", 3)]), "val") is None
 
 
 def test_where_records_say_whom_contacts_are_with_scenes_in_which_bystanders_are_hit_are_not_failed() -> None:
@@ -58,7 +58,7 @@ def test_where_records_say_whom_contacts_are_with_scenes_in_which_bystanders_are
     record = told(attacked("a", letters, dict.fromkeys(letters, True)))
 
     def words(run: RunRecord) -> list[str]:
-        sketch = manoeuvre_figure(Frame("d", [run]), "exact")
+        sketch = manoeuvre_figure(DataSetRuns("d", [run]), "exact")
         assert sketch is not None
         figure = sketch(LIGHT)
         return [text.get_text().strip() for text in (*figure.texts, *figure.axes[0].texts)]
@@ -71,29 +71,29 @@ def test_where_records_say_whom_contacts_are_with_scenes_in_which_bystanders_are
 
 def test_the_same_records_give_the_same_bytes_in_any_order_and_whatever_the_users_settings() -> None:
     records = [run("a", 3), run("b", 5), run("b", 0, split="val")]
-    first = run_figures(Frame("d", records))
+    first = run_figures(DataSetRuns("d", records))
     with mpl.rc_context({"font.size": 30, "svg.hashsalt": "other", "axes.facecolor": "red"}):
-        assert run_figures(Frame("d", records[::-1])) == first
-    other = run_figures(Frame("d", [run("a", 4), *records[1:]]))
+        assert run_figures(DataSetRuns("d", records[::-1])) == first
+    other = run_figures(DataSetRuns("d", [run("a", 4), *records[1:]]))
     assert all(mine.png != theirs.png for mine, theirs in zip(first[:2], other[:2]))
 
 
 @pytest.mark.parametrize("count", [1, 7])
 def test_any_number_of_planners_can_be_drawn(count: int) -> None:
-    for figure in run_figures(Frame("d", [run(f"planner-{index}", index % 12) for index in range(count)])):
+    for figure in run_figures(DataSetRuns("d", [run(f"planner-{index}", index % 12) for index in range(count)])):
         assert imread(io.BytesIO(figure.png))[..., :3].std() > 0.02
         ElementTree.fromstring(figure.svg)
 
 
 def test_names_from_strangers_are_only_text() -> None:
-    for figure in run_figures(Frame("$d_{", [run(name, 2) for name in HOSTILE])):
+    for figure in run_figures(DataSetRuns("$d_{", [run(name, 2) for name in HOSTILE])):
         assert b"<script" not in figure.svg
         ElementTree.fromstring(figure.svg)
 
 
 @pytest.mark.parametrize("count", [2, 9])
 def test_letters_are_eleven_pixels_high_on_a_page_and_dark_ones_are_light(count: int) -> None:
-    figures = run_figures(Frame("d", [run(f"planner-{index}", index) for index in range(count)]))
+    figures = run_figures(DataSetRuns("d", [run(f"planner-{index}", index) for index in range(count)]))
     for figure in figures:
         sizes = [float(size) for size in re.findall(rb"scale\(([0-9.]+) -", figure.svg)]
         # Glyphs are drawn in hundredths of a point; 96 pixels of a page are 72 points.

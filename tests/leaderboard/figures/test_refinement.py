@@ -14,15 +14,15 @@ from matplotlib.image import imread
 
 from benchmark.errors import InputError
 from benchmark.records.run_schema import DataFacts
-from benchmark.records.scenes import RefinementTrace, Sheet, Sheets, StoredSheet, TraceFrame
-from leaderboard.figures.refinement import most_improved, quartiles, refinement_figure, refinement_figures
+from benchmark.records.scenes import RefinementTrace, ScenePage, ScenePages, StoredScenePage, TraceFrame
+from leaderboard.figures.refinement import draw_refinement, find_most_improved_frame, quartiles, refinement_figures
 
 ROAD = ((-50.0, -7.0), (150.0, -7.0), (150.0, 7.0), (-50.0, 7.0), (-50.0, -7.0))
 ISLAND = ((20.0, -1.0), (20.0, 1.0), (24.0, 1.0), (24.0, -1.0), (20.0, -1.0))
 FRAMES = 60
 
 
-def sheet_named(scene: str, split: str = "adv", data: str = "d") -> Sheet:
+def sheet_named(scene: str, split: str = "adv", data: str = "d") -> ScenePage:
     """An ego and a faster adversary on a straight road."""
 
     def car(name: str, y_m: float, *, adversary: bool = False) -> dict[str, Any]:
@@ -32,7 +32,7 @@ def sheet_named(scene: str, split: str = "adv", data: str = "d") -> Sheet:
             "x_m": x_m, "y_m": [y_m] * FRAMES, "yaw_rad": [0.0] * FRAMES,
         }  # fmt: skip
 
-    return Sheet.model_validate(
+    return ScenePage.model_validate(
         {
             "schema": 1, "data": DataFacts(name=data, version="v1.0-mini", fingerprint="0" * 64), "split": split,
             "scene": scene, "source": scene, "description": "", "labels": (), "origin_m": (0.0, 0.0),
@@ -69,25 +69,27 @@ def frame_of(frame: int, rounds: Sequence[Sequence[float | None]], /, **changes:
     return TraceFrame.model_validate(best | changes)
 
 
-def stored(scene: str, *frames: TraceFrame, candidates: Any = 8, split: str = "adv", data: str = "d") -> StoredSheet:
+def stored(
+    scene: str, *frames: TraceFrame, candidates: Any = 8, split: str = "adv", data: str = "d"
+) -> StoredScenePage:
     trace = {
         "schema": 1, "scene": scene, "agent": "a", "origin_m": (0.0, 0.0), "search": {"candidates": candidates},
         "frames": frames,
     }  # fmt: skip
-    return StoredSheet(Path("somewhere"), sheet_named(scene, split, data), RefinementTrace.model_validate(trace))
+    return StoredScenePage(Path("somewhere"), sheet_named(scene, split, data), RefinementTrace.model_validate(trace))
 
 
-def sheets_of(*found: StoredSheet) -> Sheets:
-    return Sheets({}, {(each.sheet.data.name, each.sheet.split, each.sheet.scene): each for each in found})
+def sheets_of(*found: StoredScenePage) -> ScenePages:
+    return ScenePages({}, {(each.sheet.data.name, each.sheet.split, each.sheet.scene): each for each in found})
 
 
 FALLING = [[20.0 / (1 + number), 3.0, None, 0.3 / (1 + number)] for number in range(6)]
 GOOD = stored("s1", frame_of(12, FALLING), frame_of(24, FALLING[:1]))
 
 
-def drawn(found: StoredSheet, frame: int | None = None) -> bytes:
+def drawn(found: StoredScenePage, frame: int | None = None) -> bytes:
     """PNG of a figure that must be there; the SVG must be one."""
-    png, svg = (refinement_figure(found, suffix, frame=frame) for suffix in (".png", ".svg"))
+    png, svg = (draw_refinement(found, suffix, frame=frame) for suffix in (".png", ".svg"))
     assert png is not None
     assert svg is not None
     ElementTree.fromstring(svg)
@@ -109,11 +111,11 @@ def test_the_first_traced_scenes_of_each_split_of_this_data_set_are_drawn() -> N
     frame = frame_of(12, [[1.0, 2.0]])
     scenes = [stored(f"s{number}", frame) for number in range(5)]
     others = [stored("s0", frame, split="two"), stored("s9", frame, data="e")]
-    untraced = StoredSheet(Path("somewhere"), sheet_named("a"), None)
+    untraced = StoredScenePage(Path("somewhere"), sheet_named("a"), None)
     names = [figure.name for figure in refinement_figures("d", sheets_of(*scenes[::-1], *others, untraced))]
     assert names == ["refinement-adv-s0", "refinement-adv-s1", "refinement-adv-s2", "refinement-two-s0"]
     assert refinement_figures("d", sheets_of()) == ()
-    assert refinement_figure(untraced, ".png") is None
+    assert draw_refinement(untraced, ".png") is None
 
 
 def test_the_frame_whose_best_score_falls_most_is_shown() -> None:
@@ -126,15 +128,15 @@ def test_the_frame_whose_best_score_falls_most_is_shown() -> None:
     )
     rounds = stored("s", *frames).rounds
     assert rounds is not None
-    best = most_improved(rounds)
+    best = find_most_improved_frame(rounds)
     assert best is not None
     # 24 and 36 fall by the same; the last round counts, not the best.
     assert best.frame == 24
     nothing = stored("s", *frames[3:])
     assert nothing.rounds is not None
-    assert most_improved(nothing.rounds) is None
-    assert refinement_figure(nothing, ".png") is None
-    assert refinement_figure(GOOD, ".png", frame=13) is None
+    assert find_most_improved_frame(nothing.rounds) is None
+    assert draw_refinement(nothing, ".png") is None
+    assert draw_refinement(GOOD, ".png", frame=13) is None
 
 
 @pytest.mark.parametrize("rounds", [1, 2, 4, 14])
@@ -170,7 +172,7 @@ def test_names_are_only_text(name: str) -> None:
 )
 def test_a_trace_that_does_not_fit_together_is_refused(changes: dict[str, int]) -> None:
     with pytest.raises(InputError, match="does not fit together at frame"):
-        refinement_figure(stored("s", frame_of(12, FALLING, **changes)), ".png")
+        draw_refinement(stored("s", frame_of(12, FALLING, **changes)), ".png")
 
 
 def test_points_that_are_missing_or_far_away_can_be_drawn() -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import Sheets
+from benchmark.records.scenes import ScenePages
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, LATE, hand_made
 from tests.leaderboard.made_up import ATTEMPTS, RUNTIME, STATISTICS, sheets_of, split_sheet
 
@@ -28,7 +28,7 @@ def paper_runs(data: str = "d") -> list[RunRecord]:
     return runs
 
 
-def paper_sheets(data: str = "d") -> Sheets:
+def paper_sheets(data: str = "d") -> ScenePages:
     """A recorded split, and one that was searched with the settings that the paper prints, but for the rounds."""
     adv = split_sheet("adv", data=data, statistics=STATISTICS, runtime=RUNTIME, attempts=ATTEMPTS)
     searched = adv.model_copy(update={"hyper": {**AS_PRINTED, "rounds": 7}})

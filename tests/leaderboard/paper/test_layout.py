@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from benchmark.published import ADV_NUSC, HYPER_PARAMETERS, RUNTIME_S
-from benchmark.report.table import LatexForm, escape_latex, table_of
-from leaderboard.build import leaderboard_files
+from benchmark.report.table import LatexForm, build_table, escape_latex
+from leaderboard.build import build_leaderboard_files
 from leaderboard.frame.results import read_results
-from leaderboard.frame.specification import by_data_set
+from leaderboard.frame.specification import group_by_data_set
 from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
 from leaderboard.paper.document import PREAMBLE, paper_table_1
-from leaderboard.paper.runtime_chart import runtime_charts, runtime_shares
+from leaderboard.paper.runtime_chart import compute_runtime_shares, runtime_charts
 from tests.leaderboard.made_up import sheets_of, split_sheet, study
 from tests.leaderboard.paper.papers import AS_PRINTED, OWN, paper_runs, paper_sheets
 
@@ -83,20 +83,20 @@ def test_the_defaults_of_the_search_are_as_printed() -> None:
 
 def test_runtime_and_data_set_are_as_the_paper_has_them() -> None:
     sheets = paper_sheets()
-    (runtime,) = by_data_set(sheets, paper_runtime_tables)["d"]
+    (runtime,) = group_by_data_set(sheets, paper_runtime_tables)["d"]
     assert [row[0] for row in runtime.rows] == [
         "Traj. sampling", "Physics", "Traj. scoring", "Rendering", "Other", "Total"
     ]  # fmt: skip
     assert [row[2] for row in runtime.rows] == ["17.36", "211.36", "194.72", "395.18", "–", "818.62"]
     assert float(runtime.rows[-1][1]) == pytest.approx(sum(float(row[1]) for row in runtime.rows[:-1]))
-    (data_set,) = by_data_set(sheets, paper_data_set_tables)["d"]
+    (data_set,) = group_by_data_set(sheets, paper_data_set_tables)["d"]
     assert data_set.columns == ("Attribute", "val", "adv", "Adv-nuSc")
     assert [row[-1] for row in data_set.rows] == [f"{count:,}" for count in ADV_NUSC.values()]
 
 
 def test_the_chart_shows_shares_that_are_a_whole() -> None:
     sheets = paper_sheets()
-    shares = runtime_shares(sheets.splits["d", "adv"])
+    shares = compute_runtime_shares(sheets.splits["d", "adv"])
     assert sum(shares.values()) == pytest.approx(1.0) and set(RUNTIME_S) <= set(shares)
     # Five attempts took 10 s of sampling, two scenes 8 s of rendering.
     assert shares["sampling"] / shares["rendering"] == pytest.approx((10 / 5) / (8 / 2))
@@ -107,7 +107,7 @@ def test_the_chart_shows_shares_that_are_a_whole() -> None:
 
 
 def test_a_leaderboard_has_them_all_and_one_document() -> None:
-    files = leaderboard_files(read_results(paper_runs(), sheets=paper_sheets()))
+    files = build_leaderboard_files(read_results(paper_runs(), sheets=paper_sheets()))
     wanted = ("paper-table-1", "paper-hyper-parameters", "paper-runtime-adv", "paper-data-set")
     for name in wanted:
         for suffix in (".tex", ".csv", ".json"):
@@ -120,7 +120,7 @@ def test_a_leaderboard_has_them_all_and_one_document() -> None:
 
 def test_latex_is_laid_out_as_asked() -> None:
     form = LatexForm("l|r", rules_after=(1,), bold_rows=(1,), fit=True)
-    text = table_of("t", "T", ("a", "b"), [("x", "1"), ("y", "")], latex_form=form).latex()
+    text = build_table("t", "T", ("a", "b"), [("x", "1"), ("y", "")], latex_form=form).latex()
     assert r"\begin{tabular}{l|r}" in text and r"\resizebox{\textwidth}{!}{%" in text and r"\end{tabular}}" in text
     assert text.index(r"x & 1 \\") < text.rindex(r"\midrule") < text.index(r"\textbf{y} &  \\")
 
@@ -151,7 +151,9 @@ def compiled(folder: Path, name: str) -> str:
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("leaderboard")
-    for name, data in leaderboard_files(read_results(paper_runs(), sheets=paper_sheets(), ablations=[study()])).items():
+    for name, data in build_leaderboard_files(
+        read_results(paper_runs(), sheets=paper_sheets(), ablations=[study()])
+    ).items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)

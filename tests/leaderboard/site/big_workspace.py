@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmark.machine.storage import content_key, content_seed, file_sha256, token, write_json
+from benchmark.machine.storage import content_key, content_seed, file_sha256, make_token, write_json
 from benchmark.machine.workspace import Workspace
 from benchmark.planning import PlanFrame
 from benchmark.records.run_schema import DataFacts, PlannerFacts
@@ -22,7 +22,7 @@ from benchmark.records.scenes import (
     SHEET_FILE,
     SPLIT_FILE,
     AttemptFacts,
-    SplitSheet,
+    SplitPage,
     picture_name,
     scene_folder,
     split_folder,
@@ -159,7 +159,7 @@ def made_planners(count: int, *, hostile: bool = True) -> list[MadePlanner]:
 
 
 def _adversarial_names(sources: Sequence[str], count: int, hostile: bool) -> list[str]:
-    names = [f"{sources[number % len(sources)]}-{token('made', number)[:8]}" for number in range(count)]
+    names = [f"{sources[number % len(sources)]}-{make_token('made', number)[:8]}" for number in range(count)]
     if hostile:
         bad = HOSTILE_NAMES[: max(count - 1, 0)]
         names[1 : 1 + len(bad)] = bad
@@ -192,7 +192,7 @@ def _write_sheets(
         sheet = sheet_of(scene, data, split, pictures)
         write_json(directory / SHEET_FILE, sheet.model_dump(mode="json", by_alias=True), indent=None)
     statistics = _statistics(split, found)
-    about = SplitSheet(
+    about = SplitPage(
         schema=SCHEMA,
         data=data,
         split=split,

@@ -9,7 +9,7 @@ import pytest
 from selenium.common.exceptions import WebDriverException
 
 from benchmark.records.run import RunRecord, find_records
-from benchmark.records.scenes import Sheets, find_sheets
+from benchmark.records.scenes import ScenePages, find_scene_pages
 from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from tests.leaderboard.site.big_workspace import BigWorkspace, make_workspace
@@ -31,7 +31,7 @@ class Site:
 
     made: BigWorkspace
     records: tuple[RunRecord, ...]
-    sheets: Sheets
+    sheets: ScenePages
     index: Path
 
 
@@ -50,7 +50,7 @@ def chromium() -> tuple[Path, Path]:
 def site(chromium: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Site:
     folder = tmp_path_factory.mktemp("site")
     made = make_workspace(folder, SCENES, MODELS, samples=SAMPLES)
-    records, sheets = find_records(folder / "runs"), find_sheets(folder / "sheets")
+    records, sheets = find_records(folder / "runs"), find_scene_pages(folder / "sheets")
     write_leaderboard(read_results(records, sheets=sheets), folder / "leaderboard")
     return Site(made, tuple(records), sheets, folder / "leaderboard" / "site" / "index.html")
 

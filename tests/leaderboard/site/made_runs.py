@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from benchmark.constants import FRAMES_PER_KEYFRAME, LIDAR_FROM_REAR_AXLE_M, PLAN_STEP_S, PLAN_STEPS
-from benchmark.fairness.plan_severity import plan_severities
+from benchmark.fairness.plan_severity import measure_plan_severities
 from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.metrics.disagreement import MISS
 from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Command, PlanFrame
-from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
-from benchmark.records.judgement import JudgementSummary
+from benchmark.protocols import PROTOCOLS, STANDARD, ProtocolOutcomes
+from benchmark.records.judgement import AssessmentSummary
 from benchmark.records.row_schema import DiagnosisRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import write_record
 from benchmark.records.run_schema import DataFacts, SceneFacts
@@ -167,7 +167,7 @@ def run(
     write_record(folder, facts, rows, VERSIONS, seed=0)
 
 
-def _judgement(place: int) -> JudgementSummary | None:
+def _judgement(place: int) -> AssessmentSummary | None:
     """Every fourth adversarial scene is not judged; of the others the careful human survives every second."""
     said = None if place % 4 == 3 else judged(place % 2 == 0)
     return None if said is None else said.model_copy(update={"least_ttc_s": 6.0 - 0.25 * place})
@@ -185,7 +185,7 @@ def _rows(planner: MadePlanner, found: SceneTruth, seed: int) -> list[SampleRow]
     exact = PROTOCOLS["exact"].evaluate(found.truths, lidar)
     outcomes = {"exact": exact} | {name: _official(name, exact, rng) for name in VERSIONS if name != "exact"}
     by_protocol = {name: each.as_rows() for name, each in outcomes.items()}
-    severe = plan_severities(found.truths, lidar)
+    severe = measure_plan_severities(found.truths, lidar)
     rows = []
     for index, truth in enumerate(found.truths):
         verdicts = {name: OutcomeRow(**each[index]) for name, each in by_protocol.items()}
@@ -213,14 +213,14 @@ def _plans(planner: MadePlanner, scene: MadeScene, rng: np.random.Generator) -> 
     return scene.on_plane(along, sideways)
 
 
-def _official(name: str, exact: Outcomes, rng: np.random.Generator) -> Outcomes:
+def _official(name: str, exact: ProtocolOutcomes, rng: np.random.Generator) -> ProtocolOutcomes:
     """Contacts at the waypoints, some of them missed, never one invented."""
     at_waypoints = exact.step("waypoint_collision").astype(np.bool_)
     seen = at_waypoints & (rng.random((len(exact), 1)) > 0.2)
     names = ("before_mask", "recorded", "obj_col")[: _EXTRA_STEPS[name]]
     columns = {"before_mask": seen, "recorded": np.zeros_like(seen), "obj_col": seen}
     counted = exact.valid.any(axis=1) if PROTOCOLS[name].counts_incomplete else exact.counted
-    return Outcomes(
+    return ProtocolOutcomes(
         collision=seen, l2=exact.l2, valid=exact.valid, counted=counted, steps={each: columns[each] for each in names}
     )
 

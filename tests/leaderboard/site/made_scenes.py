@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_WIDTH_M, FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.geometry import Floats
-from benchmark.machine.storage import content_seed, token
+from benchmark.machine.storage import content_seed, make_token
 from benchmark.records.run_schema import DataFacts
-from benchmark.records.scenes import CAMERA_GRID, SCHEMA, Sheet, picture_name
+from benchmark.records.scenes import CAMERA_GRID, SCHEMA, ScenePage, picture_name
 
 LANE_M = 3.5
 MANOEUVRES = ("cut-in-left", "cut-in-right", "braking-ahead", "squeezing-left", "tailgating", "oncoming")
@@ -86,11 +86,11 @@ class MadeScene:
 
     def sample_token(self, frame: int) -> str:
         """Token of a keyframe."""
-        return token("made sample", self.name, frame)
+        return make_token("made sample", self.name, frame)
 
     def agent(self, row: int) -> str:
         """Instance identifier of one of the others."""
-        return token("made agent", self.name, row)
+        return make_token("made agent", self.name, row)
 
     def on_plane(self, s_m: Floats, d_m: Floats | float = 0.0) -> Floats:
         """(..., 3) x, y, heading of places on the road, relative to ``origin_m``."""
@@ -178,7 +178,7 @@ def _with_adversary(others: Traffic, rng: np.random.Generator, time: Floats, ego
     )
 
 
-def sheet_of(scene: MadeScene, data: DataFacts, split: str, pictures: dict[str, str]) -> Sheet:
+def sheet_of(scene: MadeScene, data: DataFacts, split: str, pictures: dict[str, str]) -> ScenePage:
     """What is shown of a scene.
 
     Args:
@@ -192,7 +192,7 @@ def sheet_of(scene: MadeScene, data: DataFacts, split: str, pictures: dict[str, 
     """
     ego, label = scene.on_plane(scene.ego_s_m), labels_of(scene)
     frames = tuple(frame for frame in range(scene.frames) if picture_name(frame) in pictures)
-    return Sheet.model_validate(
+    return ScenePage.model_validate(
         {
             "schema": SCHEMA,
             "data": data,

@@ -4,7 +4,7 @@ import re
 from urllib.parse import parse_qs, quote
 
 from benchmark.machine.storage import content_key
-from benchmark.metrics.effect import touched_scenes
+from benchmark.metrics.effect import find_touched_scenes
 from benchmark.records.run import RunRecord
 from tests.leaderboard.site.big_workspace import DATA_NAME
 from tests.leaderboard.site.browser import Browser
@@ -32,7 +32,7 @@ def record_of(site: Site, planner: str, split: str) -> RunRecord:
 
 def failing(site: Site, planner: str, split: str = "adv", protocol: str = "exact") -> set[str]:
     """Scenes that a planner fails."""
-    verdicts = touched_scenes(record_of(site, planner, split), protocol)
+    verdicts = find_touched_scenes(record_of(site, planner, split), protocol)
     return {scene for scene, fails in verdicts.items() if fails}
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.records.rows import scene_failures
+from benchmark.records.rows import find_scene_failures
 from benchmark.records.run import find_records
-from benchmark.records.scenes import find_sheets
+from benchmark.records.scenes import find_scene_pages
 from tests.leaderboard.site.big_workspace import HOSTILE_NAMES, IMAGE_TAG, make_workspace
 
 
@@ -16,7 +16,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def test_records_and_sheets_read_back(tmp_path: Path) -> None:
     made = make_workspace(tmp_path, 12, 4, samples=10)
-    records, sheets = find_records(tmp_path / "runs"), find_sheets(tmp_path / "sheets")
+    records, sheets = find_records(tmp_path / "runs"), find_scene_pages(tmp_path / "sheets")
     assert {(record.run.planner.name, record.run.split) for record in records} == {
         (planner, split) for planner in made.planners for split in ("adv", "val")
     }
@@ -24,7 +24,9 @@ def test_records_and_sheets_read_back(tmp_path: Path) -> None:
     assert IMAGE_TAG in made.planners
     assert set(HOSTILE_NAMES) < set(made.adversarial)
     failed = [
-        sum(map(bool, scene_failures(record.rows, "exact").values())) for record in records if record.run.split == "adv"
+        sum(map(bool, find_scene_failures(record.rows, "exact").values()))
+        for record in records
+        if record.run.split == "adv"
     ]
     assert max(failed) > 0
     assert len(set(failed)) > 1

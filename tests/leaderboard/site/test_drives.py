@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.records.considered import ConsideredFrame, write_considered
+from benchmark.records.considered import SearchTraceFrame, write_search_trace
 from benchmark.records.drives import DriveRecord
-from benchmark.records.scenes import Sheet, Sheets
+from benchmark.records.scenes import ScenePage, ScenePages
 from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
-from leaderboard.site.drive_data import drive_files, drive_index, driven_poses
-from leaderboard.site.scene_data import agent_data
+from leaderboard.site.drive_data import build_drive_files, build_drive_index, interpolate_poses
+from leaderboard.site.scene_data import build_agent
 from leaderboard.site.scene_index import scene_key
 from tests.benchmark.records.test_drives import contact, row, written
 from tests.leaderboard.site.browser import Browser
@@ -21,7 +21,7 @@ from tests.leaderboard.site.conftest import Site
 from tests.leaderboard.site.test_index import value_of
 
 
-def drive_of(folder: Path, sheet: Sheet, agents: str = "replay", **changes: Any) -> DriveRecord:
+def drive_of(folder: Path, sheet: ScenePage, agents: str = "replay", **changes: Any) -> DriveRecord:
     """Three seconds at 4 m/s, 2 m beside where the recorded ego began, on a sheet's scene, to a contact at 2.3 s."""
     times = [sheet.timestamps_us[0] + 500_000 * tick for tick in range(7)]
     x, y = (place + at for place, at in zip(sheet.origin_m, (sheet.ego.x_m[0], sheet.ego.y_m[0])))
@@ -39,7 +39,7 @@ def drive_of(folder: Path, sheet: Sheet, agents: str = "replay", **changes: Any)
     return written(folder, one, data=data, split=sheet.split, scenes=[sheet.scene], measured=measured)
 
 
-def first_sheet(site: Site) -> Sheet:
+def first_sheet(site: Site) -> ScenePage:
     return min(site.sheets.scenes.values(), key=lambda stored: stored.sheet.scene).sheet
 
 
@@ -50,19 +50,22 @@ def steps(values: Sequence[int]) -> list[float]:
 def test_between_states_the_ego_is_on_a_cubic() -> None:
     ticks = np.array([0.0, 0.5, 1.0])
     even = np.array([[0.0, 0.0, 0.0, 4.0], [2.0, 0.0, 0.0, 4.0], [4.0, 0.0, 0.0, 4.0]])
-    found = driven_poses(np.array([-1.0, 0.0, 0.125, 0.75, 1.0, 9.0]), ticks, even)
+    found = interpolate_poses(np.array([-1.0, 0.0, 0.125, 0.75, 1.0, 9.0]), ticks, even)
     np.testing.assert_allclose(found[:, 0], [0.0, 0.0, 0.5, 3.0, 4.0, 4.0])
     # From rest to 4 m/s at constant acceleration: the cubic is that parabola.
     begins = np.array([[0.0, 0.0, 3.1, 0.0], [-1.0, 0.0, -3.1, 4.0]])
-    halfway = driven_poses(np.array([0.25]), ticks[:2], begins)[0]
+    halfway = interpolate_poses(np.array([0.25]), ticks[:2], begins)[0]
     assert halfway[0] == pytest.approx(-0.25, abs=0.01) and abs(halfway[2]) > 3.1
-    assert driven_poses(np.array([0.0, 1.0]), ticks[:1], even[:1]).tolist() == [[0.0, 0.0, 0.0]] * 2
+    assert interpolate_poses(np.array([0.0, 1.0]), ticks[:1], even[:1]).tolist() == [[0.0, 0.0, 0.0]] * 2
 
 
 def test_a_script_holds_the_drive_and_nothing_of_others_that_answered(site: Site, tmp_path: Path) -> None:
     sheet = first_sheet(site)
     replayed, answered = (drive_of(tmp_path / name, sheet, name) for name in ("replay", "idm"))
-    files, index = drive_files([replayed, answered], site.sheets), drive_index([replayed, answered], site.sheets)
+    files, index = (
+        build_drive_files([replayed, answered], site.sheets),
+        build_drive_index([replayed, answered], site.sheets),
+    )
     assert {f"data/scenes/{one['key']}.js" for one in index} == set(files) and len(files) == 2
     assert {one["scene"] for one in index} == {scene_key((sheet.data.name, sheet.split, sheet.scene))}
     of = {one["world"]: value_of(files[f"data/scenes/{one['key']}.js"]) for one in index}
@@ -84,31 +87,31 @@ def test_whoever_touched_the_ego_without_its_fault_is_shown_until_it_is_gone(sit
     touch = {**contact(), "seconds": 0.8, "agent": agent.id, "at_fault": False}
     measured = {"engine": "default", "agents": "replay", "sensor": "none", "until": "fault"}
     driven = drive_of(tmp_path, sheet, end="end", contact=None, passed=[touch], measured=measured)
-    (said,) = drive_index([driven], site.sheets)
+    (said,) = build_drive_index([driven], site.sheets)
     assert said["world"].endswith("until fault") and said["everybody"] and said["contact"] is None
-    drive = value_of(drive_files([driven], site.sheets)[f"data/scenes/{said['key']}.js"])
+    drive = value_of(build_drive_files([driven], site.sheets)[f"data/scenes/{said['key']}.js"])
     shown = {each["id"]: each for each in drive["agents"]}
     assert len(shown) == len(sheet.agents)
     # Driving begins at 1 s; the planning instant after the touch at 1.8 s is at 2 s.
     left = len(shown[agent.id]["x"])
     assert drive["frames"][left - 1] < 2.0 <= drive["frames"][left] + 0.01
     for each in sheet.agents:
-        assert each.id == agent.id or shown[each.id]["x"] == agent_data(each)["x"]
+        assert each.id == agent.id or shown[each.id]["x"] == build_agent(each)["x"]
 
 
 def test_other_content_is_listed_and_not_played(site: Site, tmp_path: Path) -> None:
     sheet = first_sheet(site)
     other = sheet.model_copy(update={"data": sheet.data.model_copy(update={"fingerprint": "e"})})
     driven = [drive_of(tmp_path, other)]
-    assert drive_files(driven, site.sheets) == {} and drive_index(driven, site.sheets)[0]["key"] is None
-    assert drive_files(driven, Sheets({}, {})) == {}
+    assert build_drive_files(driven, site.sheets) == {} and build_drive_index(driven, site.sheets)[0]["key"] is None
+    assert build_drive_files(driven, ScenePages({}, {})) == {}
 
 
 def test_a_failed_drive_says_why(site: Site, tmp_path: Path) -> None:
     failure = {"reason": "raised", "text": "Traceback\nValueError: no"}
     failed: dict[str, Any] = {"status": "failed", "end": "failed", "scores": None, "failure": failure, "contact": None}
     driven = drive_of(tmp_path, first_sheet(site), **failed)
-    (script,) = drive_files([driven], site.sheets).values()
+    (script,) = build_drive_files([driven], site.sheets).values()
     samples = value_of(script)["models"][0]["samples"]
     assert samples[-1] == {"failed": "ValueError: no"} and "path" in samples[0]
 
@@ -119,7 +122,7 @@ def test_the_page_plays_a_drive(site: Site, browser: Browser, tmp_path: Path) ->
     folder = tmp_path / "board"
     write_leaderboard(read_results(site.records, sheets=site.sheets, drives=driven), folder)
     index = (folder / "site" / "index.html").as_uri()
-    keys = {one["everybody"]: one["key"] for one in drive_index(driven, site.sheets)}
+    keys = {one["everybody"]: one["key"] for one in build_drive_index(driven, site.sheets)}
     text = opened(browser, index, f"#/drive/{keys[True]}?t=2")
     assert "contact after 1.3 s" in text and "where the recording has them" in text and "ego, as driven" in text
     assert "not judged" not in text and "Sample 5" in text
@@ -128,7 +131,7 @@ def test_the_page_plays_a_drive(site: Site, browser: Browser, tmp_path: Path) ->
     assert "Driven in closed loop" in opened(browser, index, f"#/scene/{scene}")
 
 
-def pursued(folder: Path, sheet: Sheet, others: str = "replay") -> DriveRecord:
+def pursued(folder: Path, sheet: ScenePage, others: str = "replay") -> DriveRecord:
     """A drive in which the sheet's last agent is an adversary from frame 12 on, and what it considered."""
     agent = sheet.agents[-1]
     x, y = sheet.origin_m
@@ -145,20 +148,20 @@ def pursued(folder: Path, sheet: Sheet, others: str = "replay") -> DriveRecord:
     found = drive_of(folder, sheet, adversary=adversary, measured=measured)
     lines = [[[x + 6.0 + 2.0 * at, y + side * at] for at in range(7)] for side in (-1.0, 0.0, 1.0)]
     frames = (
-        ConsideredFrame(frame=12, time_us=sheet.timestamps_us[12], did="track"),
-        ConsideredFrame.model_validate(
+        SearchTraceFrame(frame=12, time_us=sheet.timestamps_us[12], did="track"),
+        SearchTraceFrame.model_validate(
             {"frame": 24, "time_us": sheet.timestamps_us[24], "did": "searched", "candidates": lines,
              "scores": [2.0, -1.0, None], "chosen": 1}
         ),
     )  # fmt: skip
-    write_considered(found.directory, found.rows[0], frames)
+    write_search_trace(found.directory, found.rows[0], frames)
     return found
 
 
 def test_an_adversary_is_where_it_drove_with_what_it_considered(site: Site, tmp_path: Path) -> None:
     sheet = first_sheet(site)
     driven = [pursued(tmp_path / others, sheet, others=others) for others in ("replay", "idm")]
-    files, index = drive_files(driven, site.sheets), drive_index(driven, site.sheets)
+    files, index = build_drive_files(driven, site.sheets), build_drive_index(driven, site.sheets)
     index.sort(key=lambda one: not one["everybody"])
     assert [one["everybody"] for one in index] == [True, False] and all(one["adversary"] for one in index)
     beside, alone = (value_of(files[f"data/scenes/{one['key']}.js"]) for one in index)
@@ -182,7 +185,7 @@ def test_the_player_shows_what_was_considered_until_it_is_switched_off(
     driven, folder = [pursued(tmp_path / "a", sheet), drive_of(tmp_path / "b", sheet)], tmp_path / "board"
     write_leaderboard(read_results(site.records, sheets=site.sheets, drives=driven), folder)
     index = (folder / "site" / "index.html").as_uri()
-    keys = {one["adversary"]: one["key"] for one in drive_index(driven, site.sheets)}
+    keys = {one["adversary"]: one["key"] for one in build_drive_index(driven, site.sheets)}
     text = opened(browser, index, f"#/drive/{keys[True]}?t=2.1")
     assert "Orange is the adversary as it drove" in text and "what its search found" in text
     box = browser.one("player-show-considered")

@@ -15,22 +15,22 @@ from hypothesis import strategies as st
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, write_bytes
-from benchmark.metrics.attacks import counted_rows, has_adversaries, scene_attacks
-from benchmark.metrics.effect import AT_3_S, effect_of, first_touches, touched_scenes
+from benchmark.metrics.attacks import collect_scene_attacks, has_adversaries, select_counted_rows
+from benchmark.metrics.effect import AT_3_S, compute_effect, find_first_contacts, find_touched_scenes
 from benchmark.records.judgement import DRIVER_NAMES
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.run_schema import SceneFacts
-from benchmark.records.scenes import NO_SHEETS, Sheets, StoredSheet, find_sheets
-from benchmark.report.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, hexadecimal
+from benchmark.records.scenes import NO_SCENE_PAGES, ScenePages, StoredScenePage, find_scene_pages
+from benchmark.report.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, format_hexadecimal
 from benchmark.report.table import Table
-from leaderboard.build import stale_files, write_leaderboard
-from leaderboard.frame.results import Results, read_results
-from leaderboard.frame.runs import Frame
+from leaderboard.build import find_stale_files, write_leaderboard
+from leaderboard.frame.results import LeaderboardResults, read_results
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.page.sections import NamedFigure
-from leaderboard.site.index_data import PlacedTable, index_data, key_table, model_index
-from leaderboard.site.packing import data_script
-from leaderboard.site.scene_index import label_words, scene_index
-from leaderboard.site.site import INDEX_PATH, site_files
+from leaderboard.site.index_data import PlacedTable, build_index, build_key_table, build_model_index
+from leaderboard.site.packing import encode_script
+from leaderboard.site.scene_index import build_scene_index, describe_label
+from leaderboard.site.site import INDEX_PATH, build_site_files
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG, BigWorkspace, make_workspace
 
@@ -44,20 +44,20 @@ class Made:
 
     workspace: BigWorkspace
     records: list[RunRecord]
-    sheets: Sheets
+    sheets: ScenePages
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     out = tmp_path_factory.mktemp("made")
     workspace = make_workspace(out, scenes=6, models=3, samples=10)
-    return Made(workspace, find_records(out / "runs"), find_sheets(out / "sheets"))
+    return Made(workspace, find_records(out / "runs"), find_scene_pages(out / "sheets"))
 
 
 @pytest.fixture(autouse=True)
 def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures have tests of their own and take most of the time."""
-    monkeypatch.setattr("leaderboard.figures.contents.OF_RUNS", (lambda frame: (FIGURE,),))
+    monkeypatch.setattr("leaderboard.figures.contents.RUN_FIGURES", (lambda frame: (FIGURE,),))
     for name in ("heat_maps", "lift_maps"):
         monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
 
@@ -66,7 +66,7 @@ def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
 def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A written leaderboard."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("leaderboard.figures.contents.OF_RUNS", (lambda frame: (FIGURE,),))
+        patch.setattr("leaderboard.figures.contents.RUN_FIGURES", (lambda frame: (FIGURE,),))
         for name in ("heat_maps", "lift_maps"):
             patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
         found = tmp_path_factory.mktemp("board")
@@ -85,14 +85,14 @@ def value_of(script: bytes) -> Any:
 @given(value=st.recursive(st.none() | st.booleans() | st.integers() | st.text(), lambda inner: st.lists(inner)))
 @settings(deadline=None)
 def test_a_script_says_any_value_and_nothing_else(value: Any) -> None:
-    script = data_script("window.X", value)
+    script = encode_script("window.X", value)
     assert value_of(script) == value
     assert b"<" not in script
 
 
 def test_names_with_a_meaning_in_javascript_stay_names() -> None:
     value = {"__proto__": {"constructor": "</script><script>alert(1)</script>", "\u2028": 'it\'s \\ "quoted"'}}
-    assert value_of(data_script("window.X", value)) == value
+    assert value_of(encode_script("window.X", value)) == value
 
 
 def test_scenes_fail_in_the_index_as_in_the_records(made: Made, folder: Path) -> None:
@@ -101,9 +101,9 @@ def test_scenes_fail_in_the_index_as_in_the_records(made: Made, folder: Path) ->
     assert {name for _, name in scenes} == set(made.workspace.scenes)
     for record in made.records:
         for protocol in record.summary.protocols:
-            for scene, failed in touched_scenes(record, protocol).items():
+            for scene, failed in find_touched_scenes(record, protocol).items():
                 assert scenes[record.run.split, scene]["verdicts"][record.planner][protocol] is failed
-        touches = first_touches(record)
+        touches = find_first_contacts(record)
         for scene, places in record.columns.places_of_scenes.items():
             shown = scenes[record.run.split, scene]
             assert shown["adversarial"] == has_adversaries(record)
@@ -125,7 +125,7 @@ def test_the_index_tells_contacts_with_the_adversary_from_others_and_never_says_
         touching("told", {"a": [True, False, None], "b": [False, None, None]}),
         touching("old", {"a": [True, None, None], "b": [None, None, None]}, told=False),
     ]
-    a, b = scene_index(records, NO_SHEETS, (), frozenset())
+    a, b = build_scene_index(records, NO_SCENE_PAGES, (), frozenset())
     assert a["adversarial"] and b["adversarial"]
     assert a["verdicts"] == {"told": {"exact": True}, "old": {"exact": None}}
     assert b["verdicts"] == {"told": {"exact": False}, "old": {"exact": False}}
@@ -133,10 +133,10 @@ def test_the_index_tells_contacts_with_the_adversary_from_others_and_never_says_
     assert (a["unsaid"], b["unsaid"]) == ({"old": ["exact"]}, {})
     assert a["colliding"] == {"told": 1, "old": None} and a["bystanders"] == {"told": 1, "old": None}
     assert (b["colliding"], b["bystanders"]) == ({}, {"told": 1})
-    runs = {model["name"]: model["runs"][0]["protocols"]["exact"] for model in model_index(records)}
+    runs = {model["name"]: model["runs"][0]["protocols"]["exact"] for model in build_model_index(records)}
     assert runs["told"]["scenesHit"] == [1, 2] and runs["told"]["scenesFailed"] == 2
     assert runs["old"]["scenesHit"] is None and runs["old"]["scenesFailed"] == 1
-    table = key_table(Frame("d", records))
+    table = build_key_table(DataSetRuns("d", records))
     assert table is not None
     assert [row[table.columns.index("adversary")] for row in table.rows] == ["–", f"{100 / 6:.1f}"]
 
@@ -167,7 +167,7 @@ def test_scenes_are_judged_in_the_index_as_in_the_records(made: Made, folder: Pa
     assert all(scene["judgement"] is None for (split, _), scene in scenes.items() if split == "val")
     touched = 0
     for record in made.records:
-        attacks = scene_attacks(record)
+        attacks = collect_scene_attacks(record)
         for scene in record.run.scenes:
             shown = scenes[record.run.split, scene]
             judgement = record.run.scene_facts[scene].judgement
@@ -177,7 +177,7 @@ def test_scenes_are_judged_in_the_index_as_in_the_records(made: Made, folder: Pa
                 assert shown["judgement"]["faults"] == [name.replace("_", " ") for name in judgement.faults]
             else:
                 assert shown["judgement"] is None
-            rows = [row for row in counted_rows(record) if row.scene == scene and row.severity is not None]
+            rows = [row for row in select_counted_rows(record) if row.scene == scene and row.severity is not None]
             contacts = [row.severity.contact for row in rows if row.severity and row.severity.contact]
             severity = shown["severity"].get(record.planner)
             if not contacts:
@@ -256,20 +256,20 @@ def test_a_changed_missing_or_foreign_file_makes_the_site_stale_until_written_ag
     made: Made, folder: Path, tmp_path: Path
 ) -> None:
     write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
-    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
+    assert find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
     site = tmp_path / "site"
     pictures = sorted(site.glob("media/*/cameras/*.webp"))
     pictures[0].write_bytes(b"other")
     (site / "app.js").unlink()
     write_bytes(site / "media" / "gone" / "thumb.webp", b"old")
-    stale = stale_files(read_results(made.records, sheets=made.sheets), tmp_path)
+    stale = find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path)
     assert sorted(sentence.removeprefix(f"{site}/") for sentence in stale) == sorted([
         "app.js is missing",
         f"{pictures[0].relative_to(site)} differs from what the run records say",
         "media/gone/thumb.webp is a file that the run records no longer give",
     ])  # fmt: skip
     write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
-    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
+    assert find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
 
 
 def test_a_folder_that_is_no_site_of_ours_is_left_alone(made: Made, tmp_path: Path) -> None:
@@ -280,27 +280,27 @@ def test_a_folder_that_is_no_site_of_ours_is_left_alone(made: Made, tmp_path: Pa
     write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path, site=False)
     assert (tmp_path / "site" / "index.html").read_bytes() == b"mine"
     assert "site/index.html" not in (tmp_path / "README.md").read_text()
-    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path, site=False) == []
+    assert find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path, site=False) == []
 
 
 def test_a_first_site_that_was_killed_before_its_first_file_is_begun_again(made: Made, tmp_path: Path) -> None:
     (tmp_path / "site" / "data").mkdir(parents=True)
     (tmp_path / "site" / "data" / ".index.js.42.part").write_bytes(b"half")
     write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
-    assert stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
+    assert find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
     assert not list(tmp_path.rglob(".*"))
 
 
 def test_a_sheet_of_other_content_is_refused(made: Made) -> None:
     name, stored = next(iter(made.sheets.scenes.items()))
     data = stored.sheet.data.model_copy(update={"fingerprint": "other"})
-    other = StoredSheet(stored.directory, stored.sheet.model_copy(update={"data": data}), None)
+    other = StoredScenePage(stored.directory, stored.sheet.model_copy(update={"data": data}), None)
     with pytest.raises(InputError, match="challenger-bench sheets again"):
-        scene_index(made.records, Sheets(made.sheets.splits, {name: other}), (), frozenset())
+        build_scene_index(made.records, ScenePages(made.sheets.splits, {name: other}), (), frozenset())
 
 
 def test_a_site_of_sheets_alone_and_of_nothing() -> None:
-    empty = value_of(bytes(site_files(Results(()), [])[INDEX_PATH]))
+    empty = value_of(bytes(build_site_files(LeaderboardResults(()), [])[INDEX_PATH]))
     assert (empty["tables"], empty["models"], empty["scenes"], empty["attempts"]) == ([], [], [], [])
 
 
@@ -317,7 +317,7 @@ def test_tables_have_names_of_their_own_whatever_data_sets_are_called() -> None:
         PlacedTable(Table(name, "", ("a",), ()), data, "", "x")
         for data, name in (("a", "b-c"), ("a-b", "c"), ("", "p"))
     ]
-    ids = [table["id"] for table in index_data(Results(()), placed, [], frozenset())["tables"]]
+    ids = [table["id"] for table in build_index(LeaderboardResults(()), placed, [], frozenset())["tables"]]
     assert ids == ["a-b-c", "a-b-c~2", "p"]
 
 
@@ -325,9 +325,9 @@ def test_settings_that_are_no_numbers_of_json_are_shown_as_text(made: Made) -> N
     record = made.records[0]
     planner = record.run.planner.model_copy(update={"settings": {"gain": float("nan"), "file": "a'b"}})
     odd = replace(record, run=record.run.model_copy(update={"planner": planner}))
-    index = index_data(Results((Frame(DATA_NAME, [odd]),)), [], [], frozenset())
+    index = build_index(LeaderboardResults((DataSetRuns(DATA_NAME, [odd]),)), [], [], frozenset())
     assert index["models"][0]["facts"]["settings"] == {"gain": "NaN", "file": "a'b"}
-    data_script("window.X", index)
+    encode_script("window.X", index)
 
 
 @given(
@@ -345,7 +345,7 @@ def test_settings_that_are_no_numbers_of_json_are_shown_as_text(made: Made) -> N
 )
 @settings(deadline=None)
 def test_any_labels_have_words(label: dict[str, Any]) -> None:
-    assert isinstance(label_words(label), str)
+    assert isinstance(describe_label(label), str)
 
 
 def test_labels_in_words() -> None:
@@ -355,13 +355,13 @@ def test_labels_in_words() -> None:
         "closest_approach": {"gap_m": 0.4, "side": "left", "time_s": 9.25},
         "occurred": [{"kind": "cut-in-left"}, {"kind": "blocking"}, {"kind": "blocking"}],
     }
-    assert label_words(label) == "cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking"
+    assert describe_label(label) == "cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking"
 
 
 def test_the_index_stays_small(made: Made) -> None:
     """150 scenes and 10 planners have to stay below 2 MB with all tables."""
-    scenes = scene_index(made.records, made.sheets, (), frozenset())
-    each = len(data_script("window.X", scenes)) / (len(scenes) * len(made.workspace.planners))
+    scenes = build_scene_index(made.records, made.sheets, (), frozenset())
+    each = len(encode_script("window.X", scenes)) / (len(scenes) * len(made.workspace.planners))
     assert each < 600
 
 
@@ -378,7 +378,7 @@ def test_the_first_page_has_each_planners_averages_and_the_effect(made: Made, fo
             for split in ("val", "adv")
         ]
         assert [row[1], row[3]] == ["–" if rate.value is None else f"{100 * rate.value:.2f}" for rate in rates]
-        caused = effect_of(*(by_run[row[0].removesuffix(" †"), split] for split in ("adv", "val")))
+        caused = compute_effect(*(by_run[row[0].removesuffix(" †"), split] for split in ("adv", "val")))
         assert caused is not None and caused.touched is not None and caused.paired is not None
         assert row[5] == f"{100 * caused.touched[AT_3_S]:.1f}"
         assert float(row[6]) == pytest.approx(100 * (caused.paired.difference.value or 0.0), abs=0.051)
@@ -391,7 +391,7 @@ def test_miniatures_carry_their_mark(made: Made) -> None:
         for record in made.records
         if record.planner == planner.name
     ]
-    index = index_data(Results((Frame(DATA_NAME, small),)), [], [], frozenset())
+    index = build_index(LeaderboardResults((DataSetRuns(DATA_NAME, small),)), [], [], frozenset())
     assert index["models"][0]["miniature"] is True
     assert index["keyTables"][0]["rows"][0][0] == f"{planner.name} §"
     assert "§ miniature: shows the pipeline, ranks nothing." in index["keyTables"][0]["notes"]
@@ -400,9 +400,12 @@ def test_miniatures_carry_their_mark(made: Made) -> None:
 def test_one_colour_for_the_adversary() -> None:
     """The page's style and the player's say it once each, and they say what Python draws with."""
     texts = {path.name: path.read_text().lower() for path in ASSETS.iterdir()}
-    assert {name for name, text in texts.items() if hexadecimal(ADVERSARY) in text} == {"style.css", "player_style.js"}
-    assert sum(text.count(hexadecimal(ADVERSARY)) for text in texts.values()) == 2
-    planners = {hexadecimal(colour) for colour in (*PLANNERS_ON_LIGHT, *PLANNERS_ON_DARK)}
+    assert {name for name, text in texts.items() if format_hexadecimal(ADVERSARY) in text} == {
+        "style.css",
+        "player_style.js",
+    }
+    assert sum(text.count(format_hexadecimal(ADVERSARY)) for text in texts.values()) == 2
+    planners = {format_hexadecimal(colour) for colour in (*PLANNERS_ON_LIGHT, *PLANNERS_ON_DARK)}
     assert all(colour in texts["player_style.js"] for colour in planners)
     for colour in (*PLANNERS_ON_LIGHT, *PLANNERS_ON_DARK):
         assert sum((one - other) ** 2 for one, other in zip(colour, ADVERSARY, strict=True)) > 80**2

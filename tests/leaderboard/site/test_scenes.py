@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_global
 from benchmark.planning import Plan, PlanFrame
-from benchmark.protocols.exact import ego_boxes
+from benchmark.protocols.exact import compute_plan_boxes
 from benchmark.records.row_schema import DiagnosisRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord, find_records
-from benchmark.records.scenes import NO_SHEETS, SheetMap, Sheets, find_sheets, picture_name
-from leaderboard.site.packing import CENTIMETRE, packed, packed_path
-from leaderboard.site.scene_data import THUMBNAIL_PX, closest_frame, scene_files, thumbnail
+from benchmark.records.scenes import NO_SCENE_PAGES, PageMap, ScenePages, find_scene_pages, picture_name
+from leaderboard.site.packing import CENTIMETRE, pack_path, pack_series
+from leaderboard.site.scene_data import THUMBNAIL_PX, build_scene_files, draw_thumbnail, find_closest_frame
 from leaderboard.site.scene_index import scene_key
-from leaderboard.site.scene_plans import COUNTED, FORECASTS_SHOWN, MODES_SHOWN, sample_entry
+from leaderboard.site.scene_plans import COUNTED, FORECASTS_SHOWN, MODES_SHOWN, build_sample
 from tests.leaderboard.site.big_workspace import DATA_NAME, BigWorkspace, make_workspace
 
 AHEAD_M = 0.94
@@ -91,18 +91,18 @@ def records(made: BigWorkspace) -> list[RunRecord]:
 
 
 @pytest.fixture(scope="module")
-def sheets(made: BigWorkspace) -> Sheets:
-    return find_sheets(made.out / "sheets")
+def sheets(made: BigWorkspace) -> ScenePages:
+    return find_scene_pages(made.out / "sheets")
 
 
 @pytest.fixture(scope="module")
-def files(sheets: Sheets, records: list[RunRecord]) -> Mapping[str, bytes | Path]:
-    return scene_files(sheets, records)
+def files(sheets: ScenePages, records: list[RunRecord]) -> Mapping[str, bytes | Path]:
+    return build_scene_files(sheets, records)
 
 
 @given(st.lists(st.one_of(st.none(), st.floats(-1e5, 1e5)), max_size=30))
 def test_packed_numbers_come_back(values: list[float | None]) -> None:
-    steps = packed(values, CENTIMETRE)
+    steps = pack_series(values, CENTIMETRE)
     assert not steps or steps[-1] != 0
     for value, back in zip(values, unpacked(steps, len(values), CENTIMETRE), strict=True):
         assert back == pytest.approx(value, abs=CENTIMETRE) if value is not None else back is None
@@ -110,18 +110,18 @@ def test_packed_numbers_come_back(values: list[float | None]) -> None:
 
 def test_rounding_errors_of_a_path_do_not_add_up() -> None:
     path = np.column_stack([np.arange(500) * 0.0149, np.zeros(500)])
-    assert np.abs(path_of(packed_path(path, CENTIMETRE)) - path).max() <= CENTIMETRE / 2 + 1e-9
+    assert np.abs(path_of(pack_path(path, CENTIMETRE)) - path).max() <= CENTIMETRE / 2 + 1e-9
 
 
 @pytest.mark.parametrize("frame", ["lidar", "ego"])
 def test_a_plan_is_where_exact_judges_it(frame: str) -> None:
     given_plan = WAYPOINTS if frame == "lidar" else np.column_stack([WAYPOINTS[:, 1], -WAYPOINTS[:, 0]])
     plan = PlanRow(frame="lidar" if frame == "lidar" else "ego", waypoints=given_plan.tolist())
-    entry = sample_entry(row_of(plan), POSE, [], {})
+    entry = build_sample(row_of(plan), POSE, [], {})
     in_lidar = Plan(given_plan, PlanFrame(frame)).waypoints_in_lidar(AHEAD_M)
     lidar = np.array([*to_global(np.array([AHEAD_M, 0.0]), POSE), POSE[2] - np.pi / 2])
     assert path_of(entry["path"]) == pytest.approx(np.vstack([lidar[:2], to_global(in_lidar, lidar)]), abs=0.006)
-    judged = ego_boxes(in_lidar)[4::5, 4] + lidar[2]
+    judged = compute_plan_boxes(in_lidar)[4::5, 4] + lidar[2]
     assert np.cumsum(entry["yaw"]) / 1000 == pytest.approx(judged, abs=0.001)
 
 
@@ -130,7 +130,7 @@ def test_modes_are_the_likeliest_and_not_the_plan() -> None:
     scores = [index / 30 for index in range(30)]
     plan = PlanRow(frame="lidar", waypoints=modes[29], modes=modes, mode_scores=scores)
     flat = np.array([0.0, 0.0, 0.0])
-    entry = sample_entry(row_of(plan), flat, [], {})
+    entry = build_sample(row_of(plan), flat, [], {})
     ends = [path_of(mode, start=(AHEAD_M, 0.0))[-1] for mode in entry["modes"]]
     expected = [[WAYPOINTS[-1, 1] + AHEAD_M, -(WAYPOINTS[-1, 0] + index)] for index in range(28, 28 - MODES_SHOWN, -1)]
     assert np.array(ends) == pytest.approx(np.array(expected), abs=0.01)
@@ -144,7 +144,7 @@ def test_forecasts_are_the_nearest_and_those_that_stand_have_no_path() -> None:
     paths[:, 1] += 50.0
     forecasts = ForecastRow(boxes=boxes, trajectories=paths.tolist(), scores=[[0.9, 0.1]] * 25)
     plan = PlanRow(frame="lidar", waypoints=WAYPOINTS.tolist(), forecasts=forecasts)
-    shown = sample_entry(row_of(plan), np.zeros(3), [], {})["forecasts"]
+    shown = build_sample(row_of(plan), np.zeros(3), [], {})["forecasts"]
     assert [box[0] / 10 for box in shown] == pytest.approx(
         [12 + 2 * index + AHEAD_M for index in range(FORECASTS_SHOWN)], abs=0.051
     )
@@ -161,12 +161,12 @@ def test_verdicts_contacts_and_causes() -> None:
         outcomes={"exact": outcome("...xx."), "uniad": outcome("....x.", counted=False), "vad": outcome("......")},
         diagnosis=DiagnosisRow(cause="unseen", reason="no forecast near", hit="b", first_contact_s=1.8),
     )
-    entry = sample_entry(row, POSE, ["exact", "uniad", "vad", "sparsedrive"], {"a": 0, "b": 1})
+    entry = build_sample(row, POSE, ["exact", "uniad", "vad", "sparsedrive"], {"a": 0, "b": 1})
     assert entry["verdicts"] == [COUNTED + 0b011000, 0b010000, COUNTED, None]
     assert entry["contact"] == [1.8, 2.5, None, None]
     assert (entry["cause"], entry["reason"], entry["hit"]) == ("unseen", "no forecast near", 1)
     assert entry["l2"] == [0.12] * 5 + [None]
-    gone = sample_entry(row, POSE, ["exact"], {})
+    gone = build_sample(row, POSE, ["exact"], {})
     assert "hit" not in gone and "whom" not in gone
 
 
@@ -180,26 +180,26 @@ def test_whom_a_plan_touches_first_is_said_on_splits_with_adversaries() -> None:
         "vad": outcome("......"),
     }
     row, protocols = row_of(plan, outcomes=verdicts), [*verdicts, "stp3"]
-    assert sample_entry(row, POSE, protocols, {}, known=True)["whom"] == [1, 0, None, None, None]
-    assert sample_entry(row, POSE, protocols, {}, known=False)["whom"] == [None] * 5
-    assert "whom" not in sample_entry(row, POSE, ["vad"], {}, known=True)
+    assert build_sample(row, POSE, protocols, {}, known=True)["whom"] == [1, 0, None, None, None]
+    assert build_sample(row, POSE, protocols, {}, known=False)["whom"] == [None] * 5
+    assert "whom" not in build_sample(row, POSE, ["vad"], {}, known=True)
 
 
 def test_a_failure_is_its_last_line_and_no_plan() -> None:
     error = "Traceback\n  File x\nValueError: <b>no</b>\n"
-    assert sample_entry(row_of(None, error=error), POSE, ["exact"], {}) == {"failed": "ValueError: <b>no</b>"}
-    assert sample_entry(row_of(None, error=None), POSE, [], {}) == {"failed": "no reason was recorded"}
+    assert build_sample(row_of(None, error=error), POSE, ["exact"], {}) == {"failed": "ValueError: <b>no</b>"}
+    assert build_sample(row_of(None, error=None), POSE, [], {}) == {"failed": "no reason was recorded"}
 
 
 def test_a_plan_with_lists_of_wrong_lengths_is_named() -> None:
     forecasts = ForecastRow(boxes=[[0.0] * 5], trajectories=[[[[0.0, 0.0]]]], scores=[[1.0]])
     plan = PlanRow(frame="lidar", waypoints=WAYPOINTS.tolist(), forecasts=forecasts)
     with pytest.raises(InputError, match="sample 0"):
-        sample_entry(row_of(plan), POSE, [], {})
+        build_sample(row_of(plan), POSE, [], {})
 
 
 def test_every_scene_has_a_script_that_says_what_sheet_and_records_say(
-    made: BigWorkspace, records: list[RunRecord], sheets: Sheets, files: Mapping[str, bytes | Path]
+    made: BigWorkspace, records: list[RunRecord], sheets: ScenePages, files: Mapping[str, bytes | Path]
 ) -> None:
     scripts = {path: value_of(content) for path, content in files.items() if path.startswith("data/")}
     assert len(scripts) == len(made.scenes)
@@ -249,7 +249,7 @@ def test_a_scene_without_a_sheet_is_in_the_frame_of_the_ego(
     assert value["recorded"][-1] == []
 
 
-def test_pictures_are_copied_and_thumbnails_drawn(sheets: Sheets, files: Mapping[str, bytes | Path]) -> None:
+def test_pictures_are_copied_and_thumbnails_drawn(sheets: ScenePages, files: Mapping[str, bytes | Path]) -> None:
     for name, stored in sheets.scenes.items():
         key = scene_key(name)
         for frame in stored.sheet.pictures:
@@ -259,9 +259,9 @@ def test_pictures_are_copied_and_thumbnails_drawn(sheets: Sheets, files: Mapping
         assert cv2.imdecode(np.frombuffer(thumb, np.uint8), cv2.IMREAD_COLOR).shape == (THUMBNAIL_PX, THUMBNAIL_PX, 3)
 
 
-def test_the_thumbnail_shows_the_closest_approach(sheets: Sheets) -> None:
+def test_the_thumbnail_shows_the_closest_approach(sheets: ScenePages) -> None:
     sheet = next(stored.sheet for (_, split, _), stored in sheets.scenes.items() if split == "adv")
-    frame = closest_frame(sheet)
+    frame = find_closest_frame(sheet)
     adversary = next(agent for agent in sheet.agents if agent.adversary)
 
     def apart(at: int) -> float:
@@ -270,14 +270,14 @@ def test_the_thumbnail_shows_the_closest_approach(sheets: Sheets) -> None:
 
     assert apart(frame) < min(map(apart, range(adversary.first, len(sheet.timestamps_us)))) + 2.0
     nobody = sheet.model_copy(update={"agents": ()})
-    assert closest_frame(nobody) == len(sheet.timestamps_us) // 2
-    assert thumbnail(sheet) == thumbnail(sheet)
+    assert find_closest_frame(nobody) == len(sheet.timestamps_us) // 2
+    assert draw_thumbnail(sheet) == draw_thumbnail(sheet)
 
 
 def test_same_records_same_bytes_in_any_order(
-    sheets: Sheets, records: list[RunRecord], files: Mapping[str, bytes | Path]
+    sheets: ScenePages, records: list[RunRecord], files: Mapping[str, bytes | Path]
 ) -> None:
-    again = scene_files(replace(sheets, scenes=dict(list(sheets.scenes.items())[::-1])), records[::-1])
+    again = build_scene_files(replace(sheets, scenes=dict(list(sheets.scenes.items())[::-1])), records[::-1])
     assert again == files
     assert list(again) == list(files)
 
@@ -291,15 +291,15 @@ def test_scripts_are_small_and_hold_no_markup(made: BigWorkspace, files: Mapping
             assert len(content) < 100_000 + 400_000 * len(made.planners) * 12 / 400
 
 
-def test_a_sheet_that_lacks_a_sample_is_refused(sheets: Sheets, records: list[RunRecord]) -> None:
+def test_a_sheet_that_lacks_a_sample_is_refused(sheets: ScenePages, records: list[RunRecord]) -> None:
     name, stored = next((name, stored) for name, stored in sheets.scenes.items() if name[1] == "adv")
     tokens = tuple(f"other {token}" for token in stored.sheet.sample_tokens)
     other = replace(stored, sheet=stored.sheet.model_copy(update={"sample_tokens": tokens}))
     with pytest.raises(InputError, match="challenger-bench sheets"):
-        scene_files(Sheets({}, {name: other}), records)
+        build_scene_files(ScenePages({}, {name: other}), records)
 
 
-def test_a_sheet_with_lists_of_different_lengths_is_refused(sheets: Sheets) -> None:
+def test_a_sheet_with_lists_of_different_lengths_is_refused(sheets: ScenePages) -> None:
     name, stored = next(iter(sheets.scenes.items()))
     for changes in (
         {"timestamps_us": stored.sheet.timestamps_us[:-1]},
@@ -308,12 +308,12 @@ def test_a_sheet_with_lists_of_different_lengths_is_refused(sheets: Sheets) -> N
     ):
         cut = replace(stored, sheet=stored.sheet.model_copy(update=changes))
         with pytest.raises(InputError, match="different lengths"):
-            scene_files(Sheets({}, {name: cut}), [])
+            build_scene_files(ScenePages({}, {name: cut}), [])
 
 
-def test_an_empty_scene_and_one_with_nobody_in_it(sheets: Sheets) -> None:
+def test_an_empty_scene_and_one_with_nobody_in_it(sheets: ScenePages) -> None:
     name, stored = next(iter(sheets.scenes.items()))
-    nobody = stored.sheet.model_copy(update={"agents": (), "pictures": (), "cameras": (), "road": SheetMap()})
+    nobody = stored.sheet.model_copy(update={"agents": (), "pictures": (), "cameras": (), "road": PageMap()})
     nothing = {"x_m": (), "y_m": (), "yaw_rad": ()}
     empty = nobody.model_copy(
         update={
@@ -324,18 +324,18 @@ def test_an_empty_scene_and_one_with_nobody_in_it(sheets: Sheets) -> None:
         }
     )
     for sheet, count in ((nobody, len(nobody.keyframes)), (empty, 0)):
-        files = scene_files(Sheets({}, {name: replace(stored, sheet=sheet)}), [])
+        files = build_scene_files(ScenePages({}, {name: replace(stored, sheet=sheet)}), [])
         value = value_of(files[f"data/scenes/{scene_key(name)}.js"])
         assert (len(value["samples"]), value["agents"]) == (count, [])
         assert (f"media/{scene_key(name)}/thumb.webp" in files) == (count > 0)
 
 
 def test_nothing_is_made_of_nothing() -> None:
-    assert scene_files(NO_SHEETS, []) == {}
+    assert build_scene_files(NO_SCENE_PAGES, []) == {}
 
 
-def test_a_sheet_alone_is_a_scene(sheets: Sheets) -> None:
-    files = scene_files(sheets, [])
+def test_a_sheet_alone_is_a_scene(sheets: ScenePages) -> None:
+    files = build_scene_files(sheets, [])
     values = [value_of(content) for path, content in files.items() if path.startswith("data/")]
     assert len(values) == len(sheets.scenes)
     assert all(value["models"] == [] and value["protocols"] == [] for value in values)

@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from selenium.webdriver.common.by import By
 
-from benchmark.records.judgement import JudgementSummary
+from benchmark.records.judgement import AssessmentSummary
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
 from leaderboard.build import write_leaderboard
@@ -95,7 +95,7 @@ def test_who_hits_another_than_the_adversary_does_not_fail_and_has_a_mark_of_its
     assert "◇ hits another" in verdicts
 
 
-def judgements(site: Site) -> dict[str, JudgementSummary]:
+def judgements(site: Site) -> dict[str, AssessmentSummary]:
     """Of the adversarial scenes that somebody judged."""
     facts = record_of(site, site.made.planners[0], "adv").run.scene_facts
     return {scene: each.judgement for scene, each in facts.items() if each.judgement is not None}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from selenium.webdriver.common.by import By
 
-from benchmark.records.scenes import NO_SHEETS
+from benchmark.records.scenes import NO_SCENE_PAGES
 from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from tests.leaderboard.site.browser import HEIGHT_PX, WIDTH_PX, Browser
@@ -109,7 +109,7 @@ def test_pictures_follow_the_theme(browser: Browser) -> None:
 
 
 def test_without_sheets_the_rest_is_there(browser: Browser, site: Site, tmp_path: Path) -> None:
-    write_leaderboard(read_results(site.records, sheets=NO_SHEETS), tmp_path)
+    write_leaderboard(read_results(site.records, sheets=NO_SCENE_PAGES), tmp_path)
     browser.open("#/", start=(tmp_path / "site" / "index.html").as_uri())
     assert browser.all("showing") == []
     assert "challenger-bench sheets" in browser.driver.find_element(By.TAG_NAME, "main").text

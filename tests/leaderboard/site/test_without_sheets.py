@@ -13,7 +13,7 @@ from benchmark.records.row_schema import PlanRow, SampleRow
 from benchmark.records.run import RunRecord
 from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
-from leaderboard.site.scene_plans import sample_entry
+from leaderboard.site.scene_plans import build_sample
 from tests.leaderboard.site.big_workspace import DATA_NAME
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site
@@ -65,7 +65,7 @@ def without_sheets(site: Site, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 @pytest.mark.parametrize("kind", ["straight", "standing", "bending", "forecasting"])
 def test_a_plan_of_every_kind_has_its_headings(kind: str) -> None:
-    entry = sample_entry(row_of(plan_of(kind)), np.zeros(3), [], {})
+    entry = build_sample(row_of(plan_of(kind)), np.zeros(3), [], {})
     assert isinstance(entry["yaw"], list)
     assert len(entry["path"]) == 14
     assert json.dumps(entry)

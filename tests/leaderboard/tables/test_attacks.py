@@ -3,16 +3,16 @@
 from dataclasses import replace
 from pathlib import Path
 
-from benchmark.metrics.attacks import attack_rates
+from benchmark.metrics.attacks import compute_attack_rates
 from benchmark.records.run import RunRecord, load_record
 from benchmark.report.table import Table
-from leaderboard.build import leaderboard_files
+from leaderboard.build import build_leaderboard_files
 from leaderboard.frame.results import read_results
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.attacks import attack_tables, success_table
 from leaderboard.tables.collision import run_tables
-from leaderboard.tables.contents import data_set_tables, missing_notes
-from leaderboard.tables.judgements import judgement_tables
+from leaderboard.tables.contents import build_data_set_tables, missing_notes
+from leaderboard.tables.judgements import assessment_tables
 from tests.benchmark.metrics.made_attacks import attacked, with_realism
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
 
@@ -37,9 +37,9 @@ def named(tables: list[Table]) -> dict[str, Table]:
 
 def test_attack_success_is_that_of_the_metric_with_its_counts() -> None:
     runs = records()
-    table = named(attack_tables(Frame("d", runs)))["attack-success"]
+    table = named(attack_tables(DataSetRuns("d", runs)))["attack-success"]
     bold, calm = row_of(table, "bold"), row_of(table, "calm")
-    rates = attack_rates(runs[0])
+    rates = compute_attack_rates(runs[0])
     assert bold["attributable"] == f"{100 * (rates.samples['attributable'].value or 0):.1f}"
     # Nobody judged scene c, and whose fault the contact in d is nobody can tell.
     assert bold["attributable, scenes"] == "50.0" and bold["at fault, scenes"] == "66.7"
@@ -51,7 +51,7 @@ def test_attack_success_is_that_of_the_metric_with_its_counts() -> None:
 
 
 def test_without_judgements_attributable_is_a_dash_and_never_a_zero() -> None:
-    table = success_table(Frame("d", [attacked("p", SCENES, dict.fromkeys(SCENES))]))
+    table = success_table(DataSetRuns("d", [attacked("p", SCENES, dict.fromkeys(SCENES))]))
     assert table is not None
     row = row_of(table, "p")
     assert row["attributable"] == row["attributable, scenes"] == "–" and row["judged"] == "0"
@@ -60,7 +60,7 @@ def test_without_judgements_attributable_is_a_dash_and_never_a_zero() -> None:
 
 
 def test_severity_tables_show_distributions() -> None:
-    tables = named(attack_tables(Frame("d", records())))
+    tables = named(attack_tables(DataSetRuns("d", records())))
     bold, calm = (row_of(tables["severity-contacts"], name) for name in ("bold", "calm"))
     assert bold["samples"] == "4" and bold["impact speed"] == "10.0" and bold["impact speed, worst tenth"] == "10.0"
     assert bold["at fault %"] == "50.0" and bold["P(fatal) most"] == f"{100 * (5 / 31.74) ** 4:.2f}"
@@ -84,7 +84,7 @@ def test_the_terminal_shows_the_three_readings_shortly() -> None:
 
 def test_the_ladder_stands_once_for_a_split() -> None:
     runs = records()
-    tables = named(judgement_tables(Frame("d", runs)))
+    tables = named(assessment_tables(DataSetRuns("d", runs)))
     assert list(tables) == ["ladder", "validity"]
     # Nobody counted adversaries: of the three scenes that were judged one has an adversary off the road.
     assert ("adv", "off road", "1", "3", "33.3") in tables["validity"].rows
@@ -94,7 +94,7 @@ def test_the_ladder_stands_once_for_a_split() -> None:
     assert shown["margin, s"] == "1.2" and shown["judged"] == "3" and shown["no fault"] == "66.7"
     assert any("3 of 4 scenes were judged" in note for note in tables["ladder"].notes)
     assert not any("earlier definition" in note for note in tables["ladder"].notes)
-    assert judgement_tables(Frame("d", [attacked("p", SCENES, dict.fromkeys(SCENES))])) == []
+    assert assessment_tables(DataSetRuns("d", [attacked("p", SCENES, dict.fromkeys(SCENES))])) == []
 
 
 def test_the_ladder_says_which_scenes_were_judged_from_their_first_frame() -> None:
@@ -106,12 +106,12 @@ def test_the_ladder_says_which_scenes_were_judged_from_their_first_frame() -> No
         for name, each in record.run.scene_facts.items()
     }
     old = replace(record, run=record.run.model_copy(update={"scene_facts": facts}))
-    notes = named(judgement_tables(Frame("d", [old])))["ladder"].notes
+    notes = named(assessment_tables(DataSetRuns("d", [old])))["ladder"].notes
     assert any("3 scenes judged by an earlier definition" in note for note in notes)
 
 
 def test_realism_is_shown_by_its_worst_feature_and_beside_the_halves() -> None:
-    tables = named(judgement_tables(Frame("d", [with_realism(run, 0.8) for run in records()])))
+    tables = named(assessment_tables(DataSetRuns("d", [with_realism(run, 0.8) for run in records()])))
     assert list(tables) == ["ladder", "validity", "realism", "realism-adv"]
     (row,) = tables["realism"].rows
     shown = dict(zip(tables["realism"].columns, row, strict=True))
@@ -123,7 +123,7 @@ def test_realism_is_shown_by_its_worst_feature_and_beside_the_halves() -> None:
 
 
 def test_our_own_town_has_validity_alone_and_says_why() -> None:
-    tables = named(judgement_tables(Frame("d", [with_realism(run, None) for run in records()])))
+    tables = named(assessment_tables(DataSetRuns("d", [with_realism(run, None) for run in records()])))
     assert list(tables) == ["ladder", "validity"]
     off_road, teleport = tables["validity"].rows
     assert off_road[1:] == ("off road", "1", "4", "25.0") and teleport[3:] == ("0", "–")
@@ -134,17 +134,17 @@ def test_our_own_town_has_validity_alone_and_says_why() -> None:
 
 
 def test_old_records_are_named_and_in_no_table() -> None:
-    frame = Frame("mini", [load_record(GOLDEN / "schema-3-adv")])
-    tables = data_set_tables(frame)
+    frame = DataSetRuns("mini", [load_record(GOLDEN / "schema-3-adv")])
+    tables = build_data_set_tables(frame)
     assert not [table for table in tables.tables if table.name.startswith(("attack", "severity", "ladder"))]
     assert any("does not say how severe its plans are" in note and "rescore" in note for note in missing_notes(frame))
 
 
 def test_a_leaderboard_has_the_tables_and_the_figure() -> None:
-    files = leaderboard_files(read_results([with_realism(run, None) for run in records()]))
+    files = build_leaderboard_files(read_results([with_realism(run, None) for run in records()]))
     for name in ("attack-success", "severity-contacts", "severity-near", "ladder", "validity"):
         assert f"tables/d/{name}.csv" in files and f"tables/d/{name}.tex" in files
     assert "figures/d/attack-realism.png" in files and "attack success" in files["README.md"].decode()
-    unjudged = leaderboard_files(read_results([attacked("p", SCENES, dict.fromkeys(SCENES))]))
+    unjudged = build_leaderboard_files(read_results([attacked("p", SCENES, dict.fromkeys(SCENES))]))
     assert "figures/d/attack-realism.png" not in unjudged
     assert "No figure of attack success against realism: nobody said" in unjudged["README.md"].decode()

@@ -12,11 +12,11 @@ from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
 from leaderboard.figures.contents import matrix_figures
 from leaderboard.frame.rows import FEW_NOTE
-from leaderboard.frame.runs import Frame
-from leaderboard.paper.document import increase_over
+from leaderboard.frame.runs import DataSetRuns
+from leaderboard.paper.document import compute_increase
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.comparisons import planner_table, split_table
-from leaderboard.tables.contents import data_set_tables, missing_notes
+from leaderboard.tables.contents import build_data_set_tables, missing_notes
 from leaderboard.tables.transfer import agreement_table, transfer_table
 from tests.benchmark.metrics.made_attacks import attacked
 from tests.benchmark.metrics.test_effect import told
@@ -48,13 +48,13 @@ def pair(planner: str = "p", native: str | None = None) -> list[RunRecord]:
 @pytest.mark.parametrize("model", INCREASE)
 def test_the_printed_increases_follow_from_the_printed_averages(model: str) -> None:
     average = {rate.data_set: float(rate.percent[3]) for rate in TABLE_1 if rate.model == model}
-    increase = increase_over(average["nuScenes-val"], average["Adv-nuSc"])
+    increase = compute_increase(average["nuScenes-val"], average["Adv-nuSc"])
     assert increase is not None and f"{increase:.1f}" == INCREASE[model]
 
 
 def test_every_planner_under_its_own_protocol_and_the_others_apart() -> None:
     records = [*pair("a", "vad"), *pair("b", "uniad"), *pair("c"), *pair("d", "sparsedrive")]
-    table = collision_table(Frame("d", records), "native")
+    table = collision_table(DataSetRuns("d", records), "native")
     assert column(table, "protocol") == ["vad", "vad", "uniad", "uniad", "exact", "exact"]
     assert column(table, "planner") == ["a", "a", "b", "b", "c", "c"]
     # Late contact: all of UniAD's value at 3 s, a sixth of VAD's mean over the steps.
@@ -79,7 +79,7 @@ def masked(record: RunRecord, steps: int | None, for_adversary: int | None) -> R
 
 def test_masked_steps_are_those_of_adversaries_and_others_in_every_form() -> None:
     new, old = masked(hand_made("new", ADV, protocols=ALL), 9, 7), masked(hand_made("old", ADV, protocols=ALL), 9, None)
-    table = collision_table(Frame("d", [new, old, masked(hand_made("clean", ADV, protocols=ALL), 0, 0)]), "uniad")
+    table = collision_table(DataSetRuns("d", [new, old, masked(hand_made("clean", ADV, protocols=ALL), 0, 0)]), "uniad")
     heads = ("steps masked", "masked for adversaries", "masked for others")
     assert [cells(table, planner="new")[head] for head in heads] == ["9", "7", "2"]
     assert [cells(table, planner="old")[head] for head in heads] == ["9", UNDEFINED, UNDEFINED]
@@ -93,26 +93,26 @@ def test_masked_steps_are_those_of_adversaries_and_others_in_every_form() -> Non
         note.startswith("Colliding steps masked because") and "new on adv 7 / 2, old on adv 9 in all." in note
         for note in table.brief.notes
     )
-    exact = collision_table(Frame("d", [new, old]), "exact")
+    exact = collision_table(DataSetRuns("d", [new, old]), "exact")
     assert not set(heads) & set(exact.columns) and exact.brief is not None
     assert not any("masked" in note for note in exact.brief.notes)
 
 
 def test_numbers_of_an_earlier_version_are_marked() -> None:
     old = hand_made("p", VAL, split="val", versions={"exact": 0})
-    table = collision_table(Frame("d", [old, hand_made("p", ADV)]), "exact")
+    table = collision_table(DataSetRuns("d", [old, hand_made("p", ADV)]), "exact")
     assert column(table, "planner") == ["p ‡", "p"]
     assert any("‡ p on val: judged by version 0 of protocol exact, now" in note for note in table.notes)
-    changes = split_table(Frame("d", [old, hand_made("p", ADV)]), "exact")
+    changes = split_table(DataSetRuns("d", [old, hand_made("p", ADV)]), "exact")
     assert changes is not None and changes.rows == ()
     assert any("Left out: p on val of d was judged by version 0" in note for note in changes.notes)
 
 
 def test_records_that_lack_a_protocol_are_named_and_in_no_matrix() -> None:
     records = [*pair("a"), *pair("b"), hand_made("c", ADV, protocols=("exact",))]
-    frame = Frame("d", records)
+    frame = DataSetRuns("d", records)
     assert any(note.startswith("c on adv: not judged by uniad, vad,") for note in missing_notes(frame))
-    found = data_set_tables(frame)
+    found = build_data_set_tables(frame)
     by_name = {table.name: table for table in found.tables}
     assert "c" in by_name["transfer-adv-exact"].columns and "c" not in by_name["transfer-adv-vad"].columns
     assert any(
@@ -121,8 +121,8 @@ def test_records_that_lack_a_protocol_are_named_and_in_no_matrix() -> None:
 
 
 def test_exact_and_native_come_first_and_others_have_tables_of_their_own() -> None:
-    frame = Frame("d", [*pair("a", "vad"), *pair("b", "uniad")])
-    found = data_set_tables(frame)
+    frame = DataSetRuns("d", [*pair("a", "vad"), *pair("b", "uniad")])
+    found = build_data_set_tables(frame)
     names = [table.name for table in found.front]
     assert names[:5] == ["effect", "collision-exact", "collision-native", "changes-exact", "changes-native"]
     assert "planners-adv-exact" in names and "planners-adv-native" not in names
@@ -140,18 +140,18 @@ def test_where_adversaries_are_known_the_picture_of_lift_is_of_contacts_with_the
     scenes = {"A-1": "f...", "B-1": "F..f", "C-1": "...."}
     record = told(attacked("a", scenes, dict.fromkeys(scenes, True)))
     other = told(attacked("b", {**scenes, "C-1": "F..."}, dict.fromkeys(scenes, True)))
-    frame = Frame("d", [record, other])
+    frame = DataSetRuns("d", [record, other])
     drawn = {figure.name: figure.title for figure in matrix_figures(frame)}
     assert [name for name in drawn if name.endswith(("exact", "adversary"))] == [
         *("transfer-adv-exact", "transfer-adv-adversary", "lift-adv-adversary"),
     ]
     assert "by contacts with the adversary" in drawn["lift-adv-adversary"]
-    assert drawn.items() <= {table.name: table.title for table in data_set_tables(frame).front}.items()
+    assert drawn.items() <= {table.name: table.title for table in build_data_set_tables(frame).front}.items()
 
 
 def test_changes_show_both_rates_and_the_paired_difference() -> None:
     rendered = hand_made("p", VAL, split="val-r", protocols=ALL, sources={name: name for name in VAL})
-    table = split_table(Frame("d", [*pair(), rendered]), "exact")
+    table = split_table(DataSetRuns("d", [*pair(), rendered]), "exact")
     assert table is not None
     assert column(table, "splits") == ["val → adv", "val-r → adv", "val → val-r"]
     row = cells(table, splits="val → adv")
@@ -167,25 +167,25 @@ def test_changes_show_both_rates_and_the_paired_difference() -> None:
 
 def test_runs_of_a_part_are_in_no_comparison_and_named() -> None:
     part = hand_made("p", ADV, scenes_in_split=9)
-    assert split_table(Frame("d", [pair()[0], part]), "exact") is None
-    table = planner_table(Frame("d", [*pair("a"), *pair("b"), part]), "exact", "adv")
+    assert split_table(DataSetRuns("d", [pair()[0], part]), "exact") is None
+    table = planner_table(DataSetRuns("d", [*pair("a"), *pair("b"), part]), "exact", "adv")
     assert table is not None and column(table, "first") == ["a"] and column(table, "second") == ["b"]
     assert any("p on adv: 4 of 9 scenes of the split." in note for note in table.notes)
 
 
 def test_coverage_below_100_is_said() -> None:
     failing = hand_made("p", {"s0": [HIT, FAILED], "s1": [CLEAN, CLEAN]})
-    table = collision_table(Frame("d", [failing]), "exact")
+    table = collision_table(DataSetRuns("d", [failing]), "exact")
     assert column(table, "coverage") == ["75.0"]
     assert any("p on adv: 1 sample failed. The rates cover 75.0 % of 4 samples." in note for note in table.notes)
     other = hand_made("q", {"s0": [HIT, HIT], "s1": [CLEAN, CLEAN]})
-    compared = planner_table(Frame("d", [failing, other]), "exact", "adv")
+    compared = planner_table(DataSetRuns("d", [failing, other]), "exact", "adv")
     assert compared is not None
     assert (column(compared, "samples"), column(compared, "failed samples")) == (["3"], ["1"])
 
 
 def test_planners_that_are_the_same_differ_by_nothing() -> None:
-    table = planner_table(Frame("d", [*pair("a"), *pair("b")]), "vad", "adv")
+    table = planner_table(DataSetRuns("d", [*pair("a"), *pair("b")]), "vad", "adv")
     assert table is not None
     assert column(table, "second − first (points)") == ["0.00"]
     agreement = agreement_table("d", transfer([pair("a")[0], pair("b")[0]], protocol="vad"))
@@ -204,8 +204,8 @@ def test_few_recordings_are_few_however_many_versions_they_have() -> None:
     versions = {f"s{index:02}": "one" if index else "two" for index in range(30)}
     records = [hand_made(planner, {name: [HIT] for name in versions}, sources=versions) for planner in ("a", "b")]
     tables = [
-        collision_table(Frame("d", records), "exact"),
-        planner_table(Frame("d", records), "exact", "adv"),
+        collision_table(DataSetRuns("d", records), "exact"),
+        planner_table(DataSetRuns("d", records), "exact", "adv"),
         transfer_table("d", transfer(records)),
         agreement_table("d", transfer(records)),
     ]
@@ -214,7 +214,7 @@ def test_few_recordings_are_few_however_many_versions_they_have() -> None:
 
 def test_records_with_other_weights_are_left_out_with_the_reason() -> None:
     records = [hand_made("p", VAL, split="val", weights="1" * 64), hand_made("p", ADV, weights="2" * 64)]
-    table = split_table(Frame("d", records), "exact")
+    table = split_table(DataSetRuns("d", records), "exact")
     assert table is not None and table.rows == ()
     assert any("different weights" in note for note in table.notes)
 
@@ -222,7 +222,7 @@ def test_records_with_other_weights_are_left_out_with_the_reason() -> None:
 def every_table(records: Sequence[RunRecord]) -> list[str]:
     return [
         f"{table.markdown()}{table.latex()}{table.csv()}{table.plain()}"
-        for table in data_set_tables(Frame("d", records)).tables
+        for table in build_data_set_tables(DataSetRuns("d", records)).tables
     ]
 
 

@@ -12,7 +12,7 @@ from benchmark.records.row_schema import CAUSES, DiagnosisRow
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from benchmark.report.table import Table
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.diagnosis import diagnosis_tables
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing, Straight
@@ -30,7 +30,7 @@ def rows_of(table: Table) -> list[dict[str, str]]:
 
 
 def tables_of(*records: RunRecord) -> dict[str, Table]:
-    return {table.name: table for table in diagnosis_tables(Frame("town", records))}
+    return {table.name: table for table in diagnosis_tables(DataSetRuns("town", records))}
 
 
 def diagnosed_as(record: RunRecord, *reasons: tuple[str, str]) -> RunRecord:
@@ -122,7 +122,7 @@ def test_without_labels_there_is_no_table_by_manoeuvre(straight: RunRecord) -> N
 
 def test_a_record_from_before_diagnoses_is_named_and_not_counted(straight: RunRecord) -> None:
     old = replace(straight, rows=tuple(row.model_copy(update={"diagnosis": None}) for row in straight.rows))
-    (table,) = diagnosis_tables(Frame("town", [old]))
+    (table,) = diagnosis_tables(DataSetRuns("town", [old]))
     assert table.rows == ()
     assert "straight on adv: no diagnoses in this record; run challenger-bench rescore." in table.notes
     both = tables_of(named(old, "old"), straight)["diagnosis"]
@@ -139,8 +139,8 @@ def test_verdicts_of_an_earlier_exact_are_marked(straight: RunRecord) -> None:
 
 def test_only_what_exact_judged_is_diagnosed(straight: RunRecord, tmp_path: Path) -> None:
     other = evaluate(town_of_two(), "val", Straight(), tmp_path, EvalSettings(protocols=("uniad",)))
-    assert diagnosis_tables(Frame("town", [other])) == []
-    assert diagnosis_tables(Frame("town", [])) == []
+    assert diagnosis_tables(DataSetRuns("town", [other])) == []
+    assert diagnosis_tables(DataSetRuns("town", [])) == []
     assert [row["split"] for row in rows_of(tables_of(other, straight)["diagnosis"])] == ["adv"]
 
 
@@ -163,4 +163,4 @@ def test_a_planner_with_forecasts_is_attributed_from_end_to_end(tmp_path: Path) 
 
 def test_the_order_of_the_records_does_not_matter(straight: RunRecord) -> None:
     records = [with_manoeuvres(named(straight, name), {"scene-9902": "blocking"}) for name in ("a", "b", "c")]
-    assert diagnosis_tables(Frame("town", records)) == diagnosis_tables(Frame("town", records[::-1]))
+    assert diagnosis_tables(DataSetRuns("town", records)) == diagnosis_tables(DataSetRuns("town", records[::-1]))

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.metrics.drawn_seeds import over_seeds, student_975
-from benchmark.metrics.rates import SceneSums, ratios_over_scenes
+from benchmark.metrics.drawn_seeds import combine_seeds, student_975
+from benchmark.metrics.rates import SceneSums, compute_ratios_over_scenes
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import GeneratedFacts
 from benchmark.report.table import Table
-from leaderboard.frame.runs import Frame
-from leaderboard.tables.contents import data_set_tables, drawn_seeds_table
+from leaderboard.frame.runs import DataSetRuns
+from leaderboard.tables.contents import build_data_set_tables, drawn_seeds_table
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
 from tests.leaderboard.csv_rows import csv_rows
 
@@ -39,7 +39,7 @@ def rows_of(table: Table | None) -> list[dict[str, str]]:
 
 
 def test_each_seed_has_its_rate_and_all_have_mean_deviation_and_both_intervals() -> None:
-    rows = rows_of(drawn_seeds_table(Frame("d", RUNS), "exact"))
+    rows = rows_of(drawn_seeds_table(DataSetRuns("d", RUNS), "exact"))
     rates = [100 / 6, 50.0, 25.0]
     assert [row["seed"] for row in rows] == ["0", "1", "2", "all"]
     assert [float(row["avg"]) for row in rows] == pytest.approx([*rates, np.mean(rates)], abs=0.005)
@@ -56,10 +56,12 @@ def test_the_interval_of_one_seed_is_that_of_its_split() -> None:
         f"r{number}-1": [HIT if number % 3 == 0 else CLEAN] * 2 for number in range(12)
     }
     one, other = run(0, flags), run(1, flags)
-    rows = rows_of(drawn_seeds_table(Frame("d", [one, other]), "exact"))
+    rows = rows_of(drawn_seeds_table(DataSetRuns("d", [one, other]), "exact"))
     scenes = [name for name in flags for _ in range(2)]
     values = np.array([[float(flags[name][0] == HIT)] for name in scenes])
-    (rate,) = ratios_over_scenes(values, np.ones_like(values), [name.partition("-")[0] for name in scenes], seed=0)
+    (rate,) = compute_ratios_over_scenes(
+        values, np.ones_like(values), [name.partition("-")[0] for name in scenes], seed=0
+    )
     assert rate.low is not None and rate.high is not None
     expected = f"[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
     # Two seeds with the same scenes know no more than one.
@@ -75,7 +77,7 @@ def test_runs_that_do_not_differ_in_the_seed_alone_are_left_out_and_named() -> N
         "other weights, settings, code or seed": run(6, flags, weights_sha256="0" * 64),
         "no plan for some samples": run(7, {"a-1": [HIT, FAILED]}),
     }
-    table = drawn_seeds_table(Frame("d", [*RUNS, *others.values()]), "exact")
+    table = drawn_seeds_table(DataSetRuns("d", [*RUNS, *others.values()]), "exact")
     assert [row["seed"] for row in rows_of(table)] == ["0", "1", "2", "all"]
     assert table is not None
     for reason in others:
@@ -83,9 +85,9 @@ def test_runs_that_do_not_differ_in_the_seed_alone_are_left_out_and_named() -> N
 
 
 def test_one_seed_has_no_table_and_the_leaderboard_has_it_from_two_on() -> None:
-    assert drawn_seeds_table(Frame("d", RUNS[:1]), "exact") is None
-    assert drawn_seeds_table(Frame("d", [hand_made("p", {"a": [HIT]}), RUNS[0]]), "exact") is None
-    assert "drawn-seeds-exact" in [table.name for table in data_set_tables(Frame("d", RUNS)).front]
+    assert drawn_seeds_table(DataSetRuns("d", RUNS[:1]), "exact") is None
+    assert drawn_seeds_table(DataSetRuns("d", [hand_made("p", {"a": [HIT]}), RUNS[0]]), "exact") is None
+    assert "drawn-seeds-exact" in [table.name for table in build_data_set_tables(DataSetRuns("d", RUNS)).front]
 
 
 def test_student_points_fall_to_the_normal_one() -> None:
@@ -96,5 +98,5 @@ def test_student_points_fall_to_the_normal_one() -> None:
 def test_a_seed_without_counted_samples_is_no_rate() -> None:
     whole = SceneSums(("a", "b"), np.array([[1.0], [0.0]]), np.array([[2.0], [2.0]]))
     nothing = SceneSums(("a",), np.zeros((1, 1)), np.zeros((1, 1)))
-    found = over_seeds({0: whole, 1: nothing})
+    found = combine_seeds({0: whole, 1: nothing})
     assert found.seeds[1].rate.value is None and found.mean.value == 0.25 and found.deviation is None

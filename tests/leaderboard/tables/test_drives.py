@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord, load_drives
-from leaderboard.tables.drives import drive_tables, said_of_failures
+from leaderboard.tables.drives import describe_failures, drive_tables
 from tests.benchmark.records.test_drives import contact, failed, row, scores, written
 
 OWN = {"score": 2.0, "impact_speed": 3.0, "reference_speed": 6.0}
@@ -61,7 +61,9 @@ def test_failures_stand_apart_and_privileged_planners_last(tmp_path: Path) -> No
     assert any("sees what no car sees" in note for note in replay.notes)
     assert any("not HUGSIM" in note for note in replay.notes) and any("too narrow" in note for note in replay.notes)
     record = records(tmp_path / "again")[1]
-    assert said_of_failures(record) == ("seeing failed in 1 of 2 drives (1 raised; the first, scene-2: ValueError: no)")
+    assert describe_failures(record) == (
+        "seeing failed in 1 of 2 drives (1 raised; the first, scene-2: ValueError: no)"
+    )
 
 
 def test_where_every_drive_failed_there_are_dashes(tmp_path: Path) -> None:
@@ -144,7 +146,7 @@ def test_a_terminal_shows_less_and_every_form_has_all(tmp_path: Path) -> None:
 
 
 def test_neuroncaps_own_averages_stand_beside_ours_under_their_own_name(tmp_path: Path) -> None:
-    def run(scene: str, number: int, family: str, score: float | None) -> DriveRow:
+    def run(scene: str, number: int, family: str, score: float | None) -> EpisodeRow:
         own = scores(nuplan=None, hd=None, neuroncap={**OWN, "score": score})
         hit = {} if score == 5.0 else {"end": "contact", "contact": contact()}
         return row(scene, number, family=family, scores=own, **hit)

@@ -7,9 +7,9 @@ import pytest
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.pdm.definition import VERSION
 from benchmark.records.run import RunRecord
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.collision import run_tables
-from leaderboard.tables.contents import data_set_tables
+from leaderboard.tables.contents import build_data_set_tables
 from leaderboard.tables.driving import driving_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
@@ -28,7 +28,7 @@ def without_driving(record: RunRecord) -> RunRecord:
 
 
 def test_a_row_holds_means_shares_filtered_scores_and_counts(record: RunRecord) -> None:
-    table = driving_table(Frame("town", [record]))
+    table = driving_table(DataSetRuns("town", [record]))
     (row,) = csv_rows(table.csv())
     summary = record.summary.driving
     assert summary is not None and len(table.rows) == 1
@@ -46,7 +46,7 @@ def test_a_row_holds_means_shares_filtered_scores_and_counts(record: RunRecord) 
 
 
 def test_it_says_what_it_is_not_and_never_borrows_the_name_of_the_score(record: RunRecord) -> None:
-    table = driving_table(Frame("town", [record]))
+    table = driving_table(DataSetRuns("town", [record]))
     for text in (table.plain(), table.plain(wide=True), table.markdown(), table.latex(), table.csv()):
         assert "EPDMS" not in text and "PDMS" not in text
     for words in ("no traffic lights", "3 s", "recorded path", "no number here"):
@@ -59,14 +59,16 @@ def test_runs_without_scores_and_of_earlier_versions_are_named(record: RunRecord
     assert driving is not None
     older = driving.model_copy(update={"version": VERSION - 1})
     stale = replace(record, summary=record.summary.model_copy(update={"driving": older}))
-    table = driving_table(Frame("town", [stale]))
+    table = driving_table(DataSetRuns("town", [stale]))
     assert "‡" in table.rows[0][0] and f"now {VERSION}; run challenger-bench rescore" in table.markdown()
-    table = driving_table(Frame("town", [without_driving(record)]))
+    table = driving_table(DataSetRuns("town", [without_driving(record)]))
     assert table.rows == () and "no driving scores; challenger-bench rescore" in table.markdown()
 
 
 def test_it_stands_where_it_is_asked_for_and_where_there_are_scores(record: RunRecord) -> None:
     assert [table.name for table in run_tables("town", [record], ("pdm", "exact"))] == ["pdm", "collision-exact"]
     assert [table.name for table in run_tables("town", [record])] == ["collision-exact"]
-    assert "pdm" in [table.name for table in data_set_tables(Frame("town", [record])).front]
-    assert "pdm" not in [table.name for table in data_set_tables(Frame("town", [without_driving(record)])).front]
+    assert "pdm" in [table.name for table in build_data_set_tables(DataSetRuns("town", [record])).front]
+    assert "pdm" not in [
+        table.name for table in build_data_set_tables(DataSetRuns("town", [without_driving(record)])).front
+    ]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from benchmark.protocols import MAXIMA, PROTOCOLS
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.collision import collision_table, run_tables
-from leaderboard.tables.contents import data_set_tables
+from leaderboard.tables.contents import build_data_set_tables
 from leaderboard.tables.further_columns import further_table
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, LATE, hand_made
@@ -24,17 +24,17 @@ SCENES = {"s1": [HIT, CLEAN], "s2": [CLEAN, LATE]}
 )
 def test_a_protocol_with_further_columns_has_a_table_of_them(protocol: str, heads: list[str]) -> None:
     record = hand_made("p", SCENES, protocols=("exact", protocol))
-    table = further_table(Frame("d", [record]), protocol)
+    table = further_table(DataSetRuns("d", [record]), protocol)
     assert table is not None and table.columns[2::4][: len(heads)] == tuple(f"{head} 1s" for head in heads)
     assert protocol in table.title and len(table.rows) == 1
-    names = [one.name for one in data_set_tables(Frame("d", [record])).others[protocol]]
+    names = [one.name for one in build_data_set_tables(DataSetRuns("d", [record])).others[protocol]]
     assert names[:2] == [f"collision-{protocol}", f"further-{protocol}"]
     assert [one.name for one in run_tables("d", [record], (protocol,))] == names[:2]
 
 
 def test_the_others_have_none() -> None:
     record = hand_made("p", SCENES, protocols=tuple(PROTOCOLS))
-    found = {name for name in PROTOCOLS if further_table(Frame("d", [record]), name) is not None}
+    found = {name for name in PROTOCOLS if further_table(DataSetRuns("d", [record]), name) is not None}
     assert found == {"bev-planner", "omnidrive", "opendrivevla"}
 
 
@@ -59,6 +59,6 @@ def test_planners_whose_own_protocol_takes_maxima_are_not_among_means() -> None:
     protocols = ("exact", "vad", "bev-planner")
     of_vad = hand_made("a", SCENES, protocols=protocols, native="vad")
     of_maxima = hand_made("b", SCENES, protocols=protocols, native="bev-planner")
-    table = collision_table(Frame("d", [of_vad, of_maxima]), "native")
+    table = collision_table(DataSetRuns("d", [of_vad, of_maxima]), "native")
     assert [row[0].text if hasattr(row[0], "text") else row[0] for row in table.rows] == ["a"]
     assert any("b on adv: bev-planner says whether there is any contact" in note for note in table.notes)

@@ -9,12 +9,12 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_json
 from benchmark.records.ablation import AblationReport, find_ablations
-from benchmark.records.scenes import NO_SHEETS, SPLIT_FILE, find_sheets, split_folder
+from benchmark.records.scenes import NO_SCENE_PAGES, SPLIT_FILE, find_scene_pages, split_folder
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
-from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
+from leaderboard.build import build_leaderboard_files, find_stale_files, write_leaderboard
 from leaderboard.frame.results import read_results
-from leaderboard.frame.specification import by_data_set
+from leaderboard.frame.specification import group_by_data_set
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import generation_tables
 from leaderboard.tables.published import published_data_set_table, published_runtime_table, published_tables
@@ -46,7 +46,7 @@ def row_of(table: Table, first: str) -> dict[str, str]:
 
 
 def test_a_data_set_stands_beside_that_of_the_paper() -> None:
-    table = named(by_data_set(workspace_sheets(), statistics_tables), "data-set")
+    table = named(group_by_data_set(workspace_sheets(), statistics_tables), "data-set")
     assert table.columns == ("rows of", "val", "adv", "Adv-nuSc (paper)")
     assert row_of(table, "instances") == {
         "rows of": "instances",
@@ -70,11 +70,11 @@ def test_a_data_set_stands_beside_that_of_the_paper() -> None:
 def test_recordings_have_no_adversaries_in_any_table() -> None:
     tables = generation_tables(sheets_of(split_sheet("val")), [])
     assert [table.name for table in tables["d"]] == ["data-set"]
-    assert generation_tables(NO_SHEETS, []) == {}
+    assert generation_tables(NO_SCENE_PAGES, []) == {}
 
 
 def test_how_close_adversaries_come_and_over_how_many() -> None:
-    table = named(by_data_set(workspace_sheets(), statistics_tables), "closeness")
+    table = named(group_by_data_set(workspace_sheets(), statistics_tables), "closeness")
     assert [row[:3] for row in table.rows] == [
         ("adv", "smallest gap between the bodies, m", "5"),
         ("adv", "time to collision, s", "4"),
@@ -83,7 +83,7 @@ def test_how_close_adversaries_come_and_over_how_many() -> None:
 
 
 def test_what_the_search_discarded_adds_up() -> None:
-    table = named(by_data_set(workspace_sheets(), statistics_tables), "search-adv")
+    table = named(group_by_data_set(workspace_sheets(), statistics_tables), "search-adv")
     assert [row[:3] for row in table.rows] == [
         ("kept", "2", "40.0"),
         ("touches-another", "2", "40.0"),
@@ -94,7 +94,7 @@ def test_what_the_search_discarded_adds_up() -> None:
 
 
 def test_manoeuvres_with_their_places_and_gaps() -> None:
-    table = named(by_data_set(workspace_sheets(), manoeuvre_tables), "manoeuvres-adv")
+    table = named(group_by_data_set(workspace_sheets(), manoeuvre_tables), "manoeuvres-adv")
     assert table.columns[4:6] == ("straight", "junction")
     assert row_of(table, "cut-in-left") == {
         **{"manoeuvre": "cut-in-left", "primary": "4", "%": "80.0", "at any time": "4"},
@@ -105,7 +105,7 @@ def test_manoeuvres_with_their_places_and_gaps() -> None:
 
 
 def test_runtime_by_stage_and_the_papers_with_its_hardware() -> None:
-    table = named(by_data_set(workspace_sheets(), runtime_tables), "runtime-adv")
+    table = named(group_by_data_set(workspace_sheets(), runtime_tables), "runtime-adv")
     assert [row[0] for row in table.rows] == ["sampling", "physics", "scoring", "rendering", "other", "all"]
     assert row_of(table, "physics") == {
         **{"stage": "physics", "total, s": "30.00", "each, s": "6.00", "% of total": "42.9", "paper, s": "211.36"}
@@ -119,7 +119,7 @@ def test_runtime_by_stage_and_the_papers_with_its_hardware() -> None:
 
 def test_nothing_timed_is_undefined_and_not_zero() -> None:
     nothing = {"attempts": 0, "scenes": 0, "total_s": dict.fromkeys(RUNTIME["total_s"], 0.0)}
-    table = named(by_data_set(sheets_of(split_sheet("adv", runtime=nothing)), runtime_tables), "runtime-adv")
+    table = named(group_by_data_set(sheets_of(split_sheet("adv", runtime=nothing)), runtime_tables), "runtime-adv")
     assert {(row[2], row[3]) for row in table.rows} == {(UNDEFINED, UNDEFINED)}
 
 
@@ -141,7 +141,7 @@ def test_a_damaged_sheet_is_a_sentence(
     path.parent.mkdir(parents=True)
     path.write_text(json.dumps({**sound, "statistics": statistics, "runtime": runtime}))
     with pytest.raises(InputError, match=rf"split\.json is damaged at {where}.*sheets again or delete"):
-        find_sheets(tmp_path)
+        find_scene_pages(tmp_path)
 
 
 def test_numbers_of_a_split_are_stored_as_they_were(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_numbers_of_a_split_are_stored_as_they_were(tmp_path: Path) -> None:
         stored = split_sheet(split, statistics=statistics, runtime=runtime).model_dump(mode="json", by_alias=True)
         assert stored["statistics"] == statistics and stored["runtime"] == runtime
         write_json(split_folder(tmp_path, "d", split) / SPLIT_FILE, stored)
-    assert find_sheets(tmp_path).splits["d", "val"].statistics.gap_m is None
+    assert find_scene_pages(tmp_path).splits["d", "val"].statistics.gap_m is None
 
 
 def test_the_ablation_with_its_intervals_and_the_papers_values() -> None:
@@ -209,18 +209,19 @@ def test_a_study_is_known_by_its_content(tmp_path: Path) -> None:
 
 def test_the_leaderboard_has_them_in_every_form_with_and_without_runs(tmp_path: Path) -> None:
     sheets = workspace_sheets("../mine")
-    files = leaderboard_files(read_results([], (), sheets, [study()]))
+    files = build_leaderboard_files(read_results([], (), sheets, [study()]))
     for name in ("tables/%2E.%2Fmine/runtime-adv", "tables/d/ablation-p", "published/published"):
         assert {f"{name}{suffix}" for suffix in (".tex", ".csv", ".json")} <= set(files)
     text = files["README.md"].decode()
     assert "ablation of the search with p" in text and "what adversaries do, and where" in text
     assert csv_rows(files["tables/d/ablation-p.csv"].decode())[0]["paper"] == "6.17"
     write_leaderboard(read_results([], (), sheets, [study()]), tmp_path)
-    assert stale_files(read_results([], (), sheets, [study()]), tmp_path) == []
+    assert find_stale_files(read_results([], (), sheets, [study()]), tmp_path) == []
     again = split_sheet("adv", data="../mine", statistics=STATISTICS, runtime={**RUNTIME, "attempts": 6})
     changed = sheets_of(again)
     assert any(
-        "runtime-adv.json" in sentence for sentence in stale_files(read_results([], (), changed, [study()]), tmp_path)
+        "runtime-adv.json" in sentence
+        for sentence in find_stale_files(read_results([], (), changed, [study()]), tmp_path)
     )
 
 
@@ -241,7 +242,9 @@ def test_published_values_are_those_of_the_paper() -> None:
 
 
 def test_what_is_not_labelled_is_not_counted() -> None:
-    assert ATTEMPTS and by_data_set(sheets_of(split_sheet("adv", attempts=ATTEMPTS)), manoeuvre_tables) == {}
+    assert ATTEMPTS and group_by_data_set(sheets_of(split_sheet("adv", attempts=ATTEMPTS)), manoeuvre_tables) == {}
     hostile = {**STATISTICS, "manoeuvres": [{**STATISTICS["manoeuvres"][0], "manoeuvre": "a|b\n# c"}]}
-    table = named(by_data_set(sheets_of(split_sheet("adv", statistics=hostile)), manoeuvre_tables), "manoeuvres-adv")
+    table = named(
+        group_by_data_set(sheets_of(split_sheet("adv", statistics=hostile)), manoeuvre_tables), "manoeuvres-adv"
+    )
     assert "\n# c" not in table.markdown() and "\n# c" not in table.latex()

@@ -4,10 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmark.records.drive_schema import DriveRow
-from benchmark.records.drives import BYSTANDER, DriveRecord, columns_of
+from benchmark.records.drive_schema import EpisodeRow
+from benchmark.records.drives import BYSTANDER, DriveRecord, compute_columns
 from leaderboard.tables.drives import drive_tables
-from leaderboard.tables.pressure import pressure_tables, pressures
+from leaderboard.tables.pressure import group_by_pressure, pressure_tables
 from tests.benchmark.records.test_drives import contact, row, written
 
 FACTS = {"policy": 1, "knows": "motion", "every_s": 1.0, "others": "replay", "rounds": 5, "candidates": 256}
@@ -20,12 +20,12 @@ def measured(**changes: Any) -> dict[str, Any]:
     return {"engine": "default", "agents": "adversary", "sensor": "none", "agents_facts": facts}
 
 
-def drives(*ladders: Any, adversary: bool = True) -> list[DriveRow]:
+def drives(*ladders: Any, adversary: bool = True) -> list[EpisodeRow]:
     """A contact at fault in the first scene alone, where the ladders are these."""
     hit = {**contact(), "adversary": adversary}
     both = (row("scene-1", end="contact", contact=hit), row("scene-2"))
     return [
-        DriveRow.model_validate({**each.model_dump(mode="json"), "ladder": ladder})
+        EpisodeRow.model_validate({**each.model_dump(mode="json"), "ladder": ladder})
         for each, ladder in zip(both, ladders, strict=True)
     ]
 
@@ -46,7 +46,7 @@ def test_budgets_of_one_adversary_stand_in_one_table_the_weakest_first(tmp_path:
     assert [each["at fault %"] for each in cells] == ["50.0", "50.0"]
     assert [each["attributable %"] for each in cells] == ["0.0", "50.0"]
     assert [each["careful survives %"] for each in cells] == ["50.0", "100.0"]
-    (found,) = pressures(made)
+    (found,) = group_by_pressure(made)
     assert [each.candidates for each in found[1]] == [32.0, 1536.0]
     assert not pressure_tables(made[:1])
 
@@ -73,7 +73,7 @@ def test_an_older_summary_counts_anew_whom_contacts_are_with(tmp_path: Path) -> 
     columns = {name: rate for name, rate in made.summary.columns.items() if name != BYSTANDER}
     columns["attributable"] = made.summary.columns["at_fault"]
     old = replace(made, summary=made.summary.model_copy(update={"columns": columns}))
-    assert columns_of(old) == made.summary.columns == columns_of(made)
+    assert compute_columns(old) == made.summary.columns == compute_columns(made)
 
 
 def test_what_an_adversary_knows_never_shares_a_table(tmp_path: Path) -> None:

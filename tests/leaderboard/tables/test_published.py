@@ -9,7 +9,7 @@ from benchmark.published import TABLE_1, PublishedRate
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.published import published_quality_table
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
@@ -28,12 +28,12 @@ def paper_of(table: Table, planner: str) -> tuple[str, ...]:
 
 def test_the_papers_row_stands_beside_the_model_of_that_name_under_its_protocol() -> None:
     records = [run("uniad", "uniad"), run("vad-mini", "vad"), run("idm", None)]
-    table = collision_table(Frame("d", records), "native")
+    table = collision_table(DataSetRuns("d", records), "native")
     assert paper_of(table, "uniad") == ("0.80", "4.10", "6.96", "3.95")
     assert paper_of(table, "idm") == paper_of(table, "vad-mini") == (UNDEFINED,) * 4
     assert table.groups[-1] == ("paper, collision rate in %, own protocol", 4)
     assert table.sources and any("No published row stands beside vad-mini:" in note for note in table.notes)
-    of_uniad = collision_table(Frame("d", records), "uniad")
+    of_uniad = collision_table(DataSetRuns("d", records), "uniad")
     assert paper_of(of_uniad, "uniad")[3] == "3.95" and not any(
         note.startswith("No published row") for note in of_uniad.notes
     )
@@ -41,13 +41,13 @@ def test_the_papers_row_stands_beside_the_model_of_that_name_under_its_protocol(
 
 @pytest.mark.parametrize("protocol", ["exact", "vad"])
 def test_under_another_protocol_nothing_stands_beside(protocol: str) -> None:
-    table = collision_table(Frame("d", [run("uniad", "uniad")]), protocol)
+    table = collision_table(DataSetRuns("d", [run("uniad", "uniad")]), protocol)
     assert not any(column.startswith("paper") for column in table.columns) and table.sources == ()
 
 
 @pytest.mark.parametrize("name", ["uniad-mini", "uniad-unoptimised", "vad-tiny", "mine"])
 def test_a_variant_is_not_the_model(name: str) -> None:
-    table = collision_table(Frame("d", [run(name, "vad" if "vad" in name else "uniad")]), "native")
+    table = collision_table(DataSetRuns("d", [run(name, "vad" if "vad" in name else "uniad")]), "native")
     assert "paper 1s" not in table.columns
     said = [note for note in table.notes if note.startswith("No published row")]
     assert any(name in note for note in said) == (name != "mine")
@@ -62,7 +62,7 @@ def said(record: RunRecord, **facts: str | bool) -> RunRecord:
 def test_a_planner_says_itself_what_the_paper_calls_it_and_that_it_is_a_miniature() -> None:
     ours = said(run("my-uniad", "uniad"), published_as="UniAD")
     small = said(run("vad", "vad"), miniature=True)
-    table = collision_table(Frame("d", [ours, small]), "native")
+    table = collision_table(DataSetRuns("d", [ours, small]), "native")
     assert paper_of(table, "my-uniad")[3] == "3.95" and paper_of(table, "vad §") == (UNDEFINED,) * 4
     assert any("No published row stands beside vad:" in note for note in table.notes)
 
@@ -72,7 +72,7 @@ def test_every_published_row_finds_its_place(row: PublishedRate) -> None:
     split = {"nuScenes-val": "val", "nuScenes-val-R": "val-r", "Adv-nuSc": "adv"}[row.data_set]
     model, protocol = row.model, row.protocol
     record = hand_made(model.lower(), SCENES, split=split, protocols=(protocol,), native=protocol)
-    assert paper_of(collision_table(Frame("d", [record]), "native"), model.lower())[:4] == row.percent
+    assert paper_of(collision_table(DataSetRuns("d", [record]), "native"), model.lower())[:4] == row.percent
 
 
 def test_published_values_of_quality_are_those_of_the_paper() -> None:

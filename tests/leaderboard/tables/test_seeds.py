@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.records.planner_versions import labelled
+from benchmark.records.planner_versions import label_versions
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
-from leaderboard.frame.runs import Frame
-from leaderboard.tables.contents import data_set_tables
+from leaderboard.frame.runs import DataSetRuns
+from leaderboard.tables.contents import build_data_set_tables
 from leaderboard.tables.statistics import seed_spread_table
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
 from tests.leaderboard.csv_rows import csv_rows
@@ -38,7 +38,7 @@ def rows_of(table: Table | None) -> list[dict[str, str]]:
 
 
 def test_mean_ends_and_deviation_are_those_of_the_rates() -> None:
-    (row,) = rows_of(seed_spread_table(Frame("d", labelled(RUNS)), "exact"))
+    (row,) = rows_of(seed_spread_table(DataSetRuns("d", label_versions(RUNS)), "exact"))
     rates = [25.0, 50.0, 100.0]
     assert (row["planner"], row["split"], row["protocol"], row["seeds"]) == ("noisy", "adv", "exact", "3")
     assert float(row["mean"]) == round(np.mean(rates), 3)
@@ -47,10 +47,12 @@ def test_mean_ends_and_deviation_are_those_of_the_rates() -> None:
 
 
 def test_order_does_not_matter_and_a_single_seed_has_no_spread() -> None:
-    assert seed_spread_table(Frame("d", RUNS[::-1]), "exact") == seed_spread_table(Frame("d", RUNS), "exact")
-    assert seed_spread_table(Frame("d", RUNS[:1]), "exact") is None
-    assert seed_spread_table(Frame("d", []), "exact") is None
-    assert seed_spread_table(Frame("d", [RUNS[0], run(0, [HIT] * 4)]), "exact") is None
+    assert seed_spread_table(DataSetRuns("d", RUNS[::-1]), "exact") == seed_spread_table(
+        DataSetRuns("d", RUNS), "exact"
+    )
+    assert seed_spread_table(DataSetRuns("d", RUNS[:1]), "exact") is None
+    assert seed_spread_table(DataSetRuns("d", []), "exact") is None
+    assert seed_spread_table(DataSetRuns("d", [RUNS[0], run(0, [HIT] * 4)]), "exact") is None
 
 
 def test_other_weights_settings_splits_and_planners_are_not_another_seed() -> None:
@@ -61,25 +63,28 @@ def test_other_weights_settings_splits_and_planners_are_not_another_seed() -> No
         run(1, [HIT] * 4, name="another"),
     ]
     for other in others:
-        assert seed_spread_table(Frame("d", [RUNS[0], other]), "exact") is None
-    assert len(rows_of(seed_spread_table(Frame("d", [*RUNS, *others, run(3, [CLEAN] * 4, split="val")]), "exact"))) == 2
+        assert seed_spread_table(DataSetRuns("d", [RUNS[0], other]), "exact") is None
+    assert (
+        len(rows_of(seed_spread_table(DataSetRuns("d", [*RUNS, *others, run(3, [CLEAN] * 4, split="val")]), "exact")))
+        == 2
+    )
 
 
 def test_runs_that_are_not_whole_are_named_and_left_out() -> None:
     partial = [run(3, [HIT, FAILED, HIT, HIT]), run(4, [HIT], scenes_in_split=4)]
-    table = seed_spread_table(Frame("d", labelled([RUNS[0], *partial])), "exact")
+    table = seed_spread_table(DataSetRuns("d", label_versions([RUNS[0], *partial])), "exact")
     (row,) = rows_of(table)
     assert row["seeds"] == "1" and row["deviation"] == "" and row["mean"] == "25.000"
     assert table is not None and sum(note.startswith("Left out: noisy (seed ") for note in table.notes) == 2
-    other = seed_spread_table(Frame("d", RUNS), "vad")
+    other = seed_spread_table(DataSetRuns("d", RUNS), "vad")
     assert other is not None and other.rows[0][3:5] == ("0", UNDEFINED)
     assert all("was not judged by protocol 'vad'" in note for note in other.notes[1:])
 
 
 def test_the_tables_of_a_data_set_have_it_where_there_are_seeds() -> None:
-    names = [table.name for table in data_set_tables(Frame("d", labelled(RUNS))).tables]
+    names = [table.name for table in build_data_set_tables(DataSetRuns("d", label_versions(RUNS))).tables]
     assert names.index("seeds-exact") == names.index("collision-exact") + 1
-    assert "seeds-exact" not in [table.name for table in data_set_tables(Frame("d", RUNS[:1])).tables]
+    assert "seeds-exact" not in [table.name for table in build_data_set_tables(DataSetRuns("d", RUNS[:1])).tables]
     own = [run(seed, [HIT, CLEAN], native="exact") for seed in (0, 1)]
-    (row,) = rows_of(seed_spread_table(Frame("d", own), "native"))
+    (row,) = rows_of(seed_spread_table(DataSetRuns("d", own), "native"))
     assert (row["protocol"], row["deviation"]) == ("exact", "0.000")

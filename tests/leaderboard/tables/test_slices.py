@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.metrics.slices import ADVERSARY, KINDS, driving_by, rates_by
+from benchmark.metrics.slices import ADVERSARY, KINDS, compute_driving_by, compute_rates_by
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.run_schema import SceneFacts
-from leaderboard.build import leaderboard_files
+from leaderboard.build import build_leaderboard_files
 from leaderboard.frame.results import read_results
-from leaderboard.frame.runs import Frame
-from leaderboard.tables.contents import data_set_tables, missing_notes
+from leaderboard.frame.runs import DataSetRuns
+from leaderboard.tables.contents import build_data_set_tables, missing_notes
 from leaderboard.tables.slices import run_slices, slice_tables
 from tests.benchmark.metrics.made_attacks import attacked
 from tests.benchmark.metrics.test_effect import ran
@@ -47,7 +47,7 @@ def test_a_row_holds_the_rates_of_its_slice_with_interval_and_counts() -> None:
         "straight",
     ]
     assert table.cells is not None
-    for cells, part in zip(table.cells, rates_by(record, "place", "exact"), strict=True):
+    for cells, part in zip(table.cells, compute_rates_by(record, "place", "exact"), strict=True):
         found = dict(zip(table.columns, cells))
         rate, apart = part.columns["collision"]["avg"], part.columns["l2"]["2s"]
         average, interval, metres = found["any avg"], found["95 % of any avg"], found["L2 2s"]
@@ -75,7 +75,7 @@ def test_contacts_with_the_adversary_stand_before_any_contact() -> None:
     ]
     assert {row[2:4] for row in shown if row[0] == "val"} == {("–", "–")}
     assert {row[4] for row in shown if row[0] == "val"} == {"50.00", "0.00", "25.00"}
-    assert ADVERSARY not in rates_by(recorded, "place", "exact")[0].columns
+    assert ADVERSARY not in compute_rates_by(recorded, "place", "exact")[0].columns
     (alone,) = slice_tables("d", [recorded], ("exact",), ("place",))
     assert "col. avg" in alone.columns and "adversary avg" not in alone.columns
 
@@ -134,16 +134,16 @@ def test_an_old_record_is_said_to_lack_it_and_nothing_is_guessed() -> None:
         assert not table.rows and words in table.notes[-1] and "rescore" in table.notes[-1]
     # What it always said, it is sorted by.
     assert lacking["slices-command-exact"].rows and lacking["slices-manoeuvre-exact"].rows[0][2] == "squeezing-left"
-    frame = Frame("mini", [old])
-    found = data_set_tables(frame)
+    frame = DataSetRuns("mini", [old])
+    found = build_data_set_tables(frame)
     assert {table.name.split("-")[1] for table in found.slices} == {"command", "manoeuvre"}
     assert any("does not say where its samples are" in note for note in missing_notes(frame))
-    assert driving_by(old, "command") and driving_by(old, "place") == []
+    assert compute_driving_by(old, "command") and compute_driving_by(old, "place") == []
 
 
 def test_a_leaderboard_has_a_page_of_them_and_files_of_each() -> None:
     record = made()
-    files = leaderboard_files(read_results([record]))
+    files = build_leaderboard_files(read_results([record]))
     assert b"slices](tables/d/slices.md)" in files["README.md"]
     page = files["tables/d/slices.md"].decode()
     for kind in KINDS:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.published import NEURONCAP, SAMPLES_OF, STANDING, TABLE_1
+from benchmark.published import NEURONCAP, PUBLISHED_RESULTS, SAMPLES_OF, TABLE_1
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED
-from leaderboard.tables.published import same_run, standing_tables
+from leaderboard.tables.published import find_same_run, published_comparison_tables
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
@@ -25,18 +25,18 @@ def run(planner: str, *, split: str = "val", protocol: str = "uniad", samples: i
 
 
 def ours_of(records: list[RunRecord]) -> dict[tuple[str, ...], tuple[str, ...]]:
-    table = standing_tables(records)[0]
+    table = published_comparison_tables(records)[0]
     return {row[:4]: row[9:] for row in table.rows if any(text != UNDEFINED for text in row[9:])}
 
 
 def test_every_value_has_a_source_and_columns() -> None:
-    open_loop, closed_loop = standing_tables()
-    assert len(open_loop.rows) == len(STANDING) > 30 and len(closed_loop.rows) == len(NEURONCAP)
+    open_loop, closed_loop = published_comparison_tables()
+    assert len(open_loop.rows) == len(PUBLISHED_RESULTS) > 30 and len(closed_loop.rows) == len(NEURONCAP)
     assert not any(column.startswith("ours") for column in open_loop.columns)
-    for value in STANDING:
+    for value in PUBLISHED_RESULTS:
         assert value.source and any(value.values) and (value.protocol or value.by)
-    assert sum(value.source == TABLE_1[0].data_set for value in STANDING) == 0
-    assert {value.values for value in STANDING} >= {row.percent for row in TABLE_1}
+    assert sum(value.source == TABLE_1[0].data_set for value in PUBLISHED_RESULTS) == 0
+    assert {value.values for value in PUBLISHED_RESULTS} >= {row.percent for row in TABLE_1}
 
 
 def test_ours_stands_beside_the_same_planner_protocol_and_split() -> None:
@@ -58,7 +58,7 @@ def test_ours_stands_beside_the_same_planner_protocol_and_split() -> None:
     ids=["other data", "other protocol", "a variant", "another planner", "another split"],
 )
 def test_anything_else_stands_beside_nothing(record: RunRecord) -> None:
-    assert all(same_run(value, [record]) is None for value in STANDING)
+    assert all(find_same_run(value, [record]) is None for value in PUBLISHED_RESULTS)
     assert not ours_of([record])
 
 
@@ -72,12 +72,15 @@ def test_a_part_a_miniature_and_an_earlier_protocol_stand_beside_nothing() -> No
         {"protocols": {"uniad": 0}},
     ):
         record = dataclasses.replace(whole, run=whole.run.model_copy(update=facts))
-        assert all(same_run(value, [record]) is None for value in STANDING), facts
+        assert all(find_same_run(value, [record]) is None for value in PUBLISHED_RESULTS), facts
 
 
 @pytest.mark.skipif(not (SHARED / "spec").is_dir(), reason="the specifications are not here")
 def test_every_number_stands_in_a_specification_or_in_the_paper() -> None:
     text = " ".join(path.read_text() for folder in ("spec", "paper") for path in sorted((SHARED / folder).iterdir()))
     numbers = set(re.findall(r"\d+\.\d+", text))
-    for value in (*(value.values for value in STANDING), *((*each.scores, each.collision) for each in NEURONCAP)):
+    for value in (
+        *(value.values for value in PUBLISHED_RESULTS),
+        *((*each.scores, each.collision) for each in NEURONCAP),
+    ):
         assert {number for number in value if number} <= numbers, value

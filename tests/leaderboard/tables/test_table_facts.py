@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.records.planner_versions import labelled
+from benchmark.records.planner_versions import label_versions
 from benchmark.records.row_schema import CAUSES, DiagnosisRow, SampleRow
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
-from benchmark.report.cells import UNDEFINED, Cell, number
+from benchmark.report.cells import UNDEFINED, CellSource, format_number
 from benchmark.report.table import Table
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.ablation import ablation_tables
-from leaderboard.tables.contents import data_set_tables, generation_tables
-from leaderboard.tables.published import published_tables, standing_tables
+from leaderboard.tables.contents import build_data_set_tables, generation_tables
+from leaderboard.tables.published import published_comparison_tables, published_tables
 from tests.benchmark.metrics.made_attacks import contact, judged, near, with_realism
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 from tests.leaderboard.made_up import study, workspace_sheets
@@ -73,14 +73,19 @@ def records() -> list[RunRecord]:
         found.append(hand_made("seer", scenes, split=split, protocols=PROTOCOLS, privileged=True))
     calm = {name: [CLEAN] * len(samples) for name, samples in SPLITS["adv"].items()}
     found.append(with_seed(hand_made("plain", calm, protocols=PROTOCOLS), 1))
-    return labelled([explained(record) for record in found])
+    return label_versions([explained(record) for record in found])
 
 
 def every_table(runs: Sequence[RunRecord]) -> list[Table]:
     """Those of extensions are tested where they lie."""
     generated = generation_tables(workspace_sheets(), [study(), study("q")])
     others = [table for tables in generated.values() for table in tables]
-    return [*data_set_tables(Frame("d", runs)).tables, *others, *published_tables(), *standing_tables(runs)]
+    return [
+        *build_data_set_tables(DataSetRuns("d", runs)).tables,
+        *others,
+        *published_tables(),
+        *published_comparison_tables(runs),
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +93,7 @@ def tables() -> list[Table]:
     return every_table(records())
 
 
-def numbers_of(table: Table) -> Iterator[tuple[str, Cell | None]]:
+def numbers_of(table: Table) -> Iterator[tuple[str, CellSource | None]]:
     """Text and facts of everything to the right of the text columns."""
     assert table.cells is not None, table.name
     for row, cells in zip(table.rows, table.cells, strict=True):
@@ -100,16 +105,16 @@ def decimals(text: str) -> int:
     return len(text.partition(".")[2])
 
 
-def says(text: str, cell: Cell) -> bool:
+def says(text: str, cell: CellSource) -> bool:
     """Whether a text is the number, or the interval, of a cell."""
     if text.startswith("["):
         ends = text.strip("[]").split(", ")
         digits = max(decimals(end) for end in ends)
-        return ends == [number(cell.low, digits), number(cell.high, digits)]
+        return ends == [format_number(cell.low, digits), format_number(cell.high, digits)]
     found = re.match(r"[+-]?[\d,]+(\.\d+)?|∞", text)
     assert found, text
     shown = found[0].replace(",", "").removeprefix("+")
-    return shown == number(cell.value, decimals(shown))
+    return shown == format_number(cell.value, decimals(shown))
 
 
 def check(table: Table) -> None:
@@ -190,5 +195,5 @@ def test_whatever_the_verdicts(val: list[str | None], adv: list[str | None], oth
         for name, native, of_adv in (("vad-base", "vad", adv), ("another", None, other))
         for split, flags in (("val", val), ("adv", of_adv))
     ]
-    for table in data_set_tables(Frame("d", [explained(record) for record in runs])).tables:
+    for table in build_data_set_tables(DataSetRuns("d", [explained(record) for record in runs])).tables:
         check(table)

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import pytest
 
-from benchmark.records.planner_versions import labelled
+from benchmark.records.planner_versions import label_versions
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import MINIATURE_MARK, RANKS_NOTHING
 from benchmark.report.table import Table
-from leaderboard.frame.runs import Frame
+from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.collision import run_tables
-from leaderboard.tables.contents import data_set_tables
+from leaderboard.tables.contents import build_data_set_tables
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.made_up import study
 from tests.leaderboard.tables.test_table_facts import every_table, explained, records
@@ -35,7 +35,7 @@ def runs(names: Sequence[str], miniature: str | None = None) -> list[RunRecord]:
         for name in names
         for split, scenes in SPLITS.items()
     ]
-    return labelled([of_miniature(run) if run.run.planner.name == miniature else run for run in found])
+    return label_versions([of_miniature(run) if run.run.planner.name == miniature else run for run in found])
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
@@ -53,7 +53,7 @@ def fits(table: Table, width: int) -> None:
 
 
 def test_the_terminal_is_asked_for_its_width_and_is_80_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    table = data_set_tables(Frame("d", runs((LONG, "b")))).tables[0]
+    table = build_data_set_tables(DataSetRuns("d", runs((LONG, "b")))).tables[0]
     monkeypatch.delenv("COLUMNS", raising=False)
     assert table.plain() == table.plain(width=80)
     monkeypatch.setenv("COLUMNS", "100")
@@ -95,7 +95,7 @@ def about_planners(table: Table) -> bool:
 
 
 def test_miniatures_are_marked_in_every_form_of_every_table() -> None:
-    every = data_set_tables(Frame("d", runs(("small", "large"), "small"))).tables
+    every = build_data_set_tables(DataSetRuns("d", runs(("small", "large"), "small"))).tables
     tables = [table for table in every if about_planners(table)]
     assert len(tables) > 12
     for table in tables:
@@ -113,7 +113,7 @@ def test_miniatures_are_marked_in_every_form_of_every_table() -> None:
 
 
 def test_where_no_miniature_ran_there_is_no_mark() -> None:
-    for table in data_set_tables(Frame("d", runs(("small", "large")))).tables:
+    for table in build_data_set_tables(DataSetRuns("d", runs(("small", "large")))).tables:
         assert RANKS_NOTHING not in table.markdown() and "miniature" not in table.csv()
         assert json.loads(table.json())["miniatures"] == []
 

@@ -9,20 +9,20 @@ from torch import Tensor
 
 from adapters.extensions.training.losses import (
     Matches,
-    aside_loss,
-    assigned,
+    assign,
     box_loss,
     class_cost,
     direction_loss,
     equivalent_lines,
+    find_winning_modes,
     focal_loss,
+    lateral_loss,
     line_loss,
     query_class_loss,
-    winners,
 )
 from adapters.extensions.training.plan_room import missing_room
 from adapters.extensions.training.sparse.targets import Targets
-from adapters.networks.sparse.decoder import Decoded, Stage
+from adapters.networks.sparse.decoder import DecodedInstances, DecoderStage
 from adapters.networks.sparse.queue import FORWARD_SPEED
 
 BOX_WEIGHTS: Final = (2.0, 2.0, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 0.5, 0.5, 0.0)
@@ -52,16 +52,16 @@ STATUS: Final = 0.1
 SPEED: Final = 0.3
 
 
-def matches_of_boxes(stage: Stage, targets: Targets) -> Matches:
-    """Pairs of predictions of a stage and boxes; arguments as in `stage_of_boxes`."""
+def match_stage_boxes(stage: DecoderStage, targets: Targets) -> Matches:
+    """Pairs of predictions of a stage and boxes; arguments as in `box_stage_losses`."""
     boxes, logits = stage.anchors.flatten(0, 1), stage.logits.flatten(0, 1)
     weights = boxes.new_tensor(BOX_WEIGHTS)
     distance = torch.cdist(boxes.detach() * weights, targets.boxes * weights, p=1)
     cost = CLASS * class_cost(logits, targets.box_labels) + BOX * distance
-    return assigned(cost, stage.anchors.shape[1], targets.box_counts)
+    return assign(cost, stage.anchors.shape[1], targets.box_counts)
 
 
-def stage_of_boxes(stage: Stage, targets: Targets) -> tuple[dict[str, Tensor], Matches]:
+def box_stage_losses(stage: DecoderStage, targets: Targets) -> tuple[dict[str, Tensor], Matches]:
     """Losses of one stage of the decoder of boxes, of F key frames in the order of the targets.
 
     The matches are of rows of the flattened predictions.
@@ -69,7 +69,7 @@ def stage_of_boxes(stage: Stage, targets: Targets) -> tuple[dict[str, Tensor], M
     boxes, logits = stage.anchors.flatten(0, 1), stage.logits.flatten(0, 1)
     assert stage.qualities is not None
     weights = boxes.new_tensor(BOX_WEIGHTS)
-    matches = matches_of_boxes(stage, targets)
+    matches = match_stage_boxes(stage, targets)
     predicted, annotated = boxes[matches.queries], targets.boxes[matches.wanted]
     missed = (predicted - annotated)[:, :3].detach().norm(dim=-1)
     alike = ((predicted[:, 6:8] * annotated[:, 6:8]).sum(-1) > 0).float()
@@ -99,15 +99,15 @@ def nearest_predictions(boxes: Tensor, targets: Targets, queries: int) -> Matche
     return Matches(rows.gather(1, nearest).flatten(), box_rows.flatten())
 
 
-def stage_of_lines(stage: Stage, targets: Targets) -> dict[str, Tensor]:
-    """Losses of one stage of the decoder of lines; arguments as in `stage_of_boxes`."""
+def line_stage_losses(stage: DecoderStage, targets: Targets) -> dict[str, Tensor]:
+    """Losses of one stage of the decoder of lines; arguments as in `box_stage_losses`."""
     logits = stage.logits.flatten(0, 1)
     points = stage.anchors.flatten(0, 1).view(len(logits), -1, 2)
     orders = equivalent_lines(targets.lines)
     distance = torch.cdist(points.detach().flatten(1), orders.flatten(2).flatten(0, 1), p=1)
     nearest, order = distance.view(len(points), *orders.shape[:2]).min(-1)
     cost = CLASS * class_cost(logits, targets.line_labels) + LINE * nearest / points.shape[1]
-    matches = assigned(cost, stage.anchors.shape[1], targets.line_counts)
+    matches = assign(cost, stage.anchors.shape[1], targets.line_counts)
     matched = orders[matches.wanted, order[matches.queries, matches.wanted]]
     return {
         "line class": CLASS * query_class_loss(logits, targets.line_labels, matches),
@@ -116,29 +116,29 @@ def stage_of_lines(stage: Stage, targets: Targets) -> dict[str, Tensor]:
     }
 
 
-def summed(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
+def average_losses(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
     """Means of losses of one name."""
     return {name: torch.stack([part[name] for part in parts]).mean() for name in parts[0]}
 
 
 def decoder_losses(
-    agents: Sequence[Decoded], lines: Sequence[Decoded], targets: Targets
+    agents: Sequence[DecodedInstances], lines: Sequence[DecodedInstances], targets: Targets
 ) -> tuple[dict[str, Tensor], Matches]:
     """Losses of both decoders, means over the stages, and the matches of the last stage of boxes.
 
     Of B key frames each, one after the other, targets in the same order.
     """
-    boxes = [stage_of_boxes(stage, targets) for stage in _joined(agents)]
-    means = summed([losses for losses, _ in boxes]) | summed(
-        [stage_of_lines(stage, targets) for stage in _joined(lines)]
+    boxes = [box_stage_losses(stage, targets) for stage in _join_stages(agents)]
+    means = average_losses([losses for losses, _ in boxes]) | average_losses(
+        [line_stage_losses(stage, targets) for stage in _join_stages(lines)]
     )
     return means, boxes[-1][1]
 
 
-def _joined(decoded: Sequence[Decoded]) -> list[Stage]:
+def _join_stages(decoded: Sequence[DecodedInstances]) -> list[DecoderStage]:
     stages = zip(*(instances.stages for instances in decoded), strict=True)
     return [
-        Stage(
+        DecoderStage(
             torch.cat([stage.anchors for stage in same]),
             torch.cat([stage.logits for stage in same]),
             torch.cat([stage.qualities for stage in same if stage.qualities is not None])
@@ -159,7 +159,7 @@ def forecast_losses(
     """
     counted = valid.any(-1)
     logits, paths, wanted, valid = logits[counted], offsets[counted].cumsum(2), wanted[counted], valid[counted]
-    best = winners(anchors[counted], wanted, valid)
+    best = find_winning_modes(anchors[counted], wanted, valid)
     error = ((paths - wanted[:, None]).abs().sum(-1) * valid[:, None]).sum(-1)
     steps = max(int(valid.sum()), 1)
     best_error = error[torch.arange(len(best), device=best.device), best].sum() / steps
@@ -178,7 +178,7 @@ def plan_losses(logits: Tensor, offsets: Tensor, anchors: Tensor, targets: Targe
     `logits` are (F, M), `offsets` (F, M, S, 2) metres from step to step, `anchors` (F, M, S, 2) positions.
     """
     paths, valid = offsets.cumsum(2), targets.plans_valid
-    best = winners(anchors, targets.plans, valid)
+    best = find_winning_modes(anchors, targets.plans, valid)
     error = ((paths - targets.plans[:, None]).abs().sum(-1) * valid[:, None]).sum(-1)
     steps = max(int(valid.sum()), 1)
     rows = torch.arange(len(best), device=best.device)
@@ -189,7 +189,7 @@ def plan_losses(logits: Tensor, offsets: Tensor, anchors: Tensor, targets: Targe
     entropy = F.cross_entropy(logits, best, reduction="none")
     return {
         "plan": PLAN * best_error,
-        "plan aside": ASIDE * aside_loss(paths[rows, best, :, 0], targets.plans[..., 0], valid),
+        "plan aside": ASIDE * lateral_loss(paths[rows, best, :, 0], targets.plans[..., 0], valid),
         "plan chosen": CHOSEN * expected,
         "plan room": ROOM * (logits.softmax(-1) * missing_room(paths, targets.around)).sum(-1).mean(),
         "plan class": PLAN_CLASS * (entropy * counted).sum() / max(int(counted.sum()), 1),

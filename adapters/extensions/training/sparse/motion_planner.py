@@ -17,11 +17,11 @@ from adapters.extensions.training.frames import TrainingFrame
 from adapters.networks.layers.front_reader import FRONT, FrontReader
 from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.boxes import KeyframeMotion, KeyframePose, RigidMotion, carry_boxes
-from adapters.networks.sparse.decoder import Decoded, Remembered, Stage, rows_of
+from adapters.networks.sparse.decoder import DecodedInstances, DecoderStage, InstanceMemory, gather_rows
 from adapters.networks.sparse.diffusion import BLOCKS, TIMESTEPS, DiffusionPlanner, PlanContext
 from adapters.networks.sparse.model import SparseNetwork
-from adapters.networks.sparse.motion_planner import Planner
-from adapters.networks.sparse.queue import FORWARD_SPEED, SURE, VELOCITY, VELOCITY_Y
+from adapters.networks.sparse.motion_planner import MotionPlanner
+from adapters.networks.sparse.queue import CERTAIN_SCORE, FORWARD_SPEED, VELOCITY, VELOCITY_Y
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class KeyframeMotions(RigidMotion):
 
 
 @dataclass(frozen=True, slots=True)
-class LearnedQueue:
+class BatchQueue:
     """N agents and, in the last row, the ego of B key frames over the last L ones (`networks.sparse.queue`).
 
     Attributes:
@@ -67,7 +67,7 @@ class LearnedQueue:
 
 
 @dataclass(frozen=True, slots=True)
-class QueueLeft:
+class BatchQueueMemory:
     """Memory that key frames leave for the next ones; nothing is learned through it.
 
     Attributes:
@@ -78,15 +78,15 @@ class QueueLeft:
         front: (B, numbers) of what plans took from the front cameras, if they look there.
     """
 
-    queue: LearnedQueue
-    kept: Remembered
+    queue: BatchQueue
+    kept: InstanceMemory
     confidence: Tensor
     status: Tensor
     front: Tensor | None
 
 
 @dataclass(frozen=True, slots=True)
-class Interacted:
+class BatchInteraction:
     """Tokens of B key frames after agents and the ego have looked at each other.
 
     Attributes:
@@ -101,7 +101,7 @@ class Interacted:
     ego_embedding: Tensor
     watched: tuple[Tensor, Tensor]
     status: Tensor
-    left: QueueLeft
+    left: BatchQueueMemory
     front: Tensor | None
 
     @property
@@ -110,9 +110,13 @@ class Interacted:
         return self.tokens[:, -1:]
 
 
-def queued(
-    planner: Planner, agents: Decoded, front: Tensor, past: QueueLeft | None, motions: KeyframeMotions | None
-) -> LearnedQueue:
+def extend_queue(
+    planner: MotionPlanner,
+    agents: DecodedInstances,
+    front: Tensor,
+    past: BatchQueueMemory | None,
+    motions: KeyframeMotions | None,
+) -> BatchQueue:
     """Queue with these key frames as the last.
 
     `front` are (B, C, h, w) coarsest feature maps of the front cameras.
@@ -123,50 +127,50 @@ def queued(
     features = torch.cat([agents.features, encoded], 1)[None]
     if past is None or motions is None:
         boxes = torch.cat([agents.anchors.detach(), ego_box], 1)[None]
-        return LearnedQueue(features, boxes, torch.ones(boxes.shape[1:3], dtype=torch.int64, device=front.device))
+        return BatchQueue(features, boxes, torch.ones(boxes.shape[1:3], dtype=torch.int64, device=front.device))
     ego_box = ego_box.clone()
     if planner.instance_queue.speed_from_poses:
         ego_box[..., VELOCITY] = motions.ego_velocity
     else:
         ego_box[..., VELOCITY_Y] = past.status[:, FORWARD_SPEED, None]
     boxes = torch.cat([agents.anchors.detach(), ego_box], 1)[None]
-    old = _followed(past, agents, motions)
+    old = _align_past(past, agents, motions)
     oldest = max(0, len(old.features) + 1 - planner.instance_queue.frames)
-    return LearnedQueue(
+    return BatchQueue(
         torch.cat([old.features, features])[oldest:],
         torch.cat([old.boxes, boxes])[oldest:],
         (old.periods + 1).clamp(max=planner.instance_queue.frames),
     )
 
 
-def _followed(past: QueueLeft, agents: Decoded, motions: KeyframeMotions) -> LearnedQueue:
+def _align_past(past: BatchQueueMemory, agents: DecodedInstances, motions: KeyframeMotions) -> BatchQueue:
     """The past in the order of the present agents: the first of them are those that were remembered."""
     batch, count = agents.features.shape[:2]
     remembered = past.kept.rows
-    known = past.confidence.gather(1, remembered) > SURE
+    known = past.confidence.gather(1, remembered) > CERTAIN_SCORE
     rows = torch.cat([remembered, remembered.new_zeros(batch, count - remembered.shape[1])], 1)
     known = torch.cat([known, known.new_zeros(batch, count - known.shape[1]), known.new_ones(batch, 1)], 1)
     rows = torch.cat([rows, rows.new_full((batch, 1), past.confidence.shape[1])], 1)
     absent = ~known[..., None]
-    features = [rows_of(past_frame, rows).masked_fill(absent, 0) for past_frame in past.queue.features]
-    boxes = [carry_boxes(rows_of(past_frame, rows), motions, 0.0) for past_frame in past.queue.boxes]
-    return LearnedQueue(
+    features = [gather_rows(past_frame, rows).masked_fill(absent, 0) for past_frame in past.queue.features]
+    boxes = [carry_boxes(gather_rows(past_frame, rows), motions, 0.0) for past_frame in past.queue.boxes]
+    return BatchQueue(
         torch.stack(features),
         torch.stack([past_frame.masked_fill(absent, 0) for past_frame in boxes]),
         past.queue.periods.gather(1, rows).masked_fill(~known, 0),
     )
 
 
-def interacted(
-    planner: Planner,
+def interact(
+    planner: MotionPlanner,
     box_encoder: torch.nn.Module,
-    agents: Decoded,
-    lines: Decoded,
-    queue: LearnedQueue,
-    kept: Remembered,
+    agents: DecodedInstances,
+    lines: DecodedInstances,
+    queue: BatchQueue,
+    kept: InstanceMemory,
     finest_front: Tensor,
     front_before: Tensor | None,
-) -> Interacted:
+) -> BatchInteraction:
     """Tokens after agents and the egos have looked at their past, at the most certain agents and at the maps.
 
     Those of the egos with what plans take from the front cameras. `finest_front` are (B, C, h, w) feature maps of the
@@ -180,23 +184,23 @@ def interacted(
     allowed = queue.allowed()
     certain = agents.scores.detach().topk(config.watched_agents, dim=1).indices
     rows = torch.cat([certain, certain.new_full((len(certain), 1), features.shape[1] - 1)], 1)
-    watched = rows_of(features, rows), rows_of(embeddings, rows)
+    watched = gather_rows(features, rows), gather_rows(embeddings, rows)
     line_rows = lines.scores.detach().topk(config.watched_lines, dim=1).indices
-    lanes, places = rows_of(lines.features, line_rows), rows_of(lines.embeddings, line_rows)
-    features = planner.looked(features, embeddings, past, allowed, watched, (lanes, places))
+    lanes, places = gather_rows(lines.features, line_rows), gather_rows(lines.embeddings, line_rows)
+    features = planner.attend_to_scene(features, embeddings, past, allowed, watched, (lanes, places))
     tokens = features + embeddings
-    ego, front = planner.with_front(tokens[:, -1:], finest_front, front_before)
+    ego, front = planner.add_front(tokens[:, -1:], finest_front, front_before)
     tokens = torch.cat([tokens[:, :-1], ego], 1)
     status: Tensor = planner.refinement.plan_status_branch(tokens[:, -1])
     newest = torch.cat([queue.features[-1][:, :-1], features[:, -1:]], 1)
-    after = LearnedQueue(torch.cat([queue.features[:-1], newest[None]]).detach(), queue.boxes.detach(), queue.periods)
+    after = BatchQueue(torch.cat([queue.features[:-1], newest[None]]).detach(), queue.boxes.detach(), queue.periods)
     front_left = None if front is None else FrontReader.left(front.detach(), front_before)
-    queue_left = QueueLeft(after, kept, agents.scores.detach(), status.detach(), front_left)
-    return Interacted(tokens, embeddings[:, -1:], watched, status, queue_left, front)
+    queue_left = BatchQueueMemory(after, kept, agents.scores.detach(), status.detach(), front_left)
+    return BatchInteraction(tokens, embeddings[:, -1:], watched, status, queue_left, front)
 
 
 @dataclass(frozen=True, slots=True)
-class Cleaned:
+class DenoisedPlans:
     """Plans of B key frames after a block of the diffusion planner.
 
     `logits` are (B, M), `offsets` (B, M, steps, 2) metres from step to step.
@@ -206,9 +210,9 @@ class Cleaned:
     offsets: Tensor
 
 
-def denoised(
-    planner: DiffusionPlanner, views: CameraFeatures, found: Interacted, commands: Tensor, noise: Tensor
-) -> list[Cleaned]:
+def denoise(
+    planner: DiffusionPlanner, views: CameraFeatures, found: BatchInteraction, commands: Tensor, noise: Tensor
+) -> list[DenoisedPlans]:
     """Put noise on the anchored plans of the given commands and clean them again, as when the network plans.
 
     Of each block in each step of the way back, the last one last; gradients stop between the steps. `noise` are (B, M,
@@ -218,14 +222,14 @@ def denoised(
     context = PlanContext(views, found.ego_embedding, found.watched, starts)
     _, _, steps = planner.denoise(context, planner.plan_anchor[commands], noise)
     return [
-        Cleaned(steps[f"logits {block} {step}"], steps[f"offsets {block} {step}"])
+        DenoisedPlans(steps[f"logits {block} {step}"], steps[f"offsets {block} {step}"])
         for step in range(len(TIMESTEPS))
         for block in range(BLOCKS)
     ]
 
 
 @dataclass(frozen=True, slots=True)
-class Perceived:
+class BatchPerception:
     """Boxes and map elements seen in B key frames, and what to remember of them.
 
     `front` are (B, C, h, w) coarsest feature maps of the front cameras, `finest_front` their finest ones, or what
@@ -234,21 +238,21 @@ class Perceived:
 
     poses: tuple[KeyframePose, ...]
     views: CameraFeatures
-    agents: Decoded
-    lines: Decoded
-    kept_agents: Remembered
-    kept_lines: Remembered
+    agents: DecodedInstances
+    lines: DecodedInstances
+    kept_agents: InstanceMemory
+    kept_lines: InstanceMemory
     front: Tensor
     finest_front: Tensor
 
 
-def perceived(
+def perceive(
     network: SparseNetwork,
     maps: Sequence[Tensor],
     finest_front: Tensor,
     frames: Sequence[TrainingFrame],
-    past: Perceived | None,
-) -> Perceived:
+    past: BatchPerception | None,
+) -> BatchPerception:
     """See key frames of several clips side by side.
 
     `maps` are (B * cameras, C, h, w) for each level, fine to coarse, `finest_front` (B, C, h, w) what plans look at of
@@ -262,10 +266,10 @@ def perceived(
     agents, kept_agents = head.det_head(views, past.kept_agents if past else None, motions)
     lines, kept_lines = head.map_head(views, past.kept_lines if past else None, motions)
     front = maps[-1][FRONT :: config.cameras]
-    return Perceived(poses, views, agents, lines, kept_agents, kept_lines, front, finest_front)
+    return BatchPerception(poses, views, agents, lines, kept_agents, kept_lines, front, finest_front)
 
 
-def remembered(seen: Perceived, cameras: int) -> Perceived:
+def compress_for_cache(seen: BatchPerception, cameras: int) -> BatchPerception:
     """Part of key frames that a planner needs, small enough to be kept of thousands; images in half precision.
 
     The last stages alone, and no qualities of boxes; cameras are kept as many as asked for, none where plans do not
@@ -278,49 +282,54 @@ def remembered(seen: Perceived, cameras: int) -> Perceived:
     )
     finest, coarsest = seen.finest_front.half(), seen.front.half()
     return replace(
-        seen, views=views, agents=_last(seen.agents), lines=_last(seen.lines), front=coarsest, finest_front=finest
+        seen,
+        views=views,
+        agents=_last_stage(seen.agents),
+        lines=_last_stage(seen.lines),
+        front=coarsest,
+        finest_front=finest,
     )
 
 
-def together(seen: Sequence[Perceived]) -> Perceived:
-    """Several key frames of `remembered` as one batch, in single precision."""
+def stack_perceptions(seen: Sequence[BatchPerception]) -> BatchPerception:
+    """Several key frames of `compress_for_cache` as one batch, in single precision."""
     views = seen[0].views
-    return Perceived(
+    return BatchPerception(
         poses=tuple(pose for perception in seen for pose in perception.poses),
         views=replace(
             views,
             values=torch.cat([perception.views.values for perception in seen]).float(),
             projections=torch.cat([perception.views.projections for perception in seen]),
         ),
-        agents=_side_by_side([perception.agents for perception in seen]),
-        lines=_side_by_side([perception.lines for perception in seen]),
-        kept_agents=_kept_together([perception.kept_agents for perception in seen]),
-        kept_lines=_kept_together([perception.kept_lines for perception in seen]),
+        agents=_stack_instances([perception.agents for perception in seen]),
+        lines=_stack_instances([perception.lines for perception in seen]),
+        kept_agents=_stack_memories([perception.kept_agents for perception in seen]),
+        kept_lines=_stack_memories([perception.kept_lines for perception in seen]),
         front=torch.cat([perception.front for perception in seen]).float(),
         finest_front=torch.cat([perception.finest_front for perception in seen]).float(),
     )
 
 
-def partly(seen: Perceived, forgotten: float) -> Perceived:
+def apply_dropout(seen: BatchPerception, forgotten: float) -> BatchPerception:
     """The same with some numbers of agents, lines and front cameras gone, the others larger by as much (dropout)."""
     agents, lines = (replace(part, features=F.dropout(part.features, forgotten)) for part in (seen.agents, seen.lines))
     front, finest = (F.dropout(part, forgotten) for part in (seen.front, seen.finest_front))
     return replace(seen, agents=agents, lines=lines, front=front, finest_front=finest)
 
 
-def _last(decoded: Decoded) -> Decoded:
+def _last_stage(decoded: DecodedInstances) -> DecodedInstances:
     return replace(decoded, stages=(replace(decoded.stages[-1], qualities=None),))
 
 
-def _side_by_side(decoded: Sequence[Decoded]) -> Decoded:
+def _stack_instances(decoded: Sequence[DecodedInstances]) -> DecodedInstances:
     anchors, logits, features, embeddings = (
         torch.cat([getattr(instances, name) for instances in decoded])
         for name in ("anchors", "logits", "features", "embeddings")
     )
-    return Decoded((Stage(anchors, logits, None),), features, embeddings)
+    return DecodedInstances((DecoderStage(anchors, logits, None),), features, embeddings)
 
 
-def _kept_together(memories: Sequence[Remembered]) -> Remembered:
-    return Remembered(
-        *(torch.cat([getattr(memory, field.name) for memory in memories]) for field in fields(Remembered))
+def _stack_memories(memories: Sequence[InstanceMemory]) -> InstanceMemory:
+    return InstanceMemory(
+        *(torch.cat([getattr(memory, field.name) for memory in memories]) for field in fields(InstanceMemory))
     )

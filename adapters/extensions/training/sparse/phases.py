@@ -12,36 +12,36 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-from adapters.extensions.training.frames import FORGOTTEN, Frames, LookedAt, TrainingFrame, weighed
-from adapters.extensions.training.front import Eyes, front_phase, mean_front_losses, of_all_cameras
+from adapters.extensions.training.frames import MEMORY_DROPOUT, CachedFrames, Frames, TrainingFrame, oversample_changes
+from adapters.extensions.training.front import FrontEncoder, front_phase, mean_front_losses, shared_front_encoder
 from adapters.extensions.training.image_encoder import miniature_images
 from adapters.extensions.training.losses import Matches
 from adapters.extensions.training.sparse.losses import (
+    average_losses,
     decoder_losses,
     forecast_losses,
-    matches_of_boxes,
+    match_stage_boxes,
     plan_losses,
     status_loss,
-    summed,
 )
 from adapters.extensions.training.sparse.motion_planner import (
-    Cleaned,
-    Interacted,
+    BatchInteraction,
+    BatchPerception,
+    DenoisedPlans,
     KeyframeMotions,
-    Perceived,
-    denoised,
-    interacted,
-    partly,
-    perceived,
-    queued,
-    remembered,
-    together,
+    apply_dropout,
+    compress_for_cache,
+    denoise,
+    extend_queue,
+    interact,
+    perceive,
+    stack_perceptions,
 )
 from adapters.extensions.training.sparse.targets import Targets
 from adapters.extensions.training.trainer import Phase, Recipe
 from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.sparse.aggregation import CameraFeatures
-from adapters.networks.sparse.decoder import Decoded, Stage
+from adapters.networks.sparse.decoder import DecodedInstances, DecoderStage
 from adapters.networks.sparse.diffusion import DiffusionPlanner
 from adapters.networks.sparse.model import SparseInputs, SparseNetwork
 from benchmark.machine.storage import content_seed
@@ -53,12 +53,12 @@ FROZEN: Final = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1"
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class BatchPredictions:
     """Predictions of a network for B key frames; `cleaned` is of the diffusion planner."""
 
-    perceived: Perceived
-    planned: Interacted
-    cleaned: tuple[Cleaned, ...]
+    perceived: BatchPerception
+    planned: BatchInteraction
+    denoised: tuple[DenoisedPlans, ...]
 
 
 class SparseObjective:
@@ -102,13 +102,13 @@ class SparseObjective:
         predictions = self.seen(frames, len(clips), targets)
         losses, matches = self._perception_losses([prediction.perceived for prediction in predictions], targets)
         planner = self._sparse.head.motion_plan_head
-        agents = _flattened([prediction.perceived.agents for prediction in predictions])
+        agents = _flatten([prediction.perceived.agents for prediction in predictions])
         tokens = torch.cat([prediction.planned.tokens[:, :-1] for prediction in predictions]).flatten(0, 1)
-        last = Stage(agents.anchors[matches.queries], agents.logits[matches.queries], None)
-        matched = Decoded((last,), last.anchors, last.anchors)
+        last = DecoderStage(agents.anchors[matches.queries], agents.logits[matches.queries], None)
+        matched = DecodedInstances((last,), last.anchors, last.anchors)
         losses |= forecast_losses(
             *planner.forecast(matched, tokens[matches.queries]),
-            planner.turned_anchors(matched),
+            planner.rotate_anchors(matched),
             targets.futures[matches.wanted],
             targets.futures_valid[matches.wanted],
         )
@@ -118,12 +118,12 @@ class SparseObjective:
         losses["status"] = status_loss(torch.cat([prediction.planned.status for prediction in predictions]), targets)
         anchors = planner.plan_anchor[targets.commands]
         if isinstance(planner, DiffusionPlanner):
-            blocks = zip(*(prediction.cleaned for prediction in predictions), strict=True)
+            blocks = zip(*(prediction.denoised for prediction in predictions), strict=True)
             cleaned = [
-                Cleaned(torch.cat([one.logits for one in same]), torch.cat([one.offsets for one in same]))
+                DenoisedPlans(torch.cat([one.logits for one in same]), torch.cat([one.offsets for one in same]))
                 for same in blocks
             ]
-            return losses | summed(
+            return losses | average_losses(
                 [plan_losses(prediction.logits, prediction.offsets, anchors, targets) for prediction in cleaned]
             )
         queries = planner.plan_queries(torch.cat([prediction.planned.ego for prediction in predictions])[:, None])
@@ -132,13 +132,15 @@ class SparseObjective:
         offsets = planner.refinement.plan_reg_branch(queries).unflatten(-1, (-1, 2))
         return losses | plan_losses(logits, offsets, anchors, targets)
 
-    def _perception_losses(self, perceived: Sequence[Perceived], targets: Targets) -> tuple[dict[str, Tensor], Matches]:
+    def _perception_losses(
+        self, perceived: Sequence[BatchPerception], targets: Targets
+    ) -> tuple[dict[str, Tensor], Matches]:
         """Losses of boxes and lines, and which boxes stand for which."""
         return decoder_losses(
             [perception.agents for perception in perceived], [perception.lines for perception in perceived], targets
         )
 
-    def seen(self, frames: Sequence[TrainingFrame], batch: int, targets: Targets) -> list[Seen]:
+    def seen(self, frames: Sequence[TrainingFrame], batch: int, targets: Targets) -> list[BatchPredictions]:
         """Predictions for one key frame of each clip after the other.
 
         `frames` are the first of each clip, then the second of each, and so are the results: of all first frames, of
@@ -146,13 +148,13 @@ class SparseObjective:
         """
         head, device = self._sparse.head, targets.plans.device
         planner = head.motion_plan_head
-        predictions: list[Seen] = []
-        for start, now in zip(range(0, len(frames), batch), self._perceived(frames, batch, device), strict=True):
+        predictions: list[BatchPredictions] = []
+        for start, now in zip(range(0, len(frames), batch), self._perceive(frames, batch, device), strict=True):
             past = predictions[-1] if predictions else None
             motions = KeyframeMotions.between(past.perceived.poses, now.poses, device) if past else None
             queue_left = past.planned.left if past else None
-            queue = queued(planner, now.agents, now.front, queue_left, motions)
-            planned = interacted(
+            queue = extend_queue(planner, now.agents, now.front, queue_left, motions)
+            planned = interact(
                 planner,
                 head.det_head.anchor_encoder,
                 now.agents,
@@ -163,33 +165,33 @@ class SparseObjective:
                 queue_left.front if queue_left else None,
             )
             present = slice(start, start + batch)
-            cleaned = self._cleaned(now.views, planned, targets.commands[present], frames[present])
-            predictions.append(Seen(now, planned, cleaned))
+            cleaned = self._denoise(now.views, planned, targets.commands[present], frames[present])
+            predictions.append(BatchPredictions(now, planned, cleaned))
         return predictions
 
-    def _perceived(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[Perceived]:
+    def _perceive(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[BatchPerception]:
         """Perception of one key frame of each clip after the other; arguments as of `seen`."""
         network = self._sparse
         images = miniature_images(torch.stack([frame.images for frame in frames]).flatten(0, 1).to(device))
         maps = network.img_neck(network.img_backbone(images))
         fronts = network.finest_front(maps[0], images)
-        past: Perceived | None = None
+        past: BatchPerception | None = None
         for start in range(0, len(frames), batch):
             rows = slice(start * network.config.cameras, (start + batch) * network.config.cameras)
             now = slice(start, start + batch)
-            past = perceived(network, [level[rows] for level in maps], fronts[now], frames[now], past)
+            past = perceive(network, [level[rows] for level in maps], fronts[now], frames[now], past)
             yield past
 
-    def _cleaned(
-        self, views: CameraFeatures, planned: Interacted, commands: Tensor, frames: Sequence[TrainingFrame]
-    ) -> tuple[Cleaned, ...]:
+    def _denoise(
+        self, views: CameraFeatures, planned: BatchInteraction, commands: Tensor, frames: Sequence[TrainingFrame]
+    ) -> tuple[DenoisedPlans, ...]:
         planner = self._sparse.head.motion_plan_head
         if not isinstance(planner, DiffusionPlanner):
             return ()
-        noise = torch.stack([self.noise_of(frame) for frame in frames])
-        return tuple(denoised(planner, views, planned, commands, noise.to(commands.device)))
+        noise = torch.stack([self.draw_noise(frame) for frame in frames])
+        return tuple(denoise(planner, views, planned, commands, noise.to(commands.device)))
 
-    def noise_of(self, frame: TrainingFrame) -> Tensor:
+    def draw_noise(self, frame: TrainingFrame) -> Tensor:
         """(modes, steps, 2) standard normal numbers that the plans of a key frame start with."""
         config = self._sparse.config
         return torch.randn((config.modes, config.steps, 2), generator=_generator(frame, "noise"))
@@ -211,17 +213,17 @@ def _generator(frame: TrainingFrame, purpose: str) -> torch.Generator:
     return torch.Generator().manual_seed(content_seed("sparse lesson", purpose, frame.scene, frame.index))
 
 
-def _flattened(agents: Sequence[Decoded]) -> Stage:
+def _flatten(agents: Sequence[DecodedInstances]) -> DecoderStage:
     """The last stages of several key frames, (F * N, ...)."""
     anchors = torch.cat([instances.anchors.detach() for instances in agents]).flatten(0, 1)
-    return Stage(anchors, torch.cat([instances.stages[-1].logits for instances in agents]).flatten(0, 1), None)
+    return DecoderStage(anchors, torch.cat([instances.stages[-1].logits for instances in agents]).flatten(0, 1), None)
 
 
 PERCEPTION: Final = ("img_backbone", "img_neck", "head.det_head", "head.map_head")
 """What stays as it is."""
 
 
-class PlannerObjective(SparseObjective):
+class SparsePlannerObjective(SparseObjective):
     """Forecasts and plans alone. Boxes and map elements of each key frame are found once, as when the network plans.
 
     Nine tenths of a step of `SparseObjective` are images, boxes and lines.
@@ -238,36 +240,40 @@ class PlannerObjective(SparseObjective):
             network.front_eyes.requires_grad_(False)
         plans_look = isinstance(network.head.motion_plan_head, DiffusionPlanner)
         self._cameras = network.config.cameras if plans_look else 0
-        self._memory: dict[tuple[str, int], Perceived] = {}
+        self._memory: dict[tuple[str, int], BatchPerception] = {}
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
-        """As `adapters.extensions.training.frames.ForesightedObjective` describes."""
-        looked = LookedAt(store, frames, self._look)
-        return looked, weighed(looked, frames)
+        """As `adapters.extensions.training.frames.CachingObjective` describes."""
+        looked = CachedFrames(store, frames, self._cache_scene)
+        return looked, oversample_changes(looked, frames)
 
-    def _look(self, scene: Sequence[TrainingFrame]) -> None:
+    def _cache_scene(self, scene: Sequence[TrainingFrame]) -> None:
         device = next(self.network.parameters()).device
         with torch.no_grad():
-            for frame, perception in zip(scene, super()._perceived(scene, 1, device), strict=True):
-                self._memory[frame.scene, frame.index] = remembered(perception, self._cameras)
+            for frame, perception in zip(scene, super()._perceive(scene, 1, device), strict=True):
+                self._memory[frame.scene, frame.index] = compress_for_cache(perception, self._cameras)
 
     def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
         """As `SparseObjective.losses_of`."""
-        return super().losses_of([[_without_plan(clip[0]), *clip[1:]] for clip in clips])
+        return super().losses_of([[_mask_plan(clip[0]), *clip[1:]] for clip in clips])
 
-    def _perceived(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[Perceived]:
+    def _perceive(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[BatchPerception]:
         for start in range(0, len(frames), batch):
-            batched = together([self._memory[frame.scene, frame.index] for frame in frames[start : start + batch]])
-            yield partly(batched, FORGOTTEN) if self.network.training else batched
+            batched = stack_perceptions(
+                [self._memory[frame.scene, frame.index] for frame in frames[start : start + batch]]
+            )
+            yield apply_dropout(batched, MEMORY_DROPOUT) if self.network.training else batched
 
-    def _perception_losses(self, perceived: Sequence[Perceived], targets: Targets) -> tuple[dict[str, Tensor], Matches]:
+    def _perception_losses(
+        self, perceived: Sequence[BatchPerception], targets: Targets
+    ) -> tuple[dict[str, Tensor], Matches]:
         anchors, logits = (
             torch.cat([getattr(perception.agents, name) for perception in perceived]) for name in ("anchors", "logits")
         )
-        return {}, matches_of_boxes(Stage(anchors, logits, None), targets)
+        return {}, match_stage_boxes(DecoderStage(anchors, logits, None), targets)
 
 
-def _without_plan(frame: TrainingFrame) -> TrainingFrame:
+def _mask_plan(frame: TrainingFrame) -> TrainingFrame:
     """The first frame of a clip: of its plan nothing is learned if it is not the first of its scene as well."""
     return replace(frame, ego_future_valid=frame.ego_future_valid & (frame.index == 0))
 
@@ -280,25 +286,25 @@ _PLANNER: Final = Recipe(
 )
 
 
-def front_reader(network: SparseNetwork) -> FrontReader | None:
+def find_front_reader(network: SparseNetwork) -> FrontReader | None:
     """The part of a network that reads the front camera for its plan, if it has one."""
     return network.head.motion_plan_head.front_reader
 
 
-def front_eyes(network: SparseNetwork) -> Eyes:
+def build_front_encoder(network: SparseNetwork) -> FrontEncoder:
     """Eyes that make the maps for the front phase."""
     if network.front_eyes is not None:
-        return Eyes(network.front_eyes, own=True)
+        return FrontEncoder(network.front_eyes, own=True)
     # What finds boxes and lines reads the same maps: they stay as they are until all of it learns.
-    return of_all_cameras(network, ("",))
+    return shared_front_encoder(network, ("",))
 
 
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of SparseDrive-mini."""
     return (
-        front_phase(front_reader, front_eyes),
+        front_phase(find_front_reader, build_front_encoder),
         Phase("all", SparseObjective, _ALL),
-        Phase("planner", PlannerObjective, _PLANNER),
+        Phase("planner", SparsePlannerObjective, _PLANNER),
     )
 
 
@@ -307,4 +313,4 @@ def diffusion_phases() -> tuple[Phase, ...]:
 
     It starts from SparseDrive (``--start-from``): what it sees is seen already, it learns to plan.
     """
-    return (Phase("planner", PlannerObjective, _PLANNER),)
+    return (Phase("planner", SparsePlannerObjective, _PLANNER),)

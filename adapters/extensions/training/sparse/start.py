@@ -9,10 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from adapters.extensions.training.frames import TrainingFrame
-from adapters.extensions.training.front import seen_with_own_eyes
+from adapters.extensions.training.front import add_front_backbone
 from adapters.extensions.training.sparse.targets import FARTHEST_M
 from adapters.networks.sparse.aggregation import CameraSampling
-from adapters.networks.sparse.anchors import Sightings, anchors_of
+from adapters.networks.sparse.anchors import AnchorSamples, cluster_anchors
 from adapters.networks.sparse.boxes import BoxRefinement
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.decoder import LineRefinement
@@ -27,28 +27,28 @@ EGO_GAIN: Final = 3.0
 PLACE_SPREAD: Final = 8.0
 SPEED_SPREAD: Final = 5.0
 """Of the biases in front of the first normalisation of places and speeds, which would take all but their directions."""
-FOUND_AT_FIRST: Final = 0.05
+INITIAL_SCORE: Final = 0.05
 """Score of all instances before anything has been learned."""
 Network = TypeVar("Network", bound=SparseNetwork)
 
 
-def untrained(config: SparseConfig, frames: Iterable[TrainingFrame], seed: int) -> SparseDrive:
+def build_untrained(config: SparseConfig, frames: Iterable[TrainingFrame], seed: int) -> SparseDrive:
     """A SparseDrive before its training: random weights, and anchors of what there is to be found.
 
     A few hundred frames of the training data at least.
     """
-    return _begun(SparseDrive, config, frames, seed)
+    return _build_untrained(SparseDrive, config, frames, seed)
 
 
-def untrained_diffusion(config: SparseConfig, frames: Iterable[TrainingFrame], seed: int) -> DiffusionDrive:
-    """A DiffusionDrive before its training; arguments as of `untrained`, the seed is that of its noise too."""
-    return _begun(partial(DiffusionDrive, seed=seed), config, frames, seed)
+def build_untrained_diffusion(config: SparseConfig, frames: Iterable[TrainingFrame], seed: int) -> DiffusionDrive:
+    """A DiffusionDrive before its training; arguments as of `build_untrained`, the seed is that of its noise too."""
+    return _build_untrained(partial(DiffusionDrive, seed=seed), config, frames, seed)
 
 
-def _begun(
+def _build_untrained(
     make: Callable[[SparseConfig], Network], config: SparseConfig, frames: Iterable[TrainingFrame], seed: int
 ) -> Network:
-    anchors = anchors_of(sightings_in(frames, config), config)
+    anchors = cluster_anchors(collect_anchor_samples_in(frames, config), config)
     with torch.random.fork_rng(devices=()):
         torch.manual_seed(content_seed("sparse miniature", seed))
         network = make(config)
@@ -77,8 +77,8 @@ def initialise(network: SparseNetwork) -> None:
         nn.init.uniform_(layers[0].bias, -spread, spread)
     reader = network.head.motion_plan_head.front_reader
     if reader is not None:
-        reader.say_nothing()
-    unlikely = float(np.log(FOUND_AT_FIRST / (1 - FOUND_AT_FIRST)))
+        reader.zero_message()
+    unlikely = float(np.log(INITIAL_SCORE / (1 - INITIAL_SCORE)))
     for decoder in (network.head.det_head, network.head.map_head):
         for layer in decoder.layers:
             if isinstance(layer, BoxRefinement | LineRefinement):
@@ -87,10 +87,10 @@ def initialise(network: SparseNetwork) -> None:
                 nn.init.constant_(last.bias, unlikely)
 
 
-def planned_from(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def transfer_from_sparsedrive(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of a trained SparseDrive under the names of DiffusionDrive: all that they share, which is all but plans.
 
-    With what own eyes begin with (`seen_with_own_eyes`).
+    With what own eyes begin with (`add_front_backbone`).
     """
     renamed = {
         name.replace("motion_plan_head.layers.", "motion_plan_head.interact_layers."): value
@@ -101,10 +101,10 @@ def planned_from(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
         for name, value in renamed.items()
         if ".plan_cls_branch." not in name and ".plan_reg_branch." not in name
     }
-    return seen_with_own_eyes(shared)
+    return add_front_backbone(shared)
 
 
-def sightings_in(frames: Iterable[TrainingFrame], config: SparseConfig) -> Sightings:
+def collect_anchor_samples_in(frames: Iterable[TrainingFrame], config: SparseConfig) -> AnchorSamples:
     """Sightings in training frames: boxes and lines within reach, futures and plans that are known to their ends."""
     boxes, lines = [np.zeros((0, 3))], [np.zeros((0, 2))]
     futures: list[list[Floats]] = [[np.zeros((0, config.agent_steps, 2))] for _ in range(config.agent_classes)]
@@ -114,12 +114,12 @@ def sightings_in(frames: Iterable[TrainingFrame], config: SparseConfig) -> Sight
         boxes.append(centres[np.hypot(centres[:, 0], centres[:, 1]) <= FARTHEST_M])
         lines.append(frame.lines.double().mean(1).numpy())
         known = frame.futures_valid.all(1)
-        paths = _as_agents_see(frame.boxes[known].double(), frame.futures[known].double())
+        paths = _to_agent_frames(frame.boxes[known].double(), frame.futures[known].double())
         for kind, path in zip(frame.labels[known].tolist(), paths.numpy(), strict=True):
             futures[kind].append(path[None])
         if bool(frame.ego_future_valid.all()):
             plans[frame.command].append(frame.ego_future.double().numpy()[None])
-    return Sightings(
+    return AnchorSamples(
         box_centres=np.concatenate(boxes),
         line_centres=np.concatenate(lines),
         futures=[np.concatenate(parts) for parts in futures],
@@ -127,7 +127,7 @@ def sightings_in(frames: Iterable[TrainingFrame], config: SparseConfig) -> Sight
     )
 
 
-def _as_agents_see(boxes: Tensor, futures: Tensor) -> Tensor:
+def _to_agent_frames(boxes: Tensor, futures: Tensor) -> Tensor:
     """(N, 9) boxes and (N, T, 3) futures to (N, T, 2) positions in the frames of the agents, x forward."""
     along, across = (futures[..., :2] - boxes[:, None, :2]).unbind(-1)
     sine, cosine = boxes[:, 6:7].sin(), boxes[:, 6:7].cos()

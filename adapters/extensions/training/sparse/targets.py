@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from adapters.extensions.training.frames import LINE_POINTS, TrainingFrame
-from adapters.extensions.training.plan_room import Around
+from adapters.extensions.training.plan_room import NearbyBodies
 from adapters.networks.sparse.boxes import BOX_CODE
 from adapters.networks.sparse.queue import STATUS
 
@@ -50,7 +50,7 @@ class Targets:
     plans_valid: Tensor
     commands: Tensor
     status: Tensor
-    around: Around
+    around: NearbyBodies
 
     @classmethod
     def of(cls, frames: Sequence[TrainingFrame], points_per_line: int, device: torch.device) -> Self:
@@ -69,14 +69,14 @@ class Targets:
             futures_valid=torch.cat([frame.futures_valid[mask] for frame, mask in zip(frames, masks, strict=True)]).to(
                 device
             ),
-            lines=fewer_points(torch.cat([frame.lines for frame in frames]), points_per_line).to(device),
+            lines=reduce_points(torch.cat([frame.lines for frame in frames]), points_per_line).to(device),
             line_labels=classes[torch.cat([frame.line_labels for frame in frames])].to(device),
             line_counts=tuple(len(frame.lines) for frame in frames),
             plans=torch.stack([frame.ego_future for frame in frames]).to(device),
             plans_valid=torch.stack([frame.ego_future_valid for frame in frames]).to(device),
             commands=torch.tensor([frame.command for frame in frames], device=device),
             status=status.to(device),
-            around=Around.of(frames, frames[0].ego_future.shape[0]).on(device),
+            around=NearbyBodies.of(frames, frames[0].ego_future.shape[0]).on(device),
         )
 
 
@@ -90,7 +90,7 @@ def box_numbers(boxes: Tensor) -> Tensor:
     return numbers
 
 
-def fewer_points(lines: Tensor, points: int) -> Tensor:
+def reduce_points(lines: Tensor, points: int) -> Tensor:
     """(M, 20, 2) evenly spaced points to (M, points, 2)."""
     places = torch.linspace(0, LINE_POINTS - 1, points)
     lower = places.floor().long().clamp(max=LINE_POINTS - 2)

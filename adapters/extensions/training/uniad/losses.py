@@ -17,21 +17,21 @@ from adapters.extensions.training.image_encoder import miniature_images
 from adapters.extensions.training.losses import (
     FOCAL_GAMMA,
     Matches,
-    assigned,
+    assign,
     box_loss,
     class_cost,
     dice_loss,
     focal_loss,
     match_boxes,
-    normalised_boxes,
+    normalise_boxes,
     query_class_loss,
     trajectory_losses,
 )
 from adapters.networks.layers.deformable_decoder import line_extent
-from adapters.networks.sparse.anchors import clustered
+from adapters.networks.sparse.anchors import find_cluster_centres
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.map_head import MapElements
-from adapters.networks.uniad.motion import GROUP_OF_CLASS, Forecasts
+from adapters.networks.uniad.motion import GROUP_OF_CLASS, MotionForecasts
 from adapters.networks.uniad.occupancy import CELL_M, Occupancy
 from adapters.networks.uniad.planning import UniADInputs
 from adapters.networks.uniad.tracking import Detections
@@ -63,7 +63,7 @@ def network_inputs(frame: TrainingFrame) -> UniADInputs:
 
 
 @dataclass(frozen=True, slots=True)
-class Agents:
+class AgentTargets:
     """G annotated agents in the perception range.
 
     Codes (G, 10) are as the network predicts them; `boxes`, `futures` and `futures_valid` as in `TrainingFrame`.
@@ -77,7 +77,7 @@ class Agents:
     futures_valid: Tensor
 
     @classmethod
-    def of(cls, frame: TrainingFrame, config: UniADConfig) -> "Agents":
+    def of(cls, frame: TrainingFrame, config: UniADConfig) -> "AgentTargets":
         """Agents of a frame whose centres are in the perception range."""
         x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
         x, y = frame.boxes[:, 0], frame.boxes[:, 1]
@@ -93,12 +93,12 @@ class Agents:
 
 
 def box_targets(boxes: Tensor, config: UniADConfig) -> Tensor:
-    """Codes, (N, 10), that the network should predict; see `adapters.networks.uniad.tracking.headings`.
+    """Codes, (N, 10), that the network should predict; see `adapters.networks.uniad.tracking.convert_yaws`.
 
     `boxes` are (N, 9) as `TrainingFrame.boxes`.
     """
     yaw = boxes[:, 6:7] + math.pi / 2 if config.counterclockwise_yaw else -boxes[:, 6:7] - math.pi / 2
-    return normalised_boxes(torch.cat([boxes[:, :6], yaw, boxes[:, 7:]], 1))
+    return normalise_boxes(torch.cat([boxes[:, :6], yaw, boxes[:, 7:]], 1))
 
 
 def ego_box(frame: TrainingFrame) -> Tensor:
@@ -118,7 +118,7 @@ def _inside(points: Tensor, boxes: Tensor) -> Tensor:
     return (along.abs() <= boxes[..., 2:3] / 2) & (across.abs() <= boxes[..., 3:4] / 2)
 
 
-def occupancy_targets(agents: Agents, which: Tensor, config: UniADConfig) -> tuple[Tensor, Tensor]:
+def occupancy_targets(agents: AgentTargets, which: Tensor, config: UniADConfig) -> tuple[Tensor, Tensor]:
     """Cells where V agents are, now and later.
 
     (V, T, rows, columns) float32, 1 for cells whose centre is in the agent's box, and (V, T) where that is known.
@@ -135,7 +135,7 @@ def occupancy_targets(agents: Agents, which: Tensor, config: UniADConfig) -> tup
 
 
 @dataclass(frozen=True, slots=True)
-class Road:
+class MapTargets:
     """M annotated map elements and the drivable area on the bird's-eye view.
 
     Attributes:
@@ -151,7 +151,7 @@ class Road:
     drivable: Tensor
 
     @classmethod
-    def of(cls, frame: TrainingFrame, config: UniADConfig) -> "Road":
+    def of(cls, frame: TrainingFrame, config: UniADConfig) -> "MapTargets":
         """Map elements and drivable area of a frame."""
         x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
         low, size = torch.tensor([x_low, y_low]), torch.tensor([x_high - x_low, y_high - y_low])
@@ -177,8 +177,8 @@ def _distances(points: Tensor, lines: Tensor) -> Tensor:
 
 def query_places(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tensor:
     """Places for the queries, (queries, 3) metres in the lidar frame: where agents are in the training set."""
-    centres = np.concatenate([Agents.of(frame, config).boxes[:, :3].numpy() for frame in frames])
-    return torch.from_numpy(clustered(centres.astype(np.float64), config.queries, "agents")).float()
+    centres = np.concatenate([AgentTargets.of(frame, config).boxes[:, :3].numpy() for frame in frames])
+    return torch.from_numpy(find_cluster_centres(centres.astype(np.float64), config.queries, "agents")).float()
 
 
 def motion_anchors(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tensor:
@@ -188,7 +188,7 @@ def motion_anchors(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tens
     """
     groups: list[list[Tensor]] = [[] for _ in range(config.motion_groups)]
     for frame in frames:
-        agents = Agents.of(frame, config)
+        agents = AgentTargets.of(frame, config)
         offsets = agents.futures[..., :2] - agents.boxes[:, None, :2]
         turn = math.pi / 2 - agents.boxes[:, 6]
         cosine, sine = turn.cos()[:, None], turn.sin()[:, None]
@@ -199,17 +199,19 @@ def motion_anchors(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tens
                 groups[GROUP_OF_CLASS[label]].append(future)
     vehicles = _modes(groups[0], config)
     return torch.stack(
-        [vehicles] + [_modes(group, config) if _varied(group, config) else vehicles for group in groups[1:]]
+        [vehicles] + [_modes(group, config) if _are_varied(group, config) else vehicles for group in groups[1:]]
     )
 
 
-def _varied(futures: list[Tensor], config: UniADConfig) -> bool:
+def _are_varied(futures: list[Tensor], config: UniADConfig) -> bool:
     return len(futures) > 0 and len(np.unique(torch.stack(futures).numpy(), axis=0)) >= config.modes
 
 
 def _modes(futures: list[Tensor], config: UniADConfig) -> Tensor:
     stacked = torch.stack(futures) if futures else torch.zeros(0, config.forecast_steps, 2)
-    return torch.from_numpy(clustered(stacked.double().numpy(), config.modes, "forecasts of vehicles")).float()
+    return torch.from_numpy(
+        find_cluster_centres(stacked.double().numpy(), config.modes, "forecasts of vehicles")
+    ).float()
 
 
 CODE_WEIGHTS = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.2, 0.2)
@@ -225,7 +227,7 @@ OCCUPANCY_WEIGHT = 1.0
 SMALLEST_DEVIATION_M, LARGEST_CORRELATION = 0.1, 0.9
 
 
-def matched_agents(detections: Detections, agents: Agents, carried: Tensor, queries: int) -> Matches:
+def match_agents(detections: Detections, agents: AgentTargets, carried: Tensor, queries: int) -> Matches:
     """Pairs of queries and agents: a track for its own, and fresh queries for all others.
 
     Tracks whose agent has gone have no pair. `carried` are (T,) instances of the tracks, `queries` counts the fresh
@@ -250,7 +252,7 @@ def matched_agents(detections: Detections, agents: Agents, carried: Tensor, quer
 
 
 def detection_losses(
-    detections: Detections, agents: Agents, matches: Matches, ego_codes: Tensor, ego_query: int
+    detections: Detections, agents: AgentTargets, matches: Matches, ego_codes: Tensor, ego_query: int
 ) -> dict[str, Tensor]:
     """Losses of all layers of the decoder of agents, by name; `ego_codes` are (1, 10)."""
     ego_match = agents.labels.new_tensor([ego_query]), agents.labels.new_tensor([len(agents.labels)])
@@ -277,14 +279,14 @@ def _agent_class_loss(logits: Tensor, labels: Tensor, matches: Matches) -> Tenso
     return (share * miss**FOCAL_GAMMA * entropy).sum() / max(len(matches.queries), 1)
 
 
-def matched_elements(elements: MapElements, road: Road) -> Matches:
+def match_elements(elements: MapElements, road: MapTargets) -> Matches:
     """Pairs of queries and map elements, by class and rectangle."""
     distance = torch.cdist(elements.rectangles[-1].detach(), road.rectangles, p=1)
-    return assigned(CLASS_WEIGHT * class_cost(elements.class_logits[-1], road.labels) + 5 * distance)
+    return assign(CLASS_WEIGHT * class_cost(elements.class_logits[-1], road.labels) + 5 * distance)
 
 
 def map_losses(
-    elements: MapElements, road: Road, matches: Matches, masks: Tensor, drivable: Tensor
+    elements: MapElements, road: MapTargets, matches: Matches, masks: Tensor, drivable: Tensor
 ) -> dict[str, Tensor]:
     """Losses of the map head by name; `masks` are (K, cells) values of the queries, `drivable` (1, cells) ones."""
     classes = [query_class_loss(logits, road.labels, matches) for logits in elements.class_logits]
@@ -313,7 +315,7 @@ def mask_loss(values: Tensor, targets: Tensor) -> Tensor:
     return (balanced + 1 - overlap).mean()
 
 
-def forecast_losses(forecasts: Forecasts, wanted: Tensor, valid: Tensor) -> dict[str, Tensor]:
+def forecast_losses(forecasts: MotionForecasts, wanted: Tensor, valid: Tensor) -> dict[str, Tensor]:
     """Losses of all layers of the forecast; `wanted` are (A, steps, 2) metres from the present places of agents."""
     distances, modes, deviations = [], [], []
     for trajectories, log_probabilities in zip(forecasts.trajectories, forecasts.log_probabilities, strict=True):

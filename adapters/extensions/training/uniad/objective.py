@@ -9,36 +9,36 @@ import torch
 from torch import Tensor, nn
 
 from adapters.extensions.training.dense_targets import dense_loss
-from adapters.extensions.training.frames import TrainingFrame, turned_can_bus, untold
+from adapters.extensions.training.frames import TrainingFrame, mask_ego_status, rotate_can_bus
 from adapters.extensions.training.front import mean_front_losses
-from adapters.extensions.training.losses import Matches, aside_loss, plan_loss
+from adapters.extensions.training.losses import Matches, lateral_loss, plan_loss
 from adapters.extensions.training.plan_room import agent_constraint, boundary_constraint, room_loss
 from adapters.extensions.training.uniad.losses import (
-    Agents,
-    Road,
+    AgentTargets,
+    MapTargets,
     box_targets,
     detection_losses,
     ego_box,
     forecast_losses,
     map_losses,
-    matched_agents,
-    matched_elements,
+    match_agents,
+    match_elements,
     network_inputs,
     occupancy_loss,
     occupancy_targets,
 )
-from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.layers.ego_motion import BEVMotion
 from adapters.networks.layers.front_reader import FRONT
-from adapters.networks.uniad.model import Memory, UniAD
-from adapters.networks.uniad.motion import Forecasts
+from adapters.networks.uniad.model import UniAD, UniADMemory
+from adapters.networks.uniad.motion import MotionForecasts
 from adapters.networks.uniad.planning import UniADInputs, UniADPlan
-from adapters.networks.uniad.tracking import NO_TRACK, Boxes, Detections, Instances, Pose, decoded
+from adapters.networks.uniad.tracking import NO_TRACK, Boxes, Detections, Instances, Pose, decode_instances
 
-Stage = Literal["perception", "all"]
+TrainingStage = Literal["perception", "all"]
 """``perception``: tracks and map. ``all``: forecasts, occupancy and plan too."""
 PLAN_WEIGHT, ASIDE_WEIGHT, CONSTRAINT_WEIGHT, ROOM_WEIGHT = 1.5, 6.0, 0.4, 3.0
 DENSE_WEIGHT = 6.0
-LOST = 0.1
+TRACK_DROPOUT = 0.1
 """Share of tracks that are dropped between frames, so that their agents are found anew."""
 FALSE_FROM = 0.25
 """Whoever stands for nobody and is more certain than this is handed on as a track, as it would be when the network runs
@@ -47,7 +47,7 @@ MOST_FALSE = 12
 """Of them, the most certain."""
 FROZEN = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1", "img_backbone.layer2")
 """What stays as the pre-training left it: half of a frame's cost would be its gradients."""
-SEES = (
+BEV_MODULES = (
     "img_backbone",
     "img_neck",
     "pts_bbox_head.bev_embedding",
@@ -67,7 +67,7 @@ MOST_OCCUPYING = 8
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class FrameFeatures:
     """View of a key frame: (cells, C) bird's-eye view and the (1, C, h, w) finest feature map of the front camera.
 
     `can_bus` is (18,) float32, how the ego moves, as far as it is told.
@@ -95,7 +95,7 @@ class UniADObjective:
     def __init__(
         self,
         network: UniAD,
-        stage: Stage = "all",
+        stage: TrainingStage = "all",
         clip_frames: int = 2,
         learned_frames: int | None = None,
         unaware: float = 1 / 3,
@@ -106,7 +106,7 @@ class UniADObjective:
         self.network, self.stage, self.clip_frames = network, stage, clip_frames
         self.learned_frames = clip_frames if learned_frames is None else learned_frames
         for name, parameter in network.named_parameters():
-            if name.startswith(SEES):
+            if name.startswith(BEV_MODULES):
                 parameter.requires_grad_(not sees_already and not name.startswith(FROZEN))
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
@@ -124,12 +124,12 @@ class UniADObjective:
         if network.training:
             network.eval()
         inputs = [network_inputs(frame) for frame in clip]
-        inputs = [replace(entry, can_bus=turned_can_bus(entry.can_bus, turn_rad)) for entry in inputs]
-        views = self._views(inputs, aware)
-        past: Memory | None = None
+        inputs = [replace(entry, can_bus=rotate_can_bus(entry.can_bus, turn_rad)) for entry in inputs]
+        views = self._encode_frames(inputs, aware)
+        past: UniADMemory | None = None
         learned_losses: list[dict[str, Tensor]] = []
         for number, (frame, frame_inputs) in enumerate(zip(clip, inputs, strict=True)):
-            learned = number >= self._first_learned(len(clip))
+            learned = number >= self._first_learned_frame(len(clip))
             with torch.set_grad_enabled(learned):
                 past, losses = self._frame(frame, frame_inputs, next(views), past, last=number == len(clip) - 1)
             if learned:
@@ -139,14 +139,14 @@ class UniADObjective:
             for name in learned_losses[-1]
         }
 
-    def _first_learned(self, frames: int) -> int:
+    def _first_learned_frame(self, frames: int) -> int:
         """The first frame of a clip with gradients."""
         return max(frames - self.learned_frames, 0)
 
-    def _views(self, inputs: Sequence[UniADInputs], aware: bool) -> Iterator[View]:
+    def _encode_frames(self, inputs: Sequence[UniADInputs], aware: bool) -> Iterator[FrameFeatures]:
         """Views of the frames of a clip, one after the other; the images of those with gradients together."""
         network, config = self.network, self.network.config
-        learned = self._first_learned(len(inputs))
+        learned = self._first_learned_frame(len(inputs))
         previous: Tensor | None = None
         maps: list[Tensor] = []
         for number, current in enumerate(inputs):
@@ -157,38 +157,38 @@ class UniADObjective:
             place = number - (learned if number >= learned else 0)
             frame_maps = [level[place * config.cameras : (place + 1) * config.cameras] for level in maps]
             previous_can_bus = inputs[number - 1].can_bus if number else None
-            motion = EgoMotion.between(previous_can_bus, current.can_bus, config.grid, config.rotation_centre)
+            motion = BEVMotion.between(previous_can_bus, current.can_bus, config.grid, config.rotation_centre)
             motion = motion.to(current.images.device)
             if not aware:
-                motion = untold(motion)
+                motion = mask_ego_status(motion)
             previous = network.pts_bbox_head.encode(
                 frame_maps, current.images, current.lidar2img.float(), motion, previous
             )
-            yield View(previous, frame_maps[0][FRONT : FRONT + 1], motion.can_bus)
+            yield FrameFeatures(previous, frame_maps[0][FRONT : FRONT + 1], motion.can_bus)
 
     def _frame(
-        self, frame: TrainingFrame, inputs: UniADInputs, view: View, past: Memory | None, *, last: bool
-    ) -> tuple[Memory, dict[str, Tensor]]:
+        self, frame: TrainingFrame, inputs: UniADInputs, view: FrameFeatures, past: UniADMemory | None, *, last: bool
+    ) -> tuple[UniADMemory, dict[str, Tensor]]:
         network, config, bev = self.network, self.network.config, view.bev
         pose = Pose.of(inputs.l2g_r_mat, inputs.l2g_t, inputs.timestamp, bev.device)
         entering, _ = network.entering_queries(past, pose)
         detections = network.pts_bbox_head.detect(bev, entering.queries, entering.reference_logits)
-        agents = Agents.of(frame, config)
-        matches = matched_agents(detections, agents, entering.track_ids[config.queries + 1 :], config.queries)
+        agents = AgentTargets.of(frame, config)
+        matches = match_agents(detections, agents, entering.track_ids[config.queries + 1 :], config.queries)
         ego_codes = box_targets(ego_box(frame), config)
         losses = detection_losses(detections, agents, matches, ego_codes, config.queries)
         if self.view_learns:
             losses["dense"] = dense_loss(bev, frame, config.grid, DENSE_WEIGHT)
-        instances = _followed(entering, detections, agents, matches)
-        memory = Memory(frame.scene, bev, self._handed_on(instances, matches), pose)
+        instances = _assign_track_ids(entering, detections, agents, matches)
+        memory = UniADMemory(frame.scene, bev, self._next_queries(instances, matches), pose)
         if last:
-            losses |= self._road_and_plan(frame, view, instances, agents, matches)
+            losses |= self._map_and_plan_losses(frame, view, instances, agents, matches)
         return memory, losses
 
-    def _handed_on(self, instances: Instances, matches: Matches) -> Instances:
+    def _next_queries(self, instances: Instances, matches: Matches) -> Instances:
         """Queries of the next frame: fresh ones, tracks of most of the agents, and tracks of none."""
         network = self.network
-        surviving = matches.queries[torch.rand(len(matches.queries)) >= LOST]
+        surviving = matches.queries[torch.rand(len(matches.queries)) >= TRACK_DROPOUT]
         surviving = torch.cat([surviving, self._false_tracks(instances, matches)])
         return network.fresh_queries().then(network.query_interact(network.memory_bank(instances).kept(surviving)))
 
@@ -199,18 +199,18 @@ class UniADObjective:
         count = min(int((scores >= FALSE_FROM).sum()), MOST_FALSE)
         return scores.topk(count).indices
 
-    def _road_and_plan(
+    def _map_and_plan_losses(
         self,
         frame: TrainingFrame,
-        view: View,
+        view: FrameFeatures,
         instances: Instances,
-        agents: Agents,
+        agents: AgentTargets,
         matches: Matches,
     ) -> dict[str, Tensor]:
         network, config, bev = self.network, self.network.config, view.bev
         elements = network.seg_head(bev)
-        road = Road.of(frame, config)
-        lines = matched_elements(elements, road)
+        road = MapTargets.of(frame, config)
+        lines = match_elements(elements, road)
         head = network.seg_head
         contents, positions = head.stuff_query.weight.chunk(2, -1)
         masks = elements.cells.new_zeros(0, len(elements.cells))
@@ -221,8 +221,8 @@ class UniADObjective:
             return losses
         nearest = agents.boxes[matches.wanted, :2].norm(dim=-1).argsort()[:MOST_FORECAST]
         agent_rows = matches.wanted[nearest]
-        tracks = decoded(instances.kept(matches.queries[nearest]))
-        ego = decoded(instances.kept(slice(config.queries, config.queries + 1)))
+        tracks = decode_instances(instances.kept(matches.queries[nearest]))
+        ego = decode_instances(instances.kept(slice(config.queries, config.queries + 1)))
         forecasts = network.motion_head(tracks.then(ego), elements, bev)
         losses |= forecast_losses(forecasts, *_futures(frame, agents, agent_rows))
         plan = network.planning_head(
@@ -235,10 +235,10 @@ class UniADObjective:
             view.can_bus,
         )
         losses |= plan_losses(plan, frame)
-        return losses | self._occupancy(bev, tracks, agents, agent_rows, forecasts)
+        return losses | self._occupancy_losses(bev, tracks, agents, agent_rows, forecasts)
 
-    def _occupancy(
-        self, bev: Tensor, tracks: Boxes, agents: Agents, agent_rows: Tensor, forecasts: Forecasts
+    def _occupancy_losses(
+        self, bev: Tensor, tracks: Boxes, agents: AgentTargets, agent_rows: Tensor, forecasts: MotionForecasts
     ) -> dict[str, Tensor]:
         network, config = self.network, self.network.config
         vehicles = network.vehicle_classes[agents.labels[agent_rows]].nonzero()[:MOST_OCCUPYING, 0]
@@ -257,7 +257,7 @@ class UniADObjective:
         return {"occupancy": occupancy_loss(occupancy, *occupancy_targets(agents, agent_rows[vehicles], config))}
 
 
-def _followed(entering: Instances, detections: Detections, agents: Agents, matches: Matches) -> Instances:
+def _assign_track_ids(entering: Instances, detections: Detections, agents: AgentTargets, matches: Matches) -> Instances:
     """Instances after the decoder; who stands for an agent has its number as a track."""
     ids = torch.full_like(entering.track_ids, NO_TRACK)
     ids[matches.queries] = agents.instances[matches.wanted]
@@ -278,7 +278,7 @@ def plan_losses(plan: UniADPlan, frame: TrainingFrame) -> dict[str, Tensor]:
     points, future, valid = plan.positions_m, frame.ego_future, frame.ego_future_valid
     losses = {
         "plan": PLAN_WEIGHT * plan_loss(points, future, valid),
-        "plan aside": ASIDE_WEIGHT * aside_loss(points[:, 0], future[:, 0], valid),
+        "plan aside": ASIDE_WEIGHT * lateral_loss(points[:, 0], future[:, 0], valid),
         "plan agents": CONSTRAINT_WEIGHT * agent_constraint(points, frame),
         "plan boundary": CONSTRAINT_WEIGHT * boundary_constraint(points, frame),
         "plan room": ROOM_WEIGHT * room_loss(points, frame),
@@ -286,7 +286,7 @@ def plan_losses(plan: UniADPlan, frame: TrainingFrame) -> dict[str, Tensor]:
     return losses if plan.front is None else losses | mean_front_losses(plan.front, [frame])
 
 
-def _futures(frame: TrainingFrame, agents: Agents, agent_rows: Tensor) -> tuple[Tensor, Tensor]:
+def _futures(frame: TrainingFrame, agents: AgentTargets, agent_rows: Tensor) -> tuple[Tensor, Tensor]:
     """(A + 1, steps, 2) and (A + 1, steps): where agents and then the ego go, and whether that is known."""
     offsets = agents.futures[agent_rows][..., :2] - agents.boxes[agent_rows][:, None, :2]
     rest = offsets.shape[1] - len(frame.ego_future)

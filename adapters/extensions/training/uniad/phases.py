@@ -17,11 +17,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from adapters.extensions.training.frames import FORGOTTEN, Frames, LookedAt, TrainingFrame, weighed
-from adapters.extensions.training.front import OWN_EYES, TOLD
+from adapters.extensions.training.frames import MEMORY_DROPOUT, CachedFrames, Frames, TrainingFrame, oversample_changes
+from adapters.extensions.training.front import FRONT_BACKBONE_PREFIX, MESSAGE_LAYER_PREFIX
 from adapters.extensions.training.trainer import Phase, Recipe
 from adapters.extensions.training.uniad.losses import motion_anchors, network_inputs, query_places
-from adapters.extensions.training.uniad.objective import UniADObjective, View, plan_losses
+from adapters.extensions.training.uniad.objective import FrameFeatures, UniADObjective, plan_losses
 from adapters.networks.layers.deformable_attention import ring_of_offsets
 from adapters.networks.layers.deformable_decoder import logit
 from adapters.networks.uniad.config import UniADConfig
@@ -66,7 +66,7 @@ _SHARED = tuple(
 """How the names of parameters begin that UniAD and VAD share."""
 
 
-def untrained(config: UniADConfig, frames: Sequence[TrainingFrame], seed: int) -> UniAD:
+def build_untrained(config: UniADConfig, frames: Sequence[TrainingFrame], seed: int) -> UniAD:
     """A network to be trained.
 
     Places of queries and anchors of forecasts are from the frames, some hundreds; the anchors are part of its state.
@@ -79,14 +79,14 @@ def untrained(config: UniADConfig, frames: Sequence[TrainingFrame], seed: int) -
             _start_motion(network)
             _start_plan(network, frames)
             if network.planning_head.front_reader is not None:
-                network.planning_head.front_reader.say_nothing()
+                network.planning_head.front_reader.zero_message()
             _start_places(network, query_places(frames, config))
             _start_boxes(network)
             _start_layers(network)
     return network
 
 
-def seen_by_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def transfer_from_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of a trained VAD for what UniAD has in common with it: images, bird's-eye view and boxes.
 
     Both see as BEVFormer does and find boxes with the same decoder; UniAD's tracks, map, forecasts, occupancy and plan
@@ -112,19 +112,21 @@ def seen_by_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     ego = torch.linalg.pinv(places["weight"]) @ (logit(-low / (high - low)) - places["bias"])
     ego_query = torch.cat([ego, torch.zeros_like(ego)])[None].to(trunk[_VAD_QUERIES].dtype)
     weights["query_embedding.weight"] = torch.cat([trunk[_VAD_QUERIES], ego_query])
-    if any(name.startswith(OWN_EYES) for name in trunk):
+    if any(name.startswith(FRONT_BACKBONE_PREFIX) for name in trunk):
         # Its plan reads another map of the front camera.
         return weights
     reader = f"{_HEAD}front_reader."
     # What it tells is in the numbers of another plan.
-    read = (name for name in trunk if name.startswith(reader) and not name.startswith(f"{reader}{TOLD}"))
+    read = (
+        name for name in trunk if name.startswith(reader) and not name.startswith(f"{reader}{MESSAGE_LAYER_PREFIX}")
+    )
     return weights | {f"planning_head.front_reader.{name.removeprefix(reader)}": trunk[name] for name in read}
 
 
 def _start_classes(network: UniAD) -> None:
     rare = -math.log((1 - RARE) / RARE)
     for branch in (*network.pts_bbox_head.cls_branches, *network.seg_head.cls_branches):
-        nn.init.constant_(_last(branch).bias, rare)
+        nn.init.constant_(_last_linear(branch).bias, rare)
 
 
 def _start_places(network: UniAD, places: Tensor) -> None:
@@ -142,7 +144,7 @@ def _start_places(network: UniAD, places: Tensor) -> None:
 
 def _start_motion(network: UniAD) -> None:
     """Of the CAN bus only what tells how the ego moves is read, all of order one; the rest drowns it for long."""
-    layer = _last(network.pts_bbox_head.transformer.can_bus_mlp[0])
+    layer = _last_linear(network.pts_bbox_head.transformer.can_bus_mlp[0])
     read = torch.zeros(layer.in_features)
     for number, usual in USUAL_MOTION.items():
         read[number] = 1 / usual
@@ -155,8 +157,8 @@ def _start_boxes(network: UniAD) -> None:
     width, length, height = (math.log(size) for size in CAR_M)
     bias = torch.tensor([0.0, 0.0, width, length, 0.0, height, 0.0, 0.0, 0.0, 0.0])
     for branch in network.pts_bbox_head.reg_branches:
-        nn.init.zeros_(_last(branch).weight)
-        _last(branch).bias.copy_(bias)
+        nn.init.zeros_(_last_linear(branch).weight)
+        _last_linear(branch).bias.copy_(bias)
 
 
 def _start_plan(network: UniAD, frames: Sequence[TrainingFrame]) -> None:
@@ -164,7 +166,7 @@ def _start_plan(network: UniAD, frames: Sequence[TrainingFrame]) -> None:
     complete = [frame.ego_future for frame in frames if bool(frame.ego_future_valid.all())]
     if not complete:
         raise InputError("no training frame has three recorded seconds after it; give a split with longer scenes")
-    driven, last = torch.stack(complete), _last(network.planning_head.reg_branch)
+    driven, last = torch.stack(complete), _last_linear(network.planning_head.reg_branch)
     last.weight *= LOUD
     last.bias.copy_(driven.diff(dim=1, prepend=torch.zeros(len(driven), 1, 2)).mean(0).flatten())
 
@@ -181,27 +183,27 @@ def _start_layers(network: UniAD) -> None:
             nn.init.zeros_(module.sampling_offsets.weight)
             module.sampling_offsets.bias.copy_(ring_of_offsets(module.heads, module.steps, module.points))
         if isinstance(module, MaskLogits):
-            mixture, last = _first(module.linear_l1), _first(module.linear)
+            mixture, last = _first_linear(module.linear_l1), _first_linear(module.linear)
             mixture.weight.copy_(torch.eye(module.heads))
             nn.init.zeros_(mixture.bias)
             nn.init.constant_(last.weight, 1 / module.heads)
             nn.init.constant_(last.bias, FIRST_VALUE)
 
 
-def _first(branch: nn.Sequential) -> nn.Linear:
+def _first_linear(branch: nn.Sequential) -> nn.Linear:
     layer = branch[0]
     assert isinstance(layer, nn.Linear)
     return layer
 
 
-def _last(branch: nn.Module) -> nn.Linear:
+def _last_linear(branch: nn.Module) -> nn.Linear:
     layer = list(branch.children())[-1] if isinstance(branch, nn.Sequential) else branch
     assert isinstance(layer, nn.Linear)
     return layer
 
 
 @dataclass(frozen=True, slots=True)
-class PlannerSights:
+class PlanInputs:
     """Inputs of the plan of a key frame, in half precision.
 
     `bev` is (cells, C), `mode_queries` (modes, C) forecast states of the ego, `state` (C,) its track, `finest_front`
@@ -215,7 +217,7 @@ class PlannerSights:
     can_bus: Tensor
 
 
-class PlannerObjective:
+class UniADPlannerObjective:
     """The plan alone. All before it runs over each scene once as when the network drives, its own tracks included.
 
     In the clips of `adapters.extensions.training.uniad.objective.UniADObjective` tracks are a few frames old, and stand
@@ -230,21 +232,21 @@ class PlannerObjective:
         network.requires_grad_(False)
         head = network.planning_head.requires_grad_(True)
         if head.front_reader is not None:
-            head.front_reader.only_tell()
-        self._memory: dict[tuple[str, int], PlannerSights] = {}
+            head.front_reader.freeze_reading()
+        self._memory: dict[tuple[str, int], PlanInputs] = {}
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
-        """As `adapters.extensions.training.frames.ForesightedObjective` describes."""
-        cached_frames = LookedAt(store, frames, self._look)
-        return cached_frames, weighed(cached_frames, frames)
+        """As `adapters.extensions.training.frames.CachingObjective` describes."""
+        cached_frames = CachedFrames(store, frames, self._cache_scene)
+        return cached_frames, oversample_changes(cached_frames, frames)
 
-    def _look(self, scene: Sequence[TrainingFrame]) -> None:
+    def _cache_scene(self, scene: Sequence[TrainingFrame]) -> None:
         network = self.network.eval()
         network.reset()
-        captured: list[PlannerSights] = []
+        captured: list[PlanInputs] = []
         head = network.planning_head
-        hook = head.register_forward_pre_hook(lambda _, arguments: captured.append(_sights(*arguments)))
-        with hook, torch.no_grad(), _nothing_occupied(network):
+        hook = head.register_forward_pre_hook(lambda _, arguments: captured.append(_copy_plan_inputs(*arguments)))
+        with hook, torch.no_grad(), _skip_occupancy(network):
             for frame in scene:
                 network.predict(network_inputs(frame))
                 self._memory[frame.scene, frame.index] = captured.pop()
@@ -258,7 +260,7 @@ class PlannerObjective:
         if network.training:
             network.eval().planning_head.train()
         if network.planning_head.training:
-            modes, state = F.dropout(modes, FORGOTTEN), F.dropout(state, FORGOTTEN)
+            modes, state = F.dropout(modes, MEMORY_DROPOUT), F.dropout(state, MEMORY_DROPOUT)
         plan = network.planning_head(
             sights.bev.float(),
             network.pts_bbox_head.positional_encoding(),
@@ -272,7 +274,7 @@ class PlannerObjective:
 
 
 @contextmanager
-def _nothing_occupied(network: UniAD) -> Iterator[None]:
+def _skip_occupancy(network: UniAD) -> Iterator[None]:
     """Leave out occupancy, which is nearly half of a frame's cost and which no plan reads: no track is a vehicle."""
     vehicles = network.vehicle_classes
     network.vehicle_classes = torch.zeros_like(vehicles)
@@ -282,11 +284,11 @@ def _nothing_occupied(network: UniAD) -> Iterator[None]:
         network.vehicle_classes = vehicles
 
 
-def _sights(
+def _copy_plan_inputs(
     bev: Tensor, _: Tensor, mode_queries: Tensor, state: Tensor, __: int, finest_front: Tensor, can_bus: Tensor
-) -> PlannerSights:
+) -> PlanInputs:
     """Inputs of `adapters.networks.uniad.planning.PlanningHead`; copies, so that nothing else is kept."""
-    return PlannerSights(bev.half(), mode_queries.half(), state.half(), finest_front.half(), can_bus)
+    return PlanInputs(bev.half(), mode_queries.half(), state.half(), finest_front.half(), can_bus)
 
 
 class HeadsObjective(UniADObjective):
@@ -297,34 +299,34 @@ class HeadsObjective(UniADObjective):
 
     def __init__(self, network: UniAD, clip_frames: int) -> None:
         super().__init__(network, clip_frames=clip_frames, unaware=0.0, sees_already=True)
-        self._memory: dict[tuple[str, float], View] = {}
+        self._memory: dict[tuple[str, float], FrameFeatures] = {}
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
-        """As `adapters.extensions.training.frames.ForesightedObjective` describes."""
-        looked = LookedAt(store, frames, self._look)
-        return looked, weighed(looked, frames)
+        """As `adapters.extensions.training.frames.CachingObjective` describes."""
+        looked = CachedFrames(store, frames, self._cache_scene)
+        return looked, oversample_changes(looked, frames)
 
-    def _look(self, scene: Sequence[TrainingFrame]) -> None:
+    def _cache_scene(self, scene: Sequence[TrainingFrame]) -> None:
         inputs = [network_inputs(frame) for frame in scene]
         with torch.no_grad():
-            for frame_inputs, view in zip(inputs, super()._views(inputs, aware=True), strict=True):
-                cached = View(view.bev.half(), view.finest_front.half(), view.can_bus)
+            for frame_inputs, view in zip(inputs, super()._encode_frames(inputs, aware=True), strict=True):
+                cached = FrameFeatures(view.bev.half(), view.finest_front.half(), view.can_bus)
                 self._memory[frame_inputs.scene_token, frame_inputs.timestamp] = cached
 
-    def _views(self, inputs: Sequence[UniADInputs], aware: bool) -> Iterator[View]:
+    def _encode_frames(self, inputs: Sequence[UniADInputs], aware: bool) -> Iterator[FrameFeatures]:
         for frame_inputs in inputs:
             cached = self._memory[frame_inputs.scene_token, frame_inputs.timestamp]
-            yield View(cached.bev.float(), cached.finest_front.float(), cached.can_bus)
+            yield FrameFeatures(cached.bev.float(), cached.finest_front.float(), cached.can_bus)
 
 
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of UniAD-mini."""
-    # What it sees is seen already (`seen_by_vad`): first what follows from it is learned, then everything together.
+    # What it sees is seen already (`transfer_from_vad`): first what follows from it is learned, then everything together.
     heads = Recipe(steps=3000, learning_rate=1e-3, warmup=100, average=0.998, clips=6, check_every=1000)
     clips = Recipe(steps=3000, learning_rate=4e-4, encoder_rate=0.3, warmup=100, average=0.998)
     planner = Recipe(steps=4000, learning_rate=6e-4, warmup=100, average=0.998, clips=24, check_every=1000)
     return (
         Phase("heads", partial(HeadsObjective, clip_frames=4), heads),
         Phase("clips", partial(UniADObjective, clip_frames=4, learned_frames=2), clips),
-        Phase("planner", PlannerObjective, planner),
+        Phase("planner", UniADPlannerObjective, planner),
     )

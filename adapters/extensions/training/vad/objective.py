@@ -10,19 +10,19 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.extensions.training.dense_targets import CHANNELS, OFFSETS, dense_loss, offset_loss
-from adapters.extensions.training.frames import TrainingFrame, turned_can_bus, untold
+from adapters.extensions.training.frames import TrainingFrame, mask_ego_status, rotate_can_bus
 from adapters.extensions.training.front import WEIGHTS as FRONT_WEIGHTS
 from adapters.extensions.training.front import front_losses
 from adapters.extensions.training.image_encoder import miniature_images
 from adapters.extensions.training.losses import (
     Matches,
-    aside_loss,
     box_loss,
     direction_loss,
+    lateral_loss,
     line_loss,
     match_boxes,
     match_lines,
-    normalised_boxes,
+    normalise_boxes,
     plan_loss,
     query_class_loss,
     trajectory_losses,
@@ -33,7 +33,7 @@ from adapters.extensions.training.plan_room import (
     direction_constraint,
     room_loss,
 )
-from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.layers.ego_motion import BEVMotion
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.selection import VADPredictions
 
@@ -83,7 +83,7 @@ WEIGHTS: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Disguise:
+class EgoMotionAugmentation:
     """Disguise of a clip, so that the plan cannot be read off the ego's own motion.
 
     Attributes:
@@ -96,7 +96,7 @@ class Disguise:
     past_known: bool
 
     @classmethod
-    def drawn(cls) -> "Disguise":
+    def drawn(cls) -> "EgoMotionAugmentation":
         """Disguise from the random numbers of the process, which the trainer seeds for each step."""
         turn, speed, past = torch.rand(3).tolist()
         return cls(2 * math.pi * turn, speed >= WITHOUT_SPEED, past >= WITHOUT_PAST)
@@ -115,16 +115,16 @@ class VADObjective:
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
         """Losses of a clip of consecutive key frames; weighted scalars by name, means over the learned frames."""
-        disguise = Disguise.drawn()
+        disguise = EgoMotionAugmentation.drawn()
         first_learned = max(len(clip) - LEARNED_FRAMES, 0)
         previous: tuple[Tensor, Tensor] | None = None
         learned_losses: list[dict[str, Tensor]] = []
         for number in range(first_learned if not disguise.past_known else 0, len(clip)):
             learned = number >= first_learned
             with torch.set_grad_enabled(learned):
-                inputs = inputs_of(clip[number])
-                inputs = replace(inputs, can_bus=turned_can_bus(inputs.can_bus, disguise.turn_rad))
-                predictions = predictions_of(self.network, inputs, previous, disguise.speed_known)
+                inputs = network_inputs(clip[number])
+                inputs = replace(inputs, can_bus=rotate_can_bus(inputs.can_bus, disguise.turn_rad))
+                predictions = predict(self.network, inputs, previous, disguise.speed_known)
                 if learned:
                     learned_losses.append(frame_losses(self.network, predictions, clip[number]))
             # As published, nothing flows back in time.
@@ -135,11 +135,11 @@ class VADObjective:
 
 
 @dataclass(frozen=True, slots=True)
-class Matched:
+class AgentMatches:
     """Annotated agents of a key frame and the queries that stand for them, after each layer of the decoder.
 
     `inside` says, (N,), which of the annotated ones are in the perception range; `wanted` are (G, 10) their boxes as
-    `adapters.extensions.training.losses.normalised_boxes`, in the network's convention.
+    `adapters.extensions.training.losses.normalise_boxes`, in the network's convention.
     """
 
     inside: Tensor
@@ -147,7 +147,7 @@ class Matched:
     layers: Sequence[Matches]
 
 
-def inputs_of(frame: TrainingFrame) -> VADInputs:
+def network_inputs(frame: TrainingFrame) -> VADInputs:
     """Inputs of a frame as `adapters.networks.vad.planner.VADPlanner` makes them; on the processor."""
     images = miniature_images(frame.images)
     return VADInputs(
@@ -172,26 +172,26 @@ def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame
     }
 
 
-def predictions_of(
+def predict(
     network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
 ) -> VADPredictions:
-    """The predictions alone of `looked`, with the same arguments."""
-    return looked(network, inputs, previous, speed_known)[0]
+    """The predictions alone of `predict_with_features`, with the same arguments."""
+    return predict_with_features(network, inputs, previous, speed_known)[0]
 
 
-def looked(
+def predict_with_features(
     network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
-) -> tuple[VADPredictions, Tensor, EgoMotion]:
+) -> tuple[VADPredictions, Tensor, BEVMotion]:
     """Predictions as of `VAD.predict`, with a past that the caller holds; the network's own is not looked at.
 
     With what the plan looks at of the front camera, and the motion as told. `previous` are the (18,) CAN bus vector
-    and (cells, C) view of the frame before, ``None`` at the start of a scene; `speed_known` as in `Disguise`.
+    and (cells, C) view of the frame before, ``None`` at the start of a scene; `speed_known` as in `EgoMotionAugmentation`.
     """
     can_bus, view = previous or (None, None)
     config = network.config
-    motion = EgoMotion.between(can_bus, inputs.can_bus, config.grid, config.rotation_centre)
+    motion = BEVMotion.between(can_bus, inputs.can_bus, config.grid, config.rotation_centre)
     if not speed_known:
-        motion = untold(motion)
+        motion = mask_ego_status(motion)
     maps = network.img_neck(network.img_backbone(inputs.images))
     projections = inputs.lidar2img.float()
     motion = motion.to(inputs.images.device)
@@ -200,21 +200,23 @@ def looked(
     return predictions, finest_front, motion
 
 
-def matched_agents(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> Matched:
+def match_agents(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> AgentMatches:
     """Pairs of queries and annotated agents after each layer."""
     low, high = (torch.tensor(network.config.perception_range_m[first : first + 2]) for first in (0, 3))
     inside = ((frame.boxes[:, :2] > low) & (frame.boxes[:, :2] < high)).all(-1)
     boxes, labels = frame.boxes[inside], frame.labels[inside]
     # The network's yaw is that of mmdet3d before version 1.0.
-    targets = normalised_boxes(torch.cat([boxes[:, :6], -boxes[:, 6:7] - math.pi / 2, boxes[:, 7:]], 1))
+    targets = normalise_boxes(torch.cat([boxes[:, :6], -boxes[:, 6:7] - math.pi / 2, boxes[:, 7:]], 1))
     weights = network.pts_bbox_head.code_weights
     layers = zip(predictions.class_logits, predictions.box_codes, strict=True)
-    return Matched(inside, targets, [match_boxes(logits, codes, labels, targets, weights) for logits, codes in layers])
+    return AgentMatches(
+        inside, targets, [match_boxes(logits, codes, labels, targets, weights) for logits, codes in layers]
+    )
 
 
 def _agent_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
     """Boxes after every layer, forecasts of the queries that the last layer found boxes for."""
-    matched = matched_agents(network, predictions, frame)
+    matched = match_agents(network, predictions, frame)
     labels, weights = frame.labels[matched.inside], network.pts_bbox_head.code_weights
     classes, codes = [], []
     for logits, box_codes, matches in zip(predictions.class_logits, predictions.box_codes, matched.layers, strict=True):
@@ -228,7 +230,7 @@ def _agent_losses(network: VAD, predictions: VADPredictions, frame: TrainingFram
 
 
 def forecast_losses(
-    network: VAD, mode_offsets: Tensor, mode_logits: Tensor, matched: Matched, frame: TrainingFrame
+    network: VAD, mode_offsets: Tensor, mode_logits: Tensor, matched: AgentMatches, frame: TrainingFrame
 ) -> dict[str, Tensor]:
     """Losses of the forecasts of one key frame by name, not weighted.
 
@@ -249,7 +251,7 @@ def forecast_losses(
 def _map_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
     config = network.config
     low, high = (torch.tensor(config.perception_range_m[first : first + 2]) for first in (0, 3))
-    annotated = _with_points(frame.lines, config.points_per_line)
+    annotated = _resample_lines(frame.lines, config.points_per_line)
     classes, lines, directions = [], [], []
     for logits, shares in zip(predictions.map_class_logits, predictions.map_points, strict=True):
         points = low + shares * (high - low)
@@ -264,7 +266,7 @@ def _map_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame)
     }
 
 
-def _with_points(lines: Tensor, points: int) -> Tensor:
+def _resample_lines(lines: Tensor, points: int) -> Tensor:
     """(M, P, 2) lines with another number of evenly spaced points."""
     if not len(lines):
         return lines.new_zeros((0, points, 2))
@@ -297,7 +299,7 @@ def plan_losses(plan_offsets: Tensor, front: Tensor | None, frame: TrainingFrame
         **(nothing if front is None else front_losses(front[0], frame)),
         "plan": plan_loss(plan, frame.ego_future, frame.ego_future_valid),
         "plan_steps": plan_loss(offsets, recorded, frame.ego_future_valid),
-        "plan_aside": aside_loss(plan[:, 0], frame.ego_future[:, 0], frame.ego_future_valid),
+        "plan_aside": lateral_loss(plan[:, 0], frame.ego_future[:, 0], frame.ego_future_valid),
         "plan_agents": agent_constraint(plan, frame),
         "plan_boundary": boundary_constraint(plan, frame),
         "plan_direction": direction_constraint(plan, frame),

@@ -15,27 +15,33 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from adapters.extensions.training.frames import FORGOTTEN, Frames, LookedAt, TrainingFrame, weighed
-from adapters.extensions.training.front import Eyes, eyes_of_sparse, front_phase, of_all_cameras, seen_with_own_eyes
+from adapters.extensions.training.frames import MEMORY_DROPOUT, CachedFrames, Frames, TrainingFrame, oversample_changes
+from adapters.extensions.training.front import (
+    FrontEncoder,
+    add_front_backbone,
+    front_phase,
+    shared_front_encoder,
+    transfer_sparse_front_backbone,
+)
 from adapters.extensions.training.trainer import Phase, Recipe
 from adapters.extensions.training.vad.objective import (
     COARSE,
     WEIGHTS,
-    Matched,
+    AgentMatches,
     VADObjective,
     forecast_losses,
-    inputs_of,
-    looked,
-    matched_agents,
+    match_agents,
+    network_inputs,
     plan_losses,
+    predict_with_features,
 )
 from adapters.networks.layers.deformable_decoder import logit
-from adapters.networks.layers.ego_motion import READ
+from adapters.networks.layers.ego_motion import CAN_BUS_INDICES
 from adapters.networks.layers.front_reader import FrontReader
-from adapters.networks.sparse.anchors import clustered
+from adapters.networks.sparse.anchors import find_cluster_centres
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
-from adapters.networks.vad.selection import VADSights
+from adapters.networks.vad.selection import VADPlanInputs
 from benchmark.machine.storage import content_seed
 
 RARE: Final = 0.02
@@ -45,10 +51,10 @@ CAR_LENGTH_M: Final = 4.6
 CAR_HEIGHT_M: Final = 1.7
 LINE_SHARE: Final = 0.2
 """Length of the first lines, as a share of the perception range along y."""
-UNTOLD: Final = (0, 1, 2, 3, 4, 5, 6, 9, 16)
+UNREAD_CAN_BUS: Final = (0, 1, 2, 3, 4, 5, 6, 9, 16)
 """Numbers of the CAN bus vector that say nothing of how the ego drives: where north is, and how strong gravity."""
 TURN_DEG: Final = 17
-SPEED: Final = READ[0]
+SPEED: Final = CAN_BUS_INDICES[0]
 FASTEST_M_S: Final = 14.0
 """About as fast as anybody drives in the embedded town."""
 QUIET: Final = 0.2
@@ -65,7 +71,7 @@ EDGE_SHARE: Final = 0.02
 """What is nearer to the edge of the perception range, as a share of it, has no query of its own."""
 
 
-def untrained(config: VADConfig, frames: Sequence[TrainingFrame], seed: int) -> VAD:
+def build_untrained(config: VADConfig, frames: Sequence[TrainingFrame], seed: int) -> VAD:
     """A small VAD before its training. A few hundred frames of the training data at least; images are not looked at."""
     with torch.random.fork_rng(devices=()):
         torch.manual_seed(content_seed("vad miniature", seed))
@@ -78,8 +84,8 @@ def untrained(config: VADConfig, frames: Sequence[TrainingFrame], seed: int) -> 
     middles = np.concatenate([np.zeros((0, 2)), *(frame.lines.mean(1).double().numpy() for frame in frames)])
     set_first_values(
         network,
-        torch.from_numpy(clustered(centres[inside], config.agents, "boxes")).float(),
-        torch.from_numpy(clustered((middles - low) / size, config.map_instances, "map elements")).float(),
+        torch.from_numpy(find_cluster_centres(centres[inside], config.agents, "boxes")).float(),
+        torch.from_numpy(find_cluster_centres((middles - low) / size, config.map_instances, "map elements")).float(),
         _mean_plans(frames, config.commands, config.steps),
     )
     return network
@@ -124,38 +130,38 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
         head.motion_mode_query.weight *= QUIET
         head.ego_query.weight *= QUIET
         can_bus_layer = _linears(head.transformer.can_bus_mlp)[0]
-        can_bus_layer.weight[:, UNTOLD] = 0.0
+        can_bus_layer.weight[:, UNREAD_CAN_BUS] = 0.0
         can_bus_layer.weight[:, TURN_DEG] *= 0.1
         # Each unit starts to speak, or falls silent, at a speed of its own.
         can_bus_layer.bias.copy_(
             -can_bus_layer.weight[:, SPEED] * torch.linspace(0, FASTEST_M_S, len(can_bus_layer.bias))
         )
         for branch in (*head.cls_branches, *head.map_cls_branches):
-            nn.init.constant_(_last(branch).bias, math.log(RARE / (1 - RARE)))
+            nn.init.constant_(_last_linear(branch).bias, math.log(RARE / (1 - RARE)))
         sizes = [math.log(size) for size in (CAR_WIDTH_M, CAR_LENGTH_M, CAR_HEIGHT_M)]
         for branch in head.reg_branches:
-            _soften(_last(branch))
-            _last(branch).bias[[2, 3, 5]] = torch.tensor(sizes)
+            _soften(_last_linear(branch))
+            _last_linear(branch).bias[[2, 3, 5]] = torch.tensor(sizes)
         for branch in (*head.map_reg_branches, *head.traj_branches, head.ego_fut_decoder):
-            _soften(_last(branch))
+            _soften(_last_linear(branch))
         planned, forecast = _linears(head.ego_fut_decoder), _linears(head.traj_branches[0])
         for layer in (*planned[:-1], *_linears(head.agent_fus_mlp), *forecast[:-1]):
             layer.weight *= LOUD
-        _last(head.ego_fut_decoder).bias.copy_(plans.flatten())
+        _last_linear(head.ego_fut_decoder).bias.copy_(plans.flatten())
         if head.front_reader is not None:
-            head.front_reader.say_nothing()
+            head.front_reader.zero_message()
 
 
-def begun_from(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def transfer_start_weights(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights that a miniature of VAD starts from, under the names of VAD.
 
-    All of those of a trained VAD (`grown`, `seen_with_own_eyes`); of a sparse miniature the eyes of its plan alone
-    (`eyes_of_sparse`).
+    All of those of a trained VAD (`add_finer_map`, `add_front_backbone`); of a sparse miniature the eyes of its plan alone
+    (`transfer_sparse_front_backbone`).
     """
-    return eyes_of_sparse(trunk, READER) or seen_with_own_eyes(grown(trunk))
+    return transfer_sparse_front_backbone(trunk, READER) or add_front_backbone(add_finer_map(trunk))
 
 
-def grown(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def add_finer_map(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of a miniature that reads one feature map of an image, for one that reads a finer one as well.
 
     The finer map starts as the coarse one in cells of half the size, and every look at an image is shared between the
@@ -187,7 +193,7 @@ def _linears(module: nn.Module) -> list[nn.Linear]:
     return [layer for layer in module.children() if isinstance(layer, nn.Linear)]
 
 
-def _last(branch: nn.Module) -> nn.Linear:
+def _last_linear(branch: nn.Module) -> nn.Linear:
     return _linears(branch)[-1]
 
 
@@ -226,7 +232,7 @@ PERCEPTION: Final = (
 """What stays as it is."""
 
 
-class PlannerObjective:
+class VADPlannerObjective:
     """Forecasts and plans alone. Agents and lines of each key frame are found once, as when the network plans.
 
     Nine tenths of a step of `adapters.extensions.training.vad.objective.VADObjective` are images and the bird's-eye
@@ -244,25 +250,25 @@ class PlannerObjective:
             network.front_eyes.requires_grad_(False)
         reader = network.pts_bbox_head.front_reader
         if reader is not None:
-            reader.only_tell()
-        self._memory: dict[tuple[str, int], tuple[VADSights, Matched]] = {}
+            reader.freeze_reading()
+        self._memory: dict[tuple[str, int], tuple[VADPlanInputs, AgentMatches]] = {}
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
-        """As `adapters.extensions.training.frames.ForesightedObjective` describes."""
-        cached_frames = LookedAt(store, frames, self._look)
-        return cached_frames, weighed(cached_frames, frames)
+        """As `adapters.extensions.training.frames.CachingObjective` describes."""
+        cached_frames = CachedFrames(store, frames, self._cache_scene)
+        return cached_frames, oversample_changes(cached_frames, frames)
 
-    def _look(self, scene: Sequence[TrainingFrame]) -> None:
+    def _cache_scene(self, scene: Sequence[TrainingFrame]) -> None:
         network = self.network
         previous: tuple[Tensor, Tensor] | None = None
         front_before: Tensor | None = None
         with torch.no_grad():
             for frame in scene:
-                inputs = inputs_of(frame)
-                predictions, finest_front, motion = looked(network, inputs, previous, True)
+                inputs = network_inputs(frame)
+                predictions, finest_front, motion = predict_with_features(network, inputs, previous, True)
                 previous = inputs.can_bus, predictions.bev
                 # Copies, so that what is no longer needed of the same tensors is let go.
-                sights = VADSights(
+                sights = VADPlanInputs(
                     agent_states=predictions.agent_states[-1].clone(),
                     agent_places=predictions.agent_references[-1, :, :2].clone(),
                     map_states=predictions.map_states[-1].clone(),
@@ -274,16 +280,16 @@ class PlannerObjective:
                 )
                 if predictions.front is not None:
                     front_before = FrontReader.left(predictions.front, front_before)
-                self._memory[frame.scene, frame.index] = sights, matched_agents(network, predictions, frame)
+                self._memory[frame.scene, frame.index] = sights, match_agents(network, predictions, frame)
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
         """Losses of the last frame of a clip; weighted scalars by name."""
         frame = clip[-1]
         sights, matched = self._memory[frame.scene, frame.index]
         if self.network.training:
-            agents, lines = (F.dropout(states, FORGOTTEN) for states in (sights.agent_states, sights.map_states))
+            agents, lines = (F.dropout(states, MEMORY_DROPOUT) for states in (sights.agent_states, sights.map_states))
             sights = replace(sights, agent_states=agents, map_states=lines)
-        outlook = self.network.pts_bbox_head.look_ahead(sights)
+        outlook = self.network.pts_bbox_head.forecast_and_plan(sights)
         losses = {
             **forecast_losses(self.network, outlook.mode_offsets, outlook.mode_logits, matched, frame),
             **plan_losses(outlook.plan_offsets, outlook.front, frame),
@@ -291,16 +297,16 @@ class PlannerObjective:
         return {name: WEIGHTS[name] * loss for name, loss in losses.items()}
 
 
-def front_reader(network: VAD) -> FrontReader | None:
+def find_front_reader(network: VAD) -> FrontReader | None:
     """The part of a network that reads the front camera for its plan, if it has one."""
     return network.pts_bbox_head.front_reader
 
 
-def front_eyes(network: VAD) -> Eyes:
+def build_front_encoder(network: VAD) -> FrontEncoder:
     """Eyes that make the maps for the front phase."""
     if network.front_eyes is not None:
-        return Eyes(network.front_eyes, own=True)
-    return of_all_cameras(network, (COARSE,))
+        return FrontEncoder(network.front_eyes, own=True)
+    return shared_front_encoder(network, (COARSE,))
 
 
 def phases() -> tuple[Phase, ...]:
@@ -308,7 +314,7 @@ def phases() -> tuple[Phase, ...]:
     everything = Recipe(steps=6000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)
     planner = Recipe(steps=2500, learning_rate=6e-4, warmup=100, clips=24, check_every=1000)
     return (
-        front_phase(front_reader, front_eyes),
+        front_phase(find_front_reader, build_front_encoder),
         Phase("all", VADObjective, everything),
-        Phase("planner", PlannerObjective, planner),
+        Phase("planner", VADPlannerObjective, planner),
     )

@@ -8,7 +8,7 @@ crashes); along recorded paths, where it has none, the numbers are those of anot
 from pathlib import Path
 from typing import Final
 
-from benchmark.extensions.golden_sets.drivers.recorded import compare_encounters, compare_scenes
+from benchmark.extensions.golden_sets.drivers.recorded import compare_interactions, compare_scenes
 from benchmark.extensions.golden_sets.drivers.tables import compare_functions, compare_straight, compare_tables
 from benchmark.verification.golden import GoldenSet
 
@@ -25,7 +25,7 @@ GOLDEN: Final = GoldenSet(
         "scenes.npz",
         "scenes.json",
     ),
-    compare=(compare_functions, compare_straight, compare_tables, compare_encounters, compare_scenes),
+    compare=(compare_functions, compare_straight, compare_tables, compare_interactions, compare_scenes),
     quantities={
         "function *": 1e-9,
         "straight, *": 1e-9,

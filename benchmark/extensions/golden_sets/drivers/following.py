@@ -17,7 +17,7 @@ _AFTERWARDS_STEPS: Final = 40
 _RSS_BRAKING: Final = 6.0
 
 
-def following_distances(speed: Floats) -> dict[str, Floats]:
+def compute_following_distances(speed: Floats) -> dict[str, Floats]:
     """Gaps in metres at which ``cc``, ``rss`` and ``fsm`` follow a leader of their own speed (m/s).
 
     Official tables start so.
@@ -30,7 +30,7 @@ def following_distances(speed: Floats) -> dict[str, Floats]:
     }
 
 
-def cut_in(ego_speed: Floats, other_speed: Floats, gap: Floats, side_speed: float) -> tuple[OtherCar, Floats]:
+def build_cut_ins(ego_speed: Floats, other_speed: Floats, gap: Floats, side_speed: float) -> tuple[OtherCar, Floats]:
     """Cut-ins of one side speed, from the left; (C,) m/s, and (C,) gaps in metres from bumper to bumper.
 
     The other first gathers side speed while both drive; when it has it, it is `SIDE_M` off and ``gap`` ahead.
@@ -55,7 +55,7 @@ def cut_in(ego_speed: Floats, other_speed: Floats, gap: Floats, side_speed: floa
     return other, -STEP_S * ego_speed * gathering
 
 
-def braking_leader(speed: Floats, deceleration: Floats, gap: Floats, steps: int) -> tuple[OtherCar, Floats]:
+def build_braking_leaders(speed: Floats, deceleration: Floats, gap: Floats, steps: int) -> tuple[OtherCar, Floats]:
     """Leaders that brake to a stand from the first step, followed at their own speed, and (C,) starts of the ego.
 
     Speeds are (C,) m/s, decelerations m/s^2, gaps metres from bumper to bumper.

@@ -4,11 +4,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.interactions.driving import Rung, Situation, drive, first_visible
-from benchmark.interactions.golden import differ, encounter, fragile
-from benchmark.interactions.outcomes import Outcome, Surroundings
+from benchmark.interactions.driving import DrivingSituation, ReferenceDriver, find_first_visible_time, simulate_drivers
+from benchmark.interactions.golden import differ, is_fragile, read_interaction
+from benchmark.interactions.outcomes import CollisionChecker, DriverOutcome
 from benchmark.interactions.reaction import Driver
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder
 
@@ -17,14 +17,14 @@ _ADDED: Final = "vehicle.car"
 """Category of the adversaries that are added to recorded scenes."""
 
 
-def compare_encounters(comparison: Comparison, folder: GoldenFolder) -> None:
+def compare_interactions(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare encounters of two tracks."""
     stored = folder.arrays("encounters.npz")
     for facts in folder.facts("encounters.json"):
         name = facts["name"]
         at = comparison.at(name, "encounters: ")
-        for driver, outcome in _driven(facts, encounter(stored, facts), None).items():
-            if fragile(facts["drivers"][driver]):
+        for driver, outcome in _run_drivers(facts, read_interaction(stored, facts), None).items():
+            if is_fragile(facts["drivers"][driver]):
                 continue
             _compare_outcome(at, outcome, facts["drivers"][driver])
             for quantity in ("speed", "station"):
@@ -39,13 +39,13 @@ def compare_scenes(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare whole scenes with an adversary each."""
     stored = folder.arrays("scenes.npz")
     for facts in folder.facts("scenes.json"):
-        adversary, tracks = facts["index"], _scene_tracks(stored, facts["scene"], facts["adversary"])
+        adversary, tracks = facts["index"], _read_tracks(stored, facts["scene"], facts["adversary"])
         at = comparison.at(f"{facts['scene']} {facts['adversary']}", "scenes: ")
-        visible_from = first_visible(tracks, adversary, tracks.grid())
+        visible_from = find_first_visible_time(tracks, adversary, tracks.grid())
         at.verdicts("first visible", differ(visible_from, facts["first_visible"]))
-        for driver, outcome in _driven(facts, tracks, adversary).items():
+        for driver, outcome in _run_drivers(facts, tracks, adversary).items():
             golden = facts["drivers"][driver]
-            if fragile(golden):
+            if is_fragile(golden):
                 continue
             _compare_outcome(at, outcome, golden)
             comparison.numbers("scenes: last station (m)", outcome.station[-1], golden["end_station"])
@@ -53,12 +53,12 @@ def compare_scenes(comparison: Comparison, folder: GoldenFolder) -> None:
             at.verdicts("reason", outcome.reason != golden["first_reason"])
 
 
-def _scene_tracks(stored: GoldenArrays, scene: str, kind: str) -> Tracks:
+def _read_tracks(stored: GoldenArrays, scene: str, kind: str) -> ContinuousTracks:
     seconds = stored.floats(f"{scene}/seconds", None)
     frames = len(seconds)
     agents, added = stored.floats(f"{scene}/agents", None, frames, 5), stored.floats(f"{scene}/{kind}", frames, 5)
     valid = stored.verdicts(f"{scene}/valid", len(agents), frames)
-    return Tracks(
+    return ContinuousTracks(
         seconds=seconds,
         ego=stored.floats(f"{scene}/ego", frames, 5),
         agents=np.concatenate([agents, added[None]]),
@@ -67,14 +67,16 @@ def _scene_tracks(stored: GoldenArrays, scene: str, kind: str) -> Tracks:
     )
 
 
-def _driven(facts: dict[str, Any], tracks: Tracks, adversary: int | None) -> dict[str, Outcome]:
+def _run_drivers(facts: dict[str, Any], tracks: ContinuousTracks, adversary: int | None) -> dict[str, DriverOutcome]:
     names = facts["drivers"]
-    rungs = [Rung(Driver(name.removesuffix(_ADVERSARY_ONLY)), name.endswith(_ADVERSARY_ONLY)) for name in names]
-    situation = Situation.of(tracks, adversary=adversary)
-    return dict(zip(names, map(Surroundings.of(situation).outcome, drive(situation, rungs))))
+    rungs = [
+        ReferenceDriver(Driver(name.removesuffix(_ADVERSARY_ONLY)), name.endswith(_ADVERSARY_ONLY)) for name in names
+    ]
+    situation = DrivingSituation.of(tracks, adversary=adversary)
+    return dict(zip(names, map(CollisionChecker.of(situation).find_outcome, simulate_drivers(situation, rungs))))
 
 
-def _compare_outcome(comparison: Comparison, ours: Outcome, golden: dict[str, Any]) -> None:
+def _compare_outcome(comparison: Comparison, ours: DriverOutcome, golden: dict[str, Any]) -> None:
     contact, theirs = ours.contact, golden["contact"]
     comparison.verdicts("survives", ours.survives == (theirs is not None))
     comparison.verdicts("first unsafe step", differ(ours.reacted, golden["reacted"]))

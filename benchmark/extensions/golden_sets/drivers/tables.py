@@ -11,9 +11,13 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.extensions.golden_sets.drivers.following import braking_leader, cut_in, following_distances
+from benchmark.extensions.golden_sets.drivers.following import (
+    build_braking_leaders,
+    build_cut_ins,
+    compute_following_distances,
+)
 from benchmark.geometry import Bools, Floats
-from benchmark.interactions.keeping_distance import raw_acceleration
+from benchmark.interactions.keeping_distance import compute_nuplan_acceleration
 from benchmark.interactions.reaction import (
     Driver,
     critical_score,
@@ -34,7 +38,7 @@ MODELS: Final = {
 """Names of the official models."""
 
 
-def drivers_of(stored: GoldenArrays) -> tuple[Driver, ...]:
+def read_drivers(stored: GoldenArrays) -> tuple[Driver, ...]:
     """The drivers that the array ``models`` names."""
     return tuple(MODELS[name] for name in stored.texts("models"))
 
@@ -52,20 +56,20 @@ def compare_functions(comparison: Comparison, folder: GoldenFolder) -> None:
         "cfs": critical_score(gap, speed, leader, acceleration),
         "rss_distance_along": along_m,
         "rss_distance_across": across_m,
-        **{f"following_distance_{driver}": metres for driver, metres in following_distances(speed).items()},
+        **{f"following_distance_{driver}": metres for driver, metres in compute_following_distances(speed).items()},
     }
     for name, values in ours.items():
         at.numbers(name, values, stored.floats(name, len(gap)))
     at.same("rss_unsafe", (gap < along_m) & (side < across_m), stored.verdicts("rss_unsafe", len(gap)))
     parameters = stored.floats("idm_parameters", 5)
-    raw = raw_acceleration(speed, stored.floats("idm_gap", len(gap)), leader, *parameters.tolist())
+    raw = compute_nuplan_acceleration(speed, stored.floats("idm_gap", len(gap)), leader, *parameters.tolist())
     at.numbers("idm_acceleration_raw (m/s2)", raw, stored.floats("idm_acceleration_raw", len(gap)))
 
 
 def compare_straight(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare runs of the official models."""
     stored = folder.arrays("straight.npz")
-    drivers, x = drivers_of(stored), stored.floats("other_x", None, None)
+    drivers, x = read_drivers(stored), stored.floats("other_x", None, None)
     cases, steps = x.shape
     other = OtherCar(x, *(stored.floats(name, cases, steps) for name in ("other_y", "other_vx", "other_vy")))
     speed = stored.floats("ego_speed", cases)
@@ -109,7 +113,7 @@ def compare_tables(comparison: Comparison, folder: GoldenFolder) -> None:
 
 
 def _compare_cut_ins(comparison: Comparison, stored: GoldenArrays) -> None:
-    drivers = drivers_of(stored)
+    drivers = read_drivers(stored)
     pairs = stored.floats("pairs_km_h", None, 2) / _KM_H
     gaps, side_speeds = stored.floats("gap", None), stored.floats("lateral_speed", None)
     golden = stored.verdicts("crash", len(pairs), len(drivers), len(gaps), len(side_speeds))
@@ -117,7 +121,7 @@ def _compare_cut_ins(comparison: Comparison, stored: GoldenArrays) -> None:
     gap = np.tile(gaps, len(pairs))
     crash = np.zeros((len(side_speeds), len(gap), len(drivers)), np.bool_)
     for number, side_speed in enumerate(side_speeds.tolist()):
-        track, start = cut_in(ego, other, gap, side_speed)
+        track, start = build_cut_ins(ego, other, gap, side_speed)
         runs = drive_straight(np.repeat(start[:, None], len(drivers), axis=1), ego, ego, track, drivers)
         crash[number] = runs.crash_step >= 0
         if Driver.CC in drivers:
@@ -126,37 +130,37 @@ def _compare_cut_ins(comparison: Comparison, stored: GoldenArrays) -> None:
             before = (runs.crash_step[:, column] < 0) | (runs.abandoned < runs.crash_step[:, column])
             crash[number, :, column] &= ~(given_up & before)
     ours = crash.reshape(len(side_speeds), len(pairs), len(gaps), len(drivers)).transpose(1, 3, 2, 0)
-    _share(comparison, "cut-ins", ours != golden, stored.path.name)
+    _compare_share(comparison, "cut-ins", ours != golden, stored.path.name)
 
 
 def _compare_following(comparison: Comparison, stored: GoldenArrays) -> None:
-    drivers = drivers_of(stored)
+    drivers = read_drivers(stored)
     speed = stored.floats("speed_km_h", None) / _KM_H
     rows = len(speed)
     deceleration = stored.floats("deceleration_g", rows) * _G
     golden_gap, crash = stored.floats("initial_gap", len(drivers), rows), stored.verdicts("crash", len(drivers), rows)
     impact = stored.floats("impact", len(drivers), rows)
-    distances = following_distances(speed)
+    distances = compute_following_distances(speed)
     wrong = np.zeros(crash.shape, np.bool_)
     for row, driver in enumerate(drivers):
         comparison.numbers("following: gap (m)", distances[driver], golden_gap[row])
         targets = [crash[row].astype(np.float64), impact[row]]
         if driver is Driver.FSM:
             targets += [stored.floats(name, rows) for name in ("cfs_max", "pfs_max")]
-        errors = _nearest(driver, speed, deceleration, distances[driver], np.array(targets))
+        errors = _compute_errors(driver, speed, deceleration, distances[driver], np.array(targets))
         wrong[row] = errors[0] > 0
         agreed = ~wrong[row]
         comparison.errors("following: impact (m/s)", errors[1][agreed])
         for name, error in zip(("cfs_max", "pfs_max"), errors[2:]):
             comparison.errors(f"following: {name}", error[agreed])
-    _share(comparison, "following", wrong, stored.path.name)
+    _compare_share(comparison, "following", wrong, stored.path.name)
 
 
-def _nearest(driver: Driver, speed: Floats, deceleration: Floats, gap: Floats, targets: Floats) -> Floats:
+def _compute_errors(driver: Driver, speed: Floats, deceleration: Floats, gap: Floats, targets: Floats) -> Floats:
     """(Q, C) errors of crash, impact and the two largest scores, those of the nudge that comes nearest."""
     errors = np.full(targets.shape, np.inf)
     for nudge in _NUDGES_M:
-        track, start = braking_leader(speed, deceleration, gap + nudge, _STEPS)
+        track, start = build_braking_leaders(speed, deceleration, gap + nudge, _STEPS)
         runs = drive_straight(start[:, None], speed, speed, track, (driver,), always_careful=True)
         nudged_errors = np.abs(_summary(runs, track.speed)[: len(targets)] - targets)
         errors = np.where(nudged_errors.sum(axis=0) < errors.sum(axis=0), nudged_errors, errors)
@@ -177,6 +181,6 @@ def _summary(runs: StraightRuns, leader_speed: Floats) -> Floats:
     return np.array([crash, np.where(crash, closing, 0.0), *scores])
 
 
-def _share(comparison: Comparison, table: str, wrong: Bools, where: str) -> None:
+def _compare_share(comparison: Comparison, table: str, wrong: Bools, where: str) -> None:
     comparison.errors(f"{table}: share of cells that differ", wrong.mean())
     comparison.note(f"{table}: share of cells that differ", f"{where}: {np.count_nonzero(wrong)} of {wrong.size} cells")

@@ -20,11 +20,19 @@ from benchmark.pdm.definition import (
     WHEELBASE_M,
     WIDTH_M,
 )
-from benchmark.pdm.layers import Layer, Road
-from benchmark.pdm.motion import comfort_checks, disagreement, extended_comfort, history_rows
-from benchmark.pdm.scoring import Judged, Surroundings, beside, human_scores, judged, log_replay, offsets
+from benchmark.pdm.layers import RoadPolygons, SurfaceKind
+from benchmark.pdm.motion import build_history_rows, check_comfort, compute_disagreement, score_extended_comfort
+from benchmark.pdm.scoring import (
+    ScoredMotions,
+    ScoringContext,
+    measure_offsets,
+    remove_touching_objects,
+    score_against_references,
+    score_motions,
+    score_recorded_motions,
+)
 from benchmark.pdm.totals import FILTERED, SubScores
-from benchmark.pdm.traffic import KeyFrames, at_states
+from benchmark.pdm.traffic import KeyFrameObjects, interpolate_traffic
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays
 
@@ -35,7 +43,7 @@ AGENT_TYPES: Final = 3
 """Types of objects below this move by themselves."""
 
 
-class GoldenScene:
+class PdmGoldenScene:
     """One scene with S samples and P plans for each.
 
     Attributes:
@@ -64,10 +72,12 @@ class GoldenScene:
         self.with_area = stored.verdicts("uses_drivable_area", self.samples)
         self._surfaces = self._read_surfaces()
 
-    def road(self, sample: int) -> Road:
+    def road(self, sample: int) -> RoadPolygons:
         """Surfaces of a sample; some do without the drivable area."""
         area = bool(self.with_area[sample])
-        return Road.of([surface for surface in self._surfaces if area or surface[0] is not Layer.DRIVABLE_AREA])
+        return RoadPolygons.of(
+            [surface for surface in self._surfaces if area or surface[0] is not SurfaceKind.DRIVABLE_AREA]
+        )
 
     def by_plan(self, name: str, *shape: int) -> Floats:
         """An official array, (S, P, ...)."""
@@ -77,11 +87,11 @@ class GoldenScene:
         """Official verdicts, (S, P, ...)."""
         return self.stored.verdicts(name, self.samples, self.count, *shape)
 
-    def _key_frames(self) -> KeyFrames:
+    def _key_frames(self) -> KeyFrameObjects:
         stored, frames = self.stored, PLAN_STEPS + 1
         offsets = stored.integers("obj_offset", self.samples + 1)
         count = int(offsets[-1])
-        return KeyFrames(
+        return KeyFrameObjects(
             offsets=offsets,
             box=stored.floats("obj_key_box", count, frames, 3),
             size=stored.floats("obj_size", count, 2),
@@ -91,7 +101,7 @@ class GoldenScene:
             number=np.arange(count),
         )
 
-    def _read_surfaces(self) -> list[tuple[Layer, Polygon, bool]]:
+    def _read_surfaces(self) -> list[tuple[SurfaceKind, Polygon, bool]]:
         stored = self.stored
         names, layers = stored.texts("layer_names"), stored.integers("poly_layer", None)
         routed = stored.verdicts("poly_on_route", len(layers))
@@ -104,7 +114,7 @@ class GoldenScene:
         for ring in np.flatnonzero(is_hole):
             holes.setdefault(int(owner[ring]), []).append(rings[ring])
         return [
-            (Layer(names[layer]), Polygon(shells[number], holes.get(number, [])), bool(on_route))
+            (SurfaceKind(names[layer]), Polygon(shells[number], holes.get(number, [])), bool(on_route))
             for number, (layer, on_route) in enumerate(zip(layers.tolist(), routed))
         ]
 
@@ -117,7 +127,7 @@ VERDICTS: Final = ("nc", "dac", "ddc", "ttc", "lk", "hc")
 class ModeComparison:
     """Comparison of the verdicts on motions of one kind, ``lqr`` or ``direct``."""
 
-    def __init__(self, comparison: Comparison, scene: GoldenScene, mode: str) -> None:
+    def __init__(self, comparison: Comparison, scene: PdmGoldenScene, mode: str) -> None:
         self.comparison, self.scene, self.mode = comparison, scene, mode
 
     def compare(self, states: Floats) -> list[SubScores]:
@@ -126,20 +136,20 @@ class ModeComparison:
         Gives each sample's sub-scores, EP by the reference.
         """
         scene, sub_scores = self.scene, []
-        differences, ec = comfort_of_pairs(scene, states)
+        differences, ec = compute_pair_comfort(scene, states)
         self.comparison.numbers("EC differences", differences, scene.by_plan(f"{self.mode}_ec_rms", 4))
         self.comparison.same("EC", ec, scene.by_plan(f"{self.mode}_ec"))
         for sample in range(scene.samples):
-            plans = judged(states[sample], np.zeros(scene.count, np.int64), surroundings(scene, sample))
-            self._events(sample, plans)
-            self._sub_scores(sample, plans)
-            sub_scores.append(self._totals(sample, plans, ec[sample]))
+            plans = score_motions(states[sample], np.zeros(scene.count, np.int64), build_surroundings(scene, sample))
+            self._compare_events(sample, plans)
+            self._compare_sub_scores(sample, plans)
+            sub_scores.append(self._compare_totals(sample, plans, ec[sample]))
         return sub_scores
 
     def _official(self, sample: int, name: str, *shape: int) -> Floats:
         return np.asarray(self.scene.by_plan(f"{self.mode}_{name}", *shape)[sample])
 
-    def _events(self, sample: int, plans: Judged) -> None:
+    def _compare_events(self, sample: int, plans: ScoredMotions) -> None:
         """Areas at every state, and every contact with what was made of it."""
         where, flags, same = plans.where, self.scene.flags_by_plan, self.comparison.same
         areas = np.stack([where.multiple_lanes, where.non_drivable, where.oncoming], axis=-1)
@@ -153,7 +163,7 @@ class ModeComparison:
             wrong = np.arange(max(len(events), len(theirs), 1)) < len(other)
             self.comparison.verdicts(f"{name.upper()} events", wrong)
 
-    def _sub_scores(self, sample: int, plans: Judged) -> None:
+    def _compare_sub_scores(self, sample: int, plans: ScoredMotions) -> None:
         same, numbers, course = self.comparison.same, self.comparison.numbers, plans.course
         for name in VERDICTS:
             same(name.upper(), getattr(plans.scores, name), self._official(sample, name))
@@ -162,18 +172,18 @@ class ModeComparison:
         same("collision step", plans.collisions.step, steps(f"{self.mode}_collision_step", *shape)[sample])
         same("TTC step", plans.near_misses.step, steps(f"{self.mode}_ttc_step", *shape)[sample])
         checks = self.scene.flags_by_plan(f"{self.mode}_hc_checks", 6)[sample]
-        same("HC tests", comfort_checks(plans.extremes), checks)
+        same("HC tests", check_comfort(plans.extremes), checks)
         numbers("HC extremes", plans.extremes, self._official(sample, "hc_extremes", 6, 2))
         numbers("progress (m)", course.progress_m, self._official(sample, "progress_m"))
         numbers("wrong way (m)", course.wrong_way_m, self._official(sample, "ddc_max_m"))
-        apart = offsets(plans.states, self.scene.route)
+        apart = measure_offsets(plans.states, self.scene.route)
         numbers("distance from route (m)", apart, self._official(sample, "lk_offset_m", STATES))
 
-    def _totals(self, sample: int, plans: Judged, ec: Floats) -> SubScores:
+    def _compare_totals(self, sample: int, plans: ScoredMotions, ec: Floats) -> SubScores:
         shape, recorded = self.scene.count, self.scene.recorded
         progress_m = np.repeat(plans.course.progress_m[recorded], shape)
         multiplier = np.repeat(plans.scores.multiplier[recorded], shape)
-        scores = beside(plans, progress_m, multiplier)
+        scores = score_against_references(plans, progress_m, multiplier)
         ours = {
             "reference progress (m)": (progress_m, "reference_progress_m"),
             "reference multiplier": (multiplier, "reference_multiplier"),
@@ -189,37 +199,39 @@ class ModeComparison:
         return scores
 
 
-def compare_filter(comparison: Comparison, scene: GoldenScene, states: Floats, scores: list[SubScores]) -> None:
+def compare_filter(comparison: Comparison, scene: PdmGoldenScene, states: Floats, scores: list[SubScores]) -> None:
     """Compare the scores that forgive faults of the recorded driver; motions are (S, P, 31, 11), tracked."""
-    ec = comfort_of_pairs(scene, states)[1]
+    ec = compute_pair_comfort(scene, states)[1]
     for sample, ours in enumerate(scores):
         recorded = states[sample, scene.recorded][None]
-        human = human_scores(judged(recorded, np.zeros(1, np.int64), surroundings(scene, sample)))
+        human = score_recorded_motions(
+            score_motions(recorded, np.zeros(1, np.int64), build_surroundings(scene, sample))
+        )
         for name in FILTERED:
             official = scene.stored.floats(f"human_{name}", scene.samples)[sample]
             comparison.verdicts("recorded driver", getattr(human, name) != official)
-        filtered = ours.forgiving(human.zeros())
+        filtered = ours.forgive(human.zeros())
         columns = {f"filtered {name}": getattr(filtered, name) for name in FILTERED}
         columns |= {"filtered multiplier": filtered.multiplier, "filtered score": filtered.score(ec[sample])}
         for name, values in columns.items():
             comparison.numbers(name, values, scene.by_plan(name.replace(" ", "_"))[sample])
 
 
-def comfort_of_pairs(scene: GoldenScene, states: Floats) -> tuple[Floats, Floats]:
+def compute_pair_comfort(scene: PdmGoldenScene, states: Floats) -> tuple[Floats, Floats]:
     """Differences (S, P, 4) and EC (S, P) of consecutive samples, the same for both."""
     differences = np.zeros((scene.samples, scene.count, 4))
     for number in np.unique(scene.pair):
         earlier, later = np.flatnonzero(scene.pair == number)
-        differences[[earlier, later]] = disagreement(states[earlier], states[later], APART)
-    return differences, extended_comfort(differences)
+        differences[[earlier, later]] = compute_disagreement(states[earlier], states[later], APART)
+    return differences, score_extended_comfort(differences)
 
 
-def surroundings(scene: GoldenScene, sample: int) -> Surroundings:
+def build_surroundings(scene: PdmGoldenScene, sample: int) -> ScoringContext:
     """Surroundings that the plans of one sample of a scene are judged by."""
     frames = scene.key_frames
     start, stop = int(frames.offsets[sample]), int(frames.offsets[sample + 1])
     some = slice(start, stop)
-    of_sample = KeyFrames(
+    of_sample = KeyFrameObjects(
         np.array([0, stop - start]),
         frames.box[some],
         frames.size[some],
@@ -229,11 +241,11 @@ def surroundings(scene: GoldenScene, sample: int) -> Surroundings:
         frames.number[some],
     )
     now = scene.now[sample][None]
-    return Surroundings(
+    return ScoringContext(
         now=now,
-        history=history_rows(scene.history[sample][None]),
+        history=build_history_rows(scene.history[sample][None]),
         has_history=np.ones(1, np.bool_),
-        traffic=log_replay(at_states(of_sample), now),
+        traffic=remove_touching_objects(interpolate_traffic(of_sample), now),
         road=scene.road(sample),
         route=scene.route,
     )

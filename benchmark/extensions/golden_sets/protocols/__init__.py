@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Final
 
-from benchmark.extensions.golden_sets.protocols.aggregates import Judged, compare_rate_file, compare_rates
-from benchmark.extensions.golden_sets.protocols.golden_set import golden_inputs, read_golden_scene, remarks
-from benchmark.extensions.golden_sets.protocols.official import compare_further, compare_official, judged_further
+from benchmark.extensions.golden_sets.protocols.aggregates import SceneOutcomes, compare_rate_file, compare_rates
+from benchmark.extensions.golden_sets.protocols.golden_set import list_golden_inputs, list_remarks, read_golden_scene
+from benchmark.extensions.golden_sets.protocols.official import compare_further, compare_official, judge_further
 from benchmark.extensions.golden_sets.protocols.polygons import compare_polygons
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.verification.checks import Comparison
@@ -22,13 +22,13 @@ def _compare_scenes(comparison: Comparison, folder: GoldenFolder) -> None:
     with roads and the past beside the boxes and verdicts of the further ones. Scenes may lack the verdicts of exact
     polygons (``NAME_exact.npz``), which the notes say; inputs and official verdicts belong together.
     """
-    paths = golden_inputs(folder)
-    judged, further = list[Judged](), list[Judged]()
+    paths = list_golden_inputs(folder)
+    judged, further = list[SceneOutcomes](), list[SceneOutcomes]()
     for path in paths:
         scene = read_golden_scene(path)
         at = comparison.at(scene.name)
         if scene.with_roads:
-            outcomes = judged_further(scene)
+            outcomes = judge_further(scene)
             compare_further(at, scene, outcomes)
             further.append((scene, outcomes))
             continue
@@ -42,7 +42,7 @@ def _compare_scenes(comparison: Comparison, folder: GoldenFolder) -> None:
         judged.append((scene, outcomes))
     compare_rates(comparison, judged)
     compare_rate_file(comparison, folder, further)
-    for text in remarks(folder, paths, {scene.name for scene, _ in further}):
+    for text in list_remarks(folder, paths, {scene.name for scene, _ in further}):
         comparison.note(comparison.checks()[0].quantity, text)
     for check in comparison.checks():
         if check.quantity.endswith("(m)") and check.quantity.split()[0] in STANDARD:

@@ -9,11 +9,11 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.constants import HORIZON_STEPS
-from benchmark.extensions.golden_sets.protocols.golden_set import GoldenScene
-from benchmark.extensions.golden_sets.protocols.official import complete_samples
+from benchmark.extensions.golden_sets.protocols.golden_set import ProtocolGoldenScene
+from benchmark.extensions.golden_sets.protocols.official import find_complete_samples
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import HORIZONS, rates
-from benchmark.protocols import PROTOCOLS, Outcomes
+from benchmark.protocols import PROTOCOLS, ProtocolOutcomes
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenFolder
 
@@ -34,13 +34,13 @@ _COLUMNS: Final = {
 """Protocol and column of ours, and the array of official per-sample values."""
 
 
-Judged = tuple[GoldenScene, Mapping[str, list[Outcomes]]]
+SceneOutcomes = tuple[ProtocolGoldenScene, Mapping[str, list[ProtocolOutcomes]]]
 """A scene, and for each protocol its verdicts on each plan."""
 
 
-def compare_rates(comparison: Comparison, judged: list[Judged]) -> None:
+def compare_rates(comparison: Comparison, judged: list[SceneOutcomes]) -> None:
     """Compare the rates of every plan over the scenes that have it, those with a ghost on the recorded path apart."""
-    groups: dict[str, list[Judged]] = {}
+    groups: dict[str, list[SceneOutcomes]] = {}
     for part in judged:
         groups.setdefault("ghost scenes" if part[0].name.startswith("gtcol") else "scenes", []).append(part)
     for group, scenes in groups.items():
@@ -48,11 +48,11 @@ def compare_rates(comparison: Comparison, judged: list[Judged]) -> None:
             _compare_plan(comparison, group, plan, [part for part in scenes if plan in part[0].plan_names])
 
 
-def _compare_plan(comparison: Comparison, group: str, plan: str, scenes: list[Judged]) -> None:
+def _compare_plan(comparison: Comparison, group: str, plan: str, scenes: list[SceneOutcomes]) -> None:
     names = [scene.name for scene, _ in scenes for _ in scene.truths]
-    complete = np.concatenate([complete_samples(scene) for scene, _ in scenes])
+    complete = np.concatenate([find_complete_samples(scene) for scene, _ in scenes])
     for protocol in sorted({name for name, _ in _COLUMNS}, key=list(PROTOCOLS).index):
-        judged = joined([outcomes[protocol][scene.plan_names.index(plan)] for scene, outcomes in scenes])
+        judged = join_outcomes([outcomes[protocol][scene.plan_names.index(plan)] for scene, outcomes in scenes])
         column_rates = rates(PROTOCOLS[protocol], judged, names)
         for column in (column for name, column in _COLUMNS if name == protocol):
             golden = np.concatenate(
@@ -63,16 +63,16 @@ def _compare_plan(comparison: Comparison, group: str, plan: str, scenes: list[Ju
                 continue
             ours = np.array([column_rates[column][horizon].value for horizon in HORIZONS], np.float64)
             quantity = f"{protocol} rates, {group}: {column}" + (" (m)" if column == "l2" else "")
-            comparison.numbers(quantity, ours, _averaged(protocol, golden, complete), where=f"plan {plan}")
+            comparison.numbers(quantity, ours, _average_values(protocol, golden, complete), where=f"plan {plan}")
 
 
-def _official(scene: GoldenScene, protocol: str, column: str) -> Floats:
+def _official(scene: ProtocolGoldenScene, protocol: str, column: str) -> Floats:
     """Official values, (S, P, 3) for VAD, (S, P, 6) for the others."""
     last = len(HORIZON_STEPS) if protocol.startswith("vad") else scene.plans.shape[2]
     return scene.official.floats(_COLUMNS[protocol, column], *scene.plans.shape[:2], last)
 
 
-def _averaged(protocol: str, values: Floats, complete: Bools) -> Floats:
+def _average_values(protocol: str, values: Floats, complete: Bools) -> Floats:
     """The numbers that the official code prints at 1, 2 and 3 s, and their mean."""
     if protocol == "uniad":
         at_horizon = values.mean(axis=0)[[count - 1 for count in HORIZON_STEPS.values()]]
@@ -84,9 +84,9 @@ def _averaged(protocol: str, values: Floats, complete: Bools) -> Floats:
     return np.append(at_horizon, at_horizon.mean())
 
 
-def joined(parts: Sequence[Outcomes]) -> Outcomes:
+def join_outcomes(parts: Sequence[ProtocolOutcomes]) -> ProtocolOutcomes:
     """Verdicts of several scenes one after the other."""
-    return Outcomes(
+    return ProtocolOutcomes(
         collision=np.concatenate([part.collision for part in parts]),
         l2=np.concatenate([part.l2 for part in parts]),
         valid=np.concatenate([part.valid for part in parts]),
@@ -118,7 +118,7 @@ _MEANS: Final = {"collision": "collision_mean", "l2": "l2_mean"}
 """Columns of the one protocol that has two tables."""
 
 
-def compare_rate_file(comparison: Comparison, folder: GoldenFolder, judged: list[Judged]) -> None:
+def compare_rate_file(comparison: Comparison, folder: GoldenFolder, judged: list[SceneOutcomes]) -> None:
     """Compare the rates of every plan over all scenes with roads but those with a ghost on the recorded path.
 
     Without the file nothing is compared, nor with another number of samples, which is what a set with files left out
@@ -135,11 +135,17 @@ def compare_rate_file(comparison: Comparison, folder: GoldenFolder, judged: list
 
 
 def _compare_table(
-    comparison: Comparison, judged: list[Judged], table: Mapping[str, Any], protocol: str, whose: str, *, means: bool
+    comparison: Comparison,
+    judged: list[SceneOutcomes],
+    table: Mapping[str, Any],
+    protocol: str,
+    whose: str,
+    *,
+    means: bool,
 ) -> None:
     names = [scene.name for scene, _ in judged for _ in scene.truths]
     for at, plan in enumerate(judged[0][0].plan_names):
-        together = joined([outcomes[whose][at] for _, outcomes in judged])
+        together = join_outcomes([outcomes[whose][at] for _, outcomes in judged])
         if int(together.counted.sum()) != table.get("samples", table.get("counted")):
             return
         column_rates = rates(PROTOCOLS[protocol], together, names)

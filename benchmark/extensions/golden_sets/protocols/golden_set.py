@@ -15,7 +15,7 @@ from benchmark.constants import LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
 from benchmark.geometry import Bools, Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Command
-from benchmark.report.words import counted
+from benchmark.report.words import pluralise
 from benchmark.truth import SampleTruth
 from benchmark.verification.golden import GoldenArrays, GoldenFolder
 
@@ -23,7 +23,7 @@ _SIDE: Final = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class GivenRoads:
+class GoldenRoads:
     """`benchmark.truth.Roads` of one golden sample.
 
     Attributes:
@@ -52,12 +52,12 @@ class GivenRoads:
         return np.zeros(len(points), dtype=np.bool_)
 
 
-def read_roads(stored: GoldenArrays, samples: int) -> list[GivenRoads]:
+def read_roads(stored: GoldenArrays, samples: int) -> list[GoldenRoads]:
     """The roads of each sample of a file."""
     lines = stored.floats("boundary_lines", None, 20, 2).astype(np.float32)
     offset = stored.integers("boundary_offset", samples + 1)
     packed = stored.integers("drivable_bits", samples, _SIDE * _SIDE // 8).astype(np.uint8)
-    return [GivenRoads(lines[offset[index] : offset[index + 1]], packed[index]) for index in range(samples)]
+    return [GoldenRoads(lines[offset[index] : offset[index + 1]], packed[index]) for index in range(samples)]
 
 
 _KEYFRAMES: Final = PLAN_STEPS + 1
@@ -69,7 +69,7 @@ _OFFICIAL, _EXACT, _MANIFEST = "_official", "_exact", "manifest.json"
 
 
 @dataclass(frozen=True, slots=True)
-class GoldenScene:
+class ProtocolGoldenScene:
     """One scene with S samples and P plans for each.
 
     Attributes:
@@ -88,7 +88,7 @@ class GoldenScene:
     with_roads: bool
 
 
-def golden_inputs(folder: GoldenFolder) -> list[Path]:
+def list_golden_inputs(folder: GoldenFolder) -> list[Path]:
     """The files of a set that hold scenes and plans, each of which has verdicts beside it."""
     endings = (_OFFICIAL, _EXACT)
     scenes = {path.stem.removesuffix(end) for end in ("", *endings) for path in folder.named(f"*{end}.npz")}
@@ -99,16 +99,16 @@ def golden_inputs(folder: GoldenFolder) -> list[Path]:
     return [folder.path / f"{name}.npz" for name in names]
 
 
-def read_golden_scene(path: Path) -> GoldenScene:
-    """The scene of one of `golden_inputs`."""
+def read_golden_scene(path: Path) -> ProtocolGoldenScene:
+    """The scene of one of `list_golden_inputs`."""
     stored = GoldenArrays.read(path)
     plans = stored.floats("plans", None, None, PLAN_STEPS, 2)
     exact = path.with_stem(path.stem + _EXACT)
     with_roads = PAST in stored.names
-    truths = truths_of(stored, len(plans))
-    return GoldenScene(
+    truths = read_truths(stored, len(plans))
+    return ProtocolGoldenScene(
         name=path.stem,
-        truths=tuple(_with_past_and_roads(stored, truths) if with_roads else truths),
+        truths=tuple(_add_past_and_roads(stored, truths) if with_roads else truths),
         plans=plans,
         plan_names=tuple(stored.texts("plan_names", plans.shape[1])),
         inputs=stored,
@@ -118,7 +118,7 @@ def read_golden_scene(path: Path) -> GoldenScene:
     )
 
 
-def _with_past_and_roads(stored: GoldenArrays, truths: list[SampleTruth]) -> list[SampleTruth]:
+def _add_past_and_roads(stored: GoldenArrays, truths: list[SampleTruth]) -> list[SampleTruth]:
     """Samples with what the further protocols ask for beside boxes: poses, who was seen before, and roads."""
     samples = len(truths)
     before = stored.integers(PAST, samples)
@@ -132,7 +132,7 @@ def _with_past_and_roads(stored: GoldenArrays, truths: list[SampleTruth]) -> lis
         replace(
             truth,
             index=int(before[index]),
-            axle_poses=np.concatenate([now[index : index + 1], _held(now[index], poses[index], truth)]),
+            axle_poses=np.concatenate([now[index : index + 1], _hold_last_pose(now[index], poses[index], truth)]),
             seen_before=visible[ends[index] : ends[index + 1]],
             roads=roads[index],
         )
@@ -140,18 +140,18 @@ def _with_past_and_roads(stored: GoldenArrays, truths: list[SampleTruth]) -> lis
     ]
 
 
-def _held(now: Floats, poses: Floats, truth: SampleTruth) -> Floats:
+def _hold_last_pose(now: Floats, poses: Floats, truth: SampleTruth) -> Floats:
     """(6, 3) poses at the steps, the last recorded one after the end of the scene."""
     last = int(truth.ego_future_valid.sum())
     return np.where(truth.ego_future_valid[:, None], poses, poses[last - 1] if last else now)
 
 
-def remarks(folder: GoldenFolder, paths: list[Path], with_roads: Collection[str]) -> list[str]:
+def list_remarks(folder: GoldenFolder, paths: list[Path], with_roads: Collection[str]) -> list[str]:
     """Remarks on the files of a set: without exact verdicts, listed in the manifest but absent, or not as it describes.
 
     ``with_roads`` names the files of the form that has no exact verdicts.
     """
-    sentences = [counted(len(paths), "file")]
+    sentences = [pluralise(len(paths), "file")]
     names = [path.stem for path in paths if path.stem not in with_roads]
     if without := [name for name in names if not folder.has(f"{name}{_EXACT}.npz")]:
         sentences.append(f"no exact verdicts for {', '.join(without)}")
@@ -167,7 +167,7 @@ def remarks(folder: GoldenFolder, paths: list[Path], with_roads: Collection[str]
     return sentences
 
 
-def truths_of(stored: GoldenArrays, samples: int) -> list[SampleTruth]:
+def read_truths(stored: GoldenArrays, samples: int) -> list[SampleTruth]:
     """The samples of a file of inputs as the protocols take them; where they are in the world matters to none."""
     future = stored.floats("ego_fut", samples, PLAN_STEPS, 3)
     valid = stored.verdicts("ego_fut_valid", samples, PLAN_STEPS)

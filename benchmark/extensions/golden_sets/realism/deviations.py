@@ -6,14 +6,14 @@ from benchmark.fairness.ctg import (
     BINS,
     MEANS,
     RELATIVE_NAMES,
+    CtgMask,
+    CtgNormalisation,
+    CtgVersion,
     Histograms,
-    Mask,
-    Normalisation,
     SceneTracks,
-    Version,
     bin_edges,
-    deviations,
-    histograms,
+    compute_deviations,
+    compute_histograms,
 )
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder
@@ -24,7 +24,7 @@ _EDGES: Final = "edges/"
 
 def compare_deviations(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare histograms, distances and means of every version, normalisation, mask and variant of the set."""
-    inputs, stored = _inputs(folder.arrays("ctg_inputs.npz")), folder.arrays("ctg_histograms.npz")
+    inputs, stored = _read_tracks(folder.arrays("ctg_inputs.npz")), folder.arrays("ctg_histograms.npz")
     edges = {name[len(_EDGES) :]: stored.floats(name, BINS + 1) for name in stored.names if name.startswith(_EDGES)}
     for name, own in bin_edges().items():
         comparison.numbers("ctg: edges", own, edges[name], where=name)
@@ -33,8 +33,8 @@ def compare_deviations(comparison: Comparison, folder: GoldenFolder) -> None:
     def of(setting: str, variant: str) -> Histograms:
         if (setting, variant) not in histograms_by_setting:
             version, normalisation, mask = setting.split("/")
-            chosen = (Version(version), Normalisation(normalisation), Mask(mask))
-            histograms_by_setting[setting, variant] = histograms(inputs[variant], *chosen, edges)
+            chosen = (CtgVersion(version), CtgNormalisation(normalisation), CtgMask(mask))
+            histograms_by_setting[setting, variant] = compute_histograms(inputs[variant], *chosen, edges)
         return histograms_by_setting[setting, variant]
 
     kinds = {tuple(name.rsplit("/", 2)[:2]) for name in stored.names if not name.startswith(_EDGES)}
@@ -45,14 +45,14 @@ def compare_deviations(comparison: Comparison, folder: GoldenFolder) -> None:
             comparison.numbers(f"ctg: {kind}", shares, stored.floats(label, BINS), where=label)
     for setting, variants in folder.facts("ctg_deviations.json").items():
         for variant, golden in variants.items():
-            ours = deviations(of(setting, variant), of(setting, RECORDED), edges)
+            ours = compute_deviations(of(setting, variant), of(setting, RECORDED), edges)
             for name, value in golden.items():
                 kind = "relative" if name.startswith("rel_") or name == tuple(MEANS)[1] else "agents'"
                 quantity = f"ctg: {kind} {'means' if name in MEANS else 'distances'}"
                 comparison.numbers(quantity, ours[name], value, where=f"{setting}/{variant}/{name}")
 
 
-def _inputs(stored: GoldenArrays) -> dict[str, list[SceneTracks]]:
+def _read_tracks(stored: GoldenArrays) -> dict[str, list[SceneTracks]]:
     """Scenes by variant, in order of their names; NaN where an object is absent."""
     tracks: dict[str, list[SceneTracks]] = {}
     for name in sorted(name for name in stored.names if name.endswith("/position")):

@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.fairness.features import FEATURES, Integers, Run, recorded_runs, runs_of
+from benchmark.fairness.features import FEATURES, FeatureRun, Integers, extract_recorded_runs, extract_runs
 from benchmark.fairness.realism import equal_bins, quantile_bins, w1
 from benchmark.geometry import Floats
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder
 
@@ -36,15 +36,15 @@ def compare_motion(comparison: Comparison, folder: GoldenFolder) -> None:
     if facts["features"] != list(FEATURES):
         raise ValueError(f"plain_divergences.json must be about {', '.join(FEATURES)}")
     variants = [name for name in facts if name not in _NOT_VARIANTS]
-    ours: dict[tuple[str, str], list[Run]] = {}
+    ours: dict[tuple[str, str], list[FeatureRun]] = {}
     for scene, agent in facts["chosen"].items():
-        tracks, keyframes = _scene(folder.arrays(f"{scene}.npz"))
-        ours[RECORDED, scene] = recorded_runs(tracks, keyframes, CATEGORY)
+        tracks, keyframes = _read_recording(folder.arrays(f"{scene}.npz"))
+        ours[RECORDED, scene] = extract_recorded_runs(tracks, keyframes, CATEGORY)
         for variant in variants:
             if variant not in (RECORDED, HALVES):
                 changed = tracks.agents.copy()
                 changed[agent] = stored.floats(f"{variant}/{scene}/{agent}/boxes", len(tracks.seconds), 5)
-                ours[variant, scene] = runs_of(replace(tracks, agents=changed), keyframes, agent)
+                ours[variant, scene] = extract_runs(replace(tracks, agents=changed), keyframes, agent)
     pooled = {key: _compare_runs(comparison, stored, key, runs) for key, runs in ours.items()}
     for column, kind in enumerate(("stored", "computed")):
         pools, at = {key: both[column] for key, both in pooled.items()}, f"divergences of {kind} features: "
@@ -52,17 +52,17 @@ def compare_motion(comparison: Comparison, folder: GoldenFolder) -> None:
             _compare_pools(comparison.at(variant, at), variant, facts[variant], pools, list(facts["chosen"]))
 
 
-def _scene(stored: GoldenArrays) -> tuple[Tracks, Integers]:
+def _read_recording(stored: GoldenArrays) -> tuple[ContinuousTracks, Integers]:
     """Recording of a file: all objects, and the indices of the keyframes."""
     seconds, categories = stored.floats("seconds", None), tuple(stored.texts("categories"))
     shape = (len(categories), len(seconds))
     ego, agents = stored.floats("ego", len(seconds), 5), stored.floats("agents", *shape, 5)
-    tracks = Tracks(seconds, ego, agents, stored.verdicts("valid", *shape), categories)
+    tracks = ContinuousTracks(seconds, ego, agents, stored.verdicts("valid", *shape), categories)
     return tracks, stored.integers("keyframes", None)
 
 
 def _compare_runs(
-    comparison: Comparison, stored: GoldenArrays, key: tuple[str, str], runs: list[Run]
+    comparison: Comparison, stored: GoldenArrays, key: tuple[str, str], runs: list[FeatureRun]
 ) -> tuple[Pools, Pools]:
     """Samples by feature, the stored ones and ours, after they were compared.
 
@@ -92,17 +92,17 @@ def _compare_runs(
             ours[name].append(values)
     wrong = [label not in labels or label not in expected for label in sorted(labels | expected)]
     comparison.verdicts("features: which runs count", wrong, where=f"{variant}/{scene}")
-    first, second = ({name: _joined(values) for name, values in of.items()} for of in (golden, ours))
+    first, second = ({name: _concatenate(values) for name, values in of.items()} for of in (golden, ours))
     return first, second
 
 
-def pooled_features(runs: Iterable[Run]) -> Pools:
+def pool_features(runs: Iterable[FeatureRun]) -> Pools:
     """All samples of runs, by feature."""
     runs = list(runs)
-    return {name: _joined([run.values[name] for run in runs]) for name in FEATURES}
+    return {name: _concatenate([run.values[name] for run in runs]) for name in FEATURES}
 
 
-def _joined(parts: list[Floats]) -> Floats:
+def _concatenate(parts: list[Floats]) -> Floats:
     return np.concatenate(parts) if parts else np.empty(0)
 
 
@@ -114,8 +114,8 @@ def _compare_pools(
     of, against = (scenes[::2], scenes[1::2]) if halves else (scenes, scenes)
     shares: dict[str, list[float]] = {"realism": [], "realism_equal_width": []}
     for name in FEATURES:
-        sample = _joined([pools[RECORDED if halves else variant, scene][name] for scene in of])
-        reference = _joined([pools[RECORDED, scene][name] for scene in against])
+        sample = _concatenate([pools[RECORDED if halves else variant, scene][name] for scene in of])
+        reference = _concatenate([pools[RECORDED, scene][name] for scene in against])
         _compare_divergences(comparison.at(f"{variant} {name}"), sample, reference, golden[name])
         shares["realism"].append(1 - quantile_bins(sample, reference).divergence)
         shares["realism_equal_width"].append(1 - equal_bins(sample, reference).divergence)

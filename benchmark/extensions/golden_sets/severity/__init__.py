@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.extensions.golden_sets.severity.quantities import (
+    compare_avoidability,
     compare_contacts,
-    compare_encounters,
-    compare_last_chances,
+    compare_interactions,
     compare_manoeuvres,
 )
 from benchmark.interactions.golden import SAME_TIME_S
@@ -21,7 +21,7 @@ BUILT_IN: Final = Path(__file__).parent / "golden" / "severity"
 GOLDEN: Final = GoldenSet(
     name="severity",
     files=("contacts.json", "encounters.json", "encounters.npz", "manoeuvres.npz"),
-    compare=(compare_contacts, compare_encounters, compare_last_chances, compare_manoeuvres),
+    compare=(compare_contacts, compare_interactions, compare_avoidability, compare_manoeuvres),
     quantities={
         "masses (kg)": 1e-9,
         "contacts: *": 1e-9,

@@ -9,24 +9,24 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.fairness.encounter import severity_of
+from benchmark.fairness.encounter import measure_severity
 from benchmark.geometry import Floats
 from benchmark.interactions.contacts import (
     AHEAD_RAD,
     BEHIND_RAD,
     EGO_MASS_KG,
     KINDS,
-    Pairs,
-    at_fault,
-    bearing,
-    delta_v,
-    fatal_probability,
-    is_agent,
+    ContactPairs,
+    compute_bearing,
+    compute_delta_v,
+    compute_fatal_probability,
+    is_agent_category,
+    is_at_fault,
     mass_kg,
 )
-from benchmark.interactions.driving import Situation
-from benchmark.interactions.golden import differ, encounter, fragile
-from benchmark.interactions.last_chance import MANOEUVRES, STATE_COLUMNS, Base
+from benchmark.interactions.driving import DrivingSituation
+from benchmark.interactions.golden import differ, is_fragile, read_interaction
+from benchmark.interactions.last_chance import MANOEUVRES, STATE_COLUMNS, BaselineEgo
 from benchmark.interactions.tracks import STEP_S
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenFolder
@@ -35,14 +35,14 @@ NEVER_S: Final = 1e6
 """Longer times come from speeds that differ by rounding alone."""
 
 
-def compare_encounters(comparison: Comparison, folder: GoldenFolder) -> None:
+def compare_interactions(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare series and summaries."""
     stored = folder.arrays("encounters.npz")
     for facts in folder.facts("encounters.json"):
-        severity, golden, here = severity_of(encounter(stored, facts), 0), facts["severity"], facts["name"]
+        severity, golden, here = measure_severity(read_interaction(stored, facts), 0), facts["severity"], facts["name"]
         at = comparison.at(here, "encounters: ")
         for name in ("gap", "ttc", "btn"):
-            if not fragile(facts, name):
+            if not is_fragile(facts, name):
                 _compare_series(at, name, getattr(severity, name), stored.floats(f"{here}/{name}", None, gaps=True))
         values = {
             "min_gap": severity.min_gap,
@@ -54,11 +54,11 @@ def compare_encounters(comparison: Comparison, folder: GoldenFolder) -> None:
             "max_btn": severity.max_btn,
         }
         for name, value in values.items():
-            if not fragile(facts, name):
+            if not is_fragile(facts, name):
                 at.verdicts(f"whether there is a {name}", (value is None) != (golden[name] is None))
                 if value is not None and golden[name] is not None:
                     at.numbers(name, value, golden[name])
-        if not fragile(facts, "first"):
+        if not is_fragile(facts, "first"):
             at.verdicts("first", severity.first != golden["first"])
 
 
@@ -77,27 +77,32 @@ _NAME_TOLERANCE: Final = 1e-3
 """A manoeuvre is named by its braking and offset, which may be rounded there."""
 
 
-def compare_last_chances(comparison: Comparison, folder: GoldenFolder) -> None:
+def compare_avoidability(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare last chances; encounters without one in the set must have no contact."""
     stored = folder.arrays("encounters.npz")
     for facts in folder.facts("encounters.json"):
-        if fragile(facts, "last_chance"):
+        if is_fragile(facts, "last_chance"):
             continue
-        base, at = Base(Situation.of(encounter(stored, facts))), comparison.at(facts["name"], "last chance: ")
+        base, at = (
+            BaselineEgo(DrivingSituation.of(read_interaction(stored, facts))),
+            comparison.at(facts["name"], "last chance: "),
+        )
         threatened = "last_chance" in facts
         at.verdicts("threatened", (base.contact is None) == threatened)
         if threatened and base.contact is not None:
-            _compare_chance(at, base, facts, facts["last_chance"])
+            _compare_last_avoidable_time(at, base, facts, facts["last_chance"])
 
 
-def _compare_chance(comparison: Comparison, base: Base, facts: dict[str, Any], golden: dict[str, Any]) -> None:
+def _compare_last_avoidable_time(
+    comparison: Comparison, base: BaselineEgo, facts: dict[str, Any], golden: dict[str, Any]
+) -> None:
     last_chance = base.last_chance()
     assert last_chance.contact is not None
     comparison.verdicts("time of contact", differ(last_chance.contact.time, golden["contact"]))
     comparison.verdicts("class of contact", last_chance.contact.kind.value != golden["class"])
     comparison.verdicts("time", differ(last_chance.time, golden["last_chance"]))
     start = float(base.situation.times[0])
-    wanted = {name: golden[name] for name in golden if not fragile(facts, name)}
+    wanted = {name: golden[name] for name in golden if not is_fragile(facts, name)}
     if "evaluated" in wanted:
         ours, theirs = {str(number): first for number, first in last_chance.evaluated.items()}, wanted["evaluated"]
         comparison.verdicts(
@@ -123,7 +128,7 @@ def compare_manoeuvres(comparison: Comparison, folder: GoldenFolder) -> None:
             for manoeuvre_values in MANOEUVRES
         ]
         golden = traces.floats(label, None, STATE_COLUMNS)
-        tried = Base(Situation.of(encounter(stored, encounters[name]))).try_from(ONSET_S)
+        tried = BaselineEgo(DrivingSituation.of(read_interaction(stored, encounters[name]))).try_from(ONSET_S)
         ours, failed = tried.states[near.index(True)], int(tried.failed[near.index(True)])
         ended, both = len(ours) if failed < 0 else failed + 1, min(len(ours), len(golden))
         comparison.verdicts("manoeuvres: when they end", len(golden) not in (ended, ended - 1), where=label)
@@ -147,68 +152,68 @@ def compare_contacts(comparison: Comparison, folder: GoldenFolder) -> None:
     facts = folder.facts("contacts.json")
     cases, masses = facts["cases"], facts["masses"]
     comparison.numbers("masses (kg)", [EGO_MASS_KG, *map(mass_kg, masses)], [facts["ego_mass"], *masses.values()])
-    pairs = Pairs(
-        ego=_column(cases, "ego"),
-        ego_speed=_column(cases, "ego_speed"),
-        other=_column(cases, "other"),
-        other_velocity=_column(cases, "other_velocity"),
-        is_agent=np.array([is_agent(case["category"]) for case in cases]),
+    pairs = ContactPairs(
+        ego=_read_column(cases, "ego"),
+        ego_speed=_read_column(cases, "ego_speed"),
+        other=_read_column(cases, "other"),
+        other_velocity=_read_column(cases, "other_velocity"),
+        is_agent=np.array([is_agent_category(case["category"]) for case in cases]),
     )
     _compare_expected(comparison.at("", "contacts: "), cases, pairs)
     _compare_official(comparison.at("", "official: "), [case["official_nuplan"] for case in cases], pairs)
 
 
-def _compare_expected(comparison: Comparison, cases: _Cases, pairs: Pairs) -> None:
+def _compare_expected(comparison: Comparison, cases: _Cases, pairs: ContactPairs) -> None:
     expected = [case["expected"] for case in cases]
-    own, others = delta_v(pairs.impact_speed, np.array([mass_kg(case["category"]) for case in cases]))
+    own, others = compute_delta_v(pairs.impact_speed, np.array([mass_kg(case["category"]) for case in cases]))
     ours = {
         "gap": pairs.gap,
         "impact_speed": pairs.impact_speed,
         "delta_v_ego": own,
         "delta_v_other": others,
         "delta_v_nuplan": pairs.delta_v_nuplan,
-        "p_fatal_ego": fatal_probability(own),
+        "p_fatal_ego": compute_fatal_probability(own),
     }
     # What stands when all poses move a little.
-    counted = {name: np.array([not fragile(case, name) for case in cases]) for name in (*ours, "ttc", "type")}
+    counted = {name: np.array([not is_fragile(case, name) for case in cases]) for name in (*ours, "ttc", "type")}
     for name, values in ours.items():
-        comparison.numbers(name, values[counted[name]], _column(expected, name)[counted[name]])
-    our_ttc, ttc = (times[counted["ttc"]] for times in (pairs.time_to_contact, _times(expected, "ttc")))
+        comparison.numbers(name, values[counted[name]], _read_column(expected, name)[counted[name]])
+    our_ttc, ttc = (times[counted["ttc"]] for times in (pairs.time_to_contact, _read_times(expected, "ttc")))
     comparison.same("whether they ever touch", np.isinf(our_ttc), np.isinf(ttc))
     both = np.isfinite(our_ttc) & np.isfinite(ttc)
     comparison.numbers("ttc (s)", our_ttc[both], ttc[both])
-    comparison.same("type", [KINDS[kind].value for kind in pairs.kinds], _words(expected, "type"), counted["type"])
+    comparison.same("type", [KINDS[kind].value for kind in pairs.kinds], _read_words(expected, "type"), counted["type"])
 
 
-def _compare_official(comparison: Comparison, official: _Cases, pairs: Pairs) -> None:
-    kinds, angle = [KINDS[kind] for kind in pairs.kinds], bearing(pairs.ego, pairs.other)
-    comparison.same("contact", pairs.gap == 0.0, _words(official, "contact"))
+def _compare_official(comparison: Comparison, official: _Cases, pairs: ContactPairs) -> None:
+    kinds, angle = [KINDS[kind] for kind in pairs.kinds], compute_bearing(pairs.ego, pairs.other)
+    comparison.same("contact", pairs.gap == 0.0, _read_words(official, "contact"))
     comparison.same(
         "type",
         [kind.value for kind in kinds],
         [_SAME.get(official_case["type"], "unknown") for official_case in official],
     )
     verdicts = {
-        "at_fault_one_lane": [at_fault(kind, False) for kind in kinds],
-        "at_fault_several_lanes": [at_fault(kind, True) for kind in kinds],
+        "at_fault_one_lane": [is_at_fault(kind, False) for kind in kinds],
+        "at_fault_several_lanes": [is_at_fault(kind, True) for kind in kinds],
         "ahead": angle < AHEAD_RAD,
         "behind": angle > BEHIND_RAD,
     }
     for name, ours in verdicts.items():
-        comparison.same(name, ours, _words(official, name))
-    near = np.isclose(pairs.time_to_contact_nuplan, _times(official, "ttc_stepped"), rtol=0, atol=_STEPPED_S)
+        comparison.same(name, ours, _read_words(official, name))
+    near = np.isclose(pairs.time_to_contact_nuplan, _read_times(official, "ttc_stepped"), rtol=0, atol=_STEPPED_S)
     comparison.verdicts("stepped ttc", ~near)
-    comparison.numbers("delta_v (m/s)", pairs.delta_v_nuplan, _column(official, "delta_v"))
+    comparison.numbers("delta_v (m/s)", pairs.delta_v_nuplan, _read_column(official, "delta_v"))
 
 
-def _column(cases: _Cases, name: str) -> Floats:
+def _read_column(cases: _Cases, name: str) -> Floats:
     return np.array([case[name] for case in cases], np.float64)
 
 
-def _times(cases: _Cases, name: str) -> Floats:
+def _read_times(cases: _Cases, name: str) -> Floats:
     """Times to a contact, infinite where there is none."""
     return np.array([np.inf if case[name] is None else case[name] for case in cases], np.float64)
 
 
-def _words(cases: _Cases, name: str) -> list[Any]:
+def _read_words(cases: _Cases, name: str) -> list[Any]:
     return [case[name] for case in cases]

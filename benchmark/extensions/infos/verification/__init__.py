@@ -4,7 +4,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from benchmark.extensions.infos.exporting import InfoSettings, info_files
+from benchmark.extensions.infos.exporting import InfoSettings, build_info_files
 from benchmark.extensions.infos.repositories import REPOSITORIES
 from benchmark.extensions.infos.verification.comparison import MANIFEST, GoldenInfos, InfoComparison
 from benchmark.verification.checks import Comparison
@@ -22,7 +22,7 @@ def _compare_infos(comparison: Comparison, golden: GoldenFolder) -> None:
             for golden_file in golden_root.files:
                 settings = InfoSettings(golden_file.repository, version=golden_root.version, as_converted=True)
                 reader = REPOSITORIES[golden_file.repository]
-                info_comparison.files(name, golden_file, info_files(root, reader, settings))
+                info_comparison.files(name, golden_file, build_info_files(root, reader, settings))
 
 
 GOLDEN: Final = GoldenSet(

@@ -23,7 +23,7 @@ from benchmark.extensions.infos.repositories import REPOSITORIES, Part, Reposito
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.untrusted.compressed import read_compressed_pickle, unpack_archive
-from benchmark.untrusted.files import PROGRAM, one_line, read_file
+from benchmark.untrusted.files import PROGRAM, read_file, to_one_line
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenFolder
 
@@ -96,7 +96,7 @@ class GoldenInfos:
         """The set of a folder, as its manifest says."""
         manifest = golden.facts(MANIFEST)
         tolerances = {str(name): dict(limits) for name, limits in manifest["tolerance"].items()}
-        roots = {str(name): _root(golden.path, row) for name, row in manifest["roots"].items()}
+        roots = {str(name): _parse_root(golden.path, row) for name, row in manifest["roots"].items()}
         if not roots:
             raise ValueError(f"{MANIFEST} names no roots")
         return cls(golden.path, tolerances, roots)
@@ -139,26 +139,26 @@ class GoldenInfos:
             )
         except (subprocess.SubprocessError, OSError) as error:
             raise InputError(
-                f"{path} fails on the tables of {source.name} ({one_line(error)}); fetch the set again"
+                f"{path} fails on the tables of {source.name} ({to_one_line(error)}); fetch the set again"
             ) from error
 
 
-def _root(golden: Path, row: Mapping[str, Any]) -> GoldenRoot:
+def _parse_root(golden: Path, row: Mapping[str, Any]) -> GoldenRoot:
     files = tuple(
         GoldenFile(
             repository=REPOSITORIES[name].name,
-            path=golden / _inside(file_row["path"]),
+            path=golden / _require_inside(file_row["path"]),
             official_name=str(file_row["official_name"]),
             counts={str(part): int(count) for part, count in file_row["infos_in"].items()},
             left_out=frozenset(map(str, file_row["left_out"])),
         )
         for name, file_row in row["files"].items()
     )
-    hashes = {_inside(name): str(value) for name, value in row["fingerprint"]["sha256"].items()}
-    return GoldenRoot(_inside(row["version"]), str(row["tables"]), str(row["recipe"]), hashes, files)
+    hashes = {_require_inside(name): str(value) for name, value in row["fingerprint"]["sha256"].items()}
+    return GoldenRoot(_require_inside(row["version"]), str(row["tables"]), str(row["recipe"]), hashes, files)
 
 
-def _inside(name: Any) -> str:
+def _require_inside(name: Any) -> str:
     """A path below a folder; raises `ValueError` for any other."""
     path = Path(str(name))
     if path.is_absolute() or ".." in path.parts:
@@ -184,7 +184,7 @@ class InfoComparison:
 
     def __init__(self, comparison: Comparison, tolerances: Tolerances) -> None:
         self._found = comparison
-        self._limits = {name: _limits(words) for name, words in tolerances.items()}
+        self._limits = {name: _parse_limits(words) for name, words in tolerances.items()}
 
     def tables(self, root: str, changed: Mapping[str, bool]) -> None:
         """Note whether a root is the one that the files were made from."""
@@ -197,59 +197,63 @@ class InfoComparison:
         reader, content = REPOSITORIES[official.repository], official.read()
         named: dict[str, Part] = {reader.file_name(ours.version, part): part for part in ours.parts}
         part = named.get(official.official_name)
-        self._equal(reader.name, "name of the file", part is not None, root)
+        self._compare_equal(reader.name, "name of the file", part is not None, root)
         counts = {name: len(infos) for name, infos in ours.parts.items()}
-        self._equal(reader.name, "number of infos", counts == dict(official.counts), root)
+        self._compare_equal(reader.name, "number of infos", counts == dict(official.counts), root)
         top = list(content) == ["infos", "metadata"] and content["metadata"] == {"version": ours.version}
-        self._equal(reader.name, "top level", top, root)
+        self._compare_equal(reader.name, "top level", top, root)
         infos, golden = ours.parts.get(part, []) if part else [], content["infos"]
         order = [info["token"] for info in infos] == [info.get("token") for info in golden]
-        self._equal(reader.name, "order of infos", order, root)
+        self._compare_equal(reader.name, "order of infos", order, root)
         for info, expected in zip(infos, golden):
             place = f"{root}, sample {info['token'][:8]}"
             compared = {key: value for key, value in info.items() if key not in official.left_out}
-            self._equal(reader.name, "keys of an info", list(compared) == list(expected), place)
+            self._compare_equal(reader.name, "keys of an info", list(compared) == list(expected), place)
             for key in compared:
                 if key in expected:
-                    self._value(reader.name, (key,), compared[key], expected[key], place)
+                    self._compare_value(reader.name, (key,), compared[key], expected[key], place)
 
-    def _value(self, reader: str, path: tuple[str, ...], ours: Any, golden: Any, where: str) -> None:
+    def _compare_value(self, reader: str, path: tuple[str, ...], ours: Any, golden: Any, where: str) -> None:
         name = ".".join(path)
         if path == (_MAPS,):
-            self._map_elements(reader, ours, golden, where)
+            self._compare_map_elements(reader, ours, golden, where)
         elif isinstance(ours, np.ndarray):
             self._array(reader, name, path[-1], ours, golden, where)
         elif isinstance(ours, dict) and isinstance(golden, dict):
-            self._equal(reader, f"keys of {path[0]}", list(ours) == list(golden), where)
+            self._compare_equal(reader, f"keys of {path[0]}", list(ours) == list(golden), where)
             for key in ours:
                 if key in golden:
                     # The cameras are one quantity, whichever it is.
-                    self._value(reader, (*path, "*" if path == _CAMERAS else key), ours[key], golden[key], where)
+                    self._compare_value(
+                        reader, (*path, "*" if path == _CAMERAS else key), ours[key], golden[key], where
+                    )
         elif isinstance(ours, list) and isinstance(golden, list) and any(isinstance(item, dict) for item in ours):
-            self._equal(reader, f"number of {name}", len(ours) == len(golden), where)
+            self._compare_equal(reader, f"number of {name}", len(ours) == len(golden), where)
             for mine, theirs in zip(ours, golden):
-                self._value(reader, path, mine, theirs, where)
+                self._compare_value(reader, path, mine, theirs, where)
         elif path[-1] in _PATHS:
-            same = isinstance(golden, str) and _without_prefix(ours) == _without_prefix(golden)
-            self._equal(reader, name, same, where)
+            same = isinstance(golden, str) and _strip_prefix(ours) == _strip_prefix(golden)
+            self._compare_equal(reader, name, same, where)
         else:
-            self._equal(reader, name, type(ours) is type(golden) and bool(ours == golden), where)
+            self._compare_equal(reader, name, type(ours) is type(golden) and bool(ours == golden), where)
 
     def _array(self, reader: str, name: str, key: str, ours: NDArray[Any], golden: Any, where: str) -> None:
         same = isinstance(golden, np.ndarray) and (ours.dtype, ours.shape) == (golden.dtype, golden.shape)
-        self._equal(reader, "dtypes and shapes", same, f"{where}, {name}")
+        self._compare_equal(reader, "dtypes and shapes", same, f"{where}, {name}")
         if not same:
             return
         limit = self._limits.get(reader, {}).get(key)
         if limit is None or ours.dtype.kind not in _NUMBERS:
             nan = ours.dtype.kind == "f"
-            self._equal(reader, name, bool(np.array_equal(ours, golden, equal_nan=nan)), where)
+            self._compare_equal(reader, name, bool(np.array_equal(ours, golden, equal_nan=nan)), where)
             return
         known = ~np.isnan(golden.astype(np.float64))
-        self._equal(reader, "places of NaN", bool(np.array_equal(known, ~np.isnan(ours.astype(np.float64)))), where)
+        self._compare_equal(
+            reader, "places of NaN", bool(np.array_equal(known, ~np.isnan(ours.astype(np.float64)))), where
+        )
         self._found.numbers(f"{reader}: {name}", ours[known], golden[known], limit, where=where)
 
-    def _map_elements(self, reader: str, ours: dict[int, list[Floats]], golden: Any, where: str) -> None:
+    def _compare_map_elements(self, reader: str, ours: dict[int, list[Floats]], golden: Any, where: str) -> None:
         name = f"{reader}: {_MAPS}"
         same = (
             isinstance(golden, dict)
@@ -257,21 +261,25 @@ class InfoComparison:
             and all(isinstance(golden[kind], list) for kind in ours)
             and all(map(_is_line, (line for kind in ours for line in golden[kind])))
         )
-        self._equal(reader, f"classes of {_MAPS}", same, where)
+        self._compare_equal(reader, f"classes of {_MAPS}", same, where)
         if not same:
             return
         limit = self._limits.get(reader, {}).get(_MAPS, 0.0)
         for kind, lines in ours.items():
-            self._equal(reader, f"elements of {_MAPS}", len(lines) == len(golden[kind]), f"{where}, class {kind}")
+            self._compare_equal(
+                reader, f"elements of {_MAPS}", len(lines) == len(golden[kind]), f"{where}, class {kind}"
+            )
             for mine, theirs in zip(lines, golden[kind]):
-                away = np.concatenate([_distances(mine, theirs, limit), _distances(theirs, mine, limit)])
+                away = np.concatenate(
+                    [_compute_distances(mine, theirs, limit), _compute_distances(theirs, mine, limit)]
+                )
                 self._found.errors(name, away, limit, where=f"{where}, class {kind}")
 
-    def _equal(self, reader: str, name: str, same: bool, where: str) -> None:
+    def _compare_equal(self, reader: str, name: str, same: bool, where: str) -> None:
         self._found.verdicts(f"{reader}: {name}", not same, where=where)
 
 
-def _limits(words: Mapping[str, Any]) -> dict[str, float]:
+def _parse_limits(words: Mapping[str, Any]) -> dict[str, float]:
     """Largest differences by key."""
     limits: dict[str, float] = {}
     for names, limit in words.items():
@@ -281,7 +289,7 @@ def _limits(words: Mapping[str, Any]) -> dict[str, float]:
     return limits
 
 
-def _without_prefix(path: str) -> str:
+def _strip_prefix(path: str) -> str:
     return path.removeprefix(CONVERTED_PREFIX)
 
 
@@ -289,7 +297,7 @@ def _is_line(value: Any) -> bool:
     return isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.ndim == 2 and value.shape[1:] == (2,)
 
 
-def _distances(line: Floats, other: Floats, margin_m: float) -> Floats:
+def _compute_distances(line: Floats, other: Floats, margin_m: float) -> Floats:
     """How far the vertices of a line, and the middles between them, are from another.
 
     What lies on the edge of the patch is left out, for its belonging to an element hangs on the last bit. The middles

@@ -14,18 +14,18 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.actors import Integers
-from benchmark.extensions.neuroncap.contact import Car
+from benchmark.extensions.neuroncap.contact import NeuroncapCar
 from benchmark.extensions.neuroncap.recording import CAN_COLUMNS
-from benchmark.extensions.neuroncap.vehicle import STEP_US, SUBSTEPS, DrivenStep, Vehicle, driven
+from benchmark.extensions.neuroncap.vehicle import STEP_US, SUBSTEPS, Vehicle, VehicleStep, drive_plan
 from benchmark.geometry import Floats, wrap_angle
-from benchmark.records.neuroncap_aggregate import CODE, Switches, aggregated, why_invalid
+from benchmark.records.neuroncap_aggregate import CODE, NeuroncapSwitches, aggregate_runs, find_invalid_reason
 from benchmark.verification.checks import Comparison
 from benchmark.verification.golden import GoldenArrays, GoldenFolder
 
 _NAN: Final = "nan"
 
 
-def plans_of(stored: GoldenArrays, name: str, counts: list[int]) -> list[Floats]:
+def read_plans(stored: GoldenArrays, name: str, counts: list[int]) -> list[Floats]:
     """Plans of so many waypoints each, which are padded to the longest."""
     padded = stored.floats(name, len(counts), None, 2, gaps=True)
     plans = [plan[:count] for plan, count in zip(padded, counts)]
@@ -34,14 +34,14 @@ def plans_of(stored: GoldenArrays, name: str, counts: list[int]) -> list[Floats]
     return plans
 
 
-def with_nan(value: Any) -> Any:
+def parse_nan(value: Any) -> Any:
     """Values of a JSON file, with NaN for the word ``nan``."""
     if isinstance(value, dict):
-        return {name: with_nan(inner) for name, inner in value.items()}
+        return {name: parse_nan(inner) for name, inner in value.items()}
     return float("nan") if value == _NAN else value
 
 
-def beyond_single(ours: Floats, golden: Floats) -> Floats:
+def compute_single_error(ours: Floats, golden: Floats) -> Floats:
     """Size of a difference of numbers that both were rounded to single precision, as far as rounding cannot make it."""
     step = np.spacing(np.abs(golden).astype(np.float32)).astype(np.float64)
     return np.asarray(np.maximum(np.abs(ours - golden) - step, 0.0))
@@ -53,13 +53,13 @@ _VALID = "passes"
 def compare_aggregates(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare all sets of runs."""
     for case in folder.facts("aggregate.json", gaps=True)["cases"]:
-        runs, at = with_nan(case["runs"]), comparison.at(case["name"], "aggregate: ")
-        why, golden = why_invalid(runs), case["check_validity"]
+        runs, at = parse_nan(case["runs"]), comparison.at(case["name"], "aggregate: ")
+        why, golden = find_invalid_reason(runs), case["check_validity"]
         at.verdicts("is it complete", (why is None) != (golden == _VALID))
         if why is not None and golden != _VALID:
             at.verdicts("what is incomplete", why.split(" ")[0] not in golden)
         try:
-            table = aggregated(runs, CODE)
+            table = aggregate_runs(runs, CODE)
         except InputError:
             at.verdicts("is it refused", "error" not in case)
             continue
@@ -67,19 +67,19 @@ def compare_aggregates(comparison: Comparison, folder: GoldenFolder) -> None:
         if "error" in case:
             continue
         for level in ("per_sequence", "per_type", "overall"):
-            ours, theirs = _flat(getattr(table, level)), _flat(with_nan(case[level]))
-            wrong = [not _same(ours.get(key), theirs.get(key)) for key in {*ours, *theirs}]
+            ours, theirs = _flatten(getattr(table, level)), _flatten(parse_nan(case[level]))
+            wrong = [not _is_equal(ours.get(key), theirs.get(key)) for key in {*ours, *theirs}]
             at.verdicts(level.replace("_", " "), wrong)
 
 
-def _flat(table: Mapping[str, Any], before: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
+def _flatten(table: Mapping[str, Any], before: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
     flat: dict[tuple[str, ...], Any] = {}
     for name, value in table.items():
-        flat |= _flat(value, (*before, name)) if isinstance(value, Mapping) else {(*before, name): value}
+        flat |= _flatten(value, (*before, name)) if isinstance(value, Mapping) else {(*before, name): value}
     return flat
 
 
-def _same(ours: Any, golden: Any) -> bool:
+def _is_equal(ours: Any, golden: Any) -> bool:
     if ours is None or golden is None:
         return False
     return bool(ours == golden) or (math.isnan(ours) and isinstance(golden, float) and math.isnan(golden))
@@ -110,12 +110,12 @@ def compare_driving(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare all cases."""
     stored = folder.arrays("vehicle.npz")
     names, case = stored.texts("name"), stored.integers("step_case", None)
-    plans = plans_of(stored, "plan", stored.integers("plan_waypoints", len(case)).tolist())
+    plans = read_plans(stored, "plan", stored.integers("plan_waypoints", len(case)).tolist())
     fragile = stored.floats("code_minus_float64_m", len(names)) > _LAST_BIT_M
     compared = np.r_[True, case[1:] != case[:-1]] | ~fragile[case]
     for called, (prefix, switches) in _READINGS.items():
-        golden = _Golden(stored, prefix, len(plans))
-        for number, step in enumerate(_driven(stored, case, plans, switches)):
+        golden = _GoldenReading(stored, prefix, len(plans))
+        for number, step in enumerate(_drive_steps(stored, case, plans, switches)):
             if compared[number]:
                 _compare_step(comparison.at(f"step {number}", f"car {called}: "), step, golden, number, switches)
     starts = stored.texts("initial", len(names))
@@ -125,11 +125,11 @@ def compare_driving(comparison: Comparison, folder: GoldenFolder) -> None:
             comparison.note(f"car {called}: states of sub-steps", note)
 
 
-def _driven(
-    stored: GoldenArrays, case: Integers, plans: list[Floats], switches: Switches
-) -> Iterator[tuple[DrivenStep, int]]:
+def _drive_steps(
+    stored: GoldenArrays, case: Integers, plans: list[Floats], switches: NeuroncapSwitches
+) -> Iterator[tuple[VehicleStep, int]]:
     """Every step in order, and the time at its end; a car goes on from step to step of its case."""
-    car, cases = Car.of(switches), len(stored.texts("name"))
+    car, cases = NeuroncapCar.of(switches), len(stored.texts("name"))
     poses, canbus = stored.floats("ego2world", cases, 4, 4), stored.floats("canbus", cases, CAN_COLUMNS)
     wheel, start = stored.floats("steering_wheel", cases), stored.integers("start_time", cases)
     vehicle: Vehicle | None = None
@@ -138,38 +138,42 @@ def _driven(
         if vehicle is None or which != last:
             row = canbus[which].astype(np.float32)
             vehicle, time = Vehicle.start(poses[which], row, float(wheel[which]), switches), int(start[which])
-        step = driven(vehicle, plan, time, car, switches)
+        step = drive_plan(vehicle, plan, time, car, switches)
         vehicle, time, last = step.vehicle, time + STEP_US, which
         yield step, time
 
 
 def _compare_step(
-    comparison: Comparison, ours: tuple[DrivenStep, int], golden: "_Golden", number: int, switches: Switches
+    comparison: Comparison,
+    ours: tuple[VehicleStep, int],
+    golden: "_GoldenReading",
+    number: int,
+    switches: NeuroncapSwitches,
 ) -> None:
     (step, time), vehicle = ours, ours[0].vehicle
-    comparison.errors("states of sub-steps", state_errors(step.states, golden.states[number]))
+    comparison.errors("states of sub-steps", compute_state_errors(step.states, golden.states[number]))
     comparison.numbers("commands", step.commands, golden.commands[number])
     comparison.numbers("commands before the limit", step.unlimited, golden.unlimited[number])
     comparison.numbers("poses", vehicle.pose, golden.poses[number])
-    row = vehicle.canbus(Car.of(switches), switches)
+    row = vehicle.canbus(NeuroncapCar.of(switches), switches)
     speed = np.linalg.norm(row[13:15])
     for name, single, stored in (
         ("CAN rows", row, golden.canbus[number]),
         ("speeds", np.array([speed]), golden.speeds[number : number + 1]),
     ):
-        beyond = beyond_single(np.asarray(single, np.float64), stored)
+        beyond = compute_single_error(np.asarray(single, np.float64), stored)
         comparison.errors(f"{name}, beyond one step of single precision", beyond)
     comparison.verdicts("times", bool(time != golden.times[number]))
 
 
-def state_errors(ours: Floats, golden: Floats) -> Floats:
+def compute_state_errors(ours: Floats, golden: Floats) -> Floats:
     """Differences of the states of sub-steps."""
     error = ours - golden
     error[:, _HEADING] = wrap_angle(error[:, _HEADING])
     return error
 
 
-class _Golden:
+class _GoldenReading:
     """Golden arrays of one reading, S steps."""
 
     def __init__(self, stored: GoldenArrays, reading: str, steps: int) -> None:

@@ -10,39 +10,39 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.extensions.neuroncap.actors import heading_of
-from benchmark.extensions.neuroncap.contact import EgoMoment, touched
+from benchmark.extensions.neuroncap.actors import compute_heading
+from benchmark.extensions.neuroncap.contact import EgoMoment, find_contact
 from benchmark.extensions.neuroncap.loop import (
     Engine,
-    Waiting,
-    World,
+    NeuroncapWorld,
+    UncheckedState,
     begin,
-    command_of,
-    finished,
-    future_moments,
-    goes_on,
-    moments,
+    compute_future_moments,
+    compute_moments,
+    find_command,
+    finish_run,
+    is_running,
     step,
 )
 from benchmark.extensions.neuroncap.recording import (
     CAN_COLUMNS,
-    Annotations,
-    Recording,
-    actors_of,
-    at_frames,
-    steering_at_frames,
+    NeuroncapAnnotations,
+    NeuroncapRecording,
+    build_actors,
+    select_messages,
+    select_steering,
 )
 from benchmark.extensions.neuroncap.scenarios import Scenario
-from benchmark.extensions.neuroncap.score import score_of
-from benchmark.extensions.neuroncap.staging import Cast, Staged, staged
+from benchmark.extensions.neuroncap.score import score_run
+from benchmark.extensions.neuroncap.staging import RenderableActors, StagedRun, stage_run
 from benchmark.extensions.neuroncap.vehicle import SUBSTEPS
 from benchmark.extensions.neuroncap.verification.driving import (
     COMMAND_COLUMNS,
     STATE_COLUMNS,
-    beyond_single,
-    plans_of,
-    state_errors,
-    with_nan,
+    compute_single_error,
+    compute_state_errors,
+    parse_nan,
+    read_plans,
 )
 from benchmark.geometry import Floats, transform_matrix, wrap_angle
 from benchmark.records.neuroncap_aggregate import CODE
@@ -54,7 +54,7 @@ CHECK_COLUMNS: Final = 7
 CheckRow = tuple[float, ...]
 
 
-def checks_of(engine: Engine, waiting: Waiting | None, number: int) -> list[CheckRow]:
+def list_checks(engine: Engine, waiting: UncheckedState | None, number: int) -> list[CheckRow]:
     """Checks of one state.
 
     Returns:
@@ -64,20 +64,20 @@ def checks_of(engine: Engine, waiting: Waiting | None, number: int) -> list[Chec
     if waiting is None:
         return []
     rows = []
-    for moment in moments(waiting.before, waiting.state, engine.switches):
-        rows.append(_row(engine, moment, number))
+    for moment in compute_moments(waiting.before, waiting.state, engine.switches):
+        rows.append(_check_row(engine, moment, number))
         if rows[-1][-1]:
             break
     if engine.check_futures and waiting.plan is not None:
-        ahead = future_moments(waiting.state.time_us, waiting.state.pose, waiting.plan, engine.switches)
-        rows += [_row(engine, moment, number) for moment in ahead]
+        ahead = compute_future_moments(waiting.state.time_us, waiting.state.pose, waiting.plan, engine.switches)
+        rows += [_check_row(engine, moment, number) for moment in ahead]
     return rows
 
 
-def _row(engine: Engine, moment: EgoMoment, number: int) -> CheckRow:
-    hit = touched(moment, engine.actors, engine.car, engine.switches) is not None
+def _check_row(engine: Engine, moment: EgoMoment, number: int) -> CheckRow:
+    hit = find_contact(moment, engine.actors, engine.car, engine.switches) is not None
     since = moment.time_us - int(engine.recording.times[0])
-    return (number, since, *moment.pose[:2, 3].tolist(), heading_of(moment.pose), moment.speed, hit)
+    return (number, since, *moment.pose[:2, 3].tolist(), compute_heading(moment.pose), moment.speed, hit)
 
 
 _SAME_RATE: Final = 1e-9
@@ -98,7 +98,7 @@ def compare_run(
     Args:
         turning_freely: Actors whose headings are not compared.
     """
-    replay = _Replay(comparison, engine, stored, run["key"], turning_freely)
+    replay = _RunReplay(comparison, engine, stored, run["key"], turning_freely)
     world = replay.drive()
     comparison.verdicts("number of actors", len(engine.actors) != run["n_engine_actors"])
     comparison.verdicts("inferences", [replay.asked != run["n_infer_calls"], replay.asked != len(replay.plans)])
@@ -107,7 +107,7 @@ def compare_run(
     _compare_scores(comparison, engine, world, run)
 
 
-class _Replay:
+class _RunReplay:
     """A run with recorded plans, compared state by state."""
 
     def __init__(
@@ -120,7 +120,7 @@ class _Replay:
         self._poses = stored.floats(f"{key}_state_pose", count, 4, 4)
         self._canbus = stored.floats(f"{key}_state_canbus", count, CAN_COLUMNS)
         self._commands = stored.integers(f"{key}_command", count)
-        self.plans = plans_of(stored, f"{key}_plan", [PLAN_STEPS] * count)
+        self.plans = read_plans(stored, f"{key}_plan", [PLAN_STEPS] * count)
         self._post_times = stored.integers(f"{key}_post_time", None)
         steps = len(self._post_times)
         self._post_poses = stored.floats(f"{key}_post_pose", steps, 4, 4)
@@ -133,55 +133,55 @@ class _Replay:
         self._boxes = stored.floats(f"{key}_actor_box", None, _BOX_COLUMNS)
         self._found: list[CheckRow] = []
 
-    def drive(self) -> World:
+    def drive(self) -> NeuroncapWorld:
         """From the start to the end, as long as there are plans."""
         engine, world, driven = self._engine, begin(self._engine), 0
-        while goes_on(engine, world) and self.asked < len(self.plans):
+        while is_running(engine, world) and self.asked < len(self.plans):
             number = self.asked
             self._compare_state(world, number)
             waiting = world.waiting
             world = step(engine, world, self.plans[number])
-            self._found += checks_of(self._engine, waiting, number - 1)
+            self._found += list_checks(self._engine, waiting, number - 1)
             self.asked += 1
             if world.contact is not None:
                 break
             self._compare_step(world, number, driven)
             driven += int(world.state.is_driven)
         last = world.waiting
-        world = finished(engine, world)
-        self._found += checks_of(self._engine, last, self.asked - 1)
+        world = finish_run(engine, world)
+        self._found += list_checks(self._engine, last, self.asked - 1)
         self._comparison.verdicts("steps", bool(driven != len(self._states)))
         self._compare_checks()
         return world
 
-    def _compare_state(self, world: World, number: int) -> None:
+    def _compare_state(self, world: NeuroncapWorld, number: int) -> None:
         state = world.state
         self._comparison.verdicts("times", bool(state.time_us != self._times[number]))
         self._comparison.numbers("poses (m)", state.pose, self._poses[number])
-        self._canbus_rows(state.canbus.astype(np.float64), self._canbus[number])
-        self._comparison.verdicts("commands", bool(command_of(self._engine, world) != self._commands[number]))
+        self._compare_canbus(state.canbus.astype(np.float64), self._canbus[number])
+        self._comparison.verdicts("commands", bool(find_command(self._engine, world) != self._commands[number]))
         rows = self._boxes[self._boxes[:, 0] == number]
-        ours = [self._box(int(index), state.time_us) for index in rows[:, 1]]
+        ours = [self._compute_box(int(index), state.time_us) for index in rows[:, 1]]
         if len(rows):
             boxes = np.array(ours)
             others = [column for column in range(boxes.shape[1]) if column != _YAW]
             self._comparison.numbers("boxes of actors (m)", boxes[:, others], rows[:, 2:][:, others])
             turned = wrap_angle(boxes[:, _YAW] - rows[:, 2 + _YAW])
-            free = np.array([self._uuid(int(index)) in self._turning_freely for index in rows[:, 1]])
+            free = np.array([self._find_uuid(int(index)) in self._turning_freely for index in rows[:, 1]])
             self._comparison.errors("headings of actors (rad)", turned[~free])
 
-    def _box(self, index: int, time_us: int) -> tuple[float, ...]:
+    def _compute_box(self, index: int, time_us: int) -> tuple[float, ...]:
         """x, y, z, yaw, width and length of an actor."""
         if not 0 <= index < len(self._engine.actors):
             return (np.nan,) * (_BOX_COLUMNS - 2)
         actor = self._engine.actors[index]
         pose = actor.pose_at(time_us)
-        return (*pose[:3, 3].tolist(), heading_of(pose), *actor.size[:2].tolist())
+        return (*pose[:3, 3].tolist(), compute_heading(pose), *actor.size[:2].tolist())
 
-    def _uuid(self, index: int) -> str:
+    def _find_uuid(self, index: int) -> str:
         return self._engine.actors[index].uuid if 0 <= index < len(self._engine.actors) else ""
 
-    def _compare_step(self, world: World, number: int, driven: int) -> None:
+    def _compare_step(self, world: NeuroncapWorld, number: int, driven: int) -> None:
         if number >= len(self._post_times) or (world.last is not None and driven >= len(self._states)):
             self._comparison.verdicts("steps", True)
             return
@@ -189,9 +189,11 @@ class _Replay:
         self._comparison.verdicts("times", bool(state.time_us != self._post_times[number]))
         self._comparison.verdicts("steps", bool(state.is_driven != self._post_driven[number]))
         self._comparison.numbers("poses (m)", state.pose, self._post_poses[number])
-        self._canbus_rows(state.canbus.astype(np.float64), self._post_canbus[number])
+        self._compare_canbus(state.canbus.astype(np.float64), self._post_canbus[number])
         if world.last is not None:
-            self._comparison.errors("states of sub-steps", state_errors(world.last.states, self._states[driven]))
+            self._comparison.errors(
+                "states of sub-steps", compute_state_errors(world.last.states, self._states[driven])
+            )
             self._comparison.numbers("commands of sub-steps", world.last.commands, self._asked[driven])
 
     def _compare_checks(self) -> None:
@@ -206,11 +208,11 @@ class _Replay:
         self._comparison.errors("headings of checks (rad)", turned)
         self._comparison.numbers("speeds of checks (m/s)", ours[:, 5], golden[:, 5])
 
-    def _canbus_rows(self, ours: Floats, golden: Floats) -> None:
-        self._comparison.errors("CAN rows, beyond one step of single precision", beyond_single(ours, golden))
+    def _compare_canbus(self, ours: Floats, golden: Floats) -> None:
+        self._comparison.errors("CAN rows, beyond one step of single precision", compute_single_error(ours, golden))
 
 
-def _compare_contact(comparison: Comparison, world: World, golden: dict[str, Any] | None) -> None:
+def _compare_contact(comparison: Comparison, world: NeuroncapWorld, golden: dict[str, Any] | None) -> None:
     contact = world.contact
     comparison.verdicts("contact", (contact is None) != (golden is None))
     if contact is None or golden is None:
@@ -223,13 +225,13 @@ def _compare_contact(comparison: Comparison, world: World, golden: dict[str, Any
     comparison.numbers("velocity of the actor (m/s)", contact.actor_velocity, golden["actor_velocity"])
 
 
-def _compare_scores(comparison: Comparison, engine: Engine, world: World, run: dict[str, Any]) -> None:
+def _compare_scores(comparison: Comparison, engine: Engine, world: NeuroncapWorld, run: dict[str, Any]) -> None:
     """Score, its parts, and the file of metrics; the paper's reference speed with all else as code."""
-    golden = with_nan(run)
+    golden = parse_nan(run)
     for reading in ("code", "paper"):
         switches = replace(engine.switches, reference_speed=reading)
-        score = score_of(replace(engine, switches=switches), world)
-        _score(comparison, f"score, {reading}", score.score, golden[f"nns_{reading}"])
+        score = score_run(replace(engine, switches=switches), world)
+        _compare_score(comparison, f"score, {reading}", score.score, golden[f"nns_{reading}"])
         speed = golden[f"reference_speed_{reading}"]
         comparison.numbers(f"reference speed, {reading} (m/s)", score.reference_speed, speed)
         if reading == "paper":
@@ -238,12 +240,12 @@ def _compare_scores(comparison: Comparison, engine: Engine, world: World, run: d
         for name, ours in score.metrics.items():
             theirs = float(golden["metrics"].get(name, np.inf))
             if name == "ncap_score":
-                _score(comparison, "score in the file", ours, theirs)
+                _compare_score(comparison, "score in the file", ours, theirs)
             else:
                 comparison.verdicts("rates in the file", not abs(float(ours) - theirs) <= _SAME_RATE)
 
 
-def _score(comparison: Comparison, name: str, ours: float, golden: float) -> None:
+def _compare_score(comparison: Comparison, name: str, ours: float, golden: float) -> None:
     """A score; NaN must be NaN."""
     comparison.errors(name, 0.0 if np.isnan(ours) and np.isnan(golden) else ours - golden)
 
@@ -253,19 +255,19 @@ def compare_loops(comparison: Comparison, folder: GoldenFolder) -> None:
     loops = GoldenFolder(folder.path / "loops")
     failed = 0
     for name in (row["file"] for row in loops.facts("index.json")):
-        facts = loops.facts(_inside(name), gaps=True)
-        recording = _recording(comparison, loops.arrays(_inside(facts["inputs"])))
-        stored = loops.arrays(_inside(facts["arrays"]))
+        facts = loops.facts(_require_inside(name), gaps=True)
+        recording = _compare_recording(comparison, loops.arrays(_require_inside(facts["inputs"])))
+        stored = loops.arrays(_require_inside(facts["arrays"]))
         scenario_facts = facts["scenario"]
-        scenario = Scenario() if scenario_facts is None else Scenario.of(with_nan(scenario_facts), name)
-        cast, knows = Cast.of(recording.actors), frozenset(facts["renderer_knows"])
+        scenario = Scenario() if scenario_facts is None else Scenario.of(parse_nan(scenario_facts), name)
+        cast, knows = RenderableActors.of(recording.actors), frozenset(facts["renderer_knows"])
         for run in facts["runs"]:
             if run["error"] is not None:
                 failed += 1
                 continue
             at = comparison.at(f"{name}, {run['key']}", "loops: ")
-            stage = staged(scenario, run["run"] or 0, recording.times, cast, CODE)
-            _compare_stage(at, stage, run, stored, turning_freely=_optimized(scenario))
+            stage = stage_run(scenario, run["run"] or 0, recording.times, cast, CODE)
+            _compare_stage(at, stage, run, stored, turning_freely=_find_optimized_actors(scenario))
             engine = Engine.of(
                 recording,
                 stage,
@@ -274,19 +276,19 @@ def compare_loops(comparison: Comparison, folder: GoldenFolder) -> None:
                 switches=CODE,
                 check_futures=run["evaluate_future_collisions"],
             )
-            compare_run(at, engine, run, stored, turning_freely=_optimized(scenario))
+            compare_run(at, engine, run, stored, turning_freely=_find_optimized_actors(scenario))
     if failed:
         comparison.note("loops: inferences", f"{failed} runs in which the published engine itself failed are left out")
 
 
-def _inside(name: str) -> str:
+def _require_inside(name: str) -> str:
     """A file's name that stays in its folder."""
     if Path(name).name != name:
         raise ValueError(f"{name!r} is no plain file name")
     return name
 
 
-def _recording(comparison: Comparison, stored: GoldenArrays) -> Recording:
+def _compare_recording(comparison: Comparison, stored: GoldenArrays) -> NeuroncapRecording:
     """The recording as we read it, compared with what the published engine made of the same messages."""
     at, times = comparison.at(stored.path.name, "loops: "), stored.integers("timestamps", None)
     frames = len(times)
@@ -294,22 +296,22 @@ def _recording(comparison: Comparison, stored: GoldenArrays) -> Recording:
     poses = np.array([transform_matrix(*pose_parts) for pose_parts in zip(rotation, place)])
     at.numbers("recorded poses (m)", poses, stored.floats("ego_pose", frames, 4, 4))
     can_times, wheel_times = stored.integers("can_pose_utime", None), stored.integers("can_steer_utime", None)
-    canbus = at_frames(times, can_times, stored.floats("can_pose_signals", len(can_times), CAN_COLUMNS))
-    wheel = steering_at_frames(times, wheel_times, stored.floats("can_steer_degrees", len(wheel_times)))
+    canbus = select_messages(times, can_times, stored.floats("can_pose_signals", len(can_times), CAN_COLUMNS))
+    wheel = select_steering(times, wheel_times, stored.floats("can_steer_degrees", len(wheel_times)))
     at.same("CAN rows at frames", canbus.astype(np.float64), stored.floats("canbus_at_frame", frames, CAN_COLUMNS))
     at.same("steering wheel at frames", wheel.astype(np.float64), stored.floats("steering_wheel_at_frame", frames))
-    actors = actors_of(_annotations(stored), times, CODE)
+    actors = build_actors(_read_annotations(stored), times, CODE)
     golden = list(zip(stored.texts("engine_actor_uuids"), stored.texts("engine_actor_classes")))
     at.verdicts("recorded actors, in order", [(actor.uuid, actor.kind) for actor in actors] != golden)
-    recording = Recording(times, poses, canbus, wheel, actors)
+    recording = NeuroncapRecording(times, poses, canbus, wheel, actors)
     at.numbers("recorded path (m)", recording.path, stored.floats("reference_trajectory", frames, 3))
     return recording
 
 
-def _annotations(stored: GoldenArrays) -> Annotations:
+def _read_annotations(stored: GoldenArrays) -> NeuroncapAnnotations:
     instance, tokens = stored.integers("ann_instance", None), stored.texts("instance_tokens")
     count = len(instance)
-    return Annotations(
+    return NeuroncapAnnotations(
         frame=stored.integers("ann_frame", count),
         instance=instance,
         translation=stored.floats("ann_translation", count, 3),
@@ -320,13 +322,18 @@ def _annotations(stored: GoldenArrays) -> Annotations:
     )
 
 
-def _optimized(scenario: Scenario) -> frozenset[str]:
+def _find_optimized_actors(scenario: Scenario) -> frozenset[str]:
     """Actors on the renderer's own track, beyond whose end the published rotation is noise times 1e5."""
     return frozenset(uuid for actor in scenario.actors if actor.mode == "optimized" for uuid in actor.uuids)
 
 
 def _compare_stage(
-    comparison: Comparison, stage: Staged, run: dict[str, Any], stored: GoldenArrays, *, turning_freely: frozenset[str]
+    comparison: Comparison,
+    stage: StagedRun,
+    run: dict[str, Any],
+    stored: GoldenArrays,
+    *,
+    turning_freely: frozenset[str],
 ) -> None:
     """Draws, start and end, and the actors as they were sent to the renderer."""
     comparison.verdicts("draws", [list(draw) for draw in stage.draws] != run["draws"])

@@ -9,14 +9,14 @@ from torch import Tensor
 
 from benchmark.verification.golden import GoldenArrays, GoldenFolder
 from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes
-from generation.extensions.magicdrive.conditions import Conditions, TextStates
+from generation.extensions.magicdrive.conditions import ClipConditions, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.layers import LatentSize
 
 Length = Annotated[int, Field(gt=0, le=4096)]
 
 
-class _Sizes(BaseModel):
+class _NetworkSizes(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
     depth: Length
@@ -48,8 +48,8 @@ class _Overrides(BaseModel):
     map_embedder_param: _MapSizes
 
 
-class _Manifest(WeightsRecipe):
-    reduced_config: _Sizes
+class _GoldenManifest(WeightsRecipe):
+    reduced_config: _NetworkSizes
     overrides: _Overrides
 
     def config(self) -> MagicDriveConfig:
@@ -71,7 +71,7 @@ class _Manifest(WeightsRecipe):
         )
 
 
-class Schedule(BaseModel):
+class TimestepSchedule(BaseModel):
     """Timesteps, from 1000 down, for one size of video. ``kwargs_dtype`` is what the size was computed with in."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
@@ -84,20 +84,20 @@ class Schedule(BaseModel):
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class GoldenClip:
     """One clip of the set.
 
     The negative prompt in ``conditions`` belongs to some quantities only; ``latent`` is (1, 96, t, h, w) noise,
     ``timestep`` (1,).
     """
 
-    conditions: Conditions
+    conditions: ClipConditions
     latent: Tensor
     timestep: Tensor
 
 
 @dataclass(frozen=True, slots=True)
-class MagicDriveSet:
+class MagicDriveGoldenSet:
     """A golden set.
 
     Attributes:
@@ -114,41 +114,41 @@ class MagicDriveSet:
     inputs: GoldenArrays
     outputs: GoldenArrays
     inner: GoldenArrays | None
-    schedules: list[Schedule]
+    schedules: list[TimestepSchedule]
 
     @classmethod
     def read(cls, folder: GoldenFolder) -> Self:
         """Read a set, some files of which are in its folder or the one above."""
 
         def beside(name: str) -> Any:
-            return folder.nearby(name) if folder.has(name) or folder.has(f"../{name}") else None
+            return folder.read_json_nearby(name) if folder.has(name) or folder.has(f"../{name}") else None
 
         published, schedules, recipe = beside("keys.json"), beside("timesteps_30.json"), folder.facts("manifest.json")
-        manifest = _Manifest.model_validate(recipe)
+        manifest = _GoldenManifest.model_validate(recipe)
         return cls(
             manifest,
             manifest.config(),
-            read_shapes(folder.nearby("keys_reduced.json")),
+            read_shapes(folder.read_json_nearby("keys_reduced.json")),
             None if published is None else read_shapes(published),
             folder.arrays("inputs.npz"),
             folder.arrays("outputs.npz"),
             folder.arrays("taps.npz") if folder.has("taps.npz") else None,
-            [] if schedules is None else TypeAdapter(list[Schedule]).validate_python(schedules),
+            [] if schedules is None else TypeAdapter(list[TimestepSchedule]).validate_python(schedules),
         )
 
-    def case(self, name: str) -> Case:
+    def case(self, name: str) -> GoldenClip:
         """Stored clip of that letter."""
         stored, config = self.inputs, self.config
         views, caption = config.views, config.caption_channels
         prefix = f"{name}.in."
-        masks = _whole(stored, f"{prefix}bbox_masks", 1, None, views, None)[0].transpose(0, 1)
+        masks = _read_integers(stored, f"{prefix}bbox_masks", 1, None, views, None)[0].transpose(0, 1)
         frames, boxes = masks.shape[1:]
-        words = _whole(stored, f"{prefix}text_mask", 1, None)[0].bool()
+        words = _read_integers(stored, f"{prefix}text_mask", 1, None)[0].bool()
         high, wide, rate = (float(stored.floats(f"{prefix}{part}", 1)[0]) for part in ("height", "width", "fps"))
         size = LatentSize.of(frames, round(high), round(wide))
-        conditions = Conditions(
+        conditions = ClipConditions(
             bboxes=self.numbers(f"{prefix}bbox_bboxes", 1, frames, 1, boxes, 8, 3)[0].transpose(0, 1),
-            classes=_whole(stored, f"{prefix}bbox_classes", 1, frames, 1, boxes)[0].transpose(0, 1),
+            classes=_read_integers(stored, f"{prefix}bbox_classes", 1, frames, 1, boxes)[0].transpose(0, 1),
             masks=masks,
             box_latent=self.numbers(f"{prefix}bbox_latent_per_box", boxes, config.hidden),
             cams=self.numbers(f"{prefix}cams", 1, frames, views, 3, 7)[0].transpose(0, 1)[:, :, None],
@@ -160,7 +160,7 @@ class MagicDriveSet:
             width=round(wide),
             negative_text=TextStates(self.numbers(f"{prefix}y_neg", 1, 1, len(words), caption)[0, 0], words),
         )
-        return Case(
+        return GoldenClip(
             conditions,
             self.numbers(f"{prefix}z", 1, config.packed_channels, size.frames, size.rows, size.columns),
             self.numbers(f"{prefix}timestep", 1),
@@ -171,5 +171,5 @@ class MagicDriveSet:
         return torch.from_numpy(self.inputs.floats(name, *shape)).float()
 
 
-def _whole(stored: GoldenArrays, name: str, *shape: int | None) -> Tensor:
+def _read_integers(stored: GoldenArrays, name: str, *shape: int | None) -> Tensor:
     return torch.from_numpy(stored.integers(name, *shape))

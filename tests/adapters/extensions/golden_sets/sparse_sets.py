@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from adapters.extensions.golden_sets.sparse import traced
-from adapters.extensions.golden_sets.sparse_quantities import Order, frame_quantities, map_quantities
+from adapters.extensions.golden_sets.sparse import trace_modules
+from adapters.extensions.golden_sets.sparse_quantities import RowOrder, frame_quantities, map_quantities
 from adapters.networks.sparse.boxes import KeyframeMotion
-from adapters.networks.sparse.decoder import Remembered
-from adapters.networks.sparse.model import Memory, pose_of
+from adapters.networks.sparse.decoder import InstanceMemory
+from adapters.networks.sparse.model import SparseMemory, pose_of
 from benchmark.verification.golden import GoldenArrays
 from tests.adapters.networks.sparse.miniature import MINIATURE, TIMES_S, filled, frame, noise, recipe
 
@@ -48,11 +48,11 @@ def write_set(name: str, folder: Path, swapped: bool = False) -> Path:
         }
         if name == "diffusiondrive":
             inputs[f"frame{number}_diffusion_noise"] = noise(number).numpy()[None]
-        with torch.inference_mode(), traced(network, []) as trace:
+        with torch.inference_mode(), trace_modules(network, []) as trace:
             predictions = network.predict(given, noise(number))
         if swapped and number == 0:
             network.memory = _with_two_swapped(network.memory)
-        order = Order.of(network, predictions, GoldenArrays(folder, {}))
+        order = RowOrder.of(network, predictions, GoldenArrays(folder, {}))
         fresh = KeyframeMotion.between(before.pose, pose_of(given), torch.device("cpu")).fresh if before else None
         found = map_quantities(trace.maps["img_backbone"], trace.maps["img_neck"])
         found |= frame_quantities(network, predictions, order, given.command, fresh)
@@ -66,12 +66,12 @@ def write_set(name: str, folder: Path, swapped: bool = False) -> Path:
     return folder
 
 
-def _with_two_swapped(memory: Memory | None) -> Memory:
+def _with_two_swapped(memory: SparseMemory | None) -> SparseMemory:
     assert memory is not None
     places = torch.arange(MINIATURE.remembered_anchors)
     places[[2, 3]] = places[[3, 2]]
     agents = memory.agents
-    swapped = Remembered(
+    swapped = InstanceMemory(
         agents.features[places], agents.anchors[places], agents.confidence[places], agents.rows[places]
     )
     return replace(memory, agents=swapped, tracks=replace(memory.tracks, ids=memory.tracks.ids[places]))

@@ -9,10 +9,14 @@ import pytest
 import torch
 
 from adapters.extensions.golden_sets import parity_set as own_rounding
-from adapters.extensions.golden_sets.parity_set import Run, other_threads, with_own_rounding
+from adapters.extensions.golden_sets.parity_set import (
+    VerificationRun,
+    add_floating_point_noise,
+    choose_other_thread_count,
+)
 from adapters.extensions.golden_sets.sparse import sparse_sets
 from adapters.models import MODELS
-from benchmark.verification.checks import AS_FAR, ROUNDING, Check, Comparison, report
+from benchmark.verification.checks import AS_FAR, ROUNDING, Check, Comparison, format_report
 from tests.adapters.extensions.golden_sets.sparse_sets import change, write_set
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 
@@ -23,7 +27,7 @@ def golden(tmp_path: Path) -> Path:
 
 
 def verified(golden: Path) -> dict[str, Check]:
-    found = with_own_rounding(partial(sparse_sets(MINIATURE).verify, MODELS["sparsedrive"], golden, "cpu"))
+    found = add_floating_point_noise(partial(sparse_sets(MINIATURE).verify, MODELS["sparsedrive"], golden, "cpu"))
     return {check.quantity.split(" (")[0]: check for check in found}
 
 
@@ -65,13 +69,13 @@ def test_a_run_leaves_threads_and_network_as_they_were() -> None:
     images = torch.ones(1, 3, 64, 64)
     seen: list[torch.Tensor] = []
     keep = network.img_backbone.register_forward_pre_hook(lambda _module, inputs: seen.append(inputs[0]))
-    with torch.inference_mode(), Run(image_noise=1e-7, threads=other_threads()).varied(network):
-        assert torch.get_num_threads() == other_threads() != usual or torch.get_num_threads() != usual
+    with torch.inference_mode(), VerificationRun(image_noise=1e-7, threads=choose_other_thread_count()).varied(network):
+        assert torch.get_num_threads() == choose_other_thread_count() != usual or torch.get_num_threads() != usual
         network.img_backbone(images)
     keep.remove()
     assert torch.get_num_threads() == usual and len(network.img_backbone._forward_pre_hooks) == 0
     assert torch.equal(images, torch.ones_like(images))
-    with torch.inference_mode(), Run(image_noise=1e-7).varied(network):
+    with torch.inference_mode(), VerificationRun(image_noise=1e-7).varied(network):
         noisy: list[torch.Tensor] = []
         hook = network.img_backbone.register_forward_pre_hook(lambda _module, inputs: noisy.append(inputs[0]))
         network.img_backbone(images)
@@ -106,8 +110,8 @@ def test_verdicts_of_checks() -> None:
     assert check(0.001, 5.0).verdict == "ok"
     assert check(float("nan"), np.inf).verdict == "FAIL" and check(float("inf"), np.inf).verdict == ROUNDING
     assert check(0.02, 1.0, count=0).verdict == "FAIL"
-    text = report([check(0.02, 0.01), check(0.001, 0.0)])
+    text = format_report([check(0.02, 0.01), check(0.001, 0.0)])
     assert "own rounding" in text and f"1 of 2 quantities agree, 1 {ROUNDING}" in text
-    assert "own rounding" not in report([check(0.02, None)])
+    assert "own rounding" not in format_report([check(0.02, None)])
     assert check(0.02, 0.01).as_json()["verdict"] == ROUNDING and "verdict" not in check(0.02, None).as_json()
     assert check(float("inf"), float("inf")).as_json()["moved"] is None

@@ -12,7 +12,7 @@ import torch
 from adapters.extensions.golden_sets import sparse_quantities as sparse_order
 from adapters.extensions.golden_sets.models import verify_model
 from adapters.extensions.golden_sets.sparse import MODULES, MOVED, sparse_sets
-from adapters.extensions.golden_sets.sparse_quantities import OTHER_ROWS, Order
+from adapters.extensions.golden_sets.sparse_quantities import OTHER_ROWS, RowOrder
 from adapters.models import MODELS
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check
@@ -133,13 +133,13 @@ def test_rows_that_changed_places_are_found_and_counted() -> None:
         predictions = network.predict(frame(0))
     boxes = predictions.agents.anchors.numpy().copy()
     boxes[[3, 17]] = boxes[[17, 3]]
-    order = Order.of(network, predictions, GoldenArrays(Path("made.npz"), {"det_reg_5": boxes[None]}))
+    order = RowOrder.of(network, predictions, GoldenArrays(Path("made.npz"), {"det_reg_5": boxes[None]}))
     expected = np.arange(len(boxes))
     expected[[3, 17]] = expected[[17, 3]]
     assert order.agents.tolist() == expected.tolist()
     assert order.moved == pytest.approx(2 / len(boxes))
     boxes[5] += 7
-    order = Order.of(network, predictions, GoldenArrays(Path("made.npz"), {"det_reg_5": boxes[None]}))
+    order = RowOrder.of(network, predictions, GoldenArrays(Path("made.npz"), {"det_reg_5": boxes[None]}))
     assert order.agents.tolist() == expected.tolist(), "a row that is like no other is simply wrong"
 
 

@@ -7,7 +7,7 @@ import torch
 
 from adapters.extensions.golden_sets.sparse import GOLDEN as SPARSE
 from adapters.models import MODELS
-from benchmark.verification.checks import report
+from benchmark.verification.checks import format_report
 
 GOLDEN = Path(__file__).resolve().parents[5] / "shared" / "golden" / "parity" / "sparsedrive"
 QUANTITIES = {"dev": 70, "fullres": 15}
@@ -23,7 +23,7 @@ def test_it_gives_what_the_official_code_gave(name: str) -> None:
         checks = SPARSE.verify(MODELS["sparsedrive"], GOLDEN / name)
     finally:
         torch.set_num_threads(threads)
-    assert all(check.ok for check in checks), report(checks)
+    assert all(check.ok for check in checks), format_report(checks)
     assert len(checks) > QUANTITIES[name]
     assert "in the same order" in checks[0].note
     plans = [check for check in checks if check.quantity.endswith("(m)")]

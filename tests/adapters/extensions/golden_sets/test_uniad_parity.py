@@ -16,8 +16,8 @@ from adapters.extensions.golden_sets.uniad import compare_uniad, frame_quantitie
 from adapters.networks.uniad.collision_optimiser import move_plan
 from adapters.networks.uniad.model import UniAD, UniADInputs
 from benchmark.errors import InputError
-from benchmark.verification.checks import Check, Comparison, report
-from benchmark.verification.filled_networks import NAMES, fill, same_names_and_shapes
+from benchmark.verification.checks import Check, Comparison, format_report
+from benchmark.verification.filled_networks import NAMES, fill_network, have_same_names_and_shapes
 from benchmark.verification.golden import GoldenArrays, GoldenFolder
 from tests.adapters.networks.uniad.small_uniad import SMALL, anchors, class_layer, frame
 from tests.benchmark.verification.damaged import said
@@ -34,7 +34,7 @@ def read(folder: Path) -> ParitySet:
 
 def filled(folder: Path) -> UniAD:
     network, golden = UniAD(SMALL, anchors()), read(folder)
-    fill(Comparison(), network, golden.recipe, golden.shapes)
+    fill_network(Comparison(), network, golden.recipe, golden.shapes)
     return network
 
 
@@ -127,11 +127,11 @@ def changed(golden: Path, folder: Path, change: Callable[[dict[str, Any]], None]
 
 def test_a_network_agrees_with_itself(golden: Path) -> None:
     checks = compared(golden)
-    assert all(check.ok for check in checks.values()), report(list(checks.values()))
+    assert all(check.ok for check in checks.values()), format_report(list(checks.values()))
     names = " ".join(checks)
     for part in ("bev_embed", "track_ids", "velo_update", "seg_lane_score", "occ_ins_logits", "sdc_traj by newton"):
         assert part in names
-    assert "not compared" not in report(list(checks.values()))
+    assert "not compared" not in format_report(list(checks.values()))
 
 
 def test_what_is_spoiled_is_found(golden: Path, tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_tracks_that_changed_places_are_the_same_tracks(golden: Path, tmp_path: 
                 del arrays[name]
 
     checks = compared(changed(golden, tmp_path / "dev", swap))
-    assert all(check.ok for check in checks.values()), report(list(checks.values()))
+    assert all(check.ok for check in checks.values()), format_report(list(checks.values()))
 
 
 def test_another_number_of_tracks_fails_without_a_crash(golden: Path, tmp_path: Path) -> None:
@@ -223,4 +223,4 @@ def test_the_published_set_is_read() -> None:
     comparison = Comparison()
     with torch.device("meta"):
         network = UniAD(SMALL)
-    assert not same_names_and_shapes(comparison, network, golden.shapes)
+    assert not have_same_names_and_shapes(comparison, network, golden.shapes)

@@ -17,8 +17,8 @@ from adapters.extensions.golden_sets.vad import EXACT
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
 from benchmark.errors import InputError
-from benchmark.verification.checks import Check, Comparison, report
-from benchmark.verification.filled_networks import fill, same_names_and_shapes
+from benchmark.verification.checks import Check, Comparison, format_report
+from benchmark.verification.filled_networks import fill_network, have_same_names_and_shapes
 from benchmark.verification.golden import GoldenArrays, GoldenFolder
 
 PARITY = Path(__file__).resolve().parents[5] / "shared" / "golden" / "parity"
@@ -66,7 +66,7 @@ def test_two_frames_of_the_tiny_network(tmp_path: Path) -> None:
     change_arrays(golden / "dev" / "outputs_frame1.npz", spoil)
     checks = {check.quantity: check for check in verify_model("vad-tiny", golden)}
     failed = {name for name, check in checks.items() if not check.ok}
-    assert failed == {"plan", OUTLIERS}, report(list(checks.values()))
+    assert failed == {"plan", OUTLIERS}, format_report(list(checks.values()))
     assert checks["plan"].error == pytest.approx(0.002, abs=1e-4)
     assert "not_ours" in checks["backbone0 (of its spread)"].note
     assert "dev, frame 1" in checks["plan"].note
@@ -133,15 +133,15 @@ def test_a_list_of_another_length_fails(tmp_path: Path) -> None:
 def test_image_features_of_the_base_network() -> None:
     golden = ParitySet.read(GoldenFolder(PARITY / "vad_base" / "dev"))
     network, comparison = VAD(VADConfig.base()), Comparison()
-    assert same_names_and_shapes(comparison, network, golden.shapes)
-    fill(comparison, network, golden.recipe, golden.shapes, golden.recipe.weights_sha256)
+    assert have_same_names_and_shapes(comparison, network, golden.shapes)
+    fill_network(comparison, network, golden.recipe, golden.shapes, golden.recipe.weights_sha256)
     with torch.inference_mode():
         maps = network.img_backbone(golden.images(0))
         levels = network.img_neck(maps)
     ours = {f"backbone{level}": Quantity.of(features, EXACT) for level, features in enumerate(maps)}
     ours |= {f"neck{level}": Quantity.of(features, EXACT) for level, features in enumerate(levels)}
     compare_frame(comparison.at("frame 0"), golden, 0, ours)
-    assert all(check.ok for check in comparison.checks()), report(comparison.checks())
+    assert all(check.ok for check in comparison.checks()), format_report(comparison.checks())
     assert len(comparison.checks()) == 9
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from adapters.extensions.training.mixture import build_frames
 from benchmark.datasets.roots import open_data
-from benchmark.records.driven import driven_ego
+from benchmark.records.driven import read_driven_ego_targets
 from benchmark.records.drives import find_drives
 from tests.benchmark.cli.cli_runs import challenger_bench
 from tests.benchmark.cli.test_driven_town import SMALL, town_and_drive
@@ -20,7 +20,7 @@ def test_frames_of_a_driven_town_are_of_the_way_back(tmp_path: Path) -> None:
     data = open_data(place / "driven")
     store = build_frames(data.root, "train", place / "frames")
     for row in record.rows:
-        learned = driven_ego(data.provenance(), row.scene)
+        learned = read_driven_ego_targets(data.provenance(), row.scene)
         assert learned is not None
         frames = [store.frame(number) for number in store.frames_of(row.scene)]
         assert [frame.command for frame in frames] == row.ticks.command

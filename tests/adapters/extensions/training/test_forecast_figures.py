@@ -10,7 +10,7 @@ from adapters.extensions.training.plan_figures import (
     NEAR_M,
     ForecastFigures,
     forecast_figures,
-    seen_figures,
+    visible_forecast_figures,
     visible_instances,
 )
 from benchmark.constants import VEHICLE_CATEGORIES
@@ -95,7 +95,7 @@ def everybody(truths: list[SampleTruth]) -> list[frozenset[str]]:
 
 def test_who_cannot_be_seen_costs_no_recall_and_whoever_forecasts_them_no_precision(truths: list[SampleTruth]) -> None:
     plans = [perfect(truth) for truth in truths]
-    all_seen = seen_figures(truths, plans, everybody(truths))
+    all_seen = visible_forecast_figures(truths, plans, everybody(truths))
     assert all_seen is not None and all_seen.recall == all_seen.precision == 1.0
     one = next(
         truth.instances[number]
@@ -104,12 +104,12 @@ def test_who_cannot_be_seen_costs_no_recall_and_whoever_forecasts_them_no_precis
         if truth.categories[number] in VEHICLE_CATEGORIES and np.hypot(*truth.boxes[number, 0, :2]) < NEAR_M
     )
     hidden = [each - {one} for each in everybody(truths)]
-    fewer = seen_figures(truths, plans, hidden)
+    fewer = visible_forecast_figures(truths, plans, hidden)
     assert fewer is None or (fewer.vehicles < all_seen.vehicles and fewer.precision == 1.0)
     missed = [without(truth, plan, one) for truth, plan in zip(truths, plans, strict=True)]
-    found = seen_figures(truths, missed, everybody(truths))
+    found = visible_forecast_figures(truths, missed, everybody(truths))
     assert found is None or found.recall < 1.0
-    assert seen_figures(truths, missed, hidden) == fewer
+    assert visible_forecast_figures(truths, missed, hidden) == fewer
 
 
 def without(truth: SampleTruth, plan: Plan, instance: str) -> Plan:
@@ -133,7 +133,7 @@ def test_what_is_seen_is_matched_within_two_metres_of_its_centre_whatever_its_si
     box[2:4] *= 10.0
     plan = expecting(box[None], np.repeat(box[None, None, :2], 6, axis=1))
     alone = [frozenset([truth.instances[number]])]
-    figures = seen_figures([truth], [plan], alone)
+    figures = visible_forecast_figures([truth], [plan], alone)
     assert (figures is not None) == found
     if figures is not None:
         assert figures.recall == 1.0 and figures.vehicles == 1
@@ -145,7 +145,7 @@ def test_two_forecasts_of_one_vehicle_are_one_match(truths: list[SampleTruth]) -
         boxes = truth.boxes[seen(truth), 0]
         twice = np.concatenate([boxes, boxes + np.array([0.2, 0.0, 0.0, 0.0, 0.0])])
         plans.append(expecting(twice, np.repeat(twice[:, None, :2], 6, axis=1)))
-    found = seen_figures(truths, plans, everybody(truths))
+    found = visible_forecast_figures(truths, plans, everybody(truths))
     assert found is not None and found.recall == 1.0 and found.precision == pytest.approx(0.5, abs=0.1)
     # The nearer one is the match.
     assert found.likeliest_error_m == pytest.approx(found.standing_error_m)

@@ -14,10 +14,10 @@ from adapters.extensions.training.mixture import INDEX, FrameStore, build_frames
 from adapters.extensions.training.scene_frames import drivable_cells
 from benchmark.constants import DETECTION_CLASSES
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.datasets.sample_truth import planar_lidar_poses
+from benchmark.datasets.sample_truth import compute_planar_lidar_poses
 from benchmark.errors import InputError
 from benchmark.geometry import to_global
-from benchmark.records.off_path import OFF_PATH, Excursion, excursions_of
+from benchmark.records.off_path import OFF_PATH, Excursion, read_excursions
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 SCENES = ("scene-9901", "scene-9902")
@@ -90,7 +90,7 @@ def test_velocities_lead_to_where_things_are_next(store: FrameStore) -> None:
 
 def test_cells_are_drivable_where_the_map_is(root: Path, store: FrameStore) -> None:
     scene = NuScenesData.open(root).scene(SCENES[0])
-    pose = planar_lidar_poses(scene)[2]
+    pose = compute_planar_lidar_poses(scene)[2]
     cells = drivable_cells(scene.road_map, pose)
     assert (cells == store.frame(2).drivable.numpy()).all()
     rng = np.random.default_rng(0)
@@ -159,7 +159,7 @@ def test_matrices_stay_on_the_processor_when_a_frame_moves(store: FrameStore) ->
 
 def test_nothing_is_learned_from_an_ego_that_departs_from_its_path(tmp_path: Path) -> None:
     data = write_off_path(tmp_path / "root")
-    excursions = excursions_of(data.provenance(), data.scene_names("val")[0])
+    excursions = read_excursions(data.provenance(), data.scene_names("val")[0])
     store = build_frames(data.root, "val", tmp_path / "frames")
     frames = [store.frame(number) for number in range(len(store))]
     (away,) = excursions

@@ -31,9 +31,9 @@ from adapters.extensions.training.front import (
     gap_ahead,
     walkers_ahead,
 )
-from adapters.extensions.training.losses import aside_loss
-from adapters.extensions.training.vad.objective import COARSE, inputs_of
-from adapters.extensions.training.vad.phases import front_eyes, front_reader, phases
+from adapters.extensions.training.losses import lateral_loss
+from adapters.extensions.training.vad.objective import COARSE, network_inputs
+from adapters.extensions.training.vad.phases import build_front_encoder, find_front_reader, phases
 from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.vad.model import VAD
 from benchmark.constants import DETECTION_CLASSES
@@ -157,17 +157,17 @@ def test_a_way_to_the_side_asks_for_the_mean_and_not_for_the_median() -> None:
     wanted = torch.tensor([0.0, 0.0, 0.0, 0.8])
     counted = torch.ones(4, dtype=torch.bool)
     tried = torch.linspace(0, 0.8, 81)
-    best = min(tried, key=lambda each: float(aside_loss(each.expand(4), wanted, counted)))
+    best = min(tried, key=lambda each: float(lateral_loss(each.expand(4), wanted, counted)))
     assert float(best) == pytest.approx(0.2, abs=0.011)
-    assert aside_loss(wanted + 1.0, wanted, ~counted) == 0
+    assert lateral_loss(wanted + 1.0, wanted, ~counted) == 0
 
 
 def test_the_front_camera_learns_where_lines_are_and_nothing_else_changes() -> None:
     network = small_network(config=replace(SMALL, backbone_outputs=(1, 2), pyramid_levels=2, plan_sees_front=18))
     before = {name: value.clone() for name, value in network.state_dict().items()}
-    reader = front_reader(network)
+    reader = find_front_reader(network)
     assert reader is not None
-    objective = FrontObjective(network, reader, front_eyes(network))
+    objective = FrontObjective(network, reader, build_front_encoder(network))
     frames = [shifted(a_frame(number, scene), by) for number, (scene, by) in enumerate((("a", 1.0), ("b", 3.0)))]
     optimiser = torch.optim.Adam([each for each in network.parameters() if each.requires_grad], lr=1e-2)
     losses = []
@@ -210,7 +210,7 @@ def test_published_networks_have_no_such_part() -> None:
     assert network.pts_bbox_head.front_reader is None
     assert not [name for name in network.state_dict() if "front" in name]
     with torch.inference_mode():
-        assert network.predict(inputs_of(a_frame())).front is None
+        assert network.predict(network_inputs(a_frame())).front is None
 
 
 def test_a_plan_that_compares_is_told_what_changed_and_nothing_at_the_start() -> None:
@@ -222,7 +222,7 @@ def test_a_plan_that_compares_is_told_what_changed_and_nothing_at_the_start() ->
     assert torch.equal(reader.told(now, None), reader.tell(now))
     assert torch.allclose(reader.told(now, before) - reader.tell(now), change(now - before), atol=1e-6)
     assert torch.equal(reader.told(now, now), reader.tell(now))
-    reader.say_nothing()
+    reader.zero_message()
     assert not reader.told(now, before).any()
     assert FrontReader(4, 3, 8).tell_change is None
 

@@ -16,7 +16,7 @@ from adapters.extensions.training.image_encoder import (
     ImageEncoder,
     ImageEncoderObjective,
     ImageTargets,
-    _mirrored,
+    _mirror,
     centre_loss,
     image_targets,
 )
@@ -105,10 +105,10 @@ def test_no_ground_is_asked_for_behind_a_box(frame: TrainingFrame, targets: Imag
 def test_mirroring_twice_changes_nothing_and_once_turns_sides(frame: TrainingFrame, targets: ImageTargets) -> None:
     wanted = {name: torch.from_numpy(getattr(targets, name)) for name in ImageTargets.__dataclass_fields__}
     every, none = torch.ones(6, dtype=torch.bool), torch.zeros(6, dtype=torch.bool)
-    images, once = _mirrored(frame.images, wanted, every)
-    again, twice = _mirrored(images, once, every)
+    images, once = _mirror(frame.images, wanted, every)
+    again, twice = _mirror(images, once, every)
     assert torch.equal(again, frame.images) and all(torch.equal(twice[name], wanted[name]) for name in wanted)
-    kept, same = _mirrored(frame.images, wanted, none)
+    kept, same = _mirror(frame.images, wanted, none)
     assert torch.equal(kept, frame.images) and all(torch.equal(same[name], wanted[name]) for name in wanted)
     width = targets.has_box.shape[-1]
     camera, row, column = np.argwhere(targets.has_box)[0]

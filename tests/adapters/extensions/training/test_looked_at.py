@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from adapters.extensions.training.frames import OFTEN, SPEED, Frames, LookedAt, TrainingFrame, weighed
+from adapters.extensions.training.frames import REPEATS, SPEED, CachedFrames, Frames, TrainingFrame, oversample_changes
 from adapters.extensions.training.mixture import FrameStore, build_frames
 from adapters.extensions.training.trainer import Recipe, fit
 from tests.adapters.extensions.training.one_scene import OneScene
@@ -27,7 +27,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> FrameStore:
 def test_scenes_that_are_learned_from_are_looked_at_from_their_beginnings(store: FrameStore) -> None:
     seen: list[list[int]] = []
     second = store.frames_of(store.scenes[1])
-    looked = LookedAt(store, [second[2], second[3]], lambda frames: seen.append([each.index for each in frames]))
+    looked = CachedFrames(store, [second[2], second[3]], lambda frames: seen.append([each.index for each in frames]))
     assert looked.scenes == store.scenes[1:2] and looked.identity == store.identity
     assert seen == [list(range(len(second)))] and len(looked) == len(second)
     for length in (1, 3, 50):
@@ -59,8 +59,8 @@ def test_who_brakes_turns_or_stands_is_seen_more_often_than_who_drives_on() -> N
             driven(8.0, braking, known=False),
         ]
     )
-    counts = [weighed(frames, range(5)).count(number) for number in range(5)]
-    assert counts == [1, OFTEN, OFTEN, OFTEN, 1]
+    counts = [oversample_changes(frames, range(5)).count(number) for number in range(5)]
+    assert counts == [1, REPEATS, REPEATS, REPEATS, 1]
 
 
 class Foresighted(GlanceObjective):
@@ -75,9 +75,9 @@ class Foresighted(GlanceObjective):
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
         self.looks += 1
-        return LookedAt(store, frames, self._look), frames
+        return CachedFrames(store, frames, self._cache_scene), frames
 
-    def _look(self, scene: Sequence[TrainingFrame]) -> None:
+    def _cache_scene(self, scene: Sequence[TrainingFrame]) -> None:
         self.colours |= {(each.scene, each.index): each.images for each in scene}
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:

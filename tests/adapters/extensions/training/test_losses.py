@@ -11,21 +11,21 @@ from torch import Tensor
 
 from adapters.extensions.training.losses import (
     Matches,
-    assigned,
+    assign,
     box_loss,
     class_cost,
     dice_loss,
     direction_loss,
     equivalent_lines,
+    find_winning_modes,
     focal_loss,
     line_loss,
     match_boxes,
     match_lines,
-    normalised_boxes,
+    normalise_boxes,
     plan_loss,
     query_class_loss,
     trajectory_losses,
-    winners,
 )
 from benchmark.errors import InputError
 
@@ -39,7 +39,7 @@ def noise(seed: int, *shape: int) -> Tensor:
 @given(SEEDS, st.integers(1, 5), st.integers(0, 5))
 def test_the_assignment_is_the_cheapest_of_all(seed: int, queries: int, wanted: int) -> None:
     cost = noise(seed, queries, wanted)
-    found = assigned(cost)
+    found = assign(cost)
     fewer = min(queries, wanted)
     assert len(found.queries) == fewer == len(set(found.queries.tolist())) == len(set(found.wanted.tolist()))
     if queries >= wanted:
@@ -51,7 +51,7 @@ def test_the_assignment_is_the_cheapest_of_all(seed: int, queries: int, wanted: 
 
 def test_predictions_that_are_not_finite_are_a_sentence() -> None:
     with pytest.raises(InputError, match="no longer finite"):
-        assigned(torch.tensor([[math.nan, 1.0]]))
+        assign(torch.tensor([[math.nan, 1.0]]))
 
 
 @given(SEEDS)
@@ -72,7 +72,7 @@ def test_confident_truth_costs_less_than_confident_error() -> None:
 
 
 def test_boxes_are_matched_by_place_and_kind() -> None:
-    wanted = normalised_boxes(torch.tensor([[0.0, 10, -1, 4, 2, 1.5, 0, 1, 0], [5.0, 0, -1, 4, 2, 1.5, 3, 0, 0]]))
+    wanted = normalise_boxes(torch.tensor([[0.0, 10, -1, 4, 2, 1.5, 0, 1, 0], [5.0, 0, -1, 4, 2, 1.5, 3, 0, 0]]))
     codes = wanted.flip(0) + 0.01
     found = match_boxes(torch.zeros(2, 3), codes, torch.tensor([0, 0]), wanted, torch.ones(10))
     assert found.queries.tolist() == [0, 1] and found.wanted.tolist() == [1, 0]
@@ -86,8 +86,8 @@ def test_boxes_are_matched_by_place_and_kind() -> None:
 def test_half_a_turn_more_is_another_heading_and_a_full_turn_is_none() -> None:
     box = torch.tensor([1.0, 2, 0, 4, 2, 1.5, 0.3, 1, 2])
     turn = torch.tensor([0, 0, 0, 0, 0, 0, 2 * math.pi, 0, 0])
-    assert torch.allclose(normalised_boxes(box), normalised_boxes(box + turn), atol=1e-5)
-    assert not torch.allclose(normalised_boxes(box), normalised_boxes(box + turn / 2), atol=0.1)
+    assert torch.allclose(normalise_boxes(box), normalise_boxes(box + turn), atol=1e-5)
+    assert not torch.allclose(normalise_boxes(box), normalise_boxes(box + turn / 2), atol=0.1)
 
 
 @given(SEEDS, st.booleans(), st.integers(0, 7))
@@ -129,7 +129,7 @@ def test_lines_are_compared_in_units_of_the_scale() -> None:
 def test_the_winner_is_the_mode_that_is_nearest_where_it_is_annotated(seed: int, agents: int) -> None:
     paths, wanted = noise(seed, agents, 6, 5, 2), noise(seed + 1, agents, 5, 2)
     valid = noise(seed + 2, agents, 5) > 0
-    best = winners(paths, wanted, valid)
+    best = find_winning_modes(paths, wanted, valid)
     regression, entropy = trajectory_losses(paths, torch.zeros(agents, 6), wanted, valid)
     total, steps = 0.0, 0
     for agent in range(agents):

@@ -7,13 +7,13 @@ import pytest
 
 from adapters.extensions.training.mixture import (
     IN_THE_WAY_M,
-    ApartScenes,
-    FollowedAsRecorded,
     FrameStore,
     MixedFrames,
+    PrefixedScenes,
+    RecordedFutureFrames,
     build_frames,
-    require_made_from,
-    require_others,
+    require_distinct_data,
+    require_source_scenes,
 )
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
@@ -78,17 +78,17 @@ def test_of_adversarial_scenes_as_much_is_followed_as_of_the_recorded_ones(
     store = build_frames(adversarial, "adv", tmp_path / "adversarial")
     recorded = build_frames(data.root, "train", tmp_path / "recorded")
     sources = {f"{name}-0a": name for name in SCENES}
-    followed = FollowedAsRecorded(store, recorded, sources)
+    followed = RecordedFutureFrames(store, recorded, sources)
     assert followed.scenes == store.scenes and len(followed) == len(store)
     assert followed.identity not in (store.identity, recorded.identity)
-    hidden = recorded.followed(SCENES[0], 1)
+    hidden = recorded.learnable_steps(SCENES[0], 1)
     hidden[2:] = False
     first, second = (followed.frames_of(f"{name}-0a") for name in SCENES)
     frame, untouched = followed.clip(first[1], 1)[0], store.frame(first[1])
     assert frame.ego_future_valid.tolist() == [*untouched.ego_future_valid[:2].tolist(), False, False, False, False]
     assert (frame.images == untouched.images).all()
     assert (followed.frame(second[0]).ego_future_valid <= store.frame(second[0]).ego_future_valid).all()
-    recorded.followed(SCENES[0], 1)[:] = True
+    recorded.learnable_steps(SCENES[0], 1)[:] = True
     # Somebody stands where the ego will be after 1.5 s.
     met = untouched.futures.clone()
     met[0, :, :2] = untouched.ego_future[2]
@@ -106,14 +106,14 @@ def test_two_data_sets_with_the_same_scene_are_refused(data: NuScenesData, tmp_p
 
 
 def test_adversarial_scenes_come_from_what_is_learned(data: NuScenesData, adversarial: Path) -> None:
-    assert require_made_from(adversarial, data, "train") == {f"{name}-0a": name for name in SCENES}
+    assert require_source_scenes(adversarial, data, "train") == {f"{name}-0a": name for name in SCENES}
 
 
 def test_scenes_of_another_data_set_are_refused(data: NuScenesData, adversarial: Path, tmp_path: Path) -> None:
     other = tmp_path / "other"
     write_root(other, [short_scene(name, seconds=3.0) for name in SCENES], split="train")
     with pytest.raises(InputError, match="was not made from"):
-        require_made_from(adversarial, NuScenesData.open(other), "train")
+        require_source_scenes(adversarial, NuScenesData.open(other), "train")
 
 
 def test_scenes_that_planners_are_judged_on_are_never_learned_from(tmp_path: Path) -> None:
@@ -125,9 +125,9 @@ def test_scenes_that_planners_are_judged_on_are_never_learned_from(tmp_path: Pat
     data = NuScenesData.open(folder)
     evaluated = write_adversarial(tmp_path / "adversarial", data, (SCENES[1],))
     with pytest.raises(InputError, match="judged on"):
-        require_made_from(evaluated, data, "train")
+        require_source_scenes(evaluated, data, "train")
     learned = write_adversarial(tmp_path / "learned", data, (SCENES[0],))
-    assert require_made_from(learned, data, "train") == {f"{SCENES[0]}-0a": SCENES[0]}
+    assert require_source_scenes(learned, data, "train") == {f"{SCENES[0]}-0a": SCENES[0]}
 
 
 def test_the_command_learns_from_both_and_says_so(data: NuScenesData, adversarial: Path, tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def other_data(folder: Path) -> NuScenesData:
 def test_two_data_sets_that_name_their_scenes_alike_are_told_apart(data: NuScenesData, tmp_path: Path) -> None:
     store = build_frames(data.root, "train", tmp_path / "store")
     other = build_frames(other_data(tmp_path / "other").root, "train", tmp_path / "other store")
-    apart = ApartScenes(other, "also-1")
+    apart = PrefixedScenes(other, "also-1")
     mixed = MixedFrames([store, apart])
     assert mixed.scenes == (*SCENES, *(f"also-1/{name}" for name in SCENES))
     for name in SCENES:
@@ -161,16 +161,16 @@ def test_two_data_sets_that_name_their_scenes_alike_are_told_apart(data: NuScene
             other.frame(each).timestamp_s for each in other.frames_of(name)
         ]
         assert {frame.scene for frame in mixed.clip(numbers[-1], 2)} == {f"also-1/{name}"}
-    assert len({each.identity for each in (other, apart, ApartScenes(other, "also-2"))}) == 3
+    assert len({each.identity for each in (other, apart, PrefixedScenes(other, "also-2"))}) == 3
 
 
 def test_a_data_set_is_learned_from_once(data: NuScenesData, tmp_path: Path) -> None:
     other = other_data(tmp_path / "other")
-    require_others([other.root], data)
+    require_distinct_data([other.root], data)
     with pytest.raises(InputError, match="the same data set as"):
-        require_others([data.root], data)
+        require_distinct_data([data.root], data)
     with pytest.raises(InputError, match="the same data set as"):
-        require_others([other.root, other.root], data)
+        require_distinct_data([other.root, other.root], data)
 
 
 def test_the_command_learns_from_other_data_sets_as_well(data: NuScenesData, tmp_path: Path) -> None:

@@ -3,9 +3,9 @@
 import torch
 from torch import nn
 
-from adapters.extensions.training.front import OWN_EYES, eyes_of_sparse
-from adapters.extensions.training.uniad.phases import seen_by_vad
-from adapters.extensions.training.vad.phases import begun_from
+from adapters.extensions.training.front import FRONT_BACKBONE_PREFIX, transfer_sparse_front_backbone
+from adapters.extensions.training.uniad.phases import transfer_from_vad
+from adapters.extensions.training.vad.phases import transfer_start_weights
 from adapters.networks.layers.front_reader import FRONT, FrontReader
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseDrive
@@ -27,12 +27,12 @@ def test_what_a_sparse_miniature_reads_in_the_front_camera_vad_reads() -> None:
     torch.manual_seed(5)
     sparse, network = SparseDrive(SparseConfig.miniature()), vad()
     before = {name: value.clone() for name, value in network.state_dict().items()}
-    taken = begun_from(sparse.state_dict())
+    taken = transfer_start_weights(sparse.state_dict())
     assert all(before[name].shape == value.shape for name, value in taken.items())
     network.load_state_dict(taken, strict=False)
     changed = {name for name, value in network.state_dict().items() if not torch.equal(value, before[name])}
     # Images, boxes and what the plan makes of the numbers stay its own.
-    assert changed and all(name.startswith(OWN_EYES) or ".front_reader." in name for name in changed)
+    assert changed and all(name.startswith(FRONT_BACKBONE_PREFIX) or ".front_reader." in name for name in changed)
     assert not any(".front_reader.tell" in name for name in changed)
     images = torch.randn(6, 3, 128, 224)
     with torch.inference_mode():
@@ -47,22 +47,22 @@ def test_what_a_sparse_miniature_reads_in_the_front_camera_vad_reads() -> None:
 
 def test_weights_of_the_same_network_are_taken_as_they_are() -> None:
     weights = vad().state_dict()
-    taken = begun_from(weights)
+    taken = transfer_start_weights(weights)
     assert taken.keys() == weights.keys() and all(torch.equal(taken[name], weights[name]) for name in taken)
-    without = {name: value for name, value in weights.items() if not name.startswith(OWN_EYES)}
-    begun = begun_from(without)
+    without = {name: value for name, value in weights.items() if not name.startswith(FRONT_BACKBONE_PREFIX)}
+    begun = transfer_start_weights(without)
     assert begun.keys() >= weights.keys()
-    assert torch.equal(begun[f"{OWN_EYES}backbone.conv1.weight"], weights["img_backbone.conv1.weight"])
+    assert torch.equal(begun[f"{FRONT_BACKBONE_PREFIX}backbone.conv1.weight"], weights["img_backbone.conv1.weight"])
 
 
 def test_uniad_takes_what_vad_sees_and_nothing_that_reads_another_map() -> None:
-    taken = seen_by_vad(vad().state_dict())
+    taken = transfer_from_vad(vad().state_dict())
     assert "img_backbone.conv1.weight" in taken
-    assert not any(name.startswith(OWN_EYES) or "front_reader" in name for name in taken)
+    assert not any(name.startswith(FRONT_BACKBONE_PREFIX) or "front_reader" in name for name in taken)
 
 
 def test_a_network_without_own_eyes_has_none_to_give() -> None:
     weights = SparseDrive(SparseConfig.miniature()).state_dict()
-    without = {name: value for name, value in weights.items() if not name.startswith(OWN_EYES)}
-    assert eyes_of_sparse(without, "reader.") == {}
-    assert eyes_of_sparse(vad().state_dict(), "reader.") == {}
+    without = {name: value for name, value in weights.items() if not name.startswith(FRONT_BACKBONE_PREFIX)}
+    assert transfer_sparse_front_backbone(without, "reader.") == {}
+    assert transfer_sparse_front_backbone(vad().state_dict(), "reader.") == {}

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adapters.extensions.training.plan_figures import Images, Loss, judged_plans, plan_figures, shown
+from adapters.extensions.training.plan_figures import (
+    ImageAblation,
+    ImageCondition,
+    evaluate_plans,
+    observe_with_images,
+    plan_figures,
+)
 from adapters.models import Model, miniatures
 from adapters.planners.constant_velocity import ConstantVelocity
 from benchmark.datasets.nuscenes import NuScenesData
@@ -64,23 +70,26 @@ def test_a_planner_sees_all_samples_where_some_are_judged(data: NuScenesData) ->
 
 
 def test_what_is_lost_is_the_difference_of_the_figures_and_travels_through_a_file(data: NuScenesData) -> None:
-    own, other = (judged_plans(planner, data, SCENES) for planner in (ConstantVelocity(), Late()))
-    lost, (before, after) = Loss.between(own, other), (own.figures(), other.figures())
+    own, other = (evaluate_plans(planner, data, SCENES) for planner in (ConstantVelocity(), Late()))
+    lost, (before, after) = ImageAblation.between(own, other), (own.figures(), other.figures())
     assert lost.l2_3s_m.value == pytest.approx(after.l2_3s_m - before.l2_3s_m, abs=1e-3)
     assert lost.collisions_pt.value == pytest.approx(100 * (after.collisions - before.collisions), abs=1e-3)
     assert lost.l2_3s_m.low is not None and lost.l2_3s_m.high is not None
     assert 0 < lost.l2_3s_m.low <= lost.l2_3s_m.value <= lost.l2_3s_m.high
-    assert Loss.from_log(json.loads(json.dumps(asdict(lost)))) == lost
-    assert Loss.between(own, own).said() == "L2 at 3 s +0.00 [+0.00, +0.00] m, collisions +0.0 [+0.0, +0.0] points"
-    alone = [judged_plans(planner, data, SCENES[:1]) for planner in (ConstantVelocity(), Late())]
-    assert Loss.between(*alone).l2_3s_m.said(0) == "+24 [-, -]"
+    assert ImageAblation.from_log(json.loads(json.dumps(asdict(lost)))) == lost
+    assert (
+        ImageAblation.between(own, own).said()
+        == "L2 at 3 s +0.00 [+0.00, +0.00] m, collisions +0.0 [+0.0, +0.0] points"
+    )
+    alone = [evaluate_plans(planner, data, SCENES[:1]) for planner in (ConstantVelocity(), Late())]
+    assert ImageAblation.between(*alone).l2_3s_m.said(0) == "+24 [-, -]"
 
 
 def test_images_are_changed_and_nothing_else(data: NuScenesData) -> None:
     own = list(data.observations(SCENES[0]))
     other = list(data.observations(SCENES[1]))
-    for kind in Images:
-        seen = list(shown(data, SCENES, 0, kind))
+    for kind in ImageCondition:
+        seen = list(observe_with_images(data, SCENES, 0, kind))
         for index, (observation, mine) in enumerate(zip(seen, own, strict=True)):
             assert observation.ego.velocity.tolist() == mine.ego.velocity.tolist()
             assert observation.command == mine.command
@@ -88,16 +97,16 @@ def test_images_are_changed_and_nothing_else(data: NuScenesData) -> None:
                 pixels, camera = view.load(), mine.views[name].camera
                 assert pixels.shape == (camera.height, camera.width, 3) and pixels.dtype == np.uint8
                 assert (view.global_T_ego == mine.views[name].global_T_ego).all()
-                if kind is Images.BLANK:
+                if kind is ImageCondition.BLANK:
                     assert (pixels == pixels[0, 0, 0]).all()
                 else:
-                    source = mine if kind is Images.OWN else other[index]
+                    source = mine if kind is ImageCondition.OWN else other[index]
                     assert (pixels == source.views[name].load()).all()
 
 
 def test_what_cannot_be_measured_is_a_sentence(data: NuScenesData, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be shuffled"):
-        plan_figures(Late(), data, SCENES[:1], images=Images.SHUFFLED)
+        plan_figures(Late(), data, SCENES[:1], images=ImageCondition.SHUFFLED)
     write_root(tmp_path, [short_scene("scene-9903", seconds=2.0)])
     with pytest.raises(InputError, match="none of the 1 scene has a sample"):
         plan_figures(Late(), NuScenesData.open(tmp_path), ["scene-9903"])
@@ -109,5 +118,5 @@ def test_the_packaged_miniatures_need_their_images(name: str) -> None:
     lost = facts_of(miniatures()[name])["lost"]
     assert set(lost) == {"blank", "shuffled"}
     for each in lost.values():
-        further = Loss.from_log(each).l2_3s_m
+        further = ImageAblation.from_log(each).l2_3s_m
         assert further.low is not None and further.low > 0

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from adapters.extensions.training.plan_room import AHEAD_M, ASIDE_M, Around, missing_room, room_loss
+from adapters.extensions.training.plan_room import AHEAD_M, ASIDE_M, NearbyBodies, missing_room, room_loss
 from benchmark.constants import (
     EGO_BODY_WIDTH_M,
     EGO_CENTER_FROM_REAR_AXLE_M,
@@ -23,10 +23,10 @@ MIDDLE_M = EGO_CENTER_FROM_REAR_AXLE_M - LIDAR_FROM_REAR_AXLE_M
 FRONT_M = MIDDLE_M + EGO_LENGTH_M / 2
 
 
-def around(*cars: tuple[float, float, float], size: tuple[float, float] = (4.6, 1.9)) -> Around:
+def around(*cars: tuple[float, float, float], size: tuple[float, float] = (4.6, 1.9)) -> NearbyBodies:
     """Cars that stand, at x, y, yaw."""
     boxes = torch.tensor([[[x, y, *size, yaw]] * 6 for x, y, yaw in cars])
-    return Around(boxes[None], torch.ones(1, len(cars), 6, dtype=torch.bool))
+    return NearbyBodies(boxes[None], torch.ones(1, len(cars), 6, dtype=torch.bool))
 
 
 def standing(*, learns: bool = False) -> Tensor:
@@ -91,7 +91,7 @@ def test_bodies_that_overlap_lack_room(x: float, y: float, yaw: float, speed: fl
 def test_frames_together_are_each_as_alone() -> None:
     frames = [a_frame(0), without_annotations(a_frame(1)), a_frame(2)]
     plans = torch.stack([frame.ego_future * 2.0 for frame in frames])
-    together = missing_room(plans[:, None], Around.of(frames, 6))
+    together = missing_room(plans[:, None], NearbyBodies.of(frames, 6))
     for plan, frame, found in zip(plans, frames, together[:, 0], strict=True):
         torch.testing.assert_close(room_loss(plan, frame), found)
     assert float(together[0]) > 0.0 and float(together[1]) == 0.0

@@ -13,15 +13,15 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from adapters.checkpoints.cache import read_provenance
-from adapters.checkpoints.loading import planner_of
+from adapters.checkpoints.loading import build_native_planner
 from adapters.extensions.training.planners import ENCODER_NAME, PlannerTraining, judge_again, train_planner
-from adapters.extensions.training.vad.phases import begun_from
+from adapters.extensions.training.vad.phases import transfer_start_weights
 from adapters.models import miniature
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_json
 from benchmark.planning import SceneInfo
-from generation.sources.mini import TownSettings, build_town
+from generation.sources.mini import TownSettings, build_town_data_set
 from tests.benchmark.cli.cli_runs import challenger_bench
 
 MODEL = "vad-mini"
@@ -29,7 +29,7 @@ MODEL = "vad-mini"
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build_town(tmp_path_factory.mktemp("town"), TownSettings(2, 0, 0, 64, 36, "keyframes"), workers=1)
+    return build_town_data_set(tmp_path_factory.mktemp("town"), TownSettings(2, 0, 0, 64, 36, "keyframes"), workers=1)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -75,7 +75,7 @@ def test_the_file_says_what_it_is_and_drives(town: Path, trained: Path) -> None:
     )
     tensors = load_file(trained)
     assert {tensor.dtype for tensor in tensors.values() if tensor.numel() >= 256} == {torch.float16}
-    planner: Any = planner_of(miniature(MODEL), trained)
+    planner: Any = build_native_planner(miniature(MODEL), trained)
     data = NuScenesData.open(town)
     scene = data.scene(data.scene_names("val")[0])
     planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
@@ -139,7 +139,7 @@ def test_of_several_weights_the_last_count(town: Path, encoder: Path, trained: P
     )  # fmt: skip
     assert done.code == 0, done.err
     assert list(done.json["phases"]) == ["planner"] and list(done.json["started_from"]) == ["start_from"]
-    eyes, first, found = begun_from(load_file(encoder)), load_file(trained), load_file(out)
+    eyes, first, found = transfer_start_weights(load_file(encoder)), load_file(trained), load_file(out)
     for name, value in found.items():
         given = eyes[name] if name in eyes and eyes[name].shape == value.shape else first[name]
         torch.testing.assert_close(value.float(), given.float(), rtol=1e-2, atol=1e-3, msg=name)

@@ -12,9 +12,9 @@ from torch import Tensor, nn
 from adapters.extensions.training.frames import TrainingFrame
 from adapters.extensions.training.losses import plan_loss
 from adapters.extensions.training.mixture import FrameStore, build_frames
-from adapters.extensions.training.trainer import LOG_EVERY, Recipe, clip_of, fit, learning_rate
+from adapters.extensions.training.trainer import LOG_EVERY, Recipe, fit, learning_rate, select_clip
 from benchmark.errors import InputError
-from benchmark.weights.tensors import tensors_key
+from benchmark.weights.tensors import hash_tensors
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 STEPS = 2 * LOG_EVERY + 20
@@ -71,7 +71,7 @@ def trained(store: FrameStore, out: Path, objective: GlanceObjective | None = No
     recipe = Recipe(steps=STEPS, **{"learning_rate": 1e-2, "clips": 2, "warmup": 10, **changes})  # type: ignore[arg-type]
     if objective is None:
         objective = fresh()
-    return tensors_key(fit(objective, store, range(len(store)), recipe, out, keep_every_s=0.0))
+    return hash_tensors(fit(objective, store, range(len(store)), recipe, out, keep_every_s=0.0))
 
 
 def fresh(stop_at: int | None = None, spoil_at: int | None = None) -> GlanceObjective:
@@ -125,12 +125,12 @@ def test_clips_together_teach_what_clips_one_by_one_teach(store: FrameStore, tmp
 def test_every_frame_ends_a_clip_once_before_any_does_twice(store: FrameStore) -> None:
     recipe = Recipe(steps=1)
     count = len(store)
-    drawn = [clip_of(store, range(count), recipe, 2, draw)[-1] for draw in range(2 * count)]
+    drawn = [select_clip(store, range(count), recipe, 2, draw)[-1] for draw in range(2 * count)]
     places = [(frame.scene, frame.index) for frame in drawn]
     assert len(set(places[:count])) == count == len(set(places[count:]))
     assert places[:count] != places[count:]
     scattered = Recipe(steps=1, scattered=True)
-    mixed = [frame for draw in range(count // 2) for frame in clip_of(store, range(count), scattered, 2, draw)]
+    mixed = [frame for draw in range(count // 2) for frame in select_clip(store, range(count), scattered, 2, draw)]
     assert len({(frame.scene, frame.index) for frame in mixed}) == count
 
 

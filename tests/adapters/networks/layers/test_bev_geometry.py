@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.networks.layers.bev_geometry import BEVGrid, camera_hits, previous_cell_matrix, turned_view
+from adapters.networks.layers.bev_geometry import BEVGrid, find_visible_cells, previous_cell_matrix, rotate_view
 
 GRID = BEVGrid(6, 4, (-15.0, -30.0, -2.0, 15.0, 30.0, 2.0))
 
@@ -43,7 +43,7 @@ def test_cells_go_row_by_row_from_the_rear_left() -> None:
 @given(seed=st.integers(0, 2**31))
 def test_hits_are_what_each_camera_sees(seed: int) -> None:
     pillars, projections = GRID.pillars(2), cameras(seed)
-    hits = camera_hits(pillars, projections, 60, 100)
+    hits = find_visible_cells(pillars, projections, 60, 100)
     found = {
         (int(camera), int(cell)): points for camera, cell, points in zip(hits.camera, hits.cell, hits.image_points)
     }
@@ -70,9 +70,9 @@ def test_hits_are_what_each_camera_sees(seed: int) -> None:
 def test_what_is_behind_a_camera_is_not_seen() -> None:
     behind = cameras(0, 1)
     behind[:, :3] *= -1
-    ahead = camera_hits(GRID.pillars(2), cameras(0, 1), 60, 100)
+    ahead = find_visible_cells(GRID.pillars(2), cameras(0, 1), 60, 100)
     assert len(ahead.cell) > 0
-    assert not set(ahead.cell.tolist()) & set(camera_hits(GRID.pillars(2), behind, 60, 100).cell.tolist())
+    assert not set(ahead.cell.tolist()) & set(find_visible_cells(GRID.pillars(2), behind, 60, 100).cell.tolist())
 
 
 @settings(max_examples=40, deadline=None)
@@ -87,7 +87,7 @@ def test_a_turned_view_takes_the_nearest_cell(
 ) -> None:
     grid = BEVGrid(rows, columns, GRID.range_m)
     view = torch.arange(1.0, grid.cells + 1)[:, None].expand(-1, 2)
-    turned = turned_view(view, grid, previous_cell_matrix(grid, angle, centre))
+    turned = rotate_view(view, grid, previous_cell_matrix(grid, angle, centre))
     cosine, sine = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     for row in range(rows):
         for column in range(columns):
@@ -106,7 +106,7 @@ def test_a_turned_view_takes_the_nearest_cell(
 def test_a_quarter_turn_is_exact_in_any_precision(precision: torch.dtype) -> None:
     grid = BEVGrid(5, 5, GRID.range_m)
     view = torch.randn(25, 3).to(precision)
-    turned = turned_view(view, grid, previous_cell_matrix(grid, 90.0, (2.5, 2.5)))
+    turned = rotate_view(view, grid, previous_cell_matrix(grid, 90.0, (2.5, 2.5)))
     # Counter-clockwise in an image whose rows go down.
     assert torch.equal(turned.view(5, 5, 3), torch.rot90(view.view(5, 5, 3), 1, (0, 1)))
-    assert torch.equal(turned_view(view, grid, previous_cell_matrix(grid, 360.0, (2.5, 2.5))), view)
+    assert torch.equal(rotate_view(view, grid, previous_cell_matrix(grid, 360.0, (2.5, 2.5))), view)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from adapters.networks.layers.bev_geometry import camera_hits
+from adapters.networks.layers.bev_geometry import find_visible_cells
 from adapters.networks.layers.bev_network import (
     BEVConfig,
     BEVFormerEncoder,
@@ -105,7 +105,7 @@ def test_spatial_attention_is_the_mean_of_the_cameras_that_see_a_cell(seed: int)
     module, projections = SpatialCrossAttention(8, 2, len(SHAPES), 4), cameras(seed)
     perturb(module)
     cells, features = torch.randn(GRID.cells, 8), torch.randn(len(projections), 21, 8)
-    hits = camera_hits(GRID.pillars(2), projections, 60, 100)
+    hits = find_visible_cells(GRID.pillars(2), projections, 60, 100)
     with torch.no_grad():
         found = module(cells, features, SHAPES, hits)
         expected = slow_spatial(module, cells, features, projections)
@@ -116,7 +116,7 @@ def test_spatial_attention_is_the_mean_of_the_cameras_that_see_a_cell(seed: int)
 def test_cells_that_no_camera_sees_stay_as_they_are() -> None:
     module: Any = SpatialCrossAttention(8, 2, len(SHAPES), 4)
     cells, features = torch.randn(GRID.cells, 8), torch.randn(2, 21, 8)
-    nothing = camera_hits(GRID.pillars(2), torch.zeros(2, 4, 4), 60, 100)
+    nothing = find_visible_cells(GRID.pillars(2), torch.zeros(2, 4, 4), 60, 100)
     with torch.no_grad():
         assert torch.equal(module(cells, features, SHAPES, nothing), cells)
 
@@ -163,7 +163,7 @@ def test_a_layer_is_one_graph() -> None:
     cells, positions = torch.randn(GRID.cells, 8), torch.randn(GRID.cells, 8)
     images, hits = (
         ImageFeatures(torch.randn(3, 21, 8), SHAPES, 60, 100),
-        camera_hits(GRID.pillars(2), cameras(1), 60, 100),
+        find_visible_cells(GRID.pillars(2), cameras(1), 60, 100),
     )
     arguments = (cells, positions, GRID.centres(), GRID.shape, None, images, hits)
     with torch.inference_mode():

@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 
 from adapters.networks.layers.attention import LearnedGridEncoding, sine_features, sine_grid_encoding
 from adapters.networks.layers.deformable_decoder import (
+    are_within,
     box_codes,
     decode_boxes,
     extent_corners,
     line_extent,
     logit,
-    metres,
-    strongest,
-    within,
+    select_strongest,
+    to_metres,
 )
 
 
@@ -35,16 +35,16 @@ def test_a_box_comes_back_from_its_code() -> None:
     yaw, size = 2.5, torch.tensor([2.0, 4.5, 1.6])
     corrections = torch.tensor([[9.0, 9.0, math.log(2.0), math.log(4.5), 9.0, math.log(1.6)]])
     corrections = torch.cat([corrections, torch.tensor([[3 * math.sin(yaw), 3 * math.cos(yaw), 0.5, -1.0]])], 1)
-    centre = metres(torch.tensor([[0.5, 0.25, 1.0]]), (-15, -30, -2), (15, 30, 2))
+    centre = to_metres(torch.tensor([[0.5, 0.25, 1.0]]), (-15, -30, -2), (15, 30, 2))
     box = decode_boxes(box_codes(centre, corrections))[0]
     torch.testing.assert_close(box, torch.tensor([0.0, -15.0, 2.0, *size.tolist(), yaw, 0.5, -1.0]))
 
 
 def test_strongest_pairs_of_query_and_class() -> None:
-    scores, labels, queries = strongest(torch.tensor([[0.0, 3.0], [2.0, 1.0]]), 3)
+    scores, labels, queries = select_strongest(torch.tensor([[0.0, 3.0], [2.0, 1.0]]), 3)
     assert (labels.tolist(), queries.tolist()) == ([1, 0, 1], [0, 1, 1])
     torch.testing.assert_close(scores, torch.tensor([3.0, 2.0, 1.0]).sigmoid())
-    assert len(strongest(torch.zeros(2, 2), 100)[0]) == 4
+    assert len(select_strongest(torch.zeros(2, 2), 100)[0]) == 4
 
 
 def test_lines_and_ranges() -> None:
@@ -52,7 +52,7 @@ def test_lines_and_ranges() -> None:
     assert extent.tolist() == [2.0, 3.0, 2.0, 4.0]
     assert extent_corners(extent).tolist() == [1.0, 1.0, 3.0, 5.0]
     places = torch.tensor([[0.0, 0.0], [2.0, 0.0], [0.0, -3.1]])
-    assert within(places, (-2, -3), (2, 3)).tolist() == [True, True, False]
+    assert are_within(places, (-2, -3), (2, 3)).tolist() == [True, True, False]
 
 
 def test_learned_encoding_puts_the_column_first() -> None:

@@ -7,7 +7,13 @@ import pytest
 import torch
 from torch import nn
 
-from adapters.networks.layers.resnet import DeformableConvolution, FeaturePyramid, ResNet, channels_last, folded
+from adapters.networks.layers.resnet import (
+    DeformableConvolution,
+    FeaturePyramid,
+    ResNet,
+    fold_normalisation,
+    use_channels_last,
+)
 
 
 def network(deformable: Sequence[int] = ()) -> nn.ModuleDict:
@@ -35,7 +41,7 @@ def seen(made: nn.ModuleDict, images: torch.Tensor) -> list[torch.Tensor]:
 @pytest.mark.parametrize("deformable", [(), (2, 3)], ids=["plain", "deformable"])
 def test_a_folded_network_sees_the_same_up_to_rounding(deformable: tuple[int, ...]) -> None:
     before, images = network(deformable), torch.randn(2, 3, 70, 96)
-    after = channels_last(folded(copy.deepcopy(before)))
+    after = use_channels_last(fold_normalisation(copy.deepcopy(before)))
     left = [name for name, module in after.named_modules() if isinstance(module, nn.BatchNorm2d)]
     # A deformable convolution has no place for a shift.
     assert all(name.endswith("bn2") for name in left) and len(left) == len(deformable)
@@ -46,12 +52,12 @@ def test_a_folded_network_sees_the_same_up_to_rounding(deformable: tuple[int, ..
 
 def test_features_leave_a_plain_network_as_its_convolutions_read_them() -> None:
     images = torch.randn(2, 3, 64, 96)
-    plain, deformable = (channels_last(folded(network(stages))) for stages in ((), (2, 3)))
+    plain, deformable = (use_channels_last(fold_normalisation(network(stages))) for stages in ((), (2, 3)))
     assert all(each.is_contiguous(memory_format=torch.channels_last) for each in seen(plain, images))
     assert all(each.is_contiguous() for each in seen(deformable, images))
 
 
 def test_folding_twice_changes_nothing_more() -> None:
-    once, images = folded(network()), torch.randn(1, 3, 64, 64)
+    once, images = fold_normalisation(network()), torch.randn(1, 3, 64, 64)
     first = seen(once, images)
-    assert all(torch.equal(*pair) for pair in zip(first, seen(folded(once), images), strict=True))
+    assert all(torch.equal(*pair) for pair in zip(first, seen(fold_normalisation(once), images), strict=True))

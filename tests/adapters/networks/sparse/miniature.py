@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import DiffusionDrive, SparseDrive, SparseInputs, SparseNetwork
-from benchmark.verification.synthetic_weights import WeightsRecipe, seeded_normal
+from benchmark.verification.synthetic_weights import WeightsRecipe, draw_seeded_normal
 
 MINIATURE = SparseConfig(
     image_height_px=64,
@@ -38,13 +38,15 @@ TIMES_S = (0.0, 0.5, 1.0, 30.0)
 
 
 def recipe() -> WeightsRecipe:
-    anchors = seeded_normal("boxes", (MINIATURE.anchors, 11), "mini") * ([8.0] * 2 + [1.0] * 9)
+    anchors = draw_seeded_normal("boxes", (MINIATURE.anchors, 11), "mini") * ([8.0] * 2 + [1.0] * 9)
     return WeightsRecipe(
         salt="mini",
         std_rules={r"\.scale$": 0.2, r"instance_feature$": 0.5, r"learnable_fc\.weight$": 0.03, r"cls_branch": 0.2},
         kept_buffers={
             "head.det_head.instance_bank.anchor": anchors.astype(np.float32).tolist(),
-            "head.map_head.instance_bank.anchor": (8 * seeded_normal("lines", (MINIATURE.lines, 8), "mini")).tolist(),
+            "head.map_head.instance_bank.anchor": (
+                8 * draw_seeded_normal("lines", (MINIATURE.lines, 8), "mini")
+            ).tolist(),
         },
     )
 
@@ -76,8 +78,8 @@ def projections() -> NDArray[np.float32]:
 
 def frame(number: int, scene_token: str = "scene") -> SparseInputs:
     height, width = MINIATURE.image_height_px, MINIATURE.image_width_px
-    coarse = seeded_normal(f"input:image:coarse:frame{number}", (6, 3, height // 16, width // 16), "mini")
-    fine = seeded_normal(f"input:image:fine:frame{number}", (6, 3, height, width), "mini")
+    coarse = draw_seeded_normal(f"input:image:coarse:frame{number}", (6, 3, height // 16, width // 16), "mini")
+    fine = draw_seeded_normal(f"input:image:fine:frame{number}", (6, 3, height, width), "mini")
     images = (np.kron(coarse, np.ones((16, 16))) + 0.5 * fine).astype(np.float32)
     turn, cosine, sine = 0.1 * number, np.cos(0.1 * number), np.sin(0.1 * number)
     pose = np.eye(4)
@@ -93,7 +95,7 @@ def frame(number: int, scene_token: str = "scene") -> SparseInputs:
 
 
 def noise(number: int) -> torch.Tensor:
-    return torch.from_numpy(seeded_normal(f"noise{number}", (6, 6, 2), "mini")).float()
+    return torch.from_numpy(draw_seeded_normal(f"noise{number}", (6, 6, 2), "mini")).float()
 
 
 def without_memory_across_scenes() -> SparseConfig:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from adapters.networks.layers.attention import ResidualAttention
-from adapters.networks.sparse.aggregation import FeedForward, decoupled_attention, sine_of_points
+from adapters.networks.sparse.aggregation import AsymmetricFeedForward, decoupled_attention, sine_of_points
 from adapters.networks.sparse.boxes import (
     BoxPoints,
     KeyframeMotion,
@@ -137,6 +137,6 @@ def test_decoupled_attention_has_no_way_round_its_last_layer() -> None:
 
 
 def test_both_ways_of_the_feed_forward_block_start_from_what_is_normalised() -> None:
-    block = FeedForward(6, 4, 8)
+    block = AsymmetricFeedForward(6, 4, 8)
     tokens = torch.randn(2, 6)
     torch.testing.assert_close(block(tokens), block(5 * tokens + 3), rtol=1e-3, atol=1e-3)

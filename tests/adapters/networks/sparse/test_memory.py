@@ -7,7 +7,13 @@ import torch
 from torch import Tensor
 
 from adapters.networks.sparse.boxes import KeyframeMotion, KeyframePose
-from adapters.networks.sparse.decoder import BoxDecoder, Decoded, Remembered, Stage, most_certain
+from adapters.networks.sparse.decoder import (
+    BoxDecoder,
+    DecodedInstances,
+    DecoderStage,
+    InstanceMemory,
+    find_most_certain,
+)
 from adapters.networks.sparse.model import number_instances
 from adapters.networks.sparse.queue import InstanceQueue, Queue, QueueMemory
 from tests.adapters.networks.sparse.miniature import MINIATURE
@@ -15,11 +21,11 @@ from tests.adapters.networks.sparse.miniature import MINIATURE
 COUNT, CHANNELS = 4, MINIATURE.channels
 
 
-def decoded(scores: list[float], places: float = 0.0) -> Decoded:
+def decoded(scores: list[float], places: float = 0.0) -> DecodedInstances:
     anchors = torch.full((len(scores), 11), places) + torch.arange(len(scores))[:, None]
     logits = torch.stack([torch.tensor(scores).logit(), torch.full((len(scores),), -9.0)], 1)
     features = torch.arange(float(len(scores)))[:, None].expand(-1, CHANNELS) + places
-    return Decoded((Stage(anchors, logits, None),), features, features)
+    return DecodedInstances((DecoderStage(anchors, logits, None),), features, features)
 
 
 def stay(seconds: float) -> KeyframeMotion:
@@ -28,13 +34,13 @@ def stay(seconds: float) -> KeyframeMotion:
 
 
 def test_of_equals_the_first_is_the_most_certain() -> None:
-    assert most_certain(torch.tensor([0.5, 0.9, 0.5, 0.9, 0.1]), 3).tolist() == [1, 3, 0]
+    assert find_most_certain(torch.tensor([0.5, 0.9, 0.5, 0.9, 0.1]), 3).tolist() == [1, 3, 0]
 
 
 def test_confidence_falls_slowly_and_rises_at_once() -> None:
     decoder = BoxDecoder(MINIATURE, 4)
     decoder.remembered = 2
-    past = Remembered(torch.zeros(2, CHANNELS), torch.zeros(2, 11), torch.tensor([0.9, 0.2]), torch.tensor([0, 1]))
+    past = InstanceMemory(torch.zeros(2, CHANNELS), torch.zeros(2, 11), torch.tensor([0.9, 0.2]), torch.tensor([0, 1]))
     found = decoder.remember(decoded([0.1, 0.7, 0.6]), past)
     assert found.rows.tolist() == [1, 2]
     found = decoder.remember(decoded([0.1, 0.7, 0.5]), past)

@@ -7,7 +7,14 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.networks.sparse.diffusion import SIGNAL_SHARES, TimeEmbedding, metres, noised, normalised, previous_sample
+from adapters.networks.sparse.diffusion import (
+    SIGNAL_SHARES,
+    TimeEmbedding,
+    add_noise,
+    denormalise,
+    normalise,
+    previous_sample,
+)
 
 
 def test_golden_noise_levels() -> None:
@@ -18,12 +25,12 @@ def test_golden_noise_levels() -> None:
 @given(x=st.floats(-3, 3), y=st.floats(-0.5, 7.6))
 def test_numbers_and_metres_are_inverse_within_their_range(x: float, y: float) -> None:
     step = torch.tensor([x, y])
-    assert bool((normalised(step).abs() <= 1).all())
-    torch.testing.assert_close(metres(normalised(step)), step, rtol=0, atol=1e-5)
+    assert bool((normalise(step).abs() <= 1).all())
+    torch.testing.assert_close(denormalise(normalise(step)), step, rtol=0, atol=1e-5)
 
 
 def test_what_is_too_long_is_cut() -> None:
-    assert normalised(torch.tensor([[9.0, 9.0], [-9.0, -9.0]])).tolist() == [[1.0, 1.0], [-1.0, -1.0]]
+    assert normalise(torch.tensor([[9.0, 9.0], [-9.0, -9.0]])).tolist() == [[1.0, 1.0], [-1.0, -1.0]]
 
 
 @pytest.mark.parametrize("timestep", [20, 1, 0])
@@ -40,7 +47,7 @@ def test_a_step_back_leads_to_the_same_plan_with_less_noise(timestep: int) -> No
 
 def test_the_noise_of_the_start_is_small() -> None:
     noise = torch.ones(1)
-    assert float(noised(torch.zeros(1), noise)) == pytest.approx(0.0316, abs=1e-4)
+    assert float(add_noise(torch.zeros(1), noise)) == pytest.approx(0.0316, abs=1e-4)
 
 
 def test_time_embedding() -> None:

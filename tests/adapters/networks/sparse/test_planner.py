@@ -12,14 +12,14 @@ import safetensors.torch
 import torch
 
 from adapters.camera_inputs import RGB_MEAN_STD, SPARSE_DRIVE_IMAGE
-from adapters.checkpoints.importing import import_checkpoint, matched
+from adapters.checkpoints.importing import import_checkpoint, match_model
 from adapters.models import MODELS
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseDrive, SparseInputs
 from adapters.networks.sparse.planner import SparsePlanner, example_frame
 from adapters.networks.sparse.selection import SparseOutputs
-from adapters.registry import planner, planner_factory
+from adapters.registry import build_planner, planner_factory
 from benchmark.constants import CAMERA_NAMES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
@@ -27,9 +27,9 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import transform_matrix
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, PlanFrame, SceneInfo
-from benchmark.records.planner_versions import labelled
-from benchmark.runs.planner_facts import facts_of
-from benchmark.weights.catalogue import checkpoint_of
+from benchmark.records.planner_versions import label_versions
+from benchmark.runs.planner_facts import build_planner_facts
+from benchmark.weights.catalogue import find_checkpoint
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 from tests.adapters.real_sample import FRAME, SCENE, boxes_in_lidar, info, real_root
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
@@ -156,7 +156,7 @@ def test_half_precision_plans_nearly_the_same(name: str, data: NuScenesData) -> 
 def test_noise_comes_from_the_seed_and_belongs_to_the_run(data: NuScenesData) -> None:
     first, again, other = (plans(small("diffusiondrive", seed=seed), data, "scene-9902") for seed in (1, 1, 2))
     assert np.array_equal(first, again) and not np.array_equal(first, other)
-    assert facts_of(small("diffusiondrive", seed=2)).seed == 2
+    assert build_planner_facts(small("diffusiondrive", seed=2)).seed == 2
     alone = plans(small("diffusiondrive", seed=1), data, "scene-9902", first=1)
     built = small("diffusiondrive", seed=1)
     seen = list(data.observations("scene-9902"))[1]
@@ -175,7 +175,7 @@ class _Small:
 
     @property
     def facts(self) -> Any:
-        return facts_of(self())
+        return build_planner_facts(self())
 
     def __call__(self) -> SparsePlanner:
         return small(self.name, seed=self.seed)
@@ -199,7 +199,10 @@ def test_an_evaluation_does_not_depend_on_the_number_of_processes(
 def test_several_seeds_are_several_rows(data: NuScenesData, tmp_path: Path) -> None:
     records = [evaluate(data, "val", _Small("diffusiondrive", seed), tmp_path) for seed in (0, 1)]
     assert records[0].directory != records[1].directory
-    assert [record.planner for record in labelled(records)] == ["diffusiondrive (seed 0)", "diffusiondrive (seed 1)"]
+    assert [record.planner for record in label_versions(records)] == [
+        "diffusiondrive (seed 0)",
+        "diffusiondrive (seed 1)",
+    ]
 
 
 def test_a_scene_without_images_is_one_sentence(data: NuScenesData) -> None:
@@ -241,9 +244,9 @@ def published(name: str, folder: Path) -> Path:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_registered_names_need_weights_and_say_where_they_are(name: str, cache: Path) -> None:
-    (file,) = checkpoint_of(name).files
+    (file,) = find_checkpoint(name).files
     with pytest.raises(InputError, match=rf"no weights for {name}; get {file.name} from .*weights import"):
-        planner(name)
+        build_planner(name)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -263,14 +266,14 @@ def test_anchors_come_from_the_checkpoint_and_missing_ones_are_named(cache: Path
     tensors = dict(filled("sparsedrive").state_dict())
     name = "head.motion_plan_head.plan_anchor"
     tensors[name] = torch.full_like(tensors[name], 7.0)
-    _, found = matched(tmp_path / "a.pth", tensors, "sparsedrive")
+    _, found = match_model(tmp_path / "a.pth", tensors, "sparsedrive")
     assert bool((found[name] == 7).all())
     without = {key: value for key, value in tensors.items() if key != name}
     with pytest.raises(InputError, match=rf"1 missing \(first: {name}\)"):
-        matched(tmp_path / "a.pth", without, "sparsedrive")
+        match_model(tmp_path / "a.pth", without, "sparsedrive")
     other = {**tensors, name: torch.zeros(3, 7, 6, 2)}
     with pytest.raises(InputError, match=rf"1 of another shape \(first: {name} \(3, 7, 6, 2\) instead of"):
-        matched(tmp_path / "a.pth", other, "sparsedrive")
+        match_model(tmp_path / "a.pth", other, "sparsedrive")
 
 
 def test_weights_without_anchors_take_those_of_a_data_set_and_others_refuse_them(cache: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from shapely import Point, Polygon
 from torch import Tensor
 
-from adapters.networks.sparse.selection import agent_boxes, colliding, corner_inside, ego_boxes
+from adapters.networks.sparse.selection import agent_boxes, ego_boxes, find_collisions, has_corner_inside
 
 
 def polygon(numbers: list[float]) -> Polygon:
@@ -35,18 +35,18 @@ def test_corners_in_boxes_are_those_of_polygons(first: list[float], second: list
     if any(own.exterior.distance(corner) < 1e-5 for corner in corners):
         return
     expected = any(own.contains(corner) for corner in corners)
-    assert bool(corner_inside(torch.tensor(first), torch.tensor(second))) == expected
+    assert bool(has_corner_inside(torch.tensor(first), torch.tensor(second))) == expected
 
 
 def test_touching_is_inside() -> None:
     square = torch.tensor([0.0, 0, 0, 2, 2, 1, 0])
-    assert corner_inside(square, torch.tensor([2.0, 0, 0, 2, 2, 1, 0]))
-    assert not corner_inside(square, torch.tensor([2.01, 0, 0, 2, 2, 1, 0]))
+    assert has_corner_inside(square, torch.tensor([2.0, 0, 0, 2, 2, 1, 0]))
+    assert not has_corner_inside(square, torch.tensor([2.01, 0, 0, 2, 2, 1, 0]))
 
 
 def test_crossing_boxes_without_corners_in_each_other_are_not_seen_as_published() -> None:
     cross = torch.tensor([0.0, 0, 0, 9, 1, 1, 0]), torch.tensor([0.0, 0, 0, 9, 1, 1, math.pi / 2])
-    assert not corner_inside(*cross) and not corner_inside(*reversed(cross))
+    assert not has_corner_inside(*cross) and not has_corner_inside(*reversed(cross))
 
 
 def straight(speed: float, x: float = 0.0) -> Tensor:
@@ -73,7 +73,7 @@ def scene(score: float, count: int = 2) -> Tensor:
     cars[:, 3:6] = torch.tensor([4.0, 1.8, 1.5]).log()
     cars[:, 6], cars[:, 0], cars[-1, :2] = 1.0, 500.0, torch.tensor([0.0, 15.0])
     plans = torch.stack([straight(0.0), straight(5.0), straight(10.0), straight(5.0, x=8.0)])
-    return colliding(plans, cars, torch.full((count,), score), cars[:, None, :2].expand(-1, 6, -1))
+    return find_collisions(plans, cars, torch.full((count,), score), cars[:, None, :2].expand(-1, 6, -1))
 
 
 def test_plans_that_reach_a_car_collide() -> None:
@@ -94,4 +94,4 @@ def test_the_slip_of_the_published_code_is_kept() -> None:
     car[0, :2] = torch.tensor(inner, dtype=torch.float32)
     away = torch.full((1, 6, 2), 900.0)
     away[0, 0] = car[0, :2]
-    assert colliding(plans, car, torch.ones(1), away).tolist() == [True] + [False] * 5
+    assert find_collisions(plans, car, torch.ones(1), away).tolist() == [True] + [False] * 5

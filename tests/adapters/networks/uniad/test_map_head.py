@@ -4,17 +4,17 @@ import pytest
 import torch
 
 from adapters.networks.layers.deformable_attention import DeformableAttention
-from adapters.networks.uniad.map_head import MapHead, WalkedAttention
-from adapters.networks.uniad.map_masks import MaskDecoder, paste_masks, ranked
+from adapters.networks.uniad.map_head import MapHead, PublishedOrderAttention
+from adapters.networks.uniad.map_masks import MaskDecoder, paste_masks, rank_masks
 from tests.adapters.networks.layers.slow_sampling import slow_sampling
 from tests.adapters.networks.uniad.small_uniad import SMALL
 
 SHAPE = (3, 5)
 
 
-def attention(levels: int, points: int = 3) -> WalkedAttention:
+def attention(levels: int, points: int = 3) -> PublishedOrderAttention:
     torch.manual_seed(levels)
-    module = WalkedAttention(8, 2, levels, points).double().eval()
+    module = PublishedOrderAttention(8, 2, levels, points).double().eval()
     with torch.no_grad():
         for parameter in module.parameters():
             parameter.normal_(0, 0.4)
@@ -87,7 +87,7 @@ def squares() -> torch.Tensor:
 
 def test_masks_of_class_zero_take_no_place() -> None:
     values, scores = squares(), torch.tensor([0.9, 0.5, 0.3, 0.9])
-    final, order = ranked(values, scores)
+    final, order = rank_masks(values, scores)
     areas = torch.tensor([18.0, 18.0, 18.0])
     expected = scores[:3] * (torch.tensor([2.0, 3.0, 4.0]) * areas / (areas + 1)) ** 2
     assert order.tolist() == [2, 1, 0, 3]
@@ -100,7 +100,7 @@ def test_masks_of_class_zero_take_no_place() -> None:
 
 def test_masks_of_other_classes_do() -> None:
     values = squares()
-    final, order = ranked(values, torch.tensor([0.9, 0.5, 0.3, 0.9]))
+    final, order = rank_masks(values, torch.tensor([0.9, 0.5, 0.3, 0.9]))
     road = paste_masks(values, final, order, torch.tensor([1, 2, 1, 1]), values[0], 3)
     # The second is covered to two thirds by the third, the first to one third.
     assert not road.lanes[2].any()
@@ -109,6 +109,6 @@ def test_masks_of_other_classes_do() -> None:
 
 def test_weak_masks_are_left_out() -> None:
     values = squares()
-    final, order = ranked(values, torch.full((4,), 0.004))
+    final, order = rank_masks(values, torch.full((4,), 0.004))
     road = paste_masks(values, final, order, torch.ones(4, dtype=torch.int64), values[3], 3)
     assert not road.lanes.any() and not road.drivable.any()

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.networks.uniad.map_head import MapElements
-from adapters.networks.uniad.motion import GROUP_OF_CLASS, HALF_TURN, GoalAttention, MotionHead, turned
+from adapters.networks.uniad.motion import GROUP_OF_CLASS, HALF_TURN, GoalAttention, MotionHead, rotate
 from adapters.networks.uniad.tracking import Boxes
 from tests.adapters.networks.layers.slow_sampling import slow_sampling
 from tests.adapters.networks.uniad.small_uniad import SMALL, anchors
@@ -20,7 +20,7 @@ NUSCENES = ("car", "truck", "van", "bus", "trailer", "barrier", "motorcycle", "b
 @given(st.floats(-7, 7), st.floats(-20, 20), st.floats(-20, 20))
 def test_turning_is_multiplication_with_a_unit_number(angle: float, x: float, y: float) -> None:
     offsets = torch.tensor([[[x, y], [1.0, 0.0]]], dtype=torch.float64)
-    found = turned(offsets, torch.tensor([angle], dtype=torch.float64))[0].numpy()
+    found = rotate(offsets, torch.tensor([angle], dtype=torch.float64))[0].numpy()
     expected = [complex(x, y) * np.exp(1j * angle), np.exp(1j * angle)]
     np.testing.assert_allclose(found[:, 0] + 1j * found[:, 1], expected, atol=1e-9)
 
@@ -89,7 +89,7 @@ def test_order_of_agents_does_not_matter() -> None:
 def test_anchors_lie_along_the_heading_that_the_network_was_trained_with() -> None:
     module, some = head(), agents(4)
     with torch.inference_mode():
-        _, along, _ = module._anchored(some)
+        _, along, _ = module._encode_anchors(some)
     for agent in range(4):
         angle = float(some.boxes[agent, 6]) - HALF_TURN
         matrix = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
@@ -99,7 +99,7 @@ def test_anchors_lie_along_the_heading_that_the_network_was_trained_with() -> No
 
 def test_places_are_encoded_y_first() -> None:
     module = head()
-    there = module._encoded(torch.tensor([[-12.0, 0.0], [0.0, -8.0]]))
+    there = module._encode(torch.tensor([[-12.0, 0.0], [0.0, -8.0]]))
     assert there.shape == (2, 16)
     zero = torch.tensor([0.0, 1.0] * 4)
     torch.testing.assert_close(there[0, 8:], zero)

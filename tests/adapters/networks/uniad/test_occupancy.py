@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 
 from adapters.networks.uniad.config import UniADConfig
-from adapters.networks.uniad.occupancy import SEEN, DownBlock, OccupancyHead
+from adapters.networks.uniad.occupancy import ATTENDED_ABOVE, DownBlock, OccupancyHead
 from tests.adapters.networks.uniad.small_uniad import SMALL
 
 
@@ -71,7 +71,7 @@ def test_cells_that_no_vehicle_claims_look_at_all() -> None:
         _, masks, _ = module._futures(present, vehicles)
     for mask, allowed in zip(masks, seen, strict=True):
         for cell in range(16):
-            claims = [bool(logit.sigmoid() >= SEEN) for logit in mask.flatten(1)[:, cell]]
+            claims = [bool(logit.sigmoid() >= ATTENDED_ABOVE) for logit in mask.flatten(1)[:, cell]]
             assert allowed[cell].tolist() == (claims if any(claims) else [True] * 3)
 
 

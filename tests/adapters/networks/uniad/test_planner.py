@@ -13,34 +13,34 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from adapters.camera_inputs import BGR_MEAN, ImageFormat
+from adapters.camera_inputs import BGR_MEAN, NetworkImageFormat
 from adapters.checkpoints.anchor_files import FILE, read_motion_anchors
 from adapters.checkpoints.cache import known_weights
 from adapters.checkpoints.importing import ImportedWeights, fetch_checkpoint, import_checkpoint
 from adapters.models import MODELS, MOTION_ANCHORS
-from adapters.networks.layers.reporting import PUBLISHED, Reporting
+from adapters.networks.layers.reporting import PUBLISHED, ReportingRules
 from adapters.networks.uniad import collision_optimiser as collision_solvers
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.model import UniAD
 from adapters.networks.uniad.planner import UniADPlanner, example_frame
 from adapters.networks.uniad.planning import UniADInputs, UniADOutputs
-from adapters.planner import forecasts_of
-from adapters.registry import planner, planner_factory
+from adapters.planner import select_forecasts
+from adapters.registry import build_planner, planner_factory
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import transform_matrix
 from benchmark.planning import Observation, PlanFrame, SceneInfo
 from benchmark.weights import fetch
-from benchmark.weights.catalogue import PublishedFile, PublishedWeights, checkpoint_of
-from leaderboard.build import leaderboard_files
+from benchmark.weights.catalogue import PublishedFile, PublishedWeights, find_checkpoint
+from leaderboard.build import build_leaderboard_files
 from leaderboard.frame.results import read_results
 from tests.adapters.networks.uniad.small_uniad import SMALL, anchors, class_layer, small_network
 from tests.adapters.networks.vad.small_vad import small_network as small_vad
 from tests.adapters.real_sample import FRAME, SCENE, boxes_in_lidar, info, real_root
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
-CONFIG = replace(SMALL, image_format=ImageFormat.scaled(0.1))
+CONFIG = replace(SMALL, image_format=NetworkImageFormat.scaled(0.1))
 real = pytest.mark.skipif(not FRAME.is_dir(), reason="no shared material beside the repository")
 
 
@@ -106,7 +106,7 @@ def test_what_the_network_receives_is_what_the_observation_says(data: NuScenesDa
     built = small()
     seen = list(begin(built, data, "scene-9901"))[1]
     inputs = built.inputs(seen)
-    assert inputs.images.shape == (6, 3, *ImageFormat.scaled(0.1).padded)
+    assert inputs.images.shape == (6, 3, *NetworkImageFormat.scaled(0.1).padded)
     colour = seen.views["CAM_FRONT"].load()[0, 0].astype(float)
     assert inputs.images[0, :, 0, 0].tolist() == pytest.approx(list(colour[::-1] - BGR_MEAN.mean), abs=1e-3)
     assert inputs.can_bus.dtype == torch.float64 and inputs.can_bus[:3].tolist() == pytest.approx(seen.ego.position)
@@ -171,8 +171,8 @@ def test_what_is_no_box_is_left_out_and_the_rest_is_kept(place: tuple[int, int],
     boxes = torch.tensor([[5.0, 20.0, -1.0, 2.0, 4.5, 1.6, 1.5, 0.0, 9.0]]).repeat(4, 1)
     boxes[place] = value
     scores = torch.tensor([0.9, 0.8, 0.4, 0.39])
-    found = forecasts_of(
-        boxes, scores, torch.full((4, 6, 12, 2), 7.0), torch.full((4, 6), 1 / 6), Reporting(least_score=0.4)
+    found = select_forecasts(
+        boxes, scores, torch.full((4, 6, 12, 2), 7.0), torch.full((4, 6), 1 / 6), ReportingRules(least_score=0.4)
     )
     assert np.allclose(found.boxes, [[5.0, 20.0, 4.5, 2.0, 1.5]] * 2)
     assert found.trajectories.shape == (2, 6, 6, 2) and found.scores.shape == (2, 6)
@@ -187,8 +187,8 @@ def test_a_forecast_that_is_not_finite_is_left_out(part: str) -> None:
         "shares": torch.full((3, 2), 0.5),
     }
     given[part][1] = float("nan")
-    assert len(forecasts_of(**given, reporting=PUBLISHED).boxes) == 2
-    none = forecasts_of(**{name: tensor[:0] for name, tensor in given.items()}, reporting=PUBLISHED)
+    assert len(select_forecasts(**given, reporting=PUBLISHED).boxes) == 2
+    none = select_forecasts(**{name: tensor[:0] for name, tensor in given.items()}, reporting=PUBLISHED)
     assert none.boxes.shape == (0, 5) and none.trajectories.shape == (0, 2, 6, 2)
 
 
@@ -248,7 +248,7 @@ def test_registered_names_need_weights_and_say_what_to_get(cache: Path) -> None:
     )
     for name in ("uniad", "uniad-unoptimised"):
         with pytest.raises(InputError, match=says):
-            planner(name)
+            build_planner(name)
     (entry,) = (entry for entry in known_weights(cache) if entry.weights.name == "uniad")
     assert "needs motion_anchor_infos_mode6.pkl" in " ".join(entry.plain().split())
     assert entry.as_json()["with"][0]["url"].endswith(FILE)
@@ -278,7 +278,7 @@ def test_fetching_uniad_gets_its_anchors_too(cache: Path, monkeypatch: pytest.Mo
         (anchor_file if path.name == FILE else published)(path)
 
     monkeypatch.setattr(fetch, "_download", receive)
-    found = fetch_checkpoint(checkpoint_of("uniad"), cache)
+    found = fetch_checkpoint(find_checkpoint("uniad"), cache)
     assert asked == ["v1.0.1/uniad_base_e2e.pth", f"v1.0/{FILE}"]
     assert torch.equal(load_file(found.path)[MOTION_ANCHORS], anchors()) and list(cache.iterdir()) == [found.path]
 
@@ -286,7 +286,7 @@ def test_fetching_uniad_gets_its_anchors_too(cache: Path, monkeypatch: pytest.Mo
 def test_anchors_that_changed_beside_a_checkpoint_are_read_again(cache: Path, tmp_path: Path) -> None:
     with_beside(tmp_path / "both")
     anchor_file(tmp_path / "both" / FILE, {"anchors_all": [np.ones((6, 12, 2))] * 4})
-    planner("uniad", checkpoint=tmp_path / "both" / "official.pth")
+    build_planner("uniad", checkpoint=tmp_path / "both" / "official.pth")
     assert len(list(cache.glob("uniad-*.safetensors"))) == 2
 
 
@@ -298,7 +298,7 @@ def test_the_map_head_follows_the_checkpoint_and_old_names_and_leftovers_are_kno
     tensors |= dict.fromkeys((*leftovers, "pts_bbox_head.transformer.reference_points.bias"), torch.ones(3))
     torch.save(tensors, tmp_path / "later.pth")
     found = import_checkpoint(tmp_path / "later.pth", anchors=anchor_file(tmp_path / "anchors.pkl"))
-    built = planner("uniad", checkpoint=found.path)
+    built = build_planner("uniad", checkpoint=found.path)
     assert isinstance(built, UniADPlanner) and built.config.map_levels == 1
 
 
@@ -349,9 +349,9 @@ def test_the_official_solver_without_its_package_is_one_sentence(
     with_beside(tmp_path / "both")
     monkeypatch.setattr(collision_solvers, "import_module", absent)
     with pytest.raises(InputError, match=r"needs casadi, which is not installed; install challenger-bench\[uniad\]"):
-        planner("uniad-ipopt")
+        build_planner("uniad-ipopt")
     monkeypatch.setattr(collision_solvers, "import_module", lambda name: importlib.import_module("math"))
-    built = planner("uniad-ipopt")
+    built = build_planner("uniad-ipopt")
     assert isinstance(built, UniADPlanner) and built.settings["collision_optimisation"] == "ipopt"
 
 
@@ -373,7 +373,7 @@ def test_variants_share_weights_and_stand_side_by_side(cache: Path, tmp_path: Pa
         data, "val", planner_factory("uniad", checkpoint=checkpoint, device="cpu"), tmp_path / "again", settings
     )
     assert again.rows == first.rows
-    pages = "\n".join(map(str, leaderboard_files(read_results(records)).values()))
+    pages = "\n".join(map(str, build_leaderboard_files(read_results(records)).values()))
     assert "uniad-unoptimised" in pages
 
 

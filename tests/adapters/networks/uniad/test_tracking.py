@@ -19,10 +19,10 @@ from adapters.networks.uniad.tracking import (
     Detections,
     Instances,
     Pose,
-    chosen_tracks,
-    moved_references,
-    strongest_boxes,
-    updated,
+    move_references,
+    select_strongest_boxes,
+    select_tracks,
+    update_tracks,
 )
 from tests.adapters.networks.uniad.small_uniad import SMALL
 
@@ -59,7 +59,7 @@ def test_life_cycle_against_a_loop(history: list[list[float]], config: UniADConf
     known, next_id = instances(9), torch.tensor(7)
     ids, asleep, number = [NO_TRACK] * 9, [0] * 9, 7
     for scores in history:
-        known, next_id = updated(known, detections(scores), FRESH, next_id, config)
+        known, next_id = update_tracks(known, detections(scores), FRESH, next_id, config)
         ids[FRESH - 1] = EGO
         for place, score in enumerate(scores):
             if score >= config.born_score:
@@ -94,7 +94,7 @@ def test_moved_tracks_against_poses_in_double_precision(then: float, now: float,
     world = place @ rotation(then) + np.array([410.0, 1180.0, 1.8])
     expected = (world - np.array([410.0 + shift, 1180.0, 1.8])) @ np.linalg.inv(rotation(now))
     shares = np.clip((expected - low) / (high - low), 1e-5, 1 - 1e-5)
-    moved = moved_references(tracks, first, second, SMALL).sigmoid().numpy()
+    moved = move_references(tracks, first, second, SMALL).sigmoid().numpy()
     np.testing.assert_allclose(moved, shares, atol=2e-4)
 
 
@@ -152,7 +152,7 @@ def test_reported_boxes_are_the_most_certain_ones_in_range(count: int) -> None:
     known = replace(known, scores=scores, box_codes=codes, track_ids=torch.arange(count) % 3 - 1)
     best = sorted(range(count), key=lambda place: -float(scores[place]))[: SMALL.max_boxes]
     inside = [p for p in best if abs(codes[p, 0]) <= 22 and abs(codes[p, 1]) <= 18 and abs(codes[p, 4]) <= 10]
-    found = strongest_boxes(known, SMALL)
+    found = select_strongest_boxes(known, SMALL)
     torch.testing.assert_close(found.scores, scores[inside])
 
 
@@ -174,7 +174,7 @@ def test_what_is_chosen_at_once_is_what_is_chosen_one_by_one(
         track_ids=torch.randint(-2, 9, (count,), generator=generator),
     )
     vehicle = torch.arange(SMALL.agent_classes) < 5
-    found = chosen_tracks(known, vehicle, SMALL)
+    found = select_tracks(known, vehicle, SMALL)
     living = [p for p in range(count) if known.track_ids[p] >= 0]
     awake = sorted((p for p in living if known.scores[p] >= SMALL.asleep_score), key=lambda p: -float(known.scores[p]))
     best = awake[: SMALL.max_boxes]
@@ -197,23 +197,27 @@ def placed(scores: list[float], places_m: list[tuple[float, float]]) -> Detectio
 def test_what_a_track_follows_is_not_born_again_and_of_two_tracks_on_one_thing_the_surer_lives() -> None:
     """Fresh ones are 0 to 4, of these the last is the ego; 5 to 8 may be tracks."""
     far = [(100.0 * place, 0.0) for place in range(9)]
-    known, next_id = updated(instances(9), placed([0.1] * 5 + [0.9, 0.8, 0.7, 0.1], far), FRESH, torch.tensor(0), APART)
+    known, next_id = update_tracks(
+        instances(9), placed([0.1] * 5 + [0.9, 0.8, 0.7, 0.1], far), FRESH, torch.tensor(0), APART
+    )
     assert known.track_ids.tolist()[5:] == [0, 1, 2, NO_TRACK] and int(next_id) == 3
     near = list(far)
     # A fresh one beside a track, surer than it; two tracks on one thing; a fresh one beside the ego, which is no track.
     near[0], near[6], near[1] = (far[7][0] + 2.2, 0.0), (far[5][0], 2.2), far[4]
     scores = [0.95, 0.9, 0.1, 0.1, 0.9, 0.6, 0.8, 0.7, 0.1]
-    after, then = updated(known, placed(scores, near), FRESH, next_id, APART)
+    after, then = update_tracks(known, placed(scores, near), FRESH, next_id, APART)
     assert after.track_ids.tolist() == [NO_TRACK, 3, NO_TRACK, NO_TRACK, EGO, NO_TRACK, 1, 2, NO_TRACK]
     assert int(then) == 4
     # As published nothing is compared.
-    as_published, last = updated(known, placed(scores, near), FRESH, next_id, SMALL)
+    as_published, last = update_tracks(known, placed(scores, near), FRESH, next_id, SMALL)
     assert as_published.track_ids.tolist() == [3, 4, NO_TRACK, NO_TRACK, EGO, 0, 1, 2, NO_TRACK] and int(last) == 5
 
 
 def test_what_sleeps_gives_way_to_what_is_seen_again() -> None:
     far = [(100.0 * place, 0.0) for place in range(9)]
-    known, next_id = updated(instances(9), placed([0.1] * 5 + [0.9] + [0.1] * 3, far), FRESH, torch.tensor(0), APART)
+    known, next_id = update_tracks(
+        instances(9), placed([0.1] * 5 + [0.9] + [0.1] * 3, far), FRESH, torch.tensor(0), APART
+    )
     near = [far[5], *far[1:]]
-    after, _ = updated(known, placed([0.9] + [0.1] * 8, near), FRESH, next_id, APART)
+    after, _ = update_tracks(known, placed([0.9] + [0.1] * 8, near), FRESH, next_id, APART)
     assert after.track_ids.tolist() == [1, NO_TRACK, NO_TRACK, NO_TRACK, EGO] + [NO_TRACK] * 4

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from adapters.networks.layers.bev_geometry import BEVGrid
-from adapters.networks.layers.deformable_decoder import within
-from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.layers.deformable_decoder import are_within
+from adapters.networks.layers.ego_motion import BEVMotion
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.selection import VADOutputs, select_boxes, select_lines
@@ -106,9 +106,9 @@ def test_reports_are_in_metres_and_in_order() -> None:
     assert outputs.trajectories.shape == (count, 6, 6, 2)
     torch.testing.assert_close(outputs.trajectory_scores.sum(-1), torch.ones(count))
     assert (outputs.box_scores.diff() <= 0).all() and (outputs.map_scores.diff() <= 0).all()
-    assert within(outputs.boxes[:, :2], (-20, -35), (20, 35)).all()
+    assert are_within(outputs.boxes[:, :2], (-20, -35), (20, 35)).all()
     assert outputs.map_points.shape == (len(outputs.map_labels), 4, 2)
-    assert within(outputs.map_points, (-20, -35), (20, 35)).all()
+    assert are_within(outputs.map_points, (-20, -35), (20, 35)).all()
     torch.testing.assert_close(lines.points.amin(1), lines.corners[:, :2])
     torch.testing.assert_close(lines.points.amax(1), lines.corners[:, 2:])
     # Headings point where the published yaw does: (-sin, -cos) of it in x, y.
@@ -131,11 +131,11 @@ def test_a_step_ahead_shifts_the_view_ahead(yaw_deg: float) -> None:
     before[16], before[17] = yaw, yaw_deg
     now[16], now[17] = yaw, yaw_deg
     now[:2] = 6.0 * torch.tensor([math.cos(yaw), math.sin(yaw)])
-    motion = EgoMotion.between(before, now, GRID, (100.0, 100.0))
+    motion = BEVMotion.between(before, now, GRID, (100.0, 100.0))
     torch.testing.assert_close(motion.shift, torch.tensor([0.0, 0.1]), rtol=0, atol=1e-6)
     torch.testing.assert_close(motion.previous_cells, torch.tensor([[1.0, 0, 0], [0, 1.0, 0]]))
     assert motion.can_bus[16] == yaw and motion.can_bus[17] == 0
-    first = EgoMotion.between(None, now, GRID, (100.0, 100.0))
+    first = BEVMotion.between(None, now, GRID, (100.0, 100.0))
     assert not first.shift.any() and not first.can_bus[:3].any() and first.can_bus[16] == yaw
 
 

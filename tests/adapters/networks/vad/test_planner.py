@@ -9,19 +9,19 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from adapters.camera_inputs import BGR_MEAN, RGB_MEAN_STD, ImageFormat, Normalisation
+from adapters.camera_inputs import BGR_MEAN, RGB_MEAN_STD, NetworkImageFormat, PixelNormalisation
 from adapters.checkpoints.cache import write_weights
 from adapters.checkpoints.importing import import_checkpoint
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.planner import VADPlanner, example_frame
 from adapters.networks.vad.selection import VADOutputs
-from adapters.registry import planner, planner_factory
+from adapters.registry import build_planner, planner_factory
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Observation, PlanFrame, SceneInfo
-from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.planner_facts import build_planner_facts
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 SMALL = replace(
@@ -43,7 +43,7 @@ SMALL = replace(
 )
 
 
-def small_vad(normalisation: Normalisation = BGR_MEAN, **kwargs: Any) -> VADPlanner:
+def small_vad(normalisation: PixelNormalisation = BGR_MEAN, **kwargs: Any) -> VADPlanner:
     torch.manual_seed(3)
     return VADPlanner(VAD(SMALL), name="small-vad", normalisation=normalisation, device="cpu", **kwargs)
 
@@ -118,7 +118,7 @@ def test_the_normalisation_of_the_weights_reaches_the_pixels(data: NuScenesData)
         assert built.settings["normalisation"] == variant.name
         built.plan(seen)
     (first, second), colour = received, seen.views["CAM_FRONT"].load()[0, 0].astype(float)
-    assert first.images.shape == (6, 3, *ImageFormat.scaled(0.1).padded)
+    assert first.images.shape == (6, 3, *NetworkImageFormat.scaled(0.1).padded)
     assert first.images[0, :, 0, 0].tolist() == pytest.approx(list(colour[::-1] - BGR_MEAN.mean), abs=1e-3)
     expected = (colour - RGB_MEAN_STD.mean) / RGB_MEAN_STD.std
     assert second.images[0, :, 0, 0].tolist() == pytest.approx(list(expected), abs=1e-3)
@@ -161,7 +161,7 @@ def test_an_evaluation_runs_from_end_to_end_and_again_gives_the_same(data: NuSce
 class _Small:
     """What `planner_factory` makes, for a network of the tests."""
 
-    facts = property(lambda self: facts_of(self()))
+    facts = property(lambda self: build_planner_facts(self()))
 
     def __call__(self) -> VADPlanner:
         return small_vad()
@@ -206,7 +206,7 @@ def published(path: Path) -> Path:
 def test_registered_names_need_weights_and_say_where_they_are(cache: Path) -> None:
     for name in ("vad", "vad-tiny", "vad-base"):
         with pytest.raises(InputError, match=r"there are no weights for vad-.*; get VAD_.*weights import VAD_"):
-            planner(name)
+            build_planner(name)
 
 
 def test_a_planner_by_name_takes_either_form_of_checkpoint(cache: Path, tmp_path: Path, data: NuScenesData) -> None:
@@ -232,7 +232,7 @@ def test_other_weights_are_another_planner(cache: Path, tmp_path: Path) -> None:
     assert usual.weights_sha256 != other.weights_sha256
     for checkpoint in (None, path):
         with pytest.raises(InputError, match="several weights for vad-tiny"):
-            planner("vad-tiny", checkpoint=checkpoint)
+            build_planner("vad-tiny", checkpoint=checkpoint)
 
 
 def test_weights_with_pixel_values_of_a_later_version_are_one_sentence(cache: Path, tmp_path: Path) -> None:
@@ -240,7 +240,7 @@ def test_weights_with_pixel_values_of_a_later_version_are_one_sentence(cache: Pa
     later = tmp_path / "later.safetensors"
     write_weights(later, load_file(found.path), found.provenance.model_copy(update={"normalisation": "grey"}))
     with pytest.raises(InputError, match="there is no normalisation 'grey'; known are bgr-mean, rgb-mean-std"):
-        planner("vad-tiny", checkpoint=later)
+        build_planner("vad-tiny", checkpoint=later)
 
 
 def test_an_import_finds_out_the_model(cache: Path, tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 
 from benchmark.constants import VERSION
-from benchmark.datasets.scene_facts import scene_facts_of
+from benchmark.datasets.scene_facts import build_scene_facts
 from benchmark.errors import InputError
-from benchmark.extensions.cards.croissant import Column
+from benchmark.extensions.cards.croissant import IndexColumn
 from benchmark.extensions.cards.data_card import SCENE_COLUMNS, scene_rows, write_data_card
 from benchmark.extensions.cards.records_card import RATE_COLUMNS, rate_rows, write_records_card
-from benchmark.extensions.cards.writing import CITE, CardSettings, front_matter, size_category
+from benchmark.extensions.cards.writing import CITE, CardSettings, find_size_category, format_front_matter
 from benchmark.published import PAPER
 from benchmark.records.drives import DriveRecord, load_drives
 from benchmark.records.run import RunRecord, load_record
@@ -33,7 +33,7 @@ class Made(FakeData):
     """Says how it was made: of other recordings, with an adversary, drawn."""
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        return {name: scene_facts_of(name, self.provenance()["scenes"][name]) for name in names}
+        return {name: build_scene_facts(name, self.provenance()["scenes"][name]) for name in names}
 
     def provenance(self) -> dict[str, Any]:
         labels = {"manoeuvre": "cut-in-left", "place": "junction", "closest_approach": {"gap_m": 0.5}}
@@ -58,7 +58,7 @@ def drives() -> list[DriveRecord]:
 def without_parquet(monkeypatch: pytest.MonkeyPatch) -> None:
     """The index as JSON, whose bytes are those of every pyarrow."""
 
-    def write(path: Path, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> None:
+    def write(path: Path, columns: Sequence[IndexColumn], rows: Sequence[Mapping[str, Any]]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps([[row[column.name] for column in columns] for row in rows]))
 
@@ -191,8 +191,10 @@ def test_wrong_settings_are_one_sentence(changes: dict[str, str], says: str) -> 
 
 
 def test_heads_leave_out_what_is_not_there_and_sizes_have_the_hubs_names() -> None:
-    assert front_matter({"a": 'x: "y"', "b": None, "c": [], "d": False}) == '---\na: "x: \\"y\\""\nd: false\n---\n'
-    assert [size_category(count) for count in (0, 999, 1000, 10**6)] == ["n<1K", "n<1K", "1K<n<10K", "n>1M"]
+    assert (
+        format_front_matter({"a": 'x: "y"', "b": None, "c": [], "d": False}) == '---\na: "x: \\"y\\""\nd: false\n---\n'
+    )
+    assert [find_size_category(count) for count in (0, 999, 1000, 10**6)] == ["n<1K", "n<1K", "1K<n<10K", "n>1M"]
 
 
 def test_the_index_reads_back(tmp_path: Path) -> None:
@@ -238,7 +240,7 @@ def test_mlcroissant_accepts_the_metadata_and_reads_the_rows(tmp_path: Path) -> 
 def test_hubs_read_the_head(tmp_path: Path) -> None:
     yaml = pytest.importorskip("yaml")
     said = {"pretty_name": "a: 'b' \u00e4 # c", "tags": ["x", "y: z"], "configs": [{"default": True}]}
-    assert yaml.safe_load(front_matter(said).split("---\n")[1]) == said
+    assert yaml.safe_load(format_front_matter(said).split("---\n")[1]) == said
 
 
 def test_the_citation_names_this_version_and_the_paper() -> None:

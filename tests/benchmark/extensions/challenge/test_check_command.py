@@ -4,13 +4,13 @@ import shutil
 from pathlib import Path
 
 from benchmark.datasets.roots import DataSet
-from benchmark.extensions.challenge.page import page_text
-from benchmark.extensions.challenge.rules import Rules, read_rules
+from benchmark.extensions.challenge.page import format_page
+from benchmark.extensions.challenge.rules import ChallengeRules, read_rules
 from benchmark.records.challenge import (
     ChangedVehicle,
     ComparedData,
     EntryVerdict,
-    Reason,
+    RefusalReason,
     SceneVerdict,
     read_verdict,
 )
@@ -81,7 +81,7 @@ def test_rules_are_printed_whole_and_read_again(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("[gaps]\nothers_m = 0.5")
     done = run_here("challenge", "rules", tmp_path / "mine.toml")
     (tmp_path / "whole.toml").write_text(done.out)
-    assert read_rules(tmp_path / "whole.toml") == read_rules(tmp_path / "mine.toml") != Rules()
+    assert read_rules(tmp_path / "whole.toml") == read_rules(tmp_path / "mine.toml") != ChallengeRules()
     strict = json.loads(run_here("challenge", "rules", "--set", "strict", "--json").out)
     assert strict["rules"]["motion"]["braking_m_s2"] == 5.0
 
@@ -100,7 +100,7 @@ def test_a_page_shows_what_strangers_wrote_as_text() -> None:
     scene = SceneVerdict(
         scene=nasty,
         recording=nasty,
-        reasons=(Reason(rule=nasty, sentence=nasty),),
+        reasons=(RefusalReason(rule=nasty, sentence=nasty),),
         notes=(nasty,),
         changed=(vehicle,),
     )
@@ -114,7 +114,7 @@ def test_a_page_shows_what_strangers_wrote_as_text() -> None:
         reasons=scene.reasons,
         scenes=(scene,),
     )
-    text = page_text(verdict, Rules(name=nasty), {})
+    text = format_page(verdict, ChallengeRules(name=nasty), {})
     assert "<script" not in text and text.count("&lt;script&gt;") > 10
     opened = re.findall(r"<(section|div|ul|li|table|tr|td|th|p|h\d|code|pre|span)\b", text)
     assert {tag: opened.count(tag) for tag in opened} == {tag: text.count(f"</{tag}>") for tag in opened}

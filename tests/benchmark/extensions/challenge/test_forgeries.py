@@ -6,7 +6,7 @@ import pytest
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.extensions.challenge.checking import check_entry
-from benchmark.extensions.challenge.rules import RULE_SETS, Rules
+from benchmark.extensions.challenge.rules import RULE_SETS, ChallengeRules
 from benchmark.records.challenge import EntryVerdict
 from tests.benchmark.extensions.challenge.forgeries import FORGERIES, Forgery
 from tests.benchmark.extensions.challenge.small_entries import Forged, cut_in, recording, write
@@ -15,9 +15,9 @@ NAME = "scene-9901-a"
 
 
 def check(
-    root: Path, base: DataSet, rules: Rules | None = None, names: tuple[str, ...] | None = (NAME,)
+    root: Path, base: DataSet, rules: ChallengeRules | None = None, names: tuple[str, ...] | None = (NAME,)
 ) -> EntryVerdict:
-    return check_entry(open_data(root), base, rules or Rules(), names)
+    return check_entry(open_data(root), base, rules or ChallengeRules(), names)
 
 
 def test_an_honest_entry_is_accepted_by_all_sets_of_rules(entry: Path, base: DataSet) -> None:
@@ -53,29 +53,29 @@ def test_the_same_scene_twice_and_too_many_of_one_recording(base: DataSet, tmp_p
     scene = recording("scene-9901")
     ways = [(4.0, "scene-9901-a"), (4.0, "scene-9901-b"), (5.0, "scene-9901-c")]
     root = write(tmp_path / "entry", "adv", [(cut_in(scene, over_s=over_s), name) for over_s, name in ways]).root
-    verdict = check(root, base, Rules.model_validate({"scenes": {"most_of_one": 2}}), None)
+    verdict = check(root, base, ChallengeRules.model_validate({"scenes": {"most_of_one": 2}}), None)
     assert [scene.accepted for scene in verdict.scenes] == [True, False, True]
     assert [reason.sentence for reason in verdict.scenes[1].reasons] == ["is the scene scene-9901-a once more"]
     assert [reason.rule for reason in verdict.reasons] == ["scenes.most_of_one"]
 
 
 def test_a_required_scene_that_is_missing_is_bad_input(entry: Path, base: DataSet) -> None:
-    required = Rules.model_validate({"scenes": {"required": ["scene-9902", "scene-9903"]}})
+    required = ChallengeRules.model_validate({"scenes": {"required": ["scene-9902", "scene-9903"]}})
     with pytest.raises(InputError, match="no scene of scene-9903, 1 of 2 that the rules require"):
         check(entry, base, required, None)
     assert check(entry, base, required, (NAME,)).accepted
 
 
 def test_an_image_size_may_be_required(entry: Path, base: DataSet) -> None:
-    rules = Rules.model_validate({"images": {"width": 1600, "height": 900}})
+    rules = ChallengeRules.model_validate({"images": {"width": 1600, "height": 900}})
     assert {reason.rule for reason in check(entry, base, rules).scenes[0].reasons} == {"images.width"}
 
 
 def test_rules_may_allow_two_and_gaps_may_be_asked_for(entry: Path, base: DataSet) -> None:
-    far = Rules.model_validate({"gaps": {"others_m": 20.0, "ego_m": 20.0}})
+    far = ChallengeRules.model_validate({"gaps": {"others_m": 20.0, "ego_m": 20.0}})
     said = [reason.rule for reason in check(entry, base, far).scenes[0].reasons]
     assert said == ["gaps.ego_m", "gaps.others_m"]
-    two = Rules.model_validate({"changed": {"least": 2, "most": 2}})
+    two = ChallengeRules.model_validate({"changed": {"least": 2, "most": 2}})
     assert [reason.rule for reason in check(entry, base, two).scenes[0].reasons] == ["changed.least"]
 
 

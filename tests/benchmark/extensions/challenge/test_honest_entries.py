@@ -12,10 +12,10 @@ from benchmark.extensions.challenge.checking import check_entry
 from benchmark.extensions.challenge.rules import RULE_SETS
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
-from generation.search.presets import PRESETS, Preset, hyper_parameters
+from generation.search.presets import PRESETS, Preset, build_hyper_parameters
 from generation.sources.mini import TownSettings
 from generation.splits.building import build_frozen
-from generation.splits.packaged import NamedSplit, frozen_split
+from generation.splits.packaged import NamedSplit, read_frozen_split
 from tests.generation.labels.recorded_roads import CHEAP
 from tests.generation.splits.frozen_files import recordings
 
@@ -27,7 +27,7 @@ def road(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_no_entry_of_a_preset_is_refused(preset: Preset, road: DataSet, tmp_path: Path) -> None:
-    hyper = replace(hyper_parameters(preset), candidates=24, rounds=2)
+    hyper = replace(build_hyper_parameters(preset), candidates=24, rounds=2)
     build_split(road, "adv", replace(CHEAP, out=tmp_path, hyper=hyper, per_scene=3))
     entry, has_limits = open_data(tmp_path), preset in ("default", "near")
     for rules in ("paper", *(["default", "strict"] if has_limits else [])):
@@ -50,7 +50,7 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 
 @pytest.mark.parametrize("name", ["mini-adv-1", "mini-adv-2", "mini-adv-3"])
 def test_no_scene_of_a_packaged_split_is_refused(name: str, town: DataSet, tmp_path: Path) -> None:
-    packaged = frozen_split(name)
+    packaged = read_frozen_split(name)
     few = [scene for scene in packaged.frozen.scenes if scene.source in town.scene_names(None)]
     split = NamedSplit(name, packaged.frozen.model_copy(update={"scenes": tuple(few)}))
     build_frozen(town, split, BuildSettings(out=tmp_path, version="v1.0-mini", renderer=None, frames="keyframes"))

@@ -10,8 +10,8 @@ from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
 from benchmark.untrusted.compressed import read_package
 from generation.splits.building import build_frozen
-from generation.splits.packing import PackageContents, Packed, pack_split
-from generation.splits.unpacking import read_split_package, write_files
+from generation.splits.packing import PackageContents, WrittenPackage, pack_split
+from generation.splits.unpacking import read_split_package, write_package_files
 from tests.benchmark.cli.in_process import run_here
 from tests.generation.splits.frozen_files import drifting_split, recordings
 from tests.generation.splits.test_packing import HERE, PLAIN, changed, replaced
@@ -34,19 +34,21 @@ def contents(folder: Path) -> PackageContents:
 
 
 @pytest.fixture(scope="module")
-def packed(contents: PackageContents, folder: Path) -> Packed:
+def packed(contents: PackageContents, folder: Path) -> WrittenPackage:
     return pack_split(folder / "road.zip", contents, HERE)
 
 
-def test_rules_are_in_the_package_byte_for_byte(packed: Packed, contents: PackageContents, tmp_path: Path) -> None:
+def test_rules_are_in_the_package_byte_for_byte(
+    packed: WrittenPackage, contents: PackageContents, tmp_path: Path
+) -> None:
     assert pack_split(tmp_path / "again.zip", contents, HERE).sha256 == packed.sha256
     assert sorted(file.kind for file in packed.manifest.files.values()) == ["rules", "split", "statistics"]
     assert read_package(packed.path)["rules/rules.toml"] == RULES
-    write_files(read_split_package(packed.path), tmp_path / "files")
+    write_package_files(read_split_package(packed.path), tmp_path / "files")
     assert (tmp_path / "files" / "rules" / "rules.toml").read_bytes() == RULES
 
 
-def test_the_commands_of_the_page(packed: Packed, folder: Path, tmp_path: Path) -> None:
+def test_the_commands_of_the_page(packed: WrittenPackage, folder: Path, tmp_path: Path) -> None:
     done = run_here(
         "data", "pack", folder / "road-adv-1.json", "--root", folder / "built", "--rules", folder / "rules.toml",
         "--to", tmp_path / "road.zip", "--workers", "1",
@@ -63,7 +65,7 @@ def test_the_commands_of_the_page(packed: Packed, folder: Path, tmp_path: Path) 
         (replaced("rules", b"[changed]\nmost = 9\n"), "is not what the manifest says"),
     ],
 )  # fmt: skip
-def test_what_was_tampered_with_is_refused(packed: Packed, tmp_path: Path, change: Any, message: str) -> None:
+def test_what_was_tampered_with_is_refused(packed: WrittenPackage, tmp_path: Path, change: Any, message: str) -> None:
     done = run_here("data", "unpack", changed(packed, tmp_path, change), "--to", tmp_path / "files")
     assert done.code == 2 and message in done.err and len(done.err.splitlines()) == 1
     assert not (tmp_path / "files").exists()
@@ -81,9 +83,9 @@ def test_what_are_no_rules_is_not_packed(contents: PackageContents, tmp_path: Pa
     assert not (tmp_path / "wrong.zip").exists()
 
 
-def test_rules_that_are_there_are_never_replaced(packed: Packed, tmp_path: Path) -> None:
+def test_rules_that_are_there_are_never_replaced(packed: WrittenPackage, tmp_path: Path) -> None:
     (tmp_path / "rules").mkdir()
     (tmp_path / "rules" / "rules.toml").write_text("mine = 1")
     with pytest.raises(InputError, match="is there and holds something else"):
-        write_files(read_split_package(packed.path), tmp_path)
+        write_package_files(read_split_package(packed.path), tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["rules.toml"]

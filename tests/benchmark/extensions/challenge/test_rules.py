@@ -5,23 +5,23 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from benchmark.errors import InputError
-from benchmark.extensions.challenge.rules import RULE_SETS, Rules, read_rules, rules_text
+from benchmark.extensions.challenge.rules import RULE_SETS, ChallengeRules, format_rules, read_rules
 
 
-def read(folder: Path, text: str) -> Rules:
+def read(folder: Path, text: str) -> ChallengeRules:
     path = folder / "rules.toml"
     path.write_text(text)
     return read_rules(path)
 
 
 def test_no_file_and_an_empty_one_are_the_defaults(tmp_path: Path) -> None:
-    assert read_rules(None) == Rules() == read(tmp_path, "")
+    assert read_rules(None) == ChallengeRules() == read(tmp_path, "")
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     for rules in RULE_SETS.values():
-        assert read(tmp_path, rules_text(rules)) == rules
-    assert all("  # " in line for line in rules_text(Rules()).splitlines()[1:] if line)
+        assert read(tmp_path, format_rules(rules)) == rules
+    assert all("  # " in line for line in format_rules(ChallengeRules()).splitlines()[1:] if line)
 
 
 @given(
@@ -34,13 +34,13 @@ def test_any_rules_survive_their_file(
     tmp_path_factory: pytest.TempPathFactory, name: str, most: int, position_m: float, categories: list[str]
 ) -> None:
     said = {"most": most, "categories": categories}
-    rules = Rules.model_validate({"name": name, "changed": said, "unchanged": {"position_m": position_m}})
-    assert read(tmp_path_factory.mktemp("rules"), rules_text(rules)) == rules
+    rules = ChallengeRules.model_validate({"name": name, "changed": said, "unchanged": {"position_m": position_m}})
+    assert read(tmp_path_factory.mktemp("rules"), format_rules(rules)) == rules
 
 
 def test_the_name_decides_nothing(tmp_path: Path) -> None:
-    assert read(tmp_path, 'name = "another"').fingerprint == Rules().fingerprint
-    assert read(tmp_path, "[changed]\nmost = 2").fingerprint != Rules().fingerprint
+    assert read(tmp_path, 'name = "another"').fingerprint == ChallengeRules().fingerprint
+    assert read(tmp_path, "[changed]\nmost = 2").fingerprint != ChallengeRules().fingerprint
 
 
 @pytest.mark.parametrize(

@@ -7,15 +7,22 @@ import numpy as np
 import pytest
 
 from adapters.registry import planner_factory
-from benchmark.datasets.judged import JUDGEMENTS_FILE, judgements_text
+from benchmark.datasets.judged import ASSESSMENTS_FILE, format_assessments
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.extensions.challenge.checking import check_entry
-from benchmark.extensions.challenge.cli import entry_names
+from benchmark.extensions.challenge.cli import name_entries
 from benchmark.extensions.challenge.entries import SPLIT, CheckedEntry
-from benchmark.extensions.challenge.rules import Rules
+from benchmark.extensions.challenge.rules import ChallengeRules
 from benchmark.extensions.challenge.scoring import ScoreSettings, score_entries
-from benchmark.metrics.entries import Refused, adversary_sums, collision_sums, mean_of, pairs_of, places_of
+from benchmark.metrics.entries import (
+    RefusedScene,
+    average_planners,
+    compare_entries,
+    rank_entries,
+    sum_adversary_contacts,
+    sum_collisions,
+)
 from benchmark.metrics.rates import SceneSums
 from benchmark.records.challenge import (
     ChallengeScores,
@@ -25,7 +32,7 @@ from benchmark.records.challenge import (
     write_scores,
 )
 from benchmark.records.run import find_records
-from leaderboard.build import leaderboard_files
+from leaderboard.build import build_leaderboard_files
 from leaderboard.extensions.challenge.tables import challenge_tables
 from leaderboard.frame.results import read_results
 from tests.benchmark.cli.in_process import run_here
@@ -108,7 +115,7 @@ def test_scores_are_the_same_again(scores: ChallengeScores, entry: Path, base: D
 
 
 def test_the_leaderboard_shows_them(scores: ChallengeScores) -> None:
-    files = leaderboard_files(read_results([], challenges=[scores]))
+    files = build_leaderboard_files(read_results([], challenges=[scores]))
     page = files["README.md"].decode()
     assert "base: challenge challenge" in page and "| 1" in page and "cut-in" in page
     assert {name.rpartition("/")[2] for name in files if "challenge" in name} >= {"challenge-challenge.csv"}
@@ -120,13 +127,13 @@ def test_the_leaderboard_shows_them(scores: ChallengeScores) -> None:
 def test_what_an_entry_says_of_itself_is_not_read(entry: Path, base: DataSet, tmp_path: Path) -> None:
     forged = Forged.copy(entry, tmp_path / "entry")
     data = open_data(forged.root)
-    verdict = check_entry(data, base, Rules())
+    verdict = check_entry(data, base, ChallengeRules())
     honest = CheckedEntry.of(data, "honest", tmp_path / "place", verdict)
     liar = {
         name: tuple(each.model_copy(update={"category": "human.pedestrian.adult"}) for each in said)
         for name, said in honest.judgements.items()
     }
-    (forged.folder / JUDGEMENTS_FILE).write_text(judgements_text(liar))
+    (forged.folder / ASSESSMENTS_FILE).write_text(format_assessments(liar))
     (forged.root / "review.json").write_text(
         json.dumps(
             {
@@ -144,7 +151,7 @@ def test_what_an_entry_says_of_itself_is_not_read(entry: Path, base: DataSet, tm
     )
     again = open_data(forged.root)
     assert again.scene_names("adv") == ("scene-9902-a",)
-    checked = CheckedEntry.of(again, "honest", tmp_path / "place", check_entry(again, base, Rules()))
+    checked = CheckedEntry.of(again, "honest", tmp_path / "place", check_entry(again, base, ChallengeRules()))
     assert checked.scene_names(SPLIT) == ("scene-9901-a", "scene-9902-a")
     assert checked.judgements == honest.judgements
     facts = checked.scene_facts(checked.scene_names())
@@ -152,7 +159,7 @@ def test_what_an_entry_says_of_itself_is_not_read(entry: Path, base: DataSet, tm
 
 
 def test_an_entry_without_an_accepted_scene_is_not_ranked(entry: Path, base: DataSet, tmp_path: Path) -> None:
-    rules = Rules.model_validate({"gaps": {"ego_m": 100.0}})
+    rules = ChallengeRules.model_validate({"gaps": {"ego_m": 100.0}})
     settings = ScoreSettings(tmp_path, rules)
     found = score_entries({"far": open_data(entry)}, base, [planner_factory(STEADY)], settings)
     (score,) = found.entries
@@ -185,8 +192,8 @@ def test_under_another_protocol_its_collision_rate_ranks(entry: Path, base: Data
 
 def test_contacts_with_bystanders_are_in_another_column() -> None:
     record = ran({"A-1": "fF..", "B-1": "F..."})
-    refused = (Refused("B", 4),)
-    first, any_contact = adversary_sums(record, "3s", refused), collision_sums(record, "exact", "3s", refused)
+    refused = (RefusedScene("B", 4),)
+    first, any_contact = sum_adversary_contacts(record, "3s", refused), sum_collisions(record, "exact", "3s", refused)
     assert first.names == any_contact.names == ("A", "B")
     assert first.numerators.tolist() == [[1.0], [0.0]] and any_contact.numerators.tolist() == [[2.0], [1.0]]
     assert first.denominators.tolist() == any_contact.denominators.tolist() == [[4.0], [8.0]]
@@ -219,21 +226,21 @@ def test_places_are_told_apart_only_where_recordings_agree() -> None:
     near = sums({name: 0.6 + 0.02 * draw.random() for name in names})
     entries = []
     for name, each in (("high", high), ("near", near), ("low", low)):
-        measured, drawn = mean_of([each], names, 0)
+        measured, drawn = average_planners([each], names, 0)
         assert measured.value is not None and measured.low is not None and measured.high is not None
         assert measured.low <= measured.value <= measured.high
         entries.append((name, measured.value, drawn))
-    pairs = pairs_of(entries, enough=True)
+    pairs = compare_entries(entries, enough=True)
     assert [pair.told_apart for pair in pairs] == [False, True, True]
-    assert places_of(["high", "near", "low"], pairs) == {"high": (1, 2), "near": (1, 2), "low": (3, 3)}
+    assert rank_entries(["high", "near", "low"], pairs) == {"high": (1, 2), "near": (1, 2), "low": (3, 3)}
 
 
 def test_of_one_recording_nothing_is_told_apart() -> None:
-    measured, drawn = mean_of([sums({"r": 0.9})], ["r"], 0)
+    measured, drawn = average_planners([sums({"r": 0.9})], ["r"], 0)
     assert (measured.low, measured.high) == (None, None)
-    (pair,) = pairs_of([("a", 0.9, drawn), ("b", 0.1, drawn - 0.8)], enough=False)
+    (pair,) = compare_entries([("a", 0.9, drawn), ("b", 0.1, drawn - 0.8)], enough=False)
     assert not pair.told_apart and pair.difference.low is None
-    assert places_of(["a", "b"], [pair]) == {"a": (1, 2), "b": (1, 2)}
+    assert rank_entries(["a", "b"], [pair]) == {"a": (1, 2), "b": (1, 2)}
 
 
 def test_the_command_scores_and_refuses(entry: Path, base: DataSet, tmp_path: Path) -> None:
@@ -265,8 +272,8 @@ def test_the_same_data_under_two_names_is_refused(entry: Path, base: DataSet, tm
 
 def test_names_of_entries_are_as_long_as_they_must_be(tmp_path: Path) -> None:
     ours, theirs = tmp_path / "ours" / "adv", tmp_path / "theirs" / "adv"
-    assert set(entry_names([ours])) == {"adv"}
-    assert set(entry_names([ours, theirs])) == {"ours/adv", "theirs/adv"}
+    assert set(name_entries([ours])) == {"adv"}
+    assert set(name_entries([ours, theirs])) == {"ours/adv", "theirs/adv"}
 
 
 def test_damaged_scores_are_refused(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from benchmark.datasets.scenario_map import OWN
 from benchmark.errors import InputError
 from benchmark.extensions.exchange.exporting import export_scenarionet, scene_file
 from generation.splits.building import build_frozen
-from generation.splits.edited import edited_split
+from generation.splits.edited import build_edited_split
 from generation.splits.format import EDITED, read_frozen
 from tests.benchmark.cli.in_process import run_here
 from tests.generation.splits.frozen_files import BUILT, drifting_split, recordings
@@ -64,7 +64,7 @@ def test_what_was_moved_is_the_adversary_from_the_last_keyframe_before(
     source: DataSet, exported: Path, tmp_path: Path
 ) -> None:
     path = edit(exported, tmp_path / "mine.pkl", drifts())
-    split = edited_split(source, path)
+    split = build_edited_split(source, path)
     (scene,) = split.frozen.scenes
     (adversary,) = scene.adversaries
     recorded = source.scene(NAME)
@@ -73,7 +73,7 @@ def test_what_was_moved_is_the_adversary_from_the_last_keyframe_before(
     assert len(adversary.track) == len(recorded.timestamps_us) - 30
     expected = recorded.agents.position[0, 30:, 1] + 1.2 * np.clip(np.arange(len(adversary.track)) / 30, 0.0, 1.0)
     assert np.allclose([y for _, y, _ in adversary.track], expected, atol=6e-4)
-    assert edited_split(source, path) == split
+    assert build_edited_split(source, path) == split
     report = build_frozen(source, split, replace(PLAIN, out=tmp_path / "adv"))
     assert report.other_tables == () and report.edited and "edited, and verified by nobody" in report.summary()
     assert set(report.as_json()["faults"]) == {scene.name}
@@ -95,7 +95,7 @@ def test_two_vehicles_are_two_adversaries_in_the_order_of_their_departure(
         drifts(1.0, 0, 40)(value)
         drifts(-1.0, 1, 10)(value)
 
-    (scene,) = edited_split(source, edit(exported, tmp_path / "two.pkl", both)).frozen.scenes
+    (scene,) = build_edited_split(source, edit(exported, tmp_path / "two.pkl", both)).frozen.scenes
     ids = source.scene(NAME).agents.ids
     # The first keyframe at which the second car is off by a centimetre is the one after frame 12.
     assert [(each.instance, each.launch_frame) for each in scene.adversaries] == [(ids[1], 6), (ids[0], 36)]
@@ -106,7 +106,7 @@ def test_generated_scenes_come_back_as_the_adversaries_that_they_have(source: Da
     build_frozen(source, split, replace(PLAIN, out=tmp_path / "adv"))
     built = open_data(tmp_path / "adv")
     export_scenarionet(built, built.scene_names("adv"), tmp_path / "files", workers=1)
-    again = edited_split(source, tmp_path / "files").frozen.scenes
+    again = build_edited_split(source, tmp_path / "files").frozen.scenes
     assert len(again) == len(split.frozen.scenes) == 4
     known = {(scene.source, scene.adversaries[0].instance): scene for scene in split.frozen.scenes}
     for scene in again:
@@ -121,7 +121,7 @@ def test_a_file_without_our_block_is_compared_too(source: DataSet, exported: Pat
         del value["metadata"][OWN]
 
     # What another tool saved has no clock and no annotations, and its times end with the last whole keyframe.
-    (scene,) = edited_split(source, edit(exported, tmp_path / "plain.pkl", change)).frozen.scenes
+    (scene,) = build_edited_split(source, edit(exported, tmp_path / "plain.pkl", change)).frozen.scenes
     assert scene.adversaries[0].instance == source.scene(NAME).agents.ids[0]
 
 
@@ -195,7 +195,7 @@ def test_what_else_differs_is_refused(
 ) -> None:
     path = edit(exported, tmp_path / "wrong.pkl", change)
     with pytest.raises(InputError, match=message) as caught:
-        edited_split(source, path)
+        build_edited_split(source, path)
     assert "wrong.pkl" in str(caught.value) and len(str(caught.value).splitlines()) == 1
 
 
@@ -203,9 +203,9 @@ def test_other_recordings_and_the_same_scene_twice_are_refused(source: DataSet, 
     shorter = recordings(tmp_path / "shorter", seconds=6.0)
     path = edit(exported, tmp_path / "wrong.pkl", drifts())
     with pytest.raises(InputError, match=r"has 91 frames and scene-9901 was recorded with"):
-        edited_split(shorter, path)
+        build_edited_split(shorter, path)
     with pytest.raises(InputError, match="the same scene as another file"):
-        edited_split(source, edit(exported, tmp_path / "wrong.pkl", drifts()).parent / _copied(path))
+        build_edited_split(source, edit(exported, tmp_path / "wrong.pkl", drifts()).parent / _copied(path))
 
 
 def _copied(path: Path) -> str:

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.datasets.scenario_map import Exchanged
+from benchmark.datasets.scenario_map import ExchangedScene
 from benchmark.datasets.scenarionet import read_scenarionet
 from benchmark.errors import InputError
-from benchmark.extensions.exchange.openscenario import export_openscenario, openscenario_bytes, stretches
+from benchmark.extensions.exchange.openscenario import encode_openscenario, export_openscenario, find_stretches
 from benchmark.geometry import Bools, Floats
 from benchmark.scene import Scene
 from tests.benchmark.cli.in_process import run_here
@@ -29,7 +29,7 @@ from tests.hand_made import Car, scene_on_straight_road
 def test_stretches_are_all_that_is_there(flags: list[bool]) -> None:
     found = np.zeros(len(flags), np.bool_)
     ends = [-2]
-    for first, last in stretches(np.array(flags, np.bool_)):
+    for first, last in find_stretches(np.array(flags, np.bool_)):
         assert ends[-1] + 1 < first <= last
         found[first : last + 1] = True
         ends.append(last)
@@ -78,7 +78,7 @@ def require_same(scene: Scene, data: bytes) -> None:
                 scene.agents.yaw[row],
             ]
         )
-        longer = [(first, last) for first, last in stretches(scene.agents.valid[row]) if last > first]
+        longer = [(first, last) for first, last in find_stretches(scene.agents.valid[row]) if last > first]
         assert len(tracks[name]) == len(longer)
         for (first, last), vertices in zip(longer, tracks[name], strict=True):
             assert np.array_equal(vertices, expected[first : last + 1])
@@ -99,9 +99,9 @@ def test_every_track_stands_in_the_file_and_the_official_schema_accepts_it(seed:
     from scenariogeneration.xosc.xosc_reader import validate_schema
 
     scene = wild_scene(seed)
-    data = openscenario_bytes(Exchanged(scene, "scene-0061"))
+    data = encode_openscenario(ExchangedScene(scene, "scene-0061"))
     require_same(scene, data)
-    assert openscenario_bytes(Exchanged(scene, "scene-0061")) == data
+    assert encode_openscenario(ExchangedScene(scene, "scene-0061")) == data
     path = tmp_path / "scene.xosc"
     path.write_bytes(data)
     assert validate_schema(ElementTree.parse(path))
@@ -115,14 +115,14 @@ def test_every_track_stands_in_the_file_and_the_official_schema_accepts_it(seed:
 @needs_shared
 def test_a_recording_stands_in_the_file() -> None:
     scene = read_scenarionet(FILES[3])
-    require_same(scene, openscenario_bytes(Exchanged(scene, scene.name)))
+    require_same(scene, encode_openscenario(ExchangedScene(scene, scene.name)))
 
 
 def test_the_package_reads_it_back(tmp_path: Path) -> None:
     scene = scene_on_straight_road((Car(80.0, 198.25, 8.0), Car(60.0, 194.75, 1.0, 0.5, "human.pedestrian.adult")))
     scene = replace(scene, adversaries=scene.agents.ids[:1])
     path = tmp_path / "scene.xosc"
-    path.write_bytes(openscenario_bytes(Exchanged(scene, scene.name)))
+    path.write_bytes(encode_openscenario(ExchangedScene(scene, scene.name)))
     read = xosc.ParseOpenScenario(str(path))
     objects = {each.name: each.entityobject for each in read.entities.scenario_objects}
     assert list(objects) == ["ego", *scene.agents.ids]
@@ -136,7 +136,7 @@ def test_who_comes_and_goes_is_added_and_deleted() -> None:
     valid: Bools = scene.agents.valid.copy()
     valid[0, :6], valid[0, 12], valid[0, 40:] = False, False, False
     scene = replace(scene, agents=replace(scene.agents, valid=valid))
-    root = ElementTree.fromstring(openscenario_bytes(Exchanged(scene, scene.name)))
+    root = ElementTree.fromstring(encode_openscenario(ExchangedScene(scene, scene.name)))
     name = scene.agents.ids[0]
     assert [
         each.attrib["entityRef"] for each in root.iterfind("Storyboard/Init/Actions/GlobalAction/EntityAction")

@@ -13,13 +13,18 @@ from hypothesis import strategies as st
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.datasets.scenario_map import ADVERSARIES, OWN, Exchanged
-from benchmark.datasets.scenarionet import read_exchanged, read_scenarionet
+from benchmark.datasets.scenario_map import ADVERSARIES, OWN, ExchangedScene
+from benchmark.datasets.scenarionet import read_exchanged_scene, read_scenarionet
 from benchmark.errors import InputError
-from benchmark.extensions.exchange.exporting import exchanged_of, export_scenarionet, plain_pickle, scenario_of
+from benchmark.extensions.exchange.exporting import (
+    build_scenario,
+    export_scenarionet,
+    pickle_plain,
+    read_exchange_scene,
+)
 from benchmark.geometry import quaternion_from_yaw
 from benchmark.scene import Scene
-from generation.nuscenes_writer.plan import digest
+from generation.nuscenes_writer.plan import to_digestible
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.benchmark.datasets.test_scenarionet import FILES, needs_shared, recording, write
 from tests.benchmark.extensions.exchange.wild_scenes import wild_scene
@@ -28,15 +33,17 @@ from tests.benchmark.irregular_time import with_key_frames
 from tests.hand_made import Car, scene_on_straight_road
 
 
-def there_and_back(made: Exchanged, folder: Path) -> Exchanged:
+def there_and_back(made: ExchangedScene, folder: Path) -> ExchangedScene:
     path = folder / "sd_there.pkl"
-    path.write_bytes(plain_pickle(scenario_of(made)))
-    return read_exchanged(path)
+    path.write_bytes(pickle_plain(build_scenario(made)))
+    return read_exchanged_scene(path)
 
 
 def differing(first: Scene, second: Scene) -> list[str]:
     return [
-        item.name for item in fields(Scene) if digest(getattr(first, item.name)) != digest(getattr(second, item.name))
+        item.name
+        for item in fields(Scene)
+        if to_digestible(getattr(first, item.name)) != to_digestible(getattr(second, item.name))
     ]
 
 
@@ -45,7 +52,7 @@ def differing(first: Scene, second: Scene) -> list[str]:
 def test_any_scene_comes_back_bit_for_bit(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     scene = wild_scene(seed)
     report = {"launch_frame": 3, "labels": {"manoeuvre": "cut-in-left", "gap": 0.1 + 0.2}, "none": None}
-    back = there_and_back(Exchanged(scene, "scene-0061", report), tmp_path_factory.mktemp("wild"))
+    back = there_and_back(ExchangedScene(scene, "scene-0061", report), tmp_path_factory.mktemp("wild"))
     assert differing(scene, back.scene) == []
     assert (back.source_scene, back.report) == ("scene-0061", report)
     assert back.scene.adversaries == scene.adversaries
@@ -56,13 +63,14 @@ def test_any_scene_comes_back_bit_for_bit(tmp_path_factory: pytest.TempPathFacto
 def test_recorded_scenes_come_back_bit_for_bit(path: Path, tmp_path: Path) -> None:
     scene = read_scenarionet(path)
     assert (
-        scene.adversaries == () and differing(scene, there_and_back(Exchanged(scene, scene.name), tmp_path).scene) == []
+        scene.adversaries == ()
+        and differing(scene, there_and_back(ExchangedScene(scene, scene.name), tmp_path).scene) == []
     )
 
 
 def test_the_file_holds_plain_values_alone_and_is_the_same_twice() -> None:
-    made = Exchanged(wild_scene(7), "scene-0061")
-    data = plain_pickle(scenario_of(made))
+    made = ExchangedScene(wild_scene(7), "scene-0061")
+    data = pickle_plain(build_scenario(made))
     strings = [str(argument) for code, argument, _ in pickletools.genops(data) if code.name == "SHORT_BINUNICODE"]
     asked = {
         (strings[index], name)
@@ -73,7 +81,7 @@ def test_the_file_holds_plain_values_alone_and_is_the_same_twice() -> None:
         ("numpy", "ndarray"), ("numpy", "dtype"),
     }  # fmt: skip
     again = pickle.loads(pickle.dumps(made))  # noqa: S301 - made by this test
-    assert plain_pickle(scenario_of(again)) == data
+    assert pickle_plain(build_scenario(again)) == data
 
 
 def require_as_scenarionet_says(value: dict[str, Any]) -> None:
@@ -97,19 +105,19 @@ def require_as_scenarionet_says(value: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_files_are_as_scenarionet_says(seed: int) -> None:
-    require_as_scenarionet_says(scenario_of(Exchanged(wild_scene(seed), "scene-0061")))
+    require_as_scenarionet_says(build_scenario(ExchangedScene(wild_scene(seed), "scene-0061")))
 
 
 def test_metadrive_accepts_them(tmp_path: Path) -> None:
     description = pytest.importorskip("metadrive.scenario.scenario_description").ScenarioDescription
-    value = scenario_of(Exchanged(wild_scene(3), "scene-0061"))
-    description.sanity_check(pickle.loads(plain_pickle(value)), valid_check=True)  # noqa: S301 - made by this test
+    value = build_scenario(ExchangedScene(wild_scene(3), "scene-0061"))
+    description.sanity_check(pickle.loads(pickle_plain(value)), valid_check=True)  # noqa: S301 - made by this test
 
 
 def test_what_stands_in_the_file_is_what_others_expect() -> None:
     scene = scene_on_straight_road((Car(80.0, 198.25, 8.0), Car(120.0, 201.75, 9.0, np.pi, "vehicle.bicycle")))
     scene = replace(scene, adversaries=scene.agents.ids[:1])
-    value = scenario_of(Exchanged(scene, scene.name))
+    value = build_scenario(ExchangedScene(scene, scene.name))
     first, second = scene.agents.ids
     assert value["metadata"][ADVERSARIES] == [first]
     assert [track["metadata"]["is_adversary"] for track in value["tracks"].values()] == [False, True, False]
@@ -128,7 +136,7 @@ def edited(folder: Path, change: Any, seed: int = 12) -> tuple[Scene, Scene]:
     """A scene, and what is read of its file after a change to what the file holds."""
     scene = wild_scene(seed)
     assert len(scene.agents) > 2
-    value = pickle.loads(plain_pickle(scenario_of(Exchanged(scene, "scene-0061"))))  # noqa: S301 - made by this test
+    value = pickle.loads(pickle_plain(build_scenario(ExchangedScene(scene, "scene-0061"))))  # noqa: S301 - made by this test
     change(value)
     return scene, read_scenarionet(write(folder, value))
 
@@ -174,7 +182,7 @@ def test_tracks_may_be_removed_and_added_and_the_ego_moved(tmp_path: Path) -> No
 def test_without_the_own_block_it_is_a_file_like_any_other(tmp_path: Path) -> None:
     scene = scene_on_straight_road((Car(80.0, 198.25, 8.0), Car(60.0, 194.75, 10.0)))
     scene = replace(scene, adversaries=scene.agents.ids[1:])
-    value = scenario_of(Exchanged(scene, scene.name))
+    value = build_scenario(ExchangedScene(scene, scene.name))
     del value["metadata"][OWN]
     read = read_scenarionet(write(tmp_path, value))
     frames = len(read.timestamps_us)
@@ -267,7 +275,7 @@ def test_scenes_of_variant_roots_have_names_and_objects_of_their_own() -> None:
     )
     twins = {f"v{number}/scene-9901": replace(scene, name=f"v{number}/scene-9901") for number in range(2)}
     data.scenes = dict(twins)
-    first, second = (exchanged_of(data, name).scene for name in twins)
+    first, second = (read_exchange_scene(data, name).scene for name in twins)
     assert (first.name, second.name) == ("scene-9901-v0", "scene-9901-v1")
     assert not set(first.agents.ids) & set(second.agents.ids)
     assert first.adversaries == first.agents.ids[:1]
@@ -276,4 +284,4 @@ def test_scenes_of_variant_roots_have_names_and_objects_of_their_own() -> None:
 def test_what_counts_frames_refuses_other_rates(tmp_path: Path) -> None:
     root = TinyRoot.of(tmp_path, [with_key_frames(scene_on_straight_road(), np.arange(91))], cameras=()).write()
     with pytest.raises(InputError, match=r"key frames of scene-9901 are 0\.0833 s apart .* only eval and rescore"):
-        exchanged_of(NuScenesData.open(root), "scene-9901")
+        read_exchange_scene(NuScenesData.open(root), "scene-9901")

@@ -5,9 +5,9 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
-from benchmark.datasets.annotated import nearest_valid
+from benchmark.datasets.annotated import find_nearest_valid
 from benchmark.geometry import Floats
-from benchmark.machine.storage import token
+from benchmark.machine.storage import make_token
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap
 from benchmark.scene import Agents, Annotations, Camera, EgoTrack, LidarMount, Scene, SweepPoses
 
@@ -30,7 +30,7 @@ def wild_scene(seed: int, *, name: str = "scene-0061-1a2b3c4d") -> Scene:
     chosen = [name for name in agents.ids if rng.random() < 0.3]
     return Scene(
         name=name,
-        token=token("wild", seed),
+        token=make_token("wild", seed),
         description="Rain, ümlaut, a bus",
         log="n015-2018-07-24-11-22-45+0800",
         vehicle="n015",
@@ -61,10 +61,10 @@ def _agents(rng: np.random.Generator, frames: int, keyframes: NDArray[np.int64])
     count = int(rng.integers(0, 6))
     valid = rng.random((count, frames)) < 0.6
     valid[np.arange(count), rng.choice(keyframes, count)] = True
-    held = nearest_valid(valid)
+    held = find_nearest_valid(valid)
     rows = np.arange(count)[:, None]
     # Names that are digits come from Waymo.
-    ids = tuple(str(row) if row % 2 else token("object", row) for row in range(count))
+    ids = tuple(str(row) if row % 2 else make_token("object", row) for row in range(count))
     return Agents(
         ids=ids,
         categories=tuple(rng.choice(CATEGORIES, count).tolist()),

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.extensions.explain.clearest_cases import Case, case_of, clearest_cases
+from benchmark.extensions.explain.clearest_cases import DisagreementCase, build_case, find_clearest_cases
 from benchmark.extensions.explain.pictures import WORDS, draw_case, explain
-from benchmark.extensions.explain.views import raster_view
+from benchmark.extensions.explain.views import build_raster_view
 from benchmark.geometry import Floats
-from benchmark.metrics.disagreement import CAUSES, before_mask
+from benchmark.metrics.disagreement import CAUSES, find_contacts_before_mask
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import RunRecord
 from benchmark.truth import SampleTruth
@@ -39,10 +39,10 @@ def test_cells_that_are_drawn_meet_exactly_where_the_protocol_reports_it(name: s
     def drawn(seed: int) -> None:
         truths, plans = random_samples(seed, 3, 8)
         plans *= np.random.default_rng(seed).choice([1.0, 3.5])
-        found = before_mask(PROTOCOLS[name].evaluate(truths, plans))
+        found = find_contacts_before_mask(PROTOCOLS[name].evaluate(truths, plans))
         for sample, plan, contacts in zip(truths, plans, found):
             for step in range(6):
-                view = raster_view(PROTOCOLS[name], sample, plan, step)
+                view = build_raster_view(PROTOCOLS[name], sample, plan, step)
                 assert view is not None
                 assert (view.occupied & view.ego).any() == contacts[step]
 
@@ -53,12 +53,12 @@ def test_cells_lie_where_the_objects_are() -> None:
     # The recorded ego drives straight on: where it goes aside, ST-P3 shifts what it draws.
     sample = truth(Object([10.0, 20.0], size=(4.0, 2.0)), recorded=STRAIGHT)
     for name in ("uniad", "vad", "stp3", "bev-planner", "omnidrive", "opendrivevla"):
-        view = raster_view(PROTOCOLS[name], sample, STRAIGHT, 0)
+        view = build_raster_view(PROTOCOLS[name], sample, STRAIGHT, 0)
         assert view is not None
         rows, columns = np.nonzero(view.occupied)
         middle = np.array([columns.mean(), rows.mean()]) * view.cell_m + view.first_cell_m
         assert np.abs(middle - [10.0, 20.0]).max() < 0.3, name
-    assert raster_view(PROTOCOLS["sparsedrive"], sample, STRAIGHT, 0) is None
+    assert build_raster_view(PROTOCOLS["sparsedrive"], sample, STRAIGHT, 0) is None
 
 
 SHOWN = (
@@ -77,7 +77,7 @@ SHOWN = (
 
 @pytest.mark.parametrize(("sample", "plan", "protocol"), SHOWN)
 def test_a_picture_is_a_png_and_the_same_each_time(sample: SampleTruth, plan: Floats, protocol: str) -> None:
-    case = case_of("somebody", protocol, sample, plan)
+    case = build_case("somebody", protocol, sample, plan)
     assert case is not None
     picture = draw_case(case)
     image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
@@ -86,15 +86,15 @@ def test_a_picture_is_a_png_and_the_same_each_time(sample: SampleTruth, plan: Fl
 
 
 def test_there_is_no_case_where_all_agree_or_the_sample_does_not_count() -> None:
-    assert case_of("somebody", "uniad", truth(Object([0.0, 12.5])), STRAIGHT) is None
+    assert build_case("somebody", "uniad", truth(Object([0.0, 12.5])), STRAIGHT) is None
     adult = Object([0.0, 12.5], "human.pedestrian.adult", size=(0.7, 0.7))
-    assert case_of("somebody", "uniad", truth(adult, valid=5), STRAIGHT) is None
+    assert build_case("somebody", "uniad", truth(adult, valid=5), STRAIGHT) is None
 
 
 def test_the_step_shown_is_the_one_with_most_overlap() -> None:
     adult = Object([0.0, 12.9], "human.pedestrian.adult", size=(0.7, 0.7))
     crossing = Object([0.0, 18.55], "human.pedestrian.adult", size=(0.7, 0.7))
-    case = case_of("somebody", "uniad", truth(adult, crossing), STRAIGHT)
+    case = build_case("somebody", "uniad", truth(adult, crossing), STRAIGHT)
     assert case is not None and case.step == 2
 
 
@@ -103,7 +103,7 @@ def test_a_latched_flag_is_shown_where_it_was_raised() -> None:
     latched = PROTOCOLS["safemvdrive"].evaluate([beside], STRAIGHT[None])
     raised = latched.step("at_step")[0]
     assert raised.any() and latched.collision[0, -1] and not raised[-1]
-    case = case_of("somebody", "safemvdrive", beside, STRAIGHT)
+    case = build_case("somebody", "safemvdrive", beside, STRAIGHT)
     assert case is not None and case.cause == "false alarm: raster" and raised[case.step]
 
 
@@ -134,11 +134,11 @@ def test_one_picture_for_each_cause_and_protocol(runs: tuple[FakeData, list[RunR
 def test_the_clearest_case_does_not_depend_on_the_order_of_records(runs: tuple[FakeData, list[RunRecord]]) -> None:
     data, records = runs
 
-    def key(case: Case) -> tuple[str, str, str, str, int]:
+    def key(case: DisagreementCase) -> tuple[str, str, str, str, int]:
         return case.planner, case.protocol, case.cause, case.truth.sample_token, case.step
 
-    assert [key(case) for case in clearest_cases(records, data)] == [
-        key(case) for case in clearest_cases(records[::-1], data)
+    assert [key(case) for case in find_clearest_cases(records, data)] == [
+        key(case) for case in find_clearest_cases(records[::-1], data)
     ]
 
 

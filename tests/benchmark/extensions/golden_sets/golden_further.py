@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.extensions.golden_sets.protocols.golden_set import GoldenScene, read_golden_scene
+from benchmark.extensions.golden_sets.protocols.golden_set import ProtocolGoldenScene, read_golden_scene
 from benchmark.geometry import Floats, to_local
 from tests.benchmark.extensions.golden_sets import golden_protocols
 from tests.benchmark.protocols import slow_further_protocols as further
@@ -68,7 +68,7 @@ def inputs_of(arrays: Arrays) -> Arrays:
     }
 
 
-def official(scene: GoldenScene) -> Arrays:
+def official(scene: ProtocolGoldenScene) -> Arrays:
     """Every array that is compared, from the slow versions."""
     truths, plans = scene.truths, scene.plans
     valid = np.array([truth.ego_future_valid for truth in truths])
@@ -130,7 +130,7 @@ def _bev_planner(judged: list[list[further.FurtherVerdicts]]) -> Arrays:
     }
 
 
-def _on_rasters(scene: GoldenScene) -> Arrays:
+def _on_rasters(scene: ProtocolGoldenScene) -> Arrays:
     truths, plans = scene.truths, scene.plans
     uniad = [[slow.slow_uniad(truth, plan) for plan in own] for truth, own in zip(truths, plans)]
     polygons = [[slow.slow_sparsedrive(truth, plan) for plan in own] for truth, own in zip(truths, plans)]

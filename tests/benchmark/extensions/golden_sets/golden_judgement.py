@@ -16,16 +16,30 @@ from numpy.typing import NDArray
 
 from benchmark.extensions.golden_sets.drivers import BUILT_IN as DRIVERS
 from benchmark.extensions.golden_sets.realism import BUILT_IN as REALISM
-from benchmark.extensions.golden_sets.realism.motion import pooled_features
+from benchmark.extensions.golden_sets.realism.motion import pool_features
 from benchmark.extensions.golden_sets.severity import BUILT_IN as SEVERITY
-from benchmark.fairness.ctg import Mask, Normalisation, SceneTracks, Version, bin_edges, deviations, histograms
-from benchmark.fairness.features import FEATURES, Run, recorded_runs, runs_of
+from benchmark.fairness.ctg import (
+    CtgMask,
+    CtgNormalisation,
+    CtgVersion,
+    SceneTracks,
+    bin_edges,
+    compute_deviations,
+    compute_histograms,
+)
+from benchmark.fairness.features import FEATURES, FeatureRun, extract_recorded_runs, extract_runs
 from benchmark.fairness.realism import Histograms, equal_bins, quantile_bins, w1
 from benchmark.geometry import Floats
-from benchmark.interactions.driving import LADDER, Rung, Situation, drive, first_visible
-from benchmark.interactions.outcomes import Outcome, Surroundings
+from benchmark.interactions.driving import (
+    REFERENCE_DRIVER_KINDS,
+    DrivingSituation,
+    ReferenceDriver,
+    find_first_visible_time,
+    simulate_drivers,
+)
+from benchmark.interactions.outcomes import CollisionChecker, DriverOutcome
 from benchmark.interactions.reaction import Driver
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.tracks import ContinuousTracks
 from tests.benchmark.interactions.made import along_bend, made_scene
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "golden"
@@ -77,18 +91,21 @@ def made_driver_scenes() -> tuple[Arrays, list[dict[str, Any]]]:
         fields = {"seconds": tracks.seconds, "ego": tracks.ego, "agents": tracks.agents, "valid": tracks.valid}
         arrays |= {f"{name}/{field}": array for field, array in fields.items()}
         arrays |= {f"{name}/categories": np.array(tracks.categories), f"{name}/{kind}": added}
-        whole = Tracks(
+        whole = ContinuousTracks(
             tracks.seconds,
             tracks.ego,
             np.concatenate([tracks.agents, added[None]]),
             np.concatenate([tracks.valid, np.ones((1, 91), np.bool_)]),
             (*tracks.categories, "vehicle.car"),
         )
-        rungs = {**{driver.value: Rung(driver) for driver in LADDER}, "cc_adversary_only": Rung(Driver.CC, True)}
-        situation = Situation.of(whole, adversary=index)
-        found = map(Surroundings.of(situation).outcome, drive(situation, list(rungs.values())))
+        rungs = {
+            **{driver.value: ReferenceDriver(driver) for driver in REFERENCE_DRIVER_KINDS},
+            "cc_adversary_only": ReferenceDriver(Driver.CC, True),
+        }
+        situation = DrivingSituation.of(whole, adversary=index)
+        found = map(CollisionChecker.of(situation).find_outcome, simulate_drivers(situation, list(rungs.values())))
         drivers = {name: _outcome(outcome) for name, outcome in zip(rungs, found)}
-        seen = first_visible(whole, index, situation.times)
+        seen = find_first_visible_time(whole, index, situation.times)
         facts.append({"scene": name, "adversary": kind, "index": index, "drivers": drivers, "first_visible": seen})
     return arrays, facts
 
@@ -98,7 +115,7 @@ def made_realism() -> tuple[dict[str, Arrays], dict[str, Any]]:
     chosen = {"scene-made-0": 0, "scene-made-1": 1}
     files: dict[str, Arrays] = {}
     features: Arrays = {}
-    runs: dict[str, dict[str, list[Run]]] = {"recorded": {}, "swerving": {}}
+    runs: dict[str, dict[str, list[FeatureRun]]] = {"recorded": {}, "swerving": {}}
     positions: dict[str, list[SceneTracks]] = {"recorded": [], "rotated": []}
     inputs: Arrays = {}
     for number, (name, agent) in enumerate(chosen.items()):
@@ -107,8 +124,8 @@ def made_realism() -> tuple[dict[str, Arrays], dict[str, Any]]:
         changed = tracks.agents.copy()
         changed[agent, :, 1] += 0.5 * np.sin(2 * np.pi * tracks.seconds / 4.0)
         features[f"swerving/{name}/{agent}/boxes"] = changed[agent]
-        runs["recorded"][name] = recorded_runs(tracks, keyframes, "vehicle.car")
-        runs["swerving"][name] = runs_of(replace(tracks, agents=changed), keyframes, agent)
+        runs["recorded"][name] = extract_recorded_runs(tracks, keyframes, "vehicle.car")
+        runs["swerving"][name] = extract_runs(replace(tracks, agents=changed), keyframes, agent)
         for variant, angle in (("recorded", 0.0), ("rotated", 0.7)):
             inputs |= _ctg_input(tracks, name, variant, angle)
             positions[variant].append(
@@ -134,14 +151,14 @@ def write() -> None:
     _write(REALISM, {**arrays, "plain_arrays": samples}, texts)
 
 
-def _first(tracks: Tracks, frames: int) -> Tracks:
+def _first(tracks: ContinuousTracks, frames: int) -> ContinuousTracks:
     kept = slice(frames)
-    return Tracks(
+    return ContinuousTracks(
         tracks.seconds[kept], tracks.ego[kept], tracks.agents[:, kept], tracks.valid[:, kept], tracks.categories
     )
 
 
-def _outcome(outcome: Outcome) -> dict[str, Any]:
+def _outcome(outcome: DriverOutcome) -> dict[str, Any]:
     contact = outcome.contact
     hit = contact and {
         "time": contact.time,
@@ -165,7 +182,7 @@ def _outcome(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _scene_arrays(tracks: Tracks, keyframes: NDArray[np.int64]) -> Arrays:
+def _scene_arrays(tracks: ContinuousTracks, keyframes: NDArray[np.int64]) -> Arrays:
     return {
         "seconds": tracks.seconds,
         "keyframes": keyframes,
@@ -176,7 +193,7 @@ def _scene_arrays(tracks: Tracks, keyframes: NDArray[np.int64]) -> Arrays:
     }
 
 
-def _run_arrays(variant: str, scenes: dict[str, list[Run]]) -> Arrays:
+def _run_arrays(variant: str, scenes: dict[str, list[FeatureRun]]) -> Arrays:
     arrays: Arrays = {}
     for name, runs in scenes.items():
         numbers: dict[int, int] = {}
@@ -187,10 +204,8 @@ def _run_arrays(variant: str, scenes: dict[str, list[Run]]) -> Arrays:
     return arrays
 
 
-def _divergences(chosen: dict[str, int], runs: dict[str, dict[str, list[Run]]]) -> dict[str, Any]:
-    pools = {
-        variant: {name: pooled_features(some) for name, some in scenes.items()} for variant, scenes in runs.items()
-    }
+def _divergences(chosen: dict[str, int], runs: dict[str, dict[str, list[FeatureRun]]]) -> dict[str, Any]:
+    pools = {variant: {name: pool_features(some) for name, some in scenes.items()} for variant, scenes in runs.items()}
 
     def pool(variant: str, scenes: list[str], feature: str) -> Floats:
         return np.concatenate([pools[variant][name][feature] for name in scenes])
@@ -230,7 +245,7 @@ def _divergence(sample: Floats, reference: Floats) -> dict[str, Any]:
     }
 
 
-def _ctg_input(tracks: Tracks, name: str, variant: str, angle: float) -> Arrays:
+def _ctg_input(tracks: ContinuousTracks, name: str, variant: str, angle: float) -> Arrays:
     times = 0.1 * np.arange(101)
     found, _ = tracks.agents_at(times)
     cars = np.concatenate([tracks.ego_at(times)[None], found[[0, 1, 3]]])
@@ -247,17 +262,17 @@ def _ctg(positions: dict[str, list[SceneTracks]]) -> tuple[Arrays, dict[str, Any
     edges = bin_edges()
     arrays: Arrays = {f"edges/{name}": values for name, values in edges.items()}
     facts: dict[str, Any] = {}
-    settings = [(version, Normalisation.SCENE, Mask.NONE) for version in Version]
+    settings = [(version, CtgNormalisation.SCENE, CtgMask.NONE) for version in CtgVersion]
     settings += [
-        (Version.CTG, Normalisation.DATASET, Mask.CURRENT_SPEED),
-        (Version.MTD, Normalisation.SCENE, Mask.ANY_SPEED),
+        (CtgVersion.CTG, CtgNormalisation.DATASET, CtgMask.CURRENT_SPEED),
+        (CtgVersion.MTD, CtgNormalisation.SCENE, CtgMask.ANY_SPEED),
     ]
     for setting in settings:
-        found = {variant: histograms(scenes, *setting, edges) for variant, scenes in positions.items()}
+        found = {variant: compute_histograms(scenes, *setting, edges) for variant, scenes in positions.items()}
         label = "/".join(setting)
         for variant, shares in found.items():
             arrays |= {f"{label}/{variant}/{name}": values for name, values in shares.items()}
-        facts[label] = {"rotated": deviations(found["rotated"], found["recorded"], edges)}
+        facts[label] = {"rotated": compute_deviations(found["rotated"], found["recorded"], edges)}
     return arrays, facts
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmark.extensions.golden_sets.pdm import BUILT_IN
 from benchmark.extensions.golden_sets.pdm.golden_set import VEHICLE
 from benchmark.geometry import Floats
-from benchmark.pdm.layers import Layer
+from benchmark.pdm.layers import SurfaceKind
 from tests.benchmark.pdm.cases import Case, crossing, slow_objects
 from tests.benchmark.pdm.slow_motion import slow_direct, slow_motion, slow_poses, slow_profiles
 from tests.benchmark.pdm.slow_pdm import (
@@ -36,7 +36,7 @@ from tests.benchmark.pdm.slow_pdm import (
 SEED, SAMPLES, OBJECTS = 1, 2, 14
 PLAN_NAMES = ("recorded", "left", "right", "faster", "braking", "far-left", "standing", "reverse", "wander", "turn")
 NAMES = ("nc", "dac", "ddc", "ttc", "lk", "hc")
-LAYERS = tuple(Layer)
+LAYERS = tuple(SurfaceKind)
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -57,7 +57,7 @@ def golden_arrays() -> Arrays:
 def sample_of(case: Case, with_area: NDArray[np.bool_], number: int) -> SlowSample:
     """One sample; some do without the drivable area."""
     area = bool(with_area[number])
-    surfaces = [each for each in case.surfaces if area or each[0] is not Layer.DRIVABLE_AREA]
+    surfaces = [each for each in case.surfaces if area or each[0] is not SurfaceKind.DRIVABLE_AREA]
     return replace(case, surfaces=surfaces).slow(number)
 
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.datasets.sample_truth import command_of
+from benchmark.datasets.sample_truth import compute_command
 from benchmark.extensions.golden_sets.protocols import BUILT_IN
-from benchmark.extensions.golden_sets.protocols.golden_set import truths_of
+from benchmark.extensions.golden_sets.protocols.golden_set import read_truths
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_seed, file_sha256, write_json
 from benchmark.truth import SampleTruth
@@ -141,7 +141,7 @@ def judged(ego: Floats, things: list[Thing], rng: np.random.Generator) -> Arrays
     inputs["plans"] = plans_for(inputs, rng).astype(np.float32)
     inputs["plan_names"] = np.array(PLAN_NAMES)
     truths, plans = (
-        truths_of(GoldenArrays(Path("made-up.npz"), inputs), KEYFRAMES),
+        read_truths(GoldenArrays(Path("made-up.npz"), inputs), KEYFRAMES),
         inputs["plans"].astype(np.float64),
     )
     official, exact = official_verdicts(truths, plans), exact_verdicts(truths, plans)
@@ -176,7 +176,7 @@ def observed(ego: Floats, things: list[Thing]) -> Arrays:
         "lidar_pose": lidar,
         "ego_fut": future.astype(np.float32),
         "ego_fut_valid": valid,
-        "command": np.array([int(command_of(path, there)) for path, there in zip(future, valid)], np.int32),
+        "command": np.array([int(compute_command(path, there)) for path, there in zip(future, valid)], np.int32),
         "obj_offset": np.array(offset, np.int32),
         "obj_instance": np.array([index for index, *_ in rows], np.int32),
         "instance_names": np.array([f"{one.category}-{index}" for index, one in enumerate(things)]),

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from benchmark.extensions.http.requests import CAMERAS
 from benchmark.extensions.http.server import PlannerServer
-from benchmark.extensions.http.session import Session
+from benchmark.extensions.http.session import PlannerSession
 from benchmark.geometry import quaternion_from_yaw, transform_matrix
 from benchmark.machine.storage import content_seed
 from benchmark.planning import CameraView, Command, EgoState, Observation, Plan, PlanFrame, Planner, SceneInfo
 from benchmark.scene import Camera, Scene
-from generation.sources.rig import default_cameras, default_lidar
+from generation.sources.rig import build_default_cameras, build_default_lidar
 
 SHARED = Path(__file__).resolve().parents[4].parent / "shared" / "golden" / "neuroncap" / "http"
 START_US = 1_700_000_000_000_000
@@ -29,7 +29,7 @@ GOOD = b'{"trajectory": [[1, 0], [2, 0], [3, 0], [4, 0], [5, 0], [6, 0]], "aux_o
 
 
 def small_cameras() -> tuple[Camera, ...]:
-    return tuple(camera.resized(8, 6) for camera in default_cameras())
+    return tuple(camera.resized(8, 6) for camera in build_default_cameras())
 
 
 def picture(number: int, shape: tuple[int, int] = (6, 8)) -> NDArray[np.uint8]:
@@ -65,7 +65,7 @@ def observed(index: int = 0, *, speed: float = 8.0, yaw: float = 0.3, **changes:
         index=index,
         timestamp_us=time_us,
         views=views,
-        lidar=default_lidar(),
+        lidar=build_default_lidar(),
         ego=ego,
         past_poses=np.tile(pose, (5, 1)),
         past_valid=np.arange(5) >= 4 - index,
@@ -196,5 +196,5 @@ class Painted:
 @contextmanager
 def serving(planner: Planner) -> Iterator[str]:
     """Address of a server of a planner, in a thread."""
-    with PlannerServer(Session(planner, tensors=True)) as server:
+    with PlannerServer(PlannerSession(planner, tensors=True)) as server:
         yield server.url

@@ -9,8 +9,8 @@ import socket
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from benchmark.extensions.http.session import request_of
-from benchmark.extensions.http.values import ImageFormat
+from benchmark.extensions.http.session import build_request
+from benchmark.extensions.http.values import HttpImageFormat
 from tests.benchmark.extensions.http.made import observed
 from tests.benchmark.untrusted.mutations import BYTES, JSON, become
 
@@ -50,9 +50,9 @@ def posted(body: bytes, path: str = "/infer") -> bytes:
 def malformed(count: int, seed: int = 0) -> Iterator[Request]:
     """Requests; the same of the same seed."""
     chance = random.Random(seed)
-    forms = {form: request_of(observed(), form).encoded() for form in ImageFormat}
+    forms = {form: build_request(observed(), form).encoded() for form in HttpImageFormat}
     for number in range(count):
-        whole = forms[chance.choice(list(ImageFormat))]
+        whole = forms[chance.choice(list(HttpImageFormat))]
         if number % 4 == 0:
             head = chance.choice(_HEADS)
             yield Request(f"{head[:60]!r}", head, False)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from benchmark.extensions.http.answers import ModelAnswer
-from benchmark.extensions.http.values import WireError
-from benchmark.pdm.motion import headed
+from benchmark.extensions.http.values import NeuroncapHttpError
+from benchmark.pdm.motion import plan_to_poses
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from tests.benchmark.extensions.http.made import SHARED
 
@@ -56,13 +56,13 @@ def test_what_the_client_takes(_: str, value: Any, shape: tuple[int, ...]) -> No
 
 @pytest.mark.parametrize(("_", "value", "says"), NOT_TAKEN, ids=[name for name, _, _ in NOT_TAKEN])
 def test_what_the_client_does_not_take(_: str, value: Any, says: str) -> None:
-    with pytest.raises(WireError, match=says):
+    with pytest.raises(NeuroncapHttpError, match=says):
         read(value)
 
 
 @pytest.mark.parametrize("body", [b"", b"Internal Server Error", b"[" * 100_000, b'{"trajectory": ', b"\xff\xfe"])
 def test_what_is_no_json(body: bytes) -> None:
-    with pytest.raises(WireError, match="no JSON"):
+    with pytest.raises(NeuroncapHttpError, match="no JSON"):
         ModelAnswer.read(body)
 
 
@@ -74,7 +74,7 @@ def test_all_recorded_reactions_of_the_official_client() -> None:
         body, client = each["body"], each["client"]
         try:
             found = ModelAnswer.read((body if isinstance(body, str) else json.dumps(body)).encode())
-        except WireError:
+        except NeuroncapHttpError:
             assert not client["accepted"], each["answer"]
             continue
         assert client["accepted"], each["answer"]
@@ -86,7 +86,7 @@ def test_all_recorded_reactions_of_the_official_client() -> None:
 @pytest.mark.parametrize("name", ["four waypoints", "none", "NaN"])
 def test_what_is_taken_and_cannot_be_driven_is_no_plan(name: str) -> None:
     value = next(value for known, value, _ in TAKEN if known == name)
-    with pytest.raises(WireError, match="a plan"):
+    with pytest.raises(NeuroncapHttpError, match="a plan"):
         read(value).plan()
 
 
@@ -104,7 +104,7 @@ def test_a_plan_survives_the_wire_to_the_last_bit() -> None:
 def test_a_plan_of_the_lidar_is_sent_as_the_engines_read_it() -> None:
     plan = Plan(np.column_stack([0.2 * np.arange(6.0) ** 2, 4.0 * np.arange(1, 7)]), PlanFrame.LIDAR)
     back = ModelAnswer.read(ModelAnswer.of_plan(plan, 0.94).encoded()).plan()
-    assert back.waypoints.tobytes() == np.ascontiguousarray(headed(plan, 0.94)[:, :2]).tobytes()
+    assert back.waypoints.tobytes() == np.ascontiguousarray(plan_to_poses(plan, 0.94)[:, :2]).tobytes()
     # To the right of the car is y below zero.
     assert back.waypoints[-1, 0] > 20.0 and back.waypoints[-1, 1] < -3.0
 

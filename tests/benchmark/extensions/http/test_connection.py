@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from benchmark.extensions.http.connection import Connection
+from benchmark.extensions.http.connection import HttpConnection
 from benchmark.planning import PlannerLateError
 
 
@@ -37,5 +37,5 @@ def dripping(request: pytest.FixtureRequest) -> Iterator[str]:
 def test_what_drips_in_byte_by_byte_is_late(dripping: str) -> None:
     began = time.monotonic()
     with pytest.raises(PlannerLateError, match=r"did not answer /alive within 0\.5 s"):
-        Connection(dripping, "the model server", 60.0).get("/alive", 0.5)
+        HttpConnection(dripping, "the model server", 60.0).get("/alive", 0.5)
     assert time.monotonic() - began < 4.0

@@ -9,15 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.asking import Failure, Reason, asked, told
+from benchmark.closed_loop.asking import Failure, FailureReason, notify_planner, request_plan
 from benchmark.errors import InputError
 from benchmark.extensions.http.model import HttpPlanner, ModelFailedError, http_planner
-from benchmark.extensions.http.session import request_of
-from benchmark.extensions.http.values import ImageFormat
+from benchmark.extensions.http.session import build_request
+from benchmark.extensions.http.values import HttpImageFormat
 from benchmark.machine.address import Address, is_address
 from benchmark.planning import PlannerAwayError, PlannerGoneError, PlannerLateError, SceneInfo
-from benchmark.runs.planner_facts import facts_of
-from benchmark.untrusted.files import WIRE_ANSWER
+from benchmark.runs.planner_facts import build_planner_facts
+from benchmark.untrusted.files import HTTP_ANSWER
 from tests.benchmark.extensions.http.made import GOOD, SHARED, Reply, free_port, observed, scripted
 
 SCENE = SceneInfo("scene-1", "boston-seaport", ())
@@ -31,8 +31,8 @@ def good(path: str, body: bytes) -> Reply:
     return 200, GOOD if path == "/infer" else b"true"
 
 
-@pytest.mark.parametrize("form", list(ImageFormat))
-def test_the_requests_are_neuroncaps(form: ImageFormat) -> None:
+@pytest.mark.parametrize("form", list(HttpImageFormat))
+def test_the_requests_are_neuroncaps(form: HttpImageFormat) -> None:
     with scripted(good) as server:
         one = planner(server.url, form.value)
         one.require_alive()
@@ -43,7 +43,7 @@ def test_the_requests_are_neuroncaps(form: ImageFormat) -> None:
         ("GET", "/alive"), ("POST", "/reset"), ("POST", "/infer"),
     ]  # fmt: skip
     alive, reset, infer = server.asked
-    assert reset[3] == b"{}" and infer[3] == request_of(observed(), form).encoded()
+    assert reset[3] == b"{}" and infer[3] == build_request(observed(), form).encoded()
     for _, _, headers, sent in (reset, infer):
         assert headers["content-type"] == "application/json" and headers["content-length"] == str(len(sent))
     assert set(alive[2]) == {"host", "accept", "connection", "user-agent"}
@@ -100,8 +100,8 @@ def test_a_model_that_fails_is_a_failure_with_a_sentence(_: str, reply: Reply, s
     with scripted(lambda path, body: reply) as server:
         with pytest.raises(ModelFailedError, match=says):
             planner(server.url).plan(observed())
-        found = asked(planner(server.url), observed(), 20.0)
-    assert isinstance(found, Failure) and found.reason is Reason.RAISED and server.paths == ["/infer"] * 2
+        found = request_plan(planner(server.url), observed(), 20.0)
+    assert isinstance(found, Failure) and found.reason is FailureReason.RAISED and server.paths == ["/infer"] * 2
 
 
 @pytest.mark.parametrize(("_", "reply", "says"), GONE, ids=[name for name, _, _ in GONE])
@@ -110,7 +110,7 @@ def test_what_is_no_model_server_ends_the_command(_: str, reply: Reply, says: st
         for ask in (
             lambda one: one.plan(observed()),
             lambda one: one.reset(SCENE),
-            lambda one: asked(one, observed(), 20.0),
+            lambda one: request_plan(one, observed(), 20.0),
         ):
             with pytest.raises(PlannerGoneError, match=says) as gone:
                 ask(planner(server.url))
@@ -136,11 +136,11 @@ def test_a_busy_server_is_late_and_nobody_has_failed(status: int) -> None:
     with scripted(lambda path, body: (status, b'{"detail": "busy"}')) as server:
         with pytest.raises(PlannerLateError, match="too busy"):
             planner(server.url).plan(observed())
-        found = asked(planner(server.url), observed(), 20.0)
+        found = request_plan(planner(server.url), observed(), 20.0)
         late = planner(server.url)
-        again = told(late, lambda: late.reset(SCENE), 20.0)
-    assert isinstance(found, Failure) and found.reason is Reason.TIMEOUT
-    assert again is not None and again.reason is Reason.TIMEOUT
+        again = notify_planner(late, lambda: late.reset(SCENE), 20.0)
+    assert isinstance(found, Failure) and found.reason is FailureReason.TIMEOUT
+    assert again is not None and again.reason is FailureReason.TIMEOUT
 
 
 def test_nobody_there_is_a_sentence_with_the_address() -> None:
@@ -204,13 +204,13 @@ def test_an_answer_that_is_late_or_drips_is_late(answers: bytes, pause_s: float)
 
 def test_a_drive_gives_up_waiting_when_a_plan_may_take_no_longer() -> None:
     url, thread = speaking(b"", hold_s=1.0)
-    found = asked(planner(url), observed(), 0.3)
-    assert isinstance(found, Failure) and found.reason is Reason.TIMEOUT
+    found = request_plan(planner(url), observed(), 0.3)
+    assert isinstance(found, Failure) and found.reason is FailureReason.TIMEOUT
     thread.join()
 
 
 def test_an_answer_without_end_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    few = replace(WIRE_ANSWER, file_bytes=1000)
+    few = replace(HTTP_ANSWER, file_bytes=1000)
     monkeypatch.setattr("benchmark.extensions.http.connection.WIRE_ANSWER", few)
     with (
         scripted(lambda path, body: (200, bytes(5000))) as server,
@@ -231,13 +231,16 @@ def test_it_waits_for_a_server_that_comes_back(
 
 
 def test_the_name_or_else_the_address_is_what_identifies_it() -> None:
-    plain, named = facts_of(planner("http://127.0.0.1:9000")), facts_of(planner("mine=http://127.0.0.1:9000"))
+    plain, named = (
+        build_planner_facts(planner("http://127.0.0.1:9000")),
+        build_planner_facts(planner("mine=http://127.0.0.1:9000")),
+    )
     assert plain.name == "127.0.0.1:9000" and plain.settings["address"] == "http://127.0.0.1:9000"
     assert named.name == "mine" and "address" not in named.settings
     assert (
-        facts_of(planner("mine=http://127.0.0.1:9001"))
+        build_planner_facts(planner("mine=http://127.0.0.1:9001"))
         == named
-        != facts_of(planner("mine=http://127.0.0.1:9000", "torch"))
+        != build_planner_facts(planner("mine=http://127.0.0.1:9000", "torch"))
     )
 
 
@@ -275,7 +278,7 @@ def test_other_names_are_not_taken_for_addresses(text: str) -> None:
 
 
 def test_a_planner_here_and_one_over_the_wire_are_never_taken_for_one_another() -> None:
-    from adapters.registry import planner as named
+    from adapters.registry import build_planner as named
 
     with pytest.raises(InputError, match="uniad is a planner of its own"):
         named("uniad=http://127.0.0.1:9000")
@@ -284,5 +287,5 @@ def test_a_planner_here_and_one_over_the_wire_are_never_taken_for_one_another() 
 
         named("http://127.0.0.1:9000", checkpoint=Path(__file__))
     built = named("http://127.0.0.1:9000", over_http={"image_format": "png"})
-    assert isinstance(built, HttpPlanner) and built.form is ImageFormat.PNG
+    assert isinstance(built, HttpPlanner) and built.form is HttpImageFormat.PNG
     assert np.isfinite(built._connection.deadline_s)

@@ -11,15 +11,15 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.extensions.http.requests import CAMERAS, InferRequest
-from benchmark.extensions.http.session import Memory, request_of
-from benchmark.extensions.http.values import ImageFormat, WireError, image_text
+from benchmark.extensions.http.session import ObservationHistory, build_request
+from benchmark.extensions.http.values import HttpImageFormat, NeuroncapHttpError, encode_image
 from benchmark.geometry import quaternion_from_yaw, rotation_matrix
 from benchmark.planning import Command
 from tests.benchmark.extensions.http.made import SHARED, START_US, observed, picture
 
 
 def test_keys_their_order_and_shapes_are_neuroncaps() -> None:
-    body = request_of(observed(1), ImageFormat.TORCH).encoded()
+    body = build_request(observed(1), HttpImageFormat.TORCH).encoded()
     value = json.loads(body)
     assert list(value) == ["images", "ego2world", "canbus", "timestamp", "command", "calibration"]
     assert list(value["images"]) == list(CAMERAS)
@@ -34,10 +34,10 @@ def test_keys_their_order_and_shapes_are_neuroncaps() -> None:
     assert json.dumps(value).encode() == body
 
 
-@pytest.mark.parametrize("form", list(ImageFormat))
-def test_the_other_end_sees_what_was_seen(form: ImageFormat) -> None:
-    sent, memory = [observed(index) for index in range(7)], Memory()
-    found = [memory.observation(InferRequest.read(request_of(each, form).encoded()), tensors=True) for each in sent]
+@pytest.mark.parametrize("form", list(HttpImageFormat))
+def test_the_other_end_sees_what_was_seen(form: HttpImageFormat) -> None:
+    sent, memory = [observed(index) for index in range(7)], ObservationHistory()
+    found = [memory.observation(InferRequest.read(build_request(each, form).encoded()), tensors=True) for each in sent]
     for index, (there, here) in enumerate(zip(found, sent, strict=True)):
         assert there.index == index and there.timestamp_us == here.timestamp_us and there.command is Command.LEFT
         for name in ("position", "rotation", "velocity", "acceleration", "can_motion"):
@@ -57,7 +57,7 @@ def test_the_other_end_sees_what_was_seen(form: ImageFormat) -> None:
 
 
 def test_a_picture_that_its_reader_changes_stays_as_it_was() -> None:
-    there = Memory().observation(request_of(observed(), ImageFormat.PNG), tensors=False)
+    there = ObservationHistory().observation(build_request(observed(), HttpImageFormat.PNG), tensors=False)
     there.views["CAM_FRONT"].load()[:] = 0
     assert (there.views["CAM_FRONT"].load() == picture(0)).all()
 
@@ -65,27 +65,27 @@ def test_a_picture_that_its_reader_changes_stays_as_it_was() -> None:
 def test_the_sign_of_a_quaternion_survives_where_the_row_has_it() -> None:
     turned = observed(yaw=2.5)
     turned = replace(turned, ego=replace(turned.ego, rotation=-turned.ego.rotation))
-    there = Memory().observation(request_of(turned, ImageFormat.PNG), tensors=False)
+    there = ObservationHistory().observation(build_request(turned, HttpImageFormat.PNG), tensors=False)
     assert there.ego.rotation.tobytes() == turned.ego.rotation.tobytes()
     # A row that means another rotation, as a CAN bus of another frame, decides nothing.
-    request = request_of(turned, ImageFormat.PNG)
+    request = build_request(turned, HttpImageFormat.PNG)
     row = request.canbus.copy()
     row[3:7] = [1.0, 0.0, 0.0, 0.0]
-    there = Memory().observation(replace(request, canbus=row), tensors=False)
+    there = ObservationHistory().observation(replace(request, canbus=row), tensors=False)
     np.testing.assert_allclose(there.ego.rotation, quaternion_from_yaw(np.array(2.5)), atol=1e-12)
 
 
 def test_motion_that_nobody_measured_is_sent_in_the_form_of_a_row() -> None:
     unmeasured = observed()
     unmeasured = replace(unmeasured, ego=replace(unmeasured.ego, can_motion=None, source="derived"))
-    row = request_of(unmeasured, ImageFormat.PNG).canbus
+    row = build_request(unmeasured, HttpImageFormat.PNG).canbus
     assert row[13:].tolist() == [8.0, 0.0, 0.0] and row[12] == 0.0625 and row[7:9].tolist() == [0.25, 0.5]
 
 
 def test_without_its_six_cameras_an_observation_is_refused() -> None:
     blind = observed(views={})
     with pytest.raises(InputError, match=r"CAM_FRONT .*--sensor schematic"):
-        request_of(blind, ImageFormat.PNG)
+        build_request(blind, HttpImageFormat.PNG)
 
 
 BREAKS = {
@@ -116,7 +116,7 @@ BREAKS = {
 @pytest.mark.parametrize("name", BREAKS)
 def test_a_request_that_cannot_be_is_refused_and_nothing_is_remembered(name: str) -> None:
     path, value, says = BREAKS[name]
-    body = json.loads(request_of(observed(), ImageFormat.PNG).encoded())
+    body = json.loads(build_request(observed(), HttpImageFormat.PNG).encoded())
     place = body
     for step in path[:-1]:
         place = place[step]
@@ -124,14 +124,14 @@ def test_a_request_that_cannot_be_is_refused_and_nothing_is_remembered(name: str
         del place[path[-1]]
     else:
         place[path[-1]] = value
-    memory = Memory()
-    with pytest.raises(WireError, match=says):
+    memory = ObservationHistory()
+    with pytest.raises(NeuroncapHttpError, match=says):
         memory.observation(InferRequest.read(json.dumps(body).encode()), tensors=True)
     assert memory.last_us is None
 
 
 def test_members_that_the_protocol_has_not_are_passed_over() -> None:
-    value = {**json.loads(request_of(observed(), ImageFormat.PNG).encoded()), "path": "/etc/passwd"}
+    value = {**json.loads(build_request(observed(), HttpImageFormat.PNG).encoded()), "path": "/etc/passwd"}
     value["images"]["CAM_EXTRA"] = "/etc/passwd"
     assert list(InferRequest.read(json.dumps(value).encode()).images) == list(CAMERAS)
 
@@ -145,13 +145,13 @@ def test_recorded_requests_are_written_again_to_the_byte(name: str) -> None:
             continue
         request = InferRequest.read(each["request_body"].encode())
         assert request.encoded().decode() == each["request_body"]
-        there = Memory().observation(request, tensors=True)
+        there = ObservationHistory().observation(request, tensors=True)
         for number, view in enumerate(there.views.values()):
             rows, columns = np.indices((8, 8))
             made = np.stack([10 * (number + 1) + rows, 100 + columns, np.full((8, 8), 7)], axis=-1)
             assert (view.load() == made).all()
         # What our client makes of what our server saw is what NeuroNCAP's client sent, pictures as saved here.
-        again = request_of(there, ImageFormat.TORCH)
+        again = build_request(there, HttpImageFormat.TORCH)
         assert list(again.images) == list(request.images)
         np.testing.assert_allclose(again.ego2world, request.ego2world, atol=1e-12)
         np.testing.assert_allclose(again.canbus[7:], request.canbus[7:])
@@ -164,7 +164,7 @@ def test_saved_pictures_have_neuroncaps_members() -> None:
     pixels = picture(0)
     # As pictures from files are.
     pixels.flags.writeable = False
-    text = image_text(pixels, ImageFormat.TORCH)
+    text = encode_image(pixels, HttpImageFormat.TORCH)
     with zipfile.ZipFile(io.BytesIO(base64.b64decode(text, validate=True))) as archive:
         names = set(archive.namelist())
     assert {"archive/data.pkl", "archive/byteorder", "archive/data/0", "archive/version"} <= names

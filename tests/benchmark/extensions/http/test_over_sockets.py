@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adapters.registry import planner, planner_factory
-from benchmark.closed_loop.default_engine import DefaultRides, rear_axle_waypoints
-from benchmark.closed_loop.driving import Drive, drive
-from benchmark.closed_loop.riding import RideMaker
+from adapters.registry import build_planner, planner_factory
+from benchmark.closed_loop.default_engine import DefaultBackend, compute_rear_axle_waypoints
+from benchmark.closed_loop.driving import Episode, run_episode
+from benchmark.closed_loop.riding import SimulatorBackend
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.extensions.http.model import http_planner
-from benchmark.extensions.http.values import ImageFormat
-from benchmark.extensions.neuroncap.riding import NeuroncapRides
+from benchmark.extensions.http.values import HttpImageFormat
+from benchmark.extensions.neuroncap.riding import NeuroncapBackend
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import CameraView, Planner
 from benchmark.records.drives import DriveRecord, load_drives
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 from benchmark.runs.driving import DriveSettings, drive_split
 from generation.render.sensor import SchematicSensor
 from tests.benchmark.closed_loop.staged import staged
@@ -42,11 +42,11 @@ from tests.benchmark.extensions.http.made import (
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.hand_made import Car, scene_on_straight_road
 
-MAKERS: list[RideMaker] = [DefaultRides(), NeuroncapRides(Switches.named("neuroncap@code"))]
-SETTINGS = DriveSettings("default", DefaultRides(), sensor=Painted())
+MAKERS: list[SimulatorBackend] = [DefaultBackend(), NeuroncapBackend(NeuroncapSwitches.named("neuroncap@code"))]
+SETTINGS = DriveSettings("default", DefaultBackend(), sensor=Painted())
 
 
-def fingerprint_of(found: Drive) -> list[Any]:
+def fingerprint_of(found: Episode) -> list[Any]:
     motion = [getattr(found.motion, name).tobytes() for name in ("ego", "position", "yaw", "present", "times_us")]
     plans = [plan.waypoints.tobytes() for plan in found.plans]
     return [motion, plans, found.commands, found.stations, found.end, found.touch and found.touch.time_us]
@@ -56,20 +56,20 @@ def fingerprint_of(found: Drive) -> list[Any]:
 @pytest.mark.parametrize(
     ("make", "form"),
     [
-        (Looking, ImageFormat.TORCH),
-        (Looking, ImageFormat.PNG),
-        (partial(planner, "constant-velocity"), ImageFormat.TORCH),
-        (partial(planner, "ego-status"), ImageFormat.PNG),
+        (Looking, HttpImageFormat.TORCH),
+        (Looking, HttpImageFormat.PNG),
+        (partial(build_planner, "constant-velocity"), HttpImageFormat.TORCH),
+        (partial(build_planner, "ego-status"), HttpImageFormat.PNG),
     ],
 )
 def test_a_drive_over_sockets_is_the_drive_of_this_process(
-    make: Callable[[], Planner], form: ImageFormat, maker: RideMaker
+    make: Callable[[], Planner], form: HttpImageFormat, maker: SimulatorBackend
 ) -> None:
     scene = scene_on_straight_road((Car(85.0, 198.25, 2.0),), ego_speed=8.0, seconds=7.0)
     stage = replace(staged(scene, maker), sensor=Painted())
-    here = drive(stage, make())
+    here = run_episode(stage, make())
     with serving(make()) as url:
-        there = drive(stage, http_planner(url, image_format=form))
+        there = run_episode(stage, http_planner(url, image_format=form))
     assert there.failure is None and len(there.plans) > 6
     assert fingerprint_of(there) == fingerprint_of(here)
 
@@ -79,11 +79,11 @@ def test_the_first_plan_of_a_miniature_is_the_same_within_a_millimetre(name: str
     scene = scene_on_straight_road(seconds=3.0)
     scene = replace(scene, cameras=tuple(camera.resized(448, 256) for camera in scene.cameras))
     stage = replace(staged(scene, timeout_s=120.0), sensor=SchematicSensor("first"), most_plans=1)
-    built = planner(name)
-    here = drive(stage, built)
+    built = build_planner(name)
+    here = run_episode(stage, built)
     with serving(built) as url:
-        there = drive(stage, http_planner(url))
-    wanted = rear_axle_waypoints(here.plans[0], float(scene.lidar.translation[0]))
+        there = run_episode(stage, http_planner(url))
+    wanted = compute_rear_axle_waypoints(here.plans[0], float(scene.lidar.translation[0]))
     assert there.failure is None
     assert np.abs(there.plans[0].waypoints - wanted).max() < 1e-3
 
@@ -246,5 +246,5 @@ def test_a_killed_server_that_is_started_again(tmp_path: Path) -> None:
         for process in started:
             process.kill()
             process.wait()
-    here = drive_split(town_of_two(), "val", planner("constant-velocity"), tmp_path / "here", SETTINGS)
+    here = drive_split(town_of_two(), "val", build_planner("constant-velocity"), tmp_path / "here", SETTINGS)
     assert killed.is_set() and record.rows == here.rows and record.complete

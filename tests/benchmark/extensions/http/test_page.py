@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.driving import drive
+from benchmark.closed_loop.driving import run_episode
 from benchmark.extensions.http.model import http_planner
 from benchmark.planning import SceneInfo
 from tests.benchmark.closed_loop.staged import staged
@@ -45,5 +45,5 @@ def test_it_answers_what_it_is_asked(url: str) -> None:
 
 def test_it_is_driven(url: str) -> None:
     stage = replace(staged(scene_on_straight_road((), seconds=4.0)), sensor=Painted())
-    found = drive(stage, http_planner(url, image_format="png"))
+    found = run_episode(stage, http_planner(url, image_format="png"))
     assert found.failure is None and found.end == "end"

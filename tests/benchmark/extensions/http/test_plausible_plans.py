@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.records.drives import load_drives
-from generation.sources.mini import TownSettings, build_town
+from generation.sources.mini import TownSettings, build_town_data_set
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.extensions.http.made import scripted
 
@@ -15,7 +15,7 @@ from tests.benchmark.extensions.http.made import scripted
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Some scenes of mini with small pictures."""
     settings = TownSettings(val_scenes=4, width=96, height=54, frames="keyframes")
-    return build_town(tmp_path_factory.mktemp("town") / "root", settings, workers=1)
+    return build_town_data_set(tmp_path_factory.mktemp("town") / "root", settings, workers=1)
 
 
 def test_a_server_in_axes_of_the_lidar_is_named_and_driven_right_with_its_frame(root: Path, tmp_path: Path) -> None:

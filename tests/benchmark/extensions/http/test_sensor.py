@@ -10,12 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.driving import drive
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.driving import run_episode
 from benchmark.errors import InputError
 from benchmark.extensions.http.requests import CAMERAS, InferRequest
-from benchmark.extensions.http.sensor import HttpSensor, MovedActor, actors_in, moved, moved_actors, picture_wanted
-from benchmark.extensions.http.values import ImageFormat, WireError, image_text
+from benchmark.extensions.http.sensor import (
+    HttpSensor,
+    MovedActor,
+    build_moved_actors,
+    encode_image_request,
+    encode_moved_actors,
+    parse_actors,
+)
+from benchmark.extensions.http.values import HttpImageFormat, NeuroncapHttpError, encode_image
 from benchmark.geometry import transform_matrix
 from benchmark.machine.address import Address
 from benchmark.planning import PlannerGoneError
@@ -35,7 +42,7 @@ class Renderer:
     """A renderer of a scene; its pictures say which camera they are of."""
 
     scene: Scene
-    form: ImageFormat = ImageFormat.TORCH
+    form: HttpImageFormat = HttpImageFormat.TORCH
     bare: bool = True
     shape: tuple[int, int] = (6, 8)
 
@@ -52,7 +59,7 @@ class Renderer:
             return 200, json.dumps(self.actors()).encode()
         if path == "/render_image":
             number = CAMERAS.index(json.loads(body)["camera_name"])
-            text = image_text(picture(number, self.shape), self.form).encode()
+            text = encode_image(picture(number, self.shape), self.form).encode()
             return 200, text if self.bare else base64.b64decode(text)
         return 200, b"null" if path == "/update_actors" else b"true"
 
@@ -63,12 +70,12 @@ def sensor(url: str, *, tensors: bool = True) -> HttpSensor:
 
 @pytest.mark.parametrize(
     ("form", "bare", "tensors"),
-    [(ImageFormat.TORCH, True, True), (ImageFormat.PNG, False, False), (ImageFormat.PNG, True, False)],
+    [(HttpImageFormat.TORCH, True, True), (HttpImageFormat.PNG, False, False), (HttpImageFormat.PNG, True, False)],
 )
-def test_a_drive_is_shown_by_a_renderer(form: ImageFormat, bare: bool, tensors: bool) -> None:
+def test_a_drive_is_shown_by_a_renderer(form: HttpImageFormat, bare: bool, tensors: bool) -> None:
     scene, planner = small_scene(), Looking()
     with scripted(Renderer(scene, form, bare)) as server:
-        found = drive(replace(staged(scene), sensor=sensor(server.url, tensors=tensors)), planner)
+        found = run_episode(replace(staged(scene), sensor=sensor(server.url, tensors=tensors)), planner)
     assert found.failure is None and len(found.plans) > 4
     step = ["/update_actors", *["/render_image"] * 6]
     assert server.paths == ["/get_actors", *step * len(found.plans)]
@@ -87,7 +94,7 @@ def test_a_drive_is_shown_by_a_renderer(form: ImageFormat, bare: bool, tensors: 
 def test_everybody_is_put_where_they_are_and_nobodys_future_is_told() -> None:
     scene, planner = small_scene(), Looking()
     with scripted(Renderer(scene)) as server:
-        drive(replace(staged(scene, DefaultRides("idm")), sensor=sensor(server.url)), planner)
+        run_episode(replace(staged(scene, DefaultBackend("idm")), sensor=sensor(server.url)), planner)
     bodies = [json.loads(body) for _, path, _, body in server.asked if path == "/update_actors"]
     for seen, actors in zip(planner.seen, bodies, strict=True):
         assert [each["uuid"] for each in actors] == list(scene.agents.ids)
@@ -106,15 +113,15 @@ def test_tracks_are_told_without_gaps_and_by_whoever_is_there() -> None:
     valid = scene.agents.valid.copy()
     valid[0, :10], valid[1, -1] = False, False
     driven = replace(scene, agents=replace(scene.agents, valid=valid))
-    (only,) = moved_actors(driven, frozenset(scene.agents.ids), scene.adversaries)
+    (only,) = build_moved_actors(driven, frozenset(scene.agents.ids), scene.adversaries)
     assert only.uuid == scene.agents.ids[0] and only.is_target
     assert only.timestamps[0] == scene.timestamps_us[10] and len(only.timestamps) == len(scene.timestamps_us) - 10 + 1
     one = replace(driven, timestamps_us=scene.timestamps_us[:1], agents=replace(
         scene.agents, valid=valid[:, :1] | True, position=scene.agents.position[:, :1], yaw=scene.agents.yaw[:, :1]
     ))  # fmt: skip
-    first = moved_actors(one, frozenset(scene.agents.ids), ())[0]
+    first = build_moved_actors(one, frozenset(scene.agents.ids), ())[0]
     assert len(first.timestamps) == 2 and (first.poses[0] == first.poses[1]).all()
-    assert moved_actors(driven, frozenset(), ()) == []
+    assert build_moved_actors(driven, frozenset(), ()) == []
 
 
 def wrong(change: Callable[[list[dict[str, Any]]], Any]) -> Callable[[Renderer], Callable[[str, bytes], Reply]]:
@@ -159,7 +166,7 @@ WRONG: dict[str, tuple[Callable[[Renderer], Callable[[str, bytes], Reply]], str]
 def test_what_does_not_fit_ends_the_command_and_is_nobodys_failure(name: str) -> None:
     scene, (renderer, says) = small_scene(), WRONG[name]
     with scripted(renderer(Renderer(scene))) as server, pytest.raises(InputError, match=says) as refused:
-        drive(replace(staged(scene), sensor=sensor(server.url)), Looking())
+        run_episode(replace(staged(scene), sensor=sensor(server.url)), Looking())
     assert server.url in str(refused.value) and not isinstance(refused.value, PlannerGoneError)
 
 
@@ -178,7 +185,7 @@ def test_an_adversary_that_a_renderer_cannot_show_is_refused() -> None:
 def test_saved_tensors_of_a_renderer_want_a_flag() -> None:
     scene = small_scene()
     with scripted(Renderer(scene)) as server, pytest.raises(InputError, match="--accept-torch-tensors if you trust it"):
-        drive(replace(staged(scene), sensor=sensor(server.url, tensors=False)), Looking())
+        run_episode(replace(staged(scene), sensor=sensor(server.url, tensors=False)), Looking())
 
 
 def test_a_rig_without_six_cameras_is_not_shown() -> None:
@@ -207,10 +214,10 @@ def test_recorded_requests_to_a_renderer_are_written_again_to_the_byte(name: str
     assert len(wanted) == 6
     for camera, each in zip(CAMERAS, wanted, strict=True):
         pose = np.array(json.loads(each["request_body"])["pose"])
-        assert picture_wanted(pose, request.timestamp, camera).decode() == each["request_body"]
+        assert encode_image_request(pose, request.timestamp, camera).decode() == each["request_body"]
         # The product itself differs in its last digits from library to library.
         np.testing.assert_allclose(request.ego2world @ request.camera2ego[camera], pose, rtol=1e-13, atol=1e-13)
-    actors = actors_in(next(each for each in exchanges if each["path"] == "/get_actors")["response_body"].encode())
+    actors = parse_actors(next(each for each in exchanges if each["path"] == "/get_actors")["response_body"].encode())
     assert len(actors) == 3 and all(len(actor.poses) == len(actor.timestamps) for actor in actors)
     update = next(each for each in exchanges if each["path"] == "/update_actors")
     told = [
@@ -223,17 +230,17 @@ def test_recorded_requests_to_a_renderer_are_written_again_to_the_byte(name: str
         )
         for each in json.loads(update["request_body"])
     ]
-    assert moved(told).decode() == update["request_body"]
+    assert encode_moved_actors(told).decode() == update["request_body"]
 
 
 @pytest.mark.parametrize("body", [b"", b"[", b"[1]", b'[{"uuid": "a"}]', b"null"])
 def test_actors_that_are_none(body: bytes) -> None:
-    with pytest.raises(WireError):
-        actors_in(body)
+    with pytest.raises(NeuroncapHttpError):
+        parse_actors(body)
 
 
 def test_no_file_is_behind_a_picture() -> None:
     scene, planner = small_scene(), Looking()
     with scripted(Renderer(scene)) as server:
-        drive(replace(staged(scene), sensor=sensor(server.url)), planner)
+        run_episode(replace(staged(scene), sensor=sensor(server.url)), planner)
     assert {view.path for view in planner.seen[0].views.values()} == set(map(Path, CAMERAS))

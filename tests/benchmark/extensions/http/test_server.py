@@ -12,9 +12,9 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.extensions.http import server as served
-from benchmark.extensions.http.server import Bounds, PlannerServer
-from benchmark.extensions.http.session import Session, request_of
-from benchmark.extensions.http.values import ImageFormat
+from benchmark.extensions.http.server import PlannerServer, RequestBounds
+from benchmark.extensions.http.session import PlannerSession, build_request
+from benchmark.extensions.http.values import HttpImageFormat
 from benchmark.planning import Observation, Plan
 from tests.benchmark.extensions.http.made import Looking, observed
 from tests.benchmark.extensions.http.malformed import answered, malformed, posted
@@ -22,7 +22,7 @@ from tests.benchmark.extensions.http.malformed import answered, malformed, poste
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[PlannerServer]:
-    with PlannerServer(Session(Looking(), tensors=True)) as found:
+    with PlannerServer(PlannerSession(Looking(), tensors=True)) as found:
         yield found
 
 
@@ -32,7 +32,7 @@ def ask(server: PlannerServer, method: str, path: str, body: bytes = b"", **head
 
 
 def body(index: int) -> bytes:
-    return request_of(observed(index), ImageFormat.TORCH).encoded()
+    return build_request(observed(index), HttpImageFormat.TORCH).encoded()
 
 
 def test_the_three_routes(server: PlannerServer) -> None:
@@ -86,8 +86,8 @@ def test_requests_leave_nothing_behind(server: PlannerServer) -> None:
 
 
 def test_a_body_is_bounded_in_size_and_time() -> None:
-    bounds = Bounds(body_bytes=50_000, body_s=0.3)
-    with PlannerServer(Session(Looking()), bounds=bounds) as small:
+    bounds = RequestBounds(body_bytes=50_000, body_s=0.3)
+    with PlannerServer(PlannerSession(Looking()), bounds=bounds) as small:
         assert ask(small, "POST", "/infer", bytes(50_001)).status_code == 413
         chunks = (bytes(10_000) for _ in range(9))
         with httpx2.Client(trust_env=False, verify=False) as client:
@@ -100,7 +100,7 @@ def test_a_body_is_bounded_in_size_and_time() -> None:
 
 def test_a_connection_that_asks_for_nothing_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(served, "HEADER_S", 0.2)
-    with PlannerServer(Session(Looking())) as small:
+    with PlannerServer(PlannerSession(Looking())) as small:
         for sent in (b"", b"POST /infer HTTP/1.1\r\nhost:"):
             with socket.create_connection(("127.0.0.1", small.port), timeout=10) as idle:
                 idle.sendall(sent)
@@ -124,7 +124,7 @@ class Slow(Looking):
 
 def test_alive_answers_while_a_plan_is_made_and_requests_wait_for_their_turn() -> None:
     planner = Slow()
-    with PlannerServer(Session(planner, tensors=True)) as busy:
+    with PlannerServer(PlannerSession(planner, tensors=True)) as busy:
         replies: list[int] = []
         threads = [
             threading.Thread(
@@ -145,7 +145,7 @@ def test_alive_answers_while_a_plan_is_made_and_requests_wait_for_their_turn() -
 
 def test_a_plan_that_takes_too_long_is_given_up_and_the_next_waits() -> None:
     planner = Slow()
-    with PlannerServer(Session(planner, tensors=True), bounds=Bounds(answer_s=0.2)) as busy:
+    with PlannerServer(PlannerSession(planner, tensors=True), bounds=RequestBounds(answer_s=0.2)) as busy:
         reply = ask(busy, "POST", "/infer", body(0))
         assert reply.status_code == 504 and "within 0.2 s" in reply.json()["detail"]
         planner.go_on.set()
@@ -156,13 +156,13 @@ def test_a_plan_that_takes_too_long_is_given_up_and_the_next_waits() -> None:
 
 
 def test_it_listens_on_this_machine_alone_and_says_what_is_taken() -> None:
-    first = PlannerServer(Session(Looking()))
+    first = PlannerServer(PlannerSession(Looking()))
     assert first.host == "127.0.0.1" and not first.is_open and str(first.port) in first.url
     with pytest.raises(InputError, match=f"port {first.port}.*choose another --port"):
-        PlannerServer(Session(Looking()), port=first.port)
+        PlannerServer(PlannerSession(Looking()), port=first.port)
     with pytest.raises(InputError, match="cannot listen on no-such-host"):
-        PlannerServer(Session(Looking()), host="no-such-host.invalid")
+        PlannerServer(PlannerSession(Looking()), host="no-such-host.invalid")
     first.close()
-    opened = PlannerServer(Session(Looking()), host="0.0.0.0")
+    opened = PlannerServer(PlannerSession(Looking()), host="0.0.0.0")
     assert opened.is_open
     opened.close()

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.http.session import Refused, Session, request_of
-from benchmark.extensions.http.values import ImageFormat
+from benchmark.extensions.http.session import PlannerSession, PlanRequestError, build_request
+from benchmark.extensions.http.values import HttpImageFormat
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from tests.benchmark.extensions.http.made import SHARED, Looking, observed
 from tests.benchmark.planners import Remembering
 
 
-def body(index: int, form: ImageFormat = ImageFormat.PNG) -> bytes:
-    return request_of(observed(index), form).encoded()
+def body(index: int, form: HttpImageFormat = HttpImageFormat.PNG) -> bytes:
+    return build_request(observed(index), form).encoded()
 
 
 def test_a_scene_is_planned_in_order_and_forgotten_at_reset() -> None:
     planner = Looking()
-    session = Session(planner)
+    session = PlannerSession(planner)
     assert session.reset() == b"true"
     first = [session.infer(body(index)) for index in range(3)]
     assert [each.index for each in planner.seen] == [0, 1, 2]
@@ -30,16 +30,16 @@ def test_a_scene_is_planned_in_order_and_forgotten_at_reset() -> None:
 
 def test_whoever_does_not_reset_begins_a_scene_all_the_same() -> None:
     planner = Looking()
-    Session(planner).infer(body(4))
+    PlannerSession(planner).infer(body(4))
     assert planner.resets == 1 and planner.seen[0].index == 0
 
 
 @pytest.mark.parametrize("later", [2, 1, 0])
 def test_a_time_that_does_not_go_on_is_refused_and_not_planned(later: int) -> None:
     planner = Looking()
-    session = Session(planner)
+    session = PlannerSession(planner)
     session.infer(body(2))
-    with pytest.raises(Refused, match="post /reset") as refused:
+    with pytest.raises(PlanRequestError, match="post /reset") as refused:
         session.infer(body(later))
     assert refused.value.status == 409 and len(planner.seen) == 1
     session.infer(body(3))
@@ -47,21 +47,21 @@ def test_a_time_that_does_not_go_on_is_refused_and_not_planned(later: int) -> No
 
 
 def test_saved_tensors_want_a_flag_and_the_refusal_names_it() -> None:
-    with pytest.raises(Refused, match="--accept-torch-tensors") as refused:
-        Session(Looking()).infer(body(0, ImageFormat.TORCH))
+    with pytest.raises(PlanRequestError, match="--accept-torch-tensors") as refused:
+        PlannerSession(Looking()).infer(body(0, HttpImageFormat.TORCH))
     assert refused.value.status == 415
-    tensors = Session(Looking(), tensors=True).infer(body(0, ImageFormat.TORCH))
-    assert tensors == Session(Looking()).infer(body(0))
+    tensors = PlannerSession(Looking(), tensors=True).infer(body(0, HttpImageFormat.TORCH))
+    assert tensors == PlannerSession(Looking()).infer(body(0))
 
 
 def test_what_cannot_be_read_has_a_status_of_its_own() -> None:
-    with pytest.raises(Refused, match="no JSON") as refused:
-        Session(Looking()).infer(b"{")
+    with pytest.raises(PlanRequestError, match="no JSON") as refused:
+        PlannerSession(Looking()).infer(b"{")
     assert refused.value.status == 422
 
 
 def test_what_draws_from_global_generators_draws_the_same_after_each_reset() -> None:
-    session, answers = Session(Remembering()), []
+    session, answers = PlannerSession(Remembering()), []
     for _ in range(2):
         session.reset()
         answers.append([session.infer(body(index)) for index in range(3)])
@@ -109,8 +109,8 @@ def test_a_planner_that_fails_is_a_sentence_and_the_next_is_answered(
     fault: str, says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     planner = Faulty(fault)
-    session = Session(planner)
-    with pytest.raises(Refused, match=says) as refused:
+    session = PlannerSession(planner)
+    with pytest.raises(PlanRequestError, match=says) as refused:
         session.reset()
         session.infer(body(0))
     assert refused.value.status == 500 and "faulty failed to" in str(refused.value)
@@ -120,11 +120,11 @@ def test_a_planner_that_fails_is_a_sentence_and_the_next_is_answered(
 
 
 def test_who_sees_more_than_the_wire_has_is_not_served() -> None:
-    from adapters.registry import planner
+    from adapters.registry import build_planner
 
     for name in ("idm", "log-replay", "constant-velocity-on-path"):
         with pytest.raises(InputError, match="on the wire"):
-            Session(planner(name))
+            PlannerSession(build_planner(name))
 
     class Continuous(Looking):
         memory_crosses_scenes = True
@@ -133,7 +133,7 @@ def test_who_sees_more_than_the_wire_has_is_not_served() -> None:
             pass
 
     with pytest.raises(InputError, match="remembers across scenes"):
-        Session(Continuous())
+        PlannerSession(Continuous())
 
 
 class Recorded(Looking):
@@ -153,7 +153,7 @@ class Recorded(Looking):
 @pytest.mark.parametrize("name", ["session_plain", "session_with_objects_and_dim_jitter"])
 def test_recorded_sessions_are_answered_to_the_byte(name: str) -> None:
     planner, asked = Recorded(), 0
-    session = Session(planner, tensors=True)
+    session = PlannerSession(planner, tensors=True)
     for each in json.loads((SHARED / f"{name}.json").read_text())["exchanges"]:
         if each["path"] == "/reset":
             assert session.reset().decode() == each["response_body"]

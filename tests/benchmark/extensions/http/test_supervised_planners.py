@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmark import api
-from benchmark.extensions.http.session import Refused, Session
+from benchmark.extensions.http.session import PlannerSession, PlanRequestError
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.cli.test_supervised_planners import MORTAL
 
@@ -16,10 +16,10 @@ def test_a_served_planner_that_dies_is_an_answer_and_the_next_reset_begins_anew(
     (tmp_path / "mortal_planner.py").write_text(MORTAL)
     monkeypatch.syspath_prepend(str(tmp_path))
     planner = api.load_planner("mortal_planner:Mortal")()
-    session = Session(planner)
+    session = PlannerSession(planner)
     assert session.reset() == b"true"
     planner.close()  # type: ignore[attr-defined]
-    with pytest.raises(Refused):
+    with pytest.raises(PlanRequestError):
         session.infer(b"{}")
     assert session.reset() == b"true"
     planner.close()  # type: ignore[attr-defined]

@@ -11,10 +11,10 @@ import typer
 
 from benchmark.cli.app import app
 from benchmark.constants import CAMERA_NAMES, NUMBERED_CATEGORIES, OFFICIAL_LOCATIONS
-from benchmark.datasets.fingerprint import fingerprint_of
-from benchmark.datasets.split_names import exported_order, shifts_us
+from benchmark.datasets.fingerprint import compute_fingerprint
+from benchmark.datasets.split_names import compute_shifts_us, sort_as_exported
 from benchmark.errors import InputError
-from benchmark.extensions.infos.cures import category_numbers
+from benchmark.extensions.infos.cures import build_category_numbers
 from benchmark.extensions.infos.exporting import InfoSettings, export_infos
 from benchmark.extensions.infos.repositories import REPOSITORIES, RepositoryName
 from benchmark.untrusted.children import read_pickle
@@ -41,11 +41,11 @@ def variants(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def cured(variants: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     to = tmp_path_factory.mktemp("cured")
-    before = fingerprint_of(variants, "v1.0-trainval", [])
+    before = compute_fingerprint(variants, "v1.0-trainval", [])
     for name in ("uniad", "vad"):
         export_infos(variants, to, InfoSettings(name))
     # The root is what run records know it by, and stays as it is.
-    assert fingerprint_of(variants, "v1.0-trainval", []) == before
+    assert compute_fingerprint(variants, "v1.0-trainval", []) == before
     return to
 
 
@@ -107,7 +107,7 @@ def test_categories_have_the_numbers_that_vad_means(cured: Path) -> None:
     infos = read(cured / "vad_nuscenes_infos_temporal_val.pkl")
     assert {int(row[8]) for info in infos for row in info["gt_agent_lcf_feat"]} == {17}
     assert any("32 rows" in found["what"] for found in departures(cured, "vad"))
-    numbers = category_numbers({"vehicle.bicycle": 13, "human.pedestrian.adult": 1, "vehicle.hovercraft": 23})
+    numbers = build_category_numbers({"vehicle.bicycle": 13, "human.pedestrian.adult": 1, "vehicle.hovercraft": 23})
     assert numbers == {"vehicle.bicycle": 14, "human.pedestrian.adult": 2, "vehicle.hovercraft": 55}
     assert all(name.startswith("human.pedestrian.") for name in NUMBERED_CATEGORIES[2:9])
     assert all(name.startswith("vehicle.") for name in NUMBERED_CATEGORIES[14:24]) and len(NUMBERED_CATEGORIES) == 32
@@ -189,9 +189,12 @@ def test_infos_of_the_test_set_have_no_annotations(tmp_path: Path) -> None:
 
 
 def test_scenes_that_are_apart_keep_their_times() -> None:
-    assert shifts_us([("b", 30_000_000, 40_000_000), ("a", 0, 20_000_000)]) == {}
-    assert shifts_us([("b", 0, 20), ("a", 0, 20), ("c", 5_000_000, 6_000_000)]) == {"b": 10_000_020, "c": 15_000_040}
-    order = exported_order(["b", "a", "b", "a"], np.array([0, 0, 500_000, 500_000]))
+    assert compute_shifts_us([("b", 30_000_000, 40_000_000), ("a", 0, 20_000_000)]) == {}
+    assert compute_shifts_us([("b", 0, 20), ("a", 0, 20), ("c", 5_000_000, 6_000_000)]) == {
+        "b": 10_000_020,
+        "c": 15_000_040,
+    }
+    order = sort_as_exported(["b", "a", "b", "a"], np.array([0, 0, 500_000, 500_000]))
     assert order.tolist() == [1, 3, 0, 2]
 
 

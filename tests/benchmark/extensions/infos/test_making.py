@@ -9,9 +9,9 @@ import pytest
 
 from benchmark.constants import CAMERA_NAMES, LIDAR_FROM_REAR_AXLE_M
 from benchmark.errors import InputError
-from benchmark.extensions.infos.ego import CanMessages
+from benchmark.extensions.infos.ego import ConverterCanMessages
 from benchmark.extensions.infos.exporting import CONVERTED_PREFIX
-from benchmark.extensions.infos.making import goals
+from benchmark.extensions.infos.making import classify_goals
 from benchmark.extensions.infos.repositories import REPOSITORIES
 from tests.benchmark.extensions.infos.info_roots import SECONDS, exported, plain_root, tilted
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
@@ -118,7 +118,7 @@ def test_map_elements_of_the_straight_road(infos: dict[str, list[dict[str, Any]]
 
 def test_goals() -> None:
     def of(x: float, y: float) -> float:
-        return float(goals(np.array([[[9.0, 9.0], [x, y], [0, 0], [0, 0], [0, 0], [0, 0]]]))[0])
+        return float(classify_goals(np.array([[[9.0, 9.0], [x, y], [0, 0], [0, 0], [0, 0], [0, 0]]]))[0])
 
     # The first step does not count.
     assert [of(5, 0), of(0, 5), of(-5, 3), of(-20, -20), of(0.9, 0.9), of(-5, 1.0)] == [4, 6, 7, 9, 9, 7]
@@ -173,17 +173,17 @@ def _pose(utime: int, number: float) -> dict[str, Any]:
 
 
 def test_motion_is_one_message_younger_than_position() -> None:
-    can = CanMessages([_pose(time, float(time)) for time in (10, 20, 30)], [{"utime": 10, "value": 1.0}])
+    can = ConverterCanMessages([_pose(time, float(time)) for time in (10, 20, 30)], [{"utime": 10, "value": 1.0}])
     assert can.vector(25)[[0, 7, 10, 13]].tolist() == [20, 30, 30.1, 30.2]
     assert can.vector(99)[[0, 7]].tolist() == [30, 30]
     assert can.vector(5)[[0, 7]].tolist() == [10, 10]
     assert can.vector(25)[3:7].tolist() == [1, 0, 0, 0] and can.vector(25).shape == (18,)
     found = can.nearest(25)
     assert found is not None and found.velocity[0] == 30.2 and found.steering == 1.0
-    assert CanMessages([], []).vector(3).tolist() == [0.0] * 18
-    assert CanMessages(can.pose, []).nearest(25) is None
+    assert ConverterCanMessages([], []).vector(3).tolist() == [0.0] * 18
+    assert ConverterCanMessages(can.pose, []).nearest(25) is None
     for more in ([1.0, 2.0, 3.0], 7, ["text"]):
         with pytest.raises(InputError, match="do not hold the 16 numbers"):
-            CanMessages([{**_pose(1, 0.0), "more": more}], []).vector(3)
+            ConverterCanMessages([{**_pose(1, 0.0), "more": more}], []).vector(3)
     with pytest.raises(InputError, match="do not hold the 16 numbers"):
-        CanMessages([{**_pose(1, 0.0), "more": []}, _pose(9, 0.0)], []).vector(3)
+        ConverterCanMessages([{**_pose(1, 0.0), "more": []}, _pose(9, 0.0)], []).vector(3)

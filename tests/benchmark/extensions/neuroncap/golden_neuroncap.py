@@ -14,23 +14,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.extensions.neuroncap.actors import heading_of
+from benchmark.extensions.neuroncap.actors import compute_heading
 from benchmark.extensions.neuroncap.loop import (
     Engine,
-    Waiting,
-    World,
+    NeuroncapWorld,
+    UncheckedState,
     begin,
-    command_of,
-    finished,
-    goes_on,
+    find_command,
+    finish_run,
+    is_running,
     step,
 )
-from benchmark.extensions.neuroncap.recording import Annotations, Recording, actors_of, at_frames, steering_at_frames
+from benchmark.extensions.neuroncap.recording import (
+    NeuroncapAnnotations,
+    NeuroncapRecording,
+    build_actors,
+    select_messages,
+    select_steering,
+)
 from benchmark.extensions.neuroncap.scenarios import Scenario
-from benchmark.extensions.neuroncap.score import score_of
-from benchmark.extensions.neuroncap.staging import Cast, staged
+from benchmark.extensions.neuroncap.score import score_run
+from benchmark.extensions.neuroncap.staging import RenderableActors, stage_run
 from benchmark.extensions.neuroncap.verification import BUILT_IN
-from benchmark.extensions.neuroncap.verification.loops import CheckRow, checks_of
+from benchmark.extensions.neuroncap.verification.loops import CheckRow, list_checks
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
 from benchmark.records.neuroncap_aggregate import CODE
 
@@ -108,9 +114,9 @@ def _bend(seconds: Floats, aside: float, speed: float) -> Floats:
     return np.column_stack([300.0 + radius * np.sin(angle), 170.0 - radius * np.cos(angle), angle])
 
 
-def annotations_of(inputs: Arrays) -> Annotations:
+def annotations_of(inputs: Arrays) -> NeuroncapAnnotations:
     """The annotations among them."""
-    return Annotations(
+    return NeuroncapAnnotations(
         frame=inputs["ann_frame"],
         instance=inputs["ann_instance"],
         translation=inputs["ann_translation"],
@@ -121,29 +127,29 @@ def annotations_of(inputs: Arrays) -> Annotations:
     )
 
 
-def recording_of(inputs: Arrays) -> Recording:
+def recording_of(inputs: Arrays) -> NeuroncapRecording:
     """The recording as the engine reads it."""
     times = inputs["timestamps"]
     poses = zip(inputs["ego_quaternion_wxyz"], inputs["ego_translation"])
-    return Recording(
+    return NeuroncapRecording(
         times=times,
         poses=np.array([transform_matrix(*pose) for pose in poses]),
-        canbus=at_frames(times, inputs["can_pose_utime"], inputs["can_pose_signals"]),
-        steering_wheel=steering_at_frames(times, inputs["can_steer_utime"], inputs["can_steer_degrees"]),
-        actors=actors_of(annotations_of(inputs), times, CODE),
+        canbus=select_messages(times, inputs["can_pose_utime"], inputs["can_pose_signals"]),
+        steering_wheel=select_steering(times, inputs["can_steer_utime"], inputs["can_steer_degrees"]),
+        actors=build_actors(annotations_of(inputs), times, CODE),
     )
 
 
-def cast_of(recording: Recording) -> Cast:
+def cast_of(recording: NeuroncapRecording) -> RenderableActors:
     """Its own actors, as a renderer has them."""
-    return Cast.of(recording.actors)
+    return RenderableActors.of(recording.actors)
 
 
 def single(values: Floats) -> Floats:
     return np.asarray(values.astype(np.float32), np.float64)
 
 
-def plan_of(model: str, world: World) -> Floats:
+def plan_of(model: str, world: NeuroncapWorld) -> Floats:
     """What a planner of three lines answers."""
     seconds = 0.5 * np.arange(1, PLAN_STEPS + 1)
     speed = float(world.state.canbus[13])
@@ -186,10 +192,12 @@ def made_loops() -> tuple[dict[str, Arrays], dict[str, Any]]:
     return {"loops/made_inputs": inputs, "loops/made": arrays}, {"loops/made": facts, "loops/index": index}
 
 
-def made_run(recording: Recording, arrays: Arrays, key: str, model: str, *, run: int, futures: bool) -> dict[str, Any]:
+def made_run(
+    recording: NeuroncapRecording, arrays: Arrays, key: str, model: str, *, run: int, futures: bool
+) -> dict[str, Any]:
     """One run, written down as the published engine's are."""
     scenario = Scenario.of(SCENARIO, "made")
-    stage = staged(scenario, run, recording.times, cast_of(recording), CODE)
+    stage = stage_run(scenario, run, recording.times, cast_of(recording), CODE)
     known = frozenset(("made-0", "made-1", "made-2"))
     engine = Engine.of(
         recording,
@@ -200,7 +208,7 @@ def made_run(recording: Recording, arrays: Arrays, key: str, model: str, *, run:
         check_futures=futures,
     )
     world, log = begin(engine), _Log(engine)
-    while goes_on(engine, world):
+    while is_running(engine, world):
         plan = plan_of(model, world)
         log.state(world, plan)
         waiting = world.waiting
@@ -210,7 +218,7 @@ def made_run(recording: Recording, arrays: Arrays, key: str, model: str, *, run:
             log.step(after)
         world = after
     log.checks(world.waiting, len(log.plans) - 1)
-    world = finished(engine, world)
+    world = finish_run(engine, world)
     arrays |= {f"{key}_{name}": array for name, array in log.arrays().items()}
     arrays[f"{key}_scenario_actor_times"] = np.array([actor.times for actor in stage.actors])
     arrays[f"{key}_scenario_actor_poses"] = np.array([actor.poses for actor in stage.actors])
@@ -231,10 +239,10 @@ def made_run(recording: Recording, arrays: Arrays, key: str, model: str, *, run:
     }
 
 
-def said_of(engine: Engine, world: World) -> dict[str, Any]:
+def said_of(engine: Engine, world: NeuroncapWorld) -> dict[str, Any]:
     """Score and contact of a finished run."""
     scores = {
-        reading: score_of(replace(engine, switches=replace(CODE, reference_speed=reading)), world)
+        reading: score_run(replace(engine, switches=replace(CODE, reference_speed=reading)), world)
         for reading in ("code", "paper")
     }
     contact = world.contact
@@ -265,19 +273,19 @@ class _Log:
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self.plans: list[Floats] = []
-        self._states: list[World] = []
-        self._steps: list[World] = []
+        self._states: list[NeuroncapWorld] = []
+        self._steps: list[NeuroncapWorld] = []
         self._checks: list[CheckRow] = []
 
-    def state(self, world: World, plan: Floats) -> None:
+    def state(self, world: NeuroncapWorld, plan: Floats) -> None:
         self._states.append(world)
         self.plans.append(plan)
 
-    def step(self, world: World) -> None:
+    def step(self, world: NeuroncapWorld) -> None:
         self._steps.append(world)
 
-    def checks(self, waiting: Waiting | None, number: int) -> None:
-        self._checks += checks_of(self._engine, waiting, number)
+    def checks(self, waiting: UncheckedState | None, number: int) -> None:
+        self._checks += list_checks(self._engine, waiting, number)
 
     def arrays(self) -> Arrays:
         states, steps = [world.state for world in self._states], [world.state for world in self._steps]
@@ -287,7 +295,7 @@ class _Log:
                 number,
                 index,
                 *actor.pose_at(state.time_us)[:3, 3],
-                heading_of(actor.pose_at(state.time_us)),
+                compute_heading(actor.pose_at(state.time_us)),
                 *actor.size[:2],
             )
             for number, state in enumerate(states)
@@ -298,7 +306,7 @@ class _Log:
             "state_pose": np.array([state.pose for state in states]),
             "state_time": np.array([state.time_us for state in states]),
             "state_canbus": np.array([state.canbus for state in states]),
-            "command": np.array([command_of(self._engine, world) for world in self._states], np.int8),
+            "command": np.array([find_command(self._engine, world) for world in self._states], np.int8),
             "plan": np.array(self.plans, np.float32),
             "post_pose": np.array([state.pose for state in steps]),
             "post_time": np.array([state.time_us for state in steps]),

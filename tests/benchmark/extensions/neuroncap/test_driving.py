@@ -5,23 +5,23 @@ from dataclasses import replace
 import pytest
 
 from adapters.planners.log_replay import LogReplay
-from benchmark.closed_loop.asking import Reason
-from benchmark.closed_loop.driving import drive
-from benchmark.closed_loop.scoring import score_drive
+from benchmark.closed_loop.asking import FailureReason
+from benchmark.closed_loop.driving import run_episode
+from benchmark.closed_loop.scoring import score_episode
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.riding import NeuroncapRides
+from benchmark.extensions.neuroncap.riding import NeuroncapBackend
 from benchmark.planning import Command
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 from tests.benchmark.closed_loop import test_driving as any_engine
 from tests.benchmark.closed_loop import test_observing as any_engine_seen
 from tests.benchmark.closed_loop.staged import Watching, staged
 from tests.hand_made import Car, scene_on_straight_road
 
-NEURONCAP = NeuroncapRides(Switches.named("neuroncap@code"))
+NEURONCAP = NeuroncapBackend(NeuroncapSwitches.named("neuroncap@code"))
 
 
 @pytest.mark.parametrize(("fault", "reason", "says"), any_engine.FAULTS)
-def test_a_planner_that_fails_ends_the_drive_with_its_reason(fault: str, reason: Reason, says: str) -> None:
+def test_a_planner_that_fails_ends_the_drive_with_its_reason(fault: str, reason: FailureReason, says: str) -> None:
     any_engine.test_a_planner_that_fails_ends_the_drive_with_its_reason(NEURONCAP, fault, reason, says)
 
 
@@ -40,15 +40,15 @@ def test_nothing_of_the_recordings_future_can_be_reached() -> None:
 def test_scenes_that_are_too_short_are_refused_before_anybody_plans() -> None:
     any_engine.test_scenes_that_are_too_short_are_refused_before_anybody_plans(NEURONCAP)
     with pytest.raises(InputError, match="four seconds on"):
-        drive(staged(scene_on_straight_road((), seconds=4.0), NEURONCAP), Watching())
+        run_episode(staged(scene_on_straight_road((), seconds=4.0), NEURONCAP), Watching())
 
 
 def test_neuroncaps_score_is_that_of_the_engine() -> None:
-    free = drive(staged(scene_on_straight_road((), seconds=10.0), NEURONCAP), Watching(speed=8.0))
+    free = run_episode(staged(scene_on_straight_road((), seconds=10.0), NEURONCAP), Watching(speed=8.0))
     assert free.neuroncap is not None and free.neuroncap.score == 5.0
     blocked = scene_on_straight_road((Car(90.0, 198.25, 0.0),), ego_speed=8.0, seconds=10.0)
     blocked = replace(blocked, adversaries=(blocked.agents.ids[0],))
-    hit = drive(staged(blocked, NEURONCAP), Watching(speed=8.0)).neuroncap
+    hit = run_episode(staged(blocked, NEURONCAP), Watching(speed=8.0)).neuroncap
     assert hit is not None and hit.score is not None and hit.score < 0.2
     assert hit.reference_speed == pytest.approx(8.0, abs=0.05) and hit.impact_speed == pytest.approx(8.0, abs=0.05)
 
@@ -63,6 +63,6 @@ def test_neuroncaps_planner_sees_its_engines_motion_and_command() -> None:
 
 def test_neuroncaps_drives_have_no_other_formula() -> None:
     free = scene_on_straight_road((), ego_speed=8.0, seconds=10.0)
-    found = drive(staged(free, NeuroncapRides(Switches.named("neuroncap@paper"))), LogReplay())
-    scores = score_drive(free, found)
+    found = run_episode(staged(free, NeuroncapBackend(NeuroncapSwitches.named("neuroncap@paper"))), LogReplay())
+    scores = score_episode(free, found)
     assert found.neuroncap is not None and scores.nuplan is None and scores.hd is None

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.driving import drive
-from benchmark.closed_loop.engines import ENGINES, rides_of
+from benchmark.closed_loop.driving import run_episode
+from benchmark.closed_loop.engines import ENGINES, make_backend
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.riding import NeuroncapRides
+from benchmark.extensions.neuroncap.riding import NeuroncapBackend
 from benchmark.records.drive_schema import OFFICIAL, OWN
-from benchmark.records.neuroncap_aggregate import Switches
+from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 from benchmark.runs.driving import DriveSettings
 from benchmark.runs.rescoring_drives import rescore_drives
 from tests.benchmark.cli.cli_runs import bytes_below
@@ -23,12 +23,12 @@ from tests.benchmark.runs import test_driving_together as any_world_together
 from tests.benchmark.runs.test_driving import driven
 from tests.hand_made import scene_on_straight_road
 
-PAPER = Switches.named("neuroncap@paper")
-NEURONCAP = DriveSettings("neuroncap@paper", NeuroncapRides(PAPER))
+PAPER = NeuroncapSwitches.named("neuroncap@paper")
+NEURONCAP = DriveSettings("neuroncap@paper", NeuroncapBackend(PAPER))
 
 
 def test_every_engine_has_rides() -> None:
-    assert [type(rides_of(engine)).__name__ for engine in ENGINES] == [
+    assert [type(make_backend(engine)).__name__ for engine in ENGINES] == [
         "DefaultRides",
         "NeuroncapRides",
         "NeuroncapRides",
@@ -66,7 +66,7 @@ def test_a_planner_that_fails_takes_nobody_with_it() -> None:
 def test_runs_of_scenarios_are_grouped_too(tmp_path: Path) -> None:
     scene = scene_on_straight_road(seconds=13.0)
     data = FakeData({scene.name: scene})
-    settings = DriveSettings("neuroncap@paper", NeuroncapRides(PAPER, OWN), scenarios=OWN, runs=2)
+    settings = DriveSettings("neuroncap@paper", NeuroncapBackend(PAPER, OWN), scenarios=OWN, runs=2)
     for together in (1, 4):
         any_world_together.driven(tmp_path / str(together), replace(settings, together=together), data=data)
     assert bytes_below(tmp_path / "1") == bytes_below(tmp_path / "4")
@@ -75,7 +75,7 @@ def test_runs_of_scenarios_are_grouped_too(tmp_path: Path) -> None:
 def test_scenarios_are_driven_by_family_and_by_run(tmp_path: Path) -> None:
     scene = scene_on_straight_road(seconds=13.0)
     data = FakeData({scene.name: scene})
-    drawing = replace(NEURONCAP, maker=NeuroncapRides(PAPER, OWN), scenarios=OWN, runs=3)
+    drawing = replace(NEURONCAP, maker=NeuroncapBackend(PAPER, OWN), scenarios=OWN, runs=3)
     record = driven(tmp_path, Straight(), drawing, data)
     units = [(row.family, row.run) for row in record.rows]
     assert units == [(family, run) for family in ("stationary", "frontal", "side") for run in range(3)]
@@ -96,7 +96,7 @@ def test_scenarios_are_driven_by_family_and_by_run(tmp_path: Path) -> None:
 
 def test_scenes_without_scenarios_are_a_sentence(tmp_path: Path) -> None:
     for which in (OWN, OFFICIAL):
-        settings = replace(NEURONCAP, maker=NeuroncapRides(PAPER, which), scenarios=which)
+        settings = replace(NEURONCAP, maker=NeuroncapBackend(PAPER, which), scenarios=which)
         with pytest.raises(InputError, match=f"has {which} scenarios"):
             driven(tmp_path, Straight(), settings)
 
@@ -104,7 +104,7 @@ def test_scenes_without_scenarios_are_a_sentence(tmp_path: Path) -> None:
 def test_a_planner_sees_who_is_put_in_and_nobody_who_is_gone() -> None:
     scene = scene_on_straight_road(seconds=13.0)
     planner = Peeking(speed=8.0)
-    drive(replace(staged(scene, NeuroncapRides(PAPER, OWN)), family="frontal"), planner)
+    run_episode(replace(staged(scene, NeuroncapBackend(PAPER, OWN)), family="frontal"), planner)
     for revealed in planner.revealed:
         here = revealed.agents.valid[:, -1]
         assert here.sum() <= 1

@@ -9,11 +9,11 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.loop import Engine
-from benchmark.extensions.neuroncap.recording import recording_of
+from benchmark.extensions.neuroncap.recording import read_recording
 from benchmark.extensions.neuroncap.scenarios import Scenario
-from benchmark.extensions.neuroncap.score import score_of
-from benchmark.extensions.neuroncap.staging import Cast, staged
-from benchmark.records.neuroncap_aggregate import CODE, PAPER, Switches
+from benchmark.extensions.neuroncap.score import score_run
+from benchmark.extensions.neuroncap.staging import RenderableActors, stage_run
+from benchmark.records.neuroncap_aggregate import CODE, PAPER, NeuroncapSwitches
 from benchmark.scene import Scene
 from tests.benchmark.extensions.neuroncap.made import constant, driven_by
 from tests.hand_made import Car, scene_on_straight_road
@@ -52,7 +52,7 @@ def root(tmp_path: Path, scene: Scene) -> Path:
 
 
 def test_frames_have_the_first_message_at_or_after_them(scene: Scene, root: Path) -> None:
-    recording = recording_of(scene, root, CODE)
+    recording = read_recording(scene, root, CODE)
     assert np.array_equal(recording.times, scene.timestamps_us[scene.keyframes])
     # The second message is 13 ms after the first frame; the 26th is 7 ms before the second one.
     assert recording.canbus[:2, 13] == pytest.approx([8.001, 8.026])
@@ -63,7 +63,7 @@ def test_frames_have_the_first_message_at_or_after_them(scene: Scene, root: Path
 
 def test_actors_are_those_of_the_engine_s_classes(scene: Scene, root: Path) -> None:
     for switches, kinds in ((CODE, ["pedestrian", "car"]), (PAPER, ["construction", "pedestrian", "car"])):
-        actors = recording_of(scene, root, switches).actors
+        actors = read_recording(scene, root, switches).actors
         # Who appears later stands later in the list.
         assert [actor.kind for actor in actors] == kinds
         car = actors[-1]
@@ -73,13 +73,13 @@ def test_actors_are_those_of_the_engine_s_classes(scene: Scene, root: Path) -> N
 
 def test_a_scene_can_be_driven_and_scored(scene: Scene, root: Path) -> None:
     for switches in (CODE, PAPER):
-        recording = recording_of(scene, root, switches)
+        recording = read_recording(scene, root, switches)
         scenario = Scenario(start_frame=2, priming_steps=2, duration_s=8.0)
-        run = staged(scenario, 0, recording.times, Cast.of(recording.actors), switches)
+        run = stage_run(scenario, 0, recording.times, RenderableActors.of(recording.actors), switches)
         made = Engine.of(recording, run, priming_steps=2, renderer_knows=frozenset(), switches=switches)
         world = driven_by(made, constant(8.0))
         assert world.contact is not None and world.contact.uuid == scene.agents.ids[0]
-        assert score_of(made, world).score < 0.2
+        assert score_run(made, world).score < 0.2
 
 
 def test_a_scene_without_can_bus_is_refused(scene: Scene, root: Path) -> None:
@@ -87,7 +87,7 @@ def test_a_scene_without_can_bus_is_refused(scene: Scene, root: Path) -> None:
         path = root / "can_bus" / f"{scene.name}_{message}.json"
         path.write_text("[]")
         with pytest.raises(InputError, match=f"{message}.json; get the CAN bus"):
-            recording_of(scene, root, Switches())
+            read_recording(scene, root, NeuroncapSwitches())
         path.unlink()
         with pytest.raises(InputError, match=f"{message}.json; get the CAN bus"):
-            recording_of(scene, root, Switches())
+            read_recording(scene, root, NeuroncapSwitches())

@@ -8,11 +8,19 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.contact import Car, touched
-from benchmark.extensions.neuroncap.loop import Engine, World, begin, finished, goes_on, moments, step
+from benchmark.extensions.neuroncap.contact import NeuroncapCar, find_contact
+from benchmark.extensions.neuroncap.loop import (
+    Engine,
+    NeuroncapWorld,
+    begin,
+    compute_moments,
+    finish_run,
+    is_running,
+    step,
+)
 from benchmark.extensions.neuroncap.plan_path import UnusablePlanError
-from benchmark.extensions.neuroncap.score import score_of, scored_impact
-from benchmark.extensions.neuroncap.vehicle import Vehicle, driven
+from benchmark.extensions.neuroncap.score import score_impact, score_run
+from benchmark.extensions.neuroncap.vehicle import Vehicle, drive_plan
 from benchmark.geometry import Floats
 from benchmark.records.neuroncap_aggregate import CODE, PAPER
 from tests.benchmark.extensions.neuroncap.golden_neuroncap import plan_of
@@ -31,7 +39,7 @@ def reference_loop(made: Engine, model: str) -> tuple[list[Floats], int, Any]:
     """The same, as one would write it down first: poses, states checked, contact."""
     states, car, contact, checked, vehicle, switches = [made.frame(made.start_frame)], made.car, None, 0, None, CODE
     while contact is None and states[-1].time_us < made.end_us:
-        now, plan = states[-1], plan_of(model, World(0, states[-1]))
+        now, plan = states[-1], plan_of(model, NeuroncapWorld(0, states[-1]))
         if len(states) > 1:
             contact, checked = first_contact(made, states[:-1]), checked + 1
         if contact is None and len(states) <= made.priming_steps:
@@ -39,7 +47,7 @@ def reference_loop(made: Engine, model: str) -> tuple[list[Floats], int, Any]:
         elif contact is None:
             wheel = float(made.recording.steering_wheel[made.priming_steps])
             vehicle = vehicle or Vehicle.start(now.pose, now.canbus, wheel, switches)
-            vehicle = driven(vehicle, plan, now.time_us, car, switches).vehicle
+            vehicle = drive_plan(vehicle, plan, now.time_us, car, switches).vehicle
             row = vehicle.canbus(car, switches)
             states.append(replace(now, time_us=now.time_us + 500_000, pose=vehicle.pose, canbus=row, is_driven=True))
     if contact is None:
@@ -48,18 +56,18 @@ def reference_loop(made: Engine, model: str) -> tuple[list[Floats], int, Any]:
 
 
 def first_contact(made: Engine, states: list[Any]) -> Any:
-    instants = moments(states[-2] if len(states) > 1 else None, states[-1], CODE)
-    found = (touched(each, made.actors, made.car, CODE) for each in instants)
+    instants = compute_moments(states[-2] if len(states) > 1 else None, states[-1], CODE)
+    found = (find_contact(each, made.actors, made.car, CODE) for each in instants)
     return next((contact for contact in found if contact is not None), None)
 
 
-def poses_and_end(made: Engine, model: str) -> tuple[list[Floats], World]:
+def poses_and_end(made: Engine, model: str) -> tuple[list[Floats], NeuroncapWorld]:
     world, poses = begin(made), [begin(made).state.pose]
-    while goes_on(made, world):
+    while is_running(made, world):
         world = step(made, world, plan_of(model, world))
         if world.contact is None:
             poses.append(world.state.pose)
-    return poses, finished(made, world)
+    return poses, finish_run(made, world)
 
 
 @pytest.mark.parametrize(("model", "run"), [("cv", 0), ("bend", 1), ("brake", 2), ("bend", 3)])
@@ -89,7 +97,7 @@ def test_a_step_changes_nothing_that_it_was_given() -> None:
 def test_time_is_whole_microseconds() -> None:
     made = scenario_engine(0)
     world = begin(made)
-    while goes_on(made, world):
+    while is_running(made, world):
         assert isinstance(world.state.time_us, int)
         world = step(made, world, constant(8.0))
     assert world.state.time_us >= made.end_us
@@ -128,7 +136,7 @@ def test_an_actor_in_the_way_is_hit_when_the_boxes_meet() -> None:
     # Rear axle at the first instant at which 0.5 + 4.018 / 2 ahead of it reaches 30 - 4.5 / 2.
     reached = (30.0 - 2.25 - 0.5 - 2.009) / 8.0
     assert 0 <= world.contact.time_us / SECOND - reached < 0.051
-    score = score_of(made, world)
+    score = score_run(made, world)
     assert score.impact_speed == pytest.approx(8.0) and score.reference_speed == pytest.approx(8.0)
     assert score.score == pytest.approx(0.0, abs=1e-5)
     assert score.metrics["avg_collide@0.0s"] == 1 / world.checked
@@ -136,21 +144,21 @@ def test_an_actor_in_the_way_is_hit_when_the_boxes_meet() -> None:
 
 def test_no_contact_is_five_and_nothing_of_nothing_is_unknown() -> None:
     made = engine(straight(np.full(20, 8.0)))
-    assert score_of(made, driven_by(made, constant(8.0))).score == 5.0
-    assert scored_impact(4.0, 8.0) == 2.0 and scored_impact(9.0, 8.0) == 0.0 and scored_impact(1.0, 0.0) == 0.0
-    assert np.isnan(scored_impact(0.0, 0.0))
+    assert score_run(made, driven_by(made, constant(8.0))).score == 5.0
+    assert score_impact(4.0, 8.0) == 2.0 and score_impact(9.0, 8.0) == 0.0 and score_impact(1.0, 0.0) == 0.0
+    assert np.isnan(score_impact(0.0, 0.0))
 
 
 def test_a_recording_that_ends_too_early_is_not_scored_as_code() -> None:
     short = straight(np.full(9, 8.0))
     made = engine(short, duration=3.0, start_frame=1)
     with pytest.raises(InputError, match="neuroncap@paper"):
-        score_of(made, driven_by(made, constant(8.0)))
-    paper = replace(made, switches=PAPER, car=Car.of(PAPER))
-    assert score_of(paper, driven_by(paper, constant(8.0))).score == 5.0
+        score_run(made, driven_by(made, constant(8.0)))
+    paper = replace(made, switches=PAPER, car=NeuroncapCar.of(PAPER))
+    assert score_run(paper, driven_by(paper, constant(8.0))).score == 5.0
 
 
 def test_a_world_has_no_hidden_state() -> None:
-    assert all(field.name in World.__slots__ for field in fields(World))
+    assert all(field.name in NeuroncapWorld.__slots__ for field in fields(NeuroncapWorld))
     with pytest.raises(AttributeError):
         begin(scenario_engine(0)).step = 3  # type: ignore[misc]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.scenarios import Scenario, official_scenarios
-from benchmark.extensions.neuroncap.staging import staged
+from benchmark.extensions.neuroncap.scenarios import Scenario, read_official_scenarios
+from benchmark.extensions.neuroncap.staging import stage_run
 from benchmark.records.neuroncap_aggregate import CODE
 from tests.benchmark.extensions.neuroncap.golden_neuroncap import SCENARIO, SHARED, cast_of, made_inputs, recording_of
 
@@ -21,7 +21,7 @@ EVALUATED = {
 
 
 def test_the_official_scenarios_are_all_there() -> None:
-    known = official_scenarios()
+    known = read_official_scenarios()
     for family, sequences in EVALUATED.items():
         assert [each.sequence for each in known if each.family == family and each.evaluated] == sequences.split()
     assert Counter(each.evaluated for each in known) == {True: 20, False: 1}
@@ -32,7 +32,7 @@ def test_the_official_scenarios_are_all_there() -> None:
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the golden numbers are not here")
 def test_the_packaged_numbers_are_those_of_the_golden_set() -> None:
     golden = json.loads((SHARED / "scenarios.json").read_text())["official"]
-    for ours, theirs in zip(official_scenarios(), golden, strict=True):
+    for ours, theirs in zip(read_official_scenarios(), golden, strict=True):
         assert (ours.family, ours.sequence) == (theirs["type"], theirs["sequence"])
         facts = json.loads(json.dumps(theirs["scenario"]).replace("times_without_effect", "times"))
         expected = Scenario.of(facts, "golden")
@@ -79,18 +79,18 @@ def test_an_actor_that_nobody_knows_is_refused() -> None:
         tracks = {uuid: track for uuid, track in cast.tracks.items() if uuid != "made-3"}
         with pytest.raises(InputError, match=says):
             scenario = Scenario.of(changed(actor), "made")
-            staged(scenario, 0, recording.times, type(cast)(cast.kinds, cast.sizes, tracks), CODE)
+            stage_run(scenario, 0, recording.times, type(cast)(cast.kinds, cast.sizes, tracks), CODE)
 
 
 def test_a_recording_that_is_too_short_is_refused() -> None:
     recording = recording_of(made_inputs())
     with pytest.raises(InputError, match="needs more than the 30 frames"):
-        staged(Scenario.of(changed(start_frame=29), "made"), 0, recording.times, cast_of(recording), CODE)
+        stage_run(Scenario.of(changed(start_frame=29), "made"), 0, recording.times, cast_of(recording), CODE)
 
 
 def test_a_run_is_its_index_and_nothing_else() -> None:
     recording, scenario = recording_of(made_inputs()), Scenario.of(SCENARIO, "made")
-    runs = [staged(scenario, run, recording.times, cast_of(recording), CODE) for run in (4, 5, 4)]
+    runs = [stage_run(scenario, run, recording.times, cast_of(recording), CODE) for run in (4, 5, 4)]
     assert runs[0].draws == runs[2].draws != runs[1].draws
     assert all(np.array_equal(a.poses, b.poses) for a, b in zip(runs[0].actors, runs[2].actors))
 

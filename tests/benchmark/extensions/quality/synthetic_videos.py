@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.extensions.quality.masks import boxes_in_view, visible_parts
+from benchmark.extensions.quality.masks import find_visible_parts, project_boxes
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
@@ -56,11 +56,11 @@ def paint_scene(root: Path, name: str, paint: Paint, *, sweeps: bool = False) ->
     for views in data.videos(name, sweeps=sweeps).values():
         for frame, view in enumerate(views):
             keyframe = frame // 6 if sweeps else frame
-            boxes = boxes_in_view(scene, view, SIZE, ("vehicle.car",), 0.5)
+            boxes = project_boxes(scene, view, SIZE, ("vehicle.car",), 0.5)
             ramp = np.linspace(60, 180, SIZE[0] * SIZE[1]).reshape(SIZE[1], SIZE[0], 1)
             image = np.repeat(ramp, 3, axis=2).astype(np.uint8)
             for box in boxes:
-                part = visible_parts(boxes, SIZE[1], SIZE[0])[box.instance]
+                part = find_visible_parts(boxes, SIZE[1], SIZE[0])[box.instance]
                 left, top, right, bottom = (round(side) for side in box.bounds)
                 rows, columns = np.nonzero(part)
                 side = paint(box.instance.split("-")[-1], keyframe)

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from benchmark.errors import InputError
-from benchmark.extensions.quality.masks import Mask, overlap
-from benchmark.extensions.quality.scoring import SubjectFeatures, similarities, subject_square
+from benchmark.extensions.quality.masks import CroppedMask, compute_overlap
+from benchmark.extensions.quality.scoring import SubjectFeatureExtractor, compute_similarities, crop_subject
 from benchmark.geometry import Floats
 from benchmark.weights.catalogue import DINO
 from tests.benchmark.extensions.quality.synthetic_videos import texture
 
 CPU = torch.device("cpu")
-WHOLE = Mask(0, 0, np.ones((96, 96), bool))
+WHOLE = CroppedMask(0, 0, np.ones((96, 96), bool))
 
 
 def slow_similarities(features: Floats) -> list[float]:
@@ -34,19 +34,19 @@ def slow_similarities(features: Floats) -> list[float]:
 def test_the_formula_is_that_of_vbench(features: Floats) -> None:
     lengths = np.linalg.norm(features, axis=1, keepdims=True)
     features = features / np.where(lengths > 1e-6, lengths, 1.0)
-    found = similarities(features)
+    found = compute_similarities(features)
     assert found.tolist() == pytest.approx(slow_similarities(features)) and ((found >= 0) & (found <= 1 + 1e-9)).all()
 
 
 def test_a_single_appearance_has_no_consistency() -> None:
-    assert len(similarities(np.ones((1, 3)))) == 0 and len(similarities(np.zeros((0, 0)))) == 0
+    assert len(compute_similarities(np.ones((1, 3)))) == 0 and len(compute_similarities(np.zeros((0, 0)))) == 0
 
 
 def test_identical_appearances_are_fully_consistent_and_a_swap_midway_is_not(networks: Path) -> None:
-    dino = SubjectFeatures(networks / DINO.name, CPU, 64, 4)
+    dino = SubjectFeatureExtractor(networks / DINO.name, CPU, 64, 4)
     first, second = texture("first"), texture("second")
-    same = similarities(dino.features([(first, WHOLE)] * 6))
-    swapped = similarities(dino.features([(first, WHOLE)] * 3 + [(second, WHOLE)] * 3))
+    same = compute_similarities(dino.features([(first, WHOLE)] * 6))
+    swapped = compute_similarities(dino.features([(first, WHOLE)] * 3 + [(second, WHOLE)] * 3))
     assert same == pytest.approx(np.ones(5), abs=1e-6)
     assert swapped[:2] == pytest.approx(np.ones(2), abs=1e-6) and swapped.mean() < 1 - 1e-3
     # At the swap both cosines drop, later only the one with the first appearance.
@@ -55,7 +55,9 @@ def test_identical_appearances_are_fully_consistent_and_a_swap_midway_is_not(net
 
 def test_features_do_not_depend_on_the_batch(networks: Path) -> None:
     appearances = [(texture(str(index)), WHOLE) for index in range(5)]
-    found = [SubjectFeatures(networks / DINO.name, CPU, 64, batch).features(appearances) for batch in (1, 2, 16)]
+    found = [
+        SubjectFeatureExtractor(networks / DINO.name, CPU, 64, batch).features(appearances) for batch in (1, 2, 16)
+    ]
     assert found[0] == pytest.approx(found[1], abs=1e-6) and found[0] == pytest.approx(found[2], abs=1e-6)
     assert np.linalg.norm(found[0], axis=1) == pytest.approx(np.ones(5))
 
@@ -63,38 +65,42 @@ def test_features_do_not_depend_on_the_batch(networks: Path) -> None:
 def test_what_lies_around_a_subject_does_not_count(networks: Path) -> None:
     inside = np.zeros((96, 96), bool)
     inside[20:70, 30:80] = True
-    mask = Mask.of(inside)
+    mask = CroppedMask.of(inside)
     assert mask is not None
     first = texture("a")
     second = np.where(inside[..., None], first, texture("b")).astype(np.uint8)
-    assert torch.equal(subject_square(first, mask, 32), subject_square(second, mask, 32))
-    assert not torch.equal(subject_square(first, WHOLE, 32), subject_square(second, WHOLE, 32))
+    assert torch.equal(crop_subject(first, mask, 32), crop_subject(second, mask, 32))
+    assert not torch.equal(crop_subject(first, WHOLE, 32), crop_subject(second, WHOLE, 32))
 
 
 def test_a_subject_stands_in_the_middle_of_a_square_with_its_proportions() -> None:
-    wide = Mask(0, 0, np.ones((10, 40), bool))
-    square = subject_square(np.full((10, 40, 3), 255, np.uint8), wide, 40)
+    wide = CroppedMask(0, 0, np.ones((10, 40), bool))
+    square = crop_subject(np.full((10, 40, 3), 255, np.uint8), wide, 40)
     assert square.shape == (3, 40, 40)
     assert (square[:, 15:25] > 2).all() and square[:, :14].abs().max() < 1e-5 and square[:, 26:].abs().max() < 1e-5
 
 
 def test_masks_are_cut_to_their_rectangle() -> None:
     whole = np.zeros((20, 30), bool)
-    assert Mask.of(whole) is None
+    assert CroppedMask.of(whole) is None
     whole[3, 4] = whole[10, 20] = True
-    mask = Mask.of(whole)
+    mask = CroppedMask.of(whole)
     assert mask is not None
     assert (mask.top, mask.left, mask.pixels.shape, mask.area_px) == (3, 4, (8, 17), 2)
     assert mask.cut(np.zeros((20, 30, 3), np.uint8)).shape == (8, 17, 3)
-    assert overlap(whole, whole) == 1 and overlap(whole, ~whole) == 0 and overlap(whole & False, whole & False) == 0
+    assert (
+        compute_overlap(whole, whole) == 1
+        and compute_overlap(whole, ~whole) == 0
+        and compute_overlap(whole & False, whole & False) == 0
+    )
 
 
 def test_crops_that_do_not_fit_and_folders_without_weights_are_one_sentence(networks: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be cut into the patches of 16"):
-        SubjectFeatures(networks / DINO.name, CPU, 50, 4)
+        SubjectFeatureExtractor(networks / DINO.name, CPU, 50, 4)
     with pytest.raises(InputError, match="does not hold a ViTModel"):
-        SubjectFeatures(tmp_path, CPU, 64, 4)
+        SubjectFeatureExtractor(tmp_path, CPU, 64, 4)
     (tmp_path / "config.json").write_bytes((networks / DINO.name / "config.json").read_bytes())
     (tmp_path / "model.safetensors").write_bytes(b"nothing")
     with pytest.raises(InputError, match="does not hold a ViTModel"):
-        SubjectFeatures(tmp_path, CPU, 64, 4)
+        SubjectFeatureExtractor(tmp_path, CPU, 64, 4)

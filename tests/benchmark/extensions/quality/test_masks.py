@@ -9,9 +9,9 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from benchmark.extensions.quality.definition import Definition
-from benchmark.extensions.quality.masks import BoxMasks, CameraVideo, ProjectedBox, TrackedMasks, tied
-from benchmark.extensions.quality.segmentation import Box, Detector, Segmenter, prepared_frame
+from benchmark.extensions.quality.definition import QualityDefinition
+from benchmark.extensions.quality.masks import BoxMasks, CameraVideo, ProjectedBox, TrackedMasks, match_detections
+from benchmark.extensions.quality.segmentation import Box, Detector, Segmenter, prepare_frame
 from benchmark.geometry import Bools
 from benchmark.weights.catalogue import GROUNDING_DINO, SAM2
 from tests.benchmark.extensions.quality.small_networks import SAM2_SIDE_PX
@@ -19,7 +19,7 @@ from tests.benchmark.extensions.quality.synthetic_videos import texture
 
 CPU = torch.device("cpu")
 HEIGHT, WIDTH = 60, 100
-SMALL = Definition(masks="boxes", min_mask_px=80)
+SMALL = QualityDefinition(masks="boxes", min_mask_px=80)
 
 
 def box(name: str, left: float, distance_m: float = 10.0, *, width: float = 20.0) -> ProjectedBox:
@@ -62,7 +62,7 @@ class Follower:
         return rectangle((0.0, 0.0, 5.0, 5.0) if frame in self.lost else self.last)
 
 
-def tracked(follower: Follower, definition: Definition = SMALL, detector: object = None) -> TrackedMasks:
+def tracked(follower: Follower, definition: QualityDefinition = SMALL, detector: object = None) -> TrackedMasks:
     return TrackedMasks(definition, follower, detector)  # type: ignore[arg-type]
 
 
@@ -99,11 +99,11 @@ class Finder:
     """Stands for Grounding DINO."""
 
     found: dict[int, list[Box]]
-    looked: int = 0
+    attend_to_scene: int = 0
 
     def boxes(self, image: NDArray[np.uint8]) -> list[Box]:
-        self.looked += 1
-        return self.found.get(self.looked - 1, [])
+        self.attend_to_scene += 1
+        return self.found.get(self.attend_to_scene - 1, [])
 
 
 def test_detections_without_annotation_are_dropped_and_gaps_of_the_detector_are_followed() -> None:
@@ -112,27 +112,27 @@ def test_detections_without_annotation_are_dropped_and_gaps_of_the_detector_are_
     follower = Follower()
     masks = tracked(follower, detector=finder).masks(video(*[(box("a", 30),)] * 4))
     assert [sorted(frame) for frame in masks] == [[], ["a"], ["a"], ["a"]]
-    assert finder.looked == 4 and follower.calls == ["open 4", "begin 1", "follow 2", "follow 3"]
+    assert finder.attend_to_scene == 4 and follower.calls == ["open 4", "begin 1", "follow 2", "follow 3"]
 
 
 def test_the_detector_looks_at_each_so_many_th_frame() -> None:
     finder = Finder({})
-    sparse = Definition(masks="grounded-sam2", min_mask_px=80, detect_every=3)
+    sparse = QualityDefinition(masks="grounded-sam2", min_mask_px=80, detect_every=3)
     tracked(Follower(), sparse, finder).masks(video(*[(box("a", 30),)] * 7))
-    assert finder.looked == 3
+    assert finder.attend_to_scene == 3
 
 
 def test_instances_and_detections_are_tied_one_to_one_best_first() -> None:
     projected: dict[str, Box] = {"a": (0, 0, 10, 10), "b": (4, 0, 14, 10)}
     both: list[Box] = [(3, 0, 13, 10), (0, 0, 10, 10)]
-    assert tied(both, projected, 0.25) == {"a": both[1], "b": both[0]}
-    assert tied([(3, 0, 13, 10)], projected, 0.25) == {"b": (3, 0, 13, 10)}
-    assert tied([(50, 0, 60, 10)], projected, 0.25) == {}
-    assert tied([(9, 0, 19, 10)], {"a": (0, 0, 10, 10)}, 0.25) == {}
+    assert match_detections(both, projected, 0.25) == {"a": both[1], "b": both[0]}
+    assert match_detections([(3, 0, 13, 10)], projected, 0.25) == {"b": (3, 0, 13, 10)}
+    assert match_detections([(50, 0, 60, 10)], projected, 0.25) == {}
+    assert match_detections([(9, 0, 19, 10)], {"a": (0, 0, 10, 10)}, 0.25) == {}
 
 
 def test_frames_are_prepared_as_sam_2_wants_them() -> None:
-    found = prepared_frame(np.full((30, 50, 3), 255, np.uint8), 16)
+    found = prepare_frame(np.full((30, 50, 3), 255, np.uint8), 16)
     assert found.shape == (3, 16, 16)
     assert found[:, 3, 3].tolist() == pytest.approx([(1 - 0.485) / 0.229, (1 - 0.456) / 0.224, (1 - 0.406) / 0.225])
 

@@ -16,13 +16,13 @@ from benchmark.cli.app import app
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.extensions.quality import measure, musiq
-from benchmark.extensions.quality.definition import Definition, mask_source
-from benchmark.extensions.quality.measure import QualitySettings, measure_quality, plan_of
+from benchmark.extensions.quality.definition import QualityDefinition, find_mask_source
+from benchmark.extensions.quality.measure import QualitySettings, describe_plan, measure_quality
 from benchmark.extensions.quality.musiq import Musiq
 from benchmark.extensions.quality.scoring import score_scene
 from benchmark.records.quality import (
     QualityRecord,
-    SceneRows,
+    SceneQualityRows,
     SubjectRow,
     find_quality,
     load_quality,
@@ -44,7 +44,7 @@ from tests.generation.nuscenes_writer.written_roots import short_scene, with_adv
 from tests.generation.nuscenes_writer.written_roots import write_root as write_split
 from tests.hand_made import without_frames
 
-BOXES = Definition(masks="boxes", min_mask_px=60, crop_px=64, batch=4)
+BOXES = QualityDefinition(masks="boxes", min_mask_px=60, crop_px=64, batch=4)
 TWO = ("scene-9901", "scene-9902")
 PUBLISHED_SCALES = musiq.LONGER_SIDES_PX
 
@@ -57,7 +57,9 @@ def small_scales() -> Iterator[None]:
         yield
 
 
-def settings(networks: Path, definition: Definition = BOXES, *, workers: int = 1, **others: object) -> QualitySettings:
+def settings(
+    networks: Path, definition: QualityDefinition = BOXES, *, workers: int = 1, **others: object
+) -> QualitySettings:
     return replace(QualitySettings(definition, networks, "cpu", workers=workers), **others)  # type: ignore[arg-type]
 
 
@@ -152,7 +154,7 @@ def test_a_killed_command_goes_on_and_gives_the_same_bytes(
 ) -> None:
     whole, scored = score_scene, []
 
-    def dies(*arguments: object) -> SceneRows:
+    def dies(*arguments: object) -> SceneQualityRows:
         scored.append(arguments[1])
         if len(scored) == 2:
             raise KeyboardInterrupt
@@ -217,7 +219,7 @@ def test_small_subjects_are_no_appearances(root: Path, record: QualityRecord, ne
 
 def test_the_adversary_has_numbers_of_its_own(record: QualityRecord) -> None:
     marked = [
-        SceneRows(
+        SceneQualityRows(
             scene=scene,
             subjects=[
                 row.model_copy(update={"adversary": index == 0}) for index, row in enumerate(rows_of(record, scene))
@@ -297,7 +299,7 @@ def test_all_frames_include_the_sweeps_between_keyframes(networks: Path, tmp_pat
 def test_the_other_sources_of_masks_run_from_disk_to_record(networks: Path, tmp_path: Path, masks: str) -> None:
     root = write_root(tmp_path / "root", [standing_scene(seconds=1.0)])
     loose = replace(BOXES, min_mask_px=1, min_overlap=0.0, box_threshold=0.0, text_threshold=0.0)
-    definition = replace(loose, masks=mask_source(masks))
+    definition = replace(loose, masks=find_mask_source(masks))
     found = run(root, tmp_path / "out", settings(networks, definition))
     assert found.masks == masks and found.facts.summary.frames == 2
     assert {"sam2.1-hiera-large"} <= set(found.facts.weights)
@@ -308,7 +310,7 @@ def test_without_weights_one_sentence_says_what_to_get(root: Path, tmp_path: Pat
     empty = QualitySettings(BOXES, tmp_path / "none", "cpu")
     with pytest.raises(InputError, match=r"no weights dino-vitb16 in .*about 343 MB.*weights fetch dino-vitb16"):
         run(root, tmp_path, empty)
-    said = plan_of(NuScenesData.open(root), "val", replace(empty, definition=Definition()))
+    said = describe_plan(NuScenesData.open(root), "val", replace(empty, definition=QualityDefinition()))
     assert "2 scenes of val with 7 images" in said and said.count("there are no weights") == 4
 
 
@@ -329,9 +331,9 @@ def test_a_place_that_cannot_be_written_is_one_sentence(root: Path, networks: Pa
 
 def test_wrong_settings_are_one_sentence(root: Path, networks: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no source of masks 'magic'; use one of grounded-sam2, sam2-boxes, boxes"):
-        Definition(masks="magic")  # type: ignore[arg-type]
+        QualityDefinition(masks="magic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="detect_every of the definition must be at least 1"):
-        Definition(detect_every=0)
+        QualityDefinition(detect_every=0)
     with pytest.raises(InputError, match="has no scene scene-1"):
         run(root, tmp_path, settings(networks, scenes=("scene-1",)))
     with pytest.raises(InputError, match="--workers must be 0 or more"):

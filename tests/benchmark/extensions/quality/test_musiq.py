@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from benchmark.errors import InputError
-from benchmark.extensions.quality.musiq import Musiq, MusiqConfig, Patches, _hashed, multiscale_patches
-from benchmark.extensions.quality.scoring import ImagingQuality, prepared
+from benchmark.extensions.quality.musiq import Musiq, MusiqConfig, Patches, _hash_positions, cut_multiscale_patches
+from benchmark.extensions.quality.scoring import ImagingQuality, prepare_picture
 from benchmark.weights.catalogue import MUSIQ
 from tests.benchmark.extensions.quality.small_networks import SMALL_MUSIQ, save_musiq
 from tests.benchmark.extensions.quality.synthetic_videos import Picture, blurred, noisy, strip
@@ -53,13 +53,13 @@ def test_the_full_network_has_the_public_names_shapes_and_size() -> None:
 
 @given(st.integers(1, 200))
 def test_positions_are_hashed_evenly(count: int) -> None:
-    assert _hashed(count, 10).tolist() == [index * 10 // count for index in range(count)]
+    assert _hash_positions(count, 10).tolist() == [index * 10 // count for index in range(count)]
 
 
 @settings(max_examples=20)
 @given(st.integers(1, 300), st.integers(1, 300))
 def test_patches_cover_a_picture_of_any_size_at_three_scales(height: int, width: int) -> None:
-    found = multiscale_patches(torch.ones(3, height, width))
+    found = cut_multiscale_patches(torch.ones(3, height, width))
     own = -(-height // 32) * -(-width // 32)
     at_own = found.scale == 2
     assert at_own.sum() == own and found.pixels[at_own].sum() == 3 * height * width
@@ -69,7 +69,7 @@ def test_patches_cover_a_picture_of_any_size_at_three_scales(height: int, width:
 
 def test_a_patch_is_cut_where_it_lies() -> None:
     picture = torch.arange(3 * 40 * 70, dtype=torch.float32).reshape(3, 40, 70)
-    found = multiscale_patches(picture)
+    found = cut_multiscale_patches(picture)
     # 40 x 70 becomes 64 x 96: 12 pixels above and below, 13 on either side.
     padded = functional.pad(picture, (13, 13, 12, 12))
     own = found.pixels[found.scale == 2]
@@ -100,7 +100,7 @@ def test_scores_do_not_depend_on_the_other_pictures_and_match_the_slow_way() -> 
     torch.manual_seed(5)
     network = Musiq(SMALL_MUSIQ).eval()
     sizes = ((20, 90), (64, 33), (200, 31))
-    pictures = [multiscale_patches(torch.rand(3, *size) * 2 - 1) for size in sizes]
+    pictures = [cut_multiscale_patches(torch.rand(3, *size) * 2 - 1) for size in sizes]
     with torch.inference_mode():
         together = network(pictures)
         for score, picture in zip(together.tolist(), pictures):
@@ -110,11 +110,11 @@ def test_scores_do_not_depend_on_the_other_pictures_and_match_the_slow_way() -> 
 
 def test_large_pictures_are_brought_down_as_vbench_does() -> None:
     picture = np.random.default_rng(1).integers(0, 256, (150, 700, 3), dtype=np.uint8)
-    found = prepared(picture, 512)
+    found = prepare_picture(picture, 512)
     assert found.shape == (3, 109, 512) and found.min() >= -1 and found.max() <= 1
     levels = (found + 1) * 127.5
     assert torch.allclose(levels, levels.round(), atol=1e-3)
-    assert prepared(picture, 700).shape == (3, 150, 700)
+    assert prepare_picture(picture, 700).shape == (3, 150, 700)
 
 
 def texture_network() -> Musiq:
@@ -151,7 +151,7 @@ def fitted(path: Path) -> ImagingQuality:
     states: list[Tensor] = []
     network.head.register_forward_pre_hook(lambda module, inputs: states.append(inputs[0]))
     with torch.no_grad():
-        network([multiscale_patches(prepared(picture, 512)) for picture in pictures])
+        network([cut_multiscale_patches(prepare_picture(picture, 512)) for picture in pictures])
         features = torch.cat([states[0], torch.ones(len(pictures), 1)], dim=1).double()
         damped = features.T @ features + 0.1 * torch.eye(features.shape[1])
         solution = torch.linalg.solve(damped, features.T @ torch.tensor(wanted).double())

@@ -6,7 +6,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.extensions.quality.masks import ProjectedBox, boxes_in_view, reduced, scaled_size, visible_parts
+from benchmark.extensions.quality.masks import (
+    ProjectedBox,
+    compute_scaled_size,
+    find_visible_parts,
+    project_boxes,
+    reduce_picture,
+)
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw, rotation_matrix, transform_matrix
 from benchmark.planning import CameraView
 from benchmark.scene import Scene
@@ -53,8 +59,8 @@ def test_a_projected_box_is_what_rays_meet(
     # Large enough that the thinnest of these boxes is several pixels wide.
     view, (wide, high) = view_of(scene, camera), (320, 180)
     met = rays_that_meet(scene, view, (wide, high))
-    boxes = boxes_in_view(scene, view, (wide, high), ("vehicle.car",), NEAR_M)
-    drawn = boxes[0].filled(high, wide) if boxes else np.zeros((high, wide), bool)
+    boxes = project_boxes(scene, view, (wide, high), ("vehicle.car",), NEAR_M)
+    drawn = boxes[0].fill_mask(high, wide) if boxes else np.zeros((high, wide), bool)
     # Filling paints the outline's pixels too: nothing that is met may be missing but on the border of the outline.
     grown = np.zeros_like(met)
     for down in (-1, 0, 1):
@@ -69,18 +75,18 @@ def test_a_projected_box_is_what_rays_meet(
 
 def test_a_box_around_the_camera_fills_the_image_and_one_behind_is_not_there() -> None:
     around = standing_scene(cars=(Car(51.0, 198.25, size=(20.0, 10.0, 6.0)),))
-    (box,) = boxes_in_view(around, view_of(around), SIZE, ("vehicle.car",), NEAR_M)
-    assert box.filled(SIZE[1], SIZE[0]).all()
+    (box,) = project_boxes(around, view_of(around), SIZE, ("vehicle.car",), NEAR_M)
+    assert box.fill_mask(SIZE[1], SIZE[0]).all()
     behind = standing_scene(cars=(Car(30.0, 198.25),))
-    assert boxes_in_view(behind, view_of(behind), SIZE, ("vehicle.car",), NEAR_M) == ()
+    assert project_boxes(behind, view_of(behind), SIZE, ("vehicle.car",), NEAR_M) == ()
 
 
 def test_other_categories_and_absent_vehicles_are_no_subjects() -> None:
     scene = standing_scene(cars=(Car(64.0, 198.25), Car(60.0, 196.0, category="human.pedestrian.adult")))
-    found = boxes_in_view(scene, view_of(scene), SIZE, ("vehicle.car",), NEAR_M)
+    found = project_boxes(scene, view_of(scene), SIZE, ("vehicle.car",), NEAR_M)
     assert [box.instance for box in found] == [scene.agents.ids[0]]
     gone = replace(scene, agents=replace(scene.agents, valid=np.zeros_like(scene.agents.valid)))
-    assert boxes_in_view(gone, view_of(gone), SIZE, ("vehicle.car",), NEAR_M) == ()
+    assert project_boxes(gone, view_of(gone), SIZE, ("vehicle.car",), NEAR_M) == ()
 
 
 def test_between_frames_a_box_is_between_its_places_and_turns_the_short_way() -> None:
@@ -88,7 +94,7 @@ def test_between_frames_a_box_is_between_its_places_and_turns_the_short_way() ->
     scene.agents.yaw[0, 1:] = -np.pi + 0.01
     view = view_of(scene)
     half_way = replace(view, timestamp_us=int(scene.timestamps_us[:2].mean()))
-    before, between = (boxes_in_view(scene, at, SIZE, ("vehicle.car",), NEAR_M)[0] for at in (view, half_way))
+    before, between = (project_boxes(scene, at, SIZE, ("vehicle.car",), NEAR_M)[0] for at in (view, half_way))
     assert abs(between.distance_m - before.distance_m + 0.5) < 0.02
 
 
@@ -99,16 +105,16 @@ def polygon(name: str, left: float, right: float, distance_m: float) -> Projecte
 
 def test_nearer_boxes_hide_farther_ones_whatever_the_order() -> None:
     boxes = (polygon("far", 2, 20, 30.0), polygon("near", 10, 30, 8.0))
-    parts = visible_parts(boxes, 20, 40)
+    parts = find_visible_parts(boxes, 20, 40)
     assert not (parts["near"] & parts["far"]).any()
-    assert (parts["near"] == boxes[1].filled(20, 40)).all() and parts["far"][10, 5] and not parts["far"][10, 15]
-    again = visible_parts(boxes[::-1], 20, 40)
+    assert (parts["near"] == boxes[1].fill_mask(20, 40)).all() and parts["far"][10, 5] and not parts["far"][10, 15]
+    again = find_visible_parts(boxes[::-1], 20, 40)
     assert all((parts[name] == again[name]).all() for name in parts)
 
 
 def test_frames_are_brought_down_and_never_enlarged() -> None:
-    assert scaled_size(1600, 900, 800) == (800, 450) and scaled_size(448, 256, 800) == (448, 256)
-    assert scaled_size(3000, 1, 800) == (800, 1)
+    assert compute_scaled_size(1600, 900, 800) == (800, 450) and compute_scaled_size(448, 256, 800) == (448, 256)
+    assert compute_scaled_size(3000, 1, 800) == (800, 1)
     image = np.zeros((90, 160, 3), np.uint8)
     image[:, ::2] = 200
-    assert (reduced(image, 80) == 100).all() and reduced(image, 160) is image
+    assert (reduce_picture(image, 80) == 100).all() and reduce_picture(image, 160) is image

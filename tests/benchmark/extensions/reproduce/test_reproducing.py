@@ -11,14 +11,14 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.extensions.reproduce.reproducing import (
     PUBLISHED,
-    compared,
+    compare_run,
     expected_file,
     published_numbers,
     reproduce,
     store_expected,
 )
 from benchmark.planning import Observation, Plan, PlanFrame
-from benchmark.published import CHECKPOINTS, PLANNING_ALLOWED, TABLE_1, published_planning
+from benchmark.published import CHECKPOINTS, PLANNING_ALLOWED, TABLE_1, find_published_results
 from benchmark.records.reproduction import (
     REPRODUCTION_FILE,
     ComparedNumber,
@@ -26,7 +26,7 @@ from benchmark.records.reproduction import (
     version_key,
     with_reproductions,
 )
-from leaderboard.build import leaderboard_files
+from leaderboard.build import build_leaderboard_files
 from leaderboard.extensions.reproduction.tables import reproduction_table
 from leaderboard.frame.results import read_results
 from leaderboard.tables.collision import run_tables
@@ -80,7 +80,7 @@ def test_the_right_planner_gives_its_numbers_and_marks_runs_of_its_version(
     assert "drives ✓" in table.plain(wide=True)
     assert "✓ drives: reproduced: the same weights, code and options gave" in table.plain(wide=True)
     assert "✓" not in run_tables("elsewhere", [known[2]])[0].plain(wide=True)
-    files = leaderboard_files(read_results(known[:2]))
+    files = build_leaderboard_files(read_results(known[:2]))
     assert any("✓" in content.decode(errors="ignore") for path, content in files.items() if path.endswith(".md"))
 
 
@@ -123,7 +123,7 @@ def test_a_run_that_is_not_whole_says_nothing(town: FakeData, values: Path, tmp_
         reproduce(town, "val", Fails(), tmp_path, expected_file(values, "drives", "val"))
     part = evaluate(town, "val", Drives(), tmp_path, EvalSettings(("vad",), limit=1))
     with pytest.raises(InputError, match="holds a part of the split"):
-        compared(part, expected_file(values, "drives", "val"))
+        compare_run(part, expected_file(values, "drives", "val"))
     assert not list(tmp_path.rglob(REPRODUCTION_FILE))
 
 
@@ -169,7 +169,7 @@ def test_every_published_model_has_all_its_numbers_with_their_source() -> None:
         assert expected.numbers[-1].values[0][0] == samples
     paper = {row.percent for row in TABLE_1 if row.data_set == "nuScenes-val"}
     own = {"uniad": "uniad", "vad-tiny": "vad", "vad-base": "vad"}
-    planning = [each for model in CHECKPOINTS for each in published_planning(model, own.get(model, model))]
+    planning = [each for model in CHECKPOINTS for each in find_published_results(model, own.get(model, model))]
     assert paper <= {each.values for each in planning}
     with pytest.raises(InputError, match="did you mean uniad"):
         published_numbers("unaid", "uniad")

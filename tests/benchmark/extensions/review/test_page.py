@@ -12,7 +12,7 @@ import pytest
 from selenium.common.exceptions import WebDriverException
 from selenium.webdriver.common.keys import Keys
 
-from benchmark.extensions.review.inspection import Inspection, drawn_for_inspection
+from benchmark.extensions.review.inspection import Inspection, draw_scenes_to_inspect
 from benchmark.extensions.review.server import ReviewServer
 from benchmark.records.review import read_review
 from generation.render.schematic import SchematicRenderer
@@ -117,10 +117,10 @@ def test_pictures_are_those_of_the_data_set(server: ReviewServer) -> None:
 
 def test_a_random_subset_is_drawn_by_seed_and_stays_in_order() -> None:
     names = [f"scene-{number:04d}" for number in range(40)]
-    drawn = drawn_for_inspection(names, 8, 3)
-    assert len(drawn) == 8 and list(drawn) == sorted(drawn) and drawn == drawn_for_inspection(names, 8, 3)
-    assert drawn != drawn_for_inspection(names, 8, 4)
-    assert drawn_for_inspection(names, None, 0) == drawn_for_inspection(names, 99, 0) == tuple(names)
+    drawn = draw_scenes_to_inspect(names, 8, 3)
+    assert len(drawn) == 8 and list(drawn) == sorted(drawn) and drawn == draw_scenes_to_inspect(names, 8, 3)
+    assert drawn != draw_scenes_to_inspect(names, 8, 4)
+    assert draw_scenes_to_inspect(names, None, 0) == draw_scenes_to_inspect(names, 99, 0) == tuple(names)
 
 
 def test_a_sitting_with_the_keyboard(server: ReviewServer, root: Path) -> None:

@@ -13,7 +13,7 @@ from benchmark.metrics.transfer import transfer
 from benchmark.records.run import load_record
 from benchmark.records.run_schema import ReviewFacts
 from benchmark.runs.rescoring import rescore
-from leaderboard.build import leaderboard_tables
+from leaderboard.build import build_leaderboard_tables
 from leaderboard.frame.rows import review_notes
 from tests.benchmark.extensions.review.small_roots import say, three_scenes
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
@@ -60,10 +60,10 @@ def test_records_under_different_verdicts_never_stand_in_one_table() -> None:
     facts = ReviewFacts(content="a" * 64, accepted=1, rejected=1, not_reviewed=1)
     reviewed = replace(second, run=second.run.model_copy(update={"review": facts}))
     with pytest.raises(InputError, match=r"different verdicts of inspectors .*not reviewed and review aaaaaaaaaaaa"):
-        leaderboard_tables([first, reviewed])
+        build_leaderboard_tables([first, reviewed])
     with pytest.raises(InputError, match="other verdicts of inspectors"):
         transfer([first, reviewed])
     both = [replace(one, run=one.run.model_copy(update={"review": facts})) for one in (first, second)]
-    table = leaderboard_tables(both)[0].front[0]
+    table = build_leaderboard_tables(both)[0].front[0]
     assert "adv: 1 scene rejected by hand, 1 accepted, 1 not reviewed (review aaaaaaaaaaaa)." in table.notes
-    assert "adv: not reviewed by hand." in leaderboard_tables([first, second])[0].front[0].notes
+    assert "adv: not reviewed by hand." in build_leaderboard_tables([first, second])[0].front[0].notes

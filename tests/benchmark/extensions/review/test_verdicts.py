@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.datasets.roots import DataSet, open_data
-from benchmark.datasets.statistics import listed_scenes, statistics
+from benchmark.datasets.statistics import list_scenes, statistics
 from benchmark.errors import InputError
 from benchmark.records.review import NOT_REVIEWED, REVIEW_FILE, read_review
 from benchmark.untrusted.verdicts import read_verdicts
@@ -29,8 +29,8 @@ def test_without_a_verdict_nothing_is_rejected_and_it_says_so(data: DataSet) -> 
 def test_rejected_scenes_are_in_no_split_and_counted(data: DataSet) -> None:
     say(data.root, scene_9902="leaves the road", scene_9903="accepted")
     opened = open_data(data.root)
-    assert opened.scene_names("val") == listed_scenes(data.root, "val") == ("scene-9901", "scene-9903")
-    assert opened.scene_names(None) == listed_scenes(data.root) == NAMES
+    assert opened.scene_names("val") == list_scenes(data.root, "val") == ("scene-9901", "scene-9903")
+    assert opened.scene_names(None) == list_scenes(data.root) == NAMES
     facts = opened.review("val").facts
     assert facts is not None and (facts.accepted, facts.rejected, facts.not_reviewed) == (1, 1, 1)
     assert opened.review("val").sentence().startswith("1 scene rejected by hand, 1 accepted, 1 not reviewed (review ")
@@ -75,7 +75,7 @@ def test_roots_side_by_side_may_have_verdicts_each_and_together(tmp_path: Path) 
     assert challenger_bench("data", "review", tmp_path, "--verdicts", tmp_path / "said.json").code == 0
     kept = ("v0/scene-9903", "v1/scene-9902", "v1/scene-9903")
     opened = open_data(tmp_path)
-    assert opened.scene_names("val") == listed_scenes(tmp_path, "val") == kept
+    assert opened.scene_names("val") == list_scenes(tmp_path, "val") == kept
     assert opened.review("val").rejected == {"v0/scene-9901": "leaves the road", **outer}
     assert statistics(tmp_path, split="val").counts.scenes == 3
 
@@ -140,7 +140,7 @@ def test_bad_files_of_verdicts_are_one_sentence_and_change_nothing(
 )
 def test_a_damaged_review_stops_whoever_reads_the_split(data: DataSet, text: str, says: str) -> None:
     (data.root / REVIEW_FILE).write_text(text)
-    for read in (open_data, lambda root: listed_scenes(root, "val")):
+    for read in (open_data, lambda root: list_scenes(root, "val")):
         with pytest.raises(InputError, match=says) as raised:
             read(data.root)
         assert REVIEW_FILE in str(raised.value) and "\n" not in str(raised.value)

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adapters.known_planners import own_planner_like
+from adapters.known_planners import find_own_planner
 from adapters.planners.log_replay import LogReplay
 from adapters.registry import planner_factory
-from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.extensions.submissions.checking import check_submission
-from benchmark.extensions.submissions.recomputed import Finding, Level
+from benchmark.extensions.submissions.recomputed import FindingLevel, SubmissionFinding
 from benchmark.machine.storage import file_sha256
 from benchmark.protocols import PROTOCOLS
-from benchmark.protocols.exact import Exact
+from benchmark.protocols.exact import ExactProtocol
 from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.scene import Scene
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -42,9 +42,9 @@ def folder(honest: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(honest, tmp_path / "submitted"))
 
 
-def checked(folder: Path) -> tuple[int, list[Finding]]:
+def checked(folder: Path) -> tuple[int, list[SubmissionFinding]]:
     sound, findings = check_submission(folder, DATA.name, lambda split: DATA)
-    return len(sound), [finding for finding in findings if finding.level is Level.ERROR]
+    return len(sound), [finding for finding in findings if finding.level is FindingLevel.ERROR]
 
 
 def edited(folder: Path, change: Callable[[dict[str, Any], list[Any], dict[str, Any]], None]) -> None:
@@ -184,7 +184,7 @@ def test_partial_runs_and_parts_of_a_split_are_refused(tmp_path: Path) -> None:
 
 
 def test_old_and_missing_protocols_are_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Stricter(Exact):
+    class Stricter(ExactProtocol):
         version = 99
 
     def forget(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
@@ -252,27 +252,27 @@ def test_completeness_is_not_believed(tmp_path: Path) -> None:
 def test_what_our_planners_are_is_known_by_their_code(tmp_path: Path) -> None:
     evaluate(DATA, "val", planner_factory("constant-velocity-on-path"), tmp_path)
 
-    def said(level: Level) -> list[str]:
-        findings = check_submission(tmp_path, DATA.name, lambda split: DATA, own_planner_like)[1]
+    def said(level: FindingLevel) -> list[str]:
+        findings = check_submission(tmp_path, DATA.name, lambda split: DATA, find_own_planner)[1]
         return [finding.sentence for finding in findings if finding.level is level]
 
-    assert said(Level.ERROR) == [] and not any("declares" in one for one in said(Level.NOTE))
+    assert said(FindingLevel.ERROR) == [] and not any("declares" in one for one in said(FindingLevel.NOTE))
     edited(tmp_path, lambda run, rows, summary: run["planner"].update(name="mine", privileged=False))
-    assert any("has the code of constant-velocity-on-path" in one for one in said(Level.NOTE))
-    assert any("says privileged: False" in one for one in said(Level.ERROR))
+    assert any("has the code of constant-velocity-on-path" in one for one in said(FindingLevel.NOTE))
+    assert any("says privileged: False" in one for one in said(FindingLevel.ERROR))
     edited(tmp_path, lambda run, rows, summary: run["planner"].update(code_sha256="0" * 64))
-    assert said(Level.ERROR) == [] and any("declares privileged: no" in one for one in said(Level.NOTE))
+    assert said(FindingLevel.ERROR) == [] and any("declares privileged: no" in one for one in said(FindingLevel.NOTE))
     edited(tmp_path, lambda run, rows, summary: run["planner"].update(name="constant-velocity-on-path"))
-    assert any("is called constant-velocity-on-path and has not this" in one for one in said(Level.NOTE))
+    assert any("is called constant-velocity-on-path and has not this" in one for one in said(FindingLevel.NOTE))
 
 
 def test_plans_that_know_the_future_are_suspicious_unless_they_say_so(tmp_path: Path) -> None:
     data = FakeData({f"scene-99{number:02d}": braking_scene(number) for number in range(6)})
 
-    def suspicions() -> list[Finding]:
+    def suspicions() -> list[SubmissionFinding]:
         found = check_submission(tmp_path, data.name, lambda split: data)
         assert len(found[0]) == 1, found[1]
-        return [finding for finding in found[1] if finding.level is Level.SUSPICIOUS]
+        return [finding for finding in found[1] if finding.level is FindingLevel.SUSPICIOUS]
 
     evaluate(data, "val", LogReplay(), tmp_path)
     assert suspicions() == []
@@ -295,7 +295,7 @@ def braking_scene(number: int) -> Scene:
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("driven")
-    drive_split(DATA, "val", Straight(), root, DriveSettings("default", DefaultRides("replay"), agents="replay"))
+    drive_split(DATA, "val", Straight(), root, DriveSettings("default", DefaultBackend("replay"), agents="replay"))
     return root
 
 

@@ -84,12 +84,12 @@ def test_held_out_sources_are_not_learnt_from(tracks: Path) -> None:
 def test_the_state_that_is_best_on_held_out_windows_is_kept(tracks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_tracks(tracks / "interaction_sample.npz", [drive(np.full(150, 6.0), 0.3)])
     checks = iter([0.5, 0.3, 0.4])
-    checked = training._check
+    checked = training._evaluate_held_out
 
     def told(*arguments: Any) -> dict[str, float | None]:
         return {**checked(*arguments), "held_out_loss": next(checks)}
 
-    monkeypatch.setattr(training, "_check", told)
+    monkeypatch.setattr(training, "_evaluate_held_out", told)
     best = read_tensors(train_denoiser(config(tracks, tracks.parent / "a.safetensors")))
     assert best[1]["best_step"] == 4
     monkeypatch.undo()
@@ -102,7 +102,7 @@ def test_the_state_that_is_best_on_held_out_windows_is_kept(tracks: Path, monkey
         return taken(run, settings, pool, step)
 
     checks = iter([0.5, 0.3])
-    monkeypatch.setattr(training, "_check", told)
+    monkeypatch.setattr(training, "_evaluate_held_out", told)
     monkeypatch.setattr(training, "_take_step", dies)
     with pytest.raises(KeyboardInterrupt):
         train_denoiser(config(tracks, stopped))
@@ -111,7 +111,7 @@ def test_the_state_that_is_best_on_held_out_windows_is_kept(tracks: Path, monkey
 
 
 def test_published_architecture_can_be_trained(tracks: Path) -> None:
-    asked = config(tracks, tracks.parent / "a.safetensors", batch=2, steps=1).of_architecture("published")
+    asked = config(tracks, tracks.parent / "a.safetensors", batch=2, steps=1).for_architecture("published")
     assert asked.denoiser == DenoiserConfig()
     assert asked.learning_rate < config(tracks, tracks).learning_rate
     learnt = load_denoiser(train_denoiser(asked))

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from generation.diffusion.kinematics import motion
+from generation.diffusion.kinematics import compute_motion
 from generation.extensions.denoiser_training import track_sources as nuplan
 from generation.extensions.denoiser_training.track_sources import (
     NUPLAN_LICENCE,
-    Recording,
+    RecordingKind,
     TrackSource,
-    even_tracks,
+    cut_source_windows,
     find_track_sources,
     read_nuplan,
-    source_windows,
+    resample_tracks,
 )
 from generation.extensions.denoiser_training.tracks import TrackFile
 from generation.extensions.denoiser_training.window_pool import load_track_data
@@ -72,10 +72,10 @@ def test_nuplan_tracks_are_rear_axles_at_an_even_rate(tmp_path: Path) -> None:
 
 def test_nuplan_windows_turn_as_the_cars_did(tmp_path: Path) -> None:
     (source,) = find_track_sources(database(tmp_path).parent)
-    windows, licence = source_windows(source, 0.5)
-    assert (source.name, source.kind, licence) == ("nuplan", Recording.NUPLAN, NUPLAN_LICENCE)
+    windows, licence = cut_source_windows(source, 0.5)
+    assert (source.name, source.kind, licence) == ("nuplan", RecordingKind.NUPLAN, NUPLAN_LICENCE)
     assert sorted(set(windows.track)) == [0, 1, 2]
-    moved = motion(windows.waypoints, windows.previous)
+    moved = compute_motion(windows.waypoints, windows.previous)
     assert np.allclose(moved.curvature[windows.track != 2], 0.025, atol=1e-3)
     assert np.allclose(moved.speed[windows.track == 2], 5.0, atol=0.02)
 
@@ -193,9 +193,9 @@ def test_nuscenes_root_gives_the_recording_car_and_rigid_vehicles(tmp_path: Path
     )
     write_root(tmp_path / "written", [short_scene(seconds=10.1, cars=cars)])
     (source,) = find_track_sources(tmp_path)
-    windows, _ = source_windows(source, 0.5)
-    assert (source.name, source.kind) == ("written", Recording.NUSCENES)
-    speed = motion(windows.waypoints, windows.previous).speed
+    windows, _ = cut_source_windows(source, 0.5)
+    assert (source.name, source.kind) == ("written", RecordingKind.NUSCENES)
+    speed = compute_motion(windows.waypoints, windows.previous).speed
     for track, expected in enumerate((8.0, 6.0, 10.0)):
         assert np.allclose(speed[windows.track == track], expected, atol=0.01)
     ego, vehicles = source.read()
@@ -226,18 +226,18 @@ def test_broken_root_is_refused(tmp_path: Path) -> None:
 def test_long_sources_are_thinned_out_evenly(tmp_path: Path) -> None:
     path = write_tracks(tmp_path / "made_up.npz", [drive(5.0 + np.arange(400) * 0.02)])
     (source,) = find_track_sources(path.parent)
-    every, _ = source_windows(source, 0.1)
-    few, _ = source_windows(source, 0.1, limit=100)
+    every, _ = cut_source_windows(source, 0.1)
+    few, _ = cut_source_windows(source, 0.1, limit=100)
     assert len(every.previous) > 300
     assert 50 <= len(few.previous) <= 100
     assert np.array_equal(few.previous, every.previous[::4])
 
 
 def test_thinning_does_not_depend_on_portions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = TrackSource("nuplan", Recording.NUPLAN, (three_cars(tmp_path),))
-    every, _ = source_windows(source, 0.1)
+    source = TrackSource("nuplan", RecordingKind.NUPLAN, (three_cars(tmp_path),))
+    every, _ = cut_source_windows(source, 0.1)
     monkeypatch.setattr(nuplan, "PORTION_ROWS", 260)
-    few, _ = source_windows(source, 0.1, limit=40)
+    few, _ = cut_source_windows(source, 0.1, limit=40)
     assert np.allclose(few.waypoints, every.waypoints[::4], atol=1e-9)
     assert np.array_equal(few.track, every.track[::4])
 
@@ -254,7 +254,7 @@ def test_even_tracks_never_leave_the_recorded_line(seconds: list[float], gap: fl
     for index in broken & set(range(len(times))):
         poses[index, 1] = np.nan
     sound = times[np.isfinite(poses).all(axis=1)]
-    tracks = even_tracks(times, poses, gap)
+    tracks = resample_tracks(times, poses, gap)
     for track in tracks:
         assert np.isfinite(track).all()
         assert np.allclose(track[:, 0], -3.0 * track[:, 1])
@@ -276,11 +276,11 @@ class Portions(TrackSource):
 
 
 def test_a_thinned_source_is_every_so_many_th_window_of_the_whole() -> None:
-    source = Portions("made", Recording.NUPLAN, ())
-    whole, _ = source_windows(source, 0.1)
+    source = Portions("made", RecordingKind.NUPLAN, ())
+    whole, _ = cut_source_windows(source, 0.1)
     assert len(whole.previous) == 47 + 60 + 81
     for limit in (100, 50, 20):
-        thinned, _ = source_windows(source, 0.1, limit)
+        thinned, _ = cut_source_windows(source, 0.1, limit)
         every = round(len(whole.previous) / len(thinned.previous))
         assert len(thinned.previous) <= limit
         np.testing.assert_array_equal(thinned.waypoints, whole.waypoints[::every])

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from generation.diffusion.kinematics import motion
-from generation.diffusion.standardiser import actions_from_waypoints
+from generation.diffusion.kinematics import compute_motion
+from generation.diffusion.standardiser import convert_waypoints_to_actions
 from generation.extensions.denoiser_training.track_sources import find_track_sources
-from generation.extensions.denoiser_training.tracks import TrackFile, cut_windows, read_tracks, smooth
+from generation.extensions.denoiser_training.tracks import TrackFile, cut_windows, read_tracks, smooth_track
 
 HZ = 10.0
 
@@ -57,7 +57,7 @@ def test_straight_drive_becomes_windows_in_the_rear_axle_frame(tmp_path: Path) -
 def test_circle_keeps_its_radius(tmp_path: Path) -> None:
     path = write_tracks(tmp_path / "made_up.npz", [drive(np.full(120, 8.0), 0.2)])
     windows = cut_windows(read_tracks(path))
-    moved = motion(windows.waypoints, windows.previous)
+    moved = compute_motion(windows.waypoints, windows.previous)
     assert np.allclose(moved.curvature, 0.2 / 8.0, atol=5e-4)
     assert np.allclose(moved.lateral, 1.6, atol=0.03)
     assert np.allclose(windows.waypoints[:, -1, 2], 1.6, atol=1e-3)
@@ -99,12 +99,12 @@ def test_short_tracks_and_other_road_users_give_nothing(tmp_path: Path) -> None:
 def test_smoothing_leaves_quadratics_alone(curve: tuple[float, float, float], span: float) -> None:
     time = np.arange(60) / HZ
     track = np.polyval(curve, time)[:, None]
-    assert np.abs(smooth(track, HZ, span) - track).max() < 1e-8
+    assert np.abs(smooth_track(track, HZ, span) - track).max() < 1e-8
 
 
 def test_smoothing_removes_jitter() -> None:
     jitter = 0.1 * np.random.default_rng(0).standard_normal((200, 1))
-    assert smooth(jitter, HZ, 2.3).std() < 0.5 * jitter.std()
+    assert smooth_track(jitter, HZ, 2.3).std() < 0.5 * jitter.std()
 
 
 @settings(max_examples=20, deadline=None)
@@ -114,7 +114,7 @@ def test_windows_do_not_depend_on_place_and_direction(turn: float, shift: tuple[
     cos, sin = np.cos(turn), np.sin(turn)
     moved = np.column_stack([track[:, :2] @ np.array([[cos, sin], [-sin, cos]]) + shift, track[:, 2] + turn])
     windows = [cut_windows(TrackFile("made_up", "none", (poses,), HZ)) for poses in (track, moved)]
-    actions = [actions_from_waypoints(part.waypoints, part.previous) for part in windows]
+    actions = [convert_waypoints_to_actions(part.waypoints, part.previous) for part in windows]
     assert np.abs(actions[0] - actions[1]).max() < 1e-9
 
 
@@ -154,13 +154,13 @@ def test_reversing_is_never_drivable() -> None:
     forward = np.column_stack([2.0 * np.arange(1, 17), np.zeros((16, 2))])
     back = forward.copy()
     back[8:, 0] = back[7, 0] - 1.0 * np.arange(1, 9)
-    moved = motion(np.stack([forward, back]), np.array([-2.0, 0.0, 0.0]))
+    moved = compute_motion(np.stack([forward, back]), np.array([-2.0, 0.0, 0.0]))
     assert moved.excess[0] == 0
     assert moved.excess[1] > 1
 
 
 def test_standing_still_has_no_direction() -> None:
     jitter = 0.01 * np.random.default_rng(0).standard_normal((16, 3))
-    moved = motion(jitter, np.zeros(3))
+    moved = compute_motion(jitter, np.zeros(3))
     assert moved.excess == 0
     assert np.allclose(moved.turn, 0)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from benchmark.geometry import Floats
-from benchmark.verification.checks import report
+from benchmark.verification.checks import format_report
 from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.extensions.golden_sets.denoiser import GOLDEN as DENOISER
@@ -140,7 +140,7 @@ def test_a_strangers_set_agrees_whatever_its_salt_rules_batch_and_timesteps(slim
     keys = json.loads((slim / "keys.json").read_text())
     save(slim / "parity.npz", strangers_numbers(load(slim / "parity.npz"), keys, "a stranger's", rules))
     checks = DENOISER.verify(slim)
-    assert not failures(checks), report(checks)
+    assert not failures(checks), format_report(checks)
     assert next(check.note for check in checks if check.quantity == "predicted noise") == "timesteps 60, 3"
 
 

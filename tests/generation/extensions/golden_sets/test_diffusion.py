@@ -4,8 +4,8 @@ import numpy as np
 
 from benchmark.geometry import Floats
 from generation.diffusion.prior import diversify
-from generation.diffusion.schedule import ALPHA_BARS, BETAS, strided_timesteps
-from generation.diffusion.standardiser import actions_from_waypoints, waypoints_from_actions
+from generation.diffusion.schedule import ALPHA_BARS, BETAS, choose_strided_timesteps
+from generation.diffusion.standardiser import convert_actions_to_waypoints, convert_waypoints_to_actions
 from generation.extensions.golden_sets.built_in import BUILT_IN
 
 GOLDEN = BUILT_IN / "denoiser"
@@ -15,20 +15,20 @@ def test_schedule_equals_the_reference() -> None:
     with np.load(GOLDEN / "schedule.npz") as golden:
         assert np.abs(golden["betas"] - BETAS).max() < 1e-8
         assert np.abs(golden["alphas_cumprod"] - ALPHA_BARS).max() < 1e-6
-        assert golden["timesteps"].tolist() == list(strided_timesteps(99, None))
+        assert golden["timesteps"].tolist() == list(choose_strided_timesteps(99, None))
 
 
 def test_standardiser_equals_the_reference() -> None:
     with np.load(GOLDEN / "parity.npz") as golden:
         history = golden["verlet_history"][:, -2:, :3].astype(np.float64)
         actions = golden["full_eta0_actions"].reshape(8, 16, 3).astype(np.float64)
-        still = waypoints_from_actions(actions, np.zeros(3))
+        still = convert_actions_to_waypoints(actions, np.zeros(3))
         stored = golden["full_eta0_trajectory_zero_history"].reshape(8, 16, 3)
         assert np.abs(still - stored).max() < 1e-6 * np.abs(stored).max()  # the reference sums in float32
         moved = golden["verlet_untransform_with_history"].reshape(8, 16, 3).astype(np.float64)
-        error = np.abs(waypoints_from_actions(actions, history[:, 0], history[:, 1]) - moved).max()
+        error = np.abs(convert_actions_to_waypoints(actions, history[:, 0], history[:, 1]) - moved).max()
         assert error < 1e-6 * np.abs(moved).max()
-        back = actions_from_waypoints(moved, history[:, 0], history[:, 1])
+        back = convert_waypoints_to_actions(moved, history[:, 0], history[:, 1])
         assert np.abs(back - golden["verlet_transform_back"].reshape(8, 16, 3)).max() < 5e-5
 
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
-from benchmark.verification.checks import report
+from benchmark.verification.checks import format_report
 from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.extensions.golden_sets.physics import GOLDEN as PHYSICS
-from generation.extensions.golden_sets.reference_scores import on_raster_tie, out_of_order, touching_tie
+from generation.extensions.golden_sets.reference_scores import find_out_of_order, is_on_raster_tie, is_touching_tie
 from generation.extensions.golden_sets.scoring import GOLDEN as SCORING
 from generation.search import scoring as scoring_kernels
 from generation.search.hyperparameters import CollisionReading
@@ -47,7 +47,7 @@ def _one_thread() -> Iterator[None]:
 @pytest.mark.parametrize("kind", VERIFY)
 def test_built_in_sets_agree_and_are_small(kind: str) -> None:
     checks = VERIFY[kind](None)
-    assert not failures(checks), report(checks)
+    assert not failures(checks), format_report(checks)
     assert len(checks) > 15
     assert sum(path.stat().st_size for path in (BUILT_IN / kind).iterdir()) < 150_000
 
@@ -56,7 +56,7 @@ def test_built_in_sets_agree_and_are_small(kind: str) -> None:
 @pytest.mark.parametrize("kind", VERIFY)
 def test_sets_beside_the_repository_agree(kind: str) -> None:
     checks = VERIFY[kind](SHARED / kind)
-    assert not failures(checks), report(checks)
+    assert not failures(checks), format_report(checks)
 
 
 def test_built_in_scoring_set_is_what_the_obvious_loops_make() -> None:
@@ -203,7 +203,7 @@ def test_a_kernel_that_misses_collisions_fails(monkeypatch: pytest.MonkeyPatch) 
     def none(boxes: Floats, *_: Any, **__: Any) -> NDArray[np.bool_]:
         return np.zeros(boxes.shape[:2], np.bool_)
 
-    monkeypatch.setattr(scoring_kernels, "collisions", none)
+    monkeypatch.setattr(scoring_kernels, "find_collisions", none)
     assert {"collision, geometry", "collision, half", "collision, literal"} <= failures(SCORING.verify())
 
 
@@ -214,13 +214,13 @@ def test_order_agrees_with_all_pairs(seed: int, tie: float) -> None:
     golden = np.round(rng.normal(size=12), 1)
     ours = np.where(rng.random(12) < 0.7, golden, np.round(rng.normal(size=12), 1))
     expected = [any(golden[j] < golden[i] - tie and not ours[j] < ours[i] for j in range(12)) for i in range(12)]
-    np.testing.assert_array_equal(out_of_order(ours, golden, tie), expected)
+    np.testing.assert_array_equal(find_out_of_order(ours, golden, tie), expected)
 
 
 def test_raster_ties_are_half_integers() -> None:
     affine = np.array([[2.0, 0.0, 100.0], [0.0, 2.0, 100.0]])
     points = np.array([[0.25, 0.1], [0.25 + 4e-10, 0.1], [0.25 + 6e-10, 0.1], [0.0, -0.75], [0.0, 0.0]])
-    np.testing.assert_array_equal(on_raster_tie(points, affine), [True, True, False, True, False])
+    np.testing.assert_array_equal(is_on_raster_tie(points, affine), [True, True, False, True, False])
 
 
 @pytest.mark.parametrize(
@@ -238,5 +238,5 @@ def test_raster_ties_are_half_integers() -> None:
 )
 def test_touching_ties_depend_on_the_reading(reading: CollisionReading, offset: tuple[float, float], tie: bool) -> None:
     box, other = np.array([0.0, 0.0, 4.0, 2.0, 0.0]), np.array([[*offset, 4.0, 2.0, 0.0]])
-    assert touching_tie(box, other, reading) is tie
-    assert not touching_tie(box, np.zeros((0, 5)), reading)
+    assert is_touching_tie(box, other, reading) is tie
+    assert not is_touching_tie(box, np.zeros((0, 5)), reading)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from benchmark.verification.synthetic_weights import WeightsRecipe
-from generation.extensions.magicdrive.conditions import Conditions, TextStates
+from generation.extensions.magicdrive.conditions import ClipConditions, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.model import MagicDriveDiT
 
@@ -54,7 +54,7 @@ def random_conditions(
     columns: int = 6,
     words: int = 4,
     seed: int = 1,
-) -> Conditions:
+) -> ClipConditions:
     """Of a clip whose latent has these rows and columns."""
     random = torch.Generator().manual_seed(seed)
 
@@ -62,7 +62,7 @@ def random_conditions(
         return torch.randn(shape, generator=random)
 
     views = config.views
-    return Conditions(
+    return ClipConditions(
         bboxes=3 * normal(1, frames, boxes, 8, 3),
         classes=torch.randint(-1, 10, (1, frames, boxes), generator=random),
         masks=torch.randint(-1, 2, (views, frames, boxes), generator=random),
@@ -77,13 +77,13 @@ def random_conditions(
     )
 
 
-def noise(network: MagicDriveDiT, conditions: Conditions, seed: int = 2) -> Tensor:
-    size = network.size_of(conditions)
+def noise(network: MagicDriveDiT, conditions: ClipConditions, seed: int = 2) -> Tensor:
+    size = network.compute_latent_size(conditions)
     shape = (1, network.config.packed_channels, size.frames, size.rows, size.columns)
     return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
 
 
-def velocity(network: MagicDriveDiT, conditions: Conditions, latent: Tensor, time: float = 500.0) -> Tensor:
+def velocity(network: MagicDriveDiT, conditions: ClipConditions, latent: Tensor, time: float = 500.0) -> Tensor:
     out: Tensor = network(latent, torch.tensor([time]), network.encode(conditions))
     return out
 

@@ -12,8 +12,8 @@ from benchmark.constants import CAMERA_NAMES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.geometry import transform_matrix, yaw_of_quaternion
 from benchmark.scene import Scene
-from generation.extensions.magicdrive.clip import box_tracks, interpolated_annotations, slerp
-from generation.extensions.magicdrive.sensor_frames import SensorFrames, ego_motion
+from generation.extensions.magicdrive.clip import build_box_tracks, interpolate_annotations, slerp
+from generation.extensions.magicdrive.sensor_frames import SensorFrames, compute_ego_motion
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.generation.extensions.magicdrive.moved_worlds import as_recording, busy_scene
 from tests.generation.nuscenes_writer.written_roots import with_adversary
@@ -51,7 +51,7 @@ def uneven_scene() -> Scene:
 def test_boxes_between_keyframes_agree_with_a_slow_interpolation() -> None:
     scene = uneven_scene()
     frames = np.arange(len(scene.timestamps_us))
-    found, known = interpolated_annotations(scene, frames), scene.annotations
+    found, known = interpolate_annotations(scene, frames), scene.annotations
     for agent in range(len(scene.agents)):
         for frame in frames.tolist():
             key, step = divmod(frame, 6)
@@ -75,10 +75,10 @@ def test_what_was_simulated_is_taken_as_it_is() -> None:
     swerving[1, :, 1] += np.sin(np.arange(25))
     scene = replace(scene, agents=replace(scene.agents, position=swerving))
     frames = np.arange(25)
-    assert np.array_equal(box_tracks(scene, frames).position, scene.agents.position)
-    recording = box_tracks(as_recording(scene), frames)
+    assert np.array_equal(build_box_tracks(scene, frames).position, scene.agents.position)
+    recording = build_box_tracks(as_recording(scene), frames)
     assert np.array_equal(recording.position[1], swerving[1])
-    assert not np.array_equal(interpolated_annotations(scene, frames).position[1], swerving[1])
+    assert not np.array_equal(interpolate_annotations(scene, frames).position[1], swerving[1])
 
 
 def test_the_data_set_reader_interpolates_the_same_way(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_the_data_set_reader_interpolates_the_same_way(tmp_path: Path) -> None:
     scene = NuScenesData.open(rows.write()).scene(written.name)
     assert scene.sweep_poses is not None
     frames = np.arange(len(scene.timestamps_us))
-    tracks = interpolated_annotations(scene, frames)
+    tracks = interpolate_annotations(scene, frames)
     np.testing.assert_array_equal(tracks.valid, scene.agents.valid)
     np.testing.assert_allclose(tracks.position, scene.agents.position, atol=1e-9)
     turned = yaw_of_quaternion(tracks.rotation) - scene.agents.yaw
@@ -147,13 +147,13 @@ def test_each_sensor_stands_where_its_sweep_was_taken(tmp_path: Path) -> None:
     x = written.ego.position[0, 0] + SPEED * (0.5 * key + 0.05 * step) + lidar[0, 3]
     np.testing.assert_allclose(sensors.lidar[:, 0, 3], x, atol=1e-6)
     # Five short steps and a long one, in the lidar's y.
-    steps = -np.diff(np.linalg.inv(ego_motion(sensors).astype(np.float64))[:, 1, 3])
+    steps = -np.diff(np.linalg.inv(compute_ego_motion(sensors).astype(np.float64))[:, 1, 3])
     np.testing.assert_allclose(np.abs(steps), SPEED * np.array([0.05, 0.05, 0.05, 0.05, 0.05, 0.25] * 3), atol=1e-3)
     # The front camera fires early, so it seems to sit further back.
     ahead = np.linalg.norm((sensors.lidar_from_camera[1, 0] - late_camera(written))[:3, 3])
     assert ahead == pytest.approx(0.04 * SPEED, abs=1e-6)
     # Boxes are of the evenly spread frames all the same.
-    np.testing.assert_allclose(box_tracks(scene, frames).position[0, :, 0], 80.0 + SPEED * frames / 12, atol=1e-5)
+    np.testing.assert_allclose(build_box_tracks(scene, frames).position[0, :, 0], 80.0 + SPEED * frames / 12, atol=1e-5)
 
 
 def late_camera(scene: Scene) -> Any:

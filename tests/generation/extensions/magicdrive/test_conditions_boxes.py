@@ -11,10 +11,10 @@ from pyquaternion import Quaternion
 from benchmark.constants import CATEGORIES, DETECTION_CLASSES
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.scene import Scene
-from generation.extensions.magicdrive.clip import ClipBoxes, clip_boxes, clip_of, corners_of
+from generation.extensions.magicdrive.clip import ClipBoxes, build_clip, build_clip_boxes, compute_corners
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
 from generation.extensions.magicdrive.sensor_frames import SensorFrames
-from generation.render.schematic.view import View
+from generation.render.schematic.view import PlacedCamera
 from tests.generation.extensions.magicdrive.moved_worlds import busy_scene, moved
 from tests.generation.nuscenes_writer.written_roots import with_adversary
 
@@ -24,7 +24,7 @@ sizes = st.floats(0.2, 15.0)
 
 def boxes_of(scene: Scene) -> ClipBoxes:
     frames = np.arange(len(scene.timestamps_us))
-    return clip_boxes(scene, frames, SensorFrames.of(scene, frames))
+    return build_clip_boxes(scene, frames, SensorFrames.of(scene, frames))
 
 
 @given(
@@ -32,7 +32,7 @@ def boxes_of(scene: Scene) -> ClipBoxes:
 )
 @settings(max_examples=60, deadline=None)
 def test_corners_can_be_turned_back_into_the_box(floor: tuple[float, ...], size: tuple[float, ...], yaw: float) -> None:
-    corners = corners_of(np.array(floor), np.array(size), np.array(yaw))
+    corners = compute_corners(np.array(floor), np.array(size), np.array(yaw))
     ahead, left, up = corners[0] - corners[3], corners[4] - corners[0], corners[1] - corners[0]
     assert corners.mean(axis=0) - 0.5 * up == pytest.approx(np.array(floor), abs=1e-9)
     assert [np.linalg.norm(edge) for edge in (ahead, left, up)] == pytest.approx(list(size), abs=1e-9)
@@ -41,7 +41,7 @@ def test_corners_can_be_turned_back_into_the_box(floor: tuple[float, ...], size:
 
 
 def test_corner_order_is_the_models() -> None:
-    corners = corners_of(np.array([10.0, 20.0, -1.0]), np.array([4.0, 2.0, 1.5]), np.array(0.0))
+    corners = compute_corners(np.array([10.0, 20.0, -1.0]), np.array([4.0, 2.0, 1.5]), np.array(0.0))
     right, left, front, rear = 19.0, 21.0, 12.0, 8.0
     assert corners.tolist() == [
         [front, right, -1.0], [front, right, 0.5], [rear, right, 0.5], [rear, right, -1.0],
@@ -95,7 +95,7 @@ def test_visibility_is_positive_depth_of_any_corner() -> None:
             scene.lidar.rotation, scene.lidar.translation
         )
         for view, name in enumerate(MODEL_CAMERAS):
-            placed = View.of(cameras[name], scene.ego.position[frame], scene.ego.rotation[frame])
+            placed = PlacedCamera.of(cameras[name], scene.ego.position[frame], scene.ego.rotation[frame])
             for slot, agent in enumerate(scene.agents.ids.index(name) for name in boxes.ids):
                 corners, _ = slow_corners(scene, agent, frame)
                 depths = [
@@ -112,7 +112,7 @@ def test_visibility_is_positive_depth_of_any_corner() -> None:
 @settings(max_examples=8, deadline=None)
 def test_conditions_do_not_depend_on_where_the_world_lies(yaw: float, offset: tuple[float, float, float]) -> None:
     scene = busy_scene(9 / 12)
-    here, there = (clip_of(world, range(9)) for world in (scene, moved(scene, yaw, offset)))
+    here, there = (build_clip(world, range(9)) for world in (scene, moved(scene, yaw, offset)))
     assert here.boxes.ids == there.boxes.ids
     np.testing.assert_array_equal(here.boxes.classes, there.boxes.classes)
     np.testing.assert_array_equal(here.boxes.masks, there.boxes.masks)

@@ -8,13 +8,19 @@ from hypothesis import strategies as st
 
 from benchmark.errors import InputError
 from benchmark.geometry import transform_matrix
-from generation.extensions.magicdrive.clip import box_latents, clip_of, latent_frames, padded_frames, trimmed_length
-from generation.extensions.magicdrive.conditions import Conditions, TextStates
-from generation.extensions.magicdrive.encoders import pooled_in_time
+from generation.extensions.magicdrive.clip import (
+    build_clip,
+    compute_trimmed_length,
+    draw_box_latents,
+    group_latent_frames,
+    pad_frames,
+)
+from generation.extensions.magicdrive.conditions import ClipConditions, TextStates
+from generation.extensions.magicdrive.encoders import pool_in_time
 from generation.extensions.magicdrive.model import MagicDriveDiT
-from generation.extensions.magicdrive.prompt import PromptLook, prompt_of
-from generation.extensions.magicdrive.sampling import SamplingOptions, first_state, sample
-from generation.extensions.magicdrive.sensor_frames import SensorFrames, ego_motion
+from generation.extensions.magicdrive.prompt import PromptLook, build_prompt
+from generation.extensions.magicdrive.sampling import SamplingOptions, draw_first_state, sample_latents
+from generation.extensions.magicdrive.sensor_frames import SensorFrames, compute_ego_motion
 from tests.generation.extensions.magicdrive.moved_worlds import busy_scene
 from tests.generation.extensions.magicdrive.small_network import TINY
 
@@ -23,11 +29,11 @@ TEXT = TextStates(torch.zeros(300, 8), torch.ones(300, dtype=torch.bool))
 
 @pytest.mark.parametrize(("frames", "latent"), [(241, 61), (240, 60), (17, 5), (16, 4), (9, 3), (8, 2), (1, 1)])
 def test_frames_pool_as_in_the_model(frames: int, latent: int) -> None:
-    groups = latent_frames(frames)
+    groups = group_latent_frames(frames)
     assert len(groups) == latent
     assert sorted(frame for group in groups for frame in group) == list(range(frames))
     one_hot = torch.eye(frames, dtype=torch.float64)
-    pooled = pooled_in_time(pooled_in_time(one_hot))
+    pooled = pool_in_time(pool_in_time(one_hot))
     for row, group in zip(pooled, groups):
         assert torch.nonzero(row).flatten().tolist() == list(group)
         assert row.sum() == 1.0
@@ -36,7 +42,7 @@ def test_frames_pool_as_in_the_model(frames: int, latent: int) -> None:
 @given(count=st.integers(1, 400))
 @settings(max_examples=60, deadline=None)
 def test_lengths_are_8k_or_8k_and_one(count: int) -> None:
-    trimmed, padded = trimmed_length(count), padded_frames(range(count))
+    trimmed, padded = compute_trimmed_length(count), pad_frames(range(count))
     assert trimmed % 8 in (0, 1) and count - 6 <= trimmed <= count
     assert len(padded) % 8 in (0, 1) and padded[:count] == tuple(range(count)) and len(padded) - count < 8
     assert set(padded[count:]) <= {count - 1}
@@ -49,7 +55,7 @@ def test_a_point_moves_from_the_first_lidar_frame_to_this_one() -> None:
     turned[:] = np.column_stack([np.cos(frames / 40), 0 * frames, 0 * frames, np.sin(frames / 40)])
     scene = replace(scene, ego=replace(scene.ego, rotation=turned))
     sensors = SensorFrames.of(scene, frames)
-    motion = ego_motion(sensors)
+    motion = compute_ego_motion(sensors)
     np.testing.assert_array_equal(motion[0], np.eye(4))
     in_world = np.array([66.0, 201.0, 0.4, 1.0])
     lidar = transform_matrix(scene.lidar.rotation, scene.lidar.translation)
@@ -65,14 +71,14 @@ def test_a_point_moves_from_the_first_lidar_frame_to_this_one() -> None:
 def test_calibration_is_that_of_full_size_images() -> None:
     scene = busy_scene(9 / 12)
     small = replace(scene, cameras=tuple(camera.resized(448, 256) for camera in reversed(scene.cameras)))
-    here, there = clip_of(scene, range(9)), clip_of(small, range(9))
+    here, there = build_clip(scene, range(9)), build_clip(small, range(9))
     np.testing.assert_allclose(here.cams, there.cams, rtol=1e-6, atol=1e-6)
     assert here.cams[1, 0, 0, 0] == 1266.0
 
 
 def test_conditions_have_the_shapes_of_the_specification() -> None:
     scene = busy_scene(9 / 12)
-    clip = clip_of(scene, range(9))
+    clip = build_clip(scene, range(9))
     conditions = clip.conditions(TEXT, None, latent_width=12)
     assert conditions.bboxes.shape == (1, 9, 5, 8, 3) and conditions.bboxes.dtype == torch.float32
     assert conditions.classes.shape == (1, 9, 5) and conditions.classes.dtype == torch.int64
@@ -81,14 +87,14 @@ def test_conditions_have_the_shapes_of_the_specification() -> None:
     assert conditions.maps.shape == (9, 8, 200, 200) and conditions.maps.dtype == torch.bool
     assert (conditions.fps, conditions.height, conditions.width) == (12.0, 224, 400)
     assert (conditions.views, conditions.frames, conditions.boxes) == (6, 9, 5)
-    assert clip_of(scene, [3]).fps == 120.0
+    assert build_clip(scene, [3]).fps == 120.0
     moved = conditions.to("cpu")
     assert torch.equal(moved.bboxes, conditions.bboxes) and moved.negative_text is None
 
 
 def test_conditions_that_do_not_belong_together_are_refused() -> None:
-    conditions = clip_of(busy_scene(9 / 12), range(9)).conditions(TEXT, None, latent_width=12)
-    fields = {name: getattr(conditions, name) for name in Conditions.__dataclass_fields__}
+    conditions = build_clip(busy_scene(9 / 12), range(9)).conditions(TEXT, None, latent_width=12)
+    fields = {name: getattr(conditions, name) for name in ClipConditions.__dataclass_fields__}
     for name, wrong in (
         ("cams", conditions.cams[:, :8]),
         ("maps", conditions.maps[:3]),
@@ -96,7 +102,7 @@ def test_conditions_that_do_not_belong_together_are_refused() -> None:
         ("bboxes", conditions.bboxes.repeat(2, 1, 1, 1, 1)),
     ):
         with pytest.raises(ValueError):
-            Conditions(**{**fields, name: wrong})
+            ClipConditions(**{**fields, name: wrong})
 
 
 def test_latents_come_from_the_stream_of_the_published_scripts() -> None:
@@ -104,19 +110,19 @@ def test_latents_come_from_the_stream_of_the_published_scripts() -> None:
     torch.manual_seed(1024)
     official = torch.randn(7, 33)
     torch.random.set_rng_state(state)
-    assert torch.equal(box_latents(7, 33, 1024), official)
-    assert not torch.equal(box_latents(7, 33, 1025), official)
+    assert torch.equal(draw_box_latents(7, 33, 1024), official)
+    assert not torch.equal(draw_box_latents(7, 33, 1025), official)
 
 
 def test_the_same_scene_gives_the_same_conditions() -> None:
-    first, second = (clip_of(busy_scene(9 / 12), range(9)) for _ in range(2))
+    first, second = (build_clip(busy_scene(9 / 12), range(9)) for _ in range(2))
     assert first.boxes.corners.tobytes() == second.boxes.corners.tobytes()
     assert first.maps.tobytes() == second.maps.tobytes() and first.cams.tobytes() == second.cams.tobytes()
 
 
 def test_part_of_a_scene_is_the_part_of_its_conditions() -> None:
     scene = busy_scene()
-    whole, part = clip_of(scene, range(17)), clip_of(scene, range(4, 12))
+    whole, part = build_clip(scene, range(17)), build_clip(scene, range(4, 12))
     np.testing.assert_array_equal(whole.boxes.corners[4:12], part.boxes.corners)
     np.testing.assert_array_equal(whole.maps[4:12], part.maps)
     np.testing.assert_array_equal(part.rel_pos[0], np.eye(4))
@@ -125,18 +131,18 @@ def test_part_of_a_scene_is_the_part_of_its_conditions() -> None:
 @pytest.mark.parametrize("frames", [[], [0, 1], [3, 2, 1, 0, 4, 5, 6, 7], [-1], [17], list(range(10, 20))])
 def test_frames_that_cannot_be_drawn_are_refused(frames: list[int]) -> None:
     with pytest.raises(InputError, match="scene-9901"):
-        clip_of(busy_scene(), frames)
+        build_clip(busy_scene(), frames)
 
 
 def test_a_missing_or_broken_camera_is_named() -> None:
     scene = busy_scene(9 / 12)
     with pytest.raises(InputError, match=r"no camera CAM_FRONT_LEFT \(it has none\)"):
-        clip_of(replace(scene, cameras=()), range(9))
+        build_clip(replace(scene, cameras=()), range(9))
     with pytest.raises(InputError, match="no camera CAM_BACK "):
-        clip_of(replace(scene, cameras=tuple(c for c in scene.cameras if c.name != "CAM_BACK")), range(9))
+        build_clip(replace(scene, cameras=tuple(c for c in scene.cameras if c.name != "CAM_BACK")), range(9))
     broken = replace(scene.cameras[0], intrinsic=np.zeros((3, 3)))
     with pytest.raises(InputError, match="camera CAM_FRONT of scene-9901 has no positive focal lengths"):
-        clip_of(replace(scene, cameras=(broken, *scene.cameras[1:])), range(9))
+        build_clip(replace(scene, cameras=(broken, *scene.cameras[1:])), range(9))
 
 
 def test_numbers_that_are_none_are_refused() -> None:
@@ -148,19 +154,19 @@ def test_numbers_that_are_none_are_refused() -> None:
         changed = replace(part, position=position)
         broken = replace(scene, agents=changed) if field == "agents" else replace(scene, ego=changed)
         with pytest.raises(InputError, match=f"{word} of scene-9901|annotations of scene-9901"):
-            clip_of(broken, range(9))
+            build_clip(broken, range(9))
 
 
 def test_the_prompt_says_where_and_what() -> None:
     scene = replace(busy_scene(9 / 12), description="Night, heavy rain, pedestrian with Umbrella, train on bridge")
-    assert prompt_of(scene).positive == (
+    assert build_prompt(scene).positive == (
         "A driving scene image at boston-seaport. Night, heavy rain, pedestrian with Umbrella, train on bridge."
     )
-    assert prompt_of(scene).negative is None
-    day = prompt_of(scene, PromptLook.DAYTIME)
+    assert build_prompt(scene).negative is None
+    day = build_prompt(scene, PromptLook.DAYTIME)
     assert day.positive == "Daytime. a driving scene image at singapore-onenorth. heavy sunny, train on bridge."
     assert day.negative == "Rain, Night, water reflections, umbrella"
-    assert prompt_of(replace(scene, description="")).positive == "A driving scene image at boston-seaport."
+    assert build_prompt(replace(scene, description="")).positive == "A driving scene image at boston-seaport."
 
 
 @pytest.mark.parametrize(
@@ -176,7 +182,7 @@ def test_the_prompt_says_where_and_what() -> None:
 )
 def test_other_looks_do_not_ask_for_what_they_forbid(look: PromptLook, place: str, words: str) -> None:
     scene = replace(busy_scene(9 / 12), description="Left turn, day")
-    prompt = prompt_of(scene, look)
+    prompt = build_prompt(scene, look)
     assert prompt.positive == words and place in words
     assert prompt.negative is not None
 
@@ -186,12 +192,12 @@ def test_the_network_takes_the_conditions_of_a_scene(frames: range | list[int]) 
     config = TINY
     torch.manual_seed(0)
     model = MagicDriveDiT(config).eval()
-    clip = clip_of(busy_scene(9 / 12), frames, height=48, width=80)
+    clip = build_clip(busy_scene(9 / 12), frames, height=48, width=80)
     text = TextStates(
         torch.randn(config.text_tokens, config.caption_channels),
         torch.arange(config.text_tokens) < config.text_tokens // 2,
     )
     conditions = clip.conditions(text, None, latent_width=config.hidden)
     options = SamplingOptions(steps=1)
-    latents = sample(model, conditions, first_state(model, conditions, 3), options)
-    assert latents.shape[2] == len(latent_frames(len(clip.frames))) and torch.isfinite(latents).all()
+    latents = sample_latents(model, conditions, draw_first_state(model, conditions, 3), options)
+    assert latents.shape[2] == len(group_latent_frames(len(clip.frames))) and torch.isfinite(latents).all()

@@ -12,11 +12,11 @@ from benchmark.datasets.map_layers import read_road_map
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.road_map import RoadMap
-from generation.extensions.magicdrive.bev_map import MAP_CHANNELS, MapLayers, clip_maps
-from generation.extensions.magicdrive.clip import clip_of
-from generation.nuscenes_writer.expansion import map_expansion
-from generation.nuscenes_writer.road_maps import merged, pack_road_map, unpack_road_map
-from generation.sources.town import town_scene
+from generation.extensions.magicdrive.bev_map import MAP_CHANNELS, MapLayers, draw_clip_maps
+from generation.extensions.magicdrive.clip import build_clip
+from generation.nuscenes_writer.expansion import build_map_expansion
+from generation.nuscenes_writer.road_maps import merge_road_maps, pack_road_map, unpack_road_map
+from generation.sources.town import build_town_scene
 from tests.generation.extensions.magicdrive.moved_worlds import busy_scene
 
 
@@ -41,7 +41,7 @@ def devkit_masks(root: Path, location: str, pose: Floats, monkeypatch: pytest.Mo
 def written(root: Path, road_map: RoadMap) -> Path:
     path = root / "maps" / "expansion" / f"{road_map.location}.json"
     path.parent.mkdir(parents=True)
-    path.write_text(json.dumps(map_expansion(road_map)))
+    path.write_text(json.dumps(build_map_expansion(road_map)))
     return path
 
 
@@ -67,7 +67,7 @@ def test_every_channel_is_the_devkits(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_the_towns_map_is_the_devkits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = town_scene("val", 2, seed=0)
+    scene = build_town_scene("val", 2, seed=0)
     path = written(tmp_path, scene.road_map)
     for frame in (0, 140):
         x, y, yaw = scene.ego.pose[frame]
@@ -98,14 +98,14 @@ def test_twice_the_cells_show_the_same() -> None:
     fine = MapLayers(scene.road_map).masks(pose, cells=400)
     coarse = MapLayers(scene.road_map).masks(pose)
     assert abs(fine.mean(axis=(1, 2)) - coarse.mean(axis=(1, 2)))[[0, 2, 4, 7]].max() < 0.01
-    assert clip_of(scene, range(9), height=424, width=800).maps.shape == (9, 8, 400, 400)
+    assert build_clip(scene, range(9), height=424, width=800).maps.shape == (9, 8, 400, 400)
 
 
 def test_a_standing_car_sees_the_same_map() -> None:
     scene = busy_scene(9 / 12)
     lidar = np.tile(np.eye(4), (3, 1, 1))
     lidar[:, :2, 3] = [60.0, 197.0]
-    maps = clip_maps(scene, lidar)
+    maps = draw_clip_maps(scene, lidar)
     assert (maps[0] == maps[1]).all() and maps[0].any()
 
 
@@ -113,7 +113,7 @@ def test_a_scene_without_a_map_is_refused_in_one_sentence() -> None:
     scene = busy_scene(9 / 12)
     bare = replace(scene, road_map=RoadMap("singapore-onenorth", shapely.MultiPolygon()))
     with pytest.raises(InputError, match=r"singapore-onenorth\.json into maps/expansion"):
-        clip_of(bare, range(9))
+        build_clip(bare, range(9))
 
 
 def test_road_blocks_travel_with_a_map(tmp_path: Path) -> None:
@@ -123,6 +123,6 @@ def test_road_blocks_travel_with_a_map(tmp_path: Path) -> None:
     assert set(read.near((0.0, 190.0, 10.0, 199.0)).road_blocks) == {"east"}
     packed = pack_road_map(road_map)
     assert unpack_road_map(packed).road_blocks == road_map.road_blocks
-    assert merged([road_map, road_map]).road_blocks == road_map.road_blocks
+    assert merge_road_maps([road_map, road_map]).road_blocks == road_map.road_blocks
     del packed["road_blocks"]
     assert unpack_road_map(packed).road_blocks == {}

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.report.palette import ADVERSARY
 from benchmark.scene import Scene
-from generation.extensions.magicdrive.clip import clip_of
+from generation.extensions.magicdrive.clip import build_clip
 from generation.extensions.magicdrive.condition_pictures import (
-    condition_pictures,
+    choose_shown_frames,
     draw_boxes,
-    shown_frames,
+    draw_condition_pictures,
     write_condition_pictures,
 )
 from generation.extensions.magicdrive.condition_plots import draw_pooling
@@ -41,7 +41,7 @@ def test_every_condition_of_a_scene_is_drawn(attacked: Scene, tmp_path: Path) ->
     data = NuScenesData.open(tmp_path / "root")
     written = write_condition_pictures(data, [attacked.name], tmp_path / "pictures", SolidRenderer())
     names = {path.stem for path in written}
-    frames = shown_frames(data.scene(attacked.name))
+    frames = choose_shown_frames(data.scene(attacked.name))
     kinds = {f"{kind}-{frame:03d}" for kind in ("boxes", "visibility", "map") for frame in frames}
     assert names == ONCE_A_SCENE | kinds
     assert all(path.parent == tmp_path / "pictures" / attacked.name for path in written)
@@ -49,7 +49,7 @@ def test_every_condition_of_a_scene_is_drawn(attacked: Scene, tmp_path: Path) ->
 
 
 def test_the_same_clip_gives_the_same_bytes(attacked: Scene) -> None:
-    clip = clip_of(attacked, range(25))
+    clip = build_clip(attacked, range(25))
     first, second = (draw_pooling(clip, attacked.keyframes, [1]) for _ in range(2))
     assert first == second
 
@@ -57,12 +57,12 @@ def test_the_same_clip_gives_the_same_bytes(attacked: Scene) -> None:
 def test_a_clip_of_one_frame_without_objects_is_drawn_too() -> None:
     scene = busy_scene()
     scene.agents.valid[:] = False
-    clip = clip_of(scene, [0])
-    assert set(condition_pictures(clip, scene, [0], [None])) > ONCE_A_SCENE
+    clip = build_clip(scene, [0])
+    assert set(draw_condition_pictures(clip, scene, [0], [None])) > ONCE_A_SCENE
 
 
 def test_boxes_lie_over_what_the_cameras_saw(attacked: Scene) -> None:
-    clip = clip_of(attacked, range(25))
+    clip = build_clip(attacked, range(25))
     images = {name: np.full((90, 160, 3), 200, np.uint8) for name in MODEL_CAMERAS}
     plain, over = draw_boxes(clip, 0, None, []), draw_boxes(clip, 0, images, [])
     assert plain.shape == over.shape == (720, 1920, 3)
@@ -73,9 +73,9 @@ def test_boxes_lie_over_what_the_cameras_saw(attacked: Scene) -> None:
 
 
 def test_the_decisive_keyframe_is_shown(attacked: Scene) -> None:
-    frames = shown_frames(attacked)
+    frames = choose_shown_frames(attacked)
     assert frames[0] == 0 and set(frames) <= set(attacked.keyframes.tolist())
-    assert shown_frames(busy_scene(1 / 12)) == [0]
+    assert choose_shown_frames(busy_scene(1 / 12)) == [0]
 
 
 def test_the_command_refuses_a_data_set_without_cameras_in_one_sentence(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from benchmark.constants import DETECTION_CLASSES
 from benchmark.errors import InputError
-from generation.extensions.magicdrive.clip import clip_of
+from generation.extensions.magicdrive.clip import build_clip
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
 from tests.generation.extensions.magicdrive.recorded_keyframe import RECORDED, official_info, recorded_scene
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.skipif(not RECORDED.is_dir(), reason="needs the recorde
 
 
 def test_calibration_is_the_official_one() -> None:
-    clip, images = clip_of(recorded_scene(), [0]), official_info()["images"]
+    clip, images = build_clip(recorded_scene(), [0]), official_info()["images"]
     for view, name in enumerate(MODEL_CAMERAS):
         official = np.linalg.inv(np.array(images[name]["lidar2cam"], np.float64))
         np.testing.assert_allclose(clip.cams[view, 0, :, 3:], official[:3], atol=1e-6)
@@ -22,7 +22,7 @@ def test_calibration_is_the_official_one() -> None:
 
 
 def test_boxes_are_the_official_ones() -> None:
-    boxes = clip_of(recorded_scene(), [0]).boxes
+    boxes = build_clip(recorded_scene(), [0]).boxes
     rows = official_info()["instances"]
     assert len(boxes.ids) == len(rows) == 69
     names = ("car", "truck", "trailer", "bus", "construction_vehicle", "bicycle", "motorcycle", "pedestrian",
@@ -40,7 +40,7 @@ def test_boxes_are_the_official_ones() -> None:
 
 
 def test_what_the_official_converter_sees_in_an_image_the_view_is_told_of() -> None:
-    boxes, info = clip_of(recorded_scene(), [0]).boxes, official_info()
+    boxes, info = build_clip(recorded_scene(), [0]).boxes, official_info()
     for view, name in enumerate(MODEL_CAMERAS):
         seen = len(info["cam_instances"][name])
         told = int(boxes.masks[view, 0].sum())
@@ -48,9 +48,9 @@ def test_what_the_official_converter_sees_in_an_image_the_view_is_told_of() -> N
 
 
 def test_the_recorded_car_stands_on_the_recorded_road() -> None:
-    clip = clip_of(recorded_scene(), [0])
+    clip = build_clip(recorded_scene(), [0])
     assert clip.maps[0, 0, 99:102, 99:106].all()
     assert 0.1 < clip.maps[0, 0].mean() < 0.3
     assert clip.prompt.positive.startswith("A driving scene image at singapore-onenorth. Parked truck, construction")
     with pytest.raises(InputError):
-        clip_of(recorded_scene(), [0, 0])
+        build_clip(recorded_scene(), [0, 0])

@@ -16,14 +16,14 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import transform_matrix
 from benchmark.machine.workers import LocalProcesses
 from benchmark.scene import Annotations, EgoTrack, Scene, SweepPoses
-from generation.extensions.magicdrive.clip import clip_boxes
+from generation.extensions.magicdrive.clip import build_clip_boxes
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
 from generation.extensions.magicdrive.renderer import MagicDriveRenderer
 from generation.extensions.magicdrive.sensor_frames import SensorFrames
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
-from generation.sources.town import town_scene
+from generation.sources.town import build_town_scene
 from tests.benchmark.cli.cli_runs import challenger_bench
 from tests.generation.extensions.magicdrive.small_weights import SIZE, small_renderer, write_weights
 from tests.generation.nuscenes_writer.written_roots import SolidRenderer, contents, write_root
@@ -63,7 +63,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     root = tmp_path_factory.mktemp("recorded") / "recorded"
-    write_root(root, [beginning_of(town_scene("val", number)) for number in range(2)])
+    write_root(root, [beginning_of(build_town_scene("val", number)) for number in range(2)])
     return open_data(root)
 
 
@@ -116,7 +116,7 @@ def test_written_calibration_shows_boxes_where_the_conditions_had_them(built: Pa
     recorded, written = source.scene(name), data.scene(name)
     frames = np.arange(FRAMES)
     told = SensorFrames.of(recorded, frames)
-    boxes = clip_boxes(recorded, frames, told)
+    boxes = build_clip_boxes(recorded, frames, told)
     places = boxes.true_corners[6, boxes.classes[6] >= 0].reshape(-1, 3)
     for view, camera_name in enumerate(MODEL_CAMERAS):
         camera = next(camera for camera in written.cameras if camera.name == camera_name)

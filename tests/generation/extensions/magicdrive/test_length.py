@@ -8,7 +8,7 @@ import pytest
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.published import ADV_NUSC
 from generation.extensions.magicdrive import clip as clip_module
-from generation.extensions.magicdrive.clip import published_length
+from generation.extensions.magicdrive.clip import compute_published_length
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.scenes import write_scene
 from tests.generation.extensions.magicdrive.moved_worlds import busy_scene
@@ -36,13 +36,13 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_recordings_are_cut_to_the_published_lengths(recorded: int, written: int) -> None:
-    assert published_length(recorded) == written
+    assert compute_published_length(recorded) == written
 
 
 def test_the_counts_of_adv_nusc_are_those_of_cut_recordings() -> None:
     """Recordings have 6 (K - 1) + 1 frames for K samples; one solution gives both counts of the paper."""
     frames, samples = ADV_NUSC["sample_data"] // 7, ADV_NUSC["samples"]
-    lengths = [published_length(6 * (keyframes - 1) + 1) for keyframes in (39, 40, 41)]
+    lengths = [compute_published_length(6 * (keyframes - 1) + 1) for keyframes in (39, 40, 41)]
     assert lengths == [225, 233, 241]
     solutions = [
         (few, middle, many)

@@ -13,19 +13,19 @@ from torch import Tensor
 
 from generation.extensions.magicdrive.blocks import CrossViewAttention
 from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.encoders import pooled_in_time
+from generation.extensions.magicdrive.encoders import pool_in_time
 from generation.extensions.magicdrive.layers import (
     LatentSize,
     PatchEmbedding,
     RotaryFrequencies,
-    fourier,
-    grid_embedding,
-    packed_views,
-    rounded_to_bfloat16,
-    unpacked_views,
+    compute_fourier_features,
+    compute_grid_embedding,
+    pack_views,
+    round_to_bfloat16,
+    unpack_views,
 )
-from generation.extensions.magicdrive.model import Encoded
-from generation.extensions.magicdrive.sampling import null_conditions
+from generation.extensions.magicdrive.model import EncodedConditions
+from generation.extensions.magicdrive.sampling import build_null_conditions
 from tests.generation.extensions.magicdrive.small_network import (
     CONFIG,
     assert_same,
@@ -92,18 +92,18 @@ def test_a_view_reaches_its_neighbours_and_nobody_else(view: int) -> None:
     network = small_network(replace(CONFIG, depth=1, control_depth=0))
     conditions = random_conditions()
     latent = noise(network, conditions)
-    views = unpacked_views(latent, 6).clone()
+    views = unpack_views(latent, 6).clone()
     views[:, view] += 1
-    moved = (velocity(network, conditions, packed_views(views)) - velocity(network, conditions, latent)).abs()
-    reached = unpacked_views(moved, 6).amax((0, 2, 3, 4, 5)) > 1e-4
+    moved = (velocity(network, conditions, pack_views(views)) - velocity(network, conditions, latent)).abs()
+    reached = unpack_views(moved, 6).amax((0, 2, 3, 4, 5)) > 1e-4
     assert set(np.flatnonzero(reached.numpy()).tolist()) == {(view - 1) % 6, view, (view + 1) % 6}
 
 
 def test_packing_is_channel_major_and_view_minor() -> None:
     latent = torch.arange(96.0).reshape(1, 96, 1, 1, 1)
-    apart = unpacked_views(latent, 6)
+    apart = unpack_views(latent, 6)
     assert apart[0, 2, 5].item() == 5 * 6 + 2
-    assert torch.equal(packed_views(apart), latent)
+    assert torch.equal(pack_views(apart), latent)
 
 
 @settings(max_examples=8, deadline=None)
@@ -153,7 +153,7 @@ def test_a_batch_of_two_is_two_single_ones() -> None:
     latents = [noise(NETWORK, clip, seed) for seed, clip in enumerate(clips)]
     times, given = torch.tensor([900.0, 30.0]), torch.tensor([[True, False], [False, True]])
     encoded = [NETWORK.encode(clip) for clip in clips]
-    both = NETWORK(torch.cat(latents), times, Encoded.batched(encoded), given)
+    both = NETWORK(torch.cat(latents), times, EncodedConditions.batch(encoded), given)
     for row, (latent, single) in enumerate(zip(latents, encoded, strict=True)):
         alone = NETWORK(latent, times[row : row + 1], single, given[row : row + 1])
         assert_same(both[row : row + 1], alone)
@@ -163,7 +163,7 @@ def test_clips_of_other_sizes_are_no_batch() -> None:
     clip = NETWORK.encode(random_conditions())
     for other in (random_conditions(rows=5), random_conditions(boxes=2), random_conditions(words=7)):
         with pytest.raises(ValueError, match="different sizes"):
-            Encoded.batched([clip, NETWORK.encode(other)])
+            EncodedConditions.batch([clip, NETWORK.encode(other)])
 
 
 def test_kept_keys_and_values_change_nothing() -> None:
@@ -176,7 +176,7 @@ def test_kept_keys_and_values_change_nothing() -> None:
 
 def test_one_empty_box_stands_for_many() -> None:
     conditions = random_conditions(boxes=7)
-    once = null_conditions(NETWORK, conditions, keep_map=False)
+    once = build_null_conditions(NETWORK, conditions, keep_map=False)
     plain = replace(
         once,
         bboxes=torch.zeros_like(conditions.bboxes),
@@ -189,7 +189,7 @@ def test_one_empty_box_stands_for_many() -> None:
     assert repeated.tokens.length == NETWORK.encode(plain).tokens.length == repeated.tokens.sequence().shape[3]
     expected = velocity(NETWORK, plain, latent)
     assert_same(NETWORK(latent, time, repeated), expected)
-    batch = Encoded.batched([NETWORK.encode(conditions), repeated])
+    batch = EncodedConditions.batch([NETWORK.encode(conditions), repeated])
     together = NETWORK(latent.repeat(2, 1, 1, 1, 1), time.repeat(2), batch)
     assert_same(together[1:], expected)
     fewer = NETWORK(latent, time, NETWORK.encode(once, box_repeats=1))
@@ -237,8 +237,8 @@ def test_pooling_in_time_averages_pairs_from_the_end(frames: int) -> None:
     values = torch.arange(float(frames))[:, None]
     slow = [values[frame : frame + 2].mean() for frame in range(frames % 2, frames, 2)]
     expected = torch.stack(([values[0, 0]] if frames % 2 else []) + slow)
-    assert_same(pooled_in_time(values)[:, 0], expected)
-    assert len(pooled_in_time(pooled_in_time(values))) == LatentSize.of(frames, 8, 8).frames
+    assert_same(pool_in_time(values)[:, 0], expected)
+    assert len(pool_in_time(pool_in_time(values))) == LatentSize.of(frames, 8, 8).frames
 
 
 def test_rotation_turns_adjacent_channels() -> None:
@@ -264,11 +264,11 @@ def test_rounded_rotation_has_the_published_errors() -> None:
 def test_fourier_goes_octave_by_octave() -> None:
     x = torch.tensor([0.3, -2.0, 5.0])
     waves = [wave(2**octave * x) for octave in range(4) for wave in (torch.sin, torch.cos)]
-    assert torch.equal(fourier(x), torch.cat([x, *waves]))
+    assert torch.equal(compute_fourier_features(x), torch.cat([x, *waves]))
 
 
 def test_grid_has_the_column_first() -> None:
-    found = grid_embedding(3, 5, (48, 80), 8, rounded=False, device=torch.device("cpu"))
+    found = compute_grid_embedding(3, 5, (48, 80), 8, rounded=False, device=torch.device("cpu"))
     scale, side = math.sqrt(48 * 80) / 512, round(math.sqrt(15))
     for row in range(3):
         for column in range(5):
@@ -292,8 +292,8 @@ def test_rounding_is_of_what_goes_in() -> None:
     conditions = random_conditions()
     latent = noise(network, conditions)
     names = ("bboxes", "box_latent", "cams", "rel_pos")
-    rounded = {name: rounded_to_bfloat16(getattr(conditions, name)) for name in names}
-    words = replace(conditions.text, hidden=rounded_to_bfloat16(conditions.text.hidden))
+    rounded = {name: round_to_bfloat16(getattr(conditions, name)) for name in names}
+    words = replace(conditions.text, hidden=round_to_bfloat16(conditions.text.hidden))
     same = replace(conditions, text=words, **rounded)  # type: ignore[arg-type]
     first = velocity(network, conditions, latent, 511.9)
     assert torch.equal(velocity(network, same, latent, 512.0), first)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from benchmark.errors import InputError
-from generation.extensions.magicdrive.checkpoint import NULL_PROMPT, load_official
+from generation.extensions.magicdrive.checkpoint import NULL_PROMPT, load_published_network
 from tests.generation.extensions.magicdrive.small_network import (
     CONFIG,
     noise,
@@ -40,7 +40,7 @@ def saved(tensors: State, path: Path) -> Path:
 @pytest.mark.parametrize("name", ["ema.pt", "ema.safetensors"])
 def test_both_forms_give_the_network(name: str, tmp_path: Path) -> None:
     path = saved(state() | {"pos_embed": torch.zeros(3), "pos_embed_temporal": torch.zeros(1, 4)}, tmp_path / name)
-    network = load_official(path, CONFIG, dtype=torch.float32)
+    network = load_published_network(path, CONFIG, dtype=torch.float32)
     conditions = random_conditions()
     latent = noise(network, conditions)
     assert torch.equal(velocity(network, conditions, latent), velocity(small_network(), conditions, latent))
@@ -49,7 +49,7 @@ def test_both_forms_give_the_network(name: str, tmp_path: Path) -> None:
 
 def test_weights_are_rounded_as_the_published_pipeline_does(tmp_path: Path) -> None:
     path = saved(state(), tmp_path / "ema.pt")
-    half, exact = load_official(path, ROUNDED), load_official(path, ROUNDED, dtype=torch.float32)
+    half, exact = load_published_network(path, ROUNDED), load_published_network(path, ROUNDED, dtype=torch.float32)
     for name, tensor in state().items():
         assert half.state_dict()[name].dtype == torch.bfloat16
         assert torch.equal(half.state_dict()[name], tensor.bfloat16())
@@ -58,7 +58,7 @@ def test_weights_are_rounded_as_the_published_pipeline_does(tmp_path: Path) -> N
 
 def test_the_file_can_go_once_it_is_read(tmp_path: Path) -> None:
     path = saved(state(), tmp_path / "ema.pt")
-    network = load_official(path, CONFIG, dtype=torch.float32)
+    network = load_published_network(path, CONFIG, dtype=torch.float32)
     path.write_bytes(b"")
     assert torch.equal(network.base_token, state()["base_token"])
 
@@ -66,7 +66,7 @@ def test_the_file_can_go_once_it_is_read(tmp_path: Path) -> None:
 def test_a_shorter_null_prompt_goes_on_with_its_last_token(tmp_path: Path) -> None:
     short = state()
     short[NULL_PROMPT] = short[NULL_PROMPT][:3]
-    network = load_official(saved(short, tmp_path / "ema.pt"), CONFIG, dtype=torch.float32)
+    network = load_published_network(saved(short, tmp_path / "ema.pt"), CONFIG, dtype=torch.float32)
     prompt = network.y_embedder.y_embedding
     assert torch.equal(prompt[:3], short[NULL_PROMPT]) and torch.equal(prompt[3:], prompt[2:3].expand(9, -1))
 
@@ -97,7 +97,7 @@ WRONG: dict[str, Callable[[State], State]] = {
 def test_other_tensors_are_refused(message: str, name: str, tmp_path: Path) -> None:
     path = saved(WRONG[message](state()), tmp_path / name)
     with pytest.raises(InputError, match=message):
-        load_official(path, CONFIG)
+        load_published_network(path, CONFIG)
 
 
 @pytest.mark.parametrize("name", ["ema.pt", "ema.safetensors"])
@@ -107,11 +107,11 @@ def test_damaged_files_are_refused(name: str, tmp_path: Path) -> None:
     for damaged in (b"", whole[: len(whole) // 2], whole[:40], b"<html>", b"\x80\x02}q\x00", b"\xff" * 64):
         path.write_bytes(damaged)
         with pytest.raises(InputError, match="ema"):
-            load_official(path, CONFIG)
+            load_published_network(path, CONFIG)
     path.unlink()
     for absent in (path, tmp_path):
         with pytest.raises(InputError, match="cannot read"):
-            load_official(absent, CONFIG)
+            load_published_network(absent, CONFIG)
 
 
 class _Hostile:
@@ -126,5 +126,5 @@ def test_a_file_that_would_run_code_is_refused_unread(tmp_path: Path) -> None:
     marker = tmp_path / "marker"
     torch.save({"base_token": _Hostile(marker)}, tmp_path / "ema.pt")
     with pytest.raises(InputError, match="could run code"):
-        load_official(tmp_path / "ema.pt", CONFIG)
+        load_published_network(tmp_path / "ema.pt", CONFIG)
     assert not marker.exists()

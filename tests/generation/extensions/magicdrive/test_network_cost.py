@@ -9,28 +9,28 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from generation.extensions.magicdrive.conditions import TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig
-from generation.extensions.magicdrive.estimate import Workload, operations
+from generation.extensions.magicdrive.estimate import ClipWorkload, count_operations
 from generation.extensions.magicdrive.layers import LatentSize
 from generation.extensions.magicdrive.model import MagicDriveDiT
 from tests.generation.extensions.magicdrive.small_network import CONFIG, noise, random_conditions, small_network
 
 
-def published(height: int, width: int, rows_multiple: int, map_cells: int) -> Workload:
+def published(height: int, width: int, rows_multiple: int, map_cells: int) -> ClipWorkload:
     """A scene of the specification: 61 latent frames, some 60 boxes; its prompts have some 30 tokens."""
-    return Workload(241, LatentSize.of(241, height, width, rows_multiple), 32, 60, (map_cells, map_cells))
+    return ClipWorkload(241, LatentSize.of(241, height, width, rows_multiple), 32, 60, (map_cells, map_cells))
 
 
 @pytest.mark.parametrize(
     ("clip", "petaflop"),
     [(published(224, 400, 4, 200), 36.5), (published(224, 400, 1, 200), 32.0), (published(424, 800, 4, 400), 139.0)],
 )
-def test_the_specification_counts_the_same(clip: Workload, petaflop: float) -> None:
-    count = operations(MagicDriveConfig.full(), clip, as_published=True)
+def test_the_specification_counts_the_same(clip: ClipWorkload, petaflop: float) -> None:
+    count = count_operations(MagicDriveConfig.full(), clip, as_published=True)
     assert count.scene(30, as_published=True) / 1e15 == pytest.approx(petaflop, rel=0.01)
 
 
 def test_parts_of_the_published_evaluation() -> None:
-    count = operations(MagicDriveConfig.full(), published(224, 400, 4, 200), as_published=True)
+    count = count_operations(MagicDriveConfig.full(), published(224, 400, 4, 200), as_published=True)
     parts = (count.base, count.control, count.encoders, count.spatial_attention, count.temporal_attention)
     assert [round(part / 1e15, 3) for part in parts] == [0.44, 0.162, 0.007, 0.011, 0.002]
     assert round(count.cross_attention / 1e15, 3) == 0.084 and round(count.between_views / 1e15, 3) == 0.113
@@ -38,8 +38,8 @@ def test_parts_of_the_published_evaluation() -> None:
 
 def test_less_is_computed_here() -> None:
     clip = published(224, 400, 4, 200)
-    ours = operations(MagicDriveConfig.full(), clip).scene(30)
-    theirs = operations(MagicDriveConfig.full(), clip, as_published=True).scene(30, as_published=True)
+    ours = count_operations(MagicDriveConfig.full(), clip).scene(30)
+    theirs = count_operations(MagicDriveConfig.full(), clip, as_published=True).scene(30, as_published=True)
     assert 0.90 < ours / theirs < 0.92
 
 
@@ -49,8 +49,8 @@ def test_the_formula_is_what_the_network_computes(frames: int, multiple: int) ->
     config = replace(CONFIG, depth=2, control_depth=1)
     network = small_network(config)
     conditions = random_conditions(config, frames=frames, boxes=3, rows=6, columns=10, words=4)
-    size = network.size_of(conditions, multiple)
-    expected = operations(config, Workload(frames, size, 5, 3, (48, 80)))
+    size = network.compute_latent_size(conditions, multiple)
+    expected = count_operations(config, ClipWorkload(frames, size, 5, 3, (48, 80)))
     # The fast attention of processors is not counted.
     with sdpa_kernel(SDPBackend.MATH), FlopCounterMode(display=False) as encoding:
         encoded = network.encode(conditions, rows_multiple=multiple)
@@ -77,7 +77,7 @@ def test_the_published_network_at_its_real_size() -> None:
         encoded = network.encode(conditions)
     with sdpa_kernel(SDPBackend.MATH), FlopCounterMode(display=False) as evaluation:
         found = network(latent, torch.zeros(1, device="meta"), encoded)
-    expected = operations(config, published(224, 400, 4, 200))
+    expected = count_operations(config, published(224, 400, 4, 200))
     assert found.shape == latent.shape and found.dtype == torch.float32
     assert encoded.size.grid == (16, 25)
     assert evaluation.get_total_flops() == pytest.approx(expected.transformer, rel=1e-5)

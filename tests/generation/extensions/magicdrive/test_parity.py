@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from benchmark.cli.app import app
 from benchmark.errors import InputError
-from benchmark.verification.checks import report
+from benchmark.verification.checks import format_report
 from generation.extensions.magicdrive.verification.comparing import PUBLISHED, verify_magicdrive
 
 GOLDEN = Path(__file__).resolve().parents[3] / "golden" / "parity" / "magicdrive"
@@ -42,7 +42,7 @@ def change_manifest(golden: Path, change: Callable[[dict[str, Any]], Any]) -> No
 
 def test_the_set_of_the_repository_agrees() -> None:
     checks = verify_magicdrive(GOLDEN)
-    assert all(check.ok for check in checks), report(checks)
+    assert all(check.ok for check in checks), format_report(checks)
     assert len(checks) == 33 and not any("not compared" in check.note for check in checks)
     errors = {check.quantity: check.error for check in checks}
     assert errors["A.forward"] < 3e-5 and errors["A.sample_slice_cfg2_4steps"] < 1e-4
@@ -54,7 +54,7 @@ def test_the_published_size_and_every_block_agree(tmp_path: Path) -> None:
     shutil.copy(WHOLE / "keys.json", golden)
     shutil.copy(WHOLE / "dev" / "taps.npz", golden)
     checks = {check.quantity: check for check in verify_magicdrive(golden)}
-    assert all(check.ok for check in checks.values()), report([*checks.values()])
+    assert all(check.ok for check in checks.values()), format_report([*checks.values()])
     assert checks[PUBLISHED].count == 1768 and "2,037,971,481 numbers" in checks[PUBLISHED].note
     assert len([name for name in checks if "blocks_" in name]) == 14
 

@@ -10,21 +10,21 @@ import torch
 
 from benchmark.errors import InputError
 from benchmark.geometry import transform_matrix
-from benchmark.machine.devices import device_of_worker
+from benchmark.machine.devices import select_worker_device
 from benchmark.machine.ray_cluster import RayCluster
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.scene import SweepPoses
 from benchmark.weights.catalogue import AUTOENCODER, TEXT_ENCODER, TRANSFORMER
-from benchmark.weights.folders import folder_of
+from benchmark.weights.folders import require_folder_of
 from generation.extensions.magicdrive import renderer as renderer_module
 from generation.extensions.magicdrive.checkpoint import VideoDecoder
-from generation.extensions.magicdrive.clip import clip_of
-from generation.extensions.magicdrive.command import magicdrive_renderer, rendering_executor
+from generation.extensions.magicdrive.clip import build_clip
+from generation.extensions.magicdrive.command import build_magicdrive_renderer, build_rendering_executor
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.prompt import PromptLook
 from generation.extensions.magicdrive.renderer import MagicDriveRenderer, RenderSettings, T5TextEncoder
-from generation.extensions.magicdrive.sampling import SamplingState, keep_tensor, kept_tensor
-from generation.extensions.magicdrive.sensor_frames import ImageGeometry, OutputSize, SensorFrames, camera_tracks
+from generation.extensions.magicdrive.sampling import SamplingState, cache_tensor, read_cached_tensor
+from generation.extensions.magicdrive.sensor_frames import ImageGeometry, OutputSize, SensorFrames, build_camera_tracks
 from generation.extensions.magicdrive.weights import NetworkFiles
 from generation.render.contract import Images
 from tests.generation.extensions.magicdrive.moved_worlds import busy_scene
@@ -85,7 +85,7 @@ def test_picture_and_calibration_agree_at_both_sizes(size: tuple[int, int], u: f
 def test_boxes_are_where_the_conditions_say() -> None:
     """The written calibration projects a box to where the model's own calibration puts it, resized and cut."""
     scene = busy_scene(9 / 12)
-    clip = clip_of(scene, range(9))
+    clip = build_clip(scene, range(9))
     view, frame = 1, 4
     corners = clip.boxes.true_corners[frame, clip.boxes.masks[view, frame] == 1].reshape(-1, 3)
     intrinsic, from_camera = clip.cams[view, frame, :, :3], np.eye(4)
@@ -107,7 +107,7 @@ def test_sizes_that_the_network_does_not_have(height: int, width: int) -> None:
 
 def test_a_camera_has_the_track_of_its_own_sweeps() -> None:
     scene = busy_scene(9 / 12)
-    assert camera_tracks(scene) == {}
+    assert build_camera_tracks(scene) == {}
     sensors = SensorFrames.of(scene, np.arange(9))
     late = np.eye(4)
     late[0, 3] = 0.35
@@ -120,7 +120,7 @@ def test_a_camera_has_the_track_of_its_own_sweeps() -> None:
         for c in scene.cameras
     ]
     swept = replace(scene, sweep_poses=SweepPoses(sensors.lidar, late @ np.stack(order)))
-    tracks = camera_tracks(swept)
+    tracks = build_camera_tracks(swept)
     for camera, poses in zip(swept.cameras, swept.sweep_poses.cameras):  # type: ignore[union-attr]
         track = tracks[camera.name]
         np.testing.assert_allclose(track.position, scene.ego.position + [0.35, 0, 0], atol=1e-9)
@@ -133,7 +133,7 @@ def test_a_camera_has_the_track_of_its_own_sweeps() -> None:
 def test_words_are_the_pieces_of_the_vocabulary_and_an_end(weights: Path) -> None:
     import sentencepiece
 
-    folder = folder_of(TEXT_ENCODER, weights)
+    folder = require_folder_of(TEXT_ENCODER, weights)
     pieces = sentencepiece.SentencePieceProcessor(model_file=str(folder / "spiece.model"))
     short, long = "Straight road", "A driving scene image at boston-seaport. " * 3
     encoder = T5TextEncoder(folder, CPU, 12)
@@ -149,12 +149,12 @@ def test_words_are_the_pieces_of_the_vocabulary_and_an_end(weights: Path) -> Non
 
 def test_the_decoder_of_a_text_encoder_is_not_needed(weights: Path, tmp_path: Path) -> None:
     folder = tmp_path / "t5"
-    shutil.copytree(folder_of(TEXT_ENCODER, weights), folder)
+    shutil.copytree(require_folder_of(TEXT_ENCODER, weights), folder)
     state = torch.load(folder / "pytorch_model.bin", weights_only=True)
     kept = {name: tensor for name, tensor in state.items() if not name.startswith(("decoder", "lm_head"))}
     torch.save(kept, folder / "pytorch_model.bin")
     words = "Straight road"
-    expected = T5TextEncoder(folder_of(TEXT_ENCODER, weights), CPU, 12).encode(words)
+    expected = T5TextEncoder(require_folder_of(TEXT_ENCODER, weights), CPU, 12).encode(words)
     assert torch.equal(T5TextEncoder(folder, CPU, 12).encode(words).hidden, expected.hidden)
     torch.save({name: kept[name] for name in list(kept)[:2]}, folder / "pytorch_model.bin")
     with pytest.raises(InputError, match=r"lack \d+ tensors of T5EncoderModel"):
@@ -166,7 +166,7 @@ def test_the_decoder_of_a_text_encoder_is_not_needed(weights: Path, tmp_path: Pa
 
 @pytest.mark.parametrize(("latent_frames", "frames"), [(1, 1), (2, 8), (3, 9), (4, 16)])
 def test_views_are_decoded_to_bytes(weights: Path, latent_frames: int, frames: int) -> None:
-    decoder = VideoDecoder.load(folder_of(AUTOENCODER, weights) / "vae", CPU, torch.float32)
+    decoder = VideoDecoder.load(require_folder_of(AUTOENCODER, weights) / "vae", CPU, torch.float32)
     latent = torch.randn(16, latent_frames, 2, 3, generator=torch.Generator().manual_seed(3))
     video = decoder.frames(latent)
     assert video.shape == (frames, 16, 24, 3) and video.dtype == torch.uint8
@@ -260,14 +260,14 @@ def test_what_is_kept_and_damaged_is_made_again(weights: Path, drawn: list[Image
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float32, torch.bfloat16])
 def test_kept_tensors_are_what_they_were_or_nothing(tmp_path: Path, dtype: torch.dtype) -> None:
     path, tensor = tmp_path / "kept" / "tensor.safetensors", torch.arange(12).reshape(3, 4).to(dtype)
-    keep_tensor(path, "key", tensor.T, {"words": 3})
-    found = kept_tensor(path, "key")
+    cache_tensor(path, "key", tensor.T, {"words": 3})
+    found = read_cached_tensor(path, "key")
     assert found is not None and torch.equal(found[0], tensor.T) and found[1] == {"words": 3}
-    assert kept_tensor(path, "other") is None and kept_tensor(tmp_path / "absent", "key") is None
+    assert read_cached_tensor(path, "other") is None and read_cached_tensor(tmp_path / "absent", "key") is None
     data = path.read_bytes()
     for damaged in (b"", data[:-1], data[:40], data[:-1] + bytes([data[-1] ^ 1])):
         path.write_bytes(damaged)
-        assert kept_tensor(path, "key") is None
+        assert read_cached_tensor(path, "key") is None
 
 
 def test_six_cameras_are_drawn_whatever_else_there_is(weights: Path, tmp_path: Path) -> None:
@@ -288,12 +288,12 @@ def test_scenes_longer_than_the_model_knows(weights: Path, tmp_path: Path) -> No
 
 def test_missing_weights_are_a_sentence(tmp_path: Path, weights: Path) -> None:
     with pytest.raises(InputError) as caught:
-        magicdrive_renderer(tmp_path, tmp_path / "nowhere")
+        build_magicdrive_renderer(tmp_path, tmp_path / "nowhere")
     said = str(caught.value)
     for word in ("ema.pt", "8150 MB", TRANSFORMER.address, "weights fetch magicdrive-dit"):
         assert word in said
     with pytest.raises(InputError, match="made for estimates"):
-        renderer = magicdrive_renderer(tmp_path, tmp_path / "nowhere", device="cpu", estimates_only=True)
+        renderer = build_magicdrive_renderer(tmp_path, tmp_path / "nowhere", device="cpu", estimates_only=True)
         next(renderer.render(brief_scene(), [0]))
     whole, lacking = NetworkFiles.find(weights), tmp_path / "lacking"
     shutil.copytree(weights, lacking)
@@ -349,7 +349,7 @@ def test_workers_share_the_gpus(
     monkeypatch: pytest.MonkeyPatch, name: str, count: int, numbers: range, expected: list[str]
 ) -> None:
     with_gpus(monkeypatch, count)
-    assert [str(device_of_worker(name, number)) for number in numbers] == expected
+    assert [str(select_worker_device(name, number)) for number in numbers] == expected
 
 
 @pytest.mark.parametrize(
@@ -368,13 +368,13 @@ def test_one_scene_is_drawn_on_each_gpu(
     monkeypatch: pytest.MonkeyPatch, place: Executor, device: str, count: int, expected: Executor
 ) -> None:
     with_gpus(monkeypatch, count)
-    assert rendering_executor(place, device) == expected
+    assert build_rendering_executor(place, device) == expected
 
 
 def test_a_gpu_that_is_not_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     with_gpus(monkeypatch, 0)
     with pytest.raises(InputError, match="there is no GPU for device 'cuda'"):
-        rendering_executor(LocalProcesses(2), "cuda")
+        build_rendering_executor(LocalProcesses(2), "cuda")
 
 
 def test_too_little_memory_is_a_sentence(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -394,7 +394,7 @@ def test_output_sizes_are_two() -> None:
 
 
 def test_the_command_writes_the_camera_s_size_unless_told_otherwise(tmp_path: Path) -> None:
-    made = magicdrive_renderer(tmp_path, None, device="cpu", estimates_only=True)
+    made = build_magicdrive_renderer(tmp_path, None, device="cpu", estimates_only=True)
     assert {(camera.width, camera.height) for camera in made.cameras(brief_scene())} == {(1600, 900)}
-    own = magicdrive_renderer(tmp_path, None, device="cpu", written_size="model", estimates_only=True)
+    own = build_magicdrive_renderer(tmp_path, None, device="cpu", written_size="model", estimates_only=True)
     assert {(camera.width, camera.height) for camera in own.cameras(brief_scene())} == {(400, 224)}

@@ -11,16 +11,16 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from generation.extensions.magicdrive.conditions import TextStates
-from generation.extensions.magicdrive.layers import rounded_to_bfloat16
+from generation.extensions.magicdrive.layers import round_to_bfloat16
 from generation.extensions.magicdrive.sampling import (
     GivenFrames,
     GuidedModel,
     SamplingOptions,
     SamplingState,
-    first_state,
-    null_conditions,
-    sample,
-    timesteps,
+    build_null_conditions,
+    choose_timesteps,
+    draw_first_state,
+    sample_latents,
 )
 from tests.generation.extensions.magicdrive.small_network import (
     CONFIG,
@@ -37,7 +37,7 @@ OPTIONS = SamplingOptions(steps=3)
 
 
 def sampled(seed: int = 0, options: SamplingOptions = OPTIONS) -> Tensor:
-    return sample(NETWORK, CLIP, first_state(NETWORK, CLIP, seed), options)
+    return sample_latents(NETWORK, CLIP, draw_first_state(NETWORK, CLIP, seed), options)
 
 
 @given(
@@ -48,14 +48,14 @@ def sampled(seed: int = 0, options: SamplingOptions = OPTIONS) -> Tensor:
     rounded=st.booleans(),
 )
 def test_timesteps_fall_from_pure_noise(frames: int, height: int, width: int, steps: int, rounded: bool) -> None:
-    found = timesteps(height, width, frames, steps, rounded=rounded)
+    found = choose_timesteps(height, width, frames, steps, rounded=rounded)
     assert len(found) == steps
     assert found[0].item() == pytest.approx(1000.0, abs=1e-3)
     assert bool((found.diff() < 0).all()) and found[-1].item() > 0
 
 
 def test_timesteps_of_the_published_size() -> None:
-    exact, rounded = (timesteps(224, 400, 241, 30, rounded=flag) for flag in (False, True))
+    exact, rounded = (choose_timesteps(224, 400, 241, 30, rounded=flag) for flag in (False, True))
     assert exact[[1, 2, 29]].tolist() == pytest.approx([992.5048, 984.5978, 136.034], abs=1e-3)
     assert rounded[[1, 2, 29]].tolist() == pytest.approx([992.4988, 984.5858, 135.9404], abs=1e-3)
 
@@ -67,8 +67,8 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not() -> None:
 
 def test_noise_is_rounded_where_inputs_are() -> None:
     rounding = small_network(replace(CONFIG, rounded=True))
-    exact, rounded = first_state(NETWORK, CLIP, 4).latent, first_state(rounding, CLIP, 4).latent
-    assert torch.equal(rounded, rounded_to_bfloat16(exact)) and not torch.equal(rounded, exact)
+    exact, rounded = draw_first_state(NETWORK, CLIP, 4).latent, draw_first_state(rounding, CLIP, 4).latent
+    assert torch.equal(rounded, round_to_bfloat16(exact)) and not torch.equal(rounded, exact)
 
 
 @pytest.mark.parametrize("stop", [1, 2, 3])
@@ -81,14 +81,14 @@ def test_a_killed_run_goes_on_to_the_same_bytes(stop: int, tmp_path: Path) -> No
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        sample(NETWORK, CLIP, first_state(NETWORK, CLIP, 7), OPTIONS, on_step=save_and_die)
+        sample_latents(NETWORK, CLIP, draw_first_state(NETWORK, CLIP, 7), OPTIONS, on_step=save_and_die)
     kept = SamplingState.load(path, "key")
     assert kept is not None and (kept.step, kept.seed) == (stop, 7)
-    assert torch.equal(sample(NETWORK, CLIP, kept, OPTIONS), sampled(7))
+    assert torch.equal(sample_latents(NETWORK, CLIP, kept, OPTIONS), sampled(7))
 
 
 def test_states_are_the_same_bytes_and_only_whole_ones_count(tmp_path: Path) -> None:
-    state = first_state(NETWORK, CLIP, 1)
+    state = draw_first_state(NETWORK, CLIP, 1)
     first, second = tmp_path / "first", tmp_path / "second"
     state.save(first, "key")
     state.save(second, "key")
@@ -112,13 +112,13 @@ def test_both_branches_together_are_two_calls(mode: str) -> None:
 
 def test_modes_differ_by_the_map_of_the_null_branch() -> None:
     assert not torch.allclose(sampled(), sampled(options=replace(OPTIONS, mode="rflow")), atol=1e-3)
-    told, null = (null_conditions(NETWORK, CLIP, keep_map=keep) for keep in (True, False))
+    told, null = (build_null_conditions(NETWORK, CLIP, keep_map=keep) for keep in (True, False))
     assert torch.equal(told.maps, CLIP.maps) and not bool(null.maps.any())
 
 
 def test_guidance_follows_the_difference() -> None:
     latent, time = noise(NETWORK, CLIP), torch.tensor([500.0])
-    told, null = GuidedModel.of(NETWORK, CLIP).branches(latent, time)
+    told, null = GuidedModel.of(NETWORK, CLIP).compute_branches(latent, time)
     assert torch.equal(told, velocity(NETWORK, CLIP, latent))
     for scale in (0.0, 1.0, 2.5):
         found = GuidedModel.of(NETWORK, CLIP, scale=scale).velocity(latent, time)
@@ -128,7 +128,7 @@ def test_guidance_follows_the_difference() -> None:
 def test_the_null_branch_knows_nothing_of_the_clip() -> None:
     latent, time = noise(NETWORK, CLIP), torch.tensor([500.0])
     other = replace(random_conditions(seed=8), text=TextStates(-CLIP.text.hidden, CLIP.text.mask))
-    first, second = (GuidedModel.of(NETWORK, clip).branches(latent, time)[1] for clip in (CLIP, other))
+    first, second = (GuidedModel.of(NETWORK, clip).compute_branches(latent, time)[1] for clip in (CLIP, other))
     assert torch.equal(first, second)
 
 
@@ -136,39 +136,43 @@ def test_a_negative_prompt_is_cut_to_the_prompt() -> None:
     hidden = random_conditions(seed=8).text.hidden
     long = replace(CLIP, negative_text=TextStates(hidden, torch.ones(12, dtype=torch.bool)))
     latent, time = noise(NETWORK, CLIP), torch.tensor([500.0])
-    null = GuidedModel.of(NETWORK, long).branches(latent, time)[1]
+    null = GuidedModel.of(NETWORK, long).compute_branches(latent, time)[1]
     beyond = hidden.clone()
     beyond[int(CLIP.text.mask.sum()) + 1 :] = 7.0
     same = replace(long, negative_text=TextStates(beyond, CLIP.text.mask))
-    assert torch.equal(GuidedModel.of(NETWORK, same).branches(latent, time)[1], null)
-    assert not torch.equal(GuidedModel.of(NETWORK, CLIP).branches(latent, time)[1], null)
+    assert torch.equal(GuidedModel.of(NETWORK, same).compute_branches(latent, time)[1], null)
+    assert not torch.equal(GuidedModel.of(NETWORK, CLIP).compute_branches(latent, time)[1], null)
 
 
 def test_given_frames_stay_and_guide_the_others() -> None:
     latent = noise(NETWORK, CLIP, 11)
     known = GivenFrames(latent, torch.tensor([0.0, 1.0]))
-    found = sample(NETWORK, CLIP, first_state(NETWORK, CLIP, 3), OPTIONS, given=known)
+    found = sample_latents(NETWORK, CLIP, draw_first_state(NETWORK, CLIP, 3), OPTIONS, given=known)
     assert torch.equal(found[:, :, 0], latent[:, :, 0])
     assert not torch.allclose(found[:, :, 1], sampled(3)[:, :, 1], atol=1e-3)
     everything = GivenFrames(latent, torch.ones(2))
-    assert torch.equal(sample(NETWORK, CLIP, first_state(NETWORK, CLIP, 3), OPTIONS, given=everything), sampled(3))
+    assert torch.equal(
+        sample_latents(NETWORK, CLIP, draw_first_state(NETWORK, CLIP, 3), OPTIONS, given=everything), sampled(3)
+    )
 
 
 def test_a_frame_may_join_later_and_be_resumed() -> None:
-    times = timesteps(CLIP.height, CLIP.width, CLIP.frames, 3, rounded=False)
+    times = choose_timesteps(CLIP.height, CLIP.width, CLIP.frames, 3, rounded=False)
     share = float(times[1] + times[0]) / 2000
     latent = noise(NETWORK, CLIP, 11)
     known = GivenFrames(latent, torch.tensor([share, 1.0]))
     states: list[SamplingState] = []
-    found = sample(NETWORK, CLIP, first_state(NETWORK, CLIP, 3), OPTIONS, given=known, on_step=states.append)
+    found = sample_latents(
+        NETWORK, CLIP, draw_first_state(NETWORK, CLIP, 3), OPTIONS, given=known, on_step=states.append
+    )
     assert torch.equal(states[0].latent[:, :, 0], latent[:, :, 0])
     assert not torch.allclose(states[1].latent[:, :, 0], latent[:, :, 0], atol=1e-2)
     for state in states:
-        assert torch.equal(sample(NETWORK, CLIP, state, OPTIONS, given=known), found)
+        assert torch.equal(sample_latents(NETWORK, CLIP, state, OPTIONS, given=known), found)
 
 
 def test_numbers_that_are_none_stop_the_run() -> None:
     broken = small_network()
     broken.final_layer.linear.bias.fill_(float("nan"))
     with pytest.raises(InputError, match="NaN or infinity at step 1 of 3"):
-        sample(broken, CLIP, first_state(broken, CLIP, 0), OPTIONS)
+        sample_latents(broken, CLIP, draw_first_state(broken, CLIP, 0), OPTIONS)

@@ -8,12 +8,12 @@ import pytest
 from benchmark.constants import FRAME_HZ
 from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Floats
-from benchmark.interactions.driving import Rung, Situation, drive
-from benchmark.interactions.outcomes import Surroundings
+from benchmark.interactions.driving import DrivingSituation, ReferenceDriver, simulate_drivers
+from benchmark.interactions.outcomes import CollisionChecker
 from benchmark.interactions.reaction import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S, Driver
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.scene import Scene
-from generation.extensions.reactive_adversary.careful import EVERY_FRAMES, Bodies, CarefulAhead
+from generation.extensions.reactive_adversary.careful import EVERY_FRAMES, CarefulDriverCheck, PathBodies
 from tests.generation.extensions.reactive_adversary.loops import road
 from tests.hand_made import Car
 
@@ -34,16 +34,16 @@ def motion_of(poses: Floats) -> SimulatedMotion:
 
 
 def says(scene: Scene, poses: Floats) -> bool:
-    careful = CarefulAhead.of(scene, 0, FRAME, 8.0)
+    careful = CarefulDriverCheck.of(scene, 0, FRAME, 8.0)
     return bool(careful.hit(motion_of(poses), scene.agents.size[0, :2])[0])
 
 
 def ladder_says(scene: Scene, poses: Floats) -> bool:
     made = scene.with_adversary(0, slice(FRAME, FRAME + 37), poses).first_frames(FRAME + 37)
-    tracks = Tracks.of_scene(made)
-    situation = Situation(tracks, tracks.grid(float(made.seconds[FRAME])))
-    (motion,) = drive(situation, [Rung(Driver.CC)])
-    return not Surroundings.of(situation).outcome(motion).survives
+    tracks = ContinuousTracks.of_scene(made)
+    situation = DrivingSituation(tracks, tracks.grid(float(made.seconds[FRAME])))
+    (motion,) = simulate_drivers(situation, [ReferenceDriver(Driver.CC)])
+    return not CollisionChecker.of(situation).find_outcome(motion).survives
 
 
 @pytest.mark.parametrize("speed", [2.0, 5.0, 8.0])
@@ -74,7 +74,7 @@ def test_who_is_beside_the_way_hits_nobody_and_who_follows_does() -> None:
 def test_a_batch_is_as_if_alone() -> None:
     scene = road(Car(90.0, 198.25, 8.0), seconds=8.0)
     ways = [slowing(scene, gap, 6.0, braking) for gap in (0.5, 3.0, 8.0) for braking in (0.0, 2.0, 5.0)]
-    careful = CarefulAhead.of(scene, 0, FRAME, 8.0)
+    careful = CarefulDriverCheck.of(scene, 0, FRAME, 8.0)
     batch = SimulatedMotion(np.stack(ways), np.zeros((9, 37, 6)), np.zeros((9, 36, 2)), np.array([True] * 8 + [False]))
     found = careful.hit(batch, scene.agents.size[0, :2])
     assert found[:8].tolist() == [says(scene, way) for way in ways[:8]]
@@ -87,18 +87,18 @@ def test_who_follows_too_closely_to_stop_lacks_what_is_missing(gap: float, aside
     scene = road(Car(90.0, 198.25, 8.0), seconds=8.0)
     x = scene.ego.boxes[FRAME, 0] - 0.5 * 4.084 - 0.5 * 4.6 - gap + 8.0 * np.arange(37) / 12
     poses = np.column_stack([x, np.full(37, 198.25 + aside), np.zeros(37)])
-    careful = CarefulAhead.of(scene, 0, FRAME, 8.0)
+    careful = CarefulDriverCheck.of(scene, 0, FRAME, 8.0)
     size = np.array([4.6, 1.9])
-    found = careful.lacking(careful.placed(motion_of(poses), size))[0]
+    found = careful.compute_missing_distance(careful.place(motion_of(poses), size))[0]
     assert found == pytest.approx(max(8.0 - gap, 0.0) if aside == 0.0 else 0.0, abs=0.1)
 
 
-def hits_one_by_one(careful: CarefulAhead, placed: Bodies) -> list[bool]:
+def hits_one_by_one(careful: CarefulDriverCheck, placed: PathBodies) -> list[bool]:
     """Each body by itself, each of the others by itself, step after step."""
     return [_hits_alone(careful, placed, row) for row in range(len(placed.rear))]
 
 
-def _hits_alone(careful: CarefulAhead, placed: Bodies, row: int) -> bool:
+def _hits_alone(careful: CarefulDriverCheck, placed: PathBodies, row: int) -> bool:
     own = [column[row] for column in (placed.rear, placed.front, placed.beside)]
     others = [list(body) for body in zip(careful.others.rear, careful.others.front, careful.others.beside, strict=True)]
     half, dt, station, speed = 0.5 * careful.way.length_m, EVERY_FRAMES / FRAME_HZ, careful.station, careful.speed
@@ -124,14 +124,14 @@ def _hits_alone(careful: CarefulAhead, placed: Bodies, row: int) -> bool:
 
 def test_all_at_once_is_each_by_itself() -> None:
     scene = road(seconds=8.0)
-    careful = CarefulAhead.of(scene, 0, FRAME, 8.0)
+    careful = CarefulDriverCheck.of(scene, 0, FRAME, 8.0)
     rng, instants = np.random.default_rng(5), len(careful.steps) + 1
 
-    def bodies(count: int, along: tuple[float, float]) -> Bodies:
+    def bodies(count: int, along: tuple[float, float]) -> PathBodies:
         rear = (
             careful.station + rng.uniform(*along, (count, 1)) + rng.uniform(0.0, 1.6, (count, instants)).cumsum(axis=1)
         )
-        return Bodies(rear, rear + 4.6, rng.uniform(-0.4, 1.2, (count, instants)))
+        return PathBodies(rear, rear + 4.6, rng.uniform(-0.4, 1.2, (count, instants)))
 
     outcomes = set()
     for others in (0, 1, 4):

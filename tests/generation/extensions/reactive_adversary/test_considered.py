@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.constants import FRAMES_PER_KEYFRAME
-from benchmark.records.considered import ConsideredFrame
+from benchmark.records.considered import SearchTraceFrame
 from benchmark.scene import Scene
 from tests.generation.extensions.reactive_adversary.loops import HYPER, SETTINGS, loop, policy_of, road
 from tests.hand_made import Car
@@ -14,8 +14,8 @@ from tests.hand_made import Car
 KEEPING = replace(SETTINGS, keep_considered=True)
 
 
-def considered(track: AdversaryTrack, scene: Scene) -> list[ConsideredFrame]:
-    found = [ConsideredFrame.model_validate(each.considered) for each in track.replanned]
+def considered(track: AdversaryTrack, scene: Scene) -> list[SearchTraceFrame]:
+    found = [SearchTraceFrame.model_validate(each.considered) for each in track.replanned]
     assert [each.frame for each in found] == [each.frame for each in track.replanned]
     assert [each.time_us for each in found] == [int(scene.timestamps_us[each.frame]) for each in found]
     return found

@@ -8,19 +8,19 @@ import pytest
 
 from adapters.registry import planner_factory
 from benchmark import api
-from benchmark.closed_loop.default_engine import DefaultRides
-from benchmark.closed_loop.engines import rides_as
+from benchmark.closed_loop.default_engine import DefaultBackend
+from benchmark.closed_loop.engines import restore_backend
 from benchmark.errors import InputError
-from benchmark.extensions.submissions.recomputed import drives_anew
+from benchmark.extensions.submissions.recomputed import recompute_drives
 from benchmark.machine.workers import LocalProcesses
 from benchmark.metrics.rates import Rate
-from benchmark.records.considered import read_considered
+from benchmark.records.considered import read_search_trace
 from benchmark.records.drives import DriveRecord, load_drives
 from benchmark.runs import drive_work
 from benchmark.runs import drive_work as ladders
 from benchmark.runs.driving import DriveSettings, drive_planners
-from benchmark.runs.redriving import considered_again, driven_again
-from generation.extensions.reactive_adversary.settings import Knows
+from benchmark.runs.redriving import redrive_and_score, repeat_search
+from generation.extensions.reactive_adversary.settings import EgoPrediction
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.generation.extensions.reactive_adversary.loops import SETTINGS, rides
@@ -47,12 +47,12 @@ def test_what_the_adversary_depends_on_is_part_of_what_was_measured(records: lis
     assert measured.agents_facts["knows"] == "motion"
     assert "knows motion" in measured.world
     assert "candidates 24" in measured.world
-    other = replace(ADVERSARY, maker=rides(replace(SETTINGS, knows=Knows.NOTHING)), runs=1, ladder=("cc",))
+    other = replace(ADVERSARY, maker=rides(replace(SETTINGS, knows=EgoPrediction.NOTHING)), runs=1, ladder=("cc",))
     (found,) = driven(tmp_path, other, PLANNERS[:1])
     assert found.facts.measured.world != measured.world
     assert found.directory.parent.name != records[0].directory.parent.name
     # What has no adversary is written as it always was.
-    (plain,) = driven(tmp_path, DriveSettings("default", DefaultRides()), PLANNERS[:1])
+    (plain,) = driven(tmp_path, DriveSettings("default", DefaultBackend()), PLANNERS[:1])
     assert "agents_facts" not in plain.facts.measured.model_dump(mode="json")
     assert not {"adversary", "ladder"} & set(plain.rows[0].model_dump(mode="json"))
 
@@ -88,8 +88,8 @@ def test_a_submission_whose_summary_counted_bystanders_is_fit_and_a_wrong_count_
     without = {name: rate for name, rate in found.items() if name != "bystander"}
     old = with_columns(**{**without, "attributable": found["at_fault"]})
     flattering = with_columns(**{**found, "attributable": replace(found["at_fault"], value=0.125)})
-    assert list(drives_anew(old, town())) == []
-    ((_, said),) = drives_anew(flattering, town())
+    assert list(recompute_drives(old, town())) == []
+    ((_, said),) = recompute_drives(flattering, town())
     assert "claims attributable = 0.125" in said
 
 
@@ -122,9 +122,9 @@ def test_kept_ladders_are_not_climbed_again(
 def test_a_drive_is_repeated_without_any_search(records: list[DriveRecord], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("generation.extensions.reactive_adversary.policy.run_together", None)
     data = town()
-    maker = rides_as(records[0].facts.measured)
+    maker = restore_backend(records[0].facts.measured)
     for row in [row for record in records for row in record.rows]:
-        assert driven_again(maker, data.scene(row.scene), data, row) == row
+        assert redrive_and_score(maker, data.scene(row.scene), data, row) == row
 
 
 def test_tracks_of_one_planner_are_driven_against_another(records: list[DriveRecord], tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_what_was_considered_is_kept_beside_a_record_of_the_same_bytes(
     assert len(kept) == 8 and {name: fresh[name] for name in fresh.keys() - kept.keys()} == plain
     for record in found:
         for row in record.rows:
-            frames = read_considered(record.directory, row)
+            frames = read_search_trace(record.directory, row)
             assert frames is not None and row.adversary is not None
             assert [each.frame for each in frames] == row.adversary.replanned
             assert [each.did != "searched" for each in frames] == [score is None for score in row.adversary.scores]
@@ -169,7 +169,7 @@ def test_what_was_considered_is_kept_beside_a_record_of_the_same_bytes(
     later = tmp_path / "later"
     driven(later)
     assert not beside(later)
-    monkeypatch.setattr(drive_work, "_drives", None)
+    monkeypatch.setattr(drive_work, "_run_episodes", None)
     driven(later, KEEPING)
     assert beside(later) == kept
     # What was there stays; what is damaged is made anew.
@@ -187,7 +187,7 @@ def test_an_adversary_that_would_go_elsewhere_is_not_shown(records: list[DriveRe
     elsewhere = row.model_copy(update={"adversary": row.adversary.model_copy(update={"poses": moved})})
     data = town()
     with pytest.raises(InputError, match="lead elsewhere"):
-        considered_again(rides(), data.scene(row.scene), data, elsewhere)
+        repeat_search(rides(), data.scene(row.scene), data, elsewhere)
 
 
 def test_only_who_plans_considers_anything(records: list[DriveRecord]) -> None:

@@ -4,18 +4,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.contract import Moment, check_policy
+from benchmark.closed_loop.contract import TrafficSnapshot, check_policy
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap
-from benchmark.interactions.tracks import Tracks
+from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
-from generation.extensions.reactive_adversary.making import hand_over, vehicles_of
-from generation.extensions.reactive_adversary.policy import Adversary
-from generation.extensions.reactive_adversary.settings import AdversarySettings, Knows
-from generation.search.adversary import ALGORITHM_VERSION, scene_identity
-from generation.search.planning import Planning
-from generation.search.proposals import run_together
+from generation.extensions.reactive_adversary.making import find_handover_frame, get_vehicles
+from generation.extensions.reactive_adversary.policy import ReactiveAdversary
+from generation.extensions.reactive_adversary.settings import AdversarySettings, EgoPrediction
+from generation.search.adversary import ALGORITHM_VERSION, compute_scene_identity
+from generation.search.planning import AdversaryPlanning
+from generation.search.proposals import run_searches
 from tests.generation.extensions.reactive_adversary.loops import (
     CARS,
     HYPER,
@@ -32,11 +32,11 @@ from tests.hand_made import Car
 
 def open_loop(scene: Scene, agent: int, start: int, run: int) -> Floats:
     """(F, 3) what open loop plans for a vehicle from a frame on."""
-    content = (scene_identity(scene), scene.agents.ids[agent], run, HYPER.fingerprint, DrivingPrior.fingerprint)
+    content = (compute_scene_identity(scene), scene.agents.ids[agent], run, HYPER.fingerprint, DrivingPrior.fingerprint)
     rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, 0))
     stages = {"physics": 0.0, "scoring": 0.0}
-    planning = Planning(scene, agent, start, HYPER, unchanged, HYPER.motion_model(), rng, stages)
-    (driven,), _ = run_together([planning.run()], DrivingPrior())
+    planning = AdversaryPlanning(scene, agent, start, HYPER, unchanged, HYPER.build_motion_model(), rng, stages)
+    (driven,), _ = run_searches([planning.run()], DrivingPrior())
     return driven.poses
 
 
@@ -44,7 +44,7 @@ def open_loop(scene: Scene, agent: int, start: int, run: int) -> Floats:
 def test_told_the_recorded_future_it_is_the_adversary_of_open_loop(agent: int, start: int, run: int) -> None:
     scene = road()
     expected = open_loop(scene, agent, start, run)
-    policy = policy_of(scene, knowing(Knows.RECORDING), agent, start, run)
+    policy = policy_of(scene, knowing(EgoPrediction.RECORDING), agent, start, run)
     track, boxes, _ = loop(scene, policy)
     assert len(expected) > 48
     assert not any(each.braked for each in track.replanned)
@@ -56,7 +56,7 @@ def test_told_the_recorded_future_it_is_the_adversary_of_open_loop(agent: int, s
     first = float(scene.seconds[scene.keyframes[2]])
     known = first + 0.05 * np.arange(1, len(boxes) + 1)
     known = known[known <= scene.seconds[start + count - 1]]
-    replayed, _ = Tracks.of_scene(made).agents_at(known)
+    replayed, _ = ContinuousTracks.of_scene(made).agents_at(known)
     np.testing.assert_allclose(boxes[: len(known), agent], replayed[agent], atol=2e-6)
 
 
@@ -66,7 +66,7 @@ def test_it_keeps_the_contract_of_policies() -> None:
     start = int(scene.timestamps_us[scene.keyframes[2]])
     ego = scene.ego.boxes[int(scene.keyframes[2])]
     boxes = scene.agents.boxes[:, int(scene.keyframes[2])]
-    check_policy(policy, Moment(start, ego, 8.0, boxes, np.ones(3, np.bool_), np.zeros((3, 2))), steps=12)
+    check_policy(policy, TrafficSnapshot(start, ego, 8.0, boxes, np.ones(3, np.bool_), np.zeros((3, 2))), steps=12)
 
 
 @pytest.mark.parametrize("run", range(3))
@@ -114,7 +114,12 @@ def test_the_same_seed_is_the_same_track_and_what_it_knows_matters() -> None:
     scene = road(seconds=6.0)
     tracks = [
         loop(scene, policy_of(scene, knowing(knows), run=run))[0].poses
-        for knows, run in ((Knows.MOTION, 0), (Knows.MOTION, 0), (Knows.MOTION, 1), (Knows.NOTHING, 0))
+        for knows, run in (
+            (EgoPrediction.MOTION, 0),
+            (EgoPrediction.MOTION, 0),
+            (EgoPrediction.MOTION, 1),
+            (EgoPrediction.NOTHING, 0),
+        )
     ]
     np.testing.assert_array_equal(tracks[0], tracks[1])
     assert np.abs(tracks[0] - tracks[2]).max() > 0.1
@@ -126,12 +131,12 @@ def test_others_who_answer_are_not_touched_either() -> None:
     maker = rides(replace(SETTINGS, others="idm"))
     course = maker.course(scene, 0)
     policy = course.policy
-    assert isinstance(policy, Adversary)
+    assert isinstance(policy, ReactiveAdversary)
     memory, moved = policy.init(course.start_us, 0)
     time, agent = course.start_us, policy.agent
-    ego = Tracks.of_scene(scene).ego_at(np.array([1.0]))[0]
+    ego = ContinuousTracks.of_scene(scene).ego_at(np.array([1.0]))[0]
     while time < course.end_us:
-        moment = Moment(time, ego, 8.0, moved.boxes[-1], moved.present[-1], moved.velocity)
+        moment = TrafficSnapshot(time, ego, 8.0, moved.boxes[-1], moved.present[-1], moved.velocity)
         memory, moved = policy.act(memory, moment, 0)
         others = moved.present[-1] & (np.arange(3) != agent)
         assert not (boxes_overlap(moved.boxes[-1, agent][None], moved.boxes[-1]) & others).any()
@@ -154,7 +159,7 @@ def test_a_vehicle_that_comes_late_begins_where_it_is() -> None:
     valid = scene.agents.valid.copy()
     valid[0, :40] = False
     late = replace(scene, agents=replace(scene.agents, valid=valid), adversaries=(scene.agents.ids[0],))
-    assert hand_over(late, 0, int(late.timestamps_us[12]), HYPER) >= 40
+    assert find_handover_frame(late, 0, int(late.timestamps_us[12]), HYPER) >= 40
     start = 40
     track, _, present = loop(late, policy_of(late, start=start))
     np.testing.assert_allclose(track.poses[0, :2], late.agents.position[0, start, :2], atol=1e-6)
@@ -164,9 +169,9 @@ def test_a_vehicle_that_comes_late_begins_where_it_is() -> None:
 
 def test_runs_take_vehicles_in_turn_and_an_adversarial_scene_has_its_own() -> None:
     scene = road()
-    assert set(vehicles_of(scene, HYPER)) <= set(range(len(CARS)))
+    assert set(get_vehicles(scene, HYPER)) <= set(range(len(CARS)))
     known = replace(scene, adversaries=(scene.agents.ids[2],))
-    assert vehicles_of(known, HYPER) == (2,)
+    assert get_vehicles(known, HYPER) == (2,)
 
 
 def test_bad_settings_are_sentences_and_names_tell_them_apart() -> None:

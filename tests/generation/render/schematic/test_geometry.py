@@ -13,7 +13,7 @@ from pyquaternion import Quaternion
 from benchmark.geometry import Floats, box_corners
 from benchmark.scene import Camera, EgoTrack, Scene
 from generation.render.schematic import SchematicRenderer
-from generation.render.schematic.standing import drawing_order
+from generation.render.schematic.standing import compute_drawing_order
 from generation.render.schematic.view import clip_near
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -139,7 +139,7 @@ def test_drawing_order_never_draws_the_nearer_first(seed: int, count: int) -> No
     boxes = np.column_stack([centres, random.uniform(0.4, 5.0, count), random.uniform(0.3, 2.5, count),
                              random.uniform(-np.pi, np.pi, count)])  # fmt: skip
     corners = box_corners(boxes)
-    order = drawing_order(corners, np.zeros(2))
+    order = compute_drawing_order(corners, np.zeros(2))
     assert sorted(order) == list(range(count))
     rank = np.argsort(order)
     for angle in random.uniform(-np.pi, np.pi, 24):

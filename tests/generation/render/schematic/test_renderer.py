@@ -19,9 +19,9 @@ from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
 from generation.render.contract import Images, Renderer
 from generation.render.schematic import FIRST, SECOND, SchematicRenderer
-from generation.render.schematic.shapes import shape_name, shape_named
-from generation.render.schematic.styles import Style, developed
-from generation.render.schematic.surroundings import surroundings
+from generation.render.schematic.shapes import choose_shape_name, get_shape
+from generation.render.schematic.styles import DrawingStyle, develop
+from generation.render.schematic.surroundings import build_roadside
 from tests.hand_made import Car, scene_on_straight_road
 
 SMALL = (112, 64)
@@ -30,7 +30,7 @@ SMALL = (112, 64)
 STYLES = pytest.mark.parametrize("style", [FIRST, SECOND], ids=["first", "second"])
 
 
-def render(scene: Scene, frames: list[int], size: tuple[int, int] = SMALL, style: Style = FIRST) -> list[Images]:
+def render(scene: Scene, frames: list[int], size: tuple[int, int] = SMALL, style: DrawingStyle = FIRST) -> list[Images]:
     return list(SchematicRenderer(*size, style=style).render(scene, frames))
 
 
@@ -68,7 +68,7 @@ def test_bytes_are_the_same_in_another_instance_and_another_process() -> None:
 
 
 @STYLES
-def test_a_frame_does_not_depend_on_the_frames_rendered_with_it(style: Style) -> None:
+def test_a_frame_does_not_depend_on_the_frames_rendered_with_it(style: DrawingStyle) -> None:
     scene = scene_on_straight_road(ego_speed=15.0)
     together = render(scene, [0, 30, 60, 95], style=style)
     assert same(render(scene, [60], style=style)[0], together[2])
@@ -76,14 +76,14 @@ def test_a_frame_does_not_depend_on_the_frames_rendered_with_it(style: Style) ->
 
 
 @STYLES
-def test_being_an_adversary_changes_no_pixel(style: Style) -> None:
+def test_being_an_adversary_changes_no_pixel(style: DrawingStyle) -> None:
     scene = scene_on_straight_road()
     marked = dataclasses.replace(scene, name="other-name", adversaries=(scene.agents.ids[0],))
     drawn = render(scene, [0, 50], style=style), render(marked, [0, 50], style=style)
     assert all(same(*pair) for pair in zip(*drawn))
 
 
-def grey_levels(scene: Scene, style: Style) -> float:
+def grey_levels(scene: Scene, style: DrawingStyle) -> float:
     """Mean difference of a picture from the one in the first style."""
     first, other = (render(scene, [10], (224, 128), drawn)[0]["CAM_FRONT"].astype(float) for drawn in (FIRST, style))
     return float(np.abs(first - other).mean())
@@ -129,7 +129,7 @@ def test_a_pipeline_keeps_the_mean_within_its_gains_and_adds_seeded_noise() -> N
     pipeline = SECOND.pipeline
     assert pipeline is not None
     grey = np.full((90, 160, 3), 120, dtype=np.uint8)
-    one, again, other = (developed(grey, pipeline, seed) for seed in (1, 1, 2))
+    one, again, other = (develop(grey, pipeline, seed) for seed in (1, 1, 2))
     assert np.array_equal(one, again) and not np.array_equal(one, other)
     middle = one[30:60, 60:100].astype(float)
     assert 1.0 < middle.std() < 12.0
@@ -208,7 +208,7 @@ def test_every_category_can_be_drawn() -> None:
 
 def test_facets_of_shapes_face_outwards() -> None:
     for category in CATEGORIES:
-        shape = shape_named(shape_name(category, np.array([4.0, 2.0, 1.6])))
+        shape = get_shape(choose_shape_name(category, np.array([4.0, 2.0, 1.6])))
         assert np.abs(shape.quads[..., :2]).max() <= 0.52 and shape.quads[..., 2].min() >= 0.0
         diagonals = shape.quads[:, 2] - shape.quads[:, 0], shape.quads[:, 3] - shape.quads[:, 1]
         normal = np.cross(*diagonals)
@@ -239,7 +239,7 @@ def test_a_size_that_is_no_size_is_refused(size: tuple[int, int]) -> None:
 def test_nothing_stands_on_the_road_or_on_anybody() -> None:
     parked = Car(70.0, 230.0)
     scene = scene_on_straight_road((parked,))
-    beside = surroundings(scene, lamps=False)
+    beside = build_roadside(scene, lamps=False)
     assert len(beside.footprint) > 50
     footprints = shapely.polygons(beside.footprint)
     paved = shapely.union_all([scene.road_map.drivable_area, *scene.road_map.walkways.values()])
@@ -257,14 +257,14 @@ def test_recorded_scenes_with_hills_and_hundreds_of_agents() -> None:
     scene = read_scenarionet(RECORDED / "sd_nuscenes_v1.0-mini_scene-0061.pkl")
     first, last = render(scene, [0, len(scene.timestamps_us) - 1])
     assert all(image.std() > 10 for image in (*first.values(), *last.values()))
-    beside = shapely.polygons(surroundings(scene, lamps=False).footprint)
+    beside = shapely.polygons(build_roadside(scene, lamps=False).footprint)
     there = shapely.MultiPoint(scene.agents.position[..., :2][scene.agents.valid])
     assert not shapely.intersects(beside, there).any()
 
 
 def test_a_place_looks_the_same_in_every_scene() -> None:
     def seen(ego_x: float) -> set[tuple[float, ...]]:
-        beside = surroundings(scene_on_straight_road((), ego_x=ego_x), lamps=False)
+        beside = build_roadside(scene_on_straight_road((), ego_x=ego_x), lamps=False)
         inside = np.abs(beside.centre[:, 0] - 130.0) < 25.0
         inside &= np.abs(beside.centre[:, 1] - 200.0) < 40.0
         return {tuple(place) for place in beside.centre[inside].round(6).tolist()}

@@ -9,9 +9,9 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, boxes_overlap, to_local
 from benchmark.scene import Scene
-from generation.sources.mini import TownSettings, build_town
-from generation.sources.town import town_scene, town_scene_driven, town_scene_off_path
-from generation.sources.town.paths import EGO_BODY, body_boxes
+from generation.sources.mini import TownSettings, build_town_data_set
+from generation.sources.town import build_town_scene, build_town_scene_driven, build_town_scene_off_path
+from generation.sources.town.paths import EGO_BODY, compute_body_boxes
 from tests.generation.sources.town.test_driven import driven_as
 
 INDICES = (1, 8, 17)
@@ -20,7 +20,7 @@ MOST = 6
 
 @cache
 def _scene(index: int, crossing: int) -> Scene:
-    return town_scene("train", index, seed=21, crossing=crossing)
+    return build_town_scene("train", index, seed=21, crossing=crossing)
 
 
 def _ahead(scene: Scene) -> Bools:
@@ -45,7 +45,7 @@ def test_everybody_gives_way_to_them(index: int) -> None:
     agents, count = scene.agents, len(scene.timestamps_us)
     sizes = np.broadcast_to(agents.size[:, None, :2], (*agents.yaw.shape, 2))
     boxes = np.concatenate([agents.position[..., :2], sizes, agents.yaw[..., None]], -1)
-    others = [(body_boxes(scene.ego.pose, EGO_BODY), np.ones(count, dtype=np.bool_))]
+    others = [(compute_body_boxes(scene.ego.pose, EGO_BODY), np.ones(count, dtype=np.bool_))]
     others += list(zip(boxes, agents.valid, strict=True))
     walkers = [row for row, category in enumerate(agents.categories) if category.startswith("human.pedestrian")]
     assert walkers
@@ -65,28 +65,28 @@ def _nobody_else_changed(scene: Scene, town: Scene) -> None:
 
 
 def test_same_arguments_same_scene_and_other_numbers_other_egos() -> None:
-    again = town_scene("train", INDICES[0], seed=21, crossing=MOST)
+    again = build_town_scene("train", INDICES[0], seed=21, crossing=MOST)
     assert np.array_equal(again.ego.position, _scene(INDICES[0], MOST).ego.position)
     assert np.array_equal(again.agents.position, _scene(INDICES[0], MOST).agents.position)
     assert not np.array_equal(_scene(INDICES[0], 0).ego.position, again.ego.position)
 
 
 def test_the_ego_leaves_its_path_there_too() -> None:
-    scene, excursions = town_scene_off_path(INDICES[1], seed=21, crossing=MOST)
+    scene, excursions = build_town_scene_off_path(INDICES[1], seed=21, crossing=MOST)
     assert excursions
     _nobody_else_changed(scene, _scene(INDICES[1], MOST))
 
 
 def test_a_drive_past_them_is_none_through_the_town_without_them() -> None:
     driven = driven_as(_scene(INDICES[0], MOST))
-    scene, _ = town_scene_driven(INDICES[0], driven, seed=21, crossing=MOST)
+    scene, _ = build_town_scene_driven(INDICES[0], driven, seed=21, crossing=MOST)
     _nobody_else_changed(scene, _scene(INDICES[0], MOST))
     with pytest.raises(InputError, match="crossing"):
-        town_scene_driven(INDICES[0], driven, seed=21)
+        build_town_scene_driven(INDICES[0], driven, seed=21)
 
 
 @pytest.mark.parametrize("settings", [TownSettings(1, 2, crossing=-1), TownSettings(1, crossing=3)])
 def test_numbers_that_ask_for_nothing_are_refused(settings: TownSettings, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--crossing"):
-        build_town(tmp_path / "town", settings, workers=1)
+        build_town_data_set(tmp_path / "town", settings, workers=1)
     assert not (tmp_path / "town").exists()

@@ -10,8 +10,8 @@ from shapely.geometry import LineString, Polygon
 from benchmark.constants import OFFICIAL_LOCATIONS
 from benchmark.geometry import wrap_angle
 from benchmark.road_map import DividerKind
-from generation.sources.town.curves import headings, lengths_along, turn
-from generation.sources.town.network import NodeKind, Role, Town
+from generation.sources.town.curves import build_turn, compute_headings, compute_lengths
+from generation.sources.town.network import LaneRole, Town, TownNodeKind
 from generation.sources.town.towns import build_town
 
 LOCATIONS = OFFICIAL_LOCATIONS
@@ -51,7 +51,7 @@ def test_drivable_area_has_holes_only_where_blocks_and_islands_are(town: Town) -
 def test_lane_seams_are_drivable_across_the_whole_lane(town: Town) -> None:
     for name, followers in town.successors.items():
         for follower in followers:
-            seam, heading = town.lanes[follower].line[0], headings(town.lanes[follower].line)[0]
+            seam, heading = town.lanes[follower].line[0], compute_headings(town.lanes[follower].line)[0]
             across = np.linspace(-1.6, 1.6, 9)[:, None] * np.array([-np.sin(heading), np.cos(heading)])
             for ahead in (-0.3, 0.0, 0.3):
                 points = seam + across + ahead * np.array([np.cos(heading), np.sin(heading)])
@@ -63,7 +63,10 @@ def test_lanes_meet_end_to_start_with_the_same_heading(town: Town) -> None:
         for follower in followers:
             first, second = town.lanes[name].line, town.lanes[follower].line
             assert np.hypot(*(first[-1] - second[0])) < 1e-6
-            assert abs(wrap_angle(headings(first)[-1] - headings(second)[0])) < np.deg2rad(4.0), (name, follower)
+            assert abs(wrap_angle(compute_headings(first)[-1] - compute_headings(second)[0])) < np.deg2rad(4.0), (
+                name,
+                follower,
+            )
 
 
 def test_connectivity_is_mutual_and_complete(town: Town) -> None:
@@ -82,7 +85,9 @@ def _onwards(town: Town, name: str) -> tuple[str, ...]:
 
 
 def test_every_lane_can_be_reached_by_following_and_changing_lanes(town: Town) -> None:
-    roads = [name for name, lane in town.lanes.items() if lane.role in (Role.ROAD, Role.RING, Role.CAR_PARK)]
+    roads = [
+        name for name, lane in town.lanes.items() if lane.role in (LaneRole.ROAD, LaneRole.RING, LaneRole.CAR_PARK)
+    ]
     inner = [name for name in roads if town.successors[name] and town.predecessors[name]]
     for start in (inner[0], inner[-1]):
         reached, waiting = {start}, [start]
@@ -103,18 +108,18 @@ def test_traffic_keeps_right_and_circulates_counter_clockwise(town: Town) -> Non
         near, ahead = middle.interpolate(along), middle.interpolate(along + 1.0)
         cross = (ahead.x - near.x) * (point.y - near.y) - (ahead.y - near.y) * (point.x - near.x)
         assert cross < 0, road.name
-    (center,) = [node for node in town.layout.nodes.values() if node.kind is NodeKind.ROUNDABOUT]
+    (center,) = [node for node in town.layout.nodes.values() if node.kind is TownNodeKind.ROUNDABOUT]
     for lane in town.lanes.values():
-        if lane.role is Role.RING:
+        if lane.role is LaneRole.RING:
             angle = np.unwrap(np.arctan2(*(lane.line - center.position)[:, ::-1].T))
             assert angle[-1] > angle[0]
 
 
 def test_a_town_has_everything_that_scenes_need(town: Town) -> None:
     arms = {name: sum(name in road.ends for road in town.layout.roads.values()) for name in town.layout.nodes}
-    crossings = sorted(arms[node.name] for node in town.layout.nodes.values() if node.kind is NodeKind.CROSSING)
+    crossings = sorted(arms[node.name] for node in town.layout.nodes.values() if node.kind is TownNodeKind.CROSSING)
     assert crossings[0] == 3 and crossings[-1] == 4
-    assert {lane.role for lane in town.lanes.values()} == set(Role)
+    assert {lane.role for lane in town.lanes.values()} == set(LaneRole)
     assert max(len(lane.siblings) for lane in town.lanes.values()) == 2
     kinds = {divider.kind for divider in town.road_map.dividers}
     assert kinds >= {DividerKind.DASHED_WHITE, DividerKind.SOLID_WHITE, DividerKind.SOLID_YELLOW}
@@ -125,7 +130,7 @@ def test_a_town_has_everything_that_scenes_need(town: Town) -> None:
         town.road_map.carparks,
     ):
         assert layer and all(shape.is_valid and not shape.is_empty for shape in layer.values())
-    turns = [float(np.ptp(headings(lane.line))) for lane in town.lanes.values() if lane.role is Role.ROAD]
+    turns = [float(np.ptp(compute_headings(lane.line))) for lane in town.lanes.values() if lane.role is LaneRole.ROAD]
     assert max(turns) > np.deg2rad(80.0)
 
 
@@ -145,7 +150,7 @@ def test_stop_lines_are_on_the_incoming_side(town: Town) -> None:
 
 def test_connectors_are_no_tighter_than_a_car_can_steer(town: Town) -> None:
     for lane in town.lanes.values():
-        curvature = np.abs(np.gradient(headings(lane.line))) / np.gradient(lengths_along(lane.line))
+        curvature = np.abs(np.gradient(compute_headings(lane.line))) / np.gradient(compute_lengths(lane.line))
         assert curvature.max() < 1 / 5.0, lane.name
 
 
@@ -164,9 +169,9 @@ def test_turns_join_their_ends_smoothly(heading: float, first: float, second: fl
     start = np.array([100.0, 200.0])
     corner = start + first * np.array([np.cos(heading), np.sin(heading)])
     end = corner + second * np.array([np.cos(heading + change), np.sin(heading + change)])
-    line = turn(start, heading, end, heading + change, step_m=0.5)
+    line = build_turn(start, heading, end, heading + change, step_m=0.5)
     assert np.allclose(line[0], start) and np.allclose(line[-1], end)
-    steps = np.abs(np.diff(headings(line)))
+    steps = np.abs(np.diff(compute_headings(line)))
     assert steps.max() < 0.35
     # A corner of few degrees between legs of very different lengths is cut by next to nothing.
-    assert lengths_along(line)[-1] <= 1.001 * (first + second)
+    assert compute_lengths(line)[-1] <= 1.001 * (first + second)

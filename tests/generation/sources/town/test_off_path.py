@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from benchmark.dynamics.bicycle import DriverLimits, broken_limit
+from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
 from benchmark.geometry import Floats, box_corners, boxes_overlap, wrap_angle
-from benchmark.records.off_path import OFF_PATH, Excursion, excursions_of
+from benchmark.records.off_path import OFF_PATH, Excursion, read_excursions
 from benchmark.scene import Scene
-from generation.sources.town import town_scene, town_scene_off_path
+from generation.sources.town import build_town_scene, build_town_scene_off_path
 from generation.sources.town.off_path import KEPT_ON_PATH_EVERY
-from generation.sources.town.paths import EGO_BODY, body_boxes
+from generation.sources.town.paths import EGO_BODY, compute_body_boxes
 from generation.sources.town.speed import FRAMES
 
 INDICES = (0, 2, 5)
@@ -23,8 +23,8 @@ def _rear(scene: Scene) -> Floats:
 
 @pytest.fixture(scope="module", params=INDICES)
 def pair(request: pytest.FixtureRequest) -> tuple[Scene, Scene, tuple[Excursion, ...]]:
-    scene, excursions = town_scene_off_path(request.param)
-    return town_scene("train", request.param), scene, excursions
+    scene, excursions = build_town_scene_off_path(request.param)
+    return build_town_scene("train", request.param), scene, excursions
 
 
 def test_the_ego_leaves_its_path_and_can_drive_what_it_drives(
@@ -32,8 +32,8 @@ def test_the_ego_leaves_its_path_and_can_drive_what_it_drives(
 ) -> None:
     planned, scene, excursions = pair
     assert excursions
-    boxes = body_boxes(_rear(scene), EGO_BODY)
-    assert broken_limit(boxes, DriverLimits(), rounded_m=1e-6) is None
+    boxes = compute_body_boxes(_rear(scene), EGO_BODY)
+    assert find_broken_limit(boxes, DriverLimits(), rounded_m=1e-6) is None
     apart = np.hypot(*(scene.ego.position - planned.ego.position)[:, :2].T)
     for each in excursions:
         during = slice(int(each.begin_s * 12), int(each.end_s * 12) + 1)
@@ -54,7 +54,7 @@ def test_between_excursions_it_is_where_it_would_be(pair: tuple[Scene, Scene, tu
 
 def test_it_touches_nobody_and_stays_on_the_road(pair: tuple[Scene, Scene, tuple[Excursion, ...]]) -> None:
     _, scene, _ = pair
-    own = body_boxes(_rear(scene), EGO_BODY)
+    own = compute_body_boxes(_rear(scene), EGO_BODY)
     agents = scene.agents
     for row in range(len(agents.ids)):
         size = np.broadcast_to(agents.size[row, :2], (FRAMES, 2))
@@ -77,20 +77,20 @@ def test_others_do_what_they_did(pair: tuple[Scene, Scene, tuple[Excursion, ...]
 
 def test_some_scenes_stay_on_their_path() -> None:
     index = KEPT_ON_PATH_EVERY - 1
-    scene, excursions = town_scene_off_path(index)
+    scene, excursions = build_town_scene_off_path(index)
     assert excursions == ()
-    assert np.array_equal(scene.ego.position, town_scene("train", index).ego.position)
+    assert np.array_equal(scene.ego.position, build_town_scene("train", index).ego.position)
 
 
 def test_the_same_index_gives_the_same_bytes() -> None:
-    first, second = town_scene_off_path(1), town_scene_off_path(1)
+    first, second = build_town_scene_off_path(1), build_town_scene_off_path(1)
     assert first[1] == second[1]
     assert first[0].ego.position.tobytes() == second[0].ego.position.tobytes()
-    other = town_scene_off_path(1, seed=1)
+    other = build_town_scene_off_path(1, seed=1)
     assert other[0].ego.position.tobytes() != first[0].ego.position.tobytes()
 
 
 def test_what_is_written_of_excursions_is_read_back(pair: tuple[Scene, Scene, tuple[Excursion, ...]]) -> None:
     _, scene, excursions = pair
     made = {"scenes": {scene.name: {"report": {OFF_PATH: [each.as_json() for each in excursions]}}}}
-    assert excursions_of(made, scene.name) == excursions
+    assert read_excursions(made, scene.name) == excursions

@@ -16,10 +16,10 @@ from nuscenes.utils.splits import create_splits_scenes
 from benchmark.constants import CAMERA_NAMES, FRAME_HZ, OFFICIAL_LOCATIONS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_corners, boxes_overlap, wrap_angle
-from benchmark.scene import Look, Scene
-from generation.sources.town import DEFAULT_VAL_SCENES, town_scene, town_scene_names
-from generation.sources.town.curves import between_grid
-from generation.sources.town.paths import EGO_BODY, STATION_M, Leg, build_path
+from benchmark.scene import Conditions, Scene
+from generation.sources.town import DEFAULT_VAL_SCENES, build_town_scene, list_town_scene_names
+from generation.sources.town.curves import interpolate_grid
+from generation.sources.town.paths import EGO_BODY, STATION_M, RouteLeg, build_path
 from generation.sources.town.speed import FRAMES, SECONDS, plan_speed
 from generation.sources.town.themes import PROGRAMME
 from generation.sources.town.towns import build_town
@@ -29,7 +29,7 @@ SCENES = [("val", index) for index in range(DEFAULT_VAL_SCENES)] + [("train", 0)
 
 @cache
 def _made(split: Literal["val", "train"], index: int) -> Scene:
-    return town_scene(split, index)
+    return build_town_scene(split, index)
 
 
 @pytest.fixture(scope="module", params=SCENES, ids=lambda key: f"{key[0]}{key[1]}")
@@ -200,7 +200,7 @@ def test_lidar_points_fall_with_distance_and_hidden_boxes_have_fewer() -> None:
 def test_ten_scenes_mix_looks_places_and_participants() -> None:
     scenes = [_made("val", index) for index in range(DEFAULT_VAL_SCENES)]
     looks = [scene.look for scene in scenes]
-    assert (looks.count(Look.DAY), looks.count(Look.DUSK), looks.count(Look.RAIN)) == (5, 3, 2)
+    assert (looks.count(Conditions.DAY), looks.count(Conditions.DUSK), looks.count(Conditions.RAIN)) == (5, 3, 2)
     assert [programme.look for programme in PROGRAMME] == looks
     assert len({scene.road_map.location for scene in scenes}) == 2
     categories = {name for scene in scenes for name in scene.agents.categories}
@@ -243,13 +243,13 @@ def test_another_process_makes_the_same_bytes() -> None:
 
 def test_scenes_do_not_depend_on_those_made_before() -> None:
     first = digest(_made("val", 4))
-    assert digest(town_scene("val", 4)) == first
-    assert digest(town_scene("val", 4, seed=1)) != first
+    assert digest(build_town_scene("val", 4)) == first
+    assert digest(build_town_scene("val", 4, seed=1)) != first
 
 
 def test_names_are_free_in_nuscenes() -> None:
     official = {name for names in create_splits_scenes().values() for name in names}
-    val, train = town_scene_names("val", 1000), town_scene_names("train", 7000)
+    val, train = list_town_scene_names("val", 1000), list_town_scene_names("train", 7000)
     names = val + train
     assert len(set(names)) == len(names) and official.isdisjoint(names)
     assert all(len(name) == 10 and name[6:].isdigit() and int(name[6:]) > 1110 for name in names)
@@ -260,14 +260,16 @@ def test_names_are_free_in_nuscenes() -> None:
 @pytest.mark.parametrize(("split", "index"), [("test", 0), ("val", -1), ("val", 1000), ("train", 7000)])
 def test_wrong_requests_are_refused_in_a_sentence(split: Literal["val", "train"], index: int) -> None:
     with pytest.raises(InputError, match="town"):
-        town_scene(split, index)
+        build_town_scene(split, index)
 
 
 @settings(max_examples=20, deadline=None)
 @given(start=st.integers(0, 10), wall=st.integers(130, 400), parked=st.booleans())
 def test_a_planned_speed_profile_never_enters_what_is_blocked(start: int, wall: int, parked: bool) -> None:
     town = build_town(OFFICIAL_LOCATIONS[0], 0)
-    path = build_path(town, [Leg("N-C/f0"), *(Leg(name) for name in ("C/N-C.f0>C-S.f0", "C-S/f0"))], 15.0, EGO_BODY)
+    path = build_path(
+        town, [RouteLeg("N-C/f0"), *(RouteLeg(name) for name in ("C/N-C.f0>C-S.f0", "C-S/f0"))], 15.0, EGO_BODY
+    )
     count = min(len(path.rear), 500)
     blocked = np.zeros((4 * SECONDS + 1, count), dtype=np.bool_)
     blocked[(0 if parked else 30) :, min(wall, count - 1) :] = True
@@ -285,8 +287,8 @@ def test_a_planned_speed_profile_never_enters_what_is_blocked(start: int, wall: 
 @given(st.lists(st.floats(-5, 5), min_size=4, max_size=12), st.floats(0.0, 1.0))
 def test_interpolation_passes_through_its_grid_and_keeps_lines(values: list[float], share: float) -> None:
     grid = np.array(values)
-    assert np.allclose(between_grid(grid, np.arange(len(grid), dtype=np.float64)), grid)
+    assert np.allclose(interpolate_grid(grid, np.arange(len(grid), dtype=np.float64)), grid)
     line = np.arange(len(grid), dtype=np.float64)
     where = np.array([share * (len(grid) - 1)])
-    assert np.allclose(between_grid(line, where), where)
-    assert np.isfinite(wrap_angle(between_grid(grid, where))).all()
+    assert np.allclose(interpolate_grid(line, where), where)
+    assert np.isfinite(wrap_angle(interpolate_grid(grid, where))).all()

@@ -9,16 +9,16 @@ import pytest
 
 from adapters.planners.log_replay import LogReplay
 from adapters.planners.stop import Stop
-from benchmark.closed_loop.default_engine import DefaultRides
+from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.constants import FRAME_HZ
 from benchmark.errors import InputError
 from benchmark.records.drives import DriveRecord
-from benchmark.report.driven import DrivenSheet
+from benchmark.report.driven import EpisodePage
 from benchmark.report.palette import ADVERSARY, BEST, CONTACT, EGO, PATH
-from benchmark.runs.drive_sheets import driven_sheet
+from benchmark.runs.drive_sheets import write_episode_page
 from benchmark.runs.driving import DriveSettings, drive_split
 from generation.render.sensor import SchematicSensor
-from generation.sources.town import town_scene
+from generation.sources.town import build_town_scene
 from leaderboard.extensions.films.drive_film import DRIVE_FPS, HELD_S, DriveFilm
 from leaderboard.extensions.films.film import HEIGHT_PX, TITLE_PX, WIDTH_PX, FilmLayout, FilmSettings
 from leaderboard.extensions.films.filming import FilmFormat, write_drive_film
@@ -34,7 +34,7 @@ from tests.hand_made import Car, scene_on_straight_road
 from tests.leaderboard.extensions.films.test_film import pixels_of
 
 SETTINGS = FilmSettings(fps=DRIVE_FPS)
-Made = tuple[DriveRecord, DrivenSheet]
+Made = tuple[DriveRecord, EpisodePage]
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def hit(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """A drive with cameras that ends in a contact."""
     folder = tmp_path_factory.mktemp("hit")
     record = driven(folder / "out", Straight())
-    return record, driven_sheet(folder, town(), record, record.rows[1], DefaultRides(), Clock())
+    return record, write_episode_page(folder, town(), record, record.rows[1], DefaultBackend(), Clock())
 
 
 def film_of(made: Made, **changes: object) -> DriveFilm:
@@ -93,7 +93,7 @@ def test_a_part_of_a_drive_holds_nothing(hit: Made) -> None:
 
 def test_without_pictures_it_is_seen_from_above(tmp_path: Path) -> None:
     record = driven(tmp_path / "out", Stop())
-    blind = record, driven_sheet(tmp_path, town(), record, record.rows[0], DefaultRides(), None)
+    blind = record, write_episode_page(tmp_path, town(), record, record.rows[0], DefaultBackend(), None)
     assert film_of(blind).layout is FilmLayout.BIRDSEYE
     with pytest.raises(InputError, match="--layout birdseye"):
         film_of(blind, layout=FilmLayout.CAMERAS)
@@ -102,7 +102,7 @@ def test_without_pictures_it_is_seen_from_above(tmp_path: Path) -> None:
 def test_a_failure_is_said_at_the_end(tmp_path: Path) -> None:
     record = driven(tmp_path / "out", Failing())
     place = next(place for place, row in enumerate(record.rows) if row.status == "failed")
-    made = record, driven_sheet(tmp_path, town(), record, record.rows[place], DefaultRides(), None)
+    made = record, write_episode_page(tmp_path, town(), record, record.rows[place], DefaultBackend(), None)
     frames = list(film_of(made))
     red = [pixels_of(frame, CONTACT) for frame in frames]
     assert red[-1] > 100 and red[0] == 0
@@ -110,10 +110,10 @@ def test_a_failure_is_said_at_the_end(tmp_path: Path) -> None:
 
 def test_whoever_touched_the_ego_without_its_fault_is_named_and_gone(tmp_path: Path) -> None:
     scene = scene_on_straight_road((Car(20.0, 198.25, 12.0),), ego_speed=8.0, seconds=12.0)
-    data, maker = FakeData({scene.name: scene}), DefaultRides(until="fault")
+    data, maker = FakeData({scene.name: scene}), DefaultBackend(until="fault")
     how = DriveSettings("default", maker)
     record = drive_split(data, "val", Watching(speed=6.0), tmp_path / "out", how)
-    shown = driven_sheet(tmp_path, data, record, record.rows[0], maker, None)
+    shown = write_episode_page(tmp_path, data, record, record.rows[0], maker, None)
     (touch,) = record.rows[0].passed
     film = film_of((record, shown), layout=FilmLayout.BIRDSEYE)
     red = {frame: pixels_of(image, CONTACT) for frame, image in zip(film.frames, film)}
@@ -144,10 +144,10 @@ LARGEST_BYTES = 1_000_000
 def test_a_film_of_twenty_seconds_is_less_than_a_megabyte(tmp_path: Path) -> None:
     pytest.importorskip("av")
     seconds = 5
-    scene = town_scene("val", 3).first_frames(FRAME_HZ * seconds + 1)
+    scene = build_town_scene("val", 3).first_frames(FRAME_HZ * seconds + 1)
     data = FakeData({scene.name: scene})
-    record = drive_split(data, "val", LogReplay(), tmp_path / "out", DriveSettings("default", DefaultRides()))
-    shown = driven_sheet(tmp_path, data, record, record.rows[0], DefaultRides(), SchematicSensor("first"))
+    record = drive_split(data, "val", LogReplay(), tmp_path / "out", DriveSettings("default", DefaultBackend()))
+    shown = write_episode_page(tmp_path, data, record, record.rows[0], DefaultBackend(), SchematicSensor("first"))
     settings = FilmSettings(fps=DRIVE_FPS)
     film = write_drive_film(shown, record, "log-replay", tmp_path / "films", FilmFormat.WEBM, settings)
     assert film.suffix == ".webm" and film.stat().st_size * 20 / seconds < LARGEST_BYTES
@@ -157,7 +157,7 @@ def test_what_an_adversary_considered_is_drawn_where_it_was_kept_and_asked_for(t
     maker = rides(replace(ADVERSARY_SETTINGS, keep_considered=True))
     settings = DriveSettings("default", maker, agents="adversary", ladder=("cc",), limit=1, keep_considered=True)
     record = drive_split(town(), "val", Stop(), tmp_path / "out", settings)
-    kept = driven_sheet(tmp_path, town(), record, record.rows[0], maker, None)
+    kept = write_episode_page(tmp_path, town(), record, record.rows[0], maker, None)
     # A vehicle of a recording is the adversary of the drive.
     assert record.rows[0].adversary is not None
     assert [each.id for each in kept.stored.sheet.agents if each.adversary] == [record.rows[0].adversary.uuid]

@@ -13,11 +13,11 @@ from PIL import Image
 
 from benchmark.errors import InputError
 from benchmark.records.run import RunRecord
-from benchmark.report.overlays import Whom
+from benchmark.report.overlays import CollisionParty
 from benchmark.report.palette import ADVERSARY, CONTACT, EGO, TITLE
 from leaderboard.extensions.films.film import HEIGHT_PX, TITLE_PX, WIDTH_PX, Film, FilmLayout, FilmSettings
-from leaderboard.extensions.films.filming import FilmFormat, sheet_folders, write_film
-from leaderboard.extensions.films.panel import adversary_gap
+from leaderboard.extensions.films.filming import FilmFormat, find_scene_page_folders, write_film
+from leaderboard.extensions.films.panel import compute_adversary_gap
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED
 from tests.benchmark.report.one_scene import FRAMES, broken_picture, record, sheet, written
 
@@ -58,8 +58,8 @@ def test_what_a_planner_came_to_is_shown_up_to_now_only(tmp_path: Path) -> None:
     red = [pixels_of(frame[TITLE_PX + 488 :], CONTACT) for frame in film]
     assert max(red[:18]) == 0 and min(red[18:24]) > 500
     (track,) = film.tracks
-    tallies = [track.so_far(frame) for frame in (0, 17, 18, 24)]
-    assert [(tally.touches.get(Whom.ADVERSARY, 0), tally.counted) for tally in tallies] == [
+    tallies = [track.tally_until(frame) for frame in (0, 17, 18, 24)]
+    assert [(tally.touches.get(CollisionParty.ADVERSARY, 0), tally.counted) for tally in tallies] == [
         (0, 1),
         (0, 3),
         (1, 4),
@@ -233,10 +233,10 @@ def test_what_is_missing_is_named_with_the_command_that_makes_it(tmp_path: Path)
     with pytest.raises(InputError, match="earlier --from"):
         Film(stored, [], [], FilmSettings(begin_s=9.0))
     with pytest.raises(InputError, match="challenger-bench sheets --data d --split adv"):
-        sheet_folders(tmp_path, "d", "adv", ["scene-2"])
+        find_scene_page_folders(tmp_path, "d", "adv", ["scene-2"])
     with pytest.raises(InputError, match="challenger-bench sheets --data other"):
-        sheet_folders(tmp_path, "other", "adv", None)
-    assert sheet_folders(tmp_path, "anywhere/d", "adv", None) == [stored.directory]
+        find_scene_page_folders(tmp_path, "other", "adv", None)
+    assert find_scene_page_folders(tmp_path, "anywhere/d", "adv", None) == [stored.directory]
 
 
 @pytest.mark.parametrize("data", [b"", b"no picture", b"RIFF\x00\x00\x00\x00WEBP"])
@@ -248,6 +248,6 @@ def test_a_damaged_picture_is_one_sentence(tmp_path: Path, data: bytes) -> None:
 
 
 def test_the_gap_is_that_between_the_boxes() -> None:
-    gap = adversary_gap(sheet())
+    gap = compute_adversary_gap(sheet())
     assert gap == pytest.approx(5.0 - 1.0 - 1.85 / 2)
-    assert np.isnan(adversary_gap(sheet(agents=[]))).all()
+    assert np.isnan(compute_adversary_gap(sheet(agents=[]))).all()

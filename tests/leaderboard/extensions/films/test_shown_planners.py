@@ -8,7 +8,7 @@ import pytest
 from benchmark import api
 from benchmark.errors import InputError
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
-from leaderboard.extensions.films.cli import planners_shown
+from leaderboard.extensions.films.cli import resolve_planner_names
 from tests.hand_made import scene_on_straight_road
 
 
@@ -23,22 +23,22 @@ def record(runs: Path, planner: str, data: str = "mini", split: str = "adv") -> 
 def test_a_full_model_is_shown_as_the_miniature_that_ran(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("benchmark.api.opening._said", set())
+    monkeypatch.setattr("benchmark.api.opening._notified", set())
     folder, *_ = [record(tmp_path, name) for name in ("uniad-mini", "vad-mini", "idm")]
-    assert planners_shown(["uniad", "vad", "idm"], [folder], tmp_path) == ["uniad-mini", "vad-mini", "idm"]
-    assert planners_shown(["uniad"], [folder], tmp_path) == ["uniad-mini"]
+    assert resolve_planner_names(["uniad", "vad", "idm"], [folder], tmp_path) == ["uniad-mini", "vad-mini", "idm"]
+    assert resolve_planner_names(["uniad"], [folder], tmp_path) == ["uniad-mini"]
     said = capsys.readouterr().err
     assert said.count("uniad-mini, which ran in its place") == 1 and said.count("\n") == 2
     record(tmp_path, "vad-base")
-    assert planners_shown(["vad", "vad-base (seed 1)"], [folder], tmp_path) == ["vad-base", "vad-base (seed 1)"]
+    assert resolve_planner_names(["vad", "vad-base (seed 1)"], [folder], tmp_path) == ["vad-base", "vad-base (seed 1)"]
 
 
 def test_records_of_other_data_are_named(tmp_path: Path) -> None:
     record(tmp_path, "idm", data="demo")
     with pytest.raises(InputError, match=r"no run records at .*; there are records of demo \(adv: idm\)"):
-        planners_shown(["idm"], [tmp_path / "mini" / "adv"], tmp_path)
+        resolve_planner_names(["idm"], [tmp_path / "mini" / "adv"], tmp_path)
     with pytest.raises(InputError, match="did you mean idm"):
-        planners_shown(["idn"], [tmp_path / "demo" / "adv"], tmp_path)
+        resolve_planner_names(["idn"], [tmp_path / "demo" / "adv"], tmp_path)
 
 
 def test_what_the_demo_made_has_a_name(tmp_path: Path) -> None:

@@ -13,16 +13,16 @@ from hypothesis import strategies as st
 
 from benchmark.errors import InputError
 from benchmark.records.run import find_records
-from benchmark.records.scenes import Sheets, find_sheets
+from benchmark.records.scenes import ScenePages, find_scene_pages
 from leaderboard.build import write_leaderboard
-from leaderboard.extensions.publishing.checking import House, check_publishable
-from leaderboard.extensions.publishing.elsewhere import Found
+from leaderboard.extensions.publishing.checking import MachineIdentity, check_publishable
+from leaderboard.extensions.publishing.elsewhere import PublicationFinding
 from leaderboard.frame.results import read_results
-from leaderboard.site.packing import data_script, script_data
+from leaderboard.site.packing import decode_script, encode_script
 from tests.benchmark.cli.in_process import run_here
 from tests.leaderboard.site.big_workspace import make_workspace
 
-HOUSE = House(("home", "scratch"), ("gpu-box-7", "lab"), ("jdoe", "al"))
+HOUSE = MachineIdentity(("home", "scratch"), ("gpu-box-7", "lab"), ("jdoe", "al"))
 POLICY = "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src 'self' data:\">"
 
 
@@ -37,17 +37,17 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def write(folder: Path, drawn_by: str) -> None:
     """The leaderboard, of sheets that say who drew their images."""
-    sheets = find_sheets(folder / "sheets")
+    sheets = find_scene_pages(folder / "sheets")
     drawn = {
         name: replace(stored, sheet=stored.sheet.model_copy(update={"drawn_by": drawn_by}))
         for name, stored in sheets.scenes.items()
     }
     write_leaderboard(
-        read_results(find_records(folder / "runs"), sheets=Sheets(sheets.splits, drawn)), folder / "leaderboard"
+        read_results(find_records(folder / "runs"), sheets=ScenePages(sheets.splits, drawn)), folder / "leaderboard"
     )
 
 
-def found_in(folder: Path, **files: str | bytes) -> list[Found]:
+def found_in(folder: Path, **files: str | bytes) -> list[PublicationFinding]:
     """What is found in a folder with these files; ``__`` stands for a dot, ``___`` for a slash."""
     for name, content in files.items():
         path = folder / name.replace("___", "/").replace("__", ".")
@@ -69,11 +69,11 @@ def test_pictures_of_recordings_wait_for_somebody_who_read_the_licence(
 ) -> None:
     folder = Path(shutil.copytree(made / "leaderboard", tmp_path / "board"))
     index = folder / "site" / "data" / "index.js"
-    whole = script_data(index.read_text())
+    whole = decode_script(index.read_text())
     assert {scene["drawnBy"] for scene in whole["scenes"] if scene["hasSheet"]} == {"schematic"}
     for scene in whole["scenes"]:
         scene["drawnBy"] = drawn_by
-    index.write_bytes(data_script("window.CHALLENGER", whole))
+    index.write_bytes(encode_script("window.CHALLENGER", whole))
     name = whole["scenes"][0]["data"]
     _, found = check_publishable(folder, house=HOUSE)
     assert found and {each.kind for each in found} == {"picture"}
@@ -105,7 +105,7 @@ def test_pictures_of_recordings_wait_for_somebody_who_read_the_licence(
 )
 def test_what_tells_of_the_house_is_found_with_its_line(tmp_path: Path, text: str, kind: str, word: str) -> None:
     found = found_in(tmp_path, site___data___x__js=f"// first\n{text}\n")
-    assert Found("site/data/x.js", 2, kind, repr(word)) in found  # type: ignore[arg-type]
+    assert PublicationFinding("site/data/x.js", 2, kind, repr(word)) in found  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_pictures_carry_no_paths_either(tmp_path: Path) -> None:
 
 def test_a_word_that_stands_a_thousand_times_is_counted(tmp_path: Path) -> None:
     found = found_in(tmp_path, a__txt="jdoe\n" * 1000)
-    assert len(found) == 6 and found[0] == Found("a.txt", 0, "user", "'jdoe', 1000 times")
+    assert len(found) == 6 and found[0] == PublicationFinding("a.txt", 0, "user", "'jdoe', 1000 times")
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_links_out_of_the_folder_are_not_followed(tmp_path: Path) -> None:
 
 
 def test_this_machine_is_known_without_names_that_tell_nothing() -> None:
-    house = House.this_one()
+    house = MachineIdentity.of_this_machine()
     assert "home" in house.folders and not {"root", "user", "localhost"} & {*house.users, *house.hosts}
     assert all(len(name) >= 3 for name in (*house.hosts, *house.users))
 
@@ -204,10 +204,10 @@ def test_this_machine_is_known_without_names_that_tell_nothing() -> None:
 )
 def test_scripts_of_data_read_back(value: object) -> None:
     try:
-        written = data_script("window.X", value)
+        written = encode_script("window.X", value)
     except UnicodeEncodeError:
         return
-    assert script_data(written.decode()) == value
+    assert decode_script(written.decode()) == value
 
 
 def test_no_folder_no_data_and_damaged_scripts_are_one_sentence(tmp_path: Path) -> None:
@@ -217,7 +217,7 @@ def test_no_folder_no_data_and_damaged_scripts_are_one_sentence(tmp_path: Path) 
         check_publishable(tmp_path)
     for text in ("", "x = JSON.parse('{');", "x = 3;"):
         with pytest.raises(InputError, match="write the leaderboard again"):
-            script_data(text)
+            decode_script(text)
 
 
 def test_the_command_ends_with_1_where_something_is_found(made: Path, tmp_path: Path) -> None:
@@ -237,4 +237,4 @@ def test_the_command_ends_with_1_where_something_is_found(made: Path, tmp_path: 
 def test_a_home_that_is_called_home_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     for folder, told in (("/home", False), ("/home/annabelle", True)):
         monkeypatch.setenv("HOME", folder)
-        assert (Path(folder).name in House.this_one().users) is told
+        assert (Path(folder).name in MachineIdentity.of_this_machine().users) is told

@@ -4,15 +4,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmark.extensions.quality.definition import Definition
-from benchmark.records.quality import QualityRecord, SceneRows, SubjectRow, Sum, VideoRow, write_quality
+from benchmark.extensions.quality.definition import QualityDefinition
+from benchmark.records.quality import ExactSum, QualityRecord, SceneQualityRows, SubjectRow, VideoRow, write_quality
 from benchmark.records.run_schema import SceneFacts
-from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
+from leaderboard.build import build_leaderboard_files, find_stale_files, write_leaderboard
 from leaderboard.extensions.quality.tables import quality_tables
 from leaderboard.frame.results import read_results
 
 
-def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) -> SceneRows:
+def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) -> SceneQualityRows:
     subjects = [
         SubjectRow(
             scene=scene,
@@ -25,8 +25,8 @@ def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) ->
             first_us=0,
             last_us=10**6,
             mean_area_px=2000.0,
-            consistency=Sum.of([level, level]),
-            imaging=Sum.of([level / 2] * 3),
+            consistency=ExactSum.of([level, level]),
+            imaging=ExactSum.of([level / 2] * 3),
         )
         for name in ("a", "b")
     ]
@@ -37,14 +37,14 @@ def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) ->
         width=size[0],
         height=size[1],
         formats={"jpg": 3},
-        imaging=Sum.of([level / 4] * 3),
+        imaging=ExactSum.of([level / 4] * 3),
     )
-    return SceneRows(scene=scene, subjects=subjects, videos=[video])
+    return SceneQualityRows(scene=scene, subjects=subjects, videos=[video])
 
 
 def made(folder: Path, split: str, **changes: Any) -> QualityRecord:
     """A record of two scenes."""
-    definition = changes.get("definition", Definition(masks="boxes"))
+    definition = changes.get("definition", QualityDefinition(masks="boxes"))
     names = [f"{split}-{index}" for index in range(2)]
     size = changes.get("size", (448, 256))
     scenes = [
@@ -94,10 +94,10 @@ def test_scenes_without_masks_are_said_and_mark_the_rows(tmp_path: Path) -> None
 
 
 def test_what_does_not_compare_has_a_table_of_its_own(tmp_path: Path) -> None:
-    boxes = Definition(masks="boxes")
+    boxes = QualityDefinition(masks="boxes")
     records = [
         made(tmp_path, "val"),
-        made(tmp_path, "val", definition=Definition()),
+        made(tmp_path, "val", definition=QualityDefinition()),
         made(tmp_path, "val", definition=replace(boxes, frames="all")),
         made(tmp_path, "val", content="other weights"),
     ]
@@ -115,9 +115,9 @@ def test_parts_and_other_frames_are_said(tmp_path: Path) -> None:
 
 def test_the_leaderboard_has_the_table_with_and_without_runs(tmp_path: Path) -> None:
     found = [made(tmp_path / "records", "val")]
-    files = leaderboard_files(read_results([], found))
+    files = build_leaderboard_files(read_results([], found))
     assert "tables/mini/quality-boxes.tex" in files and "tables/mini/quality-boxes.csv" in files
     assert b"## Video quality" in files["README.md"] and "published/quality-published.tex" in files
     write_leaderboard(read_results([], found), tmp_path / "board")
-    assert stale_files(read_results([], found), tmp_path / "board") == []
-    assert stale_files(read_results([], [made(tmp_path / "records", "val", size=(1, 1))]), tmp_path / "board")
+    assert find_stale_files(read_results([], found), tmp_path / "board") == []
+    assert find_stale_files(read_results([], [made(tmp_path / "records", "val", size=(1, 1))]), tmp_path / "board")

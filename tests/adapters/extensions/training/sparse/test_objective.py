@@ -14,19 +14,19 @@ from torch import Tensor, nn
 
 from adapters.camera_inputs import MINIATURE_IMAGE, RGB_MEAN_STD
 from adapters.extensions.training.frames import TrainingFrame
-from adapters.extensions.training.front import OWN_EYES, WEIGHTS, seen_with_own_eyes
-from adapters.extensions.training.losses import assigned
+from adapters.extensions.training.front import FRONT_BACKBONE_PREFIX, WEIGHTS, add_front_backbone
+from adapters.extensions.training.losses import assign
 from adapters.extensions.training.mixture import build_frames
 from adapters.extensions.training.sparse.losses import FORECAST, forecast_losses, plan_losses
-from adapters.extensions.training.sparse.phases import SparseObjective, front_reader, network_inputs, phases
+from adapters.extensions.training.sparse.phases import SparseObjective, find_front_reader, network_inputs, phases
 from adapters.extensions.training.sparse.start import (
+    build_untrained,
+    build_untrained_diffusion,
+    collect_anchor_samples_in,
     initialise,
-    planned_from,
-    sightings_in,
-    untrained,
-    untrained_diffusion,
+    transfer_from_sparsedrive,
 )
-from adapters.extensions.training.sparse.targets import LINE_CLASS_OF_LABEL, Targets, box_numbers, fewer_points
+from adapters.extensions.training.sparse.targets import LINE_CLASS_OF_LABEL, Targets, box_numbers, reduce_points
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, PLANS
 from adapters.networks.sparse.boxes import decode_boxes
 from adapters.networks.sparse.config import SparseConfig
@@ -116,7 +116,7 @@ def test_several_clips_at_once_are_what_the_network_says_of_each(name: str, numb
         for number, clip in enumerate(clips):
             built.reset()
             for step, each in enumerate(clip):
-                own = built.predict(network_inputs(each), objective.noise_of(each))
+                own = built.predict(network_inputs(each), objective.draw_noise(each))
                 seen = learned[step]
                 for expected, found in zip(own.agents.stages, seen.perceived.agents.stages, strict=True):
                     assert torch.allclose(expected.logits, found.logits[number], atol=1e-3)
@@ -128,7 +128,7 @@ def test_several_clips_at_once_are_what_the_network_says_of_each(name: str, numb
                 assert (own.planner.front is None) is (seen.planned.front is None) is (numbers == 0)
                 assert torch.allclose(own.planner.status, seen.planned.status[number], atol=1e-3)
                 if name == "diffusiondrive":
-                    last = seen.cleaned[-1]
+                    last = seen.denoised[-1]
                     assert torch.allclose(own.planner.plan_offsets[0], last.offsets[number], atol=1e-3)
                     assert torch.allclose(own.planner.plan_logits[0], last.logits[number], atol=1e-3)
 
@@ -136,11 +136,11 @@ def test_several_clips_at_once_are_what_the_network_says_of_each(name: str, numb
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
 def test_plans_follow_the_front_camera_once_it_has_a_say(name: str) -> None:
     built = filled(name, replace(MINIATURE, plan_sees_front=18))
-    reader = front_reader(built)
+    reader = find_front_reader(built)
     assert reader is not None
     with torch.inference_mode():
         first = built(network_inputs(frame(0))).plan_modes
-        reader.say_nothing()
+        reader.zero_message()
         built.reset()
         silent = built(network_inputs(frame(0))).plan_modes
         plain = filled(name)
@@ -241,7 +241,7 @@ def test_matches_stay_in_their_key_frame_and_are_the_cheapest(data: st.DataObjec
     counts = data.draw(st.lists(st.integers(0, 3), min_size=1, max_size=3))
     seed = data.draw(st.integers(0, 1000))
     cost = torch.rand(len(counts) * queries, sum(counts), generator=torch.Generator().manual_seed(seed))
-    found = assigned(cost, queries, counts)
+    found = assign(cost, queries, counts)
     total, start = 0.0, 0
     for number, count in enumerate(counts):
         block = cost[number * queries : (number + 1) * queries, start : start + count].numpy()
@@ -273,7 +273,7 @@ def test_fewer_points_are_evenly_spaced_and_keep_the_ends(points: int, seed: int
     ends = torch.rand(3, 2, 2, generator=torch.Generator().manual_seed(seed)) * 40 - 20
     shares = torch.linspace(0, 1, 20)[:, None]
     lines = ends[:, :1] * (1 - shares) + ends[:, 1:] * shares
-    fewer = fewer_points(lines, points)
+    fewer = reduce_points(lines, points)
     assert fewer.shape == (3, points, 2)
     assert torch.allclose(fewer[:, [0, -1]], ends, atol=1e-4)
     lengths = fewer.diff(dim=1).norm(dim=-1)
@@ -314,7 +314,7 @@ def test_the_forecast_whose_anchor_is_nearest_learns() -> None:
 
 def test_anchors_are_what_there_is_to_be_found() -> None:
     frames = [frame(index, turn=0.1 * index) for index in range(4)]
-    found = sightings_in(frames, TINY)
+    found = collect_anchor_samples_in(frames, TINY)
     assert np.shape(found.box_centres) == (12, 3) and np.shape(found.line_centres) == (8, 2)
     forward = np.asarray(found.futures[0])[0]
     heading, speed = 1.2, np.array([1.0, -2.0])
@@ -336,8 +336,8 @@ def varied(count: int) -> list[TrainingFrame]:
 
 
 def test_untrained_networks_start_at_the_anchors() -> None:
-    first, again = (untrained_diffusion(SparseConfig.miniature(), varied(80), 4) for _ in range(2))
-    other = untrained_diffusion(SparseConfig.miniature(), varied(80), 5)
+    first, again = (build_untrained_diffusion(SparseConfig.miniature(), varied(80), 4) for _ in range(2))
+    other = build_untrained_diffusion(SparseConfig.miniature(), varied(80), 5)
     state = first.state_dict()
     assert all(torch.equal(value, again.state_dict()[key]) for key, value in state.items())
     assert not torch.equal(
@@ -345,7 +345,7 @@ def test_untrained_networks_start_at_the_anchors() -> None:
     )
     assert all(torch.equal(state[key], other.state_dict()[key]) for key in (BOXES, FORECASTS, PLANS))
     assert isinstance(first, DiffusionDrive) and isinstance(
-        untrained(SparseConfig.miniature(), varied(80), 4), SparseDrive
+        build_untrained(SparseConfig.miniature(), varied(80), 4), SparseDrive
     )
 
 
@@ -360,9 +360,9 @@ def test_what_learns() -> None:
 
 def test_diffusiondrive_starts_where_sparsedrive_ended() -> None:
     trunk = SparseDrive(TINY).state_dict()
-    given, own = planned_from(trunk), DiffusionDrive(TINY).state_dict()
-    taken = {name: value for name, value in given.items() if not name.startswith(OWN_EYES)}
-    assert set(given) - set(taken) == set(seen_with_own_eyes(trunk)) - set(trunk) != set()
+    given, own = transfer_from_sparsedrive(trunk), DiffusionDrive(TINY).state_dict()
+    taken = {name: value for name, value in given.items() if not name.startswith(FRONT_BACKBONE_PREFIX)}
+    assert set(given) - set(taken) == set(add_front_backbone(trunk)) - set(trunk) != set()
     assert set(taken) <= set(own) and all(taken[key].shape == own[key].shape for key in taken)
     missing = set(own) - set(taken)
     assert all(key.startswith("head.motion_plan_head.") for key in missing)

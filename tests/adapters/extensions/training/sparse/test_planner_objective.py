@@ -5,9 +5,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from adapters.extensions.training.frames import LookedAt
-from adapters.extensions.training.front import OWN_EYES
-from adapters.extensions.training.sparse.phases import PERCEPTION, PlannerObjective, SparseObjective, network_inputs
+from adapters.extensions.training.frames import CachedFrames
+from adapters.extensions.training.front import FRONT_BACKBONE_PREFIX
+from adapters.extensions.training.sparse.phases import (
+    PERCEPTION,
+    SparseObjective,
+    SparsePlannerObjective,
+    network_inputs,
+)
 from adapters.extensions.training.sparse.targets import Targets
 from tests.adapters.extensions.training.one_scene import OneScene
 from tests.adapters.extensions.training.sparse.test_objective import CPU, TINY, frame, network
@@ -20,22 +25,22 @@ CLOSE = 2e-2
 @pytest.mark.parametrize(("name", "own_eyes"), [("sparsedrive", True), ("diffusiondrive", False)])
 def test_what_is_remembered_is_what_the_network_says_when_it_runs(name: str, own_eyes: bool) -> None:
     built = filled(name, replace(MINIATURE, plan_sees_front=18, front_eyes=own_eyes))
-    objective, frames = PlannerObjective(built), [frame(index, "one") for index in range(3)]
+    objective, frames = SparsePlannerObjective(built), [frame(index, "one") for index in range(3)]
     store, _ = objective.look(OneScene(frames), range(3))
     clip = store.clip(2, 3)
-    assert isinstance(store, LookedAt) and all(len(each.images) == 0 for each in clip)
+    assert isinstance(store, CachedFrames) and all(len(each.images) == 0 for each in clip)
     targets = Targets.of(clip, MINIATURE.points_per_line, CPU)
     built.reset()
     with torch.inference_mode():
         for given, seen in zip(frames, objective.seen(clip, 1, targets), strict=True):
-            own = built.predict(network_inputs(given), objective.noise_of(given))
+            own = built.predict(network_inputs(given), objective.draw_noise(given))
             torch.testing.assert_close(own.agents.anchors, seen.perceived.agents.anchors[0], atol=CLOSE, rtol=CLOSE)
             torch.testing.assert_close(own.agents.logits, seen.perceived.agents.logits[0], atol=CLOSE, rtol=CLOSE)
             torch.testing.assert_close(own.planner.status, seen.planned.status[0], atol=CLOSE, rtol=CLOSE)
             assert own.planner.front is not None and seen.planned.front is not None
             torch.testing.assert_close(own.planner.front, seen.planned.front, atol=CLOSE, rtol=CLOSE)
-            if seen.cleaned:
-                last = seen.cleaned[-1].offsets[0]
+            if seen.denoised:
+                last = seen.denoised[-1].offsets[0]
                 torch.testing.assert_close(own.planner.plan_offsets[given.command], last, atol=5 * CLOSE, rtol=CLOSE)
 
 
@@ -45,7 +50,7 @@ def test_losses_of_the_planner_are_those_of_everything_and_it_learns_alone(name:
     frames = [frame(index) for index in range(3)]
     with torch.no_grad():
         everything = SparseObjective(built).losses(frames)
-    objective = PlannerObjective(built)
+    objective = SparsePlannerObjective(built)
     store, _ = objective.look(OneScene(frames), range(3))
     found = objective.losses(store.clip(2, 3))
     assert set(found) == {each for each in everything if not each.startswith(("box", "line"))}
@@ -53,12 +58,12 @@ def test_losses_of_the_planner_are_those_of_everything_and_it_learns_alone(name:
         torch.testing.assert_close(loss.detach(), everything[each], atol=CLOSE, rtol=CLOSE, msg=each)
     torch.stack(list(found.values())).sum().backward()  # type: ignore[no-untyped-call]
     learned = {key for key, value in built.named_parameters() if value.grad is not None}
-    assert learned and not any(key.startswith((*PERCEPTION, OWN_EYES)) for key in learned)
+    assert learned and not any(key.startswith((*PERCEPTION, FRONT_BACKBONE_PREFIX)) for key in learned)
 
 
 def test_some_of_what_is_remembered_is_forgotten_in_each_step() -> None:
     built = network("sparsedrive", replace(TINY, plan_sees_front=18))
-    objective, frames = PlannerObjective(built), [frame(index) for index in range(3)]
+    objective, frames = SparsePlannerObjective(built), [frame(index) for index in range(3)]
     store, _ = objective.look(OneScene(frames), range(3))
 
     def forecast_loss(seed: int) -> float:
@@ -72,7 +77,7 @@ def test_some_of_what_is_remembered_is_forgotten_in_each_step() -> None:
 
 def test_no_plan_is_learned_where_the_past_is_missing() -> None:
     built = network("sparsedrive", replace(TINY, plan_sees_front=18))
-    objective, frames = PlannerObjective(built), [frame(index) for index in range(4)]
+    objective, frames = SparsePlannerObjective(built), [frame(index) for index in range(4)]
     store, _ = objective.look(OneScene(frames), range(4))
     first, later = (objective.losses([store.clip(number, 1)[0]]) for number in (0, 3))
     assert float(first["plan"].detach()) > 0 == float(later["plan"].detach())

@@ -20,26 +20,26 @@ from adapters.extensions.training.losses import Matches
 from adapters.extensions.training.mixture import build_frames
 from adapters.extensions.training.uniad.losses import (
     LINE_HALF_WIDTH_M,
-    Agents,
-    Road,
+    AgentTargets,
+    MapTargets,
     box_targets,
     detection_losses,
     ego_box,
     mask_loss,
-    matched_agents,
+    match_agents,
     motion_anchors,
     network_inputs,
     occupancy_targets,
     query_places,
 )
-from adapters.extensions.training.uniad.objective import FALSE_FROM, FROZEN, SEES, UniADObjective
-from adapters.extensions.training.uniad.phases import HeadsObjective, phases, seen_by_vad, untrained
+from adapters.extensions.training.uniad.objective import BEV_MODULES, FALSE_FROM, FROZEN, UniADObjective
+from adapters.extensions.training.uniad.phases import HeadsObjective, build_untrained, phases, transfer_from_vad
 from adapters.networks.layers.deformable_decoder import decode_boxes
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.model import UniAD
 from adapters.networks.uniad.occupancy import CELL_M
 from adapters.networks.uniad.planner import UniADPlanner
-from adapters.networks.uniad.tracking import NO_TRACK, headings
+from adapters.networks.uniad.tracking import NO_TRACK, convert_yaws
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from benchmark.datasets.nuscenes import NuScenesData
@@ -66,7 +66,7 @@ STEPS = 120
 
 
 def learner(seed: int = 0) -> UniAD:
-    return untrained(LEARNER, many_frames(), seed)
+    return build_untrained(LEARNER, many_frames(), seed)
 
 
 def clip(count: int = 2, scene: str = "a") -> list[TrainingFrame]:
@@ -101,7 +101,7 @@ def test_targets_are_what_the_network_decodes(heading: float, counterclockwise: 
     box = torch.tensor([[3.0, -4.0, -1.0, 4.5, 1.9, 1.6, heading, 2.0, 1.0]])
     found = decode_boxes(box_targets(box, config))
     torch.testing.assert_close(found[0, [0, 1, 2, 4, 3, 5, 7, 8]], box[0, [0, 1, 2, 3, 4, 5, 7, 8]])
-    apart = headings(found[0, 6], config) - heading
+    apart = convert_yaws(found[0, 6], config) - heading
     assert float(torch.cos(apart)) == pytest.approx(1.0, abs=1e-5)
 
 
@@ -122,7 +122,7 @@ def test_occupied_cells_are_those_whose_centre_is_in_the_box(
         instances=frame.instances[:1],
         futures_valid=torch.tensor([[True, False] * 6]),
     )
-    masks, valid = occupancy_targets(Agents.of(frame, LEARNER), torch.tensor([0]), LEARNER)
+    masks, valid = occupancy_targets(AgentTargets.of(frame, LEARNER), torch.tensor([0]), LEARNER)
     assert valid.tolist() == [[True, True, False, True, False]]
     shape = shapely.affinity.translate(
         shapely.affinity.rotate(
@@ -141,7 +141,7 @@ def test_masks_of_lines_are_the_cells_near_them() -> None:
     frame = a_frame()
     bent = torch.tensor([[-12.0, -9.0], [-3.0, 2.0], [8.0, 2.5]])
     frame = replace(frame, lines=bent[None], line_labels=frame.line_labels[:1])
-    road = Road.of(frame, LEARNER)
+    road = MapTargets.of(frame, LEARNER)
     line = shapely.LineString(bent.tolist())
     for cell, centre in enumerate(LEARNER.grid.centres() * 32 - 16):
         distance_m = line.distance(shapely.Point(*centre.tolist()))
@@ -187,8 +187,8 @@ def test_objective_sees_what_inference_sees() -> None:
     found = objective.clip_losses([frame], 0.0, True)
     network.reset()
     predictions = network.predict(network_inputs(frame))
-    agents = Agents.of(frame, LEARNER)
-    matches = matched_agents(predictions.detections, agents, torch.zeros(0, dtype=torch.int64), LEARNER.queries)
+    agents = AgentTargets.of(frame, LEARNER)
+    matches = match_agents(predictions.detections, agents, torch.zeros(0, dtype=torch.int64), LEARNER.queries)
     wanted = detection_losses(
         predictions.detections, agents, matches, box_targets(ego_box(frame), LEARNER), LEARNER.queries
     )
@@ -228,39 +228,39 @@ def test_frames_that_only_leave_a_past_have_no_gradients(monkeypatch: pytest.Mon
 
 def test_tracks_keep_their_agents_and_lose_those_that_go() -> None:
     network, frame = learner(), a_frame()
-    agents = Agents.of(frame, LEARNER)
+    agents = AgentTargets.of(frame, LEARNER)
     queries = network.fresh_queries()
     carried = torch.tensor([99, 7])
     tracks = replace(queries.kept(torch.tensor([0, 1])), track_ids=carried)
     entering = queries.then(tracks)
     bev = torch.zeros(LEARNER.grid.cells, LEARNER.channels)
     detections = network.pts_bbox_head.detect(bev, entering.queries, entering.reference_logits)
-    matches = matched_agents(detections, agents, carried, LEARNER.queries)
+    matches = match_agents(detections, agents, carried, LEARNER.queries)
     pairs = dict(zip(matches.queries.tolist(), agents.instances[matches.wanted].tolist(), strict=True))
     assert pairs.pop(LEARNER.queries + 2) == 7
     assert list(pairs.values()) == [3] and all(query < LEARNER.queries for query in pairs)
 
 
 def test_false_tracks_are_the_most_certain_that_stand_for_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("adapters.extensions.training.uniad.objective.LOST", 0.0)
+    monkeypatch.setattr("adapters.extensions.training.uniad.objective.TRACK_DROPOUT", 0.0)
     monkeypatch.setattr("adapters.extensions.training.uniad.objective.MOST_FALSE", 2)
     network = learner()
     objective = UniADObjective(network, clip_frames=2)
     instances, own = network.fresh_queries(), LEARNER.queries
     scores = torch.linspace(0.1, 0.9, own + 1)
     matches = Matches(torch.tensor([own - 1, 2]), torch.tensor([0, 1]))
-    handed_on = objective._handed_on(replace(instances, scores=scores), matches)
+    handed_on = objective._next_queries(replace(instances, scores=scores), matches)
     tracks = handed_on.kept(slice(own + 1, None))
     assert torch.equal(tracks.scores, scores[[own - 1, 2, own - 2, own - 3]])
     # Who is hardly certain would not be a track when the network runs.
-    faint = objective._handed_on(replace(instances, scores=scores * FALSE_FROM / 0.75), matches)
+    faint = objective._next_queries(replace(instances, scores=scores * FALSE_FROM / 0.75), matches)
     assert len(faint.scores) == own + 1 + 2 + 1
     # In the next frame nobody is theirs: they learn that nothing is there.
     carried = torch.tensor([3, 7, NO_TRACK, NO_TRACK])
     entering = instances.then(replace(tracks, track_ids=carried))
     bev = torch.zeros(LEARNER.grid.cells, LEARNER.channels)
     detections = network.pts_bbox_head.detect(bev, entering.queries, entering.reference_logits)
-    found = matched_agents(detections, Agents.of(a_frame(), LEARNER), carried, own)
+    found = match_agents(detections, AgentTargets.of(a_frame(), LEARNER), carried, own)
     assert sorted(found.queries.tolist()) == [own + 1, own + 2]
 
 
@@ -268,13 +268,13 @@ def test_what_vad_sees_uniad_sees() -> None:
     torch.manual_seed(2)
     vad = VAD(VADConfig.miniature())
     network = UniAD(UniADConfig.miniature(), torch.randn(4, 6, 12, 2), solver=None)
-    taken = seen_by_vad(vad.state_dict())
+    taken = transfer_from_vad(vad.state_dict())
     left = network.load_state_dict(taken, strict=False)
     assert not left.unexpected_keys
     # Nothing reads the last stage of the image network, which VAD's does without.
     missing = [name for name in left.missing_keys if not name.startswith("img_backbone.layer4.")]
     assert not any(name.startswith(("img_", "pts_bbox_head.transformer.encoder")) for name in missing)
-    assert seen_by_vad(network.state_dict()).keys() == network.state_dict().keys(), "its own weights stay its own"
+    assert transfer_from_vad(network.state_dict()).keys() == network.state_dict().keys(), "its own weights stay its own"
     frame = replace(a_frame(), images=torch.randint(0, 256, (6, 3, 128, 224), dtype=torch.uint8))
     with torch.inference_mode():
         inputs = network_inputs(frame)
@@ -312,14 +312,14 @@ def test_the_heads_learn_first_from_the_views_of_the_network_when_it_runs() -> N
     objective = heads.objective(network)
     assert isinstance(objective, HeadsObjective)
     store, _ = objective.look(OneScene(frames), range(3))
-    seen = list(objective._views([network_inputs(frame) for frame in frames], aware=True))
+    seen = list(objective._encode_frames([network_inputs(frame) for frame in frames], aware=True))
     network.reset()
     for frame, view in zip(frames, seen, strict=True):
         with torch.inference_mode():
             torch.testing.assert_close(view.bev, network.predict(network_inputs(frame)).bev, rtol=2e-3, atol=2e-3)
     total(objective.losses(store.clip(2, 3))).backward()  # type: ignore[no-untyped-call]
     learned = {name for name, parameter in network.named_parameters() if parameter.grad is not None}
-    assert learned and not any(name.startswith(SEES) for name in learned)
+    assert learned and not any(name.startswith(BEV_MODULES) for name in learned)
     clips.objective(network)
     assert network.pts_bbox_head.bev_embedding.weight.requires_grad
     assert not any(network.get_submodule(name).weight.requires_grad for name in FROZEN[:1])

@@ -3,22 +3,22 @@
 import torch
 from torch import nn
 
-from adapters.extensions.training.frames import LookedAt, TrainingFrame
+from adapters.extensions.training.frames import CachedFrames, TrainingFrame
 from adapters.extensions.training.uniad.losses import network_inputs
 from adapters.extensions.training.uniad.objective import plan_losses
-from adapters.extensions.training.uniad.phases import PlannerObjective, untrained
+from adapters.extensions.training.uniad.phases import UniADPlannerObjective, build_untrained
 from tests.adapters.extensions.training.one_scene import OneScene
 from tests.adapters.extensions.training.uniad.objectives import LEARNER, a_frame, many_frames, without_annotations
 
 
-def looked_at(frames: list[TrainingFrame]) -> tuple[PlannerObjective, LookedAt]:
-    network = untrained(LEARNER, many_frames(), 0)
+def looked_at(frames: list[TrainingFrame]) -> tuple[UniADPlannerObjective, CachedFrames]:
+    network = build_untrained(LEARNER, many_frames(), 0)
     for said in (network.planning_head.motion_teller, network.planning_head.front_reader):
         assert said is not None
         nn.init.normal_(said.tell.weight)
-    objective = PlannerObjective(network)
+    objective = UniADPlannerObjective(network)
     store, _ = objective.look(OneScene(frames), range(len(frames)))
-    assert isinstance(store, LookedAt)
+    assert isinstance(store, CachedFrames)
     return objective, store
 
 

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.extensions.training.dense_targets import CHANNELS, VEHICLES, dense_targets
-from adapters.extensions.training.frames import turned_can_bus
-from adapters.extensions.training.losses import normalised_boxes
+from adapters.extensions.training.frames import rotate_can_bus
+from adapters.extensions.training.losses import normalise_boxes
 from adapters.extensions.training.mixture import build_frames
 from adapters.extensions.training.plan_room import agent_constraint, boundary_constraint, direction_constraint
 from adapters.extensions.training.vad.objective import (
@@ -22,15 +22,15 @@ from adapters.extensions.training.vad.objective import (
     WEIGHTS,
     WITHOUT_PAST,
     WITHOUT_SPEED,
-    Disguise,
+    EgoMotionAugmentation,
     VADObjective,
     frame_losses,
-    inputs_of,
-    predictions_of,
+    network_inputs,
+    predict,
 )
-from adapters.extensions.training.vad.phases import RARE, set_first_values, untrained
+from adapters.extensions.training.vad.phases import RARE, build_untrained, set_first_values
 from adapters.networks.layers.bev_geometry import BEVGrid
-from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.layers.ego_motion import BEVMotion
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
 from adapters.networks.vad.planner import VADPlanner
@@ -58,7 +58,7 @@ def test_training_reads_what_the_planner_reads(tmp_path: Path) -> None:
     planner = VADPlanner(VAD(VADConfig.miniature()), name="vad-mini", normalisation=RGB_MEAN_STD, device="cpu")
     store = build_frames(root, "val", tmp_path / "frames")
     for observation in data.observations("scene-9901"):
-        seen, learned = planner._inputs(observation), inputs_of(store.frame(observation.index))
+        seen, learned = planner._inputs(observation), network_inputs(store.frame(observation.index))
         assert seen.images.shape == learned.images.shape == (6, 3, 128, 224)
         # Stored pixels are whole numbers.
         assert float((seen.images - learned.images).abs().max()) < 0.51 / min(RGB_MEAN_STD.std)
@@ -69,9 +69,9 @@ def test_training_reads_what_the_planner_reads(tmp_path: Path) -> None:
 def test_training_computes_what_the_planner_computes() -> None:
     network, previous = VAD(replace(SMALL, plan_sees_front=18, plan_knows_motion=True)).requires_grad_(False), None
     for frame in clip():
-        inputs = inputs_of(frame)
+        inputs = network_inputs(frame)
         with torch.no_grad():
-            expected, found = network.predict(inputs), predictions_of(network, inputs, previous, True)
+            expected, found = network.predict(inputs), predict(network, inputs, previous, True)
         for name in VADPredictions.__slots__:
             if name != "front":
                 assert torch.equal(getattr(expected, name), getattr(found, name)), name
@@ -87,7 +87,7 @@ def test_a_network_that_is_not_told_cannot_know_the_speed() -> None:
     quicker = replace(fast, can_bus=fast.can_bus + torch.tensor([0.0] * 7 + [3.0] * 9 + [0.0] * 2))
     with torch.no_grad():
         plans = [
-            predictions_of(network, inputs_of(frame), (a_frame(0).can_bus, past), known).plan_offsets
+            predict(network, network_inputs(frame), (a_frame(0).can_bus, past), known).plan_offsets
             for known in (False, True)
             for frame in (fast, quicker)
         ]
@@ -104,8 +104,8 @@ def test_a_turned_world_has_the_same_motion(turn: float, heading: float, dx: flo
         return vector
 
     before, after = can_bus(300, 900, heading), can_bus(300 + dx, 900 + dy, heading + math.radians(yaw_deg))
-    plain = EgoMotion.between(before, after, GRID, (12.0, 16.0))
-    turned = EgoMotion.between(turned_can_bus(before, turn), turned_can_bus(after, turn), GRID, (12.0, 16.0))
+    plain = BEVMotion.between(before, after, GRID, (12.0, 16.0))
+    turned = BEVMotion.between(rotate_can_bus(before, turn), rotate_can_bus(after, turn), GRID, (12.0, 16.0))
     assert torch.allclose(plain.shift, turned.shift, atol=1e-5)
     assert torch.allclose(plain.previous_cells, turned.previous_cells, atol=1e-4)
 
@@ -152,10 +152,10 @@ def test_constraints_are_metres_too_near() -> None:
 
 def test_perfect_predictions_have_no_loss_and_are_reported_as_annotated() -> None:
     frame, config = a_frame(aside=0.5), SMALL
-    raw = predictions_of(small_network(), inputs_of(frame), None, True)
+    raw = predict(small_network(), network_inputs(frame), None, True)
     codes, logits = raw.box_codes.detach().clone(), torch.full_like(raw.class_logits, -12.0)
     boxes = torch.cat([frame.boxes[:, :6], -frame.boxes[:, 6:7] - math.pi / 2, frame.boxes[:, 7:]], 1)
-    codes[:, [3, 7]] = normalised_boxes(boxes)
+    codes[:, [3, 7]] = normalise_boxes(boxes)
     logits[:, 3, 0], logits[:, 7, 8] = 12.0, 12.0
     low, high = torch.tensor(config.perception_range_m[:2]), torch.tensor(config.perception_range_m[3:5])
     points, map_logits = raw.map_points.detach().clone(), torch.full_like(raw.map_class_logits, -12.0)
@@ -191,13 +191,13 @@ def test_perfect_predictions_have_no_loss_and_are_reported_as_annotated() -> Non
 def test_untrained_queries_are_where_things_are() -> None:
     frames = [moved(a_frame(number), seed) for number, seed in enumerate(range(60))]
     config = VADConfig.miniature()
-    network = untrained(config, frames, 3)
+    network = build_untrained(config, frames, 3)
     assert all(
-        torch.equal(one, two) for one, two in zip(network.parameters(), untrained(config, frames, 3).parameters())
+        torch.equal(one, two) for one, two in zip(network.parameters(), build_untrained(config, frames, 3).parameters())
     )
     assert not torch.equal(
         network.pts_bbox_head.bev_embedding.weight,
-        untrained(config, frames, 4).pts_bbox_head.bev_embedding.weight,
+        build_untrained(config, frames, 4).pts_bbox_head.bev_embedding.weight,
     )
     head, channels = network.pts_bbox_head, network.config.channels
     low = torch.tensor(network.config.perception_range_m[:2])
@@ -206,7 +206,7 @@ def test_untrained_queries_are_where_things_are() -> None:
         shares = head.transformer.reference_points(head.query_embedding.weight[:, :channels]).sigmoid()
         points = (head.map_instance_embedding.weight[:, None] + head.map_pts_embedding.weight)[..., :channels]
         lines = head.transformer.map_reference_points(points).sigmoid()
-        found = network.predict(replace(inputs_of(a_frame()), can_bus=torch.zeros(18, dtype=torch.float64)))
+        found = network.predict(replace(network_inputs(a_frame()), can_bus=torch.zeros(18, dtype=torch.float64)))
     places = torch.cat([frame.boxes[:, :2] for frame in frames])
     assert torch.cdist(low + shares[:, :2] * size, places).amin(1).max() < 4.0
     middles = torch.cat([frame.lines.mean(1) for frame in frames])
@@ -246,7 +246,7 @@ def test_nothing_annotated_is_no_reason_to_fail() -> None:
 
 def test_disguises_are_as_often_as_they_say() -> None:
     torch.manual_seed(0)
-    drawn = [Disguise.drawn() for _ in range(400)]
+    drawn = [EgoMotionAugmentation.drawn() for _ in range(400)]
     assert sum(not each.speed_known for each in drawn) / 400 == pytest.approx(WITHOUT_SPEED, abs=0.08)
     assert sum(not each.past_known for each in drawn) / 400 == pytest.approx(WITHOUT_PAST, abs=0.08)
     assert all(0 <= each.turn_rad < 2 * math.pi for each in drawn)
@@ -273,6 +273,6 @@ def test_two_clips_are_learned_by_heart() -> None:
     for (frame,) in clips:
         network.reset()
         with torch.inference_mode():
-            outputs = network(inputs_of(frame))
+            outputs = network(network_inputs(frame))
         assert (outputs.plan - frame.ego_future).norm(dim=-1).max() < 0.3
         assert torch.cdist(outputs.boxes[:2, :2], frame.boxes[:, :2]).amin(0).max() < 1.0

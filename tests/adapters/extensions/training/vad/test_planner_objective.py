@@ -5,16 +5,16 @@ from dataclasses import replace
 import torch
 from torch import nn
 
-from adapters.extensions.training.frames import LookedAt, TrainingFrame
-from adapters.extensions.training.front import OWN_EYES
-from adapters.extensions.training.vad.objective import WEIGHTS, frame_losses, inputs_of
-from adapters.extensions.training.vad.phases import PERCEPTION, PlannerObjective
+from adapters.extensions.training.frames import CachedFrames, TrainingFrame
+from adapters.extensions.training.front import FRONT_BACKBONE_PREFIX
+from adapters.extensions.training.vad.objective import WEIGHTS, frame_losses, network_inputs
+from adapters.extensions.training.vad.phases import PERCEPTION, VADPlannerObjective
 from tests.adapters.extensions.training.one_scene import OneScene
 from tests.adapters.extensions.training.vad.road_frames import clip, empty
 from tests.adapters.networks.vad.small_vad import SMALL, small_network
 
 
-def looked_at(frames: list[TrainingFrame]) -> tuple[PlannerObjective, LookedAt]:
+def looked_at(frames: list[TrainingFrame]) -> tuple[VADPlannerObjective, CachedFrames]:
     config = replace(SMALL, plan_sees_front=18, plan_compares_front=True, front_eyes=True, plan_knows_motion=True)
     network = small_network(config=config)
     head = network.pts_bbox_head
@@ -22,9 +22,9 @@ def looked_at(frames: list[TrainingFrame]) -> tuple[PlannerObjective, LookedAt]:
     assert head.front_reader.tell_change is not None
     for layer in (head.motion_teller.tell, head.front_reader.tell_change):
         nn.init.normal_(layer.weight)
-    objective = PlannerObjective(network)
+    objective = VADPlannerObjective(network)
     store, _ = objective.look(OneScene(frames), range(len(frames)))
-    assert isinstance(store, LookedAt)
+    assert isinstance(store, CachedFrames)
     return objective, store
 
 
@@ -34,7 +34,7 @@ def test_losses_are_those_of_the_network_when_it_runs() -> None:
     objective.network.reset()
     for number, frame in enumerate(frames):
         with torch.no_grad():
-            expected = frame_losses(objective.network, objective.network.predict(inputs_of(frame)), frame)
+            expected = frame_losses(objective.network, objective.network.predict(network_inputs(frame)), frame)
             found = objective.losses(store.clip(number, 1))
         assert {"forecast", "mode", "plan", "lane"} <= set(found) < set(WEIGHTS)
         for name, loss in found.items():
@@ -46,7 +46,7 @@ def test_forecasts_and_the_plan_learn_and_nothing_else() -> None:
     torch.stack(list(objective.losses(store.clip(1, 1)).values())).sum().backward()  # type: ignore[no-untyped-call]
     learned = {name for name, weight in objective.network.named_parameters() if weight.grad is not None}
     able = {name for name, weight in objective.network.named_parameters() if weight.requires_grad}
-    assert learned == able and not any(name.startswith((*PERCEPTION, OWN_EYES)) for name in able)
+    assert learned == able and not any(name.startswith((*PERCEPTION, FRONT_BACKBONE_PREFIX)) for name in able)
     assert any("motion_teller" in name for name in learned)
     # What is read in the front camera stays, what it tells the plan learns.
     assert {name for name in learned if "front_reader" in name} == {

@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 import torch.nn.functional as F
 
-from adapters.extensions.training.vad.phases import grown
+from adapters.extensions.training.vad.phases import add_finer_map
 from adapters.networks.layers.deformable_attention import SamplingPattern, deformable_sampling
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
@@ -24,7 +24,7 @@ def one_map() -> VAD:
 
 def two_maps(old: VAD) -> VAD:
     network = VAD(VADConfig.miniature())
-    network.load_state_dict(grown(old.state_dict()))
+    network.load_state_dict(add_finer_map(old.state_dict()))
     return network
 
 
@@ -82,7 +82,7 @@ def test_cells_look_at_the_same_places_of_both_maps_and_at_each_with_half_the_we
 
 def test_what_has_two_maps_or_none_stays() -> None:
     new = two_maps(one_map()).state_dict()
-    again = grown(new)
+    again = add_finer_map(new)
     assert again.keys() == new.keys() and all(torch.equal(again[name], value) for name, value in new.items())
     eyes = {"img_backbone.conv1.weight": torch.ones(3)}
-    assert grown(eyes) == eyes
+    assert add_finer_map(eyes) == eyes

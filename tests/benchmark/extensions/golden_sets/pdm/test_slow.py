@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.extensions.golden_sets.pdm.golden_set import GoldenScene
+from benchmark.extensions.golden_sets.pdm.golden_set import PdmGoldenScene
 from benchmark.verification.golden import GoldenArrays
 from tests.benchmark.pdm.cases import slow_objects
 from tests.benchmark.pdm.slow_motion import slow_motion
@@ -16,7 +16,7 @@ OFFICIAL = Path(__file__).resolve().parents[6] / "shared" / "golden" / "pdm"
 
 @pytest.mark.skipif(not OFFICIAL.is_dir(), reason="the official answers are not here")
 def test_the_slow_version_says_what_the_official_code_says() -> None:
-    scene = GoldenScene(GoldenArrays.read(OFFICIAL / "scene-0553.npz"))
+    scene = PdmGoldenScene(GoldenArrays.read(OFFICIAL / "scene-0553.npz"))
     frames = scene.key_frames
     for sample in (0, 3):
         around = SlowSample(

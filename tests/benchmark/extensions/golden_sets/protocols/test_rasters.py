@@ -2,7 +2,7 @@
 
 from hypothesis import given, settings
 
-from benchmark.extensions.golden_sets.protocols.official import drawn
+from benchmark.extensions.golden_sets.protocols.official import draw_rasters
 from benchmark.protocols.stacked import stack
 from tests.benchmark.protocols import slow_protocols as slow
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
@@ -16,4 +16,4 @@ def test_rasters_are_those_of_whole_pictures(kind: Traits) -> None:
     for name, judge in (("uniad", slow.slow_uniad), ("vad", slow.slow_vad)):
         expected = judge(sample, plan_of(kind)).rasters
         assert expected is not None
-        assert (drawn(name, stack([sample]))[0][here] == expected[here]).all()
+        assert (draw_rasters(name, stack([sample]))[0][here] == expected[here]).all()

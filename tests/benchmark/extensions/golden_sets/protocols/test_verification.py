@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchmark import geometry
 from benchmark.extensions.golden_sets.protocols import BUILT_IN, GOLDEN
 from benchmark.geometry import Floats, box_corners
-from benchmark.protocols import PROTOCOLS, Outcomes, raster, sparsedrive, uniad, vad
+from benchmark.protocols import PROTOCOLS, ProtocolOutcomes, raster, sparsedrive, uniad, vad
 from benchmark.protocols.stacked import StackedTruths
 from benchmark.verification.checks import Check
 
@@ -57,14 +57,14 @@ def test_the_official_verdicts_agree() -> None:
     assert checks["uniad obj_box_col"].count >= 12_390
 
 
-def unmasked(self: Any, truths: Any, plans: Floats) -> Outcomes:
+def unmasked(self: Any, truths: Any, plans: Floats) -> ProtocolOutcomes:
     outcomes = next(KEPT[kind] for kind in type(self).__mro__ if kind in KEPT)(self, truths, plans)
-    return Outcomes(
+    return ProtocolOutcomes(
         outcomes.step("before_mask"), outcomes.l2, outcomes.valid, outcomes.counted, outcomes.steps, outcomes.facts
     )
 
 
-KEPT = {kind: kind.evaluate for kind in (uniad.UniAD, vad.VAD, sparsedrive.SparseDrive)}
+KEPT = {kind: kind.evaluate for kind in (uniad.UniADProtocol, vad.VADProtocol, sparsedrive.SparseDriveProtocol)}
 
 
 def without_points(self: Any, truths: StackedTruths) -> NDArray[np.bool_]:
@@ -87,10 +87,22 @@ def floor_polygons(boxes: Floats) -> NDArray[np.int32]:
         ("scene-crossing", raster, "EGO_BLOCK", raster.EGO_BLOCK[:-4], "uniad obj_box_col"),
         ("scene-standing", sparsedrive, "STANDING_M", 0.05, "sparsedrive before the mask"),
         ("scene-standing", geometry, "EGO_BOX_FROM_LIDAR_M", 0.0, "diffusiondrive obj_box_col"),
-        ("scene-crossing", sparsedrive.SparseDrive, "counted_objects", without_points, "sparsedrive before the mask"),
-        ("gtcol-ghost", uniad.UniAD, "evaluate", unmasked, "uniad obj_box_col"),
-        ("gtcol-ghost", vad.VAD, "evaluate", unmasked, "vad obj_box_col at 1, 2, 3 s"),
-        ("gtcol-ghost", sparsedrive.SparseDrive, "evaluate", unmasked, "sparsedrive rates, ghost scenes: collision"),
+        (
+            "scene-crossing",
+            sparsedrive.SparseDriveProtocol,
+            "counted_objects",
+            without_points,
+            "sparsedrive before the mask",
+        ),
+        ("gtcol-ghost", uniad.UniADProtocol, "evaluate", unmasked, "uniad obj_box_col"),
+        ("gtcol-ghost", vad.VADProtocol, "evaluate", unmasked, "vad obj_box_col at 1, 2, 3 s"),
+        (
+            "gtcol-ghost",
+            sparsedrive.SparseDriveProtocol,
+            "evaluate",
+            unmasked,
+            "sparsedrive rates, ghost scenes: collision",
+        ),
         ("scene-crossing", geometry, "EGO_BOX_FROM_LIDAR_M", 0.4, "exact contact every 0.1 s, all"),
         ("scene-crossing", geometry, "EGO_WIDTH_M", 1.9, "exact collision"),
     ],

@@ -62,7 +62,7 @@ def as_it_is(path: Floats) -> Floats:
 @pytest.mark.parametrize(
     ("where", "name", "value", "noticed"),
     [
-        (stp3.STP3, "counted_objects", everything, "stp3 raster cells"),
+        (stp3.STP3Protocol, "counted_objects", everything, "stp3 raster cells"),
         (stp3, "KEYFRAMES_BEFORE", 1, "stp3 samples that count"),
         (bev_planner, "MOVING_M", 0.0, "bev-planner before the mask"),
         (bev_planner, "VEHICLES", frozenset({"vehicle.truck"}), "bev-planner rasters"),
@@ -77,7 +77,7 @@ def test_a_changed_protocol_is_noticed(
     where: Any, name: str, value: Any, noticed: str, made: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name == "_latched":
-        kept = safemvdrive._latched
+        kept = safemvdrive._latch_outcomes
 
         def forgetful(columns: Any, *others: Any) -> Any:
             found = kept(columns, *others)
