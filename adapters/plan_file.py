@@ -389,7 +389,8 @@ def _numbers(path: Path, table: Any, keys: tuple[tuple[Hashable, ...], ...]) -> 
     far = np.flatnonzero(np.abs(waypoints).max(axis=(1, 2), initial=0.0) > FARTHEST_WAYPOINT_M)
     if len(far):
         raise InputError(
-            f"{path} has waypoints farther than {FARTHEST_WAYPOINT_M:.0f} m for {_format_keys([keys[row] for row in far])}; "
+            f"{path} has waypoints farther than {FARTHEST_WAYPOINT_M:.0f} m for "
+            f"{_format_keys([keys[row] for row in far])}; "
             "they are metres from the car, not global coordinates"
         )
     return waypoints

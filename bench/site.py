@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from bench.processes import descendants, processor_ticks
 from benchmark.machine.workers import single_threaded
 from benchmark.records.run import find_records
-from benchmark.records.scenes import find_scene_pages
+from benchmark.records.scene_pages import find_scene_pages
 from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from tests.leaderboard.site.big_workspace import DATA_NAME, make_workspace

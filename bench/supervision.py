@@ -110,7 +110,7 @@ class SceneTimer:
 
 def planners_process() -> int | None:
     """The planner's process: the child of this process' child."""
-    processes = [process for process in descendants(os.getpid()) if "guardian" in command_line(process)]
+    processes = [process for process in descendants(os.getpid()) if "reaper" in command_line(process)]
     return processes[-1] if len(processes) > 1 else None
 
 

@@ -15,7 +15,7 @@ from adapters.extensions.training.planners import (
 from adapters.extensions.training.planners import (
     train_planner as train_planner,
 )
-from adapters.known_planners import known_planners as known_planners
+from adapters.planner_listing import known_planners as known_planners
 from adapters.plan_file import plan_file_factory as plan_file_factory
 from adapters.result_files.planner import result_file_factory as result_file_factory
 from adapters.result_files.recognition import recognise as open_results
@@ -36,13 +36,13 @@ from benchmark.api.opening import (
 )
 from benchmark.api.planners import load_planner as load_planner
 from benchmark.api.planners import planner_under_test as planner_under_test
-from benchmark.api.showing import (
+from benchmark.api.presentation import (
     stale_leaderboard as stale_leaderboard,
 )
-from benchmark.api.showing import (
+from benchmark.api.presentation import (
     write_leaderboard as write_leaderboard,
 )
-from benchmark.api.showing import (
+from benchmark.api.presentation import (
     write_sheets as write_sheets,
 )
 from benchmark.api.verifying import verify as verify
@@ -50,8 +50,8 @@ from benchmark.cli.demo import demo as demo
 from benchmark.cli.demo import full_demo as full_demo
 from benchmark.cli.demo import stale_demo as stale_demo
 from benchmark.datasets.contents import contents as data_contents
-from benchmark.datasets.reviewed import record_verdicts as record_verdicts
-from benchmark.datasets.reviewed import scene_tokens as scene_tokens
+from benchmark.datasets.split_reviews import record_verdicts as record_verdicts
+from benchmark.datasets.split_reviews import scene_tokens as scene_tokens
 from benchmark.datasets.roots import DataSet as DataSet
 from benchmark.datasets.schema.check import check_tables as check_data
 from benchmark.datasets.statistics import statistics as data_statistics
@@ -88,7 +88,7 @@ from benchmark.extensions.reproduce.reproducing import (
     store_expected as store_expected,
 )
 from benchmark.extensions.submissions.checking import check_submission as check_submission
-from benchmark.fairness.splits import judge_split as judge_split
+from benchmark.fairness.split_assessment import judge_split as judge_split
 from benchmark.machine.environment import checks as doctor
 from benchmark.machine.workspace import Workspace as Workspace
 from benchmark.metrics.frames import samples_frame as samples_frame

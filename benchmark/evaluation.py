@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from benchmark.datasets.annotated import require_annotated
+from benchmark.datasets.annotated_objects import require_annotated
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError, did_you_mean

@@ -67,7 +67,7 @@ class SampleTruth:
         at_two_hz: Whether key frames of the scene come at 2 Hz, so that they can be taken for steps at all.
         cut_short: Whether the recording goes on to the last step and yet a gap between key frames makes steps unknown.
         labelled: Whether objects were looked for now and at all steps that were recorded
-            (`benchmark.datasets.annotated`); where not, nothing can be said of contacts.
+            (`benchmark.datasets.annotated_objects`); where not, nothing can be said of contacts.
     """
 
     scene: str

@@ -62,7 +62,8 @@ def _require_same_content(records: Sequence[RunRecord]) -> None:
         if first.judged_content[1] != record.judged_content[1]:
             raise InputError(
                 f"{first.directory} and {record.directory} ran under different verdicts of inspectors on "
-                f"{format_split(record.run.split, record.run.data.name)} ({_verdict_key(first)} and {_verdict_key(record)}); run "
+                f"{format_split(record.run.split, record.run.data.name)} ({_verdict_key(first)} and "
+                f"{_verdict_key(record)}); run "
                 "challenger-bench eval again for the older one, or move it away"
             )
         if first.run.data.fingerprint != record.run.data.fingerprint:
@@ -94,7 +95,8 @@ def _require_one_split(records: Sequence[RunRecord]) -> None:
         )
         if adversarial_scenes and record.run.split == "val":
             raise InputError(
-                f"{record.directory} calls scenes val that have a generated adversary ({adversarial_scenes[0]}); remove it and run "
+                f"{record.directory} calls scenes val that have a generated adversary ({adversarial_scenes[0]}); "
+                "remove it and run "
                 "challenger-bench eval --split adv"
             )
 

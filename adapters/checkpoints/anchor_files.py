@@ -52,7 +52,8 @@ def read_motion_anchors(path: Path) -> Tensor:
     if len(groups) != _SHAPE[0] or shapes != {_SHAPE[1:]}:
         summary = f"{len(groups)} of {', '.join(map(str, sorted(shapes, key=str))) or 'nothing'}"
         raise InputError(
-            f"the motion anchors in {path} are {summary}, and UniAD needs {_SHAPE[0]} arrays of {_SHAPE[1:]}; get {FILE} "
+            f"the motion anchors in {path} are {summary}, and UniAD needs {_SHAPE[0]} arrays of {_SHAPE[1:]}; "
+            f"get {FILE} "
             "(weights list)"
         )
     anchors = np.stack([np.asarray(group, np.float64) for group in groups])

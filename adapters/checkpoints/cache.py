@@ -165,7 +165,8 @@ class WeightsListing:
             lines = [f"{known.name}: {checkpoint.name}, {size}, {digest}", f"  {checkpoint.page}", f"  {known.licence}"]
             lines += [f"  needs {file.name}: {file.page}" for file in companions]
             lines += [
-                f"  imported from {provenance.source} ({provenance.source_sha256[:16]}), {provenance.normalisation}: {path}"
+                f"  imported from {provenance.source} ({provenance.source_sha256[:16]}), "
+                f"{provenance.normalisation}: {path}"
                 for path, provenance in self.imported.items()
                 if provenance is not None
             ]

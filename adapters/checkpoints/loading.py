@@ -10,7 +10,12 @@ from typing import Any
 
 from adapters.camera_inputs import find_normalisation
 from adapters.checkpoints.cache import load_weights, read_shapes, weights_folder
-from adapters.checkpoints.importing import ImportedWeights, fetch_checkpoint, import_checkpoint, resolve_checkpoint
+from adapters.checkpoints.checkpoint_import import (
+    ImportedWeights,
+    fetch_checkpoint,
+    import_checkpoint,
+    resolve_checkpoint,
+)
 from adapters.models import Model, resolve
 from adapters.planner import NativePlanner, select_options
 from benchmark.errors import InputError
@@ -45,7 +50,7 @@ def import_weights(
         path: An official ``.pth`` file, or a folder of published weights.
         model: What it must be for; found out if not given.
         normalisation: Name of the pixel normalisation that a checkpoint wants, if the file is wrong on it.
-        anchors: For checkpoints that come without (`adapters.checkpoints.importing.import_checkpoint`).
+        anchors: For checkpoints that come without (`adapters.checkpoints.checkpoint_import.import_checkpoint`).
 
     Returns:
         What is in the cache now.

@@ -76,7 +76,8 @@ class ResultFileFactory:
         """Sentences about the import, for the terminal."""
         plans_from = self.plans_from
         lines = [
-            f"{', '.join(plans_from.files)}: {plans_from.format}, {plans_from.plans} plans for {pluralise(plans_from.samples, 'sample')}; "
+            f"{', '.join(plans_from.files)}: {plans_from.format}, {plans_from.plans} plans for "
+            f"{pluralise(plans_from.samples, 'sample')}; "
             f"order {plans_from.order}: {plans_from.shown_by}"
         ]
         if plans_from.mirrored is not None:
@@ -86,7 +87,8 @@ class ResultFileFactory:
             lines.append(f"{pluralise(len(plans_from.skipped), 'sample')} skipped, the first {first[0]}: {first[1]}")
         if plans_from.repaired:
             lines.append(
-                f"{pluralise(plans_from.repaired, 'plan')} completed by the repository's own rule (docs/your-results.md)"
+                f"{pluralise(plans_from.repaired, 'plan')} completed by the repository's own rule "
+                "(docs/your-results.md)"
             )
         if plans_from.duplicates:
             lines.append(f"{pluralise(plans_from.duplicates, 'entry', 'entries')} repeated and left out")

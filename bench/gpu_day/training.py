@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import torch
 
-from adapters.extensions.training.mixture import cached_frames_of
+from adapters.extensions.training.dataset_mixture import cached_frames_of
 from adapters.extensions.training.trainer import fit
 from adapters.models import miniature, resolve
 from bench.gpu_day.pieces import Piece, Setting

@@ -36,7 +36,7 @@ from benchmark.api.sources import (
     estimate_town_bytes as estimate_town_bytes,
 )
 from benchmark.api.opening import notify_once as notify_once, notify as notify
-from benchmark.api.showing import (
+from benchmark.api.presentation import (
     stale_leaderboard as stale_leaderboard,
     write_leaderboard as write_leaderboard,
     write_sheets as write_sheets,

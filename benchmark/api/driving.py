@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from benchmark.closed_loop.adversary import AdversaryFactory
-    from benchmark.closed_loop.observing import Sensor
+    from benchmark.closed_loop.observation_builder import Sensor
     from benchmark.machine.workers import Executor
     from benchmark.runs.driving import DriveSettings
 
@@ -86,8 +86,8 @@ def drive_settings(
     """
     from benchmark.closed_loop.adversary import ADVERSARY
     from benchmark.closed_loop.engines import make_backend
-    from benchmark.closed_loop.world import ENGINE
-    from benchmark.interactions.driving import REFERENCE_DRIVER_KINDS
+    from benchmark.closed_loop.world_state import ENGINE
+    from benchmark.interactions.driver_simulation import REFERENCE_DRIVER_KINDS
     from benchmark.machine.extension import import_from_extension
     from benchmark.machine.workers import LocalProcesses
     from benchmark.runs.driving import DriveSettings
@@ -153,7 +153,7 @@ def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryFactory, int
 
 def require_sensor(sensor: str) -> None:
     """Raise `InputError` for a name of no sensor; no server is asked whether it answers."""
-    from benchmark.closed_loop.observing import NO_SENSOR
+    from benchmark.closed_loop.observation_builder import NO_SENSOR
     from benchmark.machine.address import Address, is_address
 
     known = (NO_SENSOR, "schematic")
@@ -168,7 +168,7 @@ def require_sensor(sensor: str) -> None:
 
 
 def _sensor(name: str, split: str, *, tensors: bool) -> "Sensor":
-    from benchmark.closed_loop.observing import NO_SENSOR, NoSensor
+    from benchmark.closed_loop.observation_builder import NO_SENSOR, NoSensor
     from benchmark.machine.address import Address, is_address
     from benchmark.machine.extension import import_from_extension
     from benchmark.machine.workspace import is_generated

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.api.opening import DEFAULT_IMAGE_SIZE, OUT, open_data, open_split, worker_count, workspace
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.places import format_gigabytes, require_place, require_room
+from benchmark.machine.path_checks import format_gigabytes, require_place, require_room
 from benchmark.report.words import pluralise
 
 if TYPE_CHECKING:
@@ -260,7 +260,8 @@ def _choose_scenes(
         where = "there is" if split is None else f"split {split!r} has"
         raise InputError(
             f"{where} no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
-            f"{did_you_mean(unknown[0], known)}it has {pluralise(len(known), 'scene')}, among them {', '.join(known[:3])}"
+            f"{did_you_mean(unknown[0], known)}it has {pluralise(len(known), 'scene')}, among them "
+            f"{', '.join(known[:3])}"
         )
     if not known:
         raise InputError(f"split {split!r} has no scene that could be used: inspectors rejected all, or it has none")

@@ -50,10 +50,10 @@ class AblateOptions:
 @command(AblateOptions)
 def ablate_command(options: AblateOptions) -> None:
     """Run the paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
     from benchmark.machine.several_devices import count_workers, require_one_device
     from benchmark.machine.storage import sanitise_file_name
-    from generation.search.departures import format_differences
+    from generation.search.differences_from_paper import format_differences
     from generation.search.presets import build_hyper_parameters, build_trajectory_model
 
     shortcuts = {"candidate_limit": options.vehicles, "candidates": options.candidates}

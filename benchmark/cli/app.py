@@ -16,20 +16,8 @@ from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
-from benchmark.cli import (
-    ablate,
-    data,
-    demo,
-    drive,
-    evaluate,
-    generate,
-    judging,
-    models,
-    packages,
-    show,
-    verify,
-    weights,
-)
+from benchmark.cli import ablate, data, demo, drive, evaluate, generate, models, packages, show, verify, weights
+from benchmark.cli import rescoring
 from benchmark.cli.help import FullSummaryGroup
 from benchmark.cli.settings import add_command
 from benchmark.constants import VERSION
@@ -171,8 +159,8 @@ add_command(app, "eval", evaluate.eval_command)
 add_command(app, "drive", drive.drive_command)
 add_command_of_extension("serve", _GROUPS)
 add_command(app, "models", models.models_command)
-add_command(app, "rescore", judging.rescore_command)
-add_command(app, "transfer", judging.transfer_command)
+add_command(app, "rescore", rescoring.rescore_command)
+add_command(app, "transfer", rescoring.transfer_command)
 add_command_of_extension("quality", _GROUPS)
 add_command(app, "sheets", show.sheets_command)
 add_command_of_extension("film", _GROUPS)

@@ -100,7 +100,7 @@ def list_splits_to_build(options: "GenerateOptions", data: "DataSource") -> tupl
 
 def require_trajectory_model(device: str, denoiser: Path | None) -> None:
     """Refuse a trajectory model that could not run."""
-    from benchmark.machine.places import require_file
+    from benchmark.machine.path_checks import require_file
 
     api.require_devices(device)
     require_file(denoiser, "--denoiser")
@@ -169,7 +169,7 @@ def build_shards(
     Args:
         again: Options that lead another command to the same place.
     """
-    from generation.pipeline.sharded import build_shard, draw_frozen_shard
+    from generation.pipeline.shards import build_shard, draw_frozen_shard
 
     finished_shards = []
     for split_to_build, split_settings in zip(wanted, settings, strict=True):

@@ -105,7 +105,7 @@ def data_stats_command(options: DataStatsOptions) -> None:
         return
     typer.echo(numbers.plain())
     if judged is not None:
-        from benchmark.fairness.tables import format_assessment
+        from benchmark.fairness.assessment_tables import format_assessment
 
         typer.echo("\n" + format_assessment(judged), nl=False)
 
@@ -115,7 +115,7 @@ def _assess_scenes(
 ) -> "SplitAssessment | None":
     """Judgements of the scenes of a root; nothing where there is none to judge."""
     from benchmark.datasets.roots import open_data
-    from benchmark.fairness.splits import find_adversarial_names, judge_split
+    from benchmark.fairness.split_assessment import find_adversarial_names, judge_split
     from benchmark.machine.workers import LocalProcesses
 
     data = open_data(root, version=options.tables)
@@ -144,7 +144,7 @@ class DataShowOptions:
 @command(DataShowOptions, app, "show")
 def data_show_command(options: DataShowOptions) -> None:
     """Draw each scene: from above over time, and the camera that sees the adversary best."""
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
 
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
     data.require(scenes)
@@ -209,7 +209,7 @@ class DataImportOptions:
 @command(DataImportOptions, app, "import")
 def data_import_command(options: DataImportOptions) -> None:
     """Bring recordings of another form into nuScenes format."""
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
     from generation.sources.importing import ImportSettings, import_scenarionet
 
     if options.form != "scenarionet":
@@ -248,7 +248,7 @@ class DataBuildOptions:
 @command(DataBuildOptions, app, "build")
 def data_build_command(options: DataBuildOptions) -> None:
     """Build the embedded town, with any number of scenes; the same command resumes."""
-    from benchmark.machine.places import require_folder, require_place
+    from benchmark.machine.path_checks import require_folder, require_place
     from benchmark.machine.workspace import EMBEDDED, cache_root
     from generation.sources.mini import TownSettings, build_town_data_set
 

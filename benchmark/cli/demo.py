@@ -50,7 +50,7 @@ def demo(
     from benchmark.datasets.roots import open_data as open_root
     from benchmark.machine.workers import LocalProcesses
     from benchmark.records.run import find_records
-    from benchmark.records.scenes import find_scene_pages
+    from benchmark.records.scene_pages import find_scene_pages
     from benchmark.scene_pages.writing import SheetSettings
     from generation.pipeline.settings import BuildSettings
     from generation.pipeline.split import build_split
@@ -208,7 +208,7 @@ class DemoOptions:
 @command(DemoOptions)
 def demo_command(options: DemoOptions) -> None:
     """Tell the whole story on the embedded data: generate, evaluate, transfer, tables, site."""
-    from benchmark.machine.places import require_place, require_room
+    from benchmark.machine.path_checks import require_place, require_room
 
     if options.check and not options.full:
         raise InputError("--check belongs to demo --full, whose results it looks at")

@@ -121,7 +121,7 @@ class DriveOptions:
     @staticmethod
     def from_record(members: "Mapping[str, Any]") -> "dict[str, Any] | None":
         """Settings of a record of drives."""
-        from benchmark.cli.recorded import read_drive_options
+        from benchmark.cli.record_settings import read_drive_options
 
         return read_drive_options(members)
 
@@ -129,7 +129,7 @@ class DriveOptions:
 @command(DriveOptions)
 def drive_command(options: DriveOptions) -> None:
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
     from benchmark.machine.several_devices import count_workers, require_one_device
     from benchmark.runs.units import Shard
 
@@ -277,7 +277,7 @@ def _is_blind(planner: "NamedPlanner") -> bool:
 
 def _settings_of(planner: "NamedPlanner", how: "DriveSettings") -> "DriveSettings":
     """How a planner is driven: those that look at nothing have no sensor, and company."""
-    from benchmark.closed_loop.observing import NoSensor
+    from benchmark.closed_loop.observation_builder import NoSensor
 
     return replace(how, sensor=NoSensor(), together=TOGETHER) if _is_blind(planner) else how
 

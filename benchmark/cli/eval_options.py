@@ -90,6 +90,6 @@ class EvalOptions:
     @staticmethod
     def from_record(members: "Mapping[str, Any]") -> "dict[str, Any] | None":
         """Settings of a run record."""
-        from benchmark.cli.recorded import read_eval_options
+        from benchmark.cli.record_settings import read_eval_options
 
         return read_eval_options(members)

@@ -44,7 +44,7 @@ def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
     from adapters.plan_file import read_plan_file
     from adapters.result_files.recognition import AUTO, recognise, require_format
     from adapters.result_files.writing.formats import require_writable
-    from benchmark.machine.places import require_file
+    from benchmark.machine.path_checks import require_file
     from benchmark.runs.planner_facts import require_known_native
 
     plans, paths, wanted, name = options.plans, options.results, options.results_format, options.name
@@ -115,7 +115,7 @@ def write_dumps(
 def eval_command(options: EvalOptions) -> None:
     """Run planners on splits, write run records, and print the tables."""
     from benchmark.evaluation import EvalSettings, evaluate_together
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
     from benchmark.protocols import PROTOCOLS, STANDARD
     from benchmark.records.attempts import is_adversarial
     from benchmark.records.reproduction import find_reproductions, with_reproductions
@@ -309,7 +309,7 @@ def _show_runs(
     from benchmark.metrics.attacks import attack_rates_to_json
     from benchmark.metrics.effect import effect_to_json
     from benchmark.metrics.slices import select_kinds
-    from benchmark.metrics.unchanged import find_unchanged_candidates, find_unchanged_record
+    from benchmark.metrics.unchanged_records import find_unchanged_candidates, find_unchanged_record
     from benchmark.runs.units import FAILURES_FILE, find_first_failure
     from leaderboard.tables.collision import run_tables
     from leaderboard.tables.slices import run_slices

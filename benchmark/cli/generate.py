@@ -130,7 +130,7 @@ class GenerateOptions:
     @staticmethod
     def from_record(members: "Mapping[str, Any]") -> "dict[str, Any] | None":
         """Settings of the search of a built split."""
-        from benchmark.cli.recorded import read_generate_options
+        from benchmark.cli.record_settings import read_generate_options
 
         return read_generate_options(members)
 
@@ -143,10 +143,10 @@ class GenerateOptions:
 @command(GenerateOptions)
 def generate_command(options: GenerateOptions) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
     from benchmark.machine.several_devices import count_workers, require_one_device
     from benchmark.runs.units import Shard
-    from generation.search.departures import format_differences
+    from generation.search.differences_from_paper import format_differences
     from generation.search.presets import build_hyper_parameters, build_trajectory_model
 
     _require_generated(options.split)
@@ -269,7 +269,7 @@ def _parse_manoeuvres(options: GenerateOptions) -> "tuple[Manoeuvre, ...]":
     """The kinds of manoeuvre that are asked for; `InputError` for one that cannot be."""
     if not options.manoeuvres:
         return ()
-    from generation.search.asked_manoeuvres import parse_manoeuvre
+    from generation.search.manoeuvre_requests import parse_manoeuvre
 
     if options.split != "adv" or options.from_file is not None:
         raise InputError("--manoeuvre steers the search for split adv, and nothing is searched here; leave it out")

@@ -17,7 +17,7 @@ class ModelsOptions:
 @command(ModelsOptions)
 def models_command(options: ModelsOptions) -> None:
     """List every planner with what it sees and needs: weights, GPU, extra packages, and how to get what is missing."""
-    from adapters.known_planners import known_planners, planners_text
+    from adapters.planner_listing import known_planners, planners_text
 
     planners = known_planners()
     planners_json = [planner.as_json() for planner in planners]

@@ -39,7 +39,7 @@ class DataPackOptions:
 @command(DataPackOptions)
 def data_pack_command(options: DataPackOptions) -> None:
     """Put a frozen split and what belongs to it into one file to publish; no recording is in it."""
-    from benchmark.machine.places import require_file, require_output_file
+    from benchmark.machine.path_checks import require_file, require_output_file
 
     processes = api.worker_count(options.workers)
     require_output_file(options.to, "--to", (".zip",))
@@ -71,7 +71,8 @@ def data_pack_command(options: DataPackOptions) -> None:
     companion_files = [str(kind) for kind in kinds if kind in ("verdicts", "statistics", "rules")]
     companion_files += [f"settings of {pluralise(kinds.count('drive'), 'drive record')}"] if "drive" in kinds else []
     typer.echo(
-        f"{options.to}: {names}{'; ' + ', '.join(companion_files) if companion_files else ''}\n  SHA-256 {packed.sha256}"
+        f"{options.to}: {names}{'; ' + ', '.join(companion_files) if companion_files else ''}\n  SHA-256 "
+        f"{packed.sha256}"
     )
 
 
@@ -98,7 +99,7 @@ class DataUnpackOptions:
 @command(DataUnpackOptions)
 def data_unpack_command(options: DataUnpackOptions) -> None:
     """Check a package, write its files, and build its split from the recordings with --data."""
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
 
     processes = api.worker_count(options.workers)
     require_place(options.to, "--to")

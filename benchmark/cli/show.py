@@ -54,7 +54,7 @@ class SheetsOptions:
 @command(SheetsOptions)
 def sheets_command(options: SheetsOptions) -> None:
     """Write scene sheets: what films, pictures and the site show of a split; the same command goes on."""
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
     from benchmark.scene_pages.writing import SheetSettings, describe_plan
 
     settings = SheetSettings(
@@ -121,7 +121,7 @@ class LeaderboardOptions:
 @command(LeaderboardOptions)
 def leaderboard_command(options: LeaderboardOptions) -> None:
     """Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records, scene sheets and studies."""
-    from benchmark.machine.places import require_folder, require_place
+    from benchmark.machine.path_checks import require_folder, require_place
 
     if options.publish_check is not None:
         if options.check:
@@ -210,7 +210,8 @@ def slices_command(options: SlicesOptions) -> None:
     ]
     if not chosen:
         raise InputError(
-            f"there are no such run records below {', '.join(map(str, folders))}; {describe_recorded(list_recorded(folders))}; name "
+            f"there are no such run records below {', '.join(map(str, folders))}; "
+            f"{describe_recorded(list_recorded(folders))}; name "
             "one of these or run challenger-bench eval first"
         )
     kinds = select_kinds(options.by or KINDS)

@@ -42,7 +42,7 @@ class VerifyOptions:
 @command(VerifyOptions)
 def verify_command(options: VerifyOptions) -> None:
     """Compare numerics with golden numbers; exit code 1 if any differ by more than they may."""
-    from benchmark.machine.places import require_folder
+    from benchmark.machine.path_checks import require_folder
     from benchmark.verification.checks import format_report
 
     require_folder(options.golden, "--golden")

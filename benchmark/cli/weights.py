@@ -54,7 +54,7 @@ class WeightsImportOptions:
 @command(WeightsImportOptions, app, "import")
 def weights_import_command(options: WeightsImportOptions) -> None:
     """Check an official checkpoint without running anything in it, and keep its weights."""
-    from benchmark.machine.places import require_file
+    from benchmark.machine.path_checks import require_file
 
     if not options.path.exists():
         raise InputError(f"there is no file or folder {options.path}; name one that is there")
@@ -104,7 +104,7 @@ class WeightsAnchorsOptions:
 def weights_anchors_command(options: WeightsAnchorsOptions) -> None:
     """Compute anchors from a data set by k-means, for weights that come without them."""
     from adapters.models import published_models
-    from benchmark.machine.places import require_output_file
+    from benchmark.machine.path_checks import require_output_file
 
     known = [name for name, model in published_models().items() if model.net.clustered]
     if options.model not in known:

@@ -12,8 +12,8 @@ from typing import Any, Final, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.closed_loop.contract import AgentMotion, AgentPolicy, TrafficSnapshot
-from benchmark.closed_loop.following import INSTANT_US, INSTANTS
+from benchmark.closed_loop.agent_policy import AgentMotion, AgentPolicy, TrafficSnapshot
+from benchmark.closed_loop.plan_tracking import INSTANT_US, INSTANTS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.scene import Scene
@@ -35,7 +35,7 @@ class Replanning:
     Attributes:
         score: Of the chosen candidate, lower is better; ``None`` where none was.
         braked: Whether no candidate was allowed and it braked on its own path.
-        considered: A `benchmark.records.considered.SearchTraceFrame` as JSON, where it was asked for.
+        considered: A `benchmark.records.search_trace.SearchTraceFrame` as JSON, where it was asked for.
     """
 
     frame: int

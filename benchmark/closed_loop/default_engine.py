@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.closed_loop.adversary import ADVERSARY, AdversarialPolicy, AdversaryFactory, AdversaryTrack
-from benchmark.closed_loop.contract import AgentPolicy
-from benchmark.closed_loop.courses import build_log_replay, build_simulation_config, read_recorded_ego
-from benchmark.closed_loop.following import INSTANTS, SUBSTEP_US, Ego
-from benchmark.closed_loop.idm import IdmPolicy
-from benchmark.closed_loop.riding import (
+from benchmark.closed_loop.agent_policy import AgentPolicy
+from benchmark.closed_loop.idm_policy import IdmPolicy
+from benchmark.closed_loop.plan_tracking import INSTANTS, SUBSTEP_US, Ego
+from benchmark.closed_loop.scoring import EpisodeFaultAttribution
+from benchmark.closed_loop.simulation_config import build_log_replay, build_simulation_config, read_recorded_ego
+from benchmark.closed_loop.simulation_state import (
     CollisionEvent,
     EpisodeMotion,
     RecordedCan,
@@ -24,14 +25,13 @@ from benchmark.closed_loop.riding import (
     SimulatorBackend,
     require_enough_keyframes,
 )
-from benchmark.closed_loop.scoring import EpisodeFaultAttribution
 from benchmark.closed_loop.stepping import InfeasiblePlanError as UndrivableWaypointsError
 from benchmark.closed_loop.stepping import begin_simulation, is_running, require_drivable, step_together
-from benchmark.closed_loop.world import SimulationConfig, StepTrace, WorldState
+from benchmark.closed_loop.world_state import SimulationConfig, StepTrace, WorldState
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.machine.last_made import IdentityCache
-from benchmark.pdm.motion import plan_to_poses
+from benchmark.machine.identity_cache import IdentityCache
+from benchmark.pdm.plan_motion import plan_to_poses
 from benchmark.planning import Plan
 from benchmark.records.drive_schema import NeuroncapScore, StopCondition
 from benchmark.scene import Scene
@@ -160,7 +160,7 @@ class DefaultBackend:
 
 @dataclass(frozen=True, slots=True)
 class DefaultSimulationState:
-    """Ride of the default engine: see `benchmark.closed_loop.riding.SimulationState`.
+    """Ride of the default engine: see `benchmark.closed_loop.simulation_state.SimulationState`.
 
     ``world`` is that where driving starts, then now; ``motion`` is everything so far.
     """

@@ -4,8 +4,8 @@ from typing import Final, get_args
 
 from benchmark.closed_loop.adversary import ADVERSARY, AdversaryFactory, ScriptedTracks
 from benchmark.closed_loop.default_engine import AGENTS, DefaultBackend
-from benchmark.closed_loop.riding import SimulatorBackend
-from benchmark.closed_loop.world import ENGINE
+from benchmark.closed_loop.simulation_state import SimulatorBackend
+from benchmark.closed_loop.world_state import ENGINE
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.extension import OFFERS, import_from_extension
 from benchmark.records.drive_schema import RECORDED, SCENARIOS, ClosedLoopDefinition, StopCondition
@@ -45,7 +45,8 @@ def make_backend(
         raise InputError(f"there are no scenarios {scenarios!r}; there are {', '.join(SCENARIOS)}")
     if until not in STOP_CONDITIONS:
         raise InputError(
-            f"no drive ends at {until!r}; {did_you_mean(until, STOP_CONDITIONS)}there are {' and '.join(STOP_CONDITIONS)}"
+            f"no drive ends at {until!r}; {did_you_mean(until, STOP_CONDITIONS)}there are "
+            f"{' and '.join(STOP_CONDITIONS)}"
         )
     if engine == ENGINE:
         if scenarios != RECORDED:

@@ -5,8 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.closed_loop.driving import Episode
-from benchmark.closed_loop.riding import ACCELERATION, SPEED, STEERING, SUBSTEP_S, YAW, YAW_RATE, EpisodeMotion
+from benchmark.closed_loop.episodes import Episode
+from benchmark.closed_loop.simulation_state import (
+    ACCELERATION,
+    SPEED,
+    STEERING,
+    SUBSTEP_S,
+    YAW,
+    YAW_RATE,
+    EpisodeMotion,
+)
 from benchmark.geometry import Bools, Floats
 from benchmark.pdm import definition as pdm
 from benchmark.scene import Scene

@@ -8,7 +8,7 @@ from typing import Final, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from benchmark.closed_loop.riding import TICK_US, YAW, EpisodeMotion, X, Y
+from benchmark.closed_loop.simulation_state import TICK_US, YAW, EpisodeMotion, X, Y
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.sample_truth import compute_command
 from benchmark.geometry import Floats, quaternion_from_yaw, to_local

@@ -17,11 +17,11 @@ from typing import Final
 import numpy as np
 import shapely
 
-from benchmark.closed_loop.driving import Episode
-from benchmark.closed_loop.following import Ego
+from benchmark.closed_loop.episodes import Episode
 from benchmark.closed_loop.nuplan import DrivenPart
-from benchmark.closed_loop.riding import CollisionEvent
+from benchmark.closed_loop.plan_tracking import Ego
 from benchmark.closed_loop.route import Route, build_driven_scene, hold_last_frame
+from benchmark.closed_loop.simulation_state import CollisionEvent
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.interactions.contacts import (
@@ -36,12 +36,13 @@ from benchmark.interactions.contacts import (
     is_at_fault,
     mass_kg,
 )
-from benchmark.machine.last_made import IdentityCache
+from benchmark.machine.identity_cache import IdentityCache
 from benchmark.pdm import definition as pdm
-from benchmark.pdm.contacts import STANDING_M_S
+from benchmark.pdm.collision_scores import STANDING_M_S
 from benchmark.pdm.definition import SPEED, STATE_COLUMNS
-from benchmark.pdm.judging import score_scene_plans
-from benchmark.pdm.layers import (
+from benchmark.pdm.plan_motion import check_comfort, compute_comfort_series, compute_extremes
+from benchmark.pdm.plan_scoring import score_scene_plans
+from benchmark.pdm.road_polygons import (
     RoadPolygons,
     RoadPositions,
     build_road_polygons,
@@ -49,7 +50,6 @@ from benchmark.pdm.layers import (
     compute_footprints,
     locate_on_road,
 )
-from benchmark.pdm.motion import check_comfort, compute_comfort_series, compute_extremes
 from benchmark.pdm.scoring import measure_along_route, score_direction_compliance
 from benchmark.planning import Plan
 from benchmark.records.drive_schema import HdScore, NuplanTerms, ScoredContact

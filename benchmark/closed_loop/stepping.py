@@ -17,8 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.contract import ActivePlan, TrafficSnapshot, make_coasting_plan
-from benchmark.closed_loop.following import (
+from benchmark.closed_loop.agent_policy import ActivePlan, TrafficSnapshot, make_coasting_plan
+from benchmark.closed_loop.plan_tracking import (
     INSTANT_US,
     INSTANTS,
     SUBSTEP_US,
@@ -26,8 +26,8 @@ from benchmark.closed_loop.following import (
     Ego,
     follow_waypoints,
 )
-from benchmark.closed_loop.riding import CollisionEvent
-from benchmark.closed_loop.world import STEP_US, SimulationConfig, StepTrace, WorldState, compute_ego_boxes
+from benchmark.closed_loop.simulation_state import CollisionEvent
+from benchmark.closed_loop.world_state import STEP_US, SimulationConfig, StepTrace, WorldState, compute_ego_boxes
 from benchmark.constants import EGO_LENGTH_M, FARTHEST_WAYPOINT_M, LONGEST_PLAN_STEPS, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.machine.storage import content_seed

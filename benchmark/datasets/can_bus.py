@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ
-from benchmark.datasets.schema.beside import CAN_BUS, require_records
+from benchmark.datasets.schema.sidecar_files import CAN_BUS, require_records
 from benchmark.datasets.schema.tables import ValueKind
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.cached_tables import read_tables_cached
 from benchmark.datasets.categories import CategoryNames, select_category_names
 from benchmark.datasets.devkit_import import FURTHER_TABLES, build_devkit
-from benchmark.datasets.kept_tables import read_tables_cached
 from benchmark.datasets.scene_tables import (
     GROWING_TABLES,
     SceneTables,
@@ -24,7 +24,7 @@ from benchmark.datasets.scene_tables import (
     rename_categories,
 )
 from benchmark.datasets.schema import FaultList, StrictFaultList, check_table
-from benchmark.datasets.schema.opened import check_scene, check_shared_and_samples
+from benchmark.datasets.schema.opening_checks import check_scene, check_shared_and_samples
 from benchmark.datasets.schema.table_checks import CheckedTables
 from benchmark.datasets.tables import Row, Tables
 from benchmark.errors import InputError

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.kept_tables import find_cache_folder, find_digest_file
+from benchmark.datasets.cached_tables import find_cache_folder, find_digest_file
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, lock_folder, read_cached_json, write_json
 from benchmark.machine.user_cache import Stamp, is_settled, make_stamp

@@ -11,8 +11,8 @@ from shapely.geometry import LineString, MultiPolygon, Polygon
 
 from benchmark.constants import MAP_LAYERS
 from benchmark.datasets.devkit_import import import_devkit_module
-from benchmark.datasets.schema.beside import ARC_LINE, MAP_LINKS, MAP_NODE, MAP_RECORD, require_records
 from benchmark.datasets.schema.rows import format_value
+from benchmark.datasets.schema.sidecar_files import ARC_LINE, MAP_LINKS, MAP_NODE, MAP_RECORD, require_records
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
 from benchmark.geometry import Floats

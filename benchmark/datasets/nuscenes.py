@@ -9,29 +9,29 @@ from typing import Any, Final, Self
 from shapely.geometry import MultiPolygon
 
 from benchmark.constants import LIDAR_NAME
-from benchmark.datasets.annotated import AnnotationCount, read_objects
+from benchmark.datasets.annotated_objects import AnnotationCount, read_objects
 from benchmark.datasets.can_bus import CanBus
 from benchmark.datasets.categories import KNOWN, CategoryNames
 from benchmark.datasets.devkit import OpenTables, open_tables
 from benchmark.datasets.fingerprint import compute_fingerprint
-from benchmark.datasets.judged import read_assessments
 from benchmark.datasets.map_layers import find_expansion_file, read_road_map
 from benchmark.datasets.observations import read_observations
-from benchmark.datasets.reviewed import read_root_review
 from benchmark.datasets.sample_truth import compute_truth
+from benchmark.datasets.scene_assessments import read_assessments
 from benchmark.datasets.scene_facts import build_scene_facts
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.sensors import read_cameras, read_lidar, read_sweep_poses, read_videos
 from benchmark.datasets.split_names import list_split_names, read_splits, select_scenes
+from benchmark.datasets.split_reviews import read_root_review
 from benchmark.datasets.steps import list_samples, read_timeline
 from benchmark.datasets.tables import Row, find_version
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, read_json
 from benchmark.planning import CameraView, Observation
-from benchmark.records.judgement import SceneAssessment
 from benchmark.records.review import SplitReview, read_review
 from benchmark.records.run_schema import SceneFacts
+from benchmark.records.scene_assessment import SceneAssessment
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth

@@ -10,11 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, Self
 
-from benchmark.datasets.annotated import AnnotationCount
+from benchmark.datasets.annotated_objects import AnnotationCount
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.datasets.reviewed import join_reviews, scene_tokens
 from benchmark.datasets.schema import FaultList
+from benchmark.datasets.split_reviews import join_reviews, scene_tokens
 from benchmark.datasets.tables import find_variant_folders
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key

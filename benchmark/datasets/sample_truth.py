@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from shapely.geometry.polygon import orient
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
-from benchmark.datasets.annotated import find_labelled_keyframes, find_nearest_valid
+from benchmark.datasets.annotated_objects import find_labelled_keyframes, find_nearest_valid
 from benchmark.datasets.steps import KeyFrameSteps, TimedSteps, find_irregular_interval_us, interpolate_values
 from benchmark.geometry import Bools, Floats, poses_between, to_global, to_local, wrap_angle, yaw_of_quaternion
 from benchmark.planning import Command

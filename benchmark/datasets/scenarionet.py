@@ -21,9 +21,9 @@ from benchmark.constants import (
 )
 from benchmark.datasets.scenario_map import ExchangedScene, to_name, to_real_numbers
 from benchmark.datasets.scenarionet_map import build_road_map
+from benchmark.datasets.scenarionet_roundtrip import RoundtripFile, find_own_block, read_adversaries, restore_scene
 from benchmark.datasets.scenarionet_tracks import SourceTrack, read_track, resample_tracks
-from benchmark.datasets.scene_of_own import RoundtripFile, find_own_block, read_adversaries, restore_scene
-from benchmark.datasets.scene_words import describe_place_and_light, describe_traffic_and_road, join_words
+from benchmark.datasets.scene_descriptions import describe_place_and_light, describe_traffic_and_road, join_words
 from benchmark.datasets.sensors import make_standard_lidar
 from benchmark.datasets.tables import parse_scene_number
 from benchmark.errors import InputError
@@ -86,7 +86,7 @@ def read_scenarionet(path: Path) -> Scene:
     """Read one ScenarioNet file.
 
     A file that `benchmark.extensions.exchange` wrote is the scene that it was made of, but for what was edited since
-    (`benchmark.datasets.scene_of_own`). Of any other file:
+    (`benchmark.datasets.scenarionet_roundtrip`). Of any other file:
 
     Steps (usually 10 Hz) are resampled to 12 Hz; each sixth frame is a keyframe, and the scene ends with the last
     keyframe. The name is the scenario's if that is like ``scene-0061``, else ``scene-2000`` to ``scene-9999`` by hash
@@ -100,9 +100,9 @@ def read_scenarionet(path: Path) -> Scene:
 
     Returns:
         The scene, without cameras, with a map cropped to 200 m around the ego's path, and described in words
-        (`benchmark.datasets.scene_words`).
+        (`benchmark.datasets.scene_descriptions`).
         The scene, without cameras, with a map cropped to 200 m around the ego's path, and described in words
-        (`benchmark.datasets.scene_words`).
+        (`benchmark.datasets.scene_descriptions`).
     """
     return read_exchanged_scene(path).scene
 
@@ -183,7 +183,8 @@ def _read_recording(path: Path) -> _ScenarioNetFile:
     is_complete = isinstance(length, int | np.integer) and len(seconds) == length >= 2
     if not is_complete or not np.isfinite(seconds).all() or not (steps > 0).all():
         raise InputError(
-            f"{path}: metadata 'ts' must be {to_one_line(length, 40)} increasing finite times, one a step; fetch the file "
+            f"{path}: metadata 'ts' must be {to_one_line(length, 40)} increasing finite times, one a step; fetch "
+            "the file "
             "again"
         )
     if not 0.01 <= float(np.median(steps)) <= 1.0:

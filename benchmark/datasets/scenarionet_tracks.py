@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import CATEGORIES
-from benchmark.datasets.annotated import find_nearest_valid
+from benchmark.datasets.annotated_objects import find_nearest_valid
 from benchmark.datasets.scenario_map import FARTHEST_M, to_real_numbers
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, poses_between, quaternion_from_yaw

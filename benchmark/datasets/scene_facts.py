@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from benchmark.records.attempts import list_stored_labels
-from benchmark.records.judgement import AssessmentSummary, SceneAssessment
 from benchmark.records.run_schema import SceneFacts, TruthFacts
+from benchmark.records.scene_assessment import AssessmentSummary, SceneAssessment
 from benchmark.scene import Conditions
 
 _PUBLISHED: Final = re.compile(r"(scene-\d{4})-.+")

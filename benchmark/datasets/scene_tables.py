@@ -20,7 +20,7 @@ from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.schema import LINKS, FaultList, StrictFaultList, check_rows, check_table
 from benchmark.datasets.schema.links import check_link, note_dead_link
-from benchmark.datasets.schema.opened import check_scene, check_shared_and_samples
+from benchmark.datasets.schema.opening_checks import check_scene, check_shared_and_samples
 from benchmark.datasets.schema.table_checks import CheckedTables
 from benchmark.datasets.stored_rows import TableRowIndex, TableScan
 from benchmark.datasets.tables import Row, Tables

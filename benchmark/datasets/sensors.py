@@ -20,7 +20,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats, quaternion_from_yaw, rotation_matrix, transform_matrix
 from benchmark.planning import CameraView
 from benchmark.scene import Camera, LidarMount, SweepPoses
-from benchmark.untrusted.wire_images import read_picture
+from benchmark.untrusted.http_images import read_picture
 
 
 def read_sweep_poses(

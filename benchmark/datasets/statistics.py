@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.reviewed import join_reviews, read_root_review, scene_tokens
 from benchmark.datasets.split_names import read_splits, select_scenes
+from benchmark.datasets.split_reviews import join_reviews, read_root_review, scene_tokens
 from benchmark.datasets.stored_rows import count_rows
 from benchmark.datasets.tables import find_variant_folders, find_version
 from benchmark.errors import InputError

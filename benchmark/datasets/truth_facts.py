@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.datasets.annotated import find_labelled_keyframes
+from benchmark.datasets.annotated_objects import find_labelled_keyframes
 from benchmark.datasets.categories import KNOWN
 from benchmark.datasets.steps import find_irregular_interval_us
 from benchmark.geometry import Bools, Floats, wrap_angle, yaw_of_quaternion

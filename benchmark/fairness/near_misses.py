@@ -1,4 +1,4 @@
-"""How near many pairs of short tracks come to a contact: `benchmark.fairness.encounter` for all plans of a scene.
+"""How near many pairs of short tracks come to a contact: `benchmark.fairness.severity_series` for all plans of a scene.
 
 The definitions are those of one encounter; `severity_of` is what the tests hold this to.
 
@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.fairness.encounter import CRITICAL_S, LARGEST_BTN, LONGEST_PET_STEPS
+from benchmark.fairness.severity_series import CRITICAL_S, LARGEST_BTN, LONGEST_PET_STEPS
 from benchmark.geometry import Bools, Floats, box_corners, box_gap, boxes_overlap
 from benchmark.interactions.contacts import compute_time_to_contact
 from benchmark.interactions.ego_path import AFTER_M, BEFORE_M, TANGENT_REACH_M, VERTEX_SPACING_M
@@ -104,7 +104,7 @@ class PlanPaths:
 
 
 def compute_braking_threats(ego: Floats, speed: Floats, other: Floats, present: Bools, velocity: Floats) -> Floats:
-    """(P, K) braking threat numbers from 0 to 10, as `benchmark.fairness.encounter` has them for one pair.
+    """(P, K) braking threat numbers from 0 to 10, as `benchmark.fairness.severity_series` has them for one pair.
 
     0 where the other is behind, not in the way or not there. Boxes are (P, K, 5), speeds of the ego (P, K),
     velocities of the other (P, K, 2), m/s.

@@ -11,7 +11,7 @@ import shapely
 from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
 from benchmark.geometry import Bools, Floats, box_corners, box_gap, boxes_overlap, wrap_angle
 from benchmark.interactions.tracks import ContinuousTracks, Integers
-from benchmark.records.judgement import TRACK_DEFECT_NAMES, StoredTrackDefects
+from benchmark.records.scene_assessment import TRACK_DEFECT_NAMES, StoredTrackDefects
 from benchmark.road_map import RoadMap
 
 OFF_ROAD_M: Final = 0.3

@@ -10,9 +10,9 @@ from typing import Self
 
 import shapely
 
-from benchmark.interactions.driving import DrivingSituation, find_first_visible_time, simulate_drivers
-from benchmark.interactions.last_chance import REACTION_S, BaselineEgo, LastAvoidableTime
-from benchmark.interactions.outcomes import CollisionChecker, DriverOutcome
+from benchmark.interactions.avoidability import REACTION_S, BaselineEgo, LastAvoidableTime
+from benchmark.interactions.driver_outcomes import CollisionChecker, DriverOutcome
+from benchmark.interactions.driver_simulation import DrivingSituation, find_first_visible_time, simulate_drivers
 from benchmark.interactions.reaction import Driver
 from benchmark.interactions.tracks import ContinuousTracks
 

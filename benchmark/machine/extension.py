@@ -29,11 +29,11 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     # From the engine's name and its scenarios to a `closed_loop.riding.RideMaker`.
     "engine": {
-        "neuroncap@code": "benchmark.extensions.neuroncap.riding:build_neuroncap_backend",
-        "neuroncap@paper": "benchmark.extensions.neuroncap.riding:build_neuroncap_backend",
+        "neuroncap@code": "benchmark.extensions.neuroncap.simulation_state:build_neuroncap_backend",
+        "neuroncap@paper": "benchmark.extensions.neuroncap.simulation_state:build_neuroncap_backend",
     },
     # From settings to a `closed_loop.adversary.AdversaryMaker`.
-    "agents": {"adversary": "generation.extensions.reactive_adversary.making:build_reactive_adversary_maker"},
+    "agents": {"adversary": "generation.extensions.reactive_adversary.adversary_maker:build_reactive_adversary_maker"},
     # From an address to a planner, and to a `closed_loop.sensors.Sensor`; by scheme.
     "planner": {"http": "benchmark.extensions.http.model:http_planner"},
     "sensor": {"http": "benchmark.extensions.http.sensor:HttpSensor"},
@@ -68,7 +68,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "model": "adapters.extensions.golden_sets.models:verify_model",
     },
     "golden set of a renderer": {
-        "magicdrive": "generation.extensions.magicdrive.verification.comparing:verify_magicdrive"
+        "magicdrive": "generation.extensions.magicdrive.verification.comparison:verify_magicdrive"
     },
 }
 """By kind and name: ``package.extensions.name.module:attribute``."""

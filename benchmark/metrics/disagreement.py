@@ -33,7 +33,7 @@ from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols import PROTOCOLS, CollisionProtocol, ProtocolOutcomes
 from benchmark.protocols.sparsedrive import find_waypoint_contacts
-from benchmark.protocols.stacked import StackedTruths, stack
+from benchmark.protocols.stacked_truths import StackedTruths, stack
 from benchmark.records.run import RunRecord, collect_outcomes
 from benchmark.truth import SampleTruth
 

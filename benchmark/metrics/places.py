@@ -18,7 +18,7 @@ from shapely.geometry import LineString, Point, Polygon
 
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.pdm.definition import SIDE_SPEED, SPEED
-from benchmark.pdm.recording import estimate_motion
+from benchmark.pdm.recorded_scene import estimate_motion
 from benchmark.road_map import Lane, RoadMap
 from benchmark.scene import Scene
 

@@ -127,7 +127,8 @@ def compare_planners(
         second.protocol,
     ):
         raise InputError(
-            f"{describe_record(first.record)} and {describe_record(second.record)} are not of the same data, split and protocol; "
+            f"{describe_record(first.record)} and {describe_record(second.record)} are not of the same data, "
+            "split and protocol; "
             "planners are compared on the same samples only"
         )
     mine, theirs = _find_common_rows(first, second)

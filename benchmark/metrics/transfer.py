@@ -298,7 +298,8 @@ def find_adversary_failures(record: RunRecord) -> dict[str, bool | None]:
     """
     if not knows_contact_partners(record):
         raise InputError(
-            f"{describe_record(record)} does not say whom contacts are with, or who is an adversary; run challenger-bench rescore"
+            f"{describe_record(record)} does not say whom contacts are with, or who is an adversary; run "
+            "challenger-bench rescore"
         )
     failures = find_touched_scenes(record)
     return {scene: failures.get(scene) for scene in record.run.scenes}

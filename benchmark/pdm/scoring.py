@@ -14,9 +14,14 @@ import shapely
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
-from benchmark.pdm.contacts import NoCollisionScores, TimeToCollisionScores, score_no_collision, score_time_to_collision
-from benchmark.pdm.layers import RoadPolygons, RoadPositions, compute_footprints, locate_on_road
-from benchmark.pdm.motion import check_comfort, compute_comfort_series, compute_extremes
+from benchmark.pdm.collision_scores import (
+    NoCollisionScores,
+    TimeToCollisionScores,
+    score_no_collision,
+    score_time_to_collision,
+)
+from benchmark.pdm.plan_motion import check_comfort, compute_comfort_series, compute_extremes
+from benchmark.pdm.road_polygons import RoadPolygons, RoadPositions, compute_footprints, locate_on_road
 from benchmark.pdm.totals import SubScores
 from benchmark.pdm.traffic import SampleTraffic, find_touching_at_start, remove_objects
 
@@ -123,7 +128,7 @@ class ScoringContext:
 
     Attributes:
         now: (S, 11) states of the car.
-        history: (S, 14, 11) states before (`benchmark.pdm.motion.build_history_rows`).
+        history: (S, 14, 11) states before (`benchmark.pdm.plan_motion.build_history_rows`).
         has_history: (S,) False where the recording had not begun; HC is 1 there, as officially.
         traffic: Objects, without those that touch the car now.
         route: (M, 2) polyline.

@@ -48,7 +48,7 @@ from benchmark.protocols.fine_grid import (
     find_touched,
     outline,
 )
-from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
+from benchmark.protocols.stacked_truths import StackedTruths, compute_displacement, stack
 from benchmark.protocols.uniad import VEHICLES
 from benchmark.truth import Roads, SampleTruth
 

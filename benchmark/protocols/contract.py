@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import HORIZON_STEPS, PLAN_STEPS
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols.stacked import StackedTruths
+from benchmark.protocols.stacked_truths import StackedTruths
 from benchmark.truth import SampleTruth
 
 

@@ -31,7 +31,7 @@ from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_S
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, poses_between, wrap_angle
 from benchmark.protocols.contract import ProtocolOutcomes, any_up_to, average_up_to, select_horizons
 from benchmark.protocols.raster import ADVERSARY_S, HIT_ADVERSARY
-from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
+from benchmark.protocols.stacked_truths import StackedTruths, compute_displacement, stack
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings
 

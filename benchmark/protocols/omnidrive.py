@@ -47,7 +47,7 @@ from benchmark.protocols.fine_grid import (
     fill,
     find_touched,
 )
-from benchmark.protocols.stacked import StackedTruths, stack
+from benchmark.protocols.stacked_truths import StackedTruths, stack
 from benchmark.truth import Roads, SampleTruth
 from benchmark.waypoints import chord_headings
 

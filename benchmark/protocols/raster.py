@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols.contract import ProtocolOutcomes
-from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
+from benchmark.protocols.stacked_truths import StackedTruths, compute_displacement, stack
 from benchmark.truth import SampleTruth
 
 TOUCHED, TOUCHED_ADVERSARY = "touched", "touched_adversary"

@@ -34,7 +34,7 @@ from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints
 from benchmark.protocols.contract import ProtocolOutcomes, select_horizons
 from benchmark.protocols.sparsedrive import SparseDriveProtocol, find_waypoint_contacts
-from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
+from benchmark.protocols.stacked_truths import StackedTruths, compute_displacement, stack
 from benchmark.protocols.uniad import UniADProtocol
 from benchmark.truth import SampleTruth
 

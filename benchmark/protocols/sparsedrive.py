@@ -32,7 +32,7 @@ from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, directions_of, ego_footprints
 from benchmark.protocols.contract import ProtocolOutcomes, average_up_to
 from benchmark.protocols.raster import describe_touched
-from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
+from benchmark.protocols.stacked_truths import StackedTruths, compute_displacement, stack
 from benchmark.truth import SampleTruth
 
 STANDING_M = 0.5

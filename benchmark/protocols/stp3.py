@@ -45,7 +45,7 @@ from benchmark.protocols.raster import (
     find_occupied_cells,
     truncate_cells,
 )
-from benchmark.protocols.stacked import StackedTruths, compute_displacement, stack
+from benchmark.protocols.stacked_truths import StackedTruths, compute_displacement, stack
 from benchmark.truth import SampleTruth
 
 KEYFRAMES_BEFORE: Final = 2

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols.contract import ProtocolOutcomes, average_masked_columns, select_horizons
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
-from benchmark.protocols.stacked import StackedTruths
+from benchmark.protocols.stacked_truths import StackedTruths
 
 VEHICLES = frozenset(
     {

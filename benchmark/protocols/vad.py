@@ -36,7 +36,7 @@ from benchmark.constants import CATEGORIES, HORIZON_STEPS
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.protocols.contract import ProtocolOutcomes, average_up_to
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
-from benchmark.protocols.stacked import StackedTruths
+from benchmark.protocols.stacked_truths import StackedTruths
 from benchmark.protocols.uniad import VEHICLES
 
 SIDE_M, AHEAD_M = 15.0, 30.0

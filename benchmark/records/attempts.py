@@ -11,8 +11,8 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, Field
 
 from benchmark.machine.storage import read_json_lines
-from benchmark.records.judgement import SceneAssessment
 from benchmark.records.run_schema import GeneratedFacts
+from benchmark.records.scene_assessment import SceneAssessment
 from benchmark.records.store import validate_stored
 
 ATTEMPTS_FILE: Final = "attempts.jsonl"

@@ -20,7 +20,7 @@ from pydantic import TypeAdapter
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
-from benchmark.machine.kept_arrays import to_arrow, to_numpy_array
+from benchmark.machine.cached_arrays import to_arrow, to_numpy_array
 from benchmark.protocols import PROTOCOLS, ProtocolOutcomes, counts_at_all_horizons
 from benchmark.records.row_schema import BriefRow, DiagnosisRow, LongerPlanRow, PlanSeverityRow, SampleRow, Waypoints
 from benchmark.untrusted.files import RECORD

@@ -6,8 +6,8 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self, get_args
 from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from benchmark.metrics.rates import Rate
-from benchmark.records.judgement import KindName, NotNegative
 from benchmark.records.run_schema import Name, RecordFacts, Version
+from benchmark.records.scene_assessment import KindName, NotNegative
 from benchmark.records.stored import Stored
 
 SCHEMA: Final = 1
@@ -97,7 +97,7 @@ class FailureRow(Stored):
 
 @dataclass(frozen=True, slots=True)
 class ScoredContact:
-    """Contact in numbers; kinds, blame and masses are in `benchmark.fairness.scenes` and docs/severity.md.
+    """Contact in numbers; kinds, blame and masses are in `benchmark.fairness.scene_assessment` and docs/severity.md.
 
     Attributes:
         seconds: Since the drive's first driven instant.

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.records.driven import read_scene_report
+from benchmark.records.driven_ego import read_scene_report
 
 OFF_PATH: Final = "off_path"
 """Where the report of a scene (``challenger.json``) names its excursions."""

@@ -14,7 +14,8 @@ from benchmark.records.run_schema import AS_PUBLISHED, PlanFileFacts, PlannerFac
 def list_file_notes(records: Iterable[RunRecord]) -> list[str]:
     """One sentence for each run whose plans come from a file: how it is known which sample each belongs to."""
     return [
-        f"{record.planner} on {record.run.split}: plans from a file ({plans_from.format}), samples {describe_sample_order(plans_from)}."
+        f"{record.planner} on {record.run.split}: plans from a file ({plans_from.format}), samples "
+        f"{describe_sample_order(plans_from)}."
         for record in records
         if (plans_from := record.run.plans_from) is not None
     ]

@@ -216,7 +216,8 @@ class QualityRecord:
         return tuple(
             Caveat(
                 kind="masks",
-                sentence=f"{count} of {pluralise(total, 'scene')} have no mask of {subject} from {self.masks}: they are in "
+                sentence=f"{count} of {pluralise(total, 'scene')} have no mask of {subject} from {self.masks}: "
+                "they are in "
                 "none of its numbers",
             )
             for count, total, subject in missing

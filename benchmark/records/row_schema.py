@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from benchmark.pdm.totals import DrivenPlan
 from benchmark.protocols.raster import touches_adversary
-from benchmark.records.judgement import CollisionSeverity, NotNegative, Text
+from benchmark.records.scene_assessment import CollisionSeverity, NotNegative, Text
 from benchmark.records.stored import Stored
 
 Waypoints = list[list[float]]

@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools
-from benchmark.machine.kept_arrays import find_cache_file, is_batch_of, read_batch, write_batch
+from benchmark.machine.cached_arrays import find_cache_file, is_batch_of, read_batch, write_batch
 from benchmark.machine.progress import CountedUnits
 from benchmark.machine.storage import canonical_json, content_key, file_sha256
 from benchmark.machine.workers import default_workers, map_ordered
@@ -43,7 +43,7 @@ WORTH_WORKERS_BYTES: Final = 1 << 27
 """Rows of less are read before workers have begun."""
 _FOLDER: Final = "records"
 _CODE: Final = (
-    *(f"records/{name}" for name in ("columns", "driving", "judgement", "row_schema", "rows", "run", "stored")),
+    *(f"records/{name}" for name in ("columns", "driving", "scene_assessment", "row_schema", "rows", "run", "stored")),
     *("constants", "geometry", "waypoints", "untrusted/text_files", "untrusted/files", "pdm/totals"),
     "protocols/contract",
 )

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from benchmark.constants import LARGEST_SEED
 from benchmark.metrics.rates import Rate
 from benchmark.records.caveats import Caveat
-from benchmark.records.judgement import AssessmentSummary, SplitRealism
+from benchmark.records.scene_assessment import AssessmentSummary, SplitRealism
 from benchmark.records.stored import Stored
 
 SCHEMA = 6
@@ -91,7 +91,7 @@ class TruthFacts(Stored):
     Attributes:
         annotations: Boxes at its samples; without any there is no truth, and nothing can be said of contacts.
         unlabelled: Samples of which nothing can be said of contacts because labels are missing now or within 3 s
-            (`benchmark.datasets.annotated`).
+            (`benchmark.datasets.annotated_objects`).
         without_size: Boxes without length, width or height; they are ignored.
         unknown: Boxes of categories that nuScenes does not have, by name.
         motionless: Whether the ego pose is the same number at every sample of a scene of 5 s and more.

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final
 from pydantic import BaseModel, ConfigDict, Field, field_serializer, field_validator
 
 from benchmark.published import ADV_NUSC
-from benchmark.records.judgement import DriverName, SceneAssessment, SplitRealism, Text
+from benchmark.records.scene_assessment import DriverName, SceneAssessment, SplitRealism, Text
 from benchmark.records.stored import Stored
 
 RENDERING: Final = "rendering"

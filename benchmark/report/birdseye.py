@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmark.constants import VEHICLE_CATEGORIES
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_corners
-from benchmark.records.scenes import PageAgent, ScenePage
+from benchmark.records.scene_pages import PageAgent, ScenePage
 from benchmark.report.canvas import (
     SHIFT,
     GroundView,
@@ -54,7 +54,7 @@ from benchmark.report.palette import (
     Rgb,
     mix_colours,
 )
-from benchmark.report.placing import agent_box, ego_box, frame_seconds
+from benchmark.report.placement import agent_box, ego_box, frame_seconds
 
 _LABEL_PX, _LABEL_LINE_PX = 114, 18
 """Size of a label at a contact."""

@@ -7,7 +7,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from benchmark.records.scenes import ScenePage
+from benchmark.records.scene_pages import ScenePage
 from benchmark.report.canvas import (
     SHIFT,
     GroundView,

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from benchmark.geometry import Floats
-from benchmark.records.scenes import PageDivider, Point, Polygon, ScenePage
+from benchmark.records.scene_pages import PageDivider, Point, Polygon, ScenePage
 from benchmark.report.canvas import GroundView, Picture, fill_rings, split_into_dashes, stroke, stroke_all
 from benchmark.report.palette import ON_LIGHT, GroundColours, Rgb
 

@@ -12,9 +12,9 @@ from benchmark.constants import PLAN_STEP_S
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_corners
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.scenes import RefinementTrace, ScenePage, TraceRound
+from benchmark.records.scene_pages import RefinementTrace, ScenePage, TraceRound
 from benchmark.report.palette import PlannerStyle
-from benchmark.report.placing import (
+from benchmark.report.placement import (
     PlacedPlan,
     agent_box_at,
     ego_pose,

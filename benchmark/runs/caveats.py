@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Final
 
-from benchmark.datasets.annotated import AnnotationCount
+from benchmark.datasets.annotated_objects import AnnotationCount
 from benchmark.datasets.truth_facts import MISFIT_SHARE, are_boxes_across
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, sort_caveats
 from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow
@@ -46,19 +46,22 @@ def list_data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
     if are_boxes_across(moving, across):
         yield Caveat(
             kind="boxes",
-            sentence=f"the boxes of {across} of {pluralise(moving, 'moving object')} lie across their motion (width and "
+            sentence=f"the boxes of {across} of {pluralise(moving, 'moving object')} lie across their motion "
+            "(width and "
             "length exchanged, or headings turned by 90 degrees): contacts are not where they would be",
         )
     if turned := [name for name, inputs in facts.items() if inputs.turned_quaternions]:
         yield Caveat(
             kind="pose",
-            sentence=f"rotations in {_format_scenes(turned, facts)} make sense only if read as x, y, z, w, and nuScenes has w "
+            sentence=f"rotations in {_format_scenes(turned, facts)} make sense only if read as x, y, z, w, and "
+            "nuScenes has w "
             "first: headings and all that follows from them are wrong",
         )
     if without := [name for name, inputs in facts.items() if not inputs.lidar]:
         yield Caveat(
             kind="lidar",
-            sentence=f"{_format_scenes(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, whose place plans and protocols "
+            sentence=f"{_format_scenes(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, whose place "
+            "plans and protocols "
             "count from, is taken to sit as on nuScenes' cars",
         )
 
@@ -74,7 +77,8 @@ def list_map_caveats(scenes: Mapping[str, SceneFacts], goes_without: Sequence[st
     if without and goes_without:
         yield Caveat(
             kind="map",
-            sentence=f"{_format_scenes(without, facts)} {_have(without)} no map with lanes: {', and '.join(goes_without)}",
+            sentence=f"{_format_scenes(without, facts)} {_have(without)} no map with lanes: "
+            f"{', and '.join(goes_without)}",
         )
 
 
@@ -98,7 +102,8 @@ def list_planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts]
     if derived and "motion" in planner.wants:
         yield Caveat(
             kind="motion",
-            sentence=f"{_format_scenes(derived, scenes)} {_have(derived)} no CAN bus: the ego motion that it plans from "
+            sentence=f"{_format_scenes(derived, scenes)} {_have(derived)} no CAN bus: the ego motion that it "
+            "plans from "
             "is derived from poses",
         )
     if offered and without:
@@ -201,7 +206,8 @@ def _boxes(known: Mapping[str, TruthFacts]) -> Iterator[Caveat]:
     if without:
         yield Caveat(
             kind="boxes",
-            sentence=f"{pluralise(sum(without.values()), 'annotation')} of {_names([*without])} without length, width or "
+            sentence=f"{pluralise(sum(without.values()), 'annotation')} of {_names([*without])} without length, "
+            "width or "
             "height: nothing can touch them",
         )
 
@@ -244,14 +250,16 @@ def list_time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
         scene_count = sum(truth.interval_s is not None for truth in truths)
         interval_text = f"{rates_s[0]:.3g} s" if len(rates_s) == 1 else f"{rates_s[0]:.3g} to {rates_s[-1]:.3g} s"
         sentences.append(
-            f"the key frames of {pluralise(scene_count, 'scene')} are {interval_text} apart, not 0.5 s: exact and driving scores "
+            f"the key frames of {pluralise(scene_count, 'scene')} are {interval_text} apart, not 0.5 s: exact "
+            "and driving scores "
             "interpolate steps, and official protocols, whose steps are key frames, do not count these samples"
         )
     irregular = [truth for truth in truths if truth.interval_s is None and truth.irregular]
     if irregular:
         samples, cut = (sum(getattr(truth, name) for truth in irregular) for name in ("irregular", "cut_short"))
         sentences.append(
-            f"{pluralise(samples, 'sample')} of {pluralise(len(irregular), 'scene')} have key frames ahead that are not "
+            f"{pluralise(samples, 'sample')} of {pluralise(len(irregular), 'scene')} have key frames ahead that "
+            "are not "
             "half a second apart: exact and driving scores interpolate steps there"
             + (f" and say nothing beyond a gap over 0.75 s ({pluralise(cut, 'sample')})" if cut else "")
             + ", and official protocols take the k-th key frame for step k"

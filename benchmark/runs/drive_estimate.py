@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from benchmark.closed_loop.driving import EpisodeSpec, run_episode
+from benchmark.closed_loop.episodes import EpisodeSpec, run_episode
 from benchmark.machine.progress import format_duration
 from benchmark.machine.workers import LocalProcesses
 from benchmark.report.words import pluralise
@@ -56,6 +56,7 @@ def estimate_driving(data: "DataSet", split: str, planner: PlannerFactory, setti
     done = f", {cached_count} of them kept already" if cached_count else ""
     return (
         f"would drive {planner.facts.name} through {where} ({pluralise(len(units), 'drive')}{done}; engine "
-        f"{settings.measured.world}, sensor {settings.sensor.name}): at most about {format_duration(seconds / workers)} on "
+        f"{settings.measured.world}, sensor {settings.sensor.name}): at most about "
+        f"{format_duration(seconds / workers)} on "
         f"{pluralise(workers, 'process', 'processes')}"
     )

@@ -10,14 +10,14 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.closed_loop.adversary import AdversaryTrack, Replanning
-from benchmark.closed_loop.courses import interpolate_recorded_poses
-from benchmark.closed_loop.driving import Episode, EpisodeSpec
+from benchmark.closed_loop.episodes import Episode, EpisodeSpec
 from benchmark.closed_loop.scoring import EpisodeScores
+from benchmark.closed_loop.simulation_config import interpolate_recorded_poses
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import to_global, to_local, wrap_angle
-from benchmark.records.considered import SearchTraceFrame
 from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.run_schema import TruthFacts
+from benchmark.records.search_trace import SearchTraceFrame
 from benchmark.scene import Scene
 from benchmark.untrusted.plan_plausibility import ComparedPlans
 from benchmark.waypoints import waypoints_in_lidar

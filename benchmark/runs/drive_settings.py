@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from benchmark.closed_loop.adversary import ADVERSARY
-from benchmark.closed_loop.asking import DEFAULT_TIMEOUT_S
 from benchmark.closed_loop.default_engine import describe_agents, read_stop_condition
-from benchmark.closed_loop.driving import EpisodeSpec
-from benchmark.closed_loop.observing import NoSensor, Sensor
-from benchmark.closed_loop.riding import SimulatorBackend
+from benchmark.closed_loop.episodes import EpisodeSpec
+from benchmark.closed_loop.observation_builder import NoSensor, Sensor
+from benchmark.closed_loop.planner_calls import DEFAULT_TIMEOUT_S
+from benchmark.closed_loop.simulation_state import SimulatorBackend
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
-from benchmark.interactions.driving import REFERENCE_DRIVER_KINDS
+from benchmark.interactions.driver_simulation import REFERENCE_DRIVER_KINDS
 from benchmark.machine.storage import content_key
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.records.drive_schema import MOST_RUNS, ClosedLoopDefinition, EpisodeRow
@@ -32,7 +32,7 @@ FORMAT: Final = 1
 """Raised whenever the drives of an unchanged planner in an unchanged engine would change."""
 KEPT: Final = "drives"
 """Folder of kept drives in a record's directory."""
-_LOOP: Final = "benchmark.closed_loop.driving:run_episode"
+_LOOP: Final = "benchmark.closed_loop.episodes:run_episode"
 
 
 @dataclass(frozen=True, slots=True)

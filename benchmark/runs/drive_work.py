@@ -14,21 +14,21 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from benchmark.closed_loop.adversary import AdversaryTrack
-from benchmark.closed_loop.asking import FailureReason
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.driving import Episode, EpisodeSpec, run_episode, run_episodes
-from benchmark.closed_loop.ladder import simulate_reference_drivers
-from benchmark.closed_loop.riding import RecordedCan
+from benchmark.closed_loop.episodes import Episode, EpisodeSpec, run_episode, run_episodes
+from benchmark.closed_loop.planner_calls import FailureReason
+from benchmark.closed_loop.reference_drivers import simulate_reference_drivers
 from benchmark.closed_loop.scoring import VERSION, score_episode
+from benchmark.closed_loop.simulation_state import RecordedCan
 from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
 from benchmark.interactions.reaction import Driver
 from benchmark.machine.metering import Meter, disable_malloc_trim_for
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.planning import Planner, SupervisedPlanner
-from benchmark.records.considered import read_search_trace, write_search_trace
 from benchmark.records.drive_schema import EpisodeRow, LadderOutcome
 from benchmark.records.planner_cost import SceneCost
+from benchmark.records.search_trace import read_search_trace, write_search_trace
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.drive_rows import build_episode_row, build_search_trace, compare_drive
 from benchmark.runs.drive_settings import CachedEpisode, ClosedLoopJob, EpisodeTask, EpisodeUnit
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 FOLDER: Final = "ladder"
 """Beside the records of one world."""
-_LOOP: Final = "benchmark.closed_loop.ladder:simulate_reference_drivers"
+_LOOP: Final = "benchmark.closed_loop.reference_drivers:simulate_reference_drivers"
 
 
 def run_reference_drivers(data: "DataSet", job: ClosedLoopJob, unit: EpisodeUnit) -> dict[str, LadderOutcome]:

@@ -15,22 +15,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from benchmark.closed_loop.adversary import ADVERSARY
-from benchmark.closed_loop.asking import LONGEST_TIMEOUT_S
-from benchmark.closed_loop.observing import RemoteSensor
+from benchmark.closed_loop.observation_builder import RemoteSensor
+from benchmark.closed_loop.planner_calls import LONGEST_TIMEOUT_S
 from benchmark.closed_loop.scoring import VERSION
-from benchmark.datasets.annotated import require_annotated
+from benchmark.datasets.annotated_objects import require_annotated
 from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError
 from benchmark.machine.metering import disable_malloc_trim_for
 from benchmark.machine.storage import content_key, lock_folder, sanitise_file_name, writing_to
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
-from benchmark.records.considered import FOLDER as CONSIDERED
 from benchmark.records.drive_schema import ClosedLoopDefinition, EpisodeRow
 from benchmark.records.drives import DriveRecord, write_drives
 from benchmark.records.planner_cost import cost_path, gather_costs, note_cost, shard_cost_path
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts, TruthFacts
+from benchmark.records.search_trace import FOLDER as CONSIDERED
 from benchmark.report.words import pluralise
 from benchmark.runs.caveats import list_drive_caveats
 from benchmark.runs.drive_rows import mark_labelled

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from benchmark.constants import LONGER_HORIZON_STEPS, PLAN_STEPS
-from benchmark.datasets.judged import collect_realism
+from benchmark.datasets.scene_assessments import collect_realism
 from benchmark.datasets.scene_facts import find_frozen_split
 from benchmark.errors import InputError
-from benchmark.fairness.data_sets import collect_scene_facts
+from benchmark.fairness.data_set_assessment import collect_scene_facts
 from benchmark.fairness.plan_severity import measure_plan_severities
 from benchmark.geometry import Floats
 from benchmark.machine.environment import read_machine_metadata as environment_facts
@@ -26,7 +26,7 @@ from benchmark.metrics.diagnosis import diagnose
 from benchmark.metrics.disagreement import EXACT, explain_disagreements
 from benchmark.metrics.places import SampleContext
 from benchmark.pdm.definition import PDM
-from benchmark.pdm.judging import score_planners as judge_driving
+from benchmark.pdm.plan_scoring import score_planners as judge_driving
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols import CollisionProtocol, ProtocolOutcomes, find_protocol
 from benchmark.protocols.exact import evaluate_longer_plans

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from benchmark.metrics.attacks import has_adversaries
-from benchmark.metrics.unchanged import find_unchanged_candidates, find_unchanged_record
+from benchmark.metrics.unchanged_records import find_unchanged_candidates, find_unchanged_record
 from benchmark.records.run import RunRecord, with_facts
 from benchmark.records.run_schema import UnchangedFacts
 from benchmark.records.store import ROWS_FILE

@@ -7,10 +7,10 @@ import numpy as np
 
 from benchmark.closed_loop.adversary import AdversaryTrack, ScriptedTracks
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.driving import Episode, EpisodeSpec, run_episode
-from benchmark.closed_loop.observing import NoSensor, Sensor
-from benchmark.closed_loop.riding import RecordedCan, SimulatorBackend
+from benchmark.closed_loop.episodes import Episode, EpisodeSpec, run_episode
+from benchmark.closed_loop.observation_builder import NoSensor, Sensor
 from benchmark.closed_loop.scoring import score_episode
+from benchmark.closed_loop.simulation_state import RecordedCan, SimulatorBackend
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.drive_schema import AdversaryRow, EpisodeRow

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmark.datasets.annotated import AnnotationCount
+from benchmark.datasets.annotated_objects import AnnotationCount
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError

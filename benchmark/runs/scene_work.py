@@ -17,7 +17,7 @@ from benchmark.datasets.truth_facts import compute_truth_facts
 from benchmark.machine.metering import disable_malloc_trim_for
 from benchmark.machine.storage import content_key
 from benchmark.metrics.places import SampleContext, read_sample_contexts
-from benchmark.pdm.recording import RecordedScene
+from benchmark.pdm.recorded_scene import RecordedScene
 from benchmark.planning import ContinuousPlanner, Observation, Planner
 from benchmark.records.planner_cost import SceneCost
 from benchmark.records.row_schema import SampleRow

@@ -36,8 +36,8 @@ from benchmark.runs.code_identity import hash_loaded_code
 from benchmark.runs.plan_rows import format_traceback, seed_everything
 from benchmark.sandbox.frames import ClosedError, encode_answer, receive_question
 from benchmark.sandbox.limits import BEAT_S, seed_torch_on_import, use_one_thread
-from benchmark.sandbox.observed import ObservationUnpacker
-from benchmark.sandbox.pictures import SharedImageReader
+from benchmark.sandbox.observation_packing import ObservationUnpacker
+from benchmark.sandbox.shared_images import SharedImageReader
 from benchmark.untrusted.answers import UnencodableValueError
 from benchmark.untrusted.files import to_one_line
 

@@ -24,7 +24,7 @@ from benchmark.planning import (
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.sandbox.frames import MalformedError
 from benchmark.sandbox.limits import SandboxLimits
-from benchmark.sandbox.observed import ObservationPacker
+from benchmark.sandbox.observation_packing import ObservationPacker
 from benchmark.sandbox.process import PlannerProcess
 from benchmark.scene import Scene
 

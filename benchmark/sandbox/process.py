@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 from benchmark.errors import InputError
 from benchmark.planning import PlannerLostError
 from benchmark.sandbox.frames import ClosedError, LateError, MalformedError, QuestionChannel, encode_question
-from benchmark.sandbox.guardian import STATUS
 from benchmark.sandbox.limits import GRACE_S, MOST_PICTURE_BYTES, ONE_THREAD, REAPING_S, SandboxLimits
-from benchmark.sandbox.pictures import SharedImagePool, TooManyPicturesError
+from benchmark.sandbox.reaper import STATUS
+from benchmark.sandbox.shared_images import SharedImagePool, TooManyPicturesError
 from benchmark.untrusted.files import format_bytes, to_one_line
 
 _PROGRAM: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); numbers = [*map(int, sys.argv[2:])]; del sys.argv[1:]; "
-    "from benchmark.sandbox.guardian import live_under_guard; live_under_guard(*numbers)"
+    "from benchmark.sandbox.reaper import run_under_reaper; run_under_reaper(*numbers)"
 )
 _LOOK_S: Final = 1.0
 """So often is the heart listened to."""

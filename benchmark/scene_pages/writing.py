@@ -25,7 +25,7 @@ from benchmark.machine.storage import (
 from benchmark.machine.workers import LocalProcesses, default_workers
 from benchmark.records.attempts import ATTEMPTS_FILE, read_attempts
 from benchmark.records.run_schema import DataFacts
-from benchmark.records.scenes import (
+from benchmark.records.scene_pages import (
     ROUNDS_FILE,
     SCENES_FOLDER,
     SCHEMA,
@@ -41,7 +41,7 @@ from benchmark.records.statistics import BuildRuntime, SplitStatistics
 from benchmark.report.words import pluralise
 from benchmark.runs.scene_work import make_reopener
 from benchmark.runs.units import ResultStore, run_units
-from benchmark.scene_pages.making import (
+from benchmark.scene_pages.page_building import (
     KEY,
     MAKING_VERSION,
     PageJob,

@@ -165,7 +165,8 @@ def _require_inside(path: Path, name: str, tensor: TensorLocation, storages: tup
     last = tensor.offset + sum((length - 1) * step for length, step in zip(shape, strides, strict=sound))
     if not sound or (not empty and last >= number_count) or (empty and max(shape) > len(storages) + number_count + MIB):
         raise InputError(
-            f"{path}: {format_tensor_name(name)} lies outside the numbers that the file holds; it is damaged, fetch it again"
+            f"{path}: {format_tensor_name(name)} lies outside the numbers that the file holds; it is damaged, "
+            "fetch it again"
         )
 
 

@@ -190,7 +190,8 @@ def open_file(path: Path, limits: Limits) -> BufferedReader:
     if status.st_size > limits.file_bytes:
         os.close(descriptor)
         raise InputError(
-            f"{path} has {format_bytes(status.st_size)}, and a {limits.what} has at most {format_bytes(limits.file_bytes)}; it "
+            f"{path} has {format_bytes(status.st_size)}, and a {limits.what} has at most "
+            f"{format_bytes(limits.file_bytes)}; it "
             "is damaged or something else, get it again"
         )
     return os.fdopen(descriptor, "rb")

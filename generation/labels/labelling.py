@@ -9,7 +9,7 @@ from benchmark.geometry import Floats, box_gap, boxes_overlap, to_local
 from benchmark.metrics.places import classify_place
 from benchmark.records.attempts import ClosestApproach, ManoeuvreLabels, TimeToCollision
 from benchmark.scene import Scene
-from generation.labels.encounters import compute_path_interaction
+from generation.labels.interactions import compute_path_interaction
 from generation.labels.manoeuvres import find_encroachment, find_occurrences
 
 TIME_TO_COLLISION_LIMIT_S = 5.0

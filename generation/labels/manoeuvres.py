@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmark.geometry import Bools
 from benchmark.records.attempts import Encroachment, ManoeuvreOccurrence
-from generation.labels.encounters import MOVING_M_S, PathInteraction
+from generation.labels.interactions import MOVING_M_S, PathInteraction
 
 
 class Manoeuvre(StrEnum):

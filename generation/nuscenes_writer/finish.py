@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.judged import ASSESSMENTS_FILE
-from benchmark.datasets.reviewed import LEFT_OUT
+from benchmark.datasets.scene_assessments import ASSESSMENTS_FILE
+from benchmark.datasets.split_reviews import LEFT_OUT
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes, write_json, writing_to
 from benchmark.records.attempts import SEARCH

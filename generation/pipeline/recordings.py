@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from benchmark.datasets.annotated import require_annotated
+from benchmark.datasets.annotated_objects import require_annotated
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.workspace import is_generated

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from benchmark.datasets.roots import DataSet
-from benchmark.records.judgement import is_unsolvable
+from benchmark.records.scene_assessment import is_unsolvable
 from benchmark.report.words import pluralise
 from generation.pipeline.estimate import (
     KEPT_SHARE,

@@ -120,8 +120,10 @@ def require_all_planned(record: RunRecord) -> None:
     """Refuse a run in which the planner raised: a sample without a plan is neither a collision nor none."""
     if record.summary.failed:
         raise InputError(
-            f"{record.planner} raised on {record.summary.failed} of {pluralise(record.summary.samples, 'sample')}, so it "
-            f"cannot be said which scenes it copes with; the first: {find_first_failure(record.rows)}; all tracebacks are "
+            f"{record.planner} raised on {record.summary.failed} of "
+            f"{pluralise(record.summary.samples, 'sample')}, so it "
+            f"cannot be said which scenes it copes with; the first: {find_first_failure(record.rows)}; all "
+            "tracebacks are "
             f"in {record.directory / FAILURES_FILE}, correct the "
             "planner, or have images drawn if it needs them, and run the same command again"
         )

@@ -10,7 +10,8 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.judged import (
+from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.scene_assessments import (
     ASSESSMENTS_FILE,
     collect_assessments,
     collect_realism,
@@ -18,15 +19,14 @@ from benchmark.datasets.judged import (
     read_assessments,
     read_assessments_file,
 )
-from benchmark.datasets.roots import DataSet, open_data
 from benchmark.datasets.tables import find_variant_folders
 from benchmark.errors import InputError
-from benchmark.fairness.scenes import AdversaryProvenance, assess_scene
-from benchmark.fairness.splits import measure_split_realism
+from benchmark.fairness.scene_assessment import AdversaryProvenance, assess_scene
+from benchmark.fairness.split_assessment import measure_split_realism
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes, writing_to
 from benchmark.machine.workers import Executor
-from benchmark.records.judgement import DEFINITION, SceneAssessment
-from benchmark.records.scenes import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
+from benchmark.records.scene_assessment import DEFINITION, SceneAssessment
+from benchmark.records.scene_pages import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
 from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, finish_data_set

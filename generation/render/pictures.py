@@ -17,7 +17,7 @@ from benchmark.report.canvas import Picture, encode_png, write_text
 from benchmark.report.captions import draw_captions, draw_time
 from benchmark.report.palette import PAPER
 from benchmark.scene import Scene
-from benchmark.scene_pages.making import build_page_to_draw
+from benchmark.scene_pages.page_building import build_page_to_draw
 from generation.labels.labelling import find_closest_approach
 from generation.render.contract import Renderer
 from generation.render.schematic.view import PlacedCamera

@@ -1,4 +1,4 @@
-"""The schematic renderer as a sensor of driven worlds (`benchmark.closed_loop.observing`)."""
+"""The schematic renderer as a sensor of driven worlds (`benchmark.closed_loop.observation_builder`)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -13,11 +13,11 @@ import shapely
 
 from benchmark.dynamics.bicycle import MotionModel
 from benchmark.errors import InputError
-from benchmark.fairness.scenes import AdversaryProvenance, assess_scene
+from benchmark.fairness.scene_assessment import AdversaryProvenance, assess_scene
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.records.attempts import Approach, Attempt
-from benchmark.records.scenes import TraceFrame
+from benchmark.records.scene_pages import TraceFrame
 from benchmark.scene import Scene
 from generation.labels.labelling import compute_labels, compute_times_to_collision, find_closest_approach
 from generation.labels.manoeuvres import Manoeuvre

@@ -16,10 +16,10 @@ from benchmark.machine.metering import disable_malloc_trim
 from benchmark.machine.storage import canonical_json, write_bytes, write_json
 from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
-from benchmark.records.scenes import SCHEMA, RefinementTrace, TraceFrame
+from benchmark.records.scene_pages import SCHEMA, RefinementTrace, TraceFrame
 from benchmark.runs.units import ResultStore, run_units
 from benchmark.scene import Scene
-from benchmark.scene_pages.motion import find_origin
+from benchmark.scene_pages.page_tracks import find_origin
 from generation.search.adversary import SearchOutcome, search_vehicles
 from generation.search.candidates import Eligibility, compute_eligibility
 from generation.search.definition import EarlierAdversary, Search, SearchUnit
@@ -185,7 +185,8 @@ def _require_same_track(before: StoredAttempt, again: StoredAttempt) -> None:
     )
     if not same or not np.abs(poses - expected).max(initial=0.0) <= SAME_M:
         raise InputError(
-            f"searching again for {first_report.agent} in {first_report.scene} gives another track here than the one that "
+            f"searching again for {first_report.agent} in {first_report.scene} gives another track here than the "
+            "one that "
             "was kept, as happens with other versions of the numerical libraries, so its rounds cannot be kept; leave "
             "--keep-rounds out, or delete the output and generate it again"
         )

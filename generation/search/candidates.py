@@ -24,8 +24,8 @@ from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
 from generation.labels.labelling import compute_ego_speed
-from generation.search.ego_way import RecordedEgoPath, get_ego_path
 from generation.search.hyperparameters import HyperParameters, LaunchRule, VehicleChoiceRule
+from generation.search.recorded_ego_path import RecordedEgoPath, get_ego_path
 from generation.search.recorded_motion import (
     compute_center_distance,
     compute_initial_state,

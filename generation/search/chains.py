@@ -16,13 +16,13 @@ from benchmark.machine.progress import track_progress
 from benchmark.machine.storage import make_token
 from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
-from benchmark.records.judgement import SceneAssessment
+from benchmark.records.scene_assessment import SceneAssessment
 from benchmark.scene import Scene
 from generation.labels.manoeuvres import Manoeuvre
-from generation.search.asked_manoeuvres import can_perform
 from generation.search.attempts import StoredAttempt, read_or_compute_eligibility, run_attempts
 from generation.search.candidates import Eligibility, find_launch_frame
 from generation.search.definition import EarlierAdversary, Search, SearchUnit
+from generation.search.manoeuvre_requests import can_perform
 from generation.search.ranking import rank_scenes
 
 
@@ -123,7 +123,7 @@ class AdversaryChain:
     def report(self) -> dict[str, Any]:
         """Report for ``challenger.json`` on the scene: the adversary's report, or one for each of several.
 
-        Judgements are in a file of their own (`benchmark.datasets.judged`): better definitions make no other data set.
+        Judgements are in a file of their own (`benchmark.datasets.scene_assessments`): better definitions make no other data set.
         """
         left_out = {"plans", "judgements"}
         reports = [link.attempt.model_dump(mode="json", exclude_unset=True, exclude=left_out) for link in self.links]

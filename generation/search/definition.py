@@ -9,7 +9,7 @@ from typing import Any, Final
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.machine.several_devices import find_device_in_turn
 from benchmark.machine.storage import content_key
-from benchmark.records.judgement import DEFINITION
+from benchmark.records.scene_assessment import DEFINITION
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior
 from generation.labels.manoeuvres import Manoeuvre
 from generation.search.adversary import ALGORITHM_VERSION

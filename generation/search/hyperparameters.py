@@ -238,7 +238,7 @@ class HyperParameters(ThreatSettings):
 
     @classmethod
     def paper(cls) -> Self:
-        """The text of the paper; what it leaves open is read as `generation.search.departures` says."""
+        """The text of the paper; what it leaves open is read as `generation.search.differences_from_paper` says."""
         return cls(
             staying_preference=0.0,
             tries=1,
@@ -263,7 +263,7 @@ class HyperParameters(ThreatSettings):
 
     @classmethod
     def reference(cls) -> Self:
-        """What the public code does; what cannot be is in `generation.search.departures`."""
+        """What the public code does; what cannot be is in `generation.search.differences_from_paper`."""
         return cls(
             staying_preference=0.0,
             tries=1,

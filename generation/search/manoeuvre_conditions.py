@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmark.geometry import Floats
 from benchmark.scene import Scene
-from generation.labels.encounters import MOVING_M_S
+from generation.labels.interactions import MOVING_M_S
 from generation.labels.manoeuvres import (
     ALONG_RAD,
     BESIDE_M,
@@ -28,7 +28,7 @@ from generation.labels.manoeuvres import (
     TAILGATING_S,
     Manoeuvre,
 )
-from generation.search.ego_way import RecordedEgoPath
+from generation.search.recorded_ego_path import RecordedEgoPath
 
 MOST_MISSING_M: Final = 30.0
 """What is farther away than this is as far as anything else."""

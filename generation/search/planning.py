@@ -14,12 +14,12 @@ from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, compute_rear_axle, simulate
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.records.attempts import PlanningFrame
-from benchmark.records.scenes import TraceFrame
+from benchmark.records.scene_pages import TraceFrame
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.labels.manoeuvres import Manoeuvre
-from generation.search.asked_manoeuvres import ManoeuvreRequest
 from generation.search.hyperparameters import DiscardRules, ExecutionModel, HyperParameters, ScoreDefinition
+from generation.search.manoeuvre_requests import ManoeuvreRequest
 from generation.search.proposals import Diversify, SearchSteps
 from generation.search.recorded_motion import compute_initial_state, is_in_canvas
 from generation.search.reference_scoring import (

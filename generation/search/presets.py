@@ -46,7 +46,7 @@ def build_hyper_parameters(
 
     Args:
         preset: ``default`` is this project's best, ``near`` what it was before it threatened, ``paper`` the text,
-            ``reference`` the public code (`generation.search.departures` says where they cannot be followed).
+            ``reference`` the public code (`generation.search.differences_from_paper` says where they cannot be followed).
         settings: Values of single settings; ``None`` leaves a setting as it is.
         changes: ``name=value`` (`HyperParameters.changed`).
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from benchmark.constants import FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, simulate
 from benchmark.geometry import Floats
-from benchmark.records.scenes import TraceFrame, TraceRound
+from benchmark.records.scene_pages import TraceFrame, TraceRound
 from benchmark.scene import Scene
-from benchmark.scene_pages.motion import find_origin
+from benchmark.scene_pages.page_tracks import find_origin
 from generation.search.hyperparameters import HyperParameters
 from generation.search.proposals import Diversify, MutationRequest, SamplingRequest, SearchSteps
 from generation.search.scoring import ScoreTerms, compute_final_scores

@@ -20,8 +20,8 @@ from benchmark.dynamics.bicycle import WHEELBASE, SimulatedMotion
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
-from generation.search.ego_way import RecordedEgoPath, get_ego_path
 from generation.search.hyperparameters import HyperParameters
+from generation.search.recorded_ego_path import RecordedEgoPath, get_ego_path
 from generation.search.scoring import ScoringSurroundings, find_collisions
 
 SPACING_M: Final = 1.0

@@ -16,15 +16,15 @@ import shapely
 from numpy.typing import NDArray
 
 from benchmark.constants import FRAMES_PER_KEYFRAME, PLAN_STEPS
-from benchmark.datasets.annotated import interpolate_tracks
+from benchmark.datasets.annotated_objects import interpolate_tracks
 from benchmark.datasets.sample_truth import compute_truth
 from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
 from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, to_local
 from benchmark.protocols import NATIVE_PROTOCOLS, find_masking_protocols, find_protocol
 from benchmark.protocols.raster import RasterProtocol
-from benchmark.protocols.stacked import stack
+from benchmark.protocols.stacked_truths import stack
 from benchmark.records.attempts import MaskedSteps
-from benchmark.records.judgement import SceneAssessment, is_unsolvable
+from benchmark.records.scene_assessment import SceneAssessment, is_unsolvable
 from benchmark.scene import Scene
 from generation.labels.labelling import compute_body_gaps, compute_ego_speed, read_agent_boxes
 from generation.search.hyperparameters import DiscardRules, HyperParameters

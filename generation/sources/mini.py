@@ -9,7 +9,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, lock_folder, read_cached_json, write_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
-from benchmark.records.driven import DRIVEN
+from benchmark.records.driven_ego import DRIVEN
 from benchmark.records.drives import DRIVE_FILE, DriveRecord, find_drives
 from benchmark.records.off_path import OFF_PATH
 from benchmark.runs.units import run_units
@@ -26,7 +26,7 @@ from generation.sources.town import (
     build_town_scene_off_path,
     list_town_scene_names,
 )
-from generation.sources.town.driven import PlannerDrive, select_lasting_drives
+from generation.sources.town.driven_ego import PlannerDrive, select_lasting_drives
 
 VERSION_FOLDER = "v1.0-mini"
 

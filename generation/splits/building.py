@@ -10,8 +10,8 @@ from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, lock_folder, read_cached_json, write_json
 from benchmark.records.attempts import parse_seed
-from benchmark.records.judgement import SceneAssessment, is_unsolvable
 from benchmark.records.review import REJECTED, StandingVerdict
+from benchmark.records.scene_assessment import SceneAssessment, is_unsolvable
 from benchmark.report.words import pluralise
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, SourceInfo
@@ -252,7 +252,8 @@ def _require_free_root(root: Path, name: str, content: str) -> None:
     stored = read_cached_json(state / _MARK)
     if isinstance(stored, dict) and stored.get("content") != content:
         raise InputError(
-            f"{root} is built from the frozen split {stored.get('name')}, which is not the same; build {name} in another "
+            f"{root} is built from the frozen split {stored.get('name')}, which is not the same; build {name} in "
+            "another "
             "--out, nothing was changed"
         )
 

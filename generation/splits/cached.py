@@ -7,7 +7,7 @@ from benchmark.datasets.roots import DataSet
 from benchmark.datasets.statistics import list_scenes
 from benchmark.machine.storage import content_key
 from benchmark.machine.workspace import cache_root, is_finished
-from benchmark.records.judgement import DEFINITION
+from benchmark.records.scene_assessment import DEFINITION
 from generation.render.contract import Renderer
 from generation.splits.packaged import read_newest_split
 

@@ -102,7 +102,8 @@ def _read_recording(source: DataSet, exchanged: ExchangedScene, file: Path) -> S
     recorded_name = next((name for name in (exchanged.source_scene, exchanged.scene.name) if name in names), None)
     if recorded_name is None:
         raise InputError(
-            f"{file} is of {to_one_line(exchanged.source_scene, 80)}, which {source.name} has no recording of; choose the "
+            f"{file} is of {to_one_line(exchanged.source_scene, 80)}, which {source.name} has no recording of; "
+            "choose the "
             "recordings that it was exported from with --data"
         )
     return source.scene(recorded_name)
@@ -200,7 +201,8 @@ def _build_adversary(
     missing = np.flatnonzero(~scene.agents.valid[row, launch:])
     if len(missing):
         raise InputError(
-            f"{described} is not there at frame {launch + int(missing[0])}; a vehicle that is edited must be there from its "
+            f"{described} is not there at frame {launch + int(missing[0])}; a vehicle that is edited must be "
+            "there from its "
             f"first change to the end (frame {len(scene.timestamps_us) - 1})"
         )
     poses = np.column_stack([scene.agents.position[row, launch:, :2], scene.agents.yaw[row, launch:]])

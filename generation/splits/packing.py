@@ -13,7 +13,7 @@ from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.statistics import statistics
 from benchmark.errors import InputError
-from benchmark.fairness.splits import find_adversarial_names, judge_split
+from benchmark.fairness.split_assessment import find_adversarial_names, judge_split
 from benchmark.machine.extension import import_from_extension
 from benchmark.machine.storage import canonical_json, content_key, write_bytes
 from benchmark.machine.workers import Executor

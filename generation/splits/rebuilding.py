@@ -1,7 +1,7 @@
 """Building a split of a package again from its recordings."""
 
-from benchmark.datasets.reviewed import record_verdicts
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.split_reviews import record_verdicts
 from generation.pipeline.settings import BuildSettings
 from generation.splits.building import FrozenBuildReport, build_frozen
 from generation.splits.packaged import NamedSplit

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.errors import InputError
-from benchmark.fairness.scenes import AdversaryProvenance
+from benchmark.fairness.scene_assessment import AdversaryProvenance
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.records.attempts import Approach, Attempt

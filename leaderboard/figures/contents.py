@@ -15,12 +15,12 @@ from matplotlib.figure import Figure
 
 from benchmark.metrics.attacks import can_count_attacks, compute_attack_rates, has_adversaries, has_severity
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.judgements import collect_split_reference_drivers
 from benchmark.metrics.rates import Rate
+from benchmark.metrics.split_reference_drivers import collect_split_reference_drivers
 from benchmark.metrics.transfer import TransferMatrix
-from benchmark.records.judgement import FeatureRealism
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import ScenePages
+from benchmark.records.scene_assessment import FeatureRealism
+from benchmark.records.scene_pages import ScenePages
 from benchmark.report.canvas import sanitise_name
 from benchmark.report.plots import PlotTheme, new_figure, render_for_pages
 from benchmark.report.words import format_split

@@ -169,7 +169,8 @@ def _draw_shares(matrix: TransferMatrix, theme: PlotTheme) -> Figure:
 
 def _draw_lift(matrix: TransferMatrix, theme: PlotTheme) -> Figure:
     caption = (
-        f"{_describe_matrix(matrix)}.\nAbove the diagonal: lift, how many times\nmore often both fail than by chance (1).\n"
+        f"{_describe_matrix(matrix)}.\nAbove the diagonal: lift, how many times\nmore often both fail than by "
+        "chance (1).\n"
         "Below: φ, correlation of verdicts (0).\nOrange: more than chance; purple: less.\n"
         "Small: 95 % interval; bold: beyond chance.\nHatched: undefined."
     )

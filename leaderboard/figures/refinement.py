@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from benchmark.errors import InputError
-from benchmark.records.scenes import (
+from benchmark.records.scene_pages import (
     ROUNDS_FILE,
     RefinementTrace,
     ScenePage,
@@ -284,7 +284,8 @@ def _describe_rounds(rounds: RefinementTrace, at: TraceFrame, theme: PlotTheme) 
     better = "brighter" if theme.dark else "darker"
     return (
         "A: adversary, E: ego, dashed: where the ego goes, star: executed. "
-        f"Lines: the adversary's centre over {seconds:g} s{drawn_note}; the {better}, the better. Scores are compared over "
+        f"Lines: the adversary's centre over {seconds:g} s{drawn_note}; the {better}, the better. Scores are "
+        "compared over "
         "all rounds together; beside: each candidate, median and quartiles. Free: candidates that touch nothing in the "
         "part that would be executed."
     )

@@ -13,10 +13,10 @@ from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
 from benchmark.geometry import Floats, box_corners, to_local
-from benchmark.records.scenes import ScenePage, TraceFrame
+from benchmark.records.scene_pages import ScenePage, TraceFrame
 from benchmark.report.ground import build_ground
 from benchmark.report.palette import ADVERSARY, EGO, GroundColours, Rgb
-from benchmark.report.placing import agent_box, ego_box
+from benchmark.report.placement import agent_box, ego_box
 from benchmark.report.plots import PlotTheme
 
 FRAMES_AHEAD: Final = 36

@@ -9,7 +9,7 @@ from benchmark.records.challenge import ChallengeScores
 from benchmark.records.drives import DriveRecord
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import NO_SCENE_PAGES, ScenePages
+from benchmark.records.scene_pages import NO_SCENE_PAGES, ScenePages
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.results import select_runs
 

@@ -193,7 +193,8 @@ def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
         if not record.complete:
             summary = record.summary
             notes.append(
-                f"{run_name}: {pluralise(summary.failed, 'sample')} failed. The rates cover {100 * summary.coverage:.1f} % of "
+                f"{run_name}: {pluralise(summary.failed, 'sample')} failed. The rates cover "
+                f"{100 * summary.coverage:.1f} % of "
                 f"{pluralise(summary.samples, 'sample')}."
             )
         if not record.covers_split:

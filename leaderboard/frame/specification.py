@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from benchmark.records.scenes import ScenePages, SplitPage
+from benchmark.records.scene_pages import ScenePages, SplitPage
 from benchmark.report.cells import PERCENT, UNDEFINED, CellSource, TableCell, ValueSource, format_record_name
 from benchmark.report.table import LatexForm, Table, TableExcerpt, build_table
 from leaderboard.frame.rows import split_sort_key

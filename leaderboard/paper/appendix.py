@@ -14,7 +14,7 @@ from benchmark.published import (
     RUNTIME_SOURCE,
 )
 from benchmark.records.ablation import AblationReport
-from benchmark.records.scenes import ScenePages, SplitPage
+from benchmark.records.scene_pages import ScenePages, SplitPage
 from benchmark.records.statistics import BuildRuntime
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import LatexForm, Table

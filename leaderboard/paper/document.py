@@ -13,7 +13,7 @@ from benchmark.published import DATA_SET_OF_SPLIT, TABLE_1_SOURCE
 from benchmark.records.ablation import AblationReport
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.run_schema import ProtocolSummary
-from benchmark.records.scenes import ScenePages
+from benchmark.records.scene_pages import ScenePages
 from benchmark.report.cells import PERCENT, UNDEFINED, TableCell, ValueSource, join_record_names
 from benchmark.report.table import LatexForm, Table, build_table, escape_latex
 from leaderboard.frame.rows import SPLIT_ORDER
@@ -57,7 +57,8 @@ def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
         rows,
         notes=(
             "As in the paper each planner is judged by the protocol of its own repository (exact where it has none): "
-            f"planners do not compare with each other. ×: (adv − val) / val of the averages. In the paper {split_names}.",
+            "planners do not compare with each other. ×: (adv − val) / val of the averages. In the paper "
+            f"{split_names}.",
             *row_notes([row for block in blocks for row in block.values()]),
         ),
         text_columns=2,

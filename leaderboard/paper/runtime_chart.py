@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from benchmark.published import RUNTIME_S
-from benchmark.records.scenes import ScenePages, SplitPage
+from benchmark.records.scene_pages import ScenePages, SplitPage
 from benchmark.report.canvas import sanitise_name
 from benchmark.report.plots import PlotTheme, new_figure, render_for_pages
 from benchmark.report.words import format_title

@@ -22,12 +22,12 @@ import numpy as np
 from benchmark.constants import LIDAR_FROM_REAR_AXLE_M
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
-from benchmark.records.considered import SearchTraceFrame, read_search_trace
 from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord
-from benchmark.records.scenes import PageAgent, ScenePage, ScenePages
+from benchmark.records.scene_pages import PageAgent, ScenePage, ScenePages
+from benchmark.records.search_trace import SearchTraceFrame, read_search_trace
 from benchmark.report.overlays import find_shared_point, rank_candidates
-from benchmark.report.placing import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, place_waypoints
+from benchmark.report.placement import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, place_waypoints
 from leaderboard.frame.drives import group_comparable_drives
 from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, encode_script, pack_path, pack_series
 from leaderboard.site.scene_data import build_agent
@@ -314,7 +314,7 @@ def interpolate_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
 def build_search_trace(sheet: ScenePage, frames: Sequence[SearchTraceFrame]) -> list[dict[str, Any]]:
     """Planning frames of an adversary, in force until the next; the drive is of the sheet's scene.
 
-    Each has ``t`` (seconds from the first frame), ``did`` (`benchmark.records.considered`), ``paths`` (x, y in turn of
+    Each has ``t`` (seconds from the first frame), ``did`` (`benchmark.records.search_trace`), ``paths`` (x, y in turn of
     each candidate, decimetres as steps, worst first), ``shares`` (of each, hundredths: 0 for the best score, 100 for
     the worst or infinite ones) and ``chosen`` (x, y in turn of the one that was driven; null where none was).
     """

@@ -17,11 +17,11 @@ from benchmark.metrics.effect import attributes_contacts, find_touched_scenes, k
 from benchmark.metrics.rates import Rate
 from benchmark.metrics.scores import find_protocol_version
 from benchmark.records.driving import SUB_SCORES, TOTALS, VERSION
-from benchmark.records.judgement import DRIVER_NAMES
 from benchmark.records.planner_versions import list_file_notes
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DrivingSummary, ProtocolSummary
-from benchmark.records.scenes import ScenePages
+from benchmark.records.scene_assessment import DRIVER_NAMES
+from benchmark.records.scene_pages import ScenePages
 from benchmark.report.cells import MINIATURE_WORDS, CellSource, TableCell, format_number
 from benchmark.report.table import Table
 from leaderboard.frame.results import LeaderboardResults
@@ -32,7 +32,7 @@ from leaderboard.site.drive_data import build_drive_index
 from leaderboard.site.scene_index import build_scene_index, scene_key
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.effect import effect_table
-from leaderboard.tables.judgements import DRIVER_HEADS
+from leaderboard.tables.scenario_assessment import DRIVER_HEADS
 
 _SHOWN_COLUMNS: Final = ("collision", "l2")
 _DIGITS: Final = 6

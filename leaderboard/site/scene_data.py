@@ -34,10 +34,18 @@ from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import attributes_contacts
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import PageAgent, PageMap, Polygon, ScenePage, ScenePages, StoredScenePage, picture_name
+from benchmark.records.scene_pages import (
+    PageAgent,
+    PageMap,
+    Polygon,
+    ScenePage,
+    ScenePages,
+    StoredScenePage,
+    picture_name,
+)
 from benchmark.report.birdseye import BirdseyeScene
 from benchmark.report.palette import ON_DARK, ON_LIGHT, GroundColours
-from benchmark.report.placing import agent_box, ego_box
+from benchmark.report.placement import agent_box, ego_box
 from benchmark.waypoints import points_in_ego
 from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, encode_script, pack_path, pack_series
 from leaderboard.site.scene_index import SceneName, scene_key

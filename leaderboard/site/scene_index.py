@@ -15,11 +15,11 @@ from benchmark.metrics.attacks import SceneAttack, collect_scene_attacks
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import FirstContactFlags, attributes_contacts, find_first_contacts, find_touched_scenes
 from benchmark.metrics.scores import find_protocol_version, map_scenes_to_sources
-from benchmark.records.judgement import DRIVER_NAMES, AssessmentSummary
 from benchmark.records.quality import QualityRecord
 from benchmark.records.row_schema import BriefRow
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import ScenePage, ScenePages
+from benchmark.records.scene_assessment import DRIVER_NAMES, AssessmentSummary
+from benchmark.records.scene_pages import ScenePage, ScenePages
 from benchmark.report.words import format_split
 from leaderboard.frame.rows import split_sort_key
 
@@ -245,7 +245,8 @@ def _require_same_content(records: Sequence[RunRecord], sheets: ScenePages) -> N
         record = content.get((data_name, split))
         if record is not None and record.run.data.fingerprint != stored.sheet.data.fingerprint:
             raise InputError(
-                f"the sheet of {scene} ({stored.directory}) shows other content of {format_split(split, data_name)} than "
+                f"the sheet of {scene} ({stored.directory}) shows other content of "
+                f"{format_split(split, data_name)} than "
                 "the run records saw (the data fingerprints differ); run challenger-bench sheets again, or eval again "
                 "if the data is newer"
             )

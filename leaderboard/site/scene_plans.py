@@ -12,7 +12,7 @@ from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import attributes_contacts
 from benchmark.records.row_schema import OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.report.placing import PlacedForecasts, place_plan
+from benchmark.report.placement import PlacedForecasts, place_plan
 from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, pack_path, pack_series
 
 MODES_SHOWN: Final = 12

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from benchmark.metrics.attacks import AttackRates, Reading, can_count_attacks, compute_attack_rates
-from benchmark.metrics.judgements import Spread, summarise_contacts, summarise_near_passes
+from benchmark.metrics.split_reference_drivers import Spread, summarise_contacts, summarise_near_passes
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, CellSource, ValueSource
 from benchmark.report.table import Table

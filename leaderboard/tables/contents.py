@@ -13,15 +13,15 @@ from benchmark.errors import InputError
 from benchmark.metrics.attacks import has_adversaries, has_severity
 from benchmark.metrics.consistency import INSTANTS, MEAN, Consistency, measure_consistency
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.drawn_seeds import combine_seeds, format_seeds
 from benchmark.metrics.rates import HORIZONS, SceneSums
 from benchmark.metrics.scores import map_scenes_to_sources, score_record
+from benchmark.metrics.search_seeds import combine_seeds, format_seeds
 from benchmark.records.ablation import AblationReport
 from benchmark.records.attempts import parse_seed
 from benchmark.records.drives import DriveRecord
 from benchmark.records.driving import PDM
 from benchmark.records.run import RunRecord, resolve_protocol
-from benchmark.records.scenes import ScenePages
+from benchmark.records.scene_pages import ScenePages
 from benchmark.report.cells import PERCENT, AnyRate, ValueSource, join_record_names
 from benchmark.report.table import Table
 from leaderboard.frame.rows import name_cell, name_judge, run_notes
@@ -48,10 +48,10 @@ from leaderboard.tables.drives import drive_tables, loop_tables
 from leaderboard.tables.driving import driving_tables
 from leaderboard.tables.effect import effect_table
 from leaderboard.tables.further_columns import further_table
-from leaderboard.tables.judgements import assessment_tables
 from leaderboard.tables.longer_plans import longer_table
 from leaderboard.tables.pressure import pressure_tables
 from leaderboard.tables.runtime import cost_table, drive_cost_table, runtime_tables
+from leaderboard.tables.scenario_assessment import assessment_tables
 from leaderboard.tables.slices import DIAGNOSIS, build_slice_tables
 from leaderboard.tables.statistics import manoeuvre_tables, seed_spread_table, statistics_tables
 from leaderboard.tables.transfer import transfer_tables
@@ -329,17 +329,20 @@ def missing_notes(frame: DataSetRuns) -> list[str]:
             )
         if any(None in record.columns.values(field) for field in ("place", "speed_m_s")):
             notes.append(
-                f"{run_name}: the record does not say where its samples are, in what light and how fast, so that it is in "
+                f"{run_name}: the record does not say where its samples are, in what light and how fast, so that "
+                "it is in "
                 "no table by place, light or speed; run challenger-bench rescore."
             )
         if has_adversaries(record) and not has_severity(record):
             notes.append(
-                f"{run_name}: the record does not say how severe its plans are, so that it is in no table of attack success "
+                f"{run_name}: the record does not say how severe its plans are, so that it is in no table of "
+                "attack success "
                 "or severity; run challenger-bench rescore."
             )
         if record.run.split == "adv" and not record.run.scene_facts:
             notes.append(
-                f"{run_name}: the record does not say which recordings its scenes come from, so that intervals take scenes "
+                f"{run_name}: the record does not say which recordings its scenes come from, so that intervals "
+                "take scenes "
                 "of one recording for independent; run challenger-bench rescore."
             )
     return notes

@@ -126,7 +126,8 @@ def _notes(runs: Sequence[RunRecord], rows: Sequence[_DisagreementRow]) -> tuple
         "A sample is positive if the plan collides at any time within 3 s; exact looks at all objects all the time, "
         "the official verdict is the one after the protocol's mask. Only samples count that both count. Brackets: % of "
         "exact + for misses, of official + for false alarms.",
-        f"Causes (docs/footguns.md): {', '.join(f'{_SHORT[counterfactual]} = {counterfactual}' for counterfactual in COUNTERFACTUALS[:5])}.",
+        "Causes (docs/footguns.md): "
+        f"{', '.join(f'{_SHORT[counterfactual]} = {counterfactual}' for counterfactual in COUNTERFACTUALS[:5])}.",
         "Mask took: steps (and samples with such steps) that a protocol drops because, in its eyes, the recorded ego "
         "collides there too. Steps: the verdicts at the six waypoints, where exact looks at the waypoint alone.",
     ]

@@ -311,6 +311,7 @@ def describe_failures(record: DriveRecord) -> str:
     assert first.failure is not None
     lines = first.failure.text.strip().splitlines() or [first.failure.reason]
     return (
-        f"{record.planner} failed in {record.summary.failed} of {pluralise(record.summary.drives, 'drive')} ({reasons}; "
+        f"{record.planner} failed in {record.summary.failed} of {pluralise(record.summary.drives, 'drive')} "
+        f"({reasons}; "
         f"the first, {first.scene}: {lines[-1]})"
     )

@@ -8,7 +8,7 @@ from benchmark.metrics.attacks import has_adversaries, knows_adversaries
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.effect import AT_3_S, AdversaryEffect, PairedEffect, compute_effect, knows_contact_partners
 from benchmark.metrics.rates import PairedDifference
-from benchmark.metrics.unchanged import find_unchanged_record, sees_images
+from benchmark.metrics.unchanged_records import find_unchanged_record, sees_images
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, CellSource, ValueSource, join_record_names
 from benchmark.report.table import Table

@@ -10,7 +10,7 @@ from benchmark.published import RUNTIME_MACHINE, RUNTIME_S, RUNTIME_SOURCE
 from benchmark.records.drives import DriveRecord
 from benchmark.records.planner_cost import COLD_SAMPLES, PlannerCost, summarise_cost
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import SplitPage
+from benchmark.records.scene_pages import SplitPage
 from benchmark.records.statistics import RENDERING, BuildRuntime
 from benchmark.report.cells import PERCENT, CellSource, ValueSource
 from benchmark.report.table import Table

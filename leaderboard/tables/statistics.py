@@ -16,7 +16,7 @@ from benchmark.metrics.scores import require_current
 from benchmark.published import ADV_NUSC, DATA_SET_SOURCE
 from benchmark.records.review import describe_review
 from benchmark.records.run import RunRecord, resolve_protocol
-from benchmark.records.scenes import AttemptFacts, SplitPage
+from benchmark.records.scene_pages import AttemptFacts, SplitPage
 from benchmark.records.statistics import ManoeuvreRow, Quantiles
 from benchmark.report.cells import ValueSource, join_record_names
 from benchmark.report.table import Table

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from adapters.checkpoints.cache import read_provenance, write_weights
-from adapters.checkpoints.importing import resolve_checkpoint
+from adapters.checkpoints.checkpoint_import import resolve_checkpoint
 from adapters.checkpoints.loading import build_native_planner
 from adapters.checkpoints.stand_in import stand_in
 from adapters.models import MODELS, baselines, miniature, miniatures, published_as, published_models, resolve

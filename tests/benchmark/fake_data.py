@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
-from benchmark.datasets.annotated import AnnotationCount
+from benchmark.datasets.annotated_objects import AnnotationCount
 from benchmark.datasets.can_bus import CanBus, compute_ego_state
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import build_scene_facts

@@ -84,8 +84,8 @@ def test_a_network_waits_for_no_first_scene_where_workers_are_at_hand(
     factory = Factory(Remembering, facts=facts)
     one = evaluate(town_of_six(), "val", factory, tmp_path / "one", EvalSettings(workers=1))
     here: list[str] = []
-    monkeypatch.setattr(benchmark.evaluation, "work_here", lambda runs, data, planners, scene: here.append(scene))
-    monkeypatch.setattr(benchmark.evaluation, "workers_at_hand", lambda: True)
+    monkeypatch.setattr(benchmark.evaluation, "evaluate_scene", lambda runs, data, planners, scene: here.append(scene))
+    monkeypatch.setattr(benchmark.evaluation, "has_forkserver", lambda: True)
     two = evaluate(town_of_six(), "val", factory, tmp_path / "two", EvalSettings(workers=2), reopen=town_of_six)
     assert not here and contents(one.directory) == contents(two.directory)
 

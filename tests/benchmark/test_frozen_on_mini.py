@@ -40,7 +40,7 @@ def small(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[NamedSplit]:
     one = next(scene for scene in packaged.frozen.scenes if scene.source == "scene-8000")
     few = NamedSplit("mini-adv-7", packaged.frozen.model_copy(update={"scenes": (one,)}))
     monkeypatch.setattr("generation.sources.mini.TownSettings", partial(TownSettings, val_scenes=1, images=False))
-    monkeypatch.setattr("generation.splits.cached.newest_split", lambda *_: few)
+    monkeypatch.setattr("generation.splits.cached.read_newest_split", lambda *_: few)
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(cache))
     yield few
 

@@ -136,7 +136,7 @@ def test_the_examples_run(page: str, cache: Path, tmp_path: Path, monkeypatch: p
     of_each = {scene.source: scene for scene in whole.frozen.scenes if scene.source in ("scene-8000", "scene-8001")}
     assert of_each, "the examples open a split that has scenes"
     few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": tuple(of_each.values())}))
-    monkeypatch.setattr("generation.splits.cached.newest_split", lambda *_: few)
+    monkeypatch.setattr("generation.splits.cached.read_newest_split", lambda *_: few)
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(cache))
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(>>>.*?)```", (ROOT / page).read_text(), re.DOTALL)

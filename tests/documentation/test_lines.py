@@ -70,7 +70,7 @@ def desk(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     first = next(scene for scene in whole.frozen.scenes if scene.name == PLACES["NAME"])
     few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": (first,)}))
     monkeypatch.setattr("generation.sources.mini.TownSettings", small)
-    monkeypatch.setattr("generation.splits.cached.newest_split", lambda *_: few)
+    monkeypatch.setattr("generation.splits.cached.read_newest_split", lambda *_: few)
     for place in ("benchmark.api", "benchmark.api.opening", "benchmark.api.planners"):
         monkeypatch.setattr(f"{place}.worker_count", lambda _: 1)
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tiny / "cache"))

@@ -6,7 +6,7 @@ from typing import Any
 from benchmark.metrics.rates import Rate
 from benchmark.records.ablation import VARIANTS, AblationReport, AblationRow
 from benchmark.records.run_schema import DataFacts, PlannerFacts
-from benchmark.records.scenes import AttemptFacts, ScenePages, SplitPage
+from benchmark.records.scene_pages import AttemptFacts, ScenePages, SplitPage
 from benchmark.records.statistics import BuildRuntime, SplitStatistics
 
 STATISTICS: dict[str, Any] = {

@@ -110,7 +110,7 @@ def test_exit_codes_are_as_promised(town: Path, tmp_path: Path, monkeypatch: pyt
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("adapters.known_planners.known_planners", interrupted)
+    monkeypatch.setattr("adapters.planner_listing.known_planners", interrupted)
     assert code("models") == 130
 
 

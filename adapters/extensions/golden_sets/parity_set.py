@@ -22,7 +22,7 @@ from benchmark.geometry import Floats
 from benchmark.machine.devices import single_precision
 from benchmark.verification.checks import ROUNDING, Check, Comparison
 from benchmark.verification.filled_networks import fill_network, have_same_names_and_shapes
-from benchmark.verification.golden import GoldenArrays, GoldenFolder, find_golden_directory, raise_input_error
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder, find_golden_directory, raise_input_error
 from benchmark.verification.synthetic_weights import WeightsRecipe, draw_seeded_normal, read_shapes
 
 IMAGE_NOISE: Final = 1e-7

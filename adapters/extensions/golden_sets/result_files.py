@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from adapters.result_files.contract import FileFrame
 from adapters.result_files.frames import ego_waypoints, lidar_waypoints
 from adapters.result_files.importing import ImportedPlans, import_results
-from adapters.result_files.made_up import PRECISION_M, SINGLE_M, make_synthetic_plans, make_synthetic_samples
 from adapters.result_files.recognition import recognise
 from adapters.result_files.samples import RecordedSamples
+from adapters.result_files.synthetic import PRECISION_M, SINGLE_M, make_synthetic_plans, make_synthetic_samples
 from adapters.result_files.writing.formats import WRITERS
 from adapters.result_files.writing.pickles import PlansToWrite
 from benchmark.constants import PLAN_STEPS
@@ -27,7 +27,7 @@ from benchmark.geometry import Floats
 from benchmark.protocols import PROTOCOLS
 from benchmark.truth import SampleTruth
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder, GoldenSet
 
 
 def compare_synthetic(comparison: Comparison) -> None:

@@ -36,7 +36,7 @@ from adapters.networks.sparse.config import SparseConfig, image_length_fits
 from adapters.networks.sparse.model import DiffusionDrive, SparseInputs, SparseNetwork, pose_of
 from benchmark.geometry import Floats
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 from benchmark.verification.synthetic_weights import WeightsRecipe, draw_seeded_normal, read_shapes
 
 COARSE = 16

@@ -25,7 +25,7 @@ from adapters.networks.sparse.selection import (
     select_plan,
 )
 from benchmark.geometry import Floats
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 
 Rows = NDArray[np.int64]
 TIED: Final = 1e-4

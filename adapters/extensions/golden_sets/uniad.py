@@ -27,7 +27,7 @@ from adapters.networks.uniad.planning import UniADPredictions
 from adapters.networks.uniad.tracking import Boxes, decode_instances, select_strongest_boxes
 from benchmark.geometry import Bools, Floats
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 
 EXACT: Final = Tolerance(1e-3)
 """Every value within a thousandth of its spread."""

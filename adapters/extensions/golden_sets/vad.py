@@ -22,7 +22,7 @@ from adapters.networks.vad.selection import (
 )
 from benchmark.geometry import Bools
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 
 EXACT: Final = Tolerance(1e-3)
 """Every value within a thousandth of its spread: what comes before the decoders, and what comes after all others."""

@@ -35,7 +35,7 @@ class TrainDenoiserOptions:
 @command(TrainDenoiserOptions, app, "denoiser")
 def train_denoiser_command(options: TrainDenoiserOptions) -> None:
     """Train the trajectory model and describe it; the same command resumes."""
-    from benchmark.machine.places import require_folder, require_output_file
+    from benchmark.machine.path_checks import require_folder, require_output_file
 
     api.require_device(options.device)
     require_folder(options.tracks, "--tracks")
@@ -91,7 +91,7 @@ def train_planner_command(options: TrainPlannerOptions) -> None:
     """Train a miniature of a native model on a data set; the same command resumes."""
     from adapters.models import miniature
     from benchmark.datasets.statistics import list_scenes
-    from benchmark.machine.places import require_file, require_output_file
+    from benchmark.machine.path_checks import require_file, require_output_file
 
     if options.model != "image-encoder":
         miniature(options.model)
@@ -126,7 +126,7 @@ class TrainJudgeOptions:
 def train_judge_command(options: TrainJudgeOptions) -> None:
     """Measure a trained miniature again, and write its facts and its card anew."""
     from benchmark.datasets.statistics import list_scenes
-    from benchmark.machine.places import require_file
+    from benchmark.machine.path_checks import require_file
 
     require_file(options.weights, "the weights")
     list_scenes(options.data, "val")
@@ -147,7 +147,7 @@ class TrainEgoStatusOptions:
 @command(TrainEgoStatusOptions, app, "ego-status")
 def train_ego_status_command(options: TrainEgoStatusOptions) -> None:
     """Train the planner that sees its own motion and the command only."""
-    from benchmark.machine.places import require_folder, require_output_file
+    from benchmark.machine.path_checks import require_folder, require_output_file
 
     require_folder(options.tracks, "--tracks")
     require_output_file(options.out, "--out")

@@ -10,11 +10,9 @@ from torch import Tensor, nn
 
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.checkpoints.cache import Provenance, load_weights, write_weights
-from adapters.checkpoints.importing import resolve_checkpoint
+from adapters.checkpoints.checkpoint_import import resolve_checkpoint
 from adapters.extensions.training.card import format_card
-from adapters.extensions.training.frames import Frames, TrainingFrame
-from adapters.extensions.training.image_encoder import ImageEncoder, ImageEncoderObjective
-from adapters.extensions.training.mixture import (
+from adapters.extensions.training.dataset_mixture import (
     ADVERSARIAL_SPLIT,
     MixedFrames,
     PrefixedScenes,
@@ -23,6 +21,8 @@ from adapters.extensions.training.mixture import (
     require_distinct_data,
     require_source_scenes,
 )
+from adapters.extensions.training.frames import Frames, TrainingFrame
+from adapters.extensions.training.image_encoder import ImageEncoder, ImageEncoderObjective
 from adapters.extensions.training.plan_figures import (
     EvaluatedPlans,
     ImageAblation,

@@ -19,7 +19,7 @@ from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, to_global, to_local
 from benchmark.planning import Observation
-from benchmark.records.driven import DrivenEgoTargets, read_driven_ego_targets
+from benchmark.records.driven_ego import DrivenEgoTargets, read_driven_ego_targets
 from benchmark.records.off_path import find_followable_positions, read_excursions
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import Scene

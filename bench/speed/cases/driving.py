@@ -12,13 +12,17 @@ import numpy as np
 from bench.speed.case import Case
 from benchmark import api
 from benchmark.cli.drive import BASELINES, TOGETHER
-from benchmark.closed_loop.courses import build_log_replay, build_simulation_config, interpolate_recorded_poses
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.driving import EpisodeSpec, run_episode
-from benchmark.closed_loop.idm import IdmPolicy
+from benchmark.closed_loop.episodes import EpisodeSpec, run_episode
+from benchmark.closed_loop.idm_policy import IdmPolicy
 from benchmark.closed_loop.scoring import score_episode
+from benchmark.closed_loop.simulation_config import (
+    build_log_replay,
+    build_simulation_config,
+    interpolate_recorded_poses,
+)
 from benchmark.closed_loop.stepping import begin_simulation, step, step_together
-from benchmark.closed_loop.world import STEP_US, SimulationConfig, WorldState
+from benchmark.closed_loop.world_state import STEP_US, SimulationConfig, WorldState
 from benchmark.extensions.http.model import http_planner
 from benchmark.geometry import Floats, to_local
 from benchmark.machine.workers import map_ordered

@@ -15,17 +15,17 @@ import numpy as np
 
 from bench.speed.case import Case
 from benchmark.datasets.sample_truth import compute_truth
-from benchmark.fairness.encounter import measure_severity
 from benchmark.fairness.features import RoadEdge, extract_recorded_runs, extract_runs
 from benchmark.fairness.plan_severity import measure_plan_severities
-from benchmark.fairness.splits import measure_realism
+from benchmark.fairness.severity_series import measure_severity
+from benchmark.fairness.split_assessment import measure_realism
 from benchmark.fairness.validity import find_track_defects
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.interactions.solvability import SceneReferenceDrivers
 from benchmark.interactions.tracks import ContinuousTracks
-from benchmark.pdm.judging import score_scene_plans
-from benchmark.pdm.motion import plan_to_poses
-from benchmark.pdm.recording import RecordedScene
+from benchmark.pdm.plan_motion import plan_to_poses
+from benchmark.pdm.plan_scoring import score_scene_plans
+from benchmark.pdm.recorded_scene import RecordedScene
 from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
 from benchmark.scene import Annotations, Scene

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import MAP_LAYERS, NUSCENES_TABLES, OFFICIAL_LOCATIONS
-from benchmark.datasets.annotated import AnnotationCount, find_labelled_keyframes, has_size
+from benchmark.datasets.annotated_objects import AnnotationCount, find_labelled_keyframes, has_size
 from benchmark.datasets.categories import KNOWN, select_category_names
 from benchmark.datasets.devkit_import import FURTHER_TABLES, build_devkit
 from benchmark.datasets.map_layers import find_expansion_file, read_road_map
@@ -183,7 +183,8 @@ def _check_labels(tables: CheckedTables, faults: FaultList) -> None:
             sentence = f"{scene['name']} has no annotations: no contact there can be judged, and no rate counts it"
         else:
             sentence = (
-                f"{scene['name']} has no annotations at {len(missing)} of {pluralise(len(counts), 'sample')}, the first "
+                f"{scene['name']} has no annotations at {len(missing)} of {pluralise(len(counts), 'sample')}, "
+                "the first "
                 f"of them number {missing[0]}: no contact that falls there can be judged"
             )
         faults.add(_LABELS, "scene", scene["token"], sentence, severity="warning")

@@ -45,7 +45,7 @@ class DataCardOptions:
 def data_card_command(options: DataCardOptions) -> None:
     """Write a data-set card for a hub: README.md, a Parquet index of the scenes, and Croissant metadata."""
     from benchmark.extensions.cards.writing import CardSettings
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
 
     settings = CardSettings(**api.select_matching_options(CardSettings, options))
     data = api.DataSource.of(options)
@@ -77,7 +77,7 @@ def records_card_command(options: RecordsCardOptions) -> None:
     """Write a card of results for a hub: README.md, every rate as a row of a Parquet file, and Croissant metadata."""
     from benchmark.extensions.cards.records_card import write_records_card
     from benchmark.extensions.cards.writing import CardSettings
-    from benchmark.machine.places import require_folder, require_place
+    from benchmark.machine.path_checks import require_folder, require_place
     from benchmark.records.drives import find_drives
     from benchmark.records.run import find_records
 

@@ -103,7 +103,8 @@ def write_records_card(
         raise InputError("there are no records with numbers to describe; run challenger-bench eval first")
     count = len(records) + len(drives)
     description = (
-        f"{pluralise(len(rows), 'rate')} from {pluralise(count, 'record')} of driving models on adversarial and ordinary "
+        f"{pluralise(len(rows), 'rate')} from {pluralise(count, 'record')} of driving models on adversarial and "
+        "ordinary "
         "scenes, each by a named, versioned protocol, with its sample count and interval."
     )
     card_description = DataSetDescription(

@@ -19,14 +19,7 @@ from benchmark.datasets.roots import DataSet
 from benchmark.datasets.steps import require_two_hz
 from benchmark.dynamics.bicycle import compute_rear_axle
 from benchmark.errors import InputError, did_you_mean
-from benchmark.extensions.challenge.images import (
-    Views,
-    check_change_is_seen,
-    check_image_files,
-    check_image_times,
-    read_thumbnails,
-)
-from benchmark.extensions.challenge.others import (
+from benchmark.extensions.challenge.changed_objects import (
     ChangedObject,
     Nearness,
     check_changed_objects,
@@ -37,6 +30,13 @@ from benchmark.extensions.challenge.others import (
     find_changed_objects,
     find_nearest_ego,
     find_nearest_object,
+)
+from benchmark.extensions.challenge.images import (
+    Views,
+    check_change_is_seen,
+    check_image_files,
+    check_image_times,
+    read_thumbnails,
 )
 from benchmark.extensions.challenge.recorded_part import (
     CommonKeyframes,

@@ -65,9 +65,9 @@ def challenge_check_command(options: ChallengeCheckOptions) -> None:
     """Say which scenes of an entry keep the rules; exit code 1 if one is refused, 2 if nothing can be said."""
     from benchmark.extensions.challenge.checking import check_entry
     from benchmark.extensions.challenge.page import write_page
-    from benchmark.extensions.challenge.pictures import draw_scenes
     from benchmark.extensions.challenge.rules import read_rules
-    from benchmark.machine.places import require_file, require_folder, require_place
+    from benchmark.extensions.challenge.scene_drawings import draw_scenes
+    from benchmark.machine.path_checks import require_file, require_folder, require_place
     from benchmark.machine.storage import sanitise_file_name
     from benchmark.machine.workers import LocalProcesses
     from benchmark.records.challenge import write_verdict
@@ -150,7 +150,7 @@ def challenge_score_command(options: ChallengeScoreOptions) -> None:
     """Check entries, let planners drive on them, rank them, and say which places are not told apart."""
     from benchmark.extensions.challenge.rules import read_rules
     from benchmark.extensions.challenge.scoring import ScoreSettings, score_entries
-    from benchmark.machine.places import require_file, require_folder, require_place
+    from benchmark.machine.path_checks import require_file, require_folder, require_place
     from benchmark.protocols import find_protocol as known_protocol
     from benchmark.records.challenge import write_scores
     from benchmark.records.run import NATIVE
@@ -202,7 +202,7 @@ class ChallengeRulesOptions:
 def challenge_rules_command(options: ChallengeRulesOptions) -> None:
     """Print a whole rules.toml, each rule with what it says."""
     from benchmark.extensions.challenge.rules import RULE_SETS, format_rules, read_rules
-    from benchmark.machine.places import require_file
+    from benchmark.machine.path_checks import require_file
 
     require_file(options.rules, "rules", (".toml",))
     rule_set = RULE_SETS[options.start] if options.rules is None else read_rules(options.rules)

@@ -7,16 +7,16 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from benchmark.datasets.annotated import AnnotationCount
+from benchmark.datasets.annotated_objects import AnnotationCount
 from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.scene_facts import build_scene_facts
-from benchmark.fairness.scenes import AdversaryProvenance, assess_scene
+from benchmark.fairness.scene_assessment import AdversaryProvenance, assess_scene
 from benchmark.planning import CameraView, Observation
 from benchmark.records.challenge import EntryVerdict, SceneVerdict
-from benchmark.records.judgement import SceneAssessment
 from benchmark.records.review import SplitReview
 from benchmark.records.run_schema import SceneFacts
+from benchmark.records.scene_assessment import SceneAssessment
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 

@@ -25,7 +25,7 @@ from benchmark.planning import CameraView
 from benchmark.records.challenge import RefusalReason
 from benchmark.report.words import pluralise
 from benchmark.scene import Scene
-from benchmark.untrusted.wire_images import read_picture
+from benchmark.untrusted.http_images import read_picture
 
 Views = Mapping[str, Sequence[CameraView]]
 

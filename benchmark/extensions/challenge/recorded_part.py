@@ -159,7 +159,8 @@ def check_times(entry: Scene, recorded: Scene, common: CommonKeyframes) -> Itera
         times = entry.timestamps_us[entry.keyframes] - recorded.timestamps_us[recorded.keyframes]
         first = int(np.argmax(times != 0))
         sentence = (
-            f"has {pluralise(theirs - len(common.here), 'keyframe')} at another time than the recording, first keyframe "
+            f"has {pluralise(theirs - len(common.here), 'keyframe')} at another time than the recording, first "
+            "keyframe "
             f"{first}, by {abs(int(times[first])) * 1e-3:.3g} ms"
         )
     yield RefusalReason(rule="unchanged.times", sentence=sentence)
@@ -175,7 +176,8 @@ def check_ego(entry: Scene, recorded: Scene, common: CommonKeyframes, rules: Unc
         at = int(np.argmax(wrong))
         yield RefusalReason(
             rule="unchanged.position_m" if moved[at] > rules.position_m else "unchanged.rotation",
-            sentence=f"moves the ego at {pluralise(int(wrong.sum()), 'keyframe')}, first at keyframe {common.here[at]}, "
+            sentence=f"moves the ego at {pluralise(int(wrong.sum()), 'keyframe')}, first at keyframe "
+            f"{common.here[at]}, "
             f"by up to {_metres(float(moved.max()))}",
         )
     elif np.array_equal(entry.timestamps_us, recorded.timestamps_us):

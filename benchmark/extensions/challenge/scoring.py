@@ -20,15 +20,13 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.extensions.challenge.checking import check_entry
 from benchmark.extensions.challenge.entries import SPLIT, CheckedEntry
 from benchmark.extensions.challenge.rules import ChallengeRules
-from benchmark.fairness.encounter import CRITICAL_S
-from benchmark.fairness.splits import measure_split_realism
+from benchmark.fairness.severity_series import CRITICAL_S
+from benchmark.fairness.split_assessment import measure_split_realism
 from benchmark.geometry import Floats
 from benchmark.machine.storage import sanitise_file_name
 from benchmark.machine.workers import LocalProcesses
 from benchmark.metrics.attacks import select_counted_rows
-from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.effect import knows_contact_partners
-from benchmark.metrics.entries import (
+from benchmark.metrics.challenge_entries import (
     RefusedScene,
     average_planners,
     average_recordings,
@@ -39,6 +37,8 @@ from benchmark.metrics.entries import (
     sum_attributable_contacts,
     sum_collisions,
 )
+from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import knows_contact_partners
 from benchmark.metrics.rates import HORIZONS
 from benchmark.protocols import STANDARD
 from benchmark.records.challenge import (
@@ -52,8 +52,8 @@ from benchmark.records.challenge import (
     ScoredQuantity,
     write_verdict,
 )
-from benchmark.records.judgement import AssessmentSummary, SplitRealism
 from benchmark.records.run import NATIVE, RunRecord
+from benchmark.records.scene_assessment import AssessmentSummary, SplitRealism
 from benchmark.runs.plan_rows import PlannerFactory
 
 _NOTHING: Final = ScoredQuantity()

@@ -61,7 +61,7 @@ def export_openscenario_command(options: ExportOptions) -> None:
 
 def _scenes_to_export(options: ExportOptions) -> "tuple[DataSet, tuple[str, ...]]":
     """The data set and the scenes that are exported; what cannot be is refused before anything is built."""
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
 
     data, named, split = api.DataSource.of(options), parse_name_list(options.scenes), options.split
     data.require(named) if split is None else data.require_split(split, named, options.limit)

@@ -156,7 +156,7 @@ def _velocity(position: Floats, there: Bools, seconds: Floats) -> Floats:
 
 
 def _build_extra_metadata(exchanged: ExchangedScene) -> dict[str, Any]:
-    """Facts that ScenarioNet has no place for; `benchmark.datasets.scene_of_own` reads them."""
+    """Facts that ScenarioNet has no place for; `benchmark.datasets.scenarionet_roundtrip` reads them."""
     scene = exchanged.scene
     sweeps = scene.sweep_poses
     return {

@@ -13,7 +13,7 @@ from benchmark.metrics.disagreement import CAUSES, COUNTERFACTUALS, EXACT, FALSE
 from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import INSTANTS_PER_STEP, compute_plan_boxes, interpolate_object_boxes
-from benchmark.protocols.stacked import stack
+from benchmark.protocols.stacked_truths import stack
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
 from benchmark.truth import SampleTruth

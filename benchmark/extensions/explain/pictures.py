@@ -37,7 +37,7 @@ from benchmark.machine.storage import sanitise_file_name, write_bytes
 from benchmark.metrics.disagreement import CAUSES, COUNTERFACTUALS, MISS, filter_objects, find_contacts_before_mask
 from benchmark.protocols import PROTOCOLS, CollisionProtocol
 from benchmark.protocols.exact import INSTANTS_PER_STEP, compute_plan_boxes
-from benchmark.protocols.stacked import StackedTruths, stack
+from benchmark.protocols.stacked_truths import StackedTruths, stack
 from benchmark.records.run import RunRecord
 from benchmark.report.plots import figure_png
 

@@ -12,7 +12,7 @@ from benchmark.protocols.bev_planner import BEVPlannerProtocol
 from benchmark.protocols.omnidrive import OmniDriveProtocol
 from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, RasterProtocol, draw_full_rasters
 from benchmark.protocols.safemvdrive import SafeMVDriveProtocol
-from benchmark.protocols.stacked import stack
+from benchmark.protocols.stacked_truths import stack
 from benchmark.protocols.stp3 import STP3Protocol
 from benchmark.report import palette
 from benchmark.report.palette import format_hexadecimal

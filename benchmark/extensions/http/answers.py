@@ -10,7 +10,7 @@ from benchmark.errors import InputError
 from benchmark.extensions.http.requests import encode_json, parse_body
 from benchmark.extensions.http.values import NeuroncapHttpError, parse_numbers, read_member
 from benchmark.geometry import Floats
-from benchmark.pdm.motion import plan_to_poses
+from benchmark.pdm.plan_motion import plan_to_poses
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.untrusted.files import HTTP_ANSWER
 from benchmark.waypoints import points_in_ego

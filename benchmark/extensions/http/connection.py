@@ -116,7 +116,8 @@ class HttpConnection:
             raise self._build_late_error(path, seconds) from error
         except httpx2.ConnectError as error:
             raise PlannerAwayError(
-                f"nobody answers at {self.url} ({to_one_line(error, 80)}); start {self.what}, then the same command again"
+                f"nobody answers at {self.url} ({to_one_line(error, 80)}); start {self.what}, then the same "
+                "command again"
             ) from error
         except httpx2.TransportError as error:
             if watch.cut:
@@ -138,7 +139,8 @@ class HttpConnection:
             size += len(part)
             if size > HTTP_ANSWER.file_bytes:
                 raise PlannerGoneError(
-                    f"{self.what} at {self.url} answers {path} with more than {format_bytes(HTTP_ANSWER.file_bytes)}; that "
+                    f"{self.what} at {self.url} answers {path} with more than "
+                    f"{format_bytes(HTTP_ANSWER.file_bytes)}; that "
                     "is no answer of this protocol, name another address"
                 )
             parts.append(part)
@@ -152,7 +154,8 @@ class HttpConnection:
 
     def _build_away_error(self, path: str, error: Any) -> PlannerAwayError:
         return PlannerAwayError(
-            f"{self.what} at {self.url} went away before it had answered {path} ({to_one_line(error, 80)}); look at its "
+            f"{self.what} at {self.url} went away before it had answered {path} ({to_one_line(error, 80)}); look "
+            "at its "
             "own output, start it, then the same command again: what is finished is kept"
         )
 

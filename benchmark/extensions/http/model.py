@@ -107,7 +107,8 @@ class HttpPlanner:
             )
         if _LEAST_ERROR <= reply.status < _LEAST_FAILURE:
             raise PlannerGoneError(
-                f"{self._who} refuses {path} (status {reply.status}: {_read_detail(reply)}); it speaks another version of "
+                f"{self._who} refuses {path} (status {reply.status}: {_read_detail(reply)}); it speaks another "
+                "version of "
                 f"NeuroNCAP's protocol, wants other pictures (--image-format), or is something else"
             )
 

@@ -35,7 +35,7 @@ from benchmark.machine.address import Address
 from benchmark.planning import CameraView, PlannerGoneError, PlannerLateError
 from benchmark.scene import Camera, Scene
 from benchmark.untrusted.files import HTTP_ANSWER
-from benchmark.untrusted.wire_images import TensorRefusedError
+from benchmark.untrusted.http_images import TensorRefusedError
 
 _BODY: Final = "the answer of /get_actors"
 _LONGEST_ID: Final = 200

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.closed_loop.observing import PAST_TICKS
-from benchmark.closed_loop.riding import build_can_row
+from benchmark.closed_loop.observation_builder import PAST_TICKS
+from benchmark.closed_loop.simulation_state import build_can_row
 from benchmark.errors import InputError
 from benchmark.extensions.http.answers import ModelAnswer
 from benchmark.extensions.http.requests import CAMERAS, InferRequest, encode_json
@@ -43,7 +43,7 @@ from benchmark.planning import (
 from benchmark.runs.plan_rows import FAILURES, seed_everything
 from benchmark.scene import Camera, LidarMount
 from benchmark.untrusted.files import to_one_line
-from benchmark.untrusted.wire_images import TensorRefusedError
+from benchmark.untrusted.http_images import TensorRefusedError
 
 _POSITION, _ROTATION, _ACCELERATION, _RATE, _VELOCITY = (
     slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13), slice(13, 16),

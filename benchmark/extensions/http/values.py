@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
 from benchmark.untrusted.files import to_one_line
-from benchmark.untrusted.wire_images import TensorRefusedError, decode_image
+from benchmark.untrusted.http_images import TensorRefusedError, decode_image
 
 FARTHEST_M: Final = 1e8
 """Of a position; maps end long before."""

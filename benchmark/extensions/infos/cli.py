@@ -42,7 +42,7 @@ class ExportInfosOptions:
 def export_infos_command(options: ExportInfosOptions) -> None:
     """Write the info files with which UniAD, VAD, SparseDrive or DiffusionDrive evaluate a split."""
     from benchmark.extensions.infos.exporting import InfoSettings, export_infos
-    from benchmark.machine.places import require_place
+    from benchmark.machine.path_checks import require_place
 
     data = api.DataSource.of(options)
     data.require()

@@ -19,10 +19,9 @@ from benchmark.datasets.schema import FaultList, StrictFaultList
 from benchmark.datasets.split_names import compute_shifts_us, find_default_split, read_splits, select_scenes
 from benchmark.datasets.tables import find_variant_folders, find_version
 from benchmark.errors import InputError
-from benchmark.extensions.infos import cures
+from benchmark.extensions.infos import repairs
 from benchmark.extensions.infos.boxes import SceneBoxes
-from benchmark.extensions.infos.ego import OFFICIAL_NAME, ConverterCanMessages, EgoTrajectory
-from benchmark.extensions.infos.making import Info, SceneSources, build_scene_infos, is_level
+from benchmark.extensions.infos.ego_trajectory import OFFICIAL_NAME, ConverterCanMessages, EgoTrajectory
 from benchmark.extensions.infos.map_lines import MapLines
 from benchmark.extensions.infos.repositories import (
     TEST,
@@ -32,6 +31,7 @@ from benchmark.extensions.infos.repositories import (
     list_official_training_scenes,
     require_version,
 )
+from benchmark.extensions.infos.scene_infos import Info, SceneSources, build_scene_infos, is_level
 from benchmark.extensions.infos.scene_rows import InfoTables, SceneTableRows
 from benchmark.machine.progress import CountedUnits, track_progress
 from benchmark.machine.storage import read_json, write_bytes, write_json, writing_to
@@ -129,7 +129,7 @@ class ExportedInfos:
     """Written files with the number of infos in each, departures from the converter's, and faults that stay."""
 
     files: dict[Path, int]
-    differences: tuple[cures.ConverterDifference, ...] = ()
+    differences: tuple[repairs.ConverterDifference, ...] = ()
     unrepaired: tuple[str, ...] = ()
 
 
@@ -139,7 +139,7 @@ class InfoFiles:
 
     version: str
     parts: dict[Part, list[Info]] = field(default_factory=dict)
-    differences: list[cures.ConverterDifference] = field(default_factory=list)
+    differences: list[repairs.ConverterDifference] = field(default_factory=list)
     unrepaired: list[str] = field(default_factory=list)
 
 
@@ -232,7 +232,7 @@ class _InfoConverter:
     def _scene(self, rows: SceneTableRows) -> list[Info]:
         if self.reader.name == "vad" and len(rows.samples) < 2:
             raise InputError(f"{rows.name} has a single sample, which VAD's converter fails at; leave the scene out")
-        cures.require_cameras(rows)
+        repairs.require_cameras(rows)
         sources = SceneSources(
             rows=rows,
             boxes=SceneBoxes.of(rows),
@@ -241,7 +241,7 @@ class _InfoConverter:
             map_lines=self._map(rows) if self.reader.name == "sparsedrive" else None,
             prefix=self.prefix,
             category_numbers=self._category_numbers(),
-            default_visibility=None if self.settings.as_converted else cures.DEFAULT_VISIBILITY,
+            default_visibility=None if self.settings.as_converted else repairs.DEFAULT_VISIBILITY,
         )
         return list(build_scene_infos(self.reader, self.found.version, sources))
 
@@ -274,7 +274,7 @@ class _RepairingInfoConverter(_InfoConverter):
         self._infos: dict[str, list[Info]] = {}
         if not Path(here).is_absolute():
             raise InputError(f"--root-as {here} must be an absolute path; it is what files are named by")
-        self._seen = cures.ExportObservations()
+        self._seen = repairs.ExportObservations()
         self._surroundings: dict[str, shapely.Geometry] = {}
 
     def files(self) -> InfoFiles:
@@ -283,11 +283,11 @@ class _RepairingInfoConverter(_InfoConverter):
         self._put(names, lambda _: "val")
         shifts = compute_shifts_us(self._times)
         for name, shift in shifts.items():
-            cures.shift_times(self._infos[name], shift)
+            repairs.shift_times(self._infos[name], shift)
         if self.found.version == TEST:
             self.found.parts = {"test": self.found.parts["val"]}
         self.found.differences = self._list_differences(split, names, shifts)
-        self.found.unrepaired = cures.list_unrepaired(self.reader, self._seen)
+        self.found.unrepaired = repairs.list_unrepaired(self.reader, self._seen)
         return self.found
 
     def _split(self) -> tuple[str, tuple[str, ...]]:
@@ -300,8 +300,8 @@ class _RepairingInfoConverter(_InfoConverter):
         return split, select_scenes(split, present, custom, where=str(self.root), built_as=built_as)
 
     def _scene(self, rows: SceneTableRows) -> list[Info]:
-        cures.require_cameras(rows)
-        cures.require_usable(self.root, self.reader, rows)
+        repairs.require_cameras(rows)
+        repairs.require_usable(self.root, self.reader, rows)
         infos = super()._scene(rows)
         times = [sample["timestamp"] for sample in rows.samples]
         self._times.append((rows.name, min(times), max(times)))
@@ -326,32 +326,32 @@ class _RepairingInfoConverter(_InfoConverter):
             shapely.prepare(area)
             self._surroundings[rows.location] = area
         places = shapely.points(EgoTrajectory.of(rows).origin[:, :2])
-        return int((~shapely.dwithin(self._surroundings[rows.location], places, cures.AROUND_M)).sum())
+        return int((~shapely.dwithin(self._surroundings[rows.location], places, repairs.AROUND_M)).sum())
 
     def _category_numbers(self) -> dict[str, int]:
-        return cures.build_category_numbers(super()._category_numbers())
+        return repairs.build_category_numbers(super()._category_numbers())
 
     def _list_differences(
         self, split: str, names: Sequence[str], shifts: dict[str, int]
-    ) -> list[cures.ConverterDifference]:
+    ) -> list[repairs.ConverterDifference]:
         training = list_official_training_scenes(self.found.version)
         others = len(self.tables.scenes) - len(names)
         differences = [
-            cures.describe_paths(self.prefix),
-            *cures.describe_scene_choice(split, training & set(names), others),
+            repairs.describe_paths(self.prefix),
+            *repairs.describe_scene_choice(split, training & set(names), others),
         ]
         refused = {name for name in names if not OFFICIAL_NAME.fullmatch(name)} - set(self._seen.without_can_bus)
         if refused:
-            differences.append(cures.describe_can_bus_names(self.reader, refused))
+            differences.append(repairs.describe_can_bus_names(self.reader, refused))
         if shifts:
-            differences.append(cures.describe_shifts(shifts))
+            differences.append(repairs.describe_shifts(shifts))
         if self.reader.name == "vad":
-            differences += cures.describe_category_numbers(super()._category_numbers())
+            differences += repairs.describe_category_numbers(super()._category_numbers())
         if self.reader.name == "uniad" and self._seen.without_visibility:
-            differences.append(cures.describe_default_visibility(self._seen.without_visibility))
+            differences.append(repairs.describe_default_visibility(self._seen.without_visibility))
         cities = find_missing_cities(self.root)
         if cities:
-            differences.append(cures.describe_empty_maps(cities))
+            differences.append(repairs.describe_empty_maps(cities))
         return differences
 
 

@@ -13,7 +13,7 @@ from shapely import affinity
 from shapely.geometry import LinearRing, LineString, MultiLineString, MultiPolygon, Polygon
 from shapely.ops import linemerge, unary_union
 
-from benchmark.datasets.schema.beside import MAP_NODE, MAP_RECORD, require_records
+from benchmark.datasets.schema.sidecar_files import MAP_NODE, MAP_RECORD, require_records
 from benchmark.errors import InputError
 from benchmark.extensions.infos.frames import SensorFrame, compute_heading
 from benchmark.geometry import Floats
@@ -62,7 +62,8 @@ class MapLines:
             self._layers = _build_layers(stored)
         except KeyError as error:
             raise InputError(
-                f"{path}: layer or record {to_one_line(repr(error.args[0]))} is missing; the map expansion is incomplete, "
+                f"{path}: layer or record {to_one_line(repr(error.args[0]))} is missing; the map expansion is "
+                "incomplete, "
                 "fetch or make it again"
             ) from error
         except (TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 from benchmark.constants import LIDAR_NAME
-from benchmark.datasets.kept_tables import read_tables_cached
+from benchmark.datasets.cached_tables import read_tables_cached
 from benchmark.datasets.scene_tables import SceneTables
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.tables import Row

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.datasets.can_bus import CanMessages
-from benchmark.datasets.schema.beside import CAN_BUS, CAN_BUS_POSE
+from benchmark.datasets.schema.sidecar_files import CAN_BUS, CAN_BUS_POSE
 from benchmark.datasets.schema.tables import ValueKind
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.actors import FURTHER_VEHICLES, KEPT_CLASSES, Actor, Integers, compute_heading

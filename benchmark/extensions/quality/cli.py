@@ -52,7 +52,7 @@ class QualityOptions:
 def quality_command(options: QualityOptions) -> None:
     """Measure subject consistency and imaging quality of a split's videos; the same command goes on."""
     from benchmark.extensions.quality.definition import QualityDefinition, find_mask_source
-    from benchmark.machine.places import require_folder, require_place
+    from benchmark.machine.path_checks import require_folder, require_place
     from benchmark.machine.several_devices import count_workers
     from benchmark.runs.units import Shard
 

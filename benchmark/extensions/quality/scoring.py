@@ -35,7 +35,7 @@ from benchmark.extensions.quality.segmentation import load_pretrained
 from benchmark.geometry import Floats
 from benchmark.machine.devices import single_precision
 from benchmark.records.quality import ExactSum, SceneQualityRows, SubjectRow, VideoRow
-from benchmark.untrusted.wire_images import read_picture
+from benchmark.untrusted.http_images import read_picture
 from benchmark.weights.catalogue import DINO, GROUNDING_DINO, MUSIQ, SAM2
 
 if TYPE_CHECKING:

@@ -46,7 +46,7 @@ class ReproduceOptions:
 def reproduce_command(options: ReproduceOptions) -> None:
     """Run official weights as in their published run, and compare number by number; exit code 1 if any differs."""
     from benchmark.evaluation import require_whole_split
-    from benchmark.machine.places import require_file, require_output_file, require_place
+    from benchmark.machine.path_checks import require_file, require_output_file, require_place
 
     require_file(options.expected, "--expected", (".json",))
     require_output_file(options.store, "--store", (".json",))

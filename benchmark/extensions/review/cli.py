@@ -49,7 +49,7 @@ class DataReviewOptions:
 @command(DataReviewOptions)
 def data_review_command(options: DataReviewOptions) -> None:
     """Look at each scene on a local page and accept or reject it; rejected scenes are judged and written no more."""
-    from benchmark.machine.places import require_file
+    from benchmark.machine.path_checks import require_file
 
     data, named = api.DataSource.of(options), parse_name_list(options.scenes)
     of_page = options.show or options.sample is not None or options.browser or named or options.limit
@@ -75,7 +75,7 @@ def data_review_command(options: DataReviewOptions) -> None:
 
 def _record_file(dataset: "DataSet", path: Path) -> None:
     """Record the verdicts of a file; all of them or none."""
-    from benchmark.datasets.reviewed import record_verdicts, require_scenes, scene_tokens
+    from benchmark.datasets.split_reviews import record_verdicts, require_scenes, scene_tokens
     from benchmark.records.review import REVIEW_FILE, Verdict, check_verdict
     from benchmark.untrusted.verdicts import read_verdicts
 

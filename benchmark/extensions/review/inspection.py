@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from benchmark.datasets.reviewed import record_verdicts, scene_tokens
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.split_reviews import record_verdicts, scene_tokens
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_seed
 from benchmark.records.review import check_verdict, read_review
-from benchmark.records.scenes import PageCamera
+from benchmark.records.scene_pages import PageCamera
 from benchmark.report.birdseye import BirdseyeScene
 from benchmark.report.canvas import encode_png
 from benchmark.scene import Scene
-from benchmark.scene_pages.making import build_page_to_draw
-from benchmark.scene_pages.pictures import (
+from benchmark.scene_pages.page_building import build_page_to_draw
+from benchmark.scene_pages.page_pictures import (
     PicturedFrame,
     draw_mosaic,
     keep_existing_images,

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.courses import interpolate_recorded_poses
+from benchmark.closed_loop.simulation_config import interpolate_recorded_poses
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
-from benchmark.datasets.judged import collect_realism
+from benchmark.datasets.scene_assessments import collect_realism
 from benchmark.datasets.scene_facts import find_frozen_split
 from benchmark.errors import InputError
 from benchmark.extensions.submissions.recomputed import (
@@ -258,7 +258,8 @@ def _find_differences(planner: PlannerFacts, ours: PlannerFacts) -> Iterator[Gra
         if claimed != known:
             yield (
                 FindingLevel.ERROR,
-                f"says {field.replace('_', ' ')}: {claimed}, and {ours.name}, whose code it has, is {known}; submit what "
+                f"says {field.replace('_', ' ')}: {claimed}, and {ours.name}, whose code it has, is {known}; "
+                "submit what "
                 "eval wrote",
             )
     if _OWN_WEIGHTS in planner.settings:

@@ -34,7 +34,7 @@ def submit_check_command(options: SubmitCheckOptions) -> None:
     if not options.folder.is_dir():
         raise InputError(f"there is no folder {options.folder}; name the one that holds the submitted records")
     data.require()
-    from adapters.known_planners import find_own_planner
+    from adapters.planner_listing import find_own_planner
     from benchmark.extensions.submissions.checking import check_submission, read_record_facts
     from benchmark.extensions.submissions.recomputed import FindingLevel
     from benchmark.records.run import RunRecord

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from benchmark.closed_loop.engines import restore_backend
 from benchmark.closed_loop.scoring import VERSION as DRIVE_SCORING
-from benchmark.datasets.annotated import AnnotationCount
+from benchmark.datasets.annotated_objects import AnnotationCount
 from benchmark.datasets.scene_facts import add_truth_facts
 from benchmark.errors import InputError
 from benchmark.pdm.definition import DEFINITION, VERSION
@@ -138,7 +138,8 @@ def recompute_run(record: RunRecord, data: "DataSet") -> Iterator[GradedSentence
         first = different[0]
         yield (
             FindingLevel.ERROR,
-            f"says other verdicts than its plans have on {len(different)} of {pluralise(len(anew), 'sample')}, first on "
+            f"says other verdicts than its plans have on {len(different)} of {pluralise(len(anew), 'sample')}, "
+            "first on "
             f"sample {first.sample_token} of {first.scene}; {_RESCORE}",
         )
     scored = [row for row, computed in zip(record.rows, anew) if not _is_same_driving(row.driving, computed.driving)]

@@ -15,7 +15,7 @@ from torch import Tensor
 from benchmark.geometry import Floats
 from benchmark.verification.checks import Comparison
 from benchmark.verification.filled_networks import fill_network, have_same_names_and_shapes
-from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder, GoldenSet
 from benchmark.verification.synthetic_weights import WeightsRecipe, draw_seeded_normal, read_shapes
 from generation.diffusion.denoiser import HISTORY_CHANNELS, TrajectoryDenoiser
 from generation.diffusion.prior import diversify

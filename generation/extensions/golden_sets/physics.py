@@ -15,7 +15,7 @@ from benchmark.geometry import Bools, Floats, to_global
 from benchmark.machine.storage import content_seed
 from benchmark.report.words import pluralise
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder, GoldenSet
 from generation.extensions.golden_sets.built_in import BUILT_IN
 
 STEPS: Final = 80

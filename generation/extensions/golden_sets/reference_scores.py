@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.road_map import DrivableRaster
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 from generation.search.hyperparameters import CollisionReading, HyperParameters
 from generation.search.reference_scoring import (
     INFLATION,

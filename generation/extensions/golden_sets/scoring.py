@@ -9,7 +9,7 @@ import numpy as np
 from benchmark.geometry import Bools, box_corners
 from benchmark.report.words import pluralise
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays, GoldenFolder, GoldenSet
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder, GoldenSet
 from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.extensions.golden_sets.reference_scores import (
     QUANTITIES,

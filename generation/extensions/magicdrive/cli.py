@@ -26,7 +26,7 @@ class PhotorealisticOptions:
         """Raise `InputError` for a device that is none, and where weights or packages are absent that it draws with."""
         from benchmark.api import require_device
         from benchmark.machine.extension import require_package
-        from benchmark.machine.places import require_folder
+        from benchmark.machine.path_checks import require_folder
 
         require_device(self.device)
         require_folder(self.weights, "--weights-folder")

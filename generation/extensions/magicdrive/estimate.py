@@ -200,13 +200,15 @@ class RenderingEstimate:
         height, width = self.size
         known = "measured on one of its layers" if self.measured else "as given"
         lines = [
-            f"a scene of {self.frames} frames and six views at {height}x{width}: about {format_duration(self.seconds)} on "
+            f"a scene of {self.frames} frames and six views at {height}x{width}: about "
+            f"{format_duration(self.seconds)} on "
             f"{self.device} at {self.tera_operations:.3g} TFLOP/s ({known}), without reading weights"
         ]
         for stage in self.stages:
             seconds = stage.operations / (self.tera_operations * 1e12)
             lines.append(
-                f"  {stage.name:<12} {stage.operations / 1e15:>8.3f} PFLOP {format_duration(seconds):>8} {stage.gib:>6.1f} GiB"
+                f"  {stage.name:<12} {stage.operations / 1e15:>8.3f} PFLOP {format_duration(seconds):>8} "
+                f"{stage.gib:>6.1f} GiB"
             )
         return "\n".join(lines)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from benchmark.datasets.scene_words import describe_traffic_and_road, join_words
+from benchmark.datasets.scene_descriptions import describe_traffic_and_road, join_words
 from benchmark.scene import Scene
 
 IMPORTED: Final = "Imported from ScenarioNet"

@@ -91,7 +91,8 @@ def find_model_order(scene: Scene) -> Sequence[int]:
     if missing:
         available = ", ".join(names) or "none"
         raise InputError(
-            f"{scene.name} has no camera {missing[0]} (it has {available}); MagicDriveDiT draws the six views of nuScenes, "
+            f"{scene.name} has no camera {missing[0]} (it has {available}); MagicDriveDiT draws the six views of "
+            "nuScenes, "
             "add its calibration or import the scene with the standard rig"
         )
     cameras: list[Camera] = [scene.cameras[names.index(name)] for name in MODEL_CAMERAS]

@@ -3,7 +3,7 @@
 All others behave by a policy of their own. At each planning frame the scene is what has happened so far, what is
 expected of the ego, and what the others will do; `generation.search.planning` plans in it, and what it finds best is
 driven to the next planning frame, if from there on it can end without touching any but the ego, to the scene's last
-frame (`generation.extensions.reactive_adversary.allowed`). That ending is kept, and driven where nothing better is
+frame (`generation.extensions.reactive_adversary.safe_endings`). That ending is kept, and driven where nothing better is
 found.
 """
 
@@ -14,14 +14,21 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.closed_loop.adversary import ADVERSARY, AdversaryTrack, Handover, Replanning, round_poses
-from benchmark.closed_loop.contract import AgentMotion, AgentPolicy, TrafficSnapshot
-from benchmark.closed_loop.following import SUBSTEP_US
+from benchmark.closed_loop.agent_policy import AgentMotion, AgentPolicy, TrafficSnapshot
+from benchmark.closed_loop.plan_tracking import SUBSTEP_US
 from benchmark.constants import FRAME_HZ
 from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, compute_rear_axle
 from benchmark.geometry import Floats, to_local
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
-from generation.extensions.reactive_adversary.allowed import (
+from generation.extensions.reactive_adversary.careful_driver import (
+    CarefulDriverCheck,
+    ReactivePlanning,
+    compute_ego_speed_at,
+    get_careful_driver_check,
+)
+from generation.extensions.reactive_adversary.ego_prediction import EgoObservations, predict_ego
+from generation.extensions.reactive_adversary.safe_endings import (
     AHEAD_FRAMES,
     BRAKING_M_S2,
     ExpectedAgents,
@@ -30,14 +37,7 @@ from generation.extensions.reactive_adversary.allowed import (
     order_candidates,
     predict_others,
 )
-from generation.extensions.reactive_adversary.careful import (
-    CarefulDriverCheck,
-    ReactivePlanning,
-    compute_ego_speed_at,
-    get_careful_driver_check,
-)
-from generation.extensions.reactive_adversary.considered import build_search_trace
-from generation.extensions.reactive_adversary.expecting import EgoObservations, predict_ego
+from generation.extensions.reactive_adversary.search_trace import build_search_trace
 from generation.extensions.reactive_adversary.settings import LONGEST_FRAMES, AdversarySettings, EgoPrediction
 from generation.search.adversary import ALGORITHM_VERSION, compute_scene_identity
 from generation.search.planning import AdversaryPlanning

@@ -18,14 +18,14 @@ from benchmark.machine.storage import content_seed
 from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
 from generation.render.contract import Images, require_frames
-from generation.render.schematic import surroundings
+from generation.render.schematic import roadside
 from generation.render.schematic.atmosphere import ATMOSPHERES, Atmosphere, Rgb, choose_car_paint, choose_clothes
 from generation.render.schematic.backdrop import Backdrop, Skyline
 from generation.render.schematic.ground import PaintedGround
+from generation.render.schematic.roadside import Facets, compute_seen_colours, compute_unit_normals, join_facets
 from generation.render.schematic.shapes import FacetMaterial, SolidShape, choose_shape_name, get_shape
-from generation.render.schematic.standing import draw_shadows, draw_solids
+from generation.render.schematic.solids import draw_shadows, draw_solids
 from generation.render.schematic.styles import FIRST, DrawingStyle, develop
-from generation.render.schematic.surroundings import Facets, compute_seen_colours, compute_unit_normals, join_facets
 from generation.render.schematic.view import PlacedCamera
 from generation.sources.rig import build_default_cameras
 
@@ -262,7 +262,7 @@ class PreparedScene:
             air=air,
             ground=PaintedGround.of(_clip_map_to_sight(scene), air, style),
             skyline=Skyline.of(scene.road_map.location, air),
-            standing=surroundings.build_roadside(scene, lamps=air.lamps, salt=style.salt),
+            standing=roadside.build_roadside(scene, lamps=air.lamps, salt=style.salt),
             traffic=AgentFacets.of(scene, style.salt),
             casts_shadow=np.array(
                 [kind in VEHICLE_CATEGORIES or kind.startswith("human") for kind in scene.agents.categories], np.bool_
@@ -303,7 +303,7 @@ class PreparedScene:
         around = self.ground.find_centre(pose[:2])
         if self.beside is None or self.beside[0] != around:
             offset = self.standing.centre[:, :2] - np.array(around)
-            near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < surroundings.DRAWN_WITHIN_M)
+            near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < roadside.DRAWN_WITHIN_M)
             self.beside = (around, self.standing.select_solids(near)[0])
         beside, lift = self.beside[1], np.array([0.0, 0.0, ground_z])
         if ground_z != 0.0:

@@ -13,7 +13,7 @@ from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, OFFICIAL_LOCATION
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw, to_local, wrap_angle
 from benchmark.machine.storage import content_seed, make_token
-from benchmark.records.driven import DrivenEgoTargets
+from benchmark.records.driven_ego import DrivenEgoTargets
 from benchmark.records.off_path import Excursion
 from benchmark.scene import Agents, Annotations, EgoTrack, Scene
 from generation.sources.rig import build_default_cameras, build_default_lidar
@@ -24,7 +24,7 @@ from generation.sources.town.bystanders import (
     add_walkers,
 )
 from generation.sources.town.curves import interpolate_grid
-from generation.sources.town.driven import PlannerDrive, plan_ways_back
+from generation.sources.town.driven_ego import PlannerDrive, plan_ways_back
 from generation.sources.town.network import Town
 from generation.sources.town.off_path import KEPT_ON_PATH_EVERY, PlannedEgo, drive_off_path
 from generation.sources.town.paths import EGO_BODY, RouteLeg, build_path, compute_fastest_start, compute_lane_length

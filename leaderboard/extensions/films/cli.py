@@ -16,7 +16,7 @@ from benchmark.cli.settings import Option, command
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from benchmark.closed_loop.observing import Sensor
+    from benchmark.closed_loop.observation_builder import Sensor
     from benchmark.records.drive_schema import EpisodeRow
     from benchmark.records.drives import DriveRecord
     from benchmark.report.canvas import Picture
@@ -62,7 +62,7 @@ class FilmOptions:
 def film_command(options: FilmOptions) -> None:
     """Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/extensions/films.md)."""  # noqa: E501
     from benchmark.constants import FRAME_HZ
-    from benchmark.machine.places import require_folder, require_place
+    from benchmark.machine.path_checks import require_folder, require_place
     from benchmark.machine.progress import CountedUnits, track_progress
     from benchmark.protocols import find_protocol as known_protocol
     from leaderboard.extensions.films.drive_film import DRIVE_FPS
@@ -172,7 +172,8 @@ def resolve_planner_names(names: Sequence[str], records: Sequence[Path], everywh
         )
     if names and not records_found:
         raise InputError(
-            f"there are no run records at {', '.join(map(str, records))}; {describe_recorded(list_recorded([everywhere]))}; name "
+            f"there are no run records at {', '.join(map(str, records))}; "
+            f"{describe_recorded(list_recorded([everywhere]))}; name "
             "these with --data and --split, or run challenger-bench eval first"
         )
     return shown_names
@@ -229,7 +230,7 @@ def write_drive_films(
         InputError: If there is no such drive, the data set is another one, or a film cannot be written.
     """
     from benchmark.closed_loop.engines import restore_backend
-    from benchmark.runs.drive_sheets import write_episode_page
+    from benchmark.runs.episode_pages import write_episode_page
     from benchmark.runs.rescoring import read_replaced_categories
     from leaderboard.extensions.films.drive_film import DRIVE_FPS
     from leaderboard.extensions.films.film import FilmSettings

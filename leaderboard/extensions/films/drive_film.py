@@ -8,13 +8,13 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.records.considered import FrameAction
 from benchmark.records.drives import DriveRecord
+from benchmark.records.search_trace import FrameAction
 from benchmark.report.birdseye import BirdseyeScene
 from benchmark.report.canvas import SHIFT, Picture, sanitise_name, text_width, truncate_to_width, write_text
 from benchmark.report.captions import LegendEntry, draw_entry, draw_swatch
 from benchmark.report.cells import MINIATURE_WORDS
-from benchmark.report.driven import EpisodePage
+from benchmark.report.episode_page import EpisodePage
 from benchmark.report.overlays import Overlay
 from benchmark.report.palette import (
     ADVERSARY,

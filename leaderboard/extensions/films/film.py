@@ -14,7 +14,7 @@ import numpy as np
 from benchmark.constants import FRAME_HZ
 from benchmark.errors import InputError
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import PageCamera, StoredScenePage
+from benchmark.records.scene_pages import PageCamera, StoredScenePage
 from benchmark.report.birdseye import BirdseyeScene
 from benchmark.report.canvas import SHIFT, Picture, sanitise_name, text_width, write_text
 from benchmark.report.captions import draw_scale_bar

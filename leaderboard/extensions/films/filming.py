@@ -16,9 +16,16 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import sanitise_file_name, write_bytes
 from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord, find_records
-from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, SPLIT_FILE, read_scene_page, scene_folder, split_folder
+from benchmark.records.scene_pages import (
+    SCENES_FOLDER,
+    SHEET_FILE,
+    SPLIT_FILE,
+    read_scene_page,
+    scene_folder,
+    split_folder,
+)
 from benchmark.report.canvas import Picture, encode_png
-from benchmark.report.driven import EpisodePage
+from benchmark.report.episode_page import EpisodePage
 from benchmark.report.words import format_split
 from leaderboard.extensions.films.drive_film import DriveFilm
 from leaderboard.extensions.films.film import Film, FilmSettings

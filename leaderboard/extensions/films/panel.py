@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 
 from benchmark.geometry import Bools, Floats, box_gap
-from benchmark.records.scenes import ScenePage
+from benchmark.records.scene_pages import ScenePage
 from benchmark.report.canvas import SHIFT, Picture, mark_at, sanitise_name, text_width, truncate_to_width, write_text
 from benchmark.report.captions import build_legend, draw_entry, draw_swatch
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, UNDEFINED
 from benchmark.report.overlays import CollisionParty, Overlay, PlanVerdict
 from benchmark.report.palette import ADVERSARY, BYSTANDER, CONTACT, FAINT_INK, INK, PANEL, PAPER, RULE, Rgb, mix_colours
-from benchmark.report.placing import agent_box, ego_box
+from benchmark.report.placement import agent_box, ego_box
 from leaderboard.extensions.films.tracks import PlannerTrack, SampleTally
 
 _ROW_PX: Final = (56, 76)

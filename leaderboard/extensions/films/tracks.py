@@ -11,11 +11,11 @@ from benchmark.geometry import Floats
 from benchmark.records.planner_versions import label_versions
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, resolve_protocol
-from benchmark.records.scenes import ScenePage
+from benchmark.records.scene_pages import ScenePage
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.overlays import CollisionParty, PlanOverlay, build_plan_overlay
 from benchmark.report.palette import PlannerStyle, choose_planner_style
-from benchmark.report.placing import frame_seconds
+from benchmark.report.placement import frame_seconds
 from benchmark.report.words import format_split
 
 
@@ -109,13 +109,15 @@ def _find_record(sheet: ScenePage, records: Sequence[RunRecord], name: str) -> R
     if not preferred:
         there = f"; there are {', '.join(sorted({record.planner for record in known}))}" if known else ""
         raise InputError(
-            f"no run record of {name} has scene {sheet.scene} of {format_split(sheet.split, sheet.data.name)}{there}; run "
+            f"no run record of {name} has scene {sheet.scene} of "
+            f"{format_split(sheet.split, sheet.data.name)}{there}; run "
             f"challenger-bench eval --split {sheet.split} --model {name} for that data set"
         )
     if len(preferred) > 1:
         raise InputError(
             f"{name} ran {len(preferred)} times on {format_split(sheet.split, sheet.data.name)} "
-            f"({', '.join(str(record.directory) for record in preferred)}); name one of {', '.join(e.planner for e in preferred)} "
+            f"({', '.join(str(record.directory) for record in preferred)}); name one of "
+            f"{', '.join(e.planner for e in preferred)} "
             "with --model, or the folder of one run with --records"
         )
     return preferred[0]

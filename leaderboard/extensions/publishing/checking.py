@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.errors import InputError
-from leaderboard.extensions.publishing.elsewhere import (
+from leaderboard.extensions.publishing.static_hosting import (
     FindingKind,
     PublicationFinding,
     check_file_names,

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from adapters.checkpoints.cache import cached_weights, known_weights, load_weights, read_provenance
-from adapters.checkpoints.importing import fetch_checkpoint, import_checkpoint, resolve_checkpoint
+from adapters.checkpoints.checkpoint_import import fetch_checkpoint, import_checkpoint, resolve_checkpoint
 from adapters.models import Model, Network, published_models
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256

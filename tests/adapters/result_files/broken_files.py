@@ -15,8 +15,8 @@ from unittest.mock import patch
 import numpy as np
 
 from adapters.result_files.contract import FileFrame
-from adapters.result_files.made_up import make_synthetic_samples
 from adapters.result_files.samples import RecordedSamples, rotate
+from adapters.result_files.synthetic import make_synthetic_samples
 from adapters.result_files.writing.formats import WRITERS
 from adapters.result_files.writing.pickles import PickledTensor, PlansToWrite, write_pickle
 from benchmark.geometry import Floats

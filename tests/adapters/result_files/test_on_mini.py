@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from adapters.registry import planner_factory
-from adapters.result_files.made_up import PRECISION_M
 from adapters.result_files.planner import result_file_factory
 from adapters.result_files.recognition import recognise
 from adapters.result_files.samples import read_recorded_samples
+from adapters.result_files.synthetic import PRECISION_M
 from adapters.result_files.writing.formats import WRITERS, write_results
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import evaluate

@@ -13,10 +13,10 @@ from adapters.registry import planner_factory
 from adapters.result_files.contract import FileFrame
 from adapters.result_files.frames import ego_waypoints, lidar_waypoints, plans_of
 from adapters.result_files.importing import ImportedPlans, import_results
-from adapters.result_files.made_up import PRECISION_M, SINGLE_M, make_synthetic_plans, make_synthetic_samples
 from adapters.result_files.planner import result_file_factory
 from adapters.result_files.recognition import FORMATS, recognise
 from adapters.result_files.samples import RecordedSamples, read_recorded_samples, rotate
+from adapters.result_files.synthetic import PRECISION_M, SINGLE_M, make_synthetic_plans, make_synthetic_samples
 from adapters.result_files.writing.formats import WRITERS, write_results
 from adapters.result_files.writing.pickles import PickledTensor, PlansToWrite
 from benchmark.errors import InputError

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adapters.result_files.made_up import make_synthetic_samples
 from adapters.result_files.samples import RecordedSamples, read_recorded_samples
+from adapters.result_files.synthetic import make_synthetic_samples
 from benchmark.geometry import rotation_matrix
 from benchmark.planning import Command
 from tests.benchmark.fake_data import FakeData, town_of_two

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmark.datasets.roots import open_data
-from benchmark.records.driven import read_driven_ego_targets
+from benchmark.records.driven_ego import read_driven_ego_targets
 from benchmark.records.drives import DriveRecord, find_drives
 from tests.benchmark.cli.cli_runs import challenger_bench
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.machine.places import require_output_file, require_place, require_room
+from benchmark.machine.path_checks import require_output_file, require_place, require_room
 from tests.benchmark.cli.cli_runs import refusal
 
 Have = Callable[[float], None]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.datasets.judged import ASSESSMENTS_FILE, format_assessments
+from benchmark.datasets.scene_assessments import ASSESSMENTS_FILE, format_assessments
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.records.made_judgements import made_judgement

@@ -4,10 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.closed_loop.courses import build_log_replay, build_simulation_config, interpolate_recorded_poses
-from benchmark.closed_loop.idm import IdmPolicy
+from benchmark.closed_loop.idm_policy import IdmPolicy
+from benchmark.closed_loop.simulation_config import (
+    build_log_replay,
+    build_simulation_config,
+    interpolate_recorded_poses,
+)
 from benchmark.closed_loop.stepping import begin_simulation, step
-from benchmark.closed_loop.world import STEP_US, SimulationConfig, WorldState
+from benchmark.closed_loop.world_state import STEP_US, SimulationConfig, WorldState
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats, to_local
 from benchmark.scene import Scene

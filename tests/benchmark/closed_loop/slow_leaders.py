@@ -1,9 +1,9 @@
-"""The slow, obvious version of `benchmark.closed_loop.idm`: one vehicle after the other, every point."""
+"""The slow, obvious version of `benchmark.closed_loop.idm_policy`: one vehicle after the other, every point."""
 
 import numpy as np
 
-from benchmark.closed_loop.contract import TrafficSnapshot
-from benchmark.closed_loop.idm import SIDE_MARGIN_M, SIGHT_M
+from benchmark.closed_loop.agent_policy import TrafficSnapshot
+from benchmark.closed_loop.idm_policy import SIDE_MARGIN_M, SIGHT_M
 from benchmark.dynamics.lane_path import SPACING_M, LanePath
 from benchmark.geometry import Floats
 from benchmark.interactions.tracks import Integers

@@ -3,9 +3,9 @@
 import numpy as np
 
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.driving import EpisodeSpec
-from benchmark.closed_loop.observing import NoSensor
-from benchmark.closed_loop.riding import RecordedCan, SimulatorBackend
+from benchmark.closed_loop.episodes import EpisodeSpec
+from benchmark.closed_loop.observation_builder import NoSensor
+from benchmark.closed_loop.simulation_state import RecordedCan, SimulatorBackend
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.scene import Scene
 from tests.benchmark.fake_data import FakeData

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.contract import AgentMotion, TrafficSnapshot, check_policy
-from benchmark.closed_loop.courses import build_log_replay, build_simulation_config
-from benchmark.closed_loop.idm import IdmPolicy
-from benchmark.closed_loop.replay import TrackReplay
+from benchmark.closed_loop.agent_policy import AgentMotion, TrafficSnapshot, check_policy
+from benchmark.closed_loop.idm_policy import IdmPolicy
+from benchmark.closed_loop.simulation_config import build_log_replay, build_simulation_config
 from benchmark.closed_loop.stepping import begin_simulation, step
-from benchmark.closed_loop.world import WorldState
+from benchmark.closed_loop.track_replay import TrackReplay
+from benchmark.closed_loop.world_state import WorldState
 from generation.sources.town import build_town_scene
 from tests.benchmark.closed_loop.made import course, driven, idm_of, straight
 from tests.hand_made import Car, scene_on_straight_road

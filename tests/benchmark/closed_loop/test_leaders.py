@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.contract import TrafficSnapshot
-from benchmark.closed_loop.idm import VehicleRoads, find_leaders
+from benchmark.closed_loop.agent_policy import TrafficSnapshot
+from benchmark.closed_loop.idm_policy import VehicleRoads, find_leaders
 from benchmark.dynamics.lane_path import LanePath
 from benchmark.geometry import Floats
 from tests.benchmark.closed_loop.slow_leaders import slow_leaders

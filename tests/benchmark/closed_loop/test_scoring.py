@@ -8,7 +8,7 @@ import pytest
 from adapters.planners.log_replay import LogReplay
 from adapters.planners.stop import Stop
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.driving import Episode, run_episode
+from benchmark.closed_loop.episodes import Episode, run_episode
 from benchmark.closed_loop.scoring import (
     EpisodeScores,
     RouteProgress,

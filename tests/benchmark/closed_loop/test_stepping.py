@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.closed_loop.contract import make_coasting_plan
-from benchmark.closed_loop.courses import build_simulation_config, interpolate_recorded_poses
-from benchmark.closed_loop.following import INSTANT_US, LIMITS, SUBSTEP_S, follow_waypoints
-from benchmark.closed_loop.replay import TrackReplay
+from benchmark.closed_loop.agent_policy import make_coasting_plan
+from benchmark.closed_loop.plan_tracking import INSTANT_US, LIMITS, SUBSTEP_S, follow_waypoints
+from benchmark.closed_loop.simulation_config import build_simulation_config, interpolate_recorded_poses
 from benchmark.closed_loop.stepping import InfeasiblePlanError, begin_simulation, is_running, step, step_together
-from benchmark.closed_loop.world import STEP_US, SimulationConfig, WorldState, compute_ego_boxes
+from benchmark.closed_loop.track_replay import TrackReplay
+from benchmark.closed_loop.world_state import STEP_US, SimulationConfig, WorldState, compute_ego_boxes
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_WHEELBASE_M
 from benchmark.dynamics.lane_path import build_lane_path
 from benchmark.errors import InputError

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.driving import Episode, run_episode
 from benchmark.closed_loop.engines import make_backend, restore_backend
+from benchmark.closed_loop.episodes import Episode, run_episode
 from benchmark.closed_loop.scoring import EpisodeScores, score_episode
 from benchmark.errors import InputError
 from benchmark.planning import Planner
@@ -138,7 +138,7 @@ def test_what_there_is_not_is_refused() -> None:
 
 
 def test_many_together_are_each_as_alone() -> None:
-    from benchmark.closed_loop.driving import run_episodes
+    from benchmark.closed_loop.episodes import run_episodes
 
     scenes = [replace(road(BEHIND), name=f"scene-{number}") for number in range(3)]
     makers = [Watching(speed=speed) for speed in (5.0, 6.0, 8.0)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmark.datasets.annotated import find_labelled_keyframes
+from benchmark.datasets.annotated_objects import find_labelled_keyframes
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.datasets.annotated import find_nearest_valid
+from benchmark.datasets.annotated_objects import find_nearest_valid
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError

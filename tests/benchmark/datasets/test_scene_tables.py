@@ -37,7 +37,7 @@ def whole(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], NuScenesData]:
 
     def opened(root: Path) -> NuScenesData:
         with monkeypatch.context() as context:
-            context.setattr(devkit, "read_or_kept", lambda *_: None)
+            context.setattr(devkit, "read_tables_cached", lambda *_: None)
             data = NuScenesData.open(root)
         assert isinstance(data._tables, devkit.AllSceneTables)
         return data

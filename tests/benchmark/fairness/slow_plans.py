@@ -4,7 +4,7 @@ import numpy as np
 from shapely.geometry import Polygon
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.fairness.encounter import SeveritySeries, measure_severity
+from benchmark.fairness.severity_series import SeveritySeries, measure_severity
 from benchmark.geometry import Floats, box_corners, ego_footprints, poses_between
 from benchmark.interactions.contacts import KINDS, ContactPairs, is_agent_category
 from benchmark.interactions.tracks import ContinuousTracks

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.datasets.judged import ASSESSMENTS_FILE
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.scene_assessments import ASSESSMENTS_FILE
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.fairness.data_sets import CACHE_FOLDER, collect_scene_facts
+from benchmark.fairness.data_set_assessment import CACHE_FOLDER, collect_scene_facts
 from benchmark.machine.workers import LocalProcesses
-from tests.benchmark.fairness.test_data_sets import SCENES, adversarial_scenes, recorded_scenes, written
+from tests.benchmark.fairness.test_data_set_assessment import SCENES, adversarial_scenes, recorded_scenes, written
 from tests.benchmark.planners import Straight
 from tests.executors import Forbidden
 

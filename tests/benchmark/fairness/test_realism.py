@@ -16,11 +16,11 @@ from benchmark.fairness.ctg import (
 )
 from benchmark.fairness.features import FEATURES, RoadEdge, extract_recorded_runs, extract_runs, find_stretches
 from benchmark.fairness.realism import equal_bins, quantile_bins, w1
-from benchmark.fairness.splits import measure_realism
+from benchmark.fairness.split_assessment import measure_realism
 from benchmark.fairness.validity import NO_MAP, find_teleports, find_track_defects
 from benchmark.geometry import Floats, box_gap
 from benchmark.interactions.tracks import ContinuousTracks
-from benchmark.records.judgement import TRACK_DEFECT_NAMES, StoredTrackDefects
+from benchmark.records.scene_assessment import TRACK_DEFECT_NAMES, StoredTrackDefects
 from benchmark.road_map import RoadMap
 from tests.benchmark.interactions.made import SECONDS, along, boxes, ego, made_scene, scene
 from tests.hand_made import straight_road

@@ -16,7 +16,7 @@ from benchmark.interactions.contacts import (
     is_at_fault,
     mass_kg,
 )
-from benchmark.interactions.driving import find_visible
+from benchmark.interactions.driver_simulation import find_visible
 from benchmark.interactions.ego_path import EgoPath
 from benchmark.interactions.tracks import ContinuousTracks
 from tests.benchmark.interactions.made import SECONDS, along, boxes, ego, scene

@@ -5,10 +5,15 @@ import pytest
 import shapely
 
 from benchmark.constants import EGO_LENGTH_M
+from benchmark.interactions.avoidability import BaselineEgo
 from benchmark.interactions.contacts import ContactKind
-from benchmark.interactions.driving import REFERENCE_DRIVER_KINDS, DrivingSituation, ReferenceDriver, simulate_drivers
-from benchmark.interactions.last_chance import BaselineEgo
-from benchmark.interactions.outcomes import CollisionChecker, DriverOutcome
+from benchmark.interactions.driver_outcomes import CollisionChecker, DriverOutcome
+from benchmark.interactions.driver_simulation import (
+    REFERENCE_DRIVER_KINDS,
+    DrivingSituation,
+    ReferenceDriver,
+    simulate_drivers,
+)
 from benchmark.interactions.reaction import Driver
 from benchmark.interactions.solvability import SceneReferenceDrivers
 from benchmark.interactions.tracks import ContinuousTracks

@@ -73,7 +73,7 @@ def test_a_terminal_has_one_bar_with_the_time_left_from_work_done() -> None:
 
 
 def test_a_line_fits_and_says_how_far_the_work_is_however_long_its_label(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("benchmark.machine.progress.terminal_width", lambda: 70)
+    monkeypatch.setattr("benchmark.machine.progress.find_terminal_width", lambda: 70)
     clock, stream = Clock(), Terminal()
     watch = ProgressReporter(stream, clock, beat=False)
     with watch.work("a label that takes more room than there is, " * 3, 3, CountedUnits()) as work:

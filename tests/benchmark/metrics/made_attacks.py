@@ -3,7 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from benchmark.records.judgement import (
+from benchmark.records.row_schema import PlanCollision, PlanNearRow, PlanSeverityRow
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import SceneFacts
+from benchmark.records.scene_assessment import (
     TRACK_DEFECT_NAMES,
     AssessmentSummary,
     CtgRow,
@@ -12,9 +15,6 @@ from benchmark.records.judgement import (
     SplitRealism,
     ValidityRow,
 )
-from benchmark.records.row_schema import PlanCollision, PlanNearRow, PlanSeverityRow
-from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED, hand_made
 from tests.benchmark.records.made_judgements import hits, made_judgement
 

@@ -12,13 +12,13 @@ from benchmark.metrics.attacks import (
     has_adversaries,
     has_severity,
 )
-from benchmark.metrics.judgements import (
+from benchmark.metrics.rates import compute_ratios_over_scenes
+from benchmark.metrics.split_reference_drivers import (
     collect_split_reference_drivers,
     compute_spread,
     summarise_contacts,
     summarise_near_passes,
 )
-from benchmark.metrics.rates import compute_ratios_over_scenes
 from tests.benchmark.metrics.made_attacks import attacked
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
 

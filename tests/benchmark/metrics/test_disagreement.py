@@ -28,7 +28,7 @@ from benchmark.metrics.disagreement import (
 from benchmark.planning import Command
 from benchmark.protocols import PROTOCOLS, STANDARD, ProtocolOutcomes
 from benchmark.protocols.sparsedrive import SparseDriveProtocol
-from benchmark.protocols.stacked import stack
+from benchmark.protocols.stacked_truths import stack
 from benchmark.truth import SampleTruth
 
 GOLDEN = Path(__file__).resolve().parents[4] / "shared" / "golden" / "protocols"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from benchmark.metrics.effect import AdversaryEffect, compute_effect
 from benchmark.metrics.rates import FEWEST_DIFFERING_OF_TEN, FEWEST_RECORDINGS, compute_paired_difference
-from benchmark.metrics.unchanged import find_unchanged_record
+from benchmark.metrics.unchanged_records import find_unchanged_record
 from benchmark.records.run import RunRecord
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.effect import effect_table

@@ -6,8 +6,8 @@ import numpy as np
 from shapely.geometry import Polygon
 
 from benchmark.geometry import Floats
-from benchmark.pdm.layers import RoadPolygons, SurfaceKind
-from benchmark.pdm.motion import build_history_rows
+from benchmark.pdm.plan_motion import build_history_rows
+from benchmark.pdm.road_polygons import RoadPolygons, SurfaceKind
 from benchmark.pdm.scoring import ScoringContext, remove_touching_objects
 from benchmark.pdm.traffic import KeyFrameObjects, interpolate_traffic
 from tests.benchmark.pdm.slow_pdm import SlowObject, SlowSample

@@ -13,7 +13,7 @@ from scipy.signal import savgol_filter
 from shapely.geometry import LineString, Point, Polygon
 
 from benchmark.geometry import Floats
-from benchmark.pdm.layers import RoadPolygons
+from benchmark.pdm.road_polygons import RoadPolygons
 from tests.benchmark.pdm.slow_motion import slow_motion, wrap
 
 LENGTH, WIDTH, AHEAD = 4.084, 1.85, 1.39

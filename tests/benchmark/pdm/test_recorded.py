@@ -9,8 +9,8 @@ import shapely
 
 from benchmark.datasets.map_layers import read_road_map
 from benchmark.datasets.scenarionet import read_scenarionet
-from benchmark.pdm.judging import score_scene_plans
-from benchmark.pdm.layers import build_road_polygons, build_route
+from benchmark.pdm.plan_scoring import score_scene_plans
+from benchmark.pdm.road_polygons import build_road_polygons, build_route
 from benchmark.planning import Plan, PlanFrame
 from generation.nuscenes_writer.expansion import build_map_expansion
 from tests.benchmark.pdm.test_road import crossing_map

@@ -7,7 +7,7 @@ import pytest
 import shapely
 from shapely.geometry import MultiPolygon
 
-from benchmark.pdm.layers import (
+from benchmark.pdm.road_polygons import (
     EXTENSION_M,
     RoadPolygons,
     SurfaceKind,

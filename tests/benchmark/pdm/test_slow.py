@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from benchmark.geometry import wrap_angle
 from benchmark.pdm.definition import HEADING
-from benchmark.pdm.motion import compute_disagreement, score_extended_comfort, track_plans
+from benchmark.pdm.plan_motion import compute_disagreement, score_extended_comfort, track_plans
 from benchmark.pdm.scoring import ScoredMotions, score_against_references, score_motions
 from tests.benchmark.pdm.cases import Case, crossing
 from tests.benchmark.pdm.slow_pdm import (

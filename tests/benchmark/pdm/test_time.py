@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.geometry import Floats
-from benchmark.pdm.judging import score_scene_plans
-from benchmark.pdm.motion import compute_comfort_series, compute_extremes, track_plans
-from benchmark.pdm.recording import RecordedScene
+from benchmark.pdm.plan_motion import compute_comfort_series, compute_extremes, track_plans
+from benchmark.pdm.plan_scoring import score_scene_plans
+from benchmark.pdm.recorded_scene import RecordedScene
 from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan, PlanFrame
 from benchmark.scene import EgoTrack, Scene

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmark.protocols import PROTOCOLS, find_category_protocols
-from benchmark.protocols.stacked import stack
+from benchmark.protocols.stacked_truths import stack
 from tests.benchmark.fake_data import town_of_two
 
 

@@ -11,7 +11,7 @@ from benchmark.geometry import Floats
 from benchmark.planning import Command
 from benchmark.protocols import LEAVING_OUT, NATIVE_PROTOCOLS, PROTOCOLS, find_masking_protocols
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
-from benchmark.protocols.stacked import stack
+from benchmark.protocols.stacked_truths import stack
 from benchmark.records.row_schema import OutcomeRow
 from benchmark.records.run import summarise_rows
 from benchmark.records.run_schema import SceneFacts

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from benchmark.records.judgement import DRIVER_NAMES, TRACK_DEFECT_NAMES, SceneAssessment
+from benchmark.records.scene_assessment import DRIVER_NAMES, TRACK_DEFECT_NAMES, SceneAssessment
 
 
 def made_judgement(**changes: Any) -> SceneAssessment:

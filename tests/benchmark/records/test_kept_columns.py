@@ -15,7 +15,7 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.machine.kept_arrays import find_cache_file, read_batch, write_batch
+from benchmark.machine.cached_arrays import find_cache_file, read_batch, write_batch
 from benchmark.machine.storage import file_sha256
 from benchmark.records import rows as stored_rows
 from benchmark.records import run

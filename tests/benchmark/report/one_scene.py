@@ -10,7 +10,7 @@ from PIL import Image
 from benchmark.machine.storage import file_sha256, write_bytes, write_json
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DataFacts
-from benchmark.records.scenes import (
+from benchmark.records.scene_pages import (
     CAMERA_GRID,
     SCHEMA,
     ScenePage,

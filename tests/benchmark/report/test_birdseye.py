@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
-from benchmark.records.scenes import RefinementTrace
+from benchmark.records.scene_pages import RefinementTrace
 from benchmark.report.birdseye import BirdseyeScene, draw_birdseye
 from benchmark.report.overlays import CollisionParty, build_candidates_overlay, build_plan_overlay, describe_verdict
 from benchmark.report.palette import (

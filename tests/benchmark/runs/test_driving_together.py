@@ -9,8 +9,8 @@ import pytest
 
 from adapters.registry import planner_factory
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.driving import run_episode, run_episodes
-from benchmark.closed_loop.riding import SimulatorBackend
+from benchmark.closed_loop.episodes import run_episode, run_episodes
+from benchmark.closed_loop.simulation_state import SimulatorBackend
 from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan, Planner

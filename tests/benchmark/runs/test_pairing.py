@@ -8,7 +8,7 @@ import pytest
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.metrics.attacks import attack_rates_to_json
 from benchmark.metrics.effect import compute_effect, effect_to_json
-from benchmark.metrics.unchanged import find_unchanged_candidates, find_unchanged_record
+from benchmark.metrics.unchanged_records import find_unchanged_candidates, find_unchanged_record
 from benchmark.records.run import load_record
 from benchmark.records.store import ROWS_FILE
 from leaderboard.build import build_leaderboard_tables

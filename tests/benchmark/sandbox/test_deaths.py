@@ -157,7 +157,7 @@ def test_nothing_is_left_of_any_of_them(rows: dict[str, list[dict[str, Any]]], n
     assert len(processes(notes, "planner")) >= len(LOST) and len(processes(notes, "outliving")) == 2
     assert len(processes(notes, "copy")) == 1
     wait_until_gone([process for kind in ("planner", "outliving", "copy") for process in processes(notes, kind)])
-    assert not [each for each in Path(f"/proc/{os.getpid()}/task").glob("*/children") if "guardian" in each.read_text()]
+    assert not [each for each in Path(f"/proc/{os.getpid()}/task").glob("*/children") if "reaper" in each.read_text()]
 
 
 @pytest.mark.parametrize("way", ["holds-the-lock", "is-stopped"])

@@ -38,9 +38,9 @@ from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.sandbox import limits as libraries
 from benchmark.sandbox.frames import MalformedError, QuestionChannel, encode_answer
 from benchmark.sandbox.limits import SandboxLimits, seed_torch_on_import
-from benchmark.sandbox.observed import ObservationPacker, ObservationUnpacker
-from benchmark.sandbox.pictures import SharedImagePool, SharedImageReader
+from benchmark.sandbox.observation_packing import ObservationPacker, ObservationUnpacker
 from benchmark.sandbox.planner import PlannerIdentity, PlannerSpec, SandboxedPlanner, make_sandboxed_planner
+from benchmark.sandbox.shared_images import SharedImagePool, SharedImageReader
 from generation.sources.rig import build_default_cameras
 from tests.adapters.strangers import Good
 from tests.benchmark.cli.cli_runs import bytes_below

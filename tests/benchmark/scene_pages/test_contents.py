@@ -15,18 +15,18 @@ from benchmark.box_projection import BOX_EDGES, compute_box_corners, interpolate
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.planning import CameraView
-from benchmark.records.scenes import CAMERA_GRID, PageMap
+from benchmark.records.scene_pages import CAMERA_GRID, PageMap
 from benchmark.road_map import Divider, DividerKind, RoadMap, as_multipolygon
 from benchmark.scene import Scene
-from benchmark.scene_pages.making import AROUND_M, build_page_map
-from benchmark.scene_pages.motion import build_agent_tracks, build_ego_track, find_origin
-from benchmark.scene_pages.pictures import (
+from benchmark.scene_pages.page_building import AROUND_M, build_page_map
+from benchmark.scene_pages.page_pictures import (
     clip_segment,
     draw_mosaic,
     lay_out_cameras,
     project_adversary_edges,
     select_pictured_frames,
 )
+from benchmark.scene_pages.page_tracks import build_agent_tracks, build_ego_track, find_origin
 from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary
 from tests.hand_made import Car, straight_road, without_frames
 

@@ -14,9 +14,9 @@ from benchmark.datasets.roots import VariantRoots
 from benchmark.errors import InputError
 from benchmark.machine.storage import lock_folder, write_json, write_json_lines
 from benchmark.records.run_schema import DataFacts
-from benchmark.records.scenes import ScenePages, StoredScenePage, find_scene_pages, read_scene_page, scene_folder
+from benchmark.records.scene_pages import ScenePages, StoredScenePage, find_scene_pages, read_scene_page, scene_folder
 from benchmark.records.statistics import BuildRuntime
-from benchmark.scene_pages import making
+from benchmark.scene_pages import page_building as making
 from benchmark.scene_pages import writing as split_sheets
 from benchmark.scene_pages.writing import SheetSettings, describe_plan, write_sheets
 from generation.nuscenes_writer.plan import STATE_FOLDER
@@ -159,7 +159,7 @@ def test_finished_work_is_kept_and_damage_is_mended(
     data = NuScenesData.open(root, name="small")
     assert describe_plan(data, "adv", tmp_path, HERE).endswith("; 2 are there already")
     with monkeypatch.context() as patched:
-        patched.setattr(making, "mosaic", None)
+        patched.setattr(making, "draw_mosaic", None)
         patched.setattr(split_sheets, "statistics", None)
         assert not any(each.made for each in write_sheets(data, "adv", tmp_path, HERE).scenes)
     folder = scene_folder(tmp_path, "small", "adv", TWO[0])
@@ -196,7 +196,7 @@ def test_an_interrupted_sheet_is_no_sheet(root: Path, tmp_path: Path, monkeypatc
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(making, "mosaic", stopping)
+        patched.setattr(making, "draw_mosaic", stopping)
         with pytest.raises(KeyboardInterrupt):
             written(root, tmp_path / "out")
     # What is left can be read; the scene that was being written is missing.

@@ -24,9 +24,9 @@ from benchmark.untrusted.arrays import read_npz
 from benchmark.untrusted.checkpoints import read_stored
 from benchmark.untrusted.children import read_pickle
 from benchmark.untrusted.files import CHECKPOINT, MIB, NPZ, PICKLE
+from benchmark.untrusted.http_images import read_picture
 from benchmark.untrusted.text_files import read_json, read_json_lines
-from benchmark.untrusted.wire_images import read_picture
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 from benchmark.weights.folders import read_checkpoint
 from benchmark.weights.tensors import read_header, read_tensors
 from generation.diffusion.checkpoint import load_denoiser

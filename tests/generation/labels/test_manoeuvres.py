@@ -15,7 +15,7 @@ from benchmark.geometry import Floats, quaternion_from_yaw, to_global
 from benchmark.records.attempts import ManoeuvreLabels
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import EgoTrack, Scene
-from generation.labels.encounters import PathFrame, compute_path_interaction
+from generation.labels.interactions import PathFrame, compute_path_interaction
 from generation.labels.labelling import compute_labels
 from generation.labels.manoeuvres import Manoeuvre, find_encroachment, smooth_mask
 from tests.hand_made import Car, scene_on_straight_road

@@ -7,8 +7,8 @@ from typing import Literal
 
 import pytest
 
-from benchmark.datasets.reviewed import record_verdicts, scene_tokens
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.split_reviews import record_verdicts, scene_tokens
 from benchmark.records.review import Verdict
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.splits.building import build_frozen

@@ -12,9 +12,9 @@ import pytest
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.runs.units import Shard
-from generation.pipeline import sharded
+from generation.pipeline import shards as sharded
 from generation.pipeline.settings import BuildSettings
-from generation.pipeline.sharded import build_shard, draw_frozen_shard
+from generation.pipeline.shards import build_shard, draw_frozen_shard
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.pipeline.surrogate import PlannerUnderTest
 from generation.render.schematic import SchematicRenderer

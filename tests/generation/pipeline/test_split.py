@@ -7,10 +7,10 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from benchmark.datasets.judged import ASSESSMENTS_FILE, collect_assessments, collect_realism
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.scene_assessments import ASSESSMENTS_FILE, collect_assessments, collect_realism
 from benchmark.errors import InputError
-from benchmark.fairness.splits import OWN_TOWN_REASON
+from benchmark.fairness.split_assessment import OWN_TOWN_REASON
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.protocols.exact import ExactProtocol
@@ -297,13 +297,13 @@ def test_what_is_said_of_each_scene_lies_beside_the_tables_and_in_no_fingerprint
 def test_it_is_said_how_many_scenes_nobody_could_have_avoided(
     source: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("generation.search.verify.unsolvable", lambda judgements: True)
+    monkeypatch.setattr("generation.search.verify.is_unsolvable", lambda judgements: True)
     with pytest.raises(NothingSurvivedError) as nothing:
         build(source, tmp_path / "dropped", scenes=("scene-9901",))
     report = nothing.value.report
     assert report.unsolvable == {"dropped": report.discarded["unsolvable"], "written": 0}
     assert report.discarded["unsolvable"] > 0 and "dropped for it, 0 among those written" in report.summary()
-    monkeypatch.setattr("generation.pipeline.report.unsolvable", lambda judgements: True)
+    monkeypatch.setattr("generation.pipeline.report.is_unsolvable", lambda judgements: True)
     settings = replace(CHEAP, out=tmp_path / "kept", hyper=replace(HYPER, solvable=False), scenes=("scene-9901",))
     kept = build_split(source, "adv", settings)
     assert kept.unsolvable == {"dropped": 0, "written": len(kept.written)} and kept.written

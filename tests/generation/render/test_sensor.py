@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.driving import run_episode
+from benchmark.closed_loop.episodes import run_episode
 from benchmark.scene import Scene
 from generation.render.schematic import SECOND, SchematicRenderer
 from generation.render.sensor import SchematicSensor

@@ -10,8 +10,8 @@ from shapely.geometry import Polygon
 
 from benchmark.geometry import Floats
 from benchmark.scene import Scene
-from generation.search.ego_way import RecordedEgoPath
 from generation.search.hyperparameters import HyperParameters
+from generation.search.recorded_ego_path import RecordedEgoPath
 from tests.generation.search.slow_scoring import outline
 
 FULL_BRAKING = 0.774 * 9.81

@@ -234,7 +234,7 @@ def test_a_kept_scene_is_judged_on_its_generated_track(kept: SearchOutcome) -> N
 def test_what_nobody_could_have_avoided_is_dropped_unless_it_is_asked_for(
     kept: SearchOutcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("generation.search.verify.unsolvable", lambda judgements: len(judgements) == 1)
+    monkeypatch.setattr("generation.search.verify.is_unsolvable", lambda judgements: len(judgements) == 1)
     dropped = run(seed=kept.attempt.seed)
     assert dropped.finding is not None and dropped.finding.reason is DiscardReason.UNSOLVABLE and dropped.scene is None
     said = dropped.attempt

@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from generation.pipeline.said_settings import read_recorded_settings
+from generation.pipeline.recorded_settings import read_recorded_settings
 from generation.pipeline.settings import BuildSettings
 from generation.search.hyperparameters import HyperParameters, LaunchRule
 from generation.search.presets import PRESETS, build_hyper_parameters

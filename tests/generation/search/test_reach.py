@@ -12,8 +12,8 @@ from generation.search.candidates import (
     find_last_opportunity,
     find_launch_in_reach,
 )
-from generation.search.ego_way import RecordedEgoPath
 from generation.search.hyperparameters import HyperParameters, LaunchRule
+from generation.search.recorded_ego_path import RecordedEgoPath
 from generation.search.recorded_motion import is_in_canvas
 from tests.hand_made import Car, scene_on_straight_road
 

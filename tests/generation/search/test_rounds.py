@@ -13,7 +13,7 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json
 from benchmark.machine.workers import LocalProcesses
-from benchmark.records.scenes import RefinementTrace, StoredScenePage, find_scene_pages, kept_rounds_path
+from benchmark.records.scene_pages import RefinementTrace, StoredScenePage, find_scene_pages, kept_rounds_path
 from benchmark.runs.units import ResultStore
 from benchmark.scene_pages.writing import SheetSettings, write_sheets
 from generation.pipeline.report import estimate_build

@@ -8,8 +8,8 @@ from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
-from generation.search.ego_way import RecordedEgoPath, compute_overrun
 from generation.search.hyperparameters import HyperParameters
+from generation.search.recorded_ego_path import RecordedEgoPath, compute_overrun
 from generation.search.scoring import build_surroundings
 from generation.search.threat import LaneHeadings, build_threat_rating
 from generation.search.threat_settings import ThreatSettings

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
-from benchmark.fairness.scenes import AdversaryProvenance, assess_scene
+from benchmark.fairness.scene_assessment import AdversaryProvenance, assess_scene
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.scene import Scene
 from generation.labels.labelling import Side, compute_times_to_collision, find_closest_approach, find_side

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.datasets.judged import collect_assessments
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.scene_assessments import collect_assessments
 from benchmark.errors import InputError
 from benchmark.geometry import box_corners
 from benchmark.machine.storage import content_key
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.protocols import NATIVE_PROTOCOLS
-from benchmark.records.judgement import DEFINITION, SceneAssessment
+from benchmark.records.scene_assessment import DEFINITION, SceneAssessment
 from benchmark.runs.units import ResultStore
 from generation.labels.labelling import read_agent_boxes
 from generation.pipeline.report import estimate_build

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from benchmark.datasets.reviewed import record_verdicts, scene_tokens
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.split_reviews import record_verdicts, scene_tokens
 from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.review import Verdict, read_review

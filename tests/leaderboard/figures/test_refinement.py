@@ -14,7 +14,7 @@ from matplotlib.image import imread
 
 from benchmark.errors import InputError
 from benchmark.records.run_schema import DataFacts
-from benchmark.records.scenes import RefinementTrace, ScenePage, ScenePages, StoredScenePage, TraceFrame
+from benchmark.records.scene_pages import RefinementTrace, ScenePage, ScenePages, StoredScenePage, TraceFrame
 from leaderboard.figures.refinement import draw_refinement, find_most_improved_frame, quartiles, refinement_figures
 
 ROAD = ((-50.0, -7.0), (150.0, -7.0), (150.0, 7.0), (-50.0, 7.0), (-50.0, -7.0))

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmark.records.run import RunRecord
-from benchmark.records.scenes import ScenePages
+from benchmark.records.scene_pages import ScenePages
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, LATE, hand_made
 from tests.leaderboard.made_up import ATTEMPTS, RUNTIME, STATISTICS, sheets_of, split_sheet
 

@@ -16,7 +16,7 @@ from benchmark.machine.storage import content_key, content_seed, file_sha256, ma
 from benchmark.machine.workspace import Workspace
 from benchmark.planning import PlanFrame
 from benchmark.records.run_schema import DataFacts, PlannerFacts
-from benchmark.records.scenes import (
+from benchmark.records.scene_pages import (
     CAMERA_GRID,
     SCHEMA,
     SHEET_FILE,

@@ -9,7 +9,7 @@ import pytest
 from selenium.common.exceptions import WebDriverException
 
 from benchmark.records.run import RunRecord, find_records
-from benchmark.records.scenes import ScenePages, find_scene_pages
+from benchmark.records.scene_pages import ScenePages, find_scene_pages
 from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from tests.leaderboard.site.big_workspace import BigWorkspace, make_workspace

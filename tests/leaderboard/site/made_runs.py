@@ -15,10 +15,10 @@ from benchmark.metrics.disagreement import MISS
 from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Command, PlanFrame
 from benchmark.protocols import PROTOCOLS, STANDARD, ProtocolOutcomes
-from benchmark.records.judgement import AssessmentSummary
 from benchmark.records.row_schema import DiagnosisRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import write_record
 from benchmark.records.run_schema import DataFacts, SceneFacts
+from benchmark.records.scene_assessment import AssessmentSummary
 from benchmark.truth import SampleTruth
 from tests.benchmark.metrics.made_attacks import judged
 from tests.leaderboard.site.made_scenes import MadeScene

@@ -12,7 +12,7 @@ from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_W
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed, make_token
 from benchmark.records.run_schema import DataFacts
-from benchmark.records.scenes import CAMERA_GRID, SCHEMA, ScenePage, picture_name
+from benchmark.records.scene_pages import CAMERA_GRID, SCHEMA, ScenePage, picture_name
 
 LANE_M = 3.5
 MANOEUVRES = ("cut-in-left", "cut-in-right", "braking-ahead", "squeezing-left", "tailgating", "oncoming")

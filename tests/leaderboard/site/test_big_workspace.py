@@ -6,7 +6,7 @@ import pytest
 
 from benchmark.records.rows import find_scene_failures
 from benchmark.records.run import find_records
-from benchmark.records.scenes import find_scene_pages
+from benchmark.records.scene_pages import find_scene_pages
 from tests.leaderboard.site.big_workspace import HOSTILE_NAMES, IMAGE_TAG, make_workspace
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.records.considered import SearchTraceFrame, write_search_trace
 from benchmark.records.drives import DriveRecord
-from benchmark.records.scenes import ScenePage, ScenePages
+from benchmark.records.scene_pages import ScenePage, ScenePages
+from benchmark.records.search_trace import SearchTraceFrame, write_search_trace
 from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from leaderboard.site.drive_data import build_drive_files, build_drive_index, interpolate_poses

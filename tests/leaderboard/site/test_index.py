@@ -17,10 +17,10 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, write_bytes
 from benchmark.metrics.attacks import collect_scene_attacks, has_adversaries, select_counted_rows
 from benchmark.metrics.effect import AT_3_S, compute_effect, find_first_contacts, find_touched_scenes
-from benchmark.records.judgement import DRIVER_NAMES
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.run_schema import SceneFacts
-from benchmark.records.scenes import NO_SCENE_PAGES, ScenePages, StoredScenePage, find_scene_pages
+from benchmark.records.scene_assessment import DRIVER_NAMES
+from benchmark.records.scene_pages import NO_SCENE_PAGES, ScenePages, StoredScenePage, find_scene_pages
 from benchmark.report.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, format_hexadecimal
 from benchmark.report.table import Table
 from leaderboard.build import find_stale_files, write_leaderboard

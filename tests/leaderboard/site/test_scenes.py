@@ -19,7 +19,7 @@ from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols.exact import compute_plan_boxes
 from benchmark.records.row_schema import DiagnosisRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord, find_records
-from benchmark.records.scenes import NO_SCENE_PAGES, PageMap, ScenePages, find_scene_pages, picture_name
+from benchmark.records.scene_pages import NO_SCENE_PAGES, PageMap, ScenePages, find_scene_pages, picture_name
 from leaderboard.site.packing import CENTIMETRE, pack_path, pack_series
 from leaderboard.site.scene_data import THUMBNAIL_PX, build_scene_files, draw_thumbnail, find_closest_frame
 from leaderboard.site.scene_index import scene_key

@@ -7,9 +7,9 @@ from urllib.parse import quote
 
 from selenium.webdriver.common.by import By
 
-from benchmark.records.judgement import AssessmentSummary
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
+from benchmark.records.scene_assessment import AssessmentSummary
 from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from tests.leaderboard.site.big_workspace import EMOJI, HOSTILE_REASON, IMAGE_TAG, RIGHT_TO_LEFT, SCRIPT_TAG

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from selenium.webdriver.common.by import By
 
-from benchmark.records.scenes import NO_SCENE_PAGES
+from benchmark.records.scene_pages import NO_SCENE_PAGES
 from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from tests.leaderboard.site.browser import HEIGHT_PX, WIDTH_PX, Browser

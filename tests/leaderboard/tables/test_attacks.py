@@ -12,7 +12,7 @@ from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.attacks import attack_tables, success_table
 from leaderboard.tables.collision import run_tables
 from leaderboard.tables.contents import build_data_set_tables, missing_notes
-from leaderboard.tables.judgements import assessment_tables
+from leaderboard.tables.scenario_assessment import assessment_tables
 from tests.benchmark.metrics.made_attacks import attacked, with_realism
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
 

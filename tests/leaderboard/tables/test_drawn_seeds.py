@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.metrics.drawn_seeds import combine_seeds, student_975
 from benchmark.metrics.rates import SceneSums, compute_ratios_over_scenes
+from benchmark.metrics.search_seeds import combine_seeds, student_975
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import GeneratedFacts
 from benchmark.report.table import Table

@@ -9,7 +9,7 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_json
 from benchmark.records.ablation import AblationReport, find_ablations
-from benchmark.records.scenes import NO_SCENE_PAGES, SPLIT_FILE, find_scene_pages, split_folder
+from benchmark.records.scene_pages import NO_SCENE_PAGES, SPLIT_FILE, find_scene_pages, split_folder
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
 from leaderboard.build import build_leaderboard_files, find_stale_files, write_leaderboard

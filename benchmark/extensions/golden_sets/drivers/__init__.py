@@ -10,7 +10,7 @@ from typing import Final
 
 from benchmark.extensions.golden_sets.drivers.recorded import compare_interactions, compare_scenes
 from benchmark.extensions.golden_sets.drivers.tables import compare_functions, compare_straight, compare_tables
-from benchmark.verification.golden import GoldenSet
+from benchmark.verification.golden_sets import GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "drivers"
 """The golden set in the package, in the same form as any other."""

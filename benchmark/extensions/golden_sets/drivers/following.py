@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmark.geometry import Floats
 from benchmark.interactions.reaction import REACTION_S, STEP_S, rss_distance_along
-from benchmark.interactions.straight import LENGTH_M, WIDTH_M, OtherCar
+from benchmark.interactions.straight_road import LENGTH_M, WIDTH_M, OtherCar
 
 SIDE_M: Final = 1.6
 """Free distance sideways before a cut-in."""

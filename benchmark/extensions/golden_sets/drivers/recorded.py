@@ -4,13 +4,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.interactions.driving import DrivingSituation, ReferenceDriver, find_first_visible_time, simulate_drivers
-from benchmark.interactions.golden import differ, is_fragile, read_interaction
-from benchmark.interactions.outcomes import CollisionChecker, DriverOutcome
+from benchmark.interactions.driver_outcomes import CollisionChecker, DriverOutcome
+from benchmark.interactions.driver_simulation import (
+    DrivingSituation,
+    ReferenceDriver,
+    find_first_visible_time,
+    simulate_drivers,
+)
+from benchmark.interactions.golden_interactions import differ, is_fragile, read_interaction
 from benchmark.interactions.reaction import Driver
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 
 _ADVERSARY_ONLY: Final = "_adversary_only"
 _ADDED: Final = "vehicle.car"

@@ -17,7 +17,7 @@ from benchmark.extensions.golden_sets.drivers.following import (
     compute_following_distances,
 )
 from benchmark.geometry import Bools, Floats
-from benchmark.interactions.keeping_distance import compute_nuplan_acceleration
+from benchmark.interactions.idm_driver import compute_nuplan_acceleration
 from benchmark.interactions.reaction import (
     Driver,
     critical_score,
@@ -25,9 +25,9 @@ from benchmark.interactions.reaction import (
     rss_distance_across,
     rss_distance_along,
 )
-from benchmark.interactions.straight import OtherCar, StraightRuns, drive_straight
+from benchmark.interactions.straight_road import OtherCar, StraightRuns, drive_straight
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 
 MODELS: Final = {
     "CC_human_driver": Driver.CC,

@@ -13,11 +13,11 @@ from benchmark.constants import EGO_WHEELBASE_M
 from benchmark.extensions.golden_sets.pdm.golden_set import ModeComparison, PdmGoldenScene, compare_filter
 from benchmark.geometry import Floats, to_global, wrap_angle
 from benchmark.pdm.definition import HEADING, STATE_COLUMNS, STATES
-from benchmark.pdm.layers import compute_footprints
-from benchmark.pdm.motion import build_history_rows, fit_reference_path, interpolate_poses, track_plans
+from benchmark.pdm.plan_motion import build_history_rows, fit_reference_path, interpolate_poses, track_plans
+from benchmark.pdm.road_polygons import compute_footprints
 from benchmark.pdm.traffic import find_touching_at_start, interpolate_traffic
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenFolder, GoldenSet
+from benchmark.verification.golden_sets import GoldenFolder, GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "pdm"
 """The golden set in the package, in the same form as any other."""

@@ -20,8 +20,8 @@ from benchmark.pdm.definition import (
     WHEELBASE_M,
     WIDTH_M,
 )
-from benchmark.pdm.layers import RoadPolygons, SurfaceKind
-from benchmark.pdm.motion import build_history_rows, check_comfort, compute_disagreement, score_extended_comfort
+from benchmark.pdm.plan_motion import build_history_rows, check_comfort, compute_disagreement, score_extended_comfort
+from benchmark.pdm.road_polygons import RoadPolygons, SurfaceKind
 from benchmark.pdm.scoring import (
     ScoredMotions,
     ScoringContext,
@@ -34,7 +34,7 @@ from benchmark.pdm.scoring import (
 from benchmark.pdm.totals import FILTERED, SubScores
 from benchmark.pdm.traffic import KeyFrameObjects, interpolate_traffic
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 
 VEHICLE: Final = (LENGTH_M, WIDTH_M, CENTER_AHEAD_M, WHEELBASE_M, WHEELBASE_M, COMFORT_CENTER_AHEAD_M)
 """Length, width, centre ahead, wheelbase of tracker and bicycle, centre ahead inside the comfort terms."""

@@ -9,7 +9,7 @@ from benchmark.extensions.golden_sets.protocols.official import compare_further,
 from benchmark.extensions.golden_sets.protocols.polygons import compare_polygons
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenFolder, GoldenSet
+from benchmark.verification.golden_sets import GoldenFolder, GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "protocols"
 """The golden set in the package, in the same form as any other."""

@@ -15,7 +15,7 @@ from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import HORIZONS, rates
 from benchmark.protocols import PROTOCOLS, ProtocolOutcomes
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenFolder
+from benchmark.verification.golden_sets import GoldenFolder
 
 _COLUMNS: Final = {
     ("uniad", "collision"): "uniad_obj_box_col",

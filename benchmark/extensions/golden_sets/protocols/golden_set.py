@@ -17,7 +17,7 @@ from benchmark.machine.storage import file_sha256
 from benchmark.planning import Command
 from benchmark.report.words import pluralise
 from benchmark.truth import SampleTruth
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 
 _SIDE: Final = 1000
 

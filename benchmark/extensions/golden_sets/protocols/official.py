@@ -15,9 +15,9 @@ from benchmark.extensions.golden_sets.protocols.golden_set import ProtocolGolden
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols import PROTOCOLS, ProtocolOutcomes, bev_planner, fine_grid, omnidrive, raster, stp3
 from benchmark.protocols.raster import CELLS
-from benchmark.protocols.stacked import StackedTruths, stack
+from benchmark.protocols.stacked_truths import StackedTruths, stack
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 
 _TABLES: Final = {"vad": "vad", "vad-23": "vad23"}
 """Protocol and prefix of its arrays, for both category tables."""

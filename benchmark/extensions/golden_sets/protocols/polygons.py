@@ -12,10 +12,10 @@ from benchmark.geometry import Bools, Floats
 from benchmark.protocols import PROTOCOLS, ProtocolOutcomes
 from benchmark.protocols.exact import INSTANTS_PER_STEP, compute_plan_boxes, find_contacts, interpolate_footprints
 from benchmark.protocols.sparsedrive import find_waypoint_contacts
-from benchmark.protocols.stacked import StackedTruths, stack
+from benchmark.protocols.stacked_truths import StackedTruths, stack
 from benchmark.truth import SampleTruth
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 
 _INSTANTS: Final = PLAN_STEPS * INSTANTS_PER_STEP
 _FROZEN: Final = ("all", "uniad", "vad")

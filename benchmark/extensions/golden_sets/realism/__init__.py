@@ -9,7 +9,7 @@ from typing import Final
 
 from benchmark.extensions.golden_sets.realism.deviations import compare_deviations
 from benchmark.extensions.golden_sets.realism.motion import FEATURE_TOLERANCE, compare_arrays, compare_motion
-from benchmark.verification.golden import GoldenSet
+from benchmark.verification.golden_sets import GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "realism"
 """The golden set in the package, in the same form as any other; its scenes are made up."""

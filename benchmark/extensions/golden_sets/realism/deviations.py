@@ -16,7 +16,7 @@ from benchmark.fairness.ctg import (
     compute_histograms,
 )
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 
 RECORDED: Final = "recorded"
 _EDGES: Final = "edges/"

@@ -12,7 +12,7 @@ from benchmark.fairness.realism import equal_bins, quantile_bins, w1
 from benchmark.geometry import Floats
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 
 CATEGORY: Final = "vehicle.car"
 FEATURE_TOLERANCE: Final = 1e-6

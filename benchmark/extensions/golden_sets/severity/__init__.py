@@ -13,8 +13,8 @@ from benchmark.extensions.golden_sets.severity.quantities import (
     compare_interactions,
     compare_manoeuvres,
 )
-from benchmark.interactions.golden import SAME_TIME_S
-from benchmark.verification.golden import GoldenSet
+from benchmark.interactions.golden_interactions import SAME_TIME_S
+from benchmark.verification.golden_sets import GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "severity"
 """The golden set in the package, in the same form as any other."""

@@ -9,8 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.fairness.encounter import measure_severity
+from benchmark.fairness.severity_series import measure_severity
 from benchmark.geometry import Floats
+from benchmark.interactions.avoidability import MANOEUVRES, STATE_COLUMNS, BaselineEgo
 from benchmark.interactions.contacts import (
     AHEAD_RAD,
     BEHIND_RAD,
@@ -24,12 +25,11 @@ from benchmark.interactions.contacts import (
     is_at_fault,
     mass_kg,
 )
-from benchmark.interactions.driving import DrivingSituation
-from benchmark.interactions.golden import differ, is_fragile, read_interaction
-from benchmark.interactions.last_chance import MANOEUVRES, STATE_COLUMNS, BaselineEgo
+from benchmark.interactions.driver_simulation import DrivingSituation
+from benchmark.interactions.golden_interactions import differ, is_fragile, read_interaction
 from benchmark.interactions.tracks import STEP_S
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenFolder
+from benchmark.verification.golden_sets import GoldenFolder
 
 NEVER_S: Final = 1e6
 """Longer times come from speeds that differ by rounding alone."""

@@ -8,7 +8,7 @@ from benchmark.extensions.infos.exporting import InfoSettings, build_info_files
 from benchmark.extensions.infos.repositories import REPOSITORIES
 from benchmark.extensions.infos.verification.comparison import MANIFEST, GoldenInfos, InfoComparison
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenFolder, GoldenSet
+from benchmark.verification.golden_sets import GoldenFolder, GoldenSet
 
 
 def _compare_infos(comparison: Comparison, golden: GoldenFolder) -> None:

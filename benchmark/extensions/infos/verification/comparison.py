@@ -25,7 +25,7 @@ from benchmark.machine.storage import file_sha256
 from benchmark.untrusted.compressed import read_compressed_pickle, unpack_archive
 from benchmark.untrusted.files import PROGRAM, read_file, to_one_line
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenFolder
+from benchmark.verification.golden_sets import GoldenFolder
 
 MANIFEST: Final = "manifest.json"
 _ODD: Final = "make_odd.py"

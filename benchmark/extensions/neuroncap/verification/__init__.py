@@ -7,10 +7,14 @@ recorded plans.
 from pathlib import Path
 from typing import Final
 
-from benchmark.extensions.neuroncap.verification.drawn import compare_commands, compare_contacts, compare_scenarios
 from benchmark.extensions.neuroncap.verification.driving import compare_aggregates, compare_driving
 from benchmark.extensions.neuroncap.verification.loops import compare_loops
-from benchmark.verification.golden import GoldenSet
+from benchmark.extensions.neuroncap.verification.staged_scenarios import (
+    compare_commands,
+    compare_contacts,
+    compare_scenarios,
+)
+from benchmark.verification.golden_sets import GoldenSet
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "neuroncap"
 """The golden set in the package, in the same form as any other."""

@@ -20,7 +20,7 @@ from benchmark.extensions.neuroncap.vehicle import STEP_US, SUBSTEPS, Vehicle, V
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.records.neuroncap_aggregate import CODE, NeuroncapSwitches, aggregate_runs, find_invalid_reason
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 
 _NAN: Final = "nan"
 

@@ -47,7 +47,7 @@ from benchmark.extensions.neuroncap.verification.driving import (
 from benchmark.geometry import Floats, transform_matrix, wrap_angle
 from benchmark.records.neuroncap_aggregate import CODE
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 
 CHECK_COLUMNS: Final = 7
 """Number of the state, microseconds since the recording began, x, y, heading, speed, whether anybody is touched."""

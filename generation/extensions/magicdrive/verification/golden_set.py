@@ -7,7 +7,7 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from torch import Tensor
 
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes
 from generation.extensions.magicdrive.conditions import ClipConditions, TextStates
 from generation.extensions.magicdrive.config import MagicDriveConfig

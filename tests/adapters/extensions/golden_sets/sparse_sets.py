@@ -14,7 +14,7 @@ from adapters.extensions.golden_sets.sparse_quantities import RowOrder, frame_qu
 from adapters.networks.sparse.boxes import KeyframeMotion
 from adapters.networks.sparse.decoder import InstanceMemory
 from adapters.networks.sparse.model import SparseMemory, pose_of
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 from tests.adapters.networks.sparse.miniature import MINIATURE, TIMES_S, filled, frame, noise, recipe
 
 

@@ -16,7 +16,7 @@ from adapters.extensions.golden_sets.sparse_quantities import OTHER_ROWS, RowOrd
 from adapters.models import MODELS
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 from tests.adapters.extensions.golden_sets.sparse_sets import change, write_set
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled, frame, noise
 

@@ -18,7 +18,7 @@ from adapters.networks.uniad.model import UniAD, UniADInputs
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check, Comparison, format_report
 from benchmark.verification.filled_networks import NAMES, fill_network, have_same_names_and_shapes
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 from tests.adapters.networks.uniad.small_uniad import SMALL, anchors, class_layer, frame
 from tests.benchmark.verification.damaged import said
 

@@ -19,7 +19,7 @@ from adapters.networks.vad.model import VAD
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check, Comparison, format_report
 from benchmark.verification.filled_networks import fill_network, have_same_names_and_shapes
-from benchmark.verification.golden import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 
 PARITY = Path(__file__).resolve().parents[5] / "shared" / "golden" / "parity"
 needs_parity = pytest.mark.skipif(not PARITY.is_dir(), reason="no shared material beside the repository")
@@ -192,6 +192,6 @@ def test_damaged_sets_are_refused(message: str, tmp_path: Path, monkeypatch: pyt
     golden = copy("vad_tiny", tmp_path, frames=1)
     DAMAGES[message](golden)
     # What is damaged here is found before weights matter.
-    monkeypatch.setattr("adapters.extensions.golden_sets.parity_set.fill", lambda *_: None)
+    monkeypatch.setattr("adapters.extensions.golden_sets.parity_set.fill_network", lambda *_: None)
     with pytest.raises(InputError, match=message):
         verify_model("vad-tiny", golden)

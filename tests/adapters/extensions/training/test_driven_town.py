@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from adapters.extensions.training.mixture import build_frames
+from adapters.extensions.training.dataset_mixture import build_frames
 from benchmark.datasets.roots import open_data
-from benchmark.records.driven import read_driven_ego_targets
+from benchmark.records.driven_ego import read_driven_ego_targets
 from benchmark.records.drives import find_drives
 from tests.benchmark.cli.cli_runs import challenger_bench
 from tests.benchmark.cli.test_driven_town import SMALL, town_and_drive

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from adapters.camera_inputs import MINIATURE_IMAGE, RGB_MEAN_STD, camera_images, can_bus_vector, lidar_to_image
+from adapters.extensions.training.dataset_mixture import INDEX, FrameStore, build_frames
 from adapters.extensions.training.frames import DRIVABLE_CELLS, DRIVABLE_HALF_M, FUTURE_STEPS, TrainingFrame
 from adapters.extensions.training.image_encoder import miniature_images
-from adapters.extensions.training.mixture import INDEX, FrameStore, build_frames
 from adapters.extensions.training.scene_frames import drivable_cells
 from benchmark.constants import DETECTION_CLASSES
 from benchmark.datasets.nuscenes import NuScenesData

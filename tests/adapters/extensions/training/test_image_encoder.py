@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import nn
 
+from adapters.extensions.training.dataset_mixture import FrameStore, build_frames
 from adapters.extensions.training.frames import DRIVABLE_HALF_M, TrainingFrame
 from adapters.extensions.training.image_encoder import (
     CELL_PX,
@@ -20,7 +21,6 @@ from adapters.extensions.training.image_encoder import (
     centre_loss,
     image_targets,
 )
-from adapters.extensions.training.mixture import FrameStore, build_frames
 from benchmark.geometry import Floats
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from adapters.extensions.training.dataset_mixture import FrameStore, build_frames
 from adapters.extensions.training.frames import REPEATS, SPEED, CachedFrames, Frames, TrainingFrame, oversample_changes
-from adapters.extensions.training.mixture import FrameStore, build_frames
 from adapters.extensions.training.trainer import Recipe, fit
 from tests.adapters.extensions.training.one_scene import OneScene
 from tests.adapters.extensions.training.test_trainer import GlanceObjective

@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from adapters.extensions.training.dataset_mixture import FrameStore, build_frames
 from adapters.extensions.training.frames import TrainingFrame
 from adapters.extensions.training.losses import plan_loss
-from adapters.extensions.training.mixture import FrameStore, build_frames
 from adapters.extensions.training.trainer import LOG_EVERY, Recipe, fit, learning_rate, select_clip
 from benchmark.errors import InputError
 from benchmark.weights.tensors import hash_tensors

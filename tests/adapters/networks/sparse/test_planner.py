@@ -12,7 +12,7 @@ import safetensors.torch
 import torch
 
 from adapters.camera_inputs import RGB_MEAN_STD, SPARSE_DRIVE_IMAGE
-from adapters.checkpoints.importing import import_checkpoint, match_model
+from adapters.checkpoints.checkpoint_import import import_checkpoint, match_model
 from adapters.models import MODELS
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS
 from adapters.networks.sparse.config import SparseConfig

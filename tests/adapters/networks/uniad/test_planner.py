@@ -16,7 +16,7 @@ from safetensors.torch import load_file
 from adapters.camera_inputs import BGR_MEAN, NetworkImageFormat
 from adapters.checkpoints.anchor_files import FILE, read_motion_anchors
 from adapters.checkpoints.cache import known_weights
-from adapters.checkpoints.importing import ImportedWeights, fetch_checkpoint, import_checkpoint
+from adapters.checkpoints.checkpoint_import import ImportedWeights, fetch_checkpoint, import_checkpoint
 from adapters.models import MODELS, MOTION_ANCHORS
 from adapters.networks.layers.reporting import PUBLISHED, ReportingRules
 from adapters.networks.uniad import collision_optimiser as collision_solvers

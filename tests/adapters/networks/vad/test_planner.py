@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 
 from adapters.camera_inputs import BGR_MEAN, RGB_MEAN_STD, NetworkImageFormat, PixelNormalisation
 from adapters.checkpoints.cache import write_weights
-from adapters.checkpoints.importing import import_checkpoint
+from adapters.checkpoints.checkpoint_import import import_checkpoint
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.planner import VADPlanner, example_frame

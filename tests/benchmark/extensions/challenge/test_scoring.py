@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from adapters.registry import planner_factory
-from benchmark.datasets.judged import ASSESSMENTS_FILE, format_assessments
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.scene_assessments import ASSESSMENTS_FILE, format_assessments
 from benchmark.errors import InputError
 from benchmark.extensions.challenge.checking import check_entry
 from benchmark.extensions.challenge.cli import name_entries
 from benchmark.extensions.challenge.entries import SPLIT, CheckedEntry
 from benchmark.extensions.challenge.rules import ChallengeRules
 from benchmark.extensions.challenge.scoring import ScoreSettings, score_entries
-from benchmark.metrics.entries import (
+from benchmark.metrics.challenge_entries import (
     RefusedScene,
     average_planners,
     compare_entries,

@@ -5,7 +5,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
-from benchmark.datasets.annotated import find_nearest_valid
+from benchmark.datasets.annotated_objects import find_nearest_valid
 from benchmark.geometry import Floats
 from benchmark.machine.storage import make_token
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap

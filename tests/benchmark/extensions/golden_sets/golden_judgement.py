@@ -30,14 +30,14 @@ from benchmark.fairness.ctg import (
 from benchmark.fairness.features import FEATURES, FeatureRun, extract_recorded_runs, extract_runs
 from benchmark.fairness.realism import Histograms, equal_bins, quantile_bins, w1
 from benchmark.geometry import Floats
-from benchmark.interactions.driving import (
+from benchmark.interactions.driver_outcomes import CollisionChecker, DriverOutcome
+from benchmark.interactions.driver_simulation import (
     REFERENCE_DRIVER_KINDS,
     DrivingSituation,
     ReferenceDriver,
     find_first_visible_time,
     simulate_drivers,
 )
-from benchmark.interactions.outcomes import CollisionChecker, DriverOutcome
 from benchmark.interactions.reaction import Driver
 from benchmark.interactions.tracks import ContinuousTracks
 from tests.benchmark.interactions.made import along_bend, made_scene

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmark.extensions.golden_sets.pdm import BUILT_IN
 from benchmark.extensions.golden_sets.pdm.golden_set import VEHICLE
 from benchmark.geometry import Floats
-from benchmark.pdm.layers import SurfaceKind
+from benchmark.pdm.road_polygons import SurfaceKind
 from tests.benchmark.pdm.cases import Case, crossing, slow_objects
 from tests.benchmark.pdm.slow_motion import slow_direct, slow_motion, slow_poses, slow_profiles
 from tests.benchmark.pdm.slow_pdm import (

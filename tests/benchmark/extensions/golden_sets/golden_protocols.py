@@ -19,7 +19,7 @@ from benchmark.extensions.golden_sets.protocols.golden_set import read_truths
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_seed, file_sha256, write_json
 from benchmark.truth import SampleTruth
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 from tests.benchmark.protocols import slow_protocols as slow
 
 Arrays = dict[str, NDArray[Any]]

@@ -8,7 +8,7 @@ import pytest
 
 from benchmark.extensions.http.answers import ModelAnswer
 from benchmark.extensions.http.values import NeuroncapHttpError
-from benchmark.pdm.motion import plan_to_poses
+from benchmark.pdm.plan_motion import plan_to_poses
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from tests.benchmark.extensions.http.made import SHARED
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.asking import Failure, FailureReason, notify_planner, request_plan
+from benchmark.closed_loop.planner_calls import Failure, FailureReason, notify_planner, request_plan
 from benchmark.errors import InputError
 from benchmark.extensions.http.model import HttpPlanner, ModelFailedError, http_planner
 from benchmark.extensions.http.session import build_request
@@ -211,7 +211,7 @@ def test_a_drive_gives_up_waiting_when_a_plan_may_take_no_longer() -> None:
 
 def test_an_answer_without_end_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
     few = replace(HTTP_ANSWER, file_bytes=1000)
-    monkeypatch.setattr("benchmark.extensions.http.connection.WIRE_ANSWER", few)
+    monkeypatch.setattr("benchmark.extensions.http.connection.HTTP_ANSWER", few)
     with (
         scripted(lambda path, body: (200, bytes(5000))) as server,
         pytest.raises(PlannerGoneError, match="more than 1000 bytes"),

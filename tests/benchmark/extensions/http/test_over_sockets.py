@@ -15,13 +15,13 @@ import pytest
 
 from adapters.registry import build_planner, planner_factory
 from benchmark.closed_loop.default_engine import DefaultBackend, compute_rear_axle_waypoints
-from benchmark.closed_loop.driving import Episode, run_episode
-from benchmark.closed_loop.riding import SimulatorBackend
+from benchmark.closed_loop.episodes import Episode, run_episode
+from benchmark.closed_loop.simulation_state import SimulatorBackend
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.extensions.http.model import http_planner
 from benchmark.extensions.http.values import HttpImageFormat
-from benchmark.extensions.neuroncap.riding import NeuroncapBackend
+from benchmark.extensions.neuroncap.simulation_state import NeuroncapBackend
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import CameraView, Planner
 from benchmark.records.drives import DriveRecord, load_drives

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.driving import run_episode
+from benchmark.closed_loop.episodes import run_episode
 from benchmark.extensions.http.model import http_planner
 from benchmark.planning import SceneInfo
 from tests.benchmark.closed_loop.staged import staged

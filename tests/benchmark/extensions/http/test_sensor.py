@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.driving import run_episode
+from benchmark.closed_loop.episodes import run_episode
 from benchmark.errors import InputError
 from benchmark.extensions.http.requests import CAMERAS, InferRequest
 from benchmark.extensions.http.sensor import (

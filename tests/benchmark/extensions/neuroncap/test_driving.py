@@ -5,15 +5,15 @@ from dataclasses import replace
 import pytest
 
 from adapters.planners.log_replay import LogReplay
-from benchmark.closed_loop.asking import FailureReason
-from benchmark.closed_loop.driving import run_episode
+from benchmark.closed_loop.episodes import run_episode
+from benchmark.closed_loop.planner_calls import FailureReason
 from benchmark.closed_loop.scoring import score_episode
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.riding import NeuroncapBackend
+from benchmark.extensions.neuroncap.simulation_state import NeuroncapBackend
 from benchmark.planning import Command
 from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
-from tests.benchmark.closed_loop import test_driving as any_engine
-from tests.benchmark.closed_loop import test_observing as any_engine_seen
+from tests.benchmark.closed_loop import test_episodes as any_engine
+from tests.benchmark.closed_loop import test_observation_builder as any_engine_seen
 from tests.benchmark.closed_loop.staged import Watching, staged
 from tests.hand_made import Car, scene_on_straight_road
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.driving import run_episode
 from benchmark.closed_loop.engines import ENGINES, make_backend
+from benchmark.closed_loop.episodes import run_episode
 from benchmark.errors import InputError
-from benchmark.extensions.neuroncap.riding import NeuroncapBackend
+from benchmark.extensions.neuroncap.simulation_state import NeuroncapBackend
 from benchmark.records.drive_schema import OFFICIAL, OWN
 from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 from benchmark.runs.driving import DriveSettings

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from benchmark.datasets.reviewed import record_verdicts, scene_tokens
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.split_reviews import record_verdicts, scene_tokens
 from benchmark.records.review import Verdict
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.render.contract import Renderer

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adapters.known_planners import find_own_planner
+from adapters.planner_listing import find_own_planner
 from adapters.planners.log_replay import LogReplay
 from adapters.registry import planner_factory
 from benchmark.closed_loop.default_engine import DefaultBackend

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from benchmark.cli.app import app
 from benchmark.errors import InputError
 from benchmark.verification.checks import format_report
-from generation.extensions.magicdrive.verification.comparing import PUBLISHED, verify_magicdrive
+from generation.extensions.magicdrive.verification.comparison import PUBLISHED, verify_magicdrive
 
 GOLDEN = Path(__file__).resolve().parents[3] / "golden" / "parity" / "magicdrive"
 WHOLE = Path(__file__).resolve().parents[5] / "shared" / "golden" / "parity" / "magicdrive"

@@ -243,7 +243,7 @@ def test_another_output_size_needs_no_new_sampling(
     weights: Path, drawn: list[Images], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     list(small_renderer(weights, tmp_path).render(brief_scene(), [0]))
-    monkeypatch.setattr(renderer_module, "load_official", None)
+    monkeypatch.setattr(renderer_module, "load_published_network", None)
     large = small_renderer(weights, tmp_path, output="1600x900")
     found = next(large.render(brief_scene(), [0]))
     assert found["CAM_BACK"].shape == (900, 1600, 3)
@@ -381,7 +381,7 @@ def test_too_little_memory_is_a_sentence(weights: Path, tmp_path: Path, monkeypa
     def full(*_: object, **__: object) -> None:
         raise torch.cuda.OutOfMemoryError("too much")
 
-    monkeypatch.setattr(renderer_module, "sample", full)
+    monkeypatch.setattr(renderer_module, "sample_latents", full)
     with pytest.raises(InputError, match="does not fit into the memory of cpu"):
         next(small_renderer(weights, tmp_path).render(brief_scene(), [0]))
 

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from benchmark.closed_loop.adversary import AdversaryTrack
-from benchmark.closed_loop.contract import TrafficSnapshot
-from benchmark.closed_loop.courses import build_log_replay
+from benchmark.closed_loop.agent_policy import TrafficSnapshot
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.following import SUBSTEP_US
+from benchmark.closed_loop.plan_tracking import SUBSTEP_US
+from benchmark.closed_loop.simulation_config import build_log_replay
 from benchmark.geometry import Bools, Floats
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.scene import Scene
-from generation.extensions.reactive_adversary.making import ReactiveAdversaryMaker
+from generation.extensions.reactive_adversary.adversary_maker import ReactiveAdversaryMaker
 from generation.extensions.reactive_adversary.policy import ReactiveAdversary
 from generation.extensions.reactive_adversary.settings import AdversarySettings, EgoPrediction, build_reactive_settings
 from tests.generation.search.driving_prior import DrivingPrior, unchanged

@@ -14,8 +14,8 @@ from benchmark.errors import InputError
 from benchmark.extensions.submissions.recomputed import recompute_drives
 from benchmark.machine.workers import LocalProcesses
 from benchmark.metrics.rates import Rate
-from benchmark.records.considered import read_search_trace
 from benchmark.records.drives import DriveRecord, load_drives
+from benchmark.records.search_trace import read_search_trace
 from benchmark.runs import drive_work
 from benchmark.runs import drive_work as ladders
 from benchmark.runs.driving import DriveSettings, drive_planners
@@ -115,12 +115,12 @@ def test_kept_ladders_are_not_climbed_again(
     def climbed(*_: Any) -> None:
         raise AssertionError("climbed again")
 
-    monkeypatch.setattr(ladders, "climbed", climbed)
+    monkeypatch.setattr(ladders, "simulate_reference_drivers", climbed)
     assert [row.ladder for row in driven(tmp_path)[1].rows] == [row.ladder for row in records[1].rows]
 
 
 def test_a_drive_is_repeated_without_any_search(records: list[DriveRecord], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("generation.extensions.reactive_adversary.policy.run_together", None)
+    monkeypatch.setattr("generation.extensions.reactive_adversary.policy.run_searches", None)
     data = town()
     maker = restore_backend(records[0].facts.measured)
     for row in [row for record in records for row in record.rows]:
@@ -173,7 +173,7 @@ def test_what_was_considered_is_kept_beside_a_record_of_the_same_bytes(
     driven(later, KEEPING)
     assert beside(later) == kept
     # What was there stays; what is damaged is made anew.
-    monkeypatch.setattr(drive_work, "considered_again", None)
+    monkeypatch.setattr(drive_work, "repeat_search", None)
     driven(later, KEEPING)
     next(later.rglob("considered/*.json")).write_text("{")
     with pytest.raises(TypeError):

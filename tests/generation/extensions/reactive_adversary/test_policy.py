@@ -4,13 +4,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.contract import TrafficSnapshot, check_policy
+from benchmark.closed_loop.agent_policy import TrafficSnapshot, check_policy
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.interactions.tracks import ContinuousTracks
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
-from generation.extensions.reactive_adversary.making import find_handover_frame, get_vehicles
+from generation.extensions.reactive_adversary.adversary_maker import find_handover_frame, get_vehicles
 from generation.extensions.reactive_adversary.policy import ReactiveAdversary
 from generation.extensions.reactive_adversary.settings import AdversarySettings, EgoPrediction
 from generation.search.adversary import ALGORITHM_VERSION, compute_scene_identity

@@ -13,7 +13,7 @@ from pyquaternion import Quaternion
 from benchmark.geometry import Floats, box_corners
 from benchmark.scene import Camera, EgoTrack, Scene
 from generation.render.schematic import SchematicRenderer
-from generation.render.schematic.standing import compute_drawing_order
+from generation.render.schematic.solids import compute_drawing_order
 from generation.render.schematic.view import clip_near
 from tests.hand_made import Car, scene_on_straight_road
 

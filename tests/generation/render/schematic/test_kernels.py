@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from generation.render.schematic import FIRST, SECOND, SchematicRenderer, standing
+from generation.render.schematic import FIRST, SECOND, SchematicRenderer
+from generation.render.schematic import solids as standing
 from generation.render.schematic.ground import _STEP_M, PaintedGround
 from generation.render.schematic.painting import paint
 from generation.render.schematic.styles import (

@@ -19,9 +19,9 @@ from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
 from generation.render.contract import Images, Renderer
 from generation.render.schematic import FIRST, SECOND, SchematicRenderer
+from generation.render.schematic.roadside import build_roadside
 from generation.render.schematic.shapes import choose_shape_name, get_shape
 from generation.render.schematic.styles import DrawingStyle, develop
-from generation.render.schematic.surroundings import build_roadside
 from tests.hand_made import Car, scene_on_straight_road
 
 SMALL = (112, 64)

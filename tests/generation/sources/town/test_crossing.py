@@ -12,7 +12,7 @@ from benchmark.scene import Scene
 from generation.sources.mini import TownSettings, build_town_data_set
 from generation.sources.town import build_town_scene, build_town_scene_driven, build_town_scene_off_path
 from generation.sources.town.paths import EGO_BODY, compute_body_boxes
-from tests.generation.sources.town.test_driven import driven_as
+from tests.generation.sources.town.test_driven_ego import driven_as
 
 INDICES = (1, 8, 17)
 MOST = 6

@@ -13,10 +13,10 @@ from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.constants import FRAME_HZ
 from benchmark.errors import InputError
 from benchmark.records.drives import DriveRecord
-from benchmark.report.driven import EpisodePage
+from benchmark.report.episode_page import EpisodePage
 from benchmark.report.palette import ADVERSARY, BEST, CONTACT, EGO, PATH
-from benchmark.runs.drive_sheets import write_episode_page
 from benchmark.runs.driving import DriveSettings, drive_split
+from benchmark.runs.episode_pages import write_episode_page
 from generation.render.sensor import SchematicSensor
 from generation.sources.town import build_town_scene
 from leaderboard.extensions.films.drive_film import DRIVE_FPS, HELD_S, DriveFilm
@@ -27,7 +27,7 @@ from tests.benchmark.closed_loop.staged import Watching
 from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import Failing, Straight
 from tests.benchmark.records.test_drives import written as written_drives
-from tests.benchmark.runs.test_drive_sheets import Clock, driven, town
+from tests.benchmark.runs.test_episode_pages import Clock, driven, town
 from tests.generation.extensions.reactive_adversary.loops import SETTINGS as ADVERSARY_SETTINGS
 from tests.generation.extensions.reactive_adversary.loops import rides
 from tests.hand_made import Car, scene_on_straight_road

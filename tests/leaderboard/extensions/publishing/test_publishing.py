@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from benchmark.errors import InputError
 from benchmark.records.run import find_records
-from benchmark.records.scenes import ScenePages, find_scene_pages
+from benchmark.records.scene_pages import ScenePages, find_scene_pages
 from leaderboard.build import write_leaderboard
 from leaderboard.extensions.publishing.checking import MachineIdentity, check_publishable
-from leaderboard.extensions.publishing.elsewhere import PublicationFinding
+from leaderboard.extensions.publishing.static_hosting import PublicationFinding
 from leaderboard.frame.results import read_results
 from leaderboard.site.packing import decode_script, encode_script
 from tests.benchmark.cli.in_process import run_here

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from adapters.camera_inputs import MINIATURE_IMAGE, RGB_MEAN_STD
+from adapters.extensions.training.dataset_mixture import build_frames
 from adapters.extensions.training.frames import TrainingFrame
 from adapters.extensions.training.front import FRONT_BACKBONE_PREFIX, WEIGHTS, add_front_backbone
 from adapters.extensions.training.losses import assign
-from adapters.extensions.training.mixture import build_frames
 from adapters.extensions.training.sparse.losses import FORECAST, forecast_losses, plan_losses
 from adapters.extensions.training.sparse.phases import SparseObjective, find_front_reader, network_inputs, phases
 from adapters.extensions.training.sparse.start import (

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from adapters.camera_inputs import RGB_MEAN_STD
+from adapters.extensions.training.dataset_mixture import build_frames
 from adapters.extensions.training.frames import TrainingFrame
 from adapters.extensions.training.losses import Matches
-from adapters.extensions.training.mixture import build_frames
 from adapters.extensions.training.uniad.losses import (
     LINE_HALF_WIDTH_M,
     AgentTargets,

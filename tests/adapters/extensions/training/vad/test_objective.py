@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from adapters.camera_inputs import RGB_MEAN_STD
+from adapters.extensions.training.dataset_mixture import build_frames
 from adapters.extensions.training.dense_targets import CHANNELS, VEHICLES, dense_targets
 from adapters.extensions.training.frames import rotate_can_bus
 from adapters.extensions.training.losses import normalise_boxes
-from adapters.extensions.training.mixture import build_frames
 from adapters.extensions.training.plan_room import agent_constraint, boundary_constraint, direction_constraint
 from adapters.extensions.training.vad.objective import (
     ENCODER_KEPT,

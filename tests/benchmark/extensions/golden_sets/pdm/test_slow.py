@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmark.extensions.golden_sets.pdm.golden_set import PdmGoldenScene
-from benchmark.verification.golden import GoldenArrays
+from benchmark.verification.golden_sets import GoldenArrays
 from tests.benchmark.pdm.cases import slow_objects
 from tests.benchmark.pdm.slow_motion import slow_motion
 from tests.benchmark.pdm.slow_pdm import SlowSample, slow_states_verdict

@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 
 from benchmark.extensions.golden_sets.protocols.official import draw_rasters
-from benchmark.protocols.stacked import stack
+from benchmark.protocols.stacked_truths import stack
 from tests.benchmark.protocols import slow_protocols as slow
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
 

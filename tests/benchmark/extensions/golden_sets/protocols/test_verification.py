@@ -12,7 +12,7 @@ from benchmark import geometry
 from benchmark.extensions.golden_sets.protocols import BUILT_IN, GOLDEN
 from benchmark.geometry import Floats, box_corners
 from benchmark.protocols import PROTOCOLS, ProtocolOutcomes, raster, sparsedrive, uniad, vad
-from benchmark.protocols.stacked import StackedTruths
+from benchmark.protocols.stacked_truths import StackedTruths
 from benchmark.verification.checks import Check
 
 SHARED = Path(__file__).resolve().parents[6] / "shared" / "golden" / "protocols"

@@ -9,7 +9,7 @@ import pytest
 from benchmark.extensions.golden_sets.protocols import BUILT_IN, GOLDEN
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols import bev_planner, fine_grid, omnidrive, safemvdrive, stp3
-from benchmark.protocols.stacked import StackedTruths
+from benchmark.protocols.stacked_truths import StackedTruths
 from tests.benchmark.extensions.golden_sets import golden_further
 from tests.benchmark.extensions.golden_sets.protocols.test_verification import change, failures, load
 from tests.benchmark.verification.damaged import notices, said

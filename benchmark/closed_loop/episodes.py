@@ -1,0 +1,241 @@
+"""The main path of a drive: see, ask, drive half a second, see again, until something ends it.
+
+Several drives can be under way side by side, which is faster where their engine steps many worlds together.
+"""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, cast
+
+from benchmark.closed_loop.adversary import AdversaryTrack
+from benchmark.closed_loop.observation_builder import NoCameras, ObservationBuilder, SceneCameras, Sensor
+from benchmark.closed_loop.planner_calls import Failure, FailureReason, notify_planner, request_plan
+from benchmark.closed_loop.route import Route, RouteFollower, build_driven_scene
+from benchmark.closed_loop.simulation_state import (
+    CollisionEvent,
+    EpisodeMotion,
+    RecordedCan,
+    RejectedPlanError,
+    SimulationState,
+    SimulatorBackend,
+)
+from benchmark.errors import InputError
+from benchmark.machine.metering import Meter
+from benchmark.planning import CameraView, Command, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.records.drive_schema import NeuroncapScore
+from benchmark.scene import Camera, Scene
+
+End = Literal["contact", "end", "failed"]
+"""What ends a drive: a contact, the end of the scene, or the planner's failure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """Outcome of one scene and one run.
+
+    Attributes:
+        primed: Planning instants at which the ego was the recorded one.
+        plans: One for each planning instant that was planned from; those of primed instants were not driven.
+            ``commands`` and ``stations`` (metres along the route) are of the same instants.
+        touch: The contact that ended it.
+        neuroncap: The engine's own score; ``None`` of engines without one, and of a failed drive.
+        adversary: Where an adversary went, if there was one that answers or was given its track.
+        passed: Contacts before that did not end it; they are not the ego's fault.
+    """
+
+    motion: EpisodeMotion
+    primed: int
+    plans: tuple[Plan, ...]
+    commands: tuple[Command, ...]
+    stations: tuple[float, ...]
+    end: End
+    touch: CollisionEvent | None
+    failure: Failure | None
+    neuroncap: NeuroncapScore | None
+    adversary: AdversaryTrack | None = None
+    passed: tuple[CollisionEvent, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeSpec:
+    """One scene with one run, ready to be driven.
+
+    Attributes:
+        can: Measured motion at its keyframes.
+        family: Which scenario of the scene, where it has any.
+        most_plans: Ends the drive after so many plans, to see how long it takes.
+    """
+
+    scene: Scene
+    can: RecordedCan
+    run: int
+    maker: SimulatorBackend
+    sensor: Sensor
+    timeout_s: float
+    family: str = ""
+    most_plans: int | None = None
+    meter: Meter | None = None
+
+
+def run_episode(stage: EpisodeSpec, planner: Planner) -> Episode:
+    """Drive one scene.
+
+    Raises:
+        InputError: If the scene cannot be driven by any planner.
+        BrokenImageError: If a picture cannot be had.
+    """
+    return next(episode for _, episode in run_episodes([stage], [planner]))
+
+
+def run_episodes(stages: Sequence[EpisodeSpec], planners: Sequence[Planner]) -> Iterator[tuple[int, Episode]]:
+    """Drive several scenes of one engine side by side; none changes a byte of another.
+
+    Args:
+        stages: Scenes to drive.
+        planners: One for each drive, since a planner has a memory. One that draws numbers from a generator of the
+            process would be given others than alone.
+
+    Yields:
+        Places among the stages, and their drives, as they end.
+
+    Raises:
+        InputError: If a scene cannot be driven by any planner; after the drives of the others.
+        BrokenImageError: If a picture cannot be had; likewise.
+    """
+    errors: dict[int, InputError] = {}
+    seats: dict[int, _Simulation] = {}
+    for place, (stage, planner) in enumerate(zip(stages, planners, strict=True)):
+        with _defer_input_errors(errors, place):
+            seats[place] = _Simulation.of(stage, planner)
+    while seats:
+        plans: dict[int, Plan] = {}
+        for place, seat in [*seats.items()]:
+            with _defer_input_errors(errors, place):
+                plan = seat.planned()
+                if plan is None:
+                    yield place, seat.ended()
+                else:
+                    plans[place] = plan
+        seats = {place: seats[place] for place in plans}
+        if seats:
+            _advance_simulations(list(seats.values()), list(plans.values()))
+    if errors:
+        raise errors[min(errors)]
+
+
+@contextlib.contextmanager
+def _defer_input_errors(errors: dict[int, InputError], place: int) -> Iterator[None]:
+    """Put errors that are not the planner's aside until the others have arrived."""
+    try:
+        yield
+    except InputError as error:
+        errors[place] = error
+
+
+def _advance_simulations(seats: "Sequence[_Simulation]", plans: Sequence[Plan]) -> None:
+    """Half a second of every seat."""
+    later = seats[0].stage.maker.advance_together([seat.ride for seat in seats], plans)
+    for seat, ride in zip(seats, later, strict=True):
+        if isinstance(ride, RejectedPlanError):
+            seat.failure = Failure(FailureReason.UNUSABLE, str(ride))
+        else:
+            seat.ride = ride
+
+
+@dataclass(slots=True)
+class _Simulation:
+    """Drive under way; plans, commands and stations are those so far, one for each planning instant."""
+
+    stage: EpisodeSpec
+    planner: Planner
+    ride: SimulationState
+    eyes: "_PlannerInterface"
+    failure: Failure | None
+    plans: list[Plan] = field(default_factory=list)
+    commands: list[Command] = field(default_factory=list)
+    stations: list[float] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, stage: EpisodeSpec, planner: Planner) -> "_Simulation":
+        """The seat of a planner that has been told where it drives."""
+        if stage.meter is not None:
+            # A drive that begins again begins without what it took before.
+            stage.meter.latency_s.clear()
+        scene, ride = stage.scene, stage.maker.begin(stage.scene, stage.run, stage.can, stage.family)
+        route, look = Route.of(scene), stage.sensor.look(scene)
+        observer = ObservationBuilder.of(scene, stage.can, ride.start, ride.primed)
+        eyes = _PlannerInterface(scene, route, look, observer, stage.timeout_s, stage.meter)
+        failure = notify_planner(
+            planner, lambda: _introduce_scene(planner, scene, look.cameras, route), stage.timeout_s
+        )
+        return cls(stage, planner, ride, eyes, failure)
+
+    def planned(self) -> Plan | None:
+        """The plan of this instant; ``None`` where the drive has ended or the planner fails."""
+        if self.failure is not None or not self.ride.is_running or len(self.plans) == self.stage.most_plans:
+            return None
+        ride, route = self.ride, self.eyes.route
+        place = route.place(ride.motion.ego[-1], self.stations[-1] if self.stations else None)
+        self.stations.append(place.station)
+        seconds, own = route.seconds_of(int(ride.motion.times_us[-1])), ride.command
+        self.commands.append(route.command(place.station, seconds) if own is None else own)
+        plan = self.eyes.planned(self.planner, ride, self.commands[-1])
+        if isinstance(plan, Failure):
+            self.failure = plan
+            return None
+        self.plans.append(plan)
+        return plan
+
+    def ended(self) -> Episode:
+        """What came of it."""
+        failed = self.failure is not None
+        ride = self.ride if failed else self.ride.finished()
+        touch = None if failed else ride.touch
+        return Episode(
+            motion=ride.motion,
+            primed=ride.primed,
+            plans=tuple(self.plans),
+            commands=tuple(self.commands),
+            stations=tuple(self.stations),
+            end="failed" if failed else "end" if touch is None else "contact",
+            touch=touch,
+            failure=self.failure,
+            neuroncap=None if failed else ride.neuroncap_score(),
+            adversary=ride.adversary,
+            passed=() if failed else ride.passed,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _PlannerInterface:
+    """What stands between a world and a planner in one drive."""
+
+    scene: Scene
+    route: Route
+    look: SceneCameras
+    observer: ObservationBuilder
+    timeout_s: float
+    meter: Meter | None
+
+    def planned(self, planner: Planner, ride: SimulationState, command: Command) -> Plan | Failure:
+        """The plan of this instant; the privileged see the world as driven, and none sees its future."""
+        views: dict[str, CameraView] = {}
+        reveals = isinstance(planner, PrivilegedPlanner) and not isinstance(planner, RouteFollower)
+        if reveals or not isinstance(self.look, NoCameras):
+            driven = build_driven_scene(self.scene, self.route, ride.motion)
+            if reveals:
+                failure = notify_planner(
+                    planner, lambda: cast(PrivilegedPlanner, planner).reveal(driven), self.timeout_s
+                )
+                if failure is not None:
+                    return failure
+            views = self.look.views(driven)
+        observation = self.observer.observation(ride.motion, views, command, ride.can)
+        return request_plan(planner, observation, self.timeout_s, self.meter)
+
+
+def _introduce_scene(planner: Planner, scene: Scene, cameras: tuple[Camera, ...], route: Route) -> None:
+    planner.reset(SceneInfo(scene.name, scene.road_map.location, cameras))
+    if isinstance(planner, RouteFollower):
+        planner.follow(route)

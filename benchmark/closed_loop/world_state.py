@@ -1,0 +1,113 @@
+"""A drive as values: what does not change while it lasts, and the world at one instant."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.closed_loop.agent_policy import ActivePlan, AgentPolicy, TrafficSnapshot
+from benchmark.closed_loop.plan_tracking import SUBSTEP_US, SUBSTEPS, Ego
+from benchmark.closed_loop.simulation_state import CollisionEvent
+from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats
+
+STEP_US: Final = SUBSTEPS * SUBSTEP_US
+ENGINE: Final = "default"
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationConfig:
+    """All that does not change during a drive.
+
+    Attributes:
+        start_us: Time of the first state.
+        end_us: No state from here on is planned from.
+        ids: N agents.
+        categories: Their nuScenes categories.
+        seed: Of everything that is drawn.
+        latency_us: So much later than it was made for does a plan take effect; a whole number of sub-steps.
+        blamed: Whether a contact is the ego's fault, which only then ends the drive; told the contact and (6,) values
+            of `Ego` at the first end of a sub-step that does not come before it. ``None``: every contact ends it.
+    """
+
+    scene: str
+    start_us: int
+    end_us: int
+    start: Ego
+    ids: tuple[str, ...]
+    categories: tuple[str, ...]
+    policy: AgentPolicy[Any]
+    seed: int = 0
+    latency_us: int = 0
+    blamed: Callable[[CollisionEvent, Floats], bool] | None = None
+
+    def __post_init__(self) -> None:
+        if self.latency_us < 0 or self.latency_us % SUBSTEP_US:
+            raise InputError(
+                f"a latency of {self.latency_us / 1000:g} ms does not divide into steps of {SUBSTEP_US // 1000} ms; "
+                "take a multiple of that, or 0"
+            )
+        if self.end_us <= self.start_us:
+            raise InputError(f"a drive of {self.scene} that ends when it starts has nothing in it; let it end later")
+
+    @property
+    def name(self) -> str:
+        """What is measured: engine, agents, the latency if there is one, and what ends a drive if not any contact."""
+        late = f" +{self.latency_us // 1000} ms" if self.latency_us else ""
+        return f"{ENGINE} {self.policy.name}{late}{' until fault' if self.blamed else ''}"
+
+
+@dataclass(frozen=True, slots=True)
+class StepTrace:
+    """The last step every 0.05 s: for films and terms of comfort.
+
+    Egos are (11, 6) values of `Ego`, from the state before to this one; boxes (10, N, 5) and presence (10, N) of
+    the agents.
+    """
+
+    egos: Floats
+    boxes: Floats
+    present: Bools
+
+
+@dataclass(frozen=True, slots=True)
+class WorldState:
+    """Everything at one planning instant.
+
+    Attributes:
+        step: Number of the state, from 0.
+        ignored: (N,) agents that overlapped the ego at the start, and never count.
+        plans: Plans that are in force or will be, by when they take effect.
+        contact: The touch that ends the drive, at most 0.05 s after it began.
+        trace: Of the step that led here.
+        passed: Touches before it that are not the ego's fault, where such do not end the drive; whom they were with is
+            gone from the planning instant after them on.
+    """
+
+    step: int
+    ego: Ego
+    others: TrafficSnapshot
+    memory: Any
+    ignored: Bools
+    plans: tuple[ActivePlan, ...] = ()
+    contact: CollisionEvent | None = None
+    trace: StepTrace | None = None
+    passed: tuple[CollisionEvent, ...] = ()
+
+    @property
+    def time_us(self) -> int:
+        """When it is."""
+        return self.others.time_us
+
+
+def compute_ego_boxes(egos: Floats) -> Floats:
+    """(..., 5) boxes of the recording car, from (..., 6) values of `Ego`."""
+    egos = np.asarray(egos, np.float64)
+    boxes = np.empty((*egos.shape[:-1], 5))
+    boxes[..., 0] = egos[..., 0] + EGO_CENTER_FROM_REAR_AXLE_M * np.cos(egos[..., 2])
+    boxes[..., 1] = egos[..., 1] + EGO_CENTER_FROM_REAR_AXLE_M * np.sin(egos[..., 2])
+    boxes[..., 2], boxes[..., 3] = EGO_LENGTH_M, EGO_BODY_WIDTH_M
+    boxes[..., 4] = egos[..., 2]
+    return boxes

@@ -1,0 +1,288 @@
+"""What is done otherwise than by the converters, because official code trips on roots that are not nuScenes.
+
+A cure changes as little as lets the official readers do what they do on nuScenes itself. What cannot be cured is
+refused before anything is written, or said beside the export.
+"""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.constants import CAMERA_NAMES, NUMBERED_CATEGORIES, OFFICIAL_LOCATIONS
+from benchmark.datasets.map_layers import find_expansion_file
+from benchmark.errors import InputError
+from benchmark.extensions.infos.repositories import Repository, RepositoryName
+from benchmark.extensions.infos.scene_infos import Info
+from benchmark.extensions.infos.scene_rows import SceneTableRows
+from benchmark.report.words import pluralise
+
+DEFAULT_VISIBILITY: Final = 4
+"""nuScenes' level of what is fully visible."""
+_NEEDS_FUTURE: Final = 2
+AROUND_M: Final = 50.0
+"""UniAD's reader takes map elements and drivable cells within about so far."""
+_TRAINED_SIZE: Final = (1600, 900)
+_MOTION_KEYS: Final[Mapping[RepositoryName, tuple[str, ...]]] = {
+    "uniad": ("can_bus",),
+    "vad": ("can_bus", "gt_ego_lcf_feat"),
+    "sparsedrive": ("ego_status",),
+}
+_SIZE_OPTIONS: Final = (
+    "data build, data import and generate draw it with --size {size}, generate --renderer magicdrive with --image-size "
+    "{size}"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ConverterDifference:
+    """Something that an export has otherwise than the converter would write it.
+
+    Attributes:
+        what: In words.
+        why: What official code would do without.
+        keys: Keys of an info that differ.
+        scenes: Scenes that it is about, and the amount where there is one; empty for all.
+    """
+
+    what: str
+    why: str
+    keys: tuple[str, ...]
+    scenes: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON values."""
+        return {**asdict(self), "keys": list(self.keys), "scenes": dict(self.scenes)}
+
+
+def require_cameras(rows: SceneTableRows) -> None:
+    """Refuse scenes without the six cameras, which no converter writes either."""
+    for sample in rows.samples:
+        missing = [name for name in CAMERA_NAMES if name not in rows.key_frames[sample["token"]]]
+        if missing:
+            raise InputError(
+                f"{rows.name} has no image of {missing[0]} at sample {sample['token']}, and info files name those of "
+                "all six cameras; build the data set with images (--renderer schematic or magicdrive)"
+            )
+
+
+def require_usable(root: Path, repository: Repository, rows: SceneTableRows) -> None:
+    """Refuse what official code would fail at, or see nothing of.
+
+    Raises:
+        InputError: If the place has no map or is unknown, files are missing, images have another size than is needed,
+            or the scene is too short.
+    """
+    _require_map(root, rows)
+    if len(rows.samples) < _NEEDS_FUTURE:
+        raise InputError(
+            f"{rows.name} has a single sample, which official code does not evaluate; leave the scene out with --split"
+        )
+    _require_size(repository, rows)
+    for sample in rows.samples:
+        for name in CAMERA_NAMES:
+            image = rows.key_frames[sample["token"]][name]["filename"]
+            _require_file(root, image, "write the images, or name the root that has them")
+        if repository.name == "vad":
+            _require_file(root, rows.lidar(sample)["filename"], "VAD opens it; an empty file is enough")
+
+
+def _require_size(repository: Repository, rows: SceneTableRows) -> None:
+    if repository.image_size is None:
+        return
+    wanted = "x".join(map(str, repository.image_size))
+    for cameras in rows.key_frames.values():
+        for name in CAMERA_NAMES:
+            size = (cameras[name]["width"], cameras[name]["height"])
+            if size != repository.image_size:
+                raise InputError(
+                    f"{rows.name} has images of {size[0]}x{size[1]}, and the code of {repository.title} cuts as if "
+                    f"they were {wanted}, so that its networks would see black; draw the data set in that size "
+                    f"({_SIZE_OPTIONS.format(size=wanted)})"
+                )
+
+
+def _require_map(root: Path, rows: SceneTableRows) -> None:
+    if rows.location not in OFFICIAL_LOCATIONS:
+        raise InputError(
+            f"{rows.name} lies in {rows.location}, and official code knows the maps of {', '.join(OFFICIAL_LOCATIONS)} "
+            "alone; leave the scene out with --split, or call its place one of these in log.json and in maps/expansion"
+        )
+    if find_expansion_file(root, rows.location) is None:
+        raise InputError(
+            f"{rows.name} lies in {rows.location}, and {root} has no maps/expansion/{rows.location}.json, which "
+            "official code opens; fetch the map expansion or make it again"
+        )
+
+
+def _require_file(root: Path, name: str, advice: str) -> None:
+    if not (root / name).is_file():
+        raise InputError(f"{root / name} of the tables is missing; {advice}")
+
+
+def shift_times(infos: Iterable[Info], shift_us: int) -> None:
+    """Move all times of a scene's infos by microseconds, so that differences between them stay."""
+    for info in infos:
+        for timed in (info, *info["cams"].values(), *info["sweeps"]):
+            timed["timestamp"] += shift_us
+
+
+def describe_shifts(shifts: Mapping[str, int]) -> ConverterDifference:
+    """The departure that moved times are."""
+    return ConverterDifference(
+        f"times of {pluralise(len(shifts), 'scene')} are moved, those of cameras and sweeps with them (the table keeps "
+        "its own; readers use order and differences alone)",
+        "readers sort by time: variants of one recording have the same times and would be mixed sample by sample, so "
+        "that temporal models begin anew at each or remember another variant",
+        ("timestamp", "cams.*.timestamp", "sweeps.*.timestamp"),
+        {name: {"shift_us": shift} for name, shift in sorted(shifts.items())},
+    )
+
+
+def build_category_numbers(own: Mapping[str, int]) -> dict[str, int]:
+    """VAD's numbers of categories: rows of the table of 32, in place of the root's own rows.
+
+    Names that the table of 32 lacks get numbers behind it, which no code counts.
+    """
+    numbers = {name: number for number, name in enumerate(NUMBERED_CATEGORIES)}
+    return {name: numbers.get(name, len(numbers) + number) for name, number in own.items()}
+
+
+def describe_category_numbers(own: Mapping[str, int]) -> list[ConverterDifference]:
+    """The departure that other numbers than the table's are; none where the table has them itself."""
+    changed = {name: number for name, number in build_category_numbers(own).items() if own[name] != number}
+    if not changed:
+        return []
+    return [
+        ConverterDifference(
+            "categories have the numbers of nuScenes' table of 32 rows, not their rows in this root's category.json of "
+            f"{len(own)}",
+            "VAD's collision rule takes 2-8 for people and 14-23 for vehicles; by this root's rows adults and bicycles "
+            "would be neither, and barriers people",
+            ("gt_agent_lcf_feat[:, 8]",),
+        )
+    ]
+
+
+def describe_paths(prefix: str) -> ConverterDifference:
+    """The departure that absolute names of files are."""
+    return ConverterDifference(
+        f"files are named from {prefix} on",
+        "the converters' names begin with their own working directory's ./data/nuscenes/, which UniAD joins with its "
+        "data_root once more",
+        ("lidar_path", "cams.*.data_path", "sweeps.*.data_path"),
+    )
+
+
+def describe_can_bus_names(repository: Repository, names: Collection[str]) -> ConverterDifference:
+    """The departure that the CAN bus of names is which the devkit refuses."""
+    return ConverterDifference(
+        "the CAN bus is read from the root's own files",
+        "the devkit takes names like scene-0061 alone; all others would silently get zeros, which models then see",
+        _MOTION_KEYS[repository.name],
+        dict.fromkeys(sorted(names)),
+    )
+
+
+def describe_scene_choice(split: str, elsewhere: Collection[str], others: int) -> list[ConverterDifference]:
+    """The departure that another choice of scenes is than the converter's by official names."""
+    differences = []
+    if elsewhere:
+        differences.append(
+            ConverterDifference(
+                f"scenes of {split} that nuScenes names among its training scenes are in the val file",
+                "official configurations evaluate the val file alone",
+                (),
+                dict.fromkeys(sorted(elsewhere)),
+            )
+        )
+    if others:
+        differences.append(
+            ConverterDifference(
+                f"{pluralise(others, 'scene')} of the root that {split} does not have are left out",
+                "the converters put every scene into one of their two files",
+                (),
+            )
+        )
+    return differences
+
+
+def describe_default_visibility(boxes: Mapping[str, int]) -> ConverterDifference:
+    """The departure that a visibility is which the root does not know."""
+    return ConverterDifference(
+        f"boxes without a visibility have level {DEFAULT_VISIBILITY}",
+        "the converter fails at them",
+        ("visibility_tokens",),
+        dict(sorted(boxes.items())),
+    )
+
+
+def describe_empty_maps(cities: Sequence[str]) -> ConverterDifference:
+    """The departure that maps are of cities that do not occur."""
+    return ConverterDifference(
+        f"the folder nuscenes/ beside the infos has empty maps of {', '.join(cities)}",
+        "official code opens the maps of all four cities when it starts",
+        (),
+    )
+
+
+@dataclass(slots=True)
+class ExportObservations:
+    """Observations made while infos were written.
+
+    Attributes:
+        sizes: Width and height of images.
+        without_points: Boxes without a lidar point.
+        off_the_map: Samples with nothing of the map around them.
+        without_can_bus: Scenes without the messages that motion is read from.
+        without_visibility: Boxes whose visibility is no level, by scene.
+    """
+
+    sizes: set[tuple[int, int]] = field(default_factory=set)
+    without_points: int = 0
+    off_the_map: int = 0
+    without_can_bus: list[str] = field(default_factory=list)
+    without_visibility: dict[str, int] = field(default_factory=dict)
+
+
+def list_unrepaired(repository: Repository, seen: ExportObservations) -> list[str]:
+    """Sentences on what a reader of the results should know, since no info file can change it."""
+    last = repository.name == "sparsedrive"
+    sentences = [
+        "detection, tracking and motion are evaluated against nuScenes' own lists of scenes, in which those of other "
+        "data sets are not: "
+        + (
+            "switch them off (with_det, with_tracking and with_motion False), planning comes last"
+            if last
+            else "their part of the evaluation ends with an error, after planning"
+        )
+    ]
+    other = sorted(size for size in seen.sizes if size != _TRAINED_SIZE)
+    if other:
+        drawn, trained = (
+            ", ".join(f"{width}x{height}" for width, height in sizes) for sizes in (other, [_TRAINED_SIZE])
+        )
+        sentences.append(
+            f"images are {drawn}, and published networks were trained on {trained} "
+            f"({_SIZE_OPTIONS.format(size=trained)})"
+        )
+    if seen.without_points:
+        boxes = pluralise(seen.without_points, "box has", "boxes have")
+        known = (
+            "UniAD sees these objects in its occupancy alone"
+            if repository.name == "uniad"
+            else ("the evaluation does not know of these objects at these samples")
+        )
+        sentences.append(f"{boxes} no lidar point: {known}")
+    if seen.without_can_bus:
+        scenes = pluralise(len(seen.without_can_bus), "scene has", "scenes have")
+        sentences.append(
+            f"{scenes} no CAN bus, so that models see zeros for "
+            f"the motion of the ego: {', '.join(seen.without_can_bus[:3])}"
+        )
+    if seen.off_the_map:
+        sentences.append(
+            f"{pluralise(seen.off_the_map, 'sample has', 'samples have')} nothing of the map within {AROUND_M:g} m, "
+            "which UniAD's reader fails at"
+        )
+    return sentences

@@ -1,0 +1,265 @@
+"""Whether a careful human would survive a candidate: all candidates of a batch at once, along the ego's way.
+
+In open loop an adversary never touches the recorded ego, and that keeps it fair. In closed loop the ego may do
+anything, and only a vehicle that may be hit is ever in another's way. So the search asks what a careful and competent
+human would do in the ego's place (`benchmark.interactions`, on the path alone: two seconds to contact, 0.75 s of
+reaction, braking that rises to 0.774 g, and the speed that is left kept), in the world with all others in it, and
+whether that driver is hit: by the candidate, or by another because of it.
+
+A planning frame in closed loop: as in open loop, but that it is fair by what a careful human survives.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+
+from benchmark.constants import FRAME_HZ
+from benchmark.dynamics.bicycle import SimulatedMotion
+from benchmark.geometry import Bools, Floats
+from benchmark.interactions.reaction import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S
+from benchmark.machine.identity_cache import IdentityCache
+from benchmark.road_map import DrivableRaster
+from benchmark.scene import Scene
+from generation.search.planning import AdversaryPlanning
+from generation.search.recorded_ego_path import RecordedEgoPath, get_ego_path
+from generation.search.scoring import ScoreTerms, ScoringSurroundings, build_surroundings
+
+EVERY_FRAMES: Final = 2
+LOOK_FRAMES: Final = 60
+"""5 s; candidates are known for 3 s of them and go on at their speed."""
+BLIND_FRAMES: Final = 12
+"""Until the next plan."""
+_RISE_M_S3: Final = 12.65
+_AIR_ALONG_M: Final = 1.0
+_AIR_ASIDE_M: Final = 0.4
+_ASIDE_M_S: Final = 0.1
+"""What is nearer than this, in the ego's way and beside it, is as good as touched: where the ego will be is not known,
+and less so the farther ahead."""
+
+
+@dataclass(frozen=True, slots=True)
+class PathBodies:
+    """P bodies at S + 1 instants, along the ego's way; the first instant is now.
+
+    Attributes:
+        rear: (P, S + 1) lowest stations, metres; infinite where it is not there.
+        front: (P, S + 1) highest ones.
+        beside: (P, S + 1) metres from the ego's strip, negative where it reaches in.
+    """
+
+    rear: Floats
+    front: Floats
+    beside: Floats
+
+    @classmethod
+    def of(cls, way: RecordedEgoPath, poses: Floats, size: Floats, frames: tuple[int, int]) -> Self:
+        """Bodies of (P, F, 3) poses and (P, 2) sizes, somewhere between two frames."""
+        station, offset, turn = way.places(poses, *frames)
+        cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+        length, width = size[:, :1], size[:, 1:]
+        along, across = 0.5 * (cos * length + sin * width), 0.5 * (sin * length + cos * width)
+        return cls(station - along, station + along, np.abs(offset) - across - 0.5 * way.width_m)
+
+    def extrapolate(self, count: int) -> "PathBodies":
+        """The same at so many more instants, at the speed of the last step."""
+        if count <= 0:
+            return self
+        step = self.rear[:, -1:] - self.rear[:, -2:-1]
+        way = step * np.arange(1, count + 1)
+        rear, front = (np.concatenate([ends, ends[:, -1:] + way], axis=1) for ends in (self.rear, self.front))
+        return PathBodies(
+            rear, front, np.concatenate([self.beside, np.repeat(self.beside[:, -1:], count, axis=1)], axis=1)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class CarefulDriverCheck:
+    """A careful human in the ego's place, and all others.
+
+    Attributes:
+        station: Of the ego's centre, metres.
+        others: All but the adversary that are ever in the ego's strip.
+        steps: (S,) frames after the planning frame.
+        lost: Whether the careful human is hit by others if there is no adversary.
+    """
+
+    way: RecordedEgoPath
+    frame: int
+    station: float
+    speed: float
+    others: PathBodies
+    steps: tuple[int, ...]
+    lost: bool
+
+    @classmethod
+    def of(cls, scene: Scene, agent: int, frame: int, speed: float, look_frames: int = LOOK_FRAMES) -> Self:
+        """The careful human of a planning frame.
+
+        ``scene`` has the ego as it is expected to drive on, ``speed`` is the ego's, m/s.
+        """
+        last = min(frame + look_frames, len(scene.timestamps_us) - 1)
+        steps = tuple(range(EVERY_FRAMES, last - frame + 1, EVERY_FRAMES)) or (last - frame,)
+        way = get_ego_path(scene)
+        others = _collect_others(scene, agent, way, frame, steps)
+        unchecked = cls(way, frame, float(way.station[frame]), speed, others, steps, False)
+        absent = PathBodies(*(np.full((1, len(steps) + 1), np.inf) for _ in range(3)))
+        return cls(way, frame, unchecked.station, speed, others, steps, bool(unchecked.hits(absent)[0]))
+
+    def hit(self, motion: SimulatedMotion, size: Floats) -> Bools:
+        """(B,) whether the careful human is hit, or would surely be soon after.
+
+        ``size`` is (2,) length and width of the adversary.
+        """
+        return self.hits(self.place(motion, size))
+
+    def is_met(self, placed: PathBodies, *, in_front: bool = True) -> Bools:
+        """(B,) whether an ego that does not react and one of B bodies meet.
+
+        ``in_front`` counts only bodies in front of it: one that comes from the side may hit the ego.
+        """
+        time = np.arange(len(self.steps) + 1) * EVERY_FRAMES / FRAME_HZ
+        station, half = self.station + self.speed * time, 0.5 * self.way.length_m
+        over = (placed.rear < station + half) & (placed.front > station - half) & (placed.beside <= 0.0)
+        first = np.argmax(over, axis=1)
+        rows = np.arange(len(over))
+        ahead = placed.rear[rows, first] > station[first] if in_front else True
+        return np.asarray(over.any(axis=1) & ~over[:, 0] & ahead)
+
+    def is_following(self, now: Floats, size: Floats) -> bool:
+        """Whether a vehicle at (1, 3) is behind the ego."""
+        body = PathBodies.of(self.way, now[None], size[None], (self.frame, self.frame))
+        return bool(body.rear[0, 0] < self.station - 0.5 * self.way.length_m)
+
+    def place(self, motion: SimulatedMotion, size: Floats) -> PathBodies:
+        """Candidates along the ego's way."""
+        known = [step for step in self.steps if step < motion.center.shape[1]]
+        center = np.where(motion.finite[:, None, None], motion.center[:, [0, *known]], 0.0)
+        sizes = np.broadcast_to(size, (len(center), 2))
+        bodies = PathBodies.of(self.way, center, sizes, (self.frame, self.frame + self.steps[-1]))
+        return bodies.extrapolate(len(self.steps) - len(known))
+
+    @np.errstate(invalid="ignore")
+    def hits(self, placed: PathBodies) -> Bools:
+        """(B,) as `hit`, of B bodies; one that is nowhere has no speed."""
+        rear, front, beside, others = placed.rear, placed.front, placed.beside, self.others
+        count, half = len(rear), 0.5 * self.way.length_m
+        dt = EVERY_FRAMES / FRAME_HZ
+        station, speed = np.full(count, self.station), np.full(count, self.speed)
+        waiting, braking = np.full(count, REACTION_S), np.zeros(count)
+        hit, lost = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        in_way = others.beside <= 0.0
+        for step in range(len(self.steps)):
+            unsafe = _is_unsafe(rear[:, step : step + 2], front[:, step], beside[:, step], station, speed, half)
+            # Most of the others are in the ego's way for a while only.
+            in_way_now = np.flatnonzero(in_way[:, step])
+            if len(in_way_now):
+                ahead, along = others.rear[in_way_now, step : step + 2, None], others.front[in_way_now, step, None]
+                unsafe |= _is_unsafe(ahead, along, others.beside[in_way_now, step, None], station, speed, half).any(
+                    axis=0
+                )
+            ready = unsafe & (waiting <= 0.0)
+            waiting = np.where(unsafe, waiting - dt, waiting)
+            braking = np.where(ready, np.minimum(braking + _RISE_M_S3 * dt, HARDEST_BRAKING), braking)
+            after = np.maximum(speed - np.where(ready, braking, 0.0) * dt, 0.0)
+            station, speed = station + 0.5 * dt * (speed + after), after
+            over = (rear[:, step + 1] < station + half + _AIR_ALONG_M) & (front[:, step + 1] > station - half)
+            hit |= over & (beside[:, step + 1] <= _AIR_ASIDE_M + _ASIDE_M_S * (step + 1) * dt)
+            in_way_now = np.flatnonzero(in_way[:, step + 1])
+            now = others.rear[in_way_now, step + 1, None] < station + half
+            lost |= (now & (others.front[in_way_now, step + 1, None] > station - half)).any(axis=0)
+        if np.isfinite(rear[:, -1]).all():
+            gap = rear[:, -1] - station - half
+            closing = np.maximum(speed - (rear[:, -1] - rear[:, -2]) / dt, 0.0)
+            needed = closing * np.maximum(waiting, 0.0) + closing**2 / (2.0 * HARDEST_BRAKING)
+            hit |= (beside[:, -1] <= 0.0) & (gap > -half) & (gap < needed)
+        # Whoever would be hit by others in any case is not hit because of a candidate.
+        return np.asarray(hit | (lost & (not self.lost)))
+
+    def compute_missing_distance(self, placed: PathBodies) -> Floats:
+        """(B,) metres that are missing to stop behind the ego, for who comes up behind it, if it brakes from now on.
+
+        It is planned anew after a second, and brakes no earlier.
+        """
+        at, half = min(BLIND_FRAMES // EVERY_FRAMES, len(self.steps)), 0.5 * self.way.length_m
+        speed = np.maximum(placed.rear[:, at] - placed.rear[:, at - 1], 0.0) * (FRAME_HZ / EVERY_FRAMES)
+        stops = placed.front[:, at] + speed**2 / (2.0 * HARDEST_BRAKING)
+        behind = (placed.rear[:, 0] < self.station - half) & (placed.beside[:, at] <= _AIR_ASIDE_M)
+        missing = stops - (self.station - half + self.speed**2 / (2.0 * HARDEST_BRAKING))
+        return np.asarray(behind * np.maximum(missing, 0.0))
+
+
+get_careful_driver_check: Final = IdentityCache[Scene, CarefulDriverCheck](CarefulDriverCheck.of, kept=2)
+"""`CarefulDriverCheck.of`: a planning frame asks for it of its candidates, and of what it chose."""
+
+
+def _is_unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:
+    """(..., B) whether a careful human has a vehicle in its way less than two seconds ahead."""
+    gap = rear[:, 0] - station - half
+    closing = speed - (rear[:, 1] - rear[:, 0]) * (FRAME_HZ / EVERY_FRAMES)
+    near = (gap <= 0.0) | ((closing > 0.0) & (gap <= CAREFUL_TIME_S * closing))
+    return np.asarray((beside <= 0.0) & (front > station) & near)
+
+
+def _collect_others(scene: Scene, agent: int, way: RecordedEgoPath, frame: int, steps: tuple[int, ...]) -> PathBodies:
+    """All but the adversary that are ever in the ego's strip; none that are in the ego's body now."""
+    agents = scene.agents
+    at = [frame, *(frame + step for step in steps)]
+    indices = np.flatnonzero(agents.valid[:, at].any(axis=1))
+    indices = indices[indices != agent]
+    grid = np.ix_(indices, at)
+    poses = np.concatenate([agents.position[grid][..., :2], agents.yaw[grid][..., None]], axis=-1)
+    bodies = PathBodies.of(way, poses, agents.size[indices, :2], (at[0], at[-1]))
+    beside = np.where(agents.valid[grid], bodies.beside, np.inf)
+    own, half = way.station[frame], 0.5 * way.length_m
+    inside = (bodies.rear[:, 0] < own + half) & (bodies.front[:, 0] > own - half) & (beside[:, 0] <= 0.0)
+    relevant = (beside <= 0.0).any(axis=1) & ~inside
+    return PathBodies(bodies.rear[relevant], bodies.front[relevant], beside[relevant])
+
+
+HIT_WEIGHT: Final = 20.0
+"""Of a candidate that a careful human does not survive: more than any threat is worth."""
+MEETING_WEIGHT: Final = 5.0
+"""Of one that a careful human survives and that an ego that does not react runs into."""
+
+FOLLOW_WEIGHT: Final = 1.0
+FOLLOW_MOST_M: Final = 20.0
+"""A metre that is missing to stop behind the ego, and how many count."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReactivePlanning(AdversaryPlanning):
+    """Planning frames of an adversary that the ego may run into."""
+
+    def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> ScoringSurroundings:
+        """All but the ego: what it survives is asked of a careful human in its place."""
+        with_ego = build_surroundings(self.scene, self.agent, frames, raster)
+        present = with_ego.present.copy()
+        present[:, -1] = False
+        return replace(with_ego, present=present)
+
+    def build_rating(
+        self, frame: int, offsets: tuple[int, ...], track: Floats
+    ) -> Callable[[SimulatedMotion], ScoreTerms]:
+        """As in open loop, and what is not survivable costs."""
+        rate = AdversaryPlanning.build_rating(self, frame, offsets, track)
+        careful = get_careful_driver_check(self.scene, self.agent, frame, compute_ego_speed_at(self.scene, frame))
+        size = self.scene.agents.size[self.agent, :2]
+
+        def rated(motion: SimulatedMotion) -> ScoreTerms:
+            terms = rate(motion)
+            placed = careful.place(motion, size)
+            hit = careful.hits(placed)
+            follows = FOLLOW_WEIGHT * np.minimum(careful.compute_missing_distance(placed), FOLLOW_MOST_M)
+            more = HIT_WEIGHT * hit - MEETING_WEIGHT * (careful.is_met(placed) & ~hit) + follows
+            return replace(terms, further=more if terms.further is None else terms.further + more)
+
+        return rated
+
+
+def compute_ego_speed_at(scene: Scene, frame: int) -> float:
+    """Speed of the ego at a frame, m/s, of its places around it."""
+    first, last = max(frame - 2, 0), min(frame + 1, len(scene.timestamps_us) - 1)
+    way = np.hypot(*(scene.ego.position[last, :2] - scene.ego.position[first, :2]))
+    return float(way) / max(float(scene.seconds[last] - scene.seconds[first]), 1e-9)

@@ -1,0 +1,272 @@
+"""What an adversary may drive: none but the ego is ever touched, and every plan ends well, to the last frame.
+
+What others who answer will do: their own policy, run on for as long as scores look, from where all are now.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Final, Self
+
+import numpy as np
+
+from benchmark.closed_loop.adversary import Handover
+from benchmark.closed_loop.agent_policy import AgentPolicy, TrafficSnapshot
+from benchmark.closed_loop.plan_tracking import INSTANT_US, INSTANTS, SUBSTEP_US
+from benchmark.dynamics.bicycle import DriverLimits
+from benchmark.geometry import Bools, Floats, boxes_overlap, wrap_angle
+from benchmark.interactions.tracks import ContinuousTracks, Integers
+from benchmark.scene import Scene
+
+AIR_M: Final = 0.1
+"""Between bodies, on every side: what is driven is looked at every 0.05 s alone."""
+AHEAD_FRAMES: Final = 60
+"""How far others who answer are expected, and how much of a plan is kept for them: 5 s."""
+GENTLE_M_S2: Final = 2.5
+BRAKING_M_S2: Final = (GENTLE_M_S2, DriverLimits().braking_m_s2, 8.0)
+"""How it brakes where no candidate is allowed: gently, as hard as a driver does, as hard as tyres do."""
+LATER_FRAMES: Final = 6
+"""A plan may end with brakes at once, or any number of half seconds later."""
+_CHUNK: Final = 10
+"""Instants that bodies are bounded over: 0.5 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurroundingTracks:
+    """All others than an adversary and the ego, every 0.05 s from a planning frame to the scene's last.
+
+    Attributes:
+        frame_seconds: (K + 1,) of the frames that can be planned, since the planning frame; the first is 0.
+        seconds: (R,) instants after it, to the last frame: those at which the drive places them, and frames.
+        boxes: (R, N, 5) of all.
+        present: (R, N) which are there.
+        reach: (N,) half of the diagonals.
+        low: (C, N, 2) below which no centre is within a run of instants; infinite where absent.
+        high: (C, N, 2) likewise above.
+        size: (2,) length and width of the adversary, with the air around it.
+    """
+
+    frame_seconds: Floats
+    seconds: Floats
+    boxes: Floats
+    present: Bools
+    reach: Floats
+    low: Floats
+    high: Floats
+    size: Floats
+
+    @classmethod
+    def of(cls, scene: Scene, agent: int, frame: int, clock_us: int) -> Self:
+        """Surroundings of an adversary in a scene in which all others are where they will be.
+
+        ``clock_us`` is any time of the drive's clock.
+        """
+        now_us = int(scene.timestamps_us[frame])
+        frames = (scene.timestamps_us[frame:] - now_us) / 1e6
+        clock = np.arange((clock_us - now_us) % INSTANT_US, scene.timestamps_us[-1] - now_us + 1, INSTANT_US) / 1e6
+        seconds = np.unique(np.concatenate([clock, frames]))
+        seconds = seconds[seconds > 0.0]
+        boxes, present = ContinuousTracks.of_scene(scene).agents_at(
+            np.minimum(seconds + float(scene.seconds[frame]), float(scene.seconds[-1]))
+        )
+        present[agent] = False
+        boxes, present = np.ascontiguousarray(boxes.transpose(1, 0, 2)), np.ascontiguousarray(present.T)
+        begins = np.arange(0, len(seconds), _CHUNK)
+        is_present, centre = present[..., None], boxes[..., :2]
+        low = np.minimum.reduceat(np.where(is_present, centre, np.inf), begins, axis=0)
+        high = np.maximum.reduceat(np.where(is_present, centre, -np.inf), begins, axis=0)
+        reach = 0.5 * np.hypot(*scene.agents.size[:, :2].T)
+        size = scene.agents.size[agent, :2] + 2.0 * AIR_M
+        return cls(frames, seconds, boxes, present, reach, low, high, size)
+
+    def compute_clear_seconds(self, poses: Floats, first: int = 0) -> float:
+        """Seconds until the last instant before a motion touches another; infinite where it never does.
+
+        ``poses`` are (F, 3) of the box centre at the planning frame and after it, looked at from the ``first`` of
+        them on.
+        """
+        known = self.frame_seconds[: len(poses)]
+        count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
+        begin = int(np.searchsorted(self.seconds, known[first] + 1e-9, side="right")) // _CHUNK * _CHUNK
+        if begin >= count:
+            return np.inf
+        seconds = self.seconds[begin:count]
+        own = np.empty((len(seconds), 5))
+        own[:, 0], own[:, 1], own[:, 4] = (
+            np.interp(seconds, known, column)
+            for column in (poses[: len(known), 0], poses[: len(known), 1], np.unwrap(poses[: len(known), 2]))
+        )
+        own[:, 2:4] = self.size
+        row, other = self._near(own, begin)
+        hit = boxes_overlap(own[row - begin], self.boxes[row, other])
+        if not hit.any():
+            return np.inf
+        touched = int(row[hit].min())
+        return float(self.seconds[touched - 1]) if touched else 0.0
+
+    def _near(self, own: Floats, begin: int) -> tuple[Integers, Integers]:
+        """Instants and indices of who may be touched by (I, 5) boxes, at the instants from one on."""
+        begins = np.arange(0, len(own), _CHUNK)
+        reach = self.reach + 0.5 * float(np.hypot(*self.size)) + 1e-6
+        chunks = slice(begin // _CHUNK, begin // _CHUNK + len(begins))
+        lowest = np.minimum.reduceat(own[:, :2], begins, axis=0)[:, None] - reach[:, None]
+        highest = np.maximum.reduceat(own[:, :2], begins, axis=0)[:, None] + reach[:, None]
+        may = ((self.low[chunks] <= highest) & (self.high[chunks] >= lowest)).all(axis=-1)
+        chunk, other = np.nonzero(may)
+        row = (chunk[:, None] * _CHUNK + np.arange(_CHUNK)).ravel()
+        other = np.repeat(other, _CHUNK)
+        inside = row < len(own)
+        row, other = row[inside], other[inside]
+        away = self.boxes[row + begin, other, :2] - own[row, :2]
+        near = self.present[row + begin, other] & ((away**2).sum(axis=1) <= reach[other] ** 2)
+        return row[near] + begin, other[near]
+
+    def generate_endings(self, poses: Floats, executed: int) -> Iterator[Floats]:
+        """Ways in which a motion may go on to the scene's last frame once its first frames are driven.
+
+        It goes on as it is known, and then at its speed; or it brakes on its own path, at once or any number of
+        half seconds later, and stands. They are (K + 1, 3) poses, those that brake gently first; ``poses`` are
+        (F, 3) of the box centre at the planning frame and after it, ``executed`` of them driven in any case.
+        """
+        count = len(self.frame_seconds)
+        end = min(len(poses), count) - 1
+        first = min(executed, end)
+        yield brake_on_path(poses, end, self.frame_seconds, 0.0)
+        if first < count - 1:
+            for braking in BRAKING_M_S2:
+                for later in range(first, end + 1, LATER_FRAMES):
+                    yield brake_on_path(poses, later, self.frame_seconds, braking)
+
+    def ending(self, poses: Floats, executed: int) -> Floats | None:
+        """The first of them that never touches another; ``None`` if there is none."""
+        last = min(executed, len(self.frame_seconds) - 1)
+        if self.compute_clear_seconds(poses[: last + 1]) < np.inf:
+            return None
+        for candidate in self.generate_endings(poses, executed):
+            if self.compute_clear_seconds(candidate, last) == np.inf:
+                return candidate
+        return None
+
+    def find_longest(self, motions: Iterable[Floats]) -> Floats:
+        """The first of some motions that last longest before they touch another."""
+        return max(motions, key=self.compute_clear_seconds)
+
+
+def brake_on_path(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> Floats:
+    """A motion that is driven to some frame and then braked on its own path.
+
+    Args:
+        seconds: (K,) of the frames; those beyond the F are reached on the last heading.
+        braking_m_s2: Deceleration; 0 goes on at the speed that it has.
+
+    Returns:
+        (K, 3) poses.
+    """
+    count = len(seconds)
+    path = poses[: min(len(poses), count)]
+    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+    station = np.concatenate([[0.0], np.cumsum(steps)])
+    before = max(first - 1, 0)
+    after = min(before + 1, len(path) - 1)
+    span = float(seconds[after] - seconds[before]) if after > before else 1.0
+    speed = float(station[after] - station[before]) / span
+    time = seconds[first:] - seconds[first]
+    if braking_m_s2 > 0.0:
+        time = np.minimum(time, speed / braking_m_s2)
+    goal = station[min(first, len(path) - 1)] + speed * time - 0.5 * braking_m_s2 * time**2
+    yaw = np.unwrap(path[:, 2])
+    beyond = np.maximum(goal - station[-1], 0.0)
+    ahead = np.array([np.cos(path[-1, 2]), np.sin(path[-1, 2])])
+    # Where it stood on its path there is no way between two stations, and none is asked for.
+    place = np.column_stack([np.interp(goal, station, path[:, axis]) for axis in range(2)]) + beyond[:, None] * ahead
+    turned = wrap_angle(np.interp(goal, station, yaw))
+    return np.concatenate([path[:first], np.column_stack([place, turned])])
+
+
+def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
+    """Round and index of the best candidates, the best first, and of as many from all over the rest.
+
+    They are of (R, B) scores, lower is better; infinite ones are left out, and there are at most ``most``.
+    """
+    flat = scores.ravel()
+    order: Integers = np.argsort(flat, kind="stable")
+    order = order[np.isfinite(flat[order])]
+    # The best are all alike: what stops one of them stops the others.
+    spread = np.unique(np.linspace(0, max(len(order) - 1, 0), most - most // 2).astype(np.int64))
+    for place in order[np.union1d(np.arange(min(most // 2, len(order))), spread[: len(order)])].tolist():
+        yield divmod(place, scores.shape[1])
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedAgents:
+    """All others, who answer what the adversary and the ego do.
+
+    ``own`` are (F, 3) poses of the vehicle of the adversary, driven and expected, from the hand-over on.
+    """
+
+    policy: AgentPolicy[Any]
+    memory: Any
+    handover: Handover
+    own: Floats
+
+
+def predict_others(scene: Scene, others: ExpectedAgents, moment: TrafficSnapshot, frame: int) -> Scene:
+    """The scene, with the ego as it is expected, and all others where they will be, if they answer.
+
+    Beyond what is looked at, its tracks are held.
+    """
+    times = scene.timestamps_us
+    last = min(frame + AHEAD_FRAMES, len(times) - 1)
+    steps = -(-int(times[last] - moment.time_us) // SUBSTEP_US)
+    rows, boxes, present = _simulate_others(others, moment, scene, steps)
+    agents = scene.agents
+    position, yaw, valid = agents.position.copy(), agents.yaw.copy(), agents.valid.copy()
+    later = np.flatnonzero(times >= moment.time_us)
+    seconds, frame_seconds = (
+        (rows - rows[0]) / 1e6,
+        np.clip((times[later] - rows[0]) / 1e6, 0.0, (rows[-1] - rows[0]) / 1e6),
+    )
+    place = np.clip(np.searchsorted(seconds, frame_seconds, side="right") - 1, 0, len(rows) - 2)
+    share = ((frame_seconds - seconds[place]) / (seconds[place + 1] - seconds[place]))[:, None]
+    for agent in range(len(agents)):
+        first, second = boxes[place, agent], boxes[place + 1, agent]
+        position[agent, later, :2] = first[:, :2] + share * (second[:, :2] - first[:, :2])
+        yaw[agent, later] = first[:, 4] + share[:, 0] * wrap_angle(second[:, 4] - first[:, 4])
+        # Who is there at one end of a step may be in the way in all of it.
+        valid[agent, later] = present[place, agent] | present[place + 1, agent]
+    adversary = others.handover.agent
+    position[adversary], yaw[adversary], valid[adversary] = (
+        agents.position[adversary],
+        agents.yaw[adversary],
+        agents.valid[adversary],
+    )
+    return replace(scene, agents=replace(agents, position=position, yaw=yaw, valid=valid))
+
+
+def _simulate_others(
+    others: ExpectedAgents, moment: TrafficSnapshot, scene: Scene, steps: int
+) -> tuple[Floats, Floats, Floats]:
+    """(R,) microseconds, (R, N, 5) boxes and (R, N) presence of all, beginning now."""
+    times, boxes, present = [moment.time_us], [moment.boxes], [moment.present]
+    ego = scene.ego.boxes
+    frames = (scene.timestamps_us - moment.time_us) / 1e6
+    yaw = np.unwrap(ego[:, 4])
+    memory = others.memory
+    for step in range(max(steps, 1)):
+        memory, moved = others.policy.act(memory, moment, 0)
+        moved = others.handover.moved(moved, others.own, moment.time_us)
+        now_us = moment.time_us + SUBSTEP_US
+        at = (step + 1) * SUBSTEP_US / 1e6
+        box = np.array(
+            [
+                np.interp(at, frames, ego[:, 0]),
+                np.interp(at, frames, ego[:, 1]),
+                *ego[0, 2:4],
+                np.interp(at, frames, yaw),
+            ]
+        )
+        speed = float(np.hypot(*(box[:2] - moment.ego[:2]))) / (SUBSTEP_US / 1e6)
+        moment = TrafficSnapshot(now_us, box, speed, moved.boxes[-1], moved.present[-1], moved.velocity)
+        times += [now_us - SUBSTEP_US + (row + 1) * SUBSTEP_US // INSTANTS for row in range(INSTANTS)]
+        boxes += [*moved.boxes]
+        present += [*moved.present]
+    return np.array(times), np.stack(boxes), np.stack(present)

@@ -1,0 +1,107 @@
+"""What the recorded ego will do, as planning needs it: its path, where it is on it, and how far it would overrun."""
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.spatial import cKDTree
+
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEP_S, PLAN_STEPS
+from benchmark.geometry import Floats, wrap_angle
+from benchmark.machine.identity_cache import IdentityCache
+from benchmark.scene import Scene
+from generation.labels.interactions import PathFrame
+
+SPACING_M: Final = 0.5
+"""Of the points that stand for the path; offsets are exact on straight pieces all the same."""
+BACK_M: Final = 60.0
+ON_M: Final = 90.0
+"""Part of the path around the ego that positions are looked up on: paths cross themselves."""
+STEADY_S: Final = PLAN_STEPS * PLAN_STEP_S
+"""How long an ego that does not react keeps its speed: the length of a plan."""
+AROUND_S: Final = 1.0
+SPEED_FRAMES: Final = FRAMES_PER_KEYFRAME // 2
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedEgoPath:
+    """The recorded ego along its own path.
+
+    Attributes:
+        points: (V, 2) of the path, metres, global.
+        headings: (V,) of the path there, radians.
+        stations: (V,) metres along it.
+        station: (T,) of the ego's centre.
+        speed: (T,) of the ego along the path, m/s.
+        overrun: (T,) metres by which an ego that had kept one of its speeds of the last 3 s would be ahead of it, at
+            most, within a second.
+    """
+
+    points: Floats
+    headings: Floats
+    stations: Floats
+    station: Floats
+    speed: Floats
+    overrun: Floats
+    length_m: float
+    width_m: float
+
+    @classmethod
+    def of(cls, scene: Scene) -> Self:
+        """The way of a scene's ego."""
+        ego = scene.ego.boxes
+        path = PathFrame.of(ego)
+        stations = np.arange(path.stations[0], path.stations[-1], SPACING_M)
+        points = np.column_stack([np.interp(stations, path.stations, path.vertices[:, axis]) for axis in range(2)])
+        edge = np.diff(path.vertices, axis=0)
+        segment = np.clip(np.searchsorted(path.stations, stations, side="right") - 1, 0, len(edge) - 1)
+        headings = np.arctan2(edge[segment, 1], edge[segment, 0])
+        speed = compute_smooth_speed(path.ego_stations, scene.seconds)
+        # Who is to be there when it matters has to come a little earlier.
+        over = maximum_filter1d(
+            compute_overrun(path.ego_stations, speed), 2 * round(AROUND_S * FRAME_HZ) + 1, mode="nearest"
+        )
+        return cls(points, headings, stations, path.ego_stations, speed, over, float(ego[0, 2]), float(ego[0, 3]))
+
+    def places(self, poses: Floats, first: int, last: int) -> tuple[Floats, Floats, Floats]:
+        """Stations, offsets (left is positive) and headings relative to the path's, (...) each, of global poses.
+
+        (..., 3) ``poses`` belong to the frames from ``first`` to ``last``.
+        """
+        low, high = np.searchsorted(self.stations, [self.station[first] - BACK_M, self.station[last] + ON_M])
+        window = slice(int(low), int(high))
+        points, headings = self.points[window], self.headings[window]
+        _, nearest = cKDTree(points).query(poses[..., :2])
+        cos, sin = np.cos(headings[nearest]), np.sin(headings[nearest])
+        away = poses[..., :2] - points[nearest]
+        station = self.stations[window][nearest] + cos * away[..., 0] + sin * away[..., 1]
+        offset = cos * away[..., 1] - sin * away[..., 0]
+        return station, offset, wrap_angle(poses[..., 2] - headings[nearest])
+
+
+get_ego_path: Final = IdentityCache[Scene, RecordedEgoPath](RecordedEgoPath.of, kept=2)
+"""`RecordedEgoPath.of`, which several terms of a search ask for."""
+
+
+def compute_smooth_speed(station: Floats, seconds: Floats) -> Floats:
+    """(T,) m/s over a quarter of a second to both sides of (T,) stations: one noisy frame would overrun by metres."""
+    frames = np.arange(len(station))
+    first, last = (np.clip(frames + reach, 0, frames[-1]) for reach in (-SPEED_FRAMES, SPEED_FRAMES))
+    return np.asarray((station[last] - station[first]) / np.maximum(seconds[last] - seconds[first], 1e-9))
+
+
+def compute_overrun(station: Floats, speed: Floats) -> Floats:
+    """Distance ahead of the recorded ego at which one would be that had kept its speed.
+
+    ``o(t) = max over t' in {t, t - 0.5 s, ..., t - 3 s} of s(t') + u(t') (t - t') - s(t)``.
+
+    (T,) metres, not negative, of (T,) stations in metres and speeds in m/s.
+    """
+    over = np.zeros(len(station))
+    step = round(PLAN_STEP_S * FRAME_HZ)
+    for back in range(step, round(STEADY_S * FRAME_HZ) + 1, step):
+        if back < len(station):
+            predicted = station[:-back] + speed[:-back] * back / FRAME_HZ
+            over[back:] = np.maximum(over[back:], predicted - station[back:])
+    return over

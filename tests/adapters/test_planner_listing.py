@@ -1,0 +1,72 @@
+"""``challenger-bench models``: every planner with what it needs, in 80 columns."""
+
+import json
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from adapters.checkpoints.cache import Provenance, write_weights
+from adapters.models import MODELS, miniatures, published_models
+from adapters.planner_listing import PlannerListing, known_planners, planners_table, planners_text
+from benchmark.cli.app import app
+from benchmark.report.cells import RANKS_NOTHING
+
+
+def by_name(cache: Path, **options: object) -> dict[str, PlannerListing]:
+    return {each.name: each for each in known_planners(cache, {})}
+
+
+def test_every_planner_is_there_and_says_what_it_needs(tmp_path: Path) -> None:
+    found = by_name(tmp_path)
+    assert set(found) == {model.name for model in MODELS.values()}
+    assert all(each.sees and each.gpu for each in found.values())
+    for name in miniatures():
+        assert found[name].weights == "packaged" and found[name].miniature and found[name].here
+    for name in published_models():
+        assert found[name].weights == "missing" and not found[name].here
+    assert found["vad-base"].also == ("vad",) and found["uniad-ipopt"].extra == "[uniad]"
+
+
+def test_what_is_missing_is_told_with_how_to_get_it_in_80_columns(tmp_path: Path) -> None:
+    text = planners_text(known_planners(tmp_path, {}), 80)
+    assert all(len(line) <= 80 for line in text.splitlines())
+    for name in published_models():
+        assert f"challenger-bench weights fetch {name}" in text
+    words = " ".join(text.split())
+    assert "VAD_tiny.pth" in text and "--anchors motion_anchor_infos_mode6.pkl" in words
+    assert "licence: not stated for the weights; code MIT" in words
+    assert f"{RANKS_NOTHING}" in words and "vad is short for vad-base" in words
+
+
+def test_imported_weights_are_no_longer_missing(tmp_path: Path) -> None:
+    provenance = Provenance(
+        model="vad-tiny",
+        source="VAD_tiny.pth",
+        source_sha256="0" * 64,
+        normalisation="bgr-mean",
+        normalisation_from="publication",
+        licence="a licence",
+        number_types=("float32",),
+        tool="0",
+    )
+    write_weights(tmp_path / "vad-tiny.safetensors", {}, provenance)
+    assert by_name(tmp_path)["vad-tiny"].weights == "imported"
+    text = planners_text(known_planners(tmp_path, {}), 80)
+    assert "weights fetch vad-tiny" not in text and "weights fetch vad-base" in text
+
+
+def test_planners_of_other_packages_are_named_with_where_they_are_from(tmp_path: Path) -> None:
+    point = EntryPoint("theirs", "their_package.planner:Theirs", "challenger_bench.adapters")
+    found = known_planners(tmp_path, {"theirs": point})
+    assert found[-1].name == "theirs"
+    assert "their_package.planner:Theirs" in planners_table(found).markdown()
+
+
+def test_the_command_prints_it_and_json_has_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path))
+    assert "constant-velocity" in CliRunner().invoke(app, ["models"]).stdout
+    rows = json.loads(CliRunner().invoke(app, ["models", "--json"]).stdout)
+    assert {row["name"] for row in rows} >= {model.name for model in MODELS.values()}
+    assert {row["weights"] for row in rows} >= {"packaged", "missing", "none needed"}

@@ -1,0 +1,331 @@
+"""What official code trips on, cured in what is exported; and what cannot be, refused before anything is written."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+
+from benchmark.cli.app import app
+from benchmark.constants import CAMERA_NAMES, NUMBERED_CATEGORIES, OFFICIAL_LOCATIONS
+from benchmark.datasets.fingerprint import compute_fingerprint
+from benchmark.datasets.split_names import compute_shifts_us, sort_as_exported
+from benchmark.errors import InputError
+from benchmark.extensions.infos.exporting import InfoSettings, export_infos
+from benchmark.extensions.infos.repairs import build_category_numbers
+from benchmark.extensions.infos.repositories import REPOSITORIES, RepositoryName
+from benchmark.untrusted.children import read_pickle
+from tests.benchmark.cli.cli_runs import bytes_below, refusal
+from tests.benchmark.extensions.infos.info_roots import (
+    LargeRenderer,
+    as_roots_were,
+    exported,
+    plain_root,
+    read,
+    scene_names,
+    variant_root,
+)
+from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
+
+Infos = list[dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def variants(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return as_roots_were(variant_root(tmp_path_factory.mktemp("variants") / "root"))
+
+
+@pytest.fixture(scope="module")
+def cured(variants: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    to = tmp_path_factory.mktemp("cured")
+    before = compute_fingerprint(variants, "v1.0-trainval", [])
+    for name in ("uniad", "vad"):
+        export_infos(variants, to, InfoSettings(name))
+    # The root is what run records know it by, and stays as it is.
+    assert compute_fingerprint(variants, "v1.0-trainval", []) == before
+    return to
+
+
+def departures(folder: Path, repository: RepositoryName) -> list[dict[str, Any]]:
+    said = json.loads((folder / f"{repository}_departures.json").read_text())
+    assert said["for"] == REPOSITORIES[repository].title
+    found: list[dict[str, Any]] = said["departures"]
+    return found
+
+
+def test_readers_find_variants_one_after_the_other(variants: Path, cured: Path) -> None:
+    infos = read(cured / "nuscenes_infos_temporal_val.pkl")
+    as_read = sorted(infos, key=lambda info: int(info["timestamp"]))
+    scenes = [scene_names(variants)[info["scene_token"]] for info in as_read]
+    assert scenes == sorted(scenes) and len(set(scenes)) == 3
+    times = np.array([info["timestamp"] for info in as_read])
+    changes = np.flatnonzero(np.diff(np.array(scenes).view(np.int32).reshape(len(scenes), -1).sum(axis=1)))
+    assert (np.diff(times)[changes] > 2_000_000).all()
+    # Within a scene all differences stay, those to cameras and sweeps too.
+    converted = _by_token(variants, cured, "uniad")
+    for info in infos:
+        shift = info["timestamp"] - converted[info["token"]]["timestamp"]
+        for mine, theirs in zip(info["sweeps"], converted[info["token"]]["sweeps"], strict=True):
+            assert mine["timestamp"] - theirs["timestamp"] == shift
+        for channel in CAMERA_NAMES:
+            stamps = (each["cams"][channel]["timestamp"] for each in (info, converted[info["token"]]))
+            assert next(stamps) - next(stamps) == shift
+    moved = next(found for found in departures(cured, "uniad") if "timestamp" in found["keys"])
+    assert len(moved["scenes"]) == 2 and all(found["shift_us"] > 0 for found in moved["scenes"].values())
+
+
+def _by_token(root: Path, beside: Path, repository: RepositoryName) -> dict[str, dict[str, Any]]:
+    infos = exported(root, beside.parent / f"converted-{repository}", repository, as_converted=True)
+    return {info["token"]: info for info in infos}
+
+
+def test_as_converted_cures_nothing(variants: Path, tmp_path: Path) -> None:
+    infos = exported(variants, tmp_path, "vad", as_converted=True)
+    times = [info["timestamp"] for info in infos]
+    assert len(set(times)) == len(times) / 3
+    assert not any(info["can_bus"].any() for info in infos)
+    # Row 16 of 23 is the car; of 32 it is 17.
+    assert {int(row[8]) for info in infos for row in info["gt_agent_lcf_feat"]} == {16}
+    files = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
+    assert files == ["vad_nuscenes_infos_temporal_train.pkl", "vad_nuscenes_infos_temporal_val.pkl"]
+    assert not (tmp_path / "nuscenes").exists()
+
+
+def test_suffixed_names_keep_their_can_bus(cured: Path) -> None:
+    for repository in ("uniad", "vad"):
+        infos = read(cured / REPOSITORIES[repository].file_name("v1.0-trainval", "val"))
+        assert all(np.abs(info["can_bus"][:16]).any() for info in infos)
+        assert infos[3]["can_bus"][13] == pytest.approx(8.0, abs=0.1)
+    said = next(found for found in departures(cured, "vad") if "can_bus" in found["keys"])
+    assert len(said["scenes"]) == 3
+
+
+def test_categories_have_the_numbers_that_vad_means(cured: Path) -> None:
+    infos = read(cured / "vad_nuscenes_infos_temporal_val.pkl")
+    assert {int(row[8]) for info in infos for row in info["gt_agent_lcf_feat"]} == {17}
+    assert any("32 rows" in found["what"] for found in departures(cured, "vad"))
+    numbers = build_category_numbers({"vehicle.bicycle": 13, "human.pedestrian.adult": 1, "vehicle.hovercraft": 23})
+    assert numbers == {"vehicle.bicycle": 14, "human.pedestrian.adult": 2, "vehicle.hovercraft": 55}
+    assert all(name.startswith("human.pedestrian.") for name in NUMBERED_CATEGORIES[2:9])
+    assert all(name.startswith("vehicle.") for name in NUMBERED_CATEGORIES[14:24]) and len(NUMBERED_CATEGORIES) == 32
+
+
+def test_files_are_named_so_that_all_repositories_find_them(variants: Path, cured: Path, tmp_path: Path) -> None:
+    info = read(cured / "nuscenes_infos_temporal_val.pkl")[0]
+    for name in (info["lidar_path"], info["cams"]["CAM_FRONT"]["data_path"]):
+        assert Path(name).is_absolute() and Path(name).is_file()
+    elsewhere = exported(variants, tmp_path, "uniad", root_as="/data/adv")[0]
+    assert elsewhere["lidar_path"].startswith("/data/adv/samples/LIDAR_TOP/")
+    assert (tmp_path / "nuscenes" / "samples").readlink() == Path("/data/adv/samples")
+
+
+def test_the_folder_for_official_code_has_all_four_maps(variants: Path, cured: Path) -> None:
+    from nuscenes.map_expansion.map_api import NuScenesMap
+    from nuscenes.nuscenes import NuScenes
+
+    folder = cured / "nuscenes"
+    here = {city: NuScenesMap(dataroot=str(folder), map_name=city) for city in OFFICIAL_LOCATIONS}
+    assert here["boston-seaport"].lane and not here["singapore-onenorth"].lane
+    opened = NuScenes(version="v1.0-trainval", dataroot=str(folder), verbose=False)
+    assert len(opened.scene) == 3
+    # VAD looks for its infos there.
+    beside = folder / "vad_nuscenes_infos_temporal_val.pkl"
+    assert beside.is_symlink() and beside.resolve() == (cured / beside.name).resolve()
+    # The same command again, also when the root has got a map that it lacked.
+    export_infos(variants, cured, InfoSettings("vad"))
+
+
+def test_pickles_are_of_the_kind_that_official_environments_load(cured: Path) -> None:
+    data = (cured / "nuscenes_infos_temporal_val.pkl").read_bytes()
+    assert data[:2] == b"\x80\x02" and b"numpy.core.multiarray" in data and b"numpy._core" not in data
+    content = read_pickle(cured / "nuscenes_infos_temporal_val.pkl")
+    assert content["metadata"] == {"version": "v1.0-trainval"}
+    info = content["infos"][0]
+    assert {type(info[key]) for key in ("timestamp", "frame_idx")} == {int}
+    assert all(type(value) is float for value in info["ego2global_translation"])
+
+
+def test_a_split_of_several_is_chosen_and_stands_in_the_val_file(tmp_path: Path) -> None:
+    from generation.nuscenes_writer import finish_data_set, write_scene
+
+    scenes = [short_scene(name) for name in ("scene-0061", "scene-9902")]
+    plan = write_root(tmp_path / "root", scenes, split="mine")
+    keys = [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={}) for scene in scenes]
+    finish_data_set(plan, keys, extra_splits={"train": ["scene-0061"]})
+    with pytest.raises(InputError, match="has the splits mine, train; name one with --split"):
+        export_infos(tmp_path / "root", tmp_path / "to", InfoSettings("uniad"))
+    infos = exported(tmp_path / "root", tmp_path / "to", "uniad", split="train")
+    assert len(infos) == 5 and {info["scene_token"] for info in infos} == {infos[0]["scene_token"]}
+    said = [found["what"] for found in departures(tmp_path / "to", "uniad")]
+    assert any("among its training scenes" in what for what in said) and any("are left out" in what for what in said)
+    converted = export_infos(tmp_path / "root", tmp_path / "converted", InfoSettings("uniad", as_converted=True))
+    assert sorted(converted.files.values()) == [5, 5]
+
+
+def test_folders_of_variant_roots_get_a_folder_each(tmp_path: Path) -> None:
+    for name in ("v0", "v1"):
+        plain_root(tmp_path / "root" / name)
+    done = export_infos(tmp_path / "root", tmp_path / "to", InfoSettings("uniad"))
+    names = sorted(str(path.relative_to(tmp_path / "to")) for path, count in done.files.items() if count)
+    assert names == [f"{name}/nuscenes_infos_temporal_val.pkl" for name in ("v0", "v1")]
+    export_infos(tmp_path / "root", tmp_path / "as", InfoSettings("uniad", root_as="/data"))
+    elsewhere = read(tmp_path / "as" / "v1" / "nuscenes_infos_temporal_val.pkl")
+    assert elsewhere[0]["lidar_path"].startswith("/data/v1/samples/")
+
+
+def test_infos_of_the_test_set_have_no_annotations(tmp_path: Path) -> None:
+    root = plain_root(tmp_path / "root", version="v1.0-test")
+    for repository, last in (("uniad", "timestamp"), ("vad", "map_location"), ("sparsedrive", "map_annos")):
+        done = export_infos(root, tmp_path / repository, InfoSettings(repository, as_converted=True))
+        # No test scene of nuScenes is called like it.
+        assert [(path.name.endswith("_test.pkl"), count) for path, count in done.files.items()] == [(True, 0)]
+        if repository != "sparsedrive":
+            done = export_infos(root, tmp_path / repository, InfoSettings(repository))
+            infos = read(next(iter(done.files)))
+            assert len(infos) == 9 and list(infos[0])[-1] == last
+
+
+def test_scenes_that_are_apart_keep_their_times() -> None:
+    assert compute_shifts_us([("b", 30_000_000, 40_000_000), ("a", 0, 20_000_000)]) == {}
+    assert compute_shifts_us([("b", 0, 20), ("a", 0, 20), ("c", 5_000_000, 6_000_000)]) == {
+        "b": 10_000_020,
+        "c": 15_000_040,
+    }
+    order = sort_as_exported(["b", "a", "b", "a"], np.array([0, 0, 500_000, 500_000]))
+    assert order.tolist() == [1, 3, 0, 2]
+
+
+def test_the_command_says_what_it_did(variants: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["data", "export", "infos", str(variants), "--for", "vad", "--to", str(tmp_path / "to")]
+    command = typer.main.get_command(app)
+    command.main(words, standalone_mode=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1] == f"27 infos in {tmp_path}/to/vad_nuscenes_infos_temporal_val.pkl"
+    assert sum(line.startswith("otherwise than converted: ") for line in lines) == 5
+    assert any("32x18, and published networks were trained on 1600x900" in line for line in lines)
+    first = bytes_below(tmp_path / "to")
+    command.main([*words, "--json"], standalone_mode=False)
+    said = json.loads(capsys.readouterr().out)
+    assert sum(said["files"].values()) == 27 and len(said["departures"]) == 5 and len(said["not_cured"]) == 2
+    assert bytes_below(tmp_path / "to") == first
+
+
+def test_sparsedrive_needs_large_images(variants: Path, tmp_path: Path) -> None:
+    said = refusal("data", "export", "infos", variants, "--for", "sparsedrive", "--to", tmp_path / "to")
+    assert "32x18" in said and "--size 1600x900" in said and "--image-size 1600x900" in said
+    root = plain_root(tmp_path / "root", renderer=LargeRenderer(), frames="keyframes")
+    infos = exported(root, tmp_path / "large", "sparsedrive")
+    assert [len(info["map_annos"][1]) for info in infos] == [3] * 9 and infos[0]["ego_status"].any()
+
+
+def _without(path: str) -> Any:
+    return lambda root: next(root.glob(path)).unlink()
+
+
+def _changed(table: str, **values: Any) -> Any:
+    def change(root: Path) -> None:
+        path = next(root.glob(f"*/{table}.json"))
+        path.write_text(json.dumps([{**row, **values} for row in json.loads(path.read_text())]))
+
+    return change
+
+
+def _no_cameras(root: Path) -> None:
+    path = root / "v1.0-trainval" / "sample_data.json"
+    rows = json.loads(path.read_text())
+    path.write_text(json.dumps([row for row in rows if "/LIDAR_TOP/" in row["filename"]]))
+    path = root / "v1.0-trainval" / "calibrated_sensor.json"
+    path.write_text(json.dumps([row for row in json.loads(path.read_text()) if not row["camera_intrinsic"]]))
+
+
+def _renamed(root: Path) -> None:
+    (root / "v1.0-trainval").rename(root / "v2.0")
+
+
+def _broken_map(root: Path) -> None:
+    next(root.glob("maps/expansion/boston*")).write_text('{"version": "1.3"}')
+
+
+def _line_of_one_node(root: Path) -> None:
+    path = next(root.glob("maps/expansion/boston*"))
+    layers = json.loads(path.read_text())
+    for line in layers["line"]:
+        line["node_tokens"] = line["node_tokens"][:1]
+    path.write_text(json.dumps(layers))
+
+
+def _broken_messages(root: Path) -> None:
+    next(root.glob("can_bus/*_pose.json")).write_text('[{"utime": 1700594060000000}]')
+
+
+@pytest.mark.parametrize(
+    ("spoil", "options", "says"),
+    [
+        (_without("samples/CAM_BACK/*"), "--for uniad", "write the images"),
+        (_without("samples/LIDAR_TOP/*"), "--for vad", "VAD opens it"),
+        (_without("maps/expansion/boston*"), "--for uniad", "boston-seaport.json, which official code opens"),
+        (_without("maps/expansion/boston*"), "--for sparsedrive --as-converted", "which map elements are made of"),
+        (_without("v1.0-trainval/log.json"), "--for vad", "lacks log.json"),
+        (_no_cameras, "--for uniad", "no image of CAM_FRONT"),
+        (_no_cameras, "--for uniad --as-converted", "no image of CAM_FRONT"),
+        (_changed("log", location="atlantis"), "--for uniad", "lies in atlantis"),
+        (_changed("sample_annotation", visibility_token=""), "--for uniad --as-converted", "is no number"),
+        (_changed("ego_pose", rotation=[1, 1, 0, 0]), "--for uniad --as-converted", "of norm one"),
+        (_renamed, "--for uniad", "official code opens v1.0-mini"),
+        (_broken_map, "--for sparsedrive --as-converted", "map expansion is incomplete"),
+        (_line_of_one_node, "--for sparsedrive --as-converted", "is not a well-formed map expansion"),
+        (_broken_messages, "--for vad", "has no field"),
+        (lambda _: None, "--for vad --split adv", "has no split 'adv'"),
+        (lambda _: None, "--for vad --split val --as-converted", "leave --split out"),
+        (lambda _: None, "--for vad --root-as data/nuscenes", "must be an absolute path"),
+        (lambda _: None, "--for momad", "momad"),
+        (lambda _: None, "--for vad --tables v9", "no version folder 'v9'"),
+    ],
+)
+def test_what_cannot_be_cured_is_refused_and_nothing_written(
+    healthy: Path, tmp_path: Path, spoil: Any, options: str, says: str
+) -> None:
+    root = Path(shutil.copytree(healthy, tmp_path / "root"))
+    spoil(root)
+    said = refusal("data", "export", "infos", root, "--to", tmp_path / "to", *options.split())
+    assert says in said and "\n" not in said
+    assert not (tmp_path / "to").exists()
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return plain_root(tmp_path_factory.mktemp("healthy") / "root", frames="keyframes")
+
+
+def test_single_samples_are_refused(tmp_path: Path) -> None:
+    write_root(tmp_path / "root", [short_scene(seconds=0.5)])
+    for options in (["--for", "uniad"], ["--for", "vad", "--as-converted"]):
+        said = refusal("data", "export", "infos", tmp_path / "root", "--to", tmp_path / "to", *options)
+        assert "single sample" in said
+
+
+def test_the_export_overwrites_nothing_of_others(healthy: Path, tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "nuscenes").symlink_to(healthy)
+    said = refusal("data", "export", "infos", healthy, "--for", "uniad", "--to", tmp_path / "data")
+    assert "is a link, and what it leads to must stay as it is" in said
+    (tmp_path / "other" / "nuscenes" / "samples").mkdir(parents=True)
+    said = refusal("data", "export", "infos", healthy, "--for", "uniad", "--to", tmp_path / "other")
+    assert "is in the way of a link" in said
+    export_infos(healthy, tmp_path / "third", InfoSettings("uniad"))
+    copy = shutil.copytree(healthy, tmp_path / "copy")
+    said = refusal("data", "export", "infos", copy, "--for", "vad", "--to", tmp_path / "third")
+    assert "was exported from another root" in said
+    shutil.rmtree(tmp_path / "third")
+    assert not list(tmp_path.rglob("*.pkl"))
+
+
+def test_an_unknown_visibility_is_full(healthy: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(healthy, tmp_path / "root"))
+    _changed("sample_annotation", visibility_token="")(root)
+    infos = exported(root, tmp_path / "to", "uniad")
+    assert {int(level) for info in infos for level in info["visibility_tokens"]} == {4}
+    assert any("visibility_tokens" in found["keys"] for found in departures(tmp_path / "to", "uniad"))

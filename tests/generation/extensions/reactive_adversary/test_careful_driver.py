@@ -1,0 +1,145 @@
+"""The careful human of the search, beside the one of the ladder on the same tracks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmark.constants import FRAME_HZ
+from benchmark.dynamics.bicycle import SimulatedMotion
+from benchmark.geometry import Floats
+from benchmark.interactions.driver_outcomes import CollisionChecker
+from benchmark.interactions.driver_simulation import DrivingSituation, ReferenceDriver, simulate_drivers
+from benchmark.interactions.reaction import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S, Driver
+from benchmark.interactions.tracks import ContinuousTracks
+from benchmark.scene import Scene
+from generation.extensions.reactive_adversary.careful_driver import EVERY_FRAMES, CarefulDriverCheck, PathBodies
+from tests.generation.extensions.reactive_adversary.loops import road
+from tests.hand_made import Car
+
+FRAME = 24
+
+
+def slowing(scene: Scene, gap_m: float, speed: float, braking: float) -> Floats:
+    """(37, 3) a car in the ego's lane, so far ahead of it, that brakes."""
+    seconds = np.arange(37) / 12
+    time = np.minimum(seconds, speed / braking) if braking > 0 else seconds
+    front = scene.ego.boxes[FRAME, 0] + 0.5 * 4.084
+    x = front + gap_m + 0.5 * 4.6 + speed * time - 0.5 * braking * time**2
+    return np.column_stack([x, np.full(37, 198.25), np.zeros(37)])
+
+
+def motion_of(poses: Floats) -> SimulatedMotion:
+    return SimulatedMotion(poses[None], np.zeros((1, 37, 6)), np.zeros((1, 36, 2)), np.ones(1, np.bool_))
+
+
+def says(scene: Scene, poses: Floats) -> bool:
+    careful = CarefulDriverCheck.of(scene, 0, FRAME, 8.0)
+    return bool(careful.hit(motion_of(poses), scene.agents.size[0, :2])[0])
+
+
+def ladder_says(scene: Scene, poses: Floats) -> bool:
+    made = scene.with_adversary(0, slice(FRAME, FRAME + 37), poses).first_frames(FRAME + 37)
+    tracks = ContinuousTracks.of_scene(made)
+    situation = DrivingSituation(tracks, tracks.grid(float(made.seconds[FRAME])))
+    (motion,) = simulate_drivers(situation, [ReferenceDriver(Driver.CC)])
+    return not CollisionChecker.of(situation).find_outcome(motion).survives
+
+
+@pytest.mark.parametrize("speed", [2.0, 5.0, 8.0])
+@pytest.mark.parametrize("braking", [0.0, 3.0, 5.0])
+def test_it_agrees_with_the_ladder_where_that_is_clear(speed: float, braking: float) -> None:
+    scene = road(Car(90.0, 198.25, 8.0), seconds=8.0)
+    verdicts = {
+        gap: (says(scene, slowing(scene, gap, speed, braking)), ladder_says(scene, slowing(scene, gap, speed, braking)))
+        for gap in (0.5, 1.0, 2.0, 14.0, 25.0)
+    }
+    # Far away is safe, right ahead of a slower car is not; in between the ladder decides of executed tracks.
+    assert verdicts[25.0] == (False, False)
+    # Whoever the ladder has hit within the horizon is not let through.
+    assert all(ours for ours, theirs in verdicts.values() if theirs)
+
+
+def test_who_is_beside_the_way_hits_nobody_and_who_follows_does() -> None:
+    scene = road(Car(90.0, 198.25, 8.0), Car(46.4, 198.25, 8.0), seconds=8.0)
+    alone = road(Car(90.0, 198.25, 8.0), seconds=8.0)
+    braking = slowing(alone, 10.0, 4.0, 0.0)
+    assert not says(alone, braking)
+    assert says(scene, braking)
+    assert not says(scene, slowing(scene, 14.0, 8.0, 0.0))
+    aside = braking + np.array([0.0, 7.0, 0.0])
+    assert not says(scene, aside)
+
+
+def test_a_batch_is_as_if_alone() -> None:
+    scene = road(Car(90.0, 198.25, 8.0), seconds=8.0)
+    ways = [slowing(scene, gap, 6.0, braking) for gap in (0.5, 3.0, 8.0) for braking in (0.0, 2.0, 5.0)]
+    careful = CarefulDriverCheck.of(scene, 0, FRAME, 8.0)
+    batch = SimulatedMotion(np.stack(ways), np.zeros((9, 37, 6)), np.zeros((9, 36, 2)), np.array([True] * 8 + [False]))
+    found = careful.hit(batch, scene.agents.size[0, :2])
+    assert found[:8].tolist() == [says(scene, way) for way in ways[:8]]
+    assert replace(batch).finite.sum() == 8
+
+
+@pytest.mark.parametrize(("gap", "aside"), [(2.0, 0.0), (5.0, 0.0), (12.0, 0.0), (2.0, 3.5)])
+def test_who_follows_too_closely_to_stop_lacks_what_is_missing(gap: float, aside: float) -> None:
+    """At the same speed a second of way is needed: that in which nothing is planned."""
+    scene = road(Car(90.0, 198.25, 8.0), seconds=8.0)
+    x = scene.ego.boxes[FRAME, 0] - 0.5 * 4.084 - 0.5 * 4.6 - gap + 8.0 * np.arange(37) / 12
+    poses = np.column_stack([x, np.full(37, 198.25 + aside), np.zeros(37)])
+    careful = CarefulDriverCheck.of(scene, 0, FRAME, 8.0)
+    size = np.array([4.6, 1.9])
+    found = careful.compute_missing_distance(careful.place(motion_of(poses), size))[0]
+    assert found == pytest.approx(max(8.0 - gap, 0.0) if aside == 0.0 else 0.0, abs=0.1)
+
+
+def hits_one_by_one(careful: CarefulDriverCheck, placed: PathBodies) -> list[bool]:
+    """Each body by itself, each of the others by itself, step after step."""
+    return [_hits_alone(careful, placed, row) for row in range(len(placed.rear))]
+
+
+def _hits_alone(careful: CarefulDriverCheck, placed: PathBodies, row: int) -> bool:
+    own = [column[row] for column in (placed.rear, placed.front, placed.beside)]
+    others = [list(body) for body in zip(careful.others.rear, careful.others.front, careful.others.beside, strict=True)]
+    half, dt, station, speed = 0.5 * careful.way.length_m, EVERY_FRAMES / FRAME_HZ, careful.station, careful.speed
+    waiting, braking, hit, lost = REACTION_S, 0.0, False, False
+    for step in range(len(careful.steps)):
+        unsafe = False
+        for rear, front, beside in [own, *others]:
+            gap, closing = rear[step] - station - half, speed - (rear[step + 1] - rear[step]) / dt
+            near = gap <= 0.0 or (closing > 0.0 and gap <= CAREFUL_TIME_S * closing)
+            unsafe |= bool(beside[step] <= 0.0 and front[step] > station and near)
+        ready = unsafe and waiting <= 0.0
+        waiting -= dt if unsafe else 0.0
+        braking = min(braking + 12.65 * dt, HARDEST_BRAKING) if ready else braking
+        after = max(speed - (braking if ready else 0.0) * dt, 0.0)
+        station, speed = station + 0.5 * dt * (speed + after), after
+        rear, front, beside = (column[step + 1] for column in own)
+        hit |= bool(rear < station + half + 1.0 and front > station - half and beside <= 0.4 + 0.1 * (step + 1) * dt)
+        for other in others:
+            rear, front, beside = (column[step + 1] for column in other)
+            lost |= bool(rear < station + half and front > station - half and beside <= 0.0)
+    return hit or lost
+
+
+def test_all_at_once_is_each_by_itself() -> None:
+    scene = road(seconds=8.0)
+    careful = CarefulDriverCheck.of(scene, 0, FRAME, 8.0)
+    rng, instants = np.random.default_rng(5), len(careful.steps) + 1
+
+    def bodies(count: int, along: tuple[float, float]) -> PathBodies:
+        rear = (
+            careful.station + rng.uniform(*along, (count, 1)) + rng.uniform(0.0, 1.6, (count, instants)).cumsum(axis=1)
+        )
+        return PathBodies(rear, rear + 4.6, rng.uniform(-0.4, 1.2, (count, instants)))
+
+    outcomes = set()
+    for others in (0, 1, 4):
+        among = replace(careful, others=bodies(others, (15.0, 60.0)), lost=False)
+        placed = bodies(60, (-20.0, 40.0))
+        # What is looked at after the last instant is not part of this comparison.
+        placed.beside[:, -1] = 2.0
+        found = among.hits(placed).tolist()
+        assert found == hits_one_by_one(among, placed)
+        outcomes |= set(found)
+    assert outcomes == {False, True}
