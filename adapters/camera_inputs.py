@@ -1,8 +1,9 @@
 """From an `Observation` to what camera networks read: images, camera matrices and the ego motion vector.
 
-What is common to VAD, UniAD, SparseDrive and DiffusionDrive; a model says which `NetworkImageFormat` and `PixelNormalisation` it
-was trained with. All of them were trained on nuScenes images of 1600 x 900. Images of another size are brought to the
-size that the network expects, and the camera matrices with them, so that the geometry stays exact.
+What is common to VAD, UniAD, SparseDrive and DiffusionDrive; a model says which `NetworkImageFormat` and
+`PixelNormalisation` it was trained with. All of them were trained on nuScenes images of 1600 x 900. Images of another
+size are brought to the size that the network expects, and the camera matrices with them, so that the geometry stays
+exact.
 """
 
 from dataclasses import dataclass

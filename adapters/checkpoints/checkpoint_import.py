@@ -61,7 +61,7 @@ class TensorMatch:
 
     @classmethod
     def of(cls, tensors: Mapping[str, Tensor], model: Model) -> Self:
-        """Differences in names, shapes and kinds of numbers; `tensors` are under the model's names (`rename_tensors`)."""
+        """Differences in names, shapes and number types; `tensors` are under the model's names (`rename_tensors`)."""
         expected = expected_tensors(model, {name: tuple(tensor.shape) for name, tensor in tensors.items()})
         shared = [name for name in expected if name in tensors]
         misshapen = [name for name in shared if tensors[name].shape != expected[name].shape]

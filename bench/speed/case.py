@@ -128,5 +128,6 @@ def format_line(figures: dict[str, Any]) -> str:
     if "ratio" in figures:
         text += f"; {figures['beside']} {format_seconds(figures['other_s'])}: {figures['ratio']:.3g} times"
     if "there_s" in figures:
-        text += f"; in the other tree {format_seconds(figures['there_s'])}: {figures['there_s'] / figures['ours_s']:.2f} times"
+        times = figures["there_s"] / figures["ours_s"]
+        text += f"; in the other tree {format_seconds(figures['there_s'])}: {times:.2f} times"
     return "; ".join([text, *filter(None, [figures.get("more")]), f"{figures['peak_mb']} MB", *figures["wrong"]])

@@ -16,8 +16,20 @@ from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
-from benchmark.cli import ablate, data, demo, drive, evaluate, generate, models, packages, show, verify, weights
-from benchmark.cli import rescoring
+from benchmark.cli import (
+    ablate,
+    data,
+    demo,
+    drive,
+    evaluate,
+    generate,
+    models,
+    packages,
+    rescoring,
+    show,
+    verify,
+    weights,
+)
 from benchmark.cli.help import FullSummaryGroup
 from benchmark.cli.settings import add_command
 from benchmark.constants import VERSION

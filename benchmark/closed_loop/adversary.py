@@ -1,8 +1,8 @@
 """An adversary among the agents: where it leaves its recording, where it went, and one that goes there once more.
 
 Who plans while the drive lasts is made elsewhere (`generation.extensions.reactive_adversary`) and handed in as an
-`AdversaryFactory`. What it drove is kept with the drive, so that the drive can be repeated, scored and filmed without any
-search, and so that another planner can be driven against the same track.
+`AdversaryFactory`. What it drove is kept with the drive, so that the drive can be repeated, scored and filmed without
+any search, and so that another planner can be driven against the same track.
 """
 
 from collections.abc import Callable, Mapping

@@ -183,8 +183,8 @@ def _find_nearest_points(
 def _bound_distances(roads: VehicleRoads, who: Integers, station: Floats, reach: Floats) -> Floats:
     """(Q,) how far from the nearest point of a road a place is at most that is within reach of it.
 
-    Such a place is hardly ahead of the point or behind it (`_measure_stray`); but beyond the end of a road it can be ahead as
-    far as is looked.
+    Such a place is hardly ahead of the point or behind it (`_measure_stray`); but beyond the end of a road it can be
+    ahead as far as is looked.
     """
     constant, slope = roads.stray[:, who]
     beyond_end = station + SIGHT_M - SPACING_M * (roads.length[who] - 1)

@@ -187,7 +187,7 @@ class SimulatorBackend(Protocol):
     def advance_together(
         self, rides: Sequence[SimulationState], plans: Sequence[Plan]
     ) -> "list[SimulationState | RejectedPlanError]":
-        """Half a second of several rides that it began: to the last bit what `SimulationState.after` says of each alone.
+        """Half a second of several states at once: to the last bit what `advance` gives for each alone.
 
         Args:
             rides: R of them.

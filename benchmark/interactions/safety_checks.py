@@ -25,8 +25,8 @@ from benchmark.interactions.relations import RelativeAgents
 def find_unsafe_agents(driver: Driver, around: RelativeAgents, speed: Floats) -> Bools:
     """(R, N) which of N agents a driver of R egos finds unsafe; whether it sees them is another question.
 
-    The driver is the careful human, that of the regulation, or RSS; FSM's question is `compute_fuzzy_targets`. Speeds are
-    (R, 1) m/s.
+    The driver is the careful human, that of the regulation, or RSS; FSM's question is `compute_fuzzy_targets`. Speeds
+    are (R, 1) m/s.
     """
     closing = speed - around.along
     if driver is Driver.CC:

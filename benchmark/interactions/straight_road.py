@@ -1,7 +1,8 @@
 """The official models on a straight road, ``jrc@code``: two cars, steps of 0.1 s, with every quirk of the public code.
 
 The public code is that of the Joint Research Centre (ec-jrc/JRC-FSM). Its models look at the size of a speed difference
-and not at its sign, so that a leader that drives away makes them brake; `benchmark.interactions.safety_checks` does better.
+and not at its sign, so that a leader that drives away makes them brake; `benchmark.interactions.safety_checks` does
+better.
 """
 
 from dataclasses import dataclass

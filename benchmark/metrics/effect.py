@@ -163,7 +163,7 @@ def compute_effect(record: RunRecord, unchanged: RunRecord | None) -> AdversaryE
 
 
 def effect_to_json(record: RunRecord, unchanged: RunRecord | None) -> dict[str, Any]:
-    """`compute_effect` as JSON values under ``effect``; empty where there is none, or a sentence why it cannot be told."""
+    """Adversary effect as JSON values under ``effect``; empty where there is none, or a sentence that says why."""
     try:
         effect = compute_effect(record, unchanged)
     except InputError as refusal:

@@ -31,7 +31,7 @@ class SurfaceKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RoadPolygons:
-    """Surfaces around a scene; ``lanes`` are lanes and connectors, ``find_lanes_on_route`` says which of them are on the route.
+    """Surfaces around a scene; ``lanes``: lanes and connectors, ``find_lanes_on_route`` says which are on the route.
 
     ``drivable`` are road blocks, intersections, drivable areas and car parks.
     """

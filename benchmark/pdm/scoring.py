@@ -83,7 +83,7 @@ def measure_offsets(states: Floats, route: Floats) -> Floats:
 
 
 def _find_off_lane(route: Floats, points: NDArray[Any]) -> Bools:
-    """Whether points are off the lane: `measure_offsets` from it, asked only of the pieces of the route that are near."""
+    """Whether points are off the lane: `measure_offsets` from it to the near pieces of the route."""
     pieces = shapely.STRtree(shapely.linestrings(np.stack([route[:-1], route[1:]], axis=1)))
     off_lane = np.ones(points.shape, np.bool_)
     off_lane.reshape(-1)[pieces.query(points.reshape(-1), predicate="dwithin", distance=OFF_LANE_M)[0]] = False

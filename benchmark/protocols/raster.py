@@ -5,8 +5,8 @@ cell on each side. The ego is a block of 8 x 4 cells that is never turned. Both 
 roundings; each says in its own module where it puts them. `RasterProtocol` is what the two share.
 
 Only polygons near the cells that are asked for are drawn, one at a time into a grid of the full size: the clipping at
-the grid's border decides some cells inside it, so a smaller grid would not do. `draw_full_rasters` draws everything, for
-comparison with stored rasters and for pictures.
+the grid's border decides some cells inside it, so a smaller grid would not do. `draw_full_rasters` draws everything,
+for comparison with stored rasters and for pictures.
 
 Which road user a verdict is about: who is touched at each colliding step, and whether it is an adversary.
 """
@@ -168,8 +168,9 @@ def _may_reach(
 ) -> Bools:
     """A cheap test that leaves few polygons to compute: whether each of (N, 5) boxes could cover any of the cells.
 
-    ``bounds`` are those of the cells (`compute_bounds`), ``rows`` are those on which the boxes' centres lie, not rounded.
-    The rest is as for `find_occupied_cells`. True too often, but never False where `find_occupied_cells` finds a cell.
+    ``bounds`` are those of the cells (`compute_bounds`), ``rows`` are those on which the boxes' centres lie, not
+    rounded. The rest is as for `find_occupied_cells`. True too often, but never False where `find_occupied_cells`
+    finds a cell.
     """
     # Half the diagonal, and a cell for the roundings of corner and outline.
     reach = 0.5 * np.hypot(boxes[:, 2], boxes[:, 3]) / CELL_M + 1.0

@@ -221,8 +221,8 @@ def build_batch(rows: Iterable[SampleRow]) -> pa.RecordBatch | None:
 
     Returns:
         Every field of `BriefRow`, as JSON; plans and recorded motion as in `RowColumns`; driving scores, where a row
-        has some; what `ProtocolOutcomes` has of each protocol whose verdicts go together, under names as `_format_column_name` makes them.
-        ``None`` where only all rows together show what goes together.
+        has some; what `ProtocolOutcomes` has of each protocol whose verdicts go together, under names as
+        `_format_column_name` makes them. ``None`` where only all rows together show what goes together.
     """
     waiting, pieces, unjudged = iter(rows), list[pa.Table](), 0
     while batch_rows := list(islice(waiting, _ROWS_AT_ONCE)):

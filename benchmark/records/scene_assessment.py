@@ -204,8 +204,8 @@ class AssessmentSummary(Stored):
     """Part of a scene's judgements for tables, cards and filters; of several adversaries the most severe values.
 
     Attributes:
-        unsolvable: Whether no driver could have avoided it (`is_unsolvable`); null where no adversary is known, as are the
-            numbers after it.
+        unsolvable: Whether no driver could have avoided it (`is_unsolvable`); null where no adversary is known, as are
+            the numbers after it.
         margin_s: Least time from 0.75 s after an adversary is first visible to the last chance.
         contact: The recorded ego's first contact with an adversary, if it has one.
         unknown_faults: Faults that could not be told of some track.

@@ -106,9 +106,9 @@ def make_synthetic_tensor(
             fan-in and over what vectors get; the first that is found counts.
 
     Returns:
-        float32, or an int64 zero for ``num_batches_tracked``. With z from `draw_seeded_normal`, running means are 0.1 z and
-        running variances 1 + 0.1 |z|; where no rule is found, tensors of two or more axes are z / sqrt(product of all
-        but the first), vectors named ``weight`` are 1 + 0.1 z and all others 0.02 z.
+        float32, or an int64 zero for ``num_batches_tracked``. With z from `draw_seeded_normal`, running means are 0.1
+        z and running variances 1 + 0.1 |z|; where no rule is found, tensors of two or more axes are z / sqrt(product
+        of all but the first), vectors named ``weight`` are 1 + 0.1 z and all others 0.02 z.
     """
     kind = name.rpartition(".")[2]
     if kind == "num_batches_tracked":

@@ -69,8 +69,8 @@ def compute_motion(waypoints: Floats, previous: Floats) -> TrajectoryMotion:
         previous: (..., 3) pose half a second ago.
 
     Returns:
-        See `TrajectoryMotion`. A direction is held where the vehicle stands still; before it first moves, and at the start of a
-        trajectory from rest, it is the heading, zero.
+        See `TrajectoryMotion`. A direction is held where the vehicle stands still; before it first moves, and at the
+        start of a trajectory from rest, it is the heading, zero.
     """
     waypoints = np.asarray(waypoints, np.float64)
     previous = np.broadcast_to(np.asarray(previous, np.float64), (*waypoints.shape[:-2], waypoints.shape[-1]))

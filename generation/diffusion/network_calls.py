@@ -50,8 +50,8 @@ class BatchedNetwork:
             sizes: Rows of each.
 
         Returns:
-            (B, 4) `compute_present_features` of the rows of all requests, (1, 4) of a request that is alone, ``None`` if the
-            network is told nothing.
+            (B, 4) `compute_present_features` of the rows of all requests, (1, 4) of a request that is alone, ``None``
+            if the network is told nothing.
         """
         if not self._conditioned:
             return None

@@ -256,9 +256,14 @@ def _write_lidar_files(
 
 
 def _write_images(
-    plan: DataSetPlan, root: Path, names: SceneNames, scene: Scene, channels: Sequence[SensorChannel], frames: Sequence[int],
+    plan: DataSetPlan,
+    root: Path,
+    names: SceneNames,
+    scene: Scene,
+    channels: Sequence[SensorChannel],
+    frames: Sequence[int],
     existing_pictures: frozenset[str],
-) -> None:  # fmt: skip
+) -> None:
     """Draw and write the images that a plan wants of a scene and that are not there."""
     cameras = [channel for channel in channels if channel.camera is not None]
     if plan.renderer is None or not cameras:

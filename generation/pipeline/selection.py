@@ -54,8 +54,8 @@ def compute_distance(first: SearchAttempt, second: SearchAttempt) -> float:
 def select_differing(order: Sequence[AdversaryChain], most: int) -> list[AdversaryChain]:
     """At most ``most`` scenes of each recording, best first, that differ from one another.
 
-    The most challenging one comes first; then, again and again, the one whose least `compute_distance` to those that are
-    kept is largest. Scenes with several adversaries are compared link by link.
+    The most challenging one comes first; then, again and again, the one whose least `compute_distance` to those that
+    are kept is largest. Scenes with several adversaries are compared link by link.
     """
     selected: set[str] = set()
     for scene in dict.fromkeys(chain.scene_name for chain in order):

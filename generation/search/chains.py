@@ -123,7 +123,8 @@ class AdversaryChain:
     def report(self) -> dict[str, Any]:
         """Report for ``challenger.json`` on the scene: the adversary's report, or one for each of several.
 
-        Judgements are in a file of their own (`benchmark.datasets.scene_assessments`): better definitions make no other data set.
+        Judgements are in a file of their own (`benchmark.datasets.scene_assessments`): better definitions make no
+        other data set.
         """
         left_out = {"plans", "judgements"}
         reports = [link.attempt.model_dump(mode="json", exclude_unset=True, exclude=left_out) for link in self.links]

@@ -391,8 +391,9 @@ class HyperParameters(ThreatSettings):
 
 
 _LATER_SETTINGS: Final[dict[str, Any]] = {
-    "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreDefinition.APPENDIX, "motion": ExecutionModel.DRIVER,
-    "choice": VehicleChoiceRule.OURS, "launch": LaunchRule.NEAR, "discards": DiscardRules.OURS, "manoeuvre_weight": 2.0,
+    "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreDefinition.APPENDIX,
+    "motion": ExecutionModel.DRIVER, "choice": VehicleChoiceRule.OURS,
+    "launch": LaunchRule.NEAR, "discards": DiscardRules.OURS, "manoeuvre_weight": 2.0,
     **asdict(NEUTRAL),
 }  # fmt: skip
 """Settings that came when searches had been kept already, as searches had them then: so they are no part of the key."""

@@ -46,7 +46,8 @@ def build_hyper_parameters(
 
     Args:
         preset: ``default`` is this project's best, ``near`` what it was before it threatened, ``paper`` the text,
-            ``reference`` the public code (`generation.search.differences_from_paper` says where they cannot be followed).
+            ``reference`` the public code (`generation.search.differences_from_paper` says where they cannot be
+            followed).
         settings: Values of single settings; ``None`` leaves a setting as it is.
         changes: ``name=value`` (`HyperParameters.changed`).
 
@@ -89,7 +90,8 @@ def build_trajectory_model(
         device: Where it runs.
         calls: Most network calls of a mutation; the reference has one a noise level.
         dropout: Sample with dropout on, as the reference code does by an omission.
-        samples: Where new candidates come from (`generation.diffusion.prior.CandidateSource`), if not where the preset says.
+        samples: Where new candidates come from (`generation.diffusion.prior.CandidateSource`), if not where the preset
+            says.
 
     Returns:
         What makes the model in each process.

@@ -18,7 +18,7 @@ MOVING_M_S = 3.0
 
 
 class RankedScene(Protocol):
-    """Contents of a generated scene that ranking reads: its recording, its adversary and its `compute_challenge_score`."""
+    """Contents of a generated scene that ranking reads: its recording, its adversary and its challenge score."""
 
     @property
     def scene_name(self) -> str:

@@ -2,7 +2,8 @@
 
 It looks at all 81 poses of a candidate, weighs the far ones little, squares distances to the ego, inflates the
 candidate where boxes are intersected, and gives candidates that would touch the ego the worst challenge of the batch.
-What the paper says in their place is in `generation.search.differences_from_paper`. Vectorised over candidates, poses and objects.
+What the paper says in their place is in `generation.search.differences_from_paper`. Vectorised over candidates, poses
+and objects.
 
 What the public reference code does before its score: which vehicles, from when on, in which state of motion.
 """

@@ -111,7 +111,8 @@ class FrozenBuildReport:
         tables = (
             "equal to those that were frozen"
             if not self.other_tables
-            else f"differ in {len(self.other_tables)} of {pluralise(count, 'scene')}, because the recordings here differ"
+            else f"differ in {len(self.other_tables)} of {pluralise(count, 'scene')}, "
+            "because the recordings here differ"
         )
         return (
             f"{pluralise(count, 'scene')} built from {'the edited' if self.edited else 'frozen split'} {self.name}, "

@@ -65,7 +65,8 @@ def draw_refinement(
 ) -> bytes | None:
     """One planning frame of a scene: a panel a round on the map, and the scores of all rounds beside them.
 
-    ``None`` where the scene is not traced, or nothing was searched at that frame, by default `find_most_improved_frame`.
+    ``None`` where the scene is not traced, or nothing was searched at that frame, by default
+    `find_most_improved_frame`.
     """
     sketch = _build_sketch(stored, frame)
     return None if sketch is None else render_figure(sketch, suffix, theme)

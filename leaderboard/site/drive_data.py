@@ -314,8 +314,8 @@ def interpolate_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
 def build_search_trace(sheet: ScenePage, frames: Sequence[SearchTraceFrame]) -> list[dict[str, Any]]:
     """Planning frames of an adversary, in force until the next; the drive is of the sheet's scene.
 
-    Each has ``t`` (seconds from the first frame), ``did`` (`benchmark.records.search_trace`), ``paths`` (x, y in turn of
-    each candidate, decimetres as steps, worst first), ``shares`` (of each, hundredths: 0 for the best score, 100 for
+    Each has ``t`` (seconds from the first frame), ``did`` (`benchmark.records.search_trace`), ``paths`` (x, y in turn
+    of each candidate, decimetres as steps, worst first), ``shares`` (of each, hundredths: 0 for the best score, 100 for
     the worst or infinite ones) and ``chosen`` (x, y in turn of the one that was driven; null where none was).
     """
     entries = []

@@ -94,10 +94,8 @@ def explain(records: Sequence[RunRecord], data: "DataSet", folder: Path) -> list
     """
     pictures = []
     for case in find_clearest_cases(records, data):
-        path = (
-            folder
-            / f"{sanitise_file_name(case.protocol)}-{sanitise_file_name(case.cause.replace(': ', '-').replace(' ', '-'))}.png"
-        )
+        cause = case.cause.replace(": ", "-").replace(" ", "-")
+        path = folder / f"{sanitise_file_name(case.protocol)}-{sanitise_file_name(cause)}.png"
         write_bytes(path, draw_case(case))
         pictures.append(CasePicture(case, path, describe_case(case)))
     return pictures

@@ -168,8 +168,8 @@ class EgoTrajectory:
     def features(self, at: int, path: dict[str, Floats], can: ConverterCanMessages, location: str) -> Floats:
         """VAD's nine numbers of the ego at a sample.
 
-        Times between samples are taken for half a second, long or short, and the angle is a roll (`compute_roll`), so that on
-        flat roads the car seems to drive along the y axis and never to turn.
+        Times between samples are taken for half a second, long or short, and the angle is a roll (`compute_roll`), so
+        that on flat roads the car seems to drive along the y axis and never to turn.
 
         Returns:
             (9,) velocity, acceleration, rate of the angle, length and width of the car, speed, curvature.

@@ -165,9 +165,14 @@ def export_infos(root: Path, to: Path, settings: InfoSettings) -> ExportedInfos:
     infos_by_target = {
         target: build_info_files(source, reader, settings_by_target[target]) for target, source in roots.items()
     }
-    folders = {} if settings.as_converted else {
-        target: _build_stand_in_root(reader, roots[target], target, infos, settings_by_target[target]) for target, infos in infos_by_target.items()
-    }  # fmt: skip
+    folders = (
+        {}
+        if settings.as_converted
+        else {
+            target: _build_stand_in_root(reader, roots[target], target, infos, settings_by_target[target])
+            for target, infos in infos_by_target.items()
+        }
+    )
     files: dict[Path, int] = {}
     for target, infos in infos_by_target.items():
         files |= _write(target, reader, infos)

@@ -52,7 +52,7 @@ def compute_own_frame_futures(boxes: SceneBoxes, here: Indices, seconds: int) ->
 
 
 def compute_lidar_offsets(boxes: SceneBoxes, here: Indices, lidar: SensorFrame, seconds: int) -> tuple[Floats, Bools]:
-    """Offsets step by step in the frame of the lidar, as SparseDrive's converter turns `compute_own_frame_futures` back.
+    """Offsets from step to step in the lidar frame, as SparseDrive's converter turns `compute_own_frame_futures` back.
 
     It turns by the heading in the global frame and back by that in the lidar frame, which differ for tilted boxes.
 

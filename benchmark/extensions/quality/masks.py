@@ -1,7 +1,7 @@
 """Masks of vehicles in one camera's video, each tied to its annotated instance. Three sources, never mixed.
 
-A mask is kept if it overlaps the visible part of a projected 3-D vehicle box (`QualityDefinition.min_overlap`), as in the
-paper; so false detections, vehicles without annotation and tracks that wandered off are gone.
+A mask is kept if it overlaps the visible part of a projected 3-D vehicle box (`QualityDefinition.min_overlap`), as in
+the paper; so false detections, vehicles without annotation and tracks that wandered off are gone.
 
 Masks cut to their rectangle, so that a scene's masks fit into memory.
 

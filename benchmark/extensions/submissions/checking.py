@@ -323,9 +323,13 @@ def check_submission(
     ]
     if not places:
         return [], [
-            SubmissionFinding(folder, FindingLevel.ERROR, "holds no run record (run.json, samples.jsonl, summary.json) and no drives "
-                    "(drive.json, ...); submit what challenger-bench eval and drive write below OUT")
-        ]  # fmt: skip
+            SubmissionFinding(
+                folder,
+                FindingLevel.ERROR,
+                "holds no run record (run.json, samples.jsonl, summary.json) and no drives "
+                "(drive.json, ...); submit what challenger-bench eval and drive write below OUT",
+            )
+        ]
     opened: OpenedDataSets = {}
     sound: list[Record] = []
     findings: list[SubmissionFinding] = []

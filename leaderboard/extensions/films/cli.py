@@ -275,7 +275,8 @@ def _select_drives(selection: _DriveSelection) -> "list[tuple[DriveRecord, str, 
     from leaderboard.extensions.films.filming import find_data_set_name
 
     root = api.workspace(selection.out).drive_root()
-    again = f"make some with: challenger-bench drive --data {selection.data} --split {selection.split} --out {selection.out}"
+    options = f"--data {selection.data} --split {selection.split} --out {selection.out}"
+    again = f"make some with: challenger-bench drive {options}"
     if selection.records is None and not root.is_dir():
         raise InputError(f"there are no records of drives below {root}; {again}")
     data = find_data_set_name(selection.data)

@@ -161,7 +161,9 @@ def test_anchors_on_disk_are_the_same_bytes_and_read_back(
     data: NuScenesData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SparseConfig, "diffusiondrive", lambda: FEW)
-    monkeypatch.setattr("adapters.checkpoints.anchor_files.cluster_anchors", lambda found, config: turning(data, config))
+    monkeypatch.setattr(
+        "adapters.checkpoints.anchor_files.cluster_anchors", lambda found, config: turning(data, config)
+    )
     paths = [tmp_path / name / "anchors.safetensors" for name in "ab"]
     first, second = (write_anchors("diffusiondrive", data, "val", path) for path in paths)
     assert paths[0].read_bytes() == paths[1].read_bytes() and first.sha256 == second.sha256

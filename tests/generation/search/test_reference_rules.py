@@ -44,8 +44,13 @@ def test_the_reference_tries_cars_alone_parked_ones_among_them() -> None:
         Car(62.0, 212.0, 8.0),
     )
     assert [find_exclusion_reason(scene, agent, REFERENCE) for agent in range(6)] == [
-        None, ExclusionReason.NOT_FOUR_WHEELED, ExclusionReason.NO_CAR, None, ExclusionReason.NEVER_NEAR, ExclusionReason.OFF_ROAD,
-    ]  # fmt: skip
+        None,
+        ExclusionReason.NOT_FOUR_WHEELED,
+        ExclusionReason.NO_CAR,
+        None,
+        ExclusionReason.NEVER_NEAR,
+        ExclusionReason.OFF_ROAD,
+    ]
     assert find_exclusion_reason(scene_of(NEAR, ego_speed=0.0), 0, REFERENCE) is None
 
 

@@ -321,7 +321,8 @@ class HeadsObjective(UniADObjective):
 
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of UniAD-mini."""
-    # What it sees is seen already (`transfer_from_vad`): first what follows from it is learned, then everything together.
+    # What it sees is seen already (`transfer_from_vad`): first what follows from it is learned, then everything
+    # together.
     heads = Recipe(steps=3000, learning_rate=1e-3, warmup=100, average=0.998, clips=6, check_every=1000)
     clips = Recipe(steps=3000, learning_rate=4e-4, encoder_rate=0.3, warmup=100, average=0.998)
     planner = Recipe(steps=4000, learning_rate=6e-4, warmup=100, average=0.998, clips=24, check_every=1000)

@@ -185,7 +185,8 @@ def predict_with_features(
     """Predictions as of `VAD.predict`, with a past that the caller holds; the network's own is not looked at.
 
     With what the plan looks at of the front camera, and the motion as told. `previous` are the (18,) CAN bus vector
-    and (cells, C) view of the frame before, ``None`` at the start of a scene; `speed_known` as in `EgoMotionAugmentation`.
+    and (cells, C) view of the frame before, ``None`` at the start of a scene; `speed_known` as in
+    `EgoMotionAugmentation`.
     """
     can_bus, view = previous or (None, None)
     config = network.config

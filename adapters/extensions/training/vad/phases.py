@@ -155,8 +155,8 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
 def transfer_start_weights(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights that a miniature of VAD starts from, under the names of VAD.
 
-    All of those of a trained VAD (`add_finer_map`, `add_front_backbone`); of a sparse miniature the eyes of its plan alone
-    (`transfer_sparse_front_backbone`).
+    All of those of a trained VAD (`add_finer_map`, `add_front_backbone`); of a sparse miniature the eyes of its plan
+    alone (`transfer_sparse_front_backbone`).
     """
     return transfer_sparse_front_backbone(trunk, READER) or add_front_backbone(add_finer_map(trunk))
 
