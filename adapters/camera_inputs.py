@@ -48,7 +48,7 @@ NORMALISATIONS: Final = {variant.name: variant for variant in (BGR_MEAN, RGB_MEA
 def find_normalisation(name: str) -> PixelNormalisation:
     """Normalisation of a name, for example ``bgr-mean``."""
     if name not in NORMALISATIONS:
-        raise InputError(f"there is no normalisation {name!r}; known are {', '.join(NORMALISATIONS)}")
+        raise InputError(f"unknown normalisation {name!r}; use one of {', '.join(NORMALISATIONS)}")
     return NORMALISATIONS[name]
 
 
@@ -87,9 +87,9 @@ class NetworkImageFormat:
 
 
 SPARSE_DRIVE_IMAGE: Final = NetworkImageFormat(704, 396, crop_top=140, resize="bicubic")
-"""What SparseDrive and DiffusionDrive read: 704 x 256."""
+"""Images of SparseDrive and DiffusionDrive: 704 x 256."""
 MINIATURE_IMAGE: Final = NetworkImageFormat(224, 128)
-"""What the miniatures of all four models read."""
+"""Images of the miniatures of all four models."""
 
 
 def camera_images(
@@ -172,7 +172,7 @@ def _six_views(observation: Observation) -> list[CameraView]:
     if missing:
         raise InputError(
             f"sample {observation.sample_token} of scene {observation.scene} has no image of {missing[0]}; this model "
-            f"needs all of {', '.join(CAMERA_NAMES)}, choose a data set that has them or a model without cameras"
+            f"needs all of {', '.join(CAMERA_NAMES)}; choose a data set that has them or a model without cameras"
         )
     return [observation.views[name] for name in CAMERA_NAMES]
 
@@ -182,7 +182,7 @@ def _load_image(view: CameraView) -> NDArray[np.uint8]:
     height, width = image.shape[:2]
     if (width, height) != (view.camera.width, view.camera.height):
         raise InputError(
-            f"image {view.path} is {width} x {height} pixels, but sample_data says {view.camera.width} x "
+            f"image {view.path} is {width} x {height} pixels, but in sample_data {view.camera.width} x "
             f"{view.camera.height}, so its calibration cannot be trusted; correct the table or the image"
         )
     return image

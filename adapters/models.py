@@ -29,8 +29,8 @@ class Network:
     Attributes:
         config: Makes the configuration.
         example: Makes inputs of one key frame of a configuration, the same every time, on the processor.
-        published_normalisation: What the official weights were trained with (`adapters.camera_inputs.NORMALISATIONS`).
-        settings: What else `build` is given.
+        published_normalisation: Normalisation of the official weights (`adapters.camera_inputs.NORMALISATIONS`).
+        settings: Further arguments of `build`.
         fitted: Whether `config` is given the shapes of a checkpoint's tensors by name, where official files differ.
         seeded: Whether `build` is given the seed of the run.
         verify: Compares it with numbers of its official code (`adapters.extensions.golden_sets.models`).
@@ -40,7 +40,7 @@ class Network:
             (`adapters.checkpoints.anchor_files`).
         clustered: Whether its queries start from cluster centres of a data set (`adapters.checkpoints.anchor_files`).
         as_published: What it may do as in its published runs (`adapters.planner`), and what of the configuration
-            that changes.
+            that each changes.
     """
 
     build: str
@@ -81,16 +81,16 @@ class Model:
 
     Attributes:
         planner: Its class; that of a network is given the network and where its weights come from.
-        network: What plans, if it is a network that is written here natively.
+        network: The network, if it is implemented natively here.
         weights: Published weights that it has (`benchmark.weights.catalogue`); variants share those of another.
         miniature: Set where it is a small network whose weights come with this package.
-        published_as: What the paper calls it; the paper does not say which VAD it ran, whose larger one is the usual.
+        published_as: Name in the paper; the paper does not state which VAD it ran, usually the larger one.
         native_protocol: Protocol of the repository that it comes from.
-        wants: What its plans depend on that a data set may lack.
-        sees: What it looks at, if not at images.
+        wants: Inputs of its plans that a data set may lack.
+        sees: Its inputs, if not images.
         requires: Raises `InputError` where a package is absent that it needs.
         extra: Extra of this package that brings what it needs.
-        extra_package: What that extra installs, as it is imported.
+        extra_package: Import name of the package that the extra installs.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Model:
 
     @property
     def blind(self) -> bool:
-        """Whether it looks at no image, so that nothing needs to be drawn for it."""
+        """Whether it uses no images, so that none need to be rendered for it."""
         return "images" not in self.wants
 
     @property
@@ -119,13 +119,13 @@ class Model:
     @property
     def net(self) -> Network:
         """Its network; only networks have weights, are trained, imported and verified."""
-        assert self.network is not None, f"{self.name} is no network"
+        assert self.network is not None, f"{self.name} is not a network"
         return self.network
 
     @property
     def small(self) -> Miniature:
         """Its entry as a miniature."""
-        assert self.miniature is not None, f"{self.name} is no miniature"
+        assert self.miniature is not None, f"{self.name} is not a miniature"
         return self.miniature
 
     def configuration(self, shapes: Mapping[str, Sequence[int]] | None = None) -> Any:
@@ -146,7 +146,7 @@ class Model:
         `shapes` are those of the tensors that it is for, by name, where it depends on them; the device ``meta`` needs
         no memory; `as_published` is of what the entry knows.
         """
-        # Read before the device is set: constants of modules need memory whatever the network is built on.
+        # Read before the device is set: constants of modules need memory even on the meta device.
         make, config = resolve(self.net.build), self.configuration(shapes)
         for option in as_published:
             config = replace(config, **self.net.as_published[option])
@@ -180,7 +180,7 @@ def published_model(name: str) -> Model:
     """A network with published weights by name; raises `InputError` if there is none."""
     known = published_models()
     if name not in known:
-        raise InputError(f"{name!r} is no model with weights; {did_you_mean(name, known)}those are {', '.join(known)}")
+        raise InputError(f"{name!r} is not a model with weights; {did_you_mean(name, known)}choose {', '.join(known)}")
     return known[name]
 
 
@@ -188,7 +188,7 @@ def miniature(name: str) -> Model:
     """A miniature by name; raises `InputError` if there is none."""
     known = miniatures()
     if name not in known:
-        raise InputError(f"{name!r} is no miniature; {did_you_mean(name, known)}those are {', '.join(known)}")
+        raise InputError(f"{name!r} is not a miniature; {did_you_mean(name, known)}use one of {', '.join(known)}")
     return known[name]
 
 
@@ -233,7 +233,7 @@ _UNIAD: Final = Network(
     fitted=True,
     verify="adapters.extensions.golden_sets.uniad:GOLDEN",
     renamed=((r"\.conv(\d)_offset\.", r".conv\1.conv_offset."),),
-    # Left over from a rewrite of the official code, whose authors say that nothing reads them.
+    # Left over from a rewrite of the official code; unused according to its authors.
     ignored=(
         r"^bbox_size_fc\.",
         r"^pts_bbox_head\.query_embedding\.",

@@ -108,7 +108,7 @@ class PlanFile:
         extra = [key for key in self.keys if key not in known]
         if extra:
             raise InputError(
-                f"{self.path} has rows for {_format_keys(extra)} that split {split!r} does not have; remove them"
+                f"{self.path} has rows for {_format_keys(extra)} for samples outside split {split!r}; remove them"
             )
 
     def samples_of(self, data: "DataSet", split: str) -> "SplitSamples":
@@ -170,8 +170,8 @@ class PlanFileFactory:
     Attributes:
         tokens: Sample tokens by the tokens of keyframe rows, where the file has those.
         frame: Frame of all plans, if it is not that of the file.
-        caveats: What the record has to say of plans that were taken as they stand.
-        measured: What tests of unit, frame, origin and time measured, or that they are not testable.
+        caveats: Notes in the record on plans that were taken unchanged.
+        measured: Results of the tests of unit, frame, origin and time, or a note that they are not testable.
     """
 
     path: Path
@@ -189,7 +189,7 @@ class PlanFileFactory:
     @property
     def sentences(self) -> list[str]:
         """Sentences about the file."""
-        rows = "sample_token holds tokens of sample_data rows; each stands for the sample of its keyframe"
+        rows = "sample_token holds tokens of sample_data rows; each is mapped to the sample of its keyframe"
         notes = [f"{self.path}: {rows}"] if self.tokens else []
         return [*notes, f"{self.path}: {describe_checks(self.measured)}"]
 
@@ -220,8 +220,8 @@ def plan_file_factory(
         native: Protocol of the repository that the planner comes from, if it is known here.
         records: Folders of run records, to say what a file of other data is for.
         allow_partial: Whether samples may have no row; they have failed then.
-        frame: Frame of all plans, ``lidar`` or ``ego``, whatever the file says.
-        as_is: Take plans as they stand, whatever unit, frame, origin or time would fit better; the record says so.
+        frame: Frame of all plans, ``lidar`` or ``ego``; overrides the file.
+        as_is: Take plans unchanged, even if another unit, frame, origin or time fits better; the record notes it.
 
     Returns:
         A factory for `benchmark.evaluation.evaluate`.
@@ -287,7 +287,7 @@ def _other_split_error(
     recorded_split = find_record_with_samples(
         records, [tuple(json.dumps(part) for part in key) for key in plans.keys[:_MOST_LISTED]]
     )
-    seems = "whose samples it names is not known here; name the data set that it was made for with --data"
+    seems = "its samples are unknown here; name the data set that it was made for with --data"
     if own_split is not None:
         seems = f"they are samples of its split {own_split!r}; name that with --split"
     elif recorded_split is not None:
@@ -302,7 +302,7 @@ def _other_split_error(
 def read_plan_file(path: Path, frame: FrameName | None = None) -> PlanFile:
     """Rows of a ``.csv``, ``.parquet`` or ``.json`` plan file, checked, in the order of the file.
 
-    `frame` is that of all plans, whatever the file says. An `InputError` names the first few offenders.
+    `frame` is that of all plans and overrides the file. An `InputError` names the first few offenders.
     """
     table = _read_table(path)
     columns = [str(column) for column in table.columns]
@@ -320,7 +320,7 @@ def read_plan_file(path: Path, frame: FrameName | None = None) -> PlanFile:
         if frame_name not in set(PlanFrame)
     ]
     if wrong:
-        raise InputError(f"{path} has the unknown frame {_summarise(wrong)}; a frame is 'lidar' or 'ego'")
+        raise InputError(f"{path} has the unknown frame {_summarise(wrong)}; use 'lidar' or 'ego'")
     read_as = tuple(PlanFrame(frame or frame_name) for frame_name in frames)
     return PlanFile(path, key_columns == _BY_TOKEN, keys, read_as, waypoints)
 
@@ -342,12 +342,12 @@ def _require_columns(path: Path, columns: list[str], key_columns: tuple[str, ...
     expected = (*key_columns, "frame", *steps)
     missing = [column for column in expected if column not in columns]
     if missing:
-        hint = "; rows are named by sample_token, or by scene and timestamp" if key_columns == _BY_TIME else ""
+        hint = "; name rows by sample_token, or by scene and timestamp" if key_columns == _BY_TIME else ""
         raise InputError(f"{path} has no column {', '.join(missing)}{hint}")
     unknown = [column for column in columns if column not in (*expected, *_BY_TOKEN, *_BY_TIME)]
     if unknown:
         raise InputError(
-            f"{path} has unknown columns {', '.join(unknown[:_MOST_LISTED])}; columns are {', '.join(expected)}"
+            f"{path} has unknown columns {', '.join(unknown[:_MOST_LISTED])}; use only {', '.join(expected)}"
         )
 
 
@@ -374,7 +374,7 @@ def _row_key(path: Path, columns: tuple[str, ...], values: tuple[Any, ...]) -> t
 def _numbers(path: Path, table: Any, keys: tuple[tuple[Hashable, ...], ...]) -> Floats:
     import pandas as pd
 
-    # Else they would count as 1 and 0 metres.
+    # Otherwise they would count as 1 and 0 metres.
     names = _waypoint_columns(list(table.columns))
     truths = [column for column in names if table[column].map(lambda value: isinstance(value, bool)).any()]
     if truths:
@@ -391,7 +391,7 @@ def _numbers(path: Path, table: Any, keys: tuple[tuple[Hashable, ...], ...]) -> 
         raise InputError(
             f"{path} has waypoints farther than {FARTHEST_WAYPOINT_M:.0f} m for "
             f"{_format_keys([keys[row] for row in far])}; "
-            "they are metres from the car, not global coordinates"
+            "give metres from the car, not global coordinates"
         )
     return waypoints
 

@@ -1,6 +1,6 @@
-"""What all native networks share as planners: device, precision, and what identifies a run.
+"""Base of all native networks as planners: device, precision, and the identity of a run.
 
-What native networks may do as in the published runs of their repositories; none of it is done unless asked for.
+Options of native networks to behave as in the published runs of their repositories; all are off by default.
 """
 
 from abc import ABC, abstractmethod
@@ -25,7 +25,7 @@ MEMORY: Final = "memory"
 CAN_ONCE: Final = "can-once"
 CAN_AFTER: Final = "can-after"
 ALL: Final = "all"
-"""Whatever of these a model has."""
+"""All options that a model has."""
 OPTIONS: Final = (MEMORY, CAN_ONCE, CAN_AFTER)
 CROSS_SCENES: Final = frozenset({MEMORY, CAN_ONCE})
 """With these a split is one unit of work."""
@@ -40,12 +40,12 @@ def select_options(name: str, known: Collection[str], asked: Sequence[str]) -> t
     for option in asked:
         if option not in (*OPTIONS, ALL):
             raise InputError(
-                f"nothing is called {option!r} that is done as published; {did_you_mean(option, (*OPTIONS, ALL))}"
-                f"there is {', '.join(OPTIONS)} and {ALL}"
+                f"unknown option {option!r} of --as-published; {did_you_mean(option, (*OPTIONS, ALL))}"
+                f"use {', '.join(OPTIONS)} or {ALL}"
             )
         if option not in known and not (option == ALL and known):
             has = f"it has {', '.join(sorted(known))}" if known else "it has no published run to follow"
-            raise InputError(f"{name} does nothing with --as-published {option}; {has}, leave it out")
+            raise InputError(f"{name} does not support --as-published {option}: {has}; leave it out")
     return tuple(option for option in OPTIONS if option in known and (option in asked or ALL in asked))
 
 
@@ -58,9 +58,9 @@ class NativePlanner(ABC, Generic[Network]):
     Args:
         network: The network, its weights loaded; its configuration says how images become those that it reads.
         name: Shown in tables.
-        normalisation: What the weights were trained with.
+        normalisation: Normalisation that the weights were trained with.
         weights_sha256: Of the weights file, if there is one.
-        settings: What else identifies the run.
+        settings: Further settings that identify the run.
         native_protocol: Protocol of the repository that it comes from.
         device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one.
         precision: ``bfloat16`` computes the matrix products in half the bytes.

@@ -28,9 +28,9 @@ class PlannerListing:
     """One planner.
 
     Attributes:
-        sees: What it looks at.
-        gpu: What a GPU is to it.
-        extra: What has to be installed for it: an extra of this package, or nothing.
+        sees: Its inputs.
+        gpu: Need of a GPU.
+        extra: Extra of this package that it needs, if any.
         here: Whether everything that it needs is here.
         comes_from: The published weights' name, or the package of an installed planner.
     """
@@ -71,9 +71,9 @@ def known_planners(
 
 
 def find_own_planner(planner: PlannerFacts) -> PlannerFacts | None:
-    """The planner of this program that one is, by what a record says of it.
+    """This program's planner that a record describes.
 
-    The one that has its code, whatever it is called; else the one that it is called like; else ``None``. Networks are
+    The one with the same code under any name; else the one with the same name; else ``None``. Networks are
     looked at only if they are named and their weights come with this package.
     """
     model = MODELS.get(planner.name)
@@ -122,9 +122,9 @@ def planners_table(planners: tuple[PlannerListing, ...]) -> Table:
         rows,
         notes=(
             f"{MINIATURE_WORDS} (docs/miniatures.md). On mini, a full model without weights is replaced by "
-            "its miniature, which says so.",
-            "Boxes and map, and the recorded future, are what no car sees: reference rows.",
-            "Packaged weights have the licences of what they learned from: adapters/weights/*.md.",
+            "its miniature, with a notice.",
+            "Boxes, the map and the recorded future are not available to a car: reference rows.",
+            "Packaged weights carry the licences of their training data: adapters/weights/*.md.",
             *(f"{extra} is an extra of this package: pip install challenger-bench{extra}." for extra in extras),
             *also,
             *installed_notes,

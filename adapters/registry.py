@@ -42,7 +42,7 @@ class NamedPlanner:
     Attributes:
         over_http: Passed to planners behind HTTP: ``image_format``, ``deadline_s``, ``frame``.
         supervision: Limits of a process of its own; ``None`` of planners that run in this one.
-        identity: Who it says that it is, if it runs in a process of its own.
+        identity: Identity that it declares, if it runs in a subprocess.
     """
 
     name: str
@@ -124,7 +124,7 @@ def planner_factory(
         settings |= {"checkpoint": checkpoint.name, "checkpoint_sha256": file_sha256(checkpoint)}
     known = {"settings": settings, "seed": seed, "published_as": published_as(facts.name)}
     model = MODELS.get(name)
-    # A model server is sent both; what other planners use of an observation is not known.
+    # A model server gets both; which parts of an observation other planners use is not known.
     known["wants"] = list(model.wants) if model is not None else ["images", "motion"] if is_address(name) else []
     if model is not None and model.network is not None:
         known["miniature"] = model.miniature is not None
@@ -133,7 +133,7 @@ def planner_factory(
 
 
 def is_third_party(name: str) -> bool:
-    """Whether a planner is of another package, and runs in a process of its own."""
+    """Whether a planner comes from another package, and runs in a subprocess."""
     return name not in MODELS and not is_address(name)
 
 
@@ -215,11 +215,11 @@ def require_known(name: str) -> None:
     known = (*MODELS, *installed_planners())
     if is_address(name):
         if (called := Address.of(name, "--model").name) in known:
-            raise InputError(f"{called} is a planner of its own here; call what answers at {name} otherwise")
+            raise InputError(f"{called} is already the name of a planner; give the server at {name} another name")
         return
     if name not in known and ":" not in name:
         raise InputError(
-            f"unknown model {name!r}; {did_you_mean(name, known)}known are {', '.join(known)}; your own is --model "
+            f"unknown model {name!r}; {did_you_mean(name, known)}use {', '.join(known)}, or your own with --model "
             "package.module:Class"
         )
 
@@ -294,7 +294,7 @@ def _build(maker: Any, name: str, offered: dict[str, Any]) -> Any:
     for option in ("checkpoint", "device", "precision", "as_published"):
         if offered.get(option) is not None and not takes_any and option not in taken:
             option_name = option.replace("_", "-")
-            raise InputError(f"model {name!r} takes no {option_name}; leave --{option_name} out")
+            raise InputError(f"model {name!r} does not take {option_name}; leave --{option_name} out")
     missing = [
         parameter.name
         for parameter in parameters
@@ -303,7 +303,7 @@ def _build(maker: Any, name: str, offered: dict[str, Any]) -> Any:
         and offered.get(parameter.name) is None
     ]
     if missing:
-        raise InputError(f"model {name!r} cannot be built without {', '.join(missing)}")
+        raise InputError(f"model {name!r} needs arguments without defaults: {', '.join(missing)}; give them defaults")
     arguments = {key: value for key, value in offered.items() if (takes_any or key in taken) and value is not None}
     try:
         with _redirect_stdout():
@@ -327,11 +327,11 @@ def _planner_error(name: str, doing: str, error: BaseException) -> InputError:
 
 
 def _check_contract(built: Any, name: str) -> Planner:
-    """Whether a stranger's class keeps the contract of `benchmark.planning.Planner`."""
+    """Whether a third-party class keeps the contract of `benchmark.planning.Planner`."""
     missing = [method for method in _CONTRACT if not callable(getattr(built, method, None))]
     if missing:
         raise InputError(
-            f"model {name!r} is no planner: it has no method {' and no method '.join(missing)}; a planner has "
+            f"model {name!r} is not a planner: it has no method {' and no method '.join(missing)}; a planner has "
             "reset(scene), plan(observation) -> Plan and a name (benchmark/planning.py)"
         )
     try:
@@ -344,7 +344,7 @@ def _check_contract(built: Any, name: str) -> Planner:
 
 
 def _require_name(called: Any, name: str) -> None:
-    """Whether that is a name that tables can show."""
+    """Whether tables can show the name."""
     if not isinstance(called, str) or not called:
         raise InputError(f"model {name!r} has no name; set the attribute name, a string that tables show")
     if not called.isprintable() or len(called) > _LONGEST_NAME:

@@ -54,7 +54,7 @@ class Looking(Stop):
 
 Clocks = tuple[float, ...]
 """Seconds of each of `CLOCKS` at one moment."""
-CLOCKS: Final = ("wall", "both processes", "this process")
+CLOCKS: Final = ("wall", "both processes", "`eval`")
 
 
 def clocks(process: int | None) -> Clocks:

@@ -122,7 +122,7 @@ def require_whole_split(planner: str, scenes: object, limit: int | None, workers
     wrong = next((option for option, is_given in given.items() if is_given), None)
     if wrong is not None:
         raise InputError(
-            f"{planner} remembers across scenes, so that the whole split is planned in one process, in the published "
+            f"{planner} keeps state across scenes, so it must plan the whole split in one process, in the published "
             f"order; leave {wrong} out"
         )
 
@@ -171,8 +171,8 @@ def evaluate_together(
     """
     records: dict[int, RunRecord] = {}
     waiting: dict[int, _PreparedRun] = {}
-    # Networks last, whoever is named first: those that have none are then together, and a network is made when it is
-    # its turn, so that there is one at a time.
+    # Networks last, in any order of names: planners without one then run together, and a network is loaded in
+    # its turn, so that only one is in memory at a time.
     for place in sorted(range(len(planners)), key=lambda place: _has_weights(planners[place][0])):
         planned = _prepare_run(data, split, planners[place][0], out, planners[place][1])
         if not all(planned.can_run_with(other) for other in waiting.values()):
@@ -212,7 +212,7 @@ def plan_shard(
         run, ready = planned.run, planned.ready
         if remembers_across_scenes(ready):
             raise InputError(
-                f"{ready.name} remembers across scenes, so that the whole split is planned in one process; leave "
+                f"{ready.name} keeps state across scenes, so it must plan the whole split in one process; leave "
                 "--shard out"
             )
         shard_scenes = shard.part(planned.scenes)
@@ -311,7 +311,7 @@ def _evaluate_runs(
             )
         else:
             here = partial(evaluate_scene, runs, data, [prepared.ready for prepared in planned])
-            # A network takes longer than a worker needs to begin, if what it is copied from is there.
+            # Loading a network takes longer than starting a worker if the process that it is copied from exists.
             sure = has_forkserver() and len(scenes) > 1 and not all(prepared.light for prepared in planned)
             scene_results = _iterate_results(scenes, here, elsewhere, workers, label, sure=sure)
         rows: list[SampleRows] = [SampleRows() for _ in runs]
@@ -326,7 +326,7 @@ def _evaluate_runs(
                 truths[result.scene] = result.truth
         shared["scene_facts"] = add_truth_facts(shared["scene_facts"], truths)
         return [
-            # Rows are by scene and time, in whatever order scenes were planned.
+            # Rows are by scene and time, independent of the order in which scenes were planned.
             _write_run(prepared, shared, own.in_order_of(scenes), spent, out, data.categories)
             for prepared, own, spent in zip(planned, rows, costs, strict=True)
         ]

@@ -78,7 +78,7 @@ class EgoState:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a planner may see at one sample; nothing of the future but the command.
+    """Input of a planner at one sample; nothing of the future but the command.
 
     Attributes:
         scene: Scene name.
@@ -159,11 +159,11 @@ class Plan:
                 f"a plan needs {PLAN_STEPS} to {LONGEST_PLAN_STEPS} waypoints of x and y, this one has {shape}"
             )
         if not np.isfinite(self.waypoints).all():
-            raise InputError("a plan's waypoints must be finite numbers, this one has NaN or infinity")
+            raise InputError("a plan's waypoints must be finite, but this plan has NaN or infinity")
         if np.abs(self.waypoints).max() > FARTHEST_WAYPOINT_M:
             raise InputError(
-                f"a plan's waypoints are metres from the car, this one has {np.abs(self.waypoints).max():.3g} m; "
-                "global coordinates are no plan"
+                f"a plan's waypoints are metres from the car, but this plan has {np.abs(self.waypoints).max():.3g} m; "
+                "use coordinates relative to the car"
             )
 
     @property
@@ -188,7 +188,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class SceneInfo:
-    """What a planner may know of a scene before it starts.
+    """Scene information for a planner before the first sample.
 
     Attributes:
         name: Scene name.
@@ -240,7 +240,7 @@ class PlannerFailedError(Exception):
     """
 
     def __init__(self, line: str, text: str) -> None:
-        """What was raised, in a line, and with its traceback."""
+        """The exception in one line, and with its traceback."""
         super().__init__(line)
         self.text = text
 
@@ -253,7 +253,7 @@ class PlannerLostError(PlannerFailedError):
     """
 
     def __init__(self, sentence: str, *, late: bool = False) -> None:
-        """What happened, without anything that differs between two runs."""
+        """Description of the failure, without anything that differs between two runs."""
         super().__init__(sentence, sentence)
         self.late = late
 
@@ -270,7 +270,7 @@ class SupervisedPlanner(Protocol):
         """Global generators of its process begin there at the next `Planner.reset`."""
 
     def loaded_code(self) -> dict[str, str]:
-        """What `benchmark.runs.code_identity.hash_loaded_code` is in its process."""
+        """Result of `benchmark.runs.code_identity.hash_loaded_code` in its process."""
 
 
 @runtime_checkable

@@ -112,8 +112,8 @@ ABLATION: Final = {"full": 0.0617, "no-mtr": 0.0349, "no-ts": 0.0013, "no-mtr-no
 of the nuScenes validation set, rendered by MagicDriveDiT."""
 
 SAMPLES_OF: Final = {"val": 6019, "adv": 6115}
-"""Samples of nuScenes-val and of Adv-nuSc: what tells them from other data whose split has the same name. Nobody prints
-how many nuScenes-val-R has."""
+"""Samples of nuScenes-val and of Adv-nuSc: they identify data sets whose splits share a name. The number for
+nuScenes-val-R is not published."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +194,7 @@ PUBLISHED_RESULTS: Final[tuple[PublishedResult, ...]] = (
     ),
     *map(_read_table_1_row, TABLE_1),
 )
-"""Who prints which number on which split under which protocol: what specifications and the paper give, no more."""
+"""Published numbers by source, split and protocol: only those of the specifications and the paper."""
 
 
 def find_published_results(model: str, protocol: str) -> tuple[PublishedResult, ...]:

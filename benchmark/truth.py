@@ -1,4 +1,4 @@
-"""What really happened around one sample: everything that any collision or L2 protocol needs."""
+"""Ground truth around one sample: everything that any collision or L2 protocol needs."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -32,7 +32,7 @@ class Roads(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SampleTruth:
-    """What is annotated now and at the six plan steps, in the lidar frame of the sample.
+    """Annotations now and at the six plan steps, in the lidar frame of the sample.
 
     Step k is the k-th following keyframe, which is what official protocols take; `by_clock` is the truth of steps that
     are half a second apart.

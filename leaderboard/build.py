@@ -82,7 +82,7 @@ class _LeaderboardContents:
         self.figures.append(PlacedFigure(data_name, figure.title, vector, dark, compute_page_size(figure.png)))
 
     def _place(self, data_name: str, folder: str, group: str, tables: Sequence[Table]) -> None:
-        # Of other protocols the slices are files alone: a site with all of them would be several times as large.
+        # Slices of other protocols are only files: a site with all of them would be several times as large.
         on_site = [table for table in tables if group == SLICES or not table.name.startswith(f"{SLICES}-")]
         self.tables += [PlacedTable(table, data_name, group, folder) for table in on_site]
         self.files |= format_table_files(folder, tables)
@@ -106,10 +106,10 @@ def _build_contents(results: LeaderboardResults, *, site: bool = False) -> _Lead
     if site:
         page = f"{SITE_FOLDER}/index.html"
         contents.page += [
-            f"To sort, to filter, and every scene to play: [{page}]({page}), which any browser opens.",
+            f"Interactive tables and a player of every scene: open [{page}]({page}) in a browser.",
             "",
         ]
-    contents.page += ["What each number is: `docs/metrics.md` of challenger-bench.", ""]
+    contents.page += ["Definitions of all numbers: `docs/metrics.md` of challenger-bench.", ""]
     for sections in SECTIONS:
         for section in sections(results):
             contents.add(section)
@@ -147,10 +147,10 @@ def find_stale_files(results: LeaderboardResults, folder: Path, *, site: bool = 
         if not path.is_file():
             sentences.append(f"{path} is missing")
         elif not _is_same_file(path, content):
-            sentences.append(f"{path} differs from what the run records say")
+            sentences.append(f"{path} differs from the run records")
     return [
         *sentences,
-        *(f"{path} is a file that the run records no longer give" for path in _find_left_over(files, folder)),
+        *(f"{path} is no longer produced from the run records" for path in _find_left_over(files, folder)),
     ]
 
 
@@ -177,7 +177,7 @@ def _require_own_site(folder: Path) -> None:
         not path.is_dir() and not is_leftover(path) for path in folder.rglob("*")
     ):
         raise InputError(
-            f"{folder} holds files that are not the leaderboard's (it has no {INDEX_PATH}); move it away, name another "
+            f"{folder} holds files of no leaderboard (it has no {INDEX_PATH}); move it away, name another "
             "folder with --to, or leave the site out with --no-site"
         )
 

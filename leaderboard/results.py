@@ -88,14 +88,14 @@ def _require_one_split(records: Sequence[RunRecord]) -> None:
         if same is not None and record is not same and record.run.split != "adv":
             raise InputError(
                 f"{record.directory} and {same.directory} hold the same scenes of {record.run.data.name} as split "
-                f"{record.run.split} and as split adv; remove the first, which is no {record.run.split}"
+                f"{record.run.split} and as split adv; remove the first, which is not {record.run.split}"
             )
         adversarial_scenes = sorted(
             name for name, facts in record.run.scene_facts.items() if facts.manoeuvre is not None
         )
         if adversarial_scenes and record.run.split == "val":
             raise InputError(
-                f"{record.directory} calls scenes val that have a generated adversary ({adversarial_scenes[0]}); "
+                f"{record.directory} lists scenes with a generated adversary ({adversarial_scenes[0]}); "
                 "remove it and run "
                 "challenger-bench eval --split adv"
             )
@@ -110,9 +110,9 @@ NUMBERS: Final = "results.json"
 _HEAD: Final = """\
 # Measured on the embedded data set
 
-Written by `challenger-bench demo --full`; do not edit. With `--check` the same command says whether it is current.
-The miniatures (`docs/miniatures.md`) show the pipeline and rank nothing: no number here says anything about the full
-models. What each number is: `docs/metrics.md`.
+Written by `challenger-bench demo --full`; do not edit. With `--check` the same command tests whether it is current.
+The miniatures (`docs/miniatures.md`) show the pipeline and are not for ranking: no number here applies to the full
+models. Definitions of the numbers: `docs/metrics.md`.
 """
 
 
@@ -134,7 +134,7 @@ def write_results(
         "page_sha256": hashlib.sha256(page).hexdigest(),
         "tables": [table.as_json() for table in tables],
     }
-    # The numbers come last: they vouch for the page.
+    # The numbers are written last: they certify the page.
     write_bytes(folder / PAGE, page)
     write_json(folder / NUMBERS, numbers)
     return [folder / PAGE, folder / NUMBERS]
@@ -173,5 +173,5 @@ def find_stale_results(folder: Path, made_from: Mapping[str, Any]) -> list[str]:
     ]
     page = folder / PAGE
     if not page.is_file() or hashlib.sha256(page.read_bytes()).hexdigest() != numbers.get("page_sha256"):
-        reasons.append(f"{page} is not what was written with {folder / NUMBERS}")
+        reasons.append(f"{page} does not match {folder / NUMBERS}")
     return reasons

@@ -103,10 +103,7 @@ def test_with_all_gone_every_core_module_imports(tmp_path: Path) -> None:
     core = sorted(name for name in modules() if "extensions" not in name.split(".") and not name.endswith("__main__"))
     done = run_all_absent(["-c", IMPORTED, *core], ROOT, of=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert (
-        done.stdout
-        == "benchmark.write_films: this needs the extension films, which is not installed here; install it\n"
-    )
+    assert done.stdout == "benchmark.write_films: this needs the extension films, which is not installed; install it\n"
 
 
 def test_with_all_gone_the_tests_of_the_core_collect(tmp_path: Path) -> None:

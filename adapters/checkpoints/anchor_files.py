@@ -1,6 +1,6 @@
 """Anchors of a data set on disk: what ``challenger-bench weights anchors`` writes.
 
-What a data set holds of the things that queries are for: boxes, map elements, futures and plans.
+Samples of a data set for fitting anchors: boxes, map elements, futures and plans.
 
 UniAD's motion anchors: typical forecasts, published as a pickle beside the checkpoint and not in it.
 """
@@ -47,18 +47,18 @@ def read_motion_anchors(path: Path) -> Tensor:
     held = read_pickle(path)
     groups = held.get(_LIST) if isinstance(held, dict) else None
     if not isinstance(groups, list | tuple | np.ndarray):
-        raise InputError(f"{path} has no list {_LIST!r}, so it holds no motion anchors; get {FILE} (weights list)")
+        raise InputError(f"{path} has no list {_LIST!r} and so no motion anchors; get {FILE} (weights list)")
     shapes = {_shape(group) for group in groups}
     if len(groups) != _SHAPE[0] or shapes != {_SHAPE[1:]}:
         summary = f"{len(groups)} of {', '.join(map(str, sorted(shapes, key=str))) or 'nothing'}"
         raise InputError(
-            f"the motion anchors in {path} are {summary}, and UniAD needs {_SHAPE[0]} arrays of {_SHAPE[1:]}; "
+            f"the motion anchors in {path} are {summary}, but UniAD needs {_SHAPE[0]} arrays of {_SHAPE[1:]}; "
             f"get {FILE} "
             "(weights list)"
         )
     anchors = np.stack([np.asarray(group, np.float64) for group in groups])
     if not np.isfinite(anchors).all() or np.abs(anchors).max() > FARTHEST_WAYPOINT_M:
-        raise InputError(f"the motion anchors in {path} hold numbers that are no metres; get {FILE} (weights list)")
+        raise InputError(f"the motion anchors in {path} hold implausible values; get {FILE} (weights list)")
     return torch.from_numpy(anchors).float()
 
 
@@ -79,13 +79,13 @@ def add_motion_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path)
     """Tensors of UniAD and its anchors; those of another model, or with other anchors, are refused."""
     if not _is_uniad(tensors):
         raise InputError(
-            f"{anchors} is no .safetensors file, so would be anchors of UniAD, and {path} is no checkpoint of UniAD; "
-            "give what weights anchors has written, or leave --anchors out"
+            f"{anchors} is not a .safetensors file, so for UniAD, but {path} is not a checkpoint of UniAD; "
+            "give the output of weights anchors, or leave --anchors out"
         )
     read = read_motion_anchors(anchors)
     present = tensors.get(MOTION_ANCHORS)
     if present is not None and not (present.shape == read.shape and bool(torch.equal(present.float(), read))):
-        raise InputError(f"{path} has motion anchors of its own, which are not those of {anchors}; leave --anchors out")
+        raise InputError(f"{path} already has motion anchors, different from {anchors}; leave --anchors out")
     return {**tensors, MOTION_ANCHORS: read}
 
 
@@ -112,7 +112,7 @@ def collect_anchor_samples(data: DataSet, split: str | None, config: SparseConfi
     an `InputError`.
     """
     if config.steps != PLAN_STEPS:
-        raise InputError(f"a data set has plans of {PLAN_STEPS} steps, and the network needs {config.steps}")
+        raise InputError(f"a data set has plans of {PLAN_STEPS} steps, but the network needs {config.steps}")
     boxes: list[Floats] = [np.zeros((0, 3))]
     middles: list[Floats] = [np.zeros((0, 2))]
     futures: list[list[Floats]] = [[np.zeros((0, config.agent_steps, 2))] for _ in DETECTION_CLASSES]
@@ -243,14 +243,14 @@ def write_anchors(model: str, data: DataSet, split: str | None, path: Path) -> A
         path: A .safetensors file to write.
 
     Returns:
-        What was written; the same data give the same bytes.
+        Facts of the written file; the same data give the same bytes.
 
     Raises:
         InputError: If the model has no anchors, the data set is too small, or the file cannot be written.
     """
     known = {name: entry for name, entry in published_models().items() if entry.net.clustered}
     if model not in known:
-        raise InputError(f"{model!r} is no model with anchors; those are {', '.join(known)}")
+        raise InputError(f"{model!r} is not a model with anchors; use one of {', '.join(known)}")
     config = known[model].configuration()
     samples = collect_anchor_samples(data, split, config)
     counts = {

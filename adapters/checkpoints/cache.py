@@ -1,6 +1,6 @@
 """Imported weights on disk: one safetensors file a checkpoint, which says where it comes from.
 
-What ``challenger-bench weights list`` says: which published weights there are, and which of them are here.
+Output of ``challenger-bench weights list``: known published weights, and those imported here.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ class Provenance(BaseModel):
 
     Attributes:
         normalisation: Which pixel values they want (`adapters.camera_inputs.NORMALISATIONS`).
-        normalisation_from: Who says so: ``configuration`` of the file itself, ``publication`` or ``user``.
+        normalisation_from: Source of that: ``configuration`` of the file itself, ``publication`` or ``user``.
         licence: Of the weights, as far as is known.
         number_types: Number types in the source; the file here has the model's.
         anchors_sha256: Of the anchors that they were given, if they came without.
@@ -105,7 +105,7 @@ def _provenance(path: Path, facts: Any) -> Provenance:
         return Provenance.model_validate(facts)
     except ValidationError as error:
         raise InputError(
-            f"{path} does not say which model its weights are for; import the official .pth file with: "
+            f"{path} does not name the model of its weights; import the official .pth file with: "
             "challenger-bench weights import PATH"
         ) from error
 

@@ -1,6 +1,6 @@
 """A foreign checkpoint becomes weights of ours, once; ``--checkpoint`` of either form becomes a weights file.
 
-Whether tensors are the weights of a model, and of which one.
+Matching of tensors with the weights of known models.
 """
 
 import re
@@ -79,12 +79,12 @@ class TensorMatch:
 
     @property
     def fits(self) -> bool:
-        """Whether these are weights of the model."""
+        """Whether the tensors are weights of the model."""
         return not (self.missing or self.extra or self.misshapen or self.mistyped)
 
     @property
     def lacks_anchors(self) -> bool:
-        """Whether nothing is wrong but that the anchors are in a file of their own."""
+        """Whether the only difference is that the anchors are in a separate file."""
         return replace(self, missing=()).fits and self.missing == (self.model.net.anchors,)
 
     def differences(self) -> str:
@@ -135,7 +135,7 @@ def match_model(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -
         raise InputError(
             f"{path}: {pluralise(len(broken), 'tensor')} hold NaN or infinity (first: {broken[0]}); the file is "
             "damaged or the "
-            "training diverged, get another"
+            "training diverged; get another file"
         )
     return model, converted
 
@@ -147,7 +147,7 @@ def _describe_mismatch(path: Path, compared: Sequence[TensorMatch], wanted: str 
     bare = next((match for match in compared if match.lacks_anchors and wanted in (None, match.model.name)), None)
     if bare is not None:
         return (
-            f"{path} comes without motion anchors, which {bare.model.name} has in a file of its own; get it "
+            f"{path} comes without motion anchors, which {bare.model.name} has in a separate file; get it "
             f"(challenger-bench weights list), then run: challenger-bench weights import {path.name} "
             f"--anchors {ANCHORS_FILE}"
         )
@@ -155,7 +155,7 @@ def _describe_mismatch(path: Path, compared: Sequence[TensorMatch], wanted: str 
     nearest = by_name[wanted] if wanted else max(compared, key=lambda found: found.agreeing)
     if not nearest.agreeing:
         target = wanted or f"any of {', '.join(by_name)}"
-        return f"{path} has no tensor that belongs to {target}; it is a checkpoint of something else"
+        return f"{path} has no tensor of {target}; give a checkpoint of one"
     return (
         f"{path} is not a checkpoint of {nearest.model.name}"
         f"{'' if wanted else ', which it resembles most'}: of its tensors, {nearest.differences()}; get the official "
@@ -186,8 +186,9 @@ class ImportedWeights:
         """Sentence about the weights."""
         known = self.provenance
         return (
-            f"{self.path}: {known.model}, {pluralise(self.tensors, 'tensor')}, {self.parameters / 1e6:.1f} M numbers, "
-            f"pixel values {known.normalisation} (said by: {known.normalisation_from})"
+            f"{self.path}: {known.model}, {pluralise(self.tensors, 'tensor')}, {self.parameters / 1e6:.1f} M "
+            "parameters, "
+            f"pixel values {known.normalisation} (source: {known.normalisation_from})"
         )
 
 
@@ -318,8 +319,8 @@ def _find_normalisation(path: Path, configuration: str, model: Model, requested:
         if mean == list(variant.mean) and std == list(variant.std) and (match[3] == "True") == variant.rgb:
             return name, "configuration"
     raise InputError(
-        f"{path} was trained with pixel values that no normalisation here has ({' '.join(match[0].split())}); say "
-        f"which to use with --normalisation, one of {', '.join(NORMALISATIONS)}"
+        f"{path} was trained with pixel values of an unknown normalisation ({' '.join(match[0].split())}); choose "
+        f"one with --normalisation: {', '.join(NORMALISATIONS)}"
     )
 
 

@@ -48,12 +48,12 @@ def import_weights(
 
     Args:
         path: An official ``.pth`` file, or a folder of published weights.
-        model: What it must be for; found out if not given.
+        model: Model that it must be for; detected if not given.
         normalisation: Name of the pixel normalisation that a checkpoint wants, if the file is wrong on it.
         anchors: For checkpoints that come without (`adapters.checkpoints.checkpoint_import.import_checkpoint`).
 
     Returns:
-        What is in the cache now.
+        The imported weights in the cache.
 
     Raises:
         InputError: If the file or folder is refused, or the cache cannot be written.
@@ -72,7 +72,7 @@ def fetch_weights(name: str, *, normalisation: str | None = None) -> ImportedWei
         normalisation: Name of the pixel normalisation that a checkpoint wants, if the file is wrong on it.
 
     Returns:
-        What is in the cache now.
+        The fetched weights in the cache.
 
     Raises:
         InputError: If the name is unknown, or a file cannot be fetched or is not the published one.
@@ -122,7 +122,7 @@ def _weights_file(model: Model, checkpoint: Path | None) -> Path:
         return resolve_checkpoint(model.weights or model.name, checkpoint)
     if not model.packaged.is_file():
         raise InputError(
-            f"the weights of {model.name} are not in this installation; train them with: challenger-bench train "
+            f"the weights of {model.name} are missing in this installation; train them with: challenger-bench train "
             f"planner --model {model.name}, and give the file with --checkpoint"
         )
     return resolve_checkpoint(model.name, model.packaged)

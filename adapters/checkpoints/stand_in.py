@@ -30,7 +30,7 @@ def has_weights(name: str) -> bool:
     model, folder = MODELS[name], weights_root()
     if not any(folder.glob("*.safetensors")):
         return False
-    # Which model they are for stands in the files.
+    # The files name their model.
     from adapters.checkpoints.cache import cached_weights
 
     return bool(cached_weights(folder, model.weights or model.name))
@@ -50,7 +50,7 @@ def require_weights(name: str, checkpoint: Path | None) -> None:
 def missing_weights_error(model: str) -> InputError:
     """Error that says that a full model has no weights."""
     small = miniature_of(model)
-    instead = "" if small is None else f"; or try its small sibling, which comes with this package: --model {small}"
+    instead = "" if small is None else f"; or try its packaged miniature: --model {small}"
     return InputError(f"there are no weights for {model}; {describe_how_to_get(model)}{instead}")
 
 

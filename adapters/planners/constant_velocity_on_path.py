@@ -1,7 +1,7 @@
-"""``constant-velocity-on-path``: along the recorded path at the present speed. What knowing the way alone achieves.
+"""``constant-velocity-on-path``: along the recorded path at the present speed. A baseline that knows only the path.
 
-Privileged: sees where the recorded car drove, before and after. It sees neither when it drove there nor anybody else:
-it brakes for nobody. In closed loop it goes on from the point of the path that is nearest to the car.
+Privileged: sees where the recorded car drove, before and after. It sees neither the times nor other road users,
+so it never brakes. In closed loop it continues from the point of the path that is nearest to the car.
 """
 
 import numpy as np
@@ -46,7 +46,7 @@ class ConstantVelocityOnPath:
         """
         if self._route is None and not len(self._path):
             raise RuntimeError(f"{self.name} plans only after reveal(scene)")
-        # As for constant-velocity: what is across the heading is noise, and nobody drives a path backwards.
+        # As for constant-velocity: velocity across the heading is noise, and paths are not driven backwards.
         speed = max(float(observation.ego.velocity[0]), 0.0)
         ahead = speed * PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
         if self._route is not None:

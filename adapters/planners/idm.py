@@ -65,8 +65,8 @@ def obstacles_along(
 ) -> Obstacles:
     """Others that will be in the corridor.
 
-    What goes along the path keeps its velocity relative to it, sideways only for a while (`foresight_s`), so that the
-    cars of the next lane stay there in a bend. What comes towards the car keeps to its side. What crosses goes
+    Objects along the path keep their velocity relative to it, sideways only for a while (`foresight_s`), so that the
+    cars of the next lane stay there in a bend. An oncoming object keeps to its side. A crossing one goes
     straight on.
 
     `boxes` are (A, 5) present ones and `velocity` (A, 2) m/s, global; `seconds` (K,) instants from now;
@@ -77,7 +77,7 @@ def obstacles_along(
     heading_there = np.where(expected.crossing[:, None], path.heading_at(expected.along), expected.heading[:, None])
     half_along, half_across = _half_extents(boxes, heading_there)
     inside = np.abs(expected.left) - half_across < 0.5 * EGO_WIDTH_M + side_margin_m
-    # What lies before the start or beyond the end of the path has no place beside it.
+    # Objects before the start or beyond the end of the path have no position along it.
     inside &= expected.ahead[:, None] & (expected.along > 0.0) & (expected.along < path.arc_length[-1])
     return Obstacles(
         rear=np.where(inside, expected.along - half_along, np.inf),
@@ -94,7 +94,7 @@ def expected_centres(path: LanePath, boxes: Floats, velocity: Floats, seconds: F
     now_and_then = np.concatenate([[0.0], seconds])
     expected = _expect_places(path, boxes, velocity, now_and_then, foresight_s)
     beside = _to_points(path, expected.along, expected.left)
-    # A point far from a bend is not quite where its place beside the path is; its motion is taken, from where it is.
+    # Far from a bend, path coordinates distort positions; the motion is added to the true position instead.
     following = boxes[:, None, :2] + beside[:, 1:] - beside[:, :1]
     straight = boxes[:, None, :2] + velocity[:, None] * seconds[:, None]
     return np.where(expected.crossing[:, None, None], straight, following)
@@ -110,7 +110,7 @@ def _expect_places(
     crossing, oncoming = (turned > _CROSSING_RAD) & (turned < _ONCOMING_RAD), turned >= _ONCOMING_RAD
 
     forward, sideways = _along_and_left(velocity, heading)
-    # What follows behind cannot lead, even where, going on as it does, it would drive through the ego.
+    # A follower behind cannot be a leader, even if its extrapolation drives through the ego.
     ahead = crossing | (along > 0.0)
     sideways_s = np.where(oncoming[:, None], 0.0, np.minimum(seconds, foresight_s))
     straight = boxes[:, None, :2] + velocity[:, None] * seconds[:, None]

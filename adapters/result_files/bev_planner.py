@@ -20,7 +20,7 @@ from adapters.result_files.uniad import SAME_M, unwrap_entries
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats
 
-_ADVICE: Final = "plans of another split or moved by some places cannot be judged, make the file again"
+_ADVICE: Final = "plans of another split or shifted ones cannot be scored; make the file again"
 
 
 def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
@@ -59,7 +59,7 @@ def read_json(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     refused.
     """
     if not isinstance(content["trajs"], dict):
-        refuse(path, "shape", "its trajs are no object", "make the file again with the official script")
+        refuse(path, "shape", "its trajs are not an object", "make the file again with the official script")
     plans: dict[int, Floats] = {}
     for name, way in content["trajs"].items():
         row = _find_row(path, name, samples)
@@ -94,7 +94,7 @@ def _find_row(path: Path, name: Any, samples: RecordedSamples) -> int:
         refuse(path, "count", f"it names sample {index} of {len(samples.by_table)} of {samples.name}", _ADVICE)
     row = int(samples.by_table[index])
     if samples.scenes[row] != scene:
-        refuse(path, "order", f"its sample {index} is of {scene}, in the data it is of {samples.scenes[row]}", _ADVICE)
+        refuse(path, "order", f"its sample {index} is of {scene}, but in the data of {samples.scenes[row]}", _ADVICE)
     return row
 
 

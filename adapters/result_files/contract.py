@@ -1,4 +1,4 @@
-"""What a family of result files gives: plans in the file's own frame, and which sample each belongs to."""
+"""Contract of a family of result files: plans in the file's own frame, and the sample of each."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -21,7 +21,7 @@ LONG_PLAN_STEPS: Final = 12
 
 
 LACKS: Final = ("forecasts of others", "alternatives with scores", "speed of the planner", "plans beyond 3 s")
-"""What no format gives: some hold the first two, in forms that nobody has described."""
+"""Facts that no format gives: some hold the first two, in undocumented forms."""
 ROUNDED: Final = (*LACKS, "positions finer than 0.01 m")
 """The same of texts."""
 
@@ -47,7 +47,7 @@ class FilePlans:
         rows: (N,) sample of each plan, in the order of the file.
         waypoints: (N, K, 2) positions, metres; K is 6, or 12 of planners that plan 6 s.
         order: How the samples are known.
-        shown_by: What shows it, in words that fit behind "the order is proven: ".
+        shown_by: Evidence of the order, in words that fit behind "the order is proven: ".
         skipped: Samples without a readable plan, and why, by token.
         duplicates: Entries that repeat another one.
         repaired: Plans that the repository itself completes because the answer was too short or too long.
@@ -71,10 +71,10 @@ class ResultFormat:
 
     Attributes:
         name: As ``--format`` takes it.
-        repositories: Whose files have it.
+        repositories: Repositories that write the format.
         native: Protocol of these repositories, if it is known here.
         read: Finds plans and samples in the content of a file; raises `RefusedFileError`.
-        lacks: What the record therefore does not have, in words that fit behind "the record has no ".
+        lacks: Facts that the record therefore lacks, in words that fit behind "the record has no ".
         by_place: Whether samples are known by their place in the list alone.
     """
 
@@ -104,14 +104,16 @@ def find_rows(path: Path, tokens: list[Any], samples: RecordedSamples) -> Rows:
     known = samples.row_of
     for token in tokens:
         if not isinstance(token, str):
-            refuse(path, "token", f"it names a sample {to_one_line(token, 40)!r}, which is no token", "make it again")
+            refuse(
+                path, "token", f"it names a sample {to_one_line(token, 40)!r}, which is not a token", "make it again"
+            )
     unknown = [token for token in tokens if token not in known]
     if unknown:
         which = f"{len(unknown)} of its {len(tokens)} samples, the first {to_one_line(unknown[0], 64)!r},"
         other = None if samples.others is None else samples.others.first(lambda tokens: unknown[0] in tokens)
         if other is not None:
             fault = f"{which} are samples of split {other!r}, not of {samples.name}"
-            refuse(path, "token", fault, f"judge it with --split {other}")
+            refuse(path, "token", fault, f"score it with --split {other}")
         advice = "name the data and the split that the planner ran on with --data and --split"
         refuse(path, "token", f"{which} are none of {samples.name}", advice)
     return np.array([known[token] for token in tokens], np.int64)
@@ -122,7 +124,7 @@ def refuse_duplicates(path: Path, rows: Rows, samples: RecordedSamples) -> None:
     distinct, counts = np.unique(rows, return_counts=True)
     if (counts > 1).any():
         token = samples.tokens[int(distinct[counts > 1][0])]
-        refuse(path, "duplicate", f"sample {token} stands in it {counts.max()} times", "make it again from one run")
+        refuse(path, "duplicate", f"it holds sample {token} {counts.max()} times", "make it again from one run")
 
 
 def read_numbers(path: Path, value: Any, where: str, *shapes: tuple[int | None, ...]) -> Floats:
@@ -145,12 +147,12 @@ def read_numbers(path: Path, value: Any, where: str, *shapes: tuple[int | None, 
         refuse(path, "shape", f"{where} is {have}, not {expected}", "make the file again with the official script")
     numbers: Floats = array.astype(np.float64)
     if not np.isfinite(numbers).all():
-        refuse(path, "not_finite", f"{where} has NaN or infinity in it", "a plan without numbers is none: leave it out")
+        refuse(path, "not_finite", f"{where} contains NaN or infinity", "a plan without numbers is none: leave it out")
     return numbers
 
 
 def _has_booleans(value: Any) -> bool:
-    """Whether nested lists hold true or false, which would count as 1 and 0 metres."""
+    """Whether nested lists hold booleans, which would count as 1 and 0 metres."""
     if isinstance(value, list | tuple):
         return any(_has_booleans(element) for element in value)
     return isinstance(value, bool)

@@ -1,6 +1,6 @@
 """The main path of an import: recognise, read, match with samples, check, convert.
 
-Whether plans of result files can be what their format says (`benchmark.untrusted`).
+Plausibility of plans in result files under their format (`benchmark.untrusted`).
 """
 
 from collections.abc import Collection, Sequence
@@ -23,7 +23,7 @@ from benchmark.untrusted.files import RefusedFileError
 from benchmark.untrusted.plan_plausibility import ComparedPlans, FrameName, Plausibility, measure_plausibility
 from benchmark.untrusted.plan_verdicts import format_refusal
 
-_TOO_FAR = "such plans are not judged: check which script wrote the file"
+_TOO_FAR = "such plans are not scored; check which script wrote the file"
 
 
 def require_plausible(
@@ -32,7 +32,7 @@ def require_plausible(
     """Refuse plans that fit far better in another unit, frame or origin; give what was measured.
 
     `plans` are (N, K, 2) positions of the lidar, x right, y forward, as the format says, `rows` (N,) their samples.
-    `as_is` takes plans as they stand, whatever would fit better; not what no plan can be. The refusal has the category
+    `as_is` takes plans unchanged, even if another fits better, but not impossible ones. The refusal has the category
     of the first test that fails, and what would fit.
     """
     complete = samples.complete[rows]
@@ -42,7 +42,7 @@ def require_plausible(
     far = np.abs(plans).max(axis=(1, 2), initial=0.0)
     if far.max(initial=0.0) > FARTHEST_WAYPOINT_M:
         token = samples.tokens[int(rows[far.argmax()])]
-        what = f"the plan of sample {token} reaches {far.max():.3g} m, which is a mistake of units or frame"
+        what = f"the plan of sample {token} reaches {far.max():.3g} m, so its units or frame are wrong"
         refuse(path, "unit", what, _TOO_FAR)
     return plausibility
 
@@ -76,7 +76,7 @@ def import_results(
     """Plans of the result files of one run.
 
     Where only some `scenes` are evaluated, a file without tokens may be of them alone. `frame` is that of the
-    waypoints, if it is not that of the format; `as_is` takes plans as they stand, whatever would fit better. Files of
+    waypoints, if it is not that of the format; `as_is` takes plans unchanged, even if another fits better. Files of
     different formats are an `InputError`; a damaged or hostile file, or plans of other samples or such as cannot be, a
     `RefusedFileError`.
     """
@@ -84,13 +84,13 @@ def import_results(
     for other in opened[1:]:
         if other.format is not first.format:
             raise InputError(
-                f"{first.path} has the format {first.format.name} and {other.path} {other.format.name}; judge them "
+                f"{first.path} has the format {first.format.name} and {other.path} {other.format.name}; score them "
                 "one by one"
             )
     if len(opened) > 1 and first.format.by_place:
         raise InputError(
             f"files of the format {first.format.name} name no samples, so each is the whole of what was evaluated; "
-            "judge them one by one, with --scenes where they are of some scenes"
+            "score them one by one, with --scenes if they cover only some scenes"
         )
     parts = [_read(file, samples, scenes) for file in opened]
     joined = _join_files(parts, opened, samples)
@@ -145,7 +145,7 @@ def _join_files(parts: Sequence[FilePlans], opened: Sequence[RecognisedFile], sa
         for row, plan in zip(part.rows.tolist(), part.waypoints):
             if row in at:
                 if not np.array_equal(waypoints[at[row]], plan):
-                    fault = f"sample {samples.tokens[row]} has another plan than in a file before"
+                    fault = f"sample {samples.tokens[row]} has another plan than in an earlier file"
                     refuse(file.path, "duplicate", fault, "name files of one run")
                 repeated += 1
                 continue

@@ -57,8 +57,8 @@ class ResultFileFactory:
 
     Attributes:
         facts: Its identity: name and hash of the files.
-        plans_from: What the files say, for the record.
-        caveats: What the record has to say of plans that were taken as they stand.
+        plans_from: Facts read from the files, for the record.
+        caveats: Notes in the record on plans that were taken unchanged.
     """
 
     facts: PlannerFacts
@@ -93,7 +93,7 @@ class ResultFileFactory:
         if plans_from.duplicates:
             lines.append(f"{pluralise(plans_from.duplicates, 'entry', 'entries')} repeated and left out")
         if plans_from.steps == LONG_PLAN_STEPS:
-            lines.append("plans of 6 s: protocols judge the first 3 s of a planner that was trained for 6 s")
+            lines.append("plans of 6 s: protocols use the first 3 s of a planner that was trained for 6 s")
         return [*lines, describe_checks(plans_from.checks), f"the record has no {', no '.join(plans_from.lacks)}"]
 
 
@@ -118,7 +118,7 @@ def result_file_factory(
         name: Shown in tables; the first file's name without its ending by default.
         native: Protocol of the repository that the planner comes from, if it is not that of the format.
         frame: Frame of the waypoints, ``lidar`` or ``ego``, if it is not that of the format.
-        as_is: Take plans as they stand, whatever unit, frame, origin or time would fit better; the record says so.
+        as_is: Take plans unchanged, even if another unit, frame, origin or time fits better; the record notes it.
 
     Returns:
         A factory for `benchmark.evaluation.evaluate`.

@@ -41,7 +41,7 @@ _STARTS: Final[dict[bytes, str]] = {
     b"PK": "a zip archive, such as PyTorch's checkpoints",
     b"\x1f\x8b": "gzip",
     b"\x93NUMPY": "a numpy array",
-    b"<": "a web page: the server answered with something to click on",
+    b"<": "a web page, such as a download page, not the file itself",
 }
 _ADVICE: Final = "a result file is what the repository's own evaluation writes (docs/your-results.md)"
 
@@ -71,7 +71,7 @@ def unknown_format_error(name: str, known: Collection[str]) -> InputError:
     """
     of_planner = [result_format.name for result_format in FORMATS.values() if name.lower() in result_format.planners]
     suggested = f"did you mean {' or '.join(of_planner)}? " if of_planner else did_you_mean(name, known)
-    return InputError(f"no format {name!r}; {suggested}known are {', '.join(known)}")
+    return InputError(f"no format {name!r}; {suggested}use one of {', '.join(known)}")
 
 
 def recognise(path: Path, wanted: str = AUTO) -> RecognisedFile:
@@ -90,7 +90,7 @@ def recognise(path: Path, wanted: str = AUTO) -> RecognisedFile:
     """
     require_name(path)
     if not path.exists():
-        raise InputError(f"there is no result file {path}; name one that is there")
+        raise InputError(f"there is no result file {path}; name an existing one")
     recognised = _recognise_folder(path) if path.is_dir() else _recognise_file(path)
     if wanted not in (AUTO, recognised.format.name):
         raise InputError(f"{path} has the format {recognised.format.name}, not {wanted}; leave --format out")
@@ -122,7 +122,7 @@ def _recognise_folder(path: Path) -> RecognisedFile:
 def _recognise_file(path: Path) -> RecognisedFile:
     start = first_bytes(path)
     if not start:
-        refuse(path, "empty", "it has no bytes", "copy or make it again")
+        refuse(path, "empty", "it is empty", "copy or make it again")
     if start[0] == _PICKLE and len(start) > 1 and start[1] in _PROTOCOLS:
         content = read_result_pickle(path)
         return RecognisedFile(path, _recognise_pickle(path, content), content)
@@ -130,7 +130,7 @@ def _recognise_file(path: Path) -> RecognisedFile:
         return _recognise_json(path)
     known = next((description for begin, description in _STARTS.items() if start.lstrip().startswith(begin)), None)
     text = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in start[:16])
-    refuse(path, "unknown", f"it is {known}" if known else f"it begins with {text!r}, which no format does", _ADVICE)
+    refuse(path, "unknown", f"it is {known}" if known else f"it begins with {text!r}, which matches no format", _ADVICE)
 
 
 def _recognise_json(path: Path) -> RecognisedFile:
@@ -189,7 +189,7 @@ def _recognise_entries(path: Path, entries: Any) -> ResultFormat:
     first = entries[0] if isinstance(entries[0], dict) else {}
     if "token" in first:
         if "planning_traj" not in first:
-            refuse(path, "no_plan", "it is of UniAD's first stage, which tracks and does not plan", _ADVICE)
+            refuse(path, "no_plan", "it comes from UniAD's first stage, which tracks but does not plan", _ADVICE)
         return uniad.FORMAT
     if isinstance(first.get("img_bbox"), dict) and "final_planning" in first["img_bbox"]:
         return sparsedrive.FORMAT
@@ -199,7 +199,7 @@ def _recognise_entries(path: Path, entries: Any) -> ResultFormat:
         return bev_planner.OUT
     if "metric_results" in first:
         fault = f"its entries hold metrics and no plan, as LAW's do (format {NO_PLANS})"
-        refuse(path, "no_plan", fault, "have the planner's own code keep its trajectory, this file has none to judge")
+        refuse(path, "no_plan", fault, "change the planner's code to store its trajectory; this file has none to score")
     if any(isinstance(first.get(key), dict) for key in ("img_bbox", "pts_bbox")):
         refuse(path, "no_plan", "its entries hold boxes and no plan", _ADVICE)
     refuse(path, "unknown", "its pickle holds a list of entries of no known format", _ADVICE)

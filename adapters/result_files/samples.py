@@ -1,4 +1,4 @@
-"""What an importer must know of the samples that plans belong to: tokens, poses, recorded lidar futures, orders.
+"""Facts of samples that importers need: tokens, poses, recorded lidar futures, orders.
 
 Turning points in the plane.
 """
@@ -62,7 +62,7 @@ class RecordedSamples:
     """S samples.
 
     Attributes:
-        name: What they are of, for messages.
+        name: Name of their source, for messages.
         tokens: S sample tokens.
         scenes: S scene names.
         timestamps_us: (S,) keyframe times.
@@ -112,7 +112,7 @@ class RecordedSamples:
         return np.where(x <= -COMMAND_LATERAL_M, Command.LEFT, turned).astype(np.int64)
 
     def may_have_command(self, row: int, command: int) -> bool:
-        """Whether a stored command may be that of a sample."""
+        """Whether a stored command is possible for a sample."""
         if command == self.commands[row]:
             return True
         x = float(self._last_lateral_m[row])

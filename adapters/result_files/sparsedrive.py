@@ -54,7 +54,7 @@ def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
 
 
 def _reveals_command(path: Path, at: int, row: int, plan: Floats, held: Any, samples: RecordedSamples) -> bool:
-    """Whether the entry's modes say by which command it chose; refuses one that chose by another than ours."""
+    """Whether the entry's modes reveal the command it used; refuses an entry that used another than ours."""
     if held.get("planning") is None or held.get("planning_score") is None:
         return False
     modes = read_numbers(path, held["planning"], f"the modes of entry {at}", (COMMANDS, None, len(plan), 2))
@@ -63,14 +63,14 @@ def _reveals_command(path: Path, at: int, row: int, plan: Floats, held: Any, sam
     fits = np.abs(best - plan).max(axis=(1, 2)) <= SAME_M
     if not fits.any() and (np.abs(best * MIRRORED - plan).max(axis=(1, 2)) <= SAME_M).any():
         fault = f"the plan of entry {at} is one of its modes with left and right exchanged"
-        refuse(path, "frame", fault, "the list was dumped after its metric had changed it: dump it before")
+        refuse(path, "frame", fault, "the list was dumped after its metric had changed it; dump it before that")
     if not any(fits[command] and samples.may_have_command(row, command) for command in range(COMMANDS)):
         refuse(
             path,
             "order",
             f"the plan of entry {at} is not the best one of the command of sample {samples.tokens[row]}, whose place "
             "that would be",
-            "plans of another split or moved by some places cannot be judged, make the file again",
+            "plans of another split or shifted ones cannot be scored; make the file again",
         )
     return not bool(fits.all())
 

@@ -11,18 +11,18 @@ from benchmark.machine.storage import content_seed, make_token
 from benchmark.planning import Plan, PlanFrame
 
 SINGLE_M: Final = 2e-5
-"""What single precision and summed offsets lose of a plan."""
+"""Error of a plan from single precision and summed offsets."""
 TEXT_M: Final = 0.0051
-"""What two decimals lose."""
+"""Error from rounding to two decimals."""
 OMNIDRIVE_M: Final = 0.032
-"""What OmniDrive loses beside that: it writes what rounds to 0.01 as zero, and headings hang on short chords."""
+"""Further error of OmniDrive: it writes values that round to 0.01 as zero, and headings rest on short chords."""
 GLOBAL_M: Final = 2e-4
-"""What single precision loses of global coordinates of some kilometres."""
+"""Error of single precision for global coordinates of some kilometres."""
 PRECISION_M: Final = {
     "bev-planner-json": GLOBAL_M, "omnidrive": OMNIDRIVE_M, "opendrivevla": TEXT_M, "gptdriver-text": TEXT_M,
     "opendrivevla-conversation": TEXT_M,
 }  # fmt: skip
-"""What each format loses, where it is more than `SINGLE_M`."""
+"""Error of each format, if larger than `SINGLE_M`."""
 _KEYFRAMES: Final = 24
 _TURNS_RAD: Final = {"left": 0.06, "right": -0.07, "straight": 0.0, "stands": 0.0}
 

@@ -88,7 +88,7 @@ def read_gptdriver(path: Path, content: Any, samples: RecordedSamples) -> FilePl
     skipped = {}
     for row, (token, text) in zip(rows.tolist(), content.items()):
         if not isinstance(text, str) or len(text) > _LONGEST_ANSWER:
-            refuse(path, "shape", f"the answer of sample {token} is no text of ordinary length", "make the file again")
+            refuse(path, "shape", f"the answer of sample {token} is not an ordinary text", "make the file again")
         last = _SPACE.sub("", (text.strip().splitlines() or [""])[-1])
         pairs = read_pairs(last) if _LIST.fullmatch(last) else []
         if len(pairs) == PLAN_STEPS:
@@ -112,7 +112,7 @@ def _first_answer(path: Path, held: Any, token: str) -> str:
     answer = first.get("A") if isinstance(first, dict) and "Q" in first else None
     answer = answer[0] if isinstance(answer, list) and answer else answer
     if not isinstance(answer, str):
-        refuse(path, "shape", f"file {to_one_line(token, 64)} is no list of questions and answers", "make it again")
+        refuse(path, "shape", f"file {to_one_line(token, 64)} is not a list of questions and answers", "make it again")
     return answer
 
 

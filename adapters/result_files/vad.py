@@ -30,13 +30,13 @@ def read_results(path: Path, content: Any, samples: RecordedSamples) -> FilePlan
     """Plans of ``results_nusc.pkl``, of the stored commands; a command that is another sample's is refused."""
     stored = content["plan_results"]
     if not isinstance(stored, dict):
-        refuse(path, "shape", "its plan_results are no dictionary", "make the file again with the official script")
+        refuse(path, "shape", "its plan_results are not a dictionary", "make the file again with the official script")
     rows = find_rows(path, list(stored), samples)
     plans = []
     for row, (token, entry) in zip(rows.tolist(), stored.items()):
         where = f"of sample {token}"
         if not isinstance(entry, list | tuple) or len(entry) != 2:
-            refuse(path, "shape", f"the entry {where} is no pair of offsets and command", "make the file again")
+            refuse(path, "shape", f"the entry {where} is not a pair of offsets and command", "make the file again")
         plan, command = _select_plan(path, entry[0], entry[1], where)
         _require_command(path, row, command, samples)
         plans.append(plan)
@@ -75,7 +75,7 @@ def require_count(path: Path, found: int, wanted: int, samples: RecordedSamples)
         fault = f"it has {found} entries without tokens, and {samples.name} has {wanted} samples"
         other = None if samples.others is None else samples.others.first(lambda tokens: len(tokens) == found)
         if other is not None:
-            refuse(path, "count", f"{fault}; split {other!r} has {found}", f"judge it with --split {other}")
+            refuse(path, "count", f"{fault}; split {other!r} has {found}", f"score it with --split {other}")
         advice = "run the planner on exactly this split, or name the scenes that it ran on with --scenes"
         refuse(path, "count", fault, advice)
 
@@ -97,7 +97,7 @@ def _require_command(path: Path, row: int, command: int, samples: RecordedSample
             path,
             "order",
             f"the stored command of {place}sample {samples.tokens[row]} is {stored}, that of the data is {ours}",
-            "plans of another run or moved by some places cannot be judged, make the file again",
+            "plans of another run or shifted ones cannot be scored; make the file again",
         )
 
 
@@ -106,10 +106,10 @@ def _compare_metrics(path: Path, at: int, row: int, plan: Floats, stored: Any, s
     if not isinstance(stored, dict) or stored.get("fut_valid_flag") is None:
         return 0
     complete, token = bool(samples.complete[row]), samples.tokens[row]
-    advice = "plans moved by some places cannot be judged, make the file again with all samples"
+    advice = "shifted plans cannot be scored; make the file again with all samples"
     if bool(stored["fut_valid_flag"]) != complete:
         ends = "ends within" if complete else "goes on for"
-        refuse(path, "order", f"entry {at} says that its scene {ends} 3 s, which is not so of sample {token}", advice)
+        refuse(path, "order", f"entry {at} states that its scene {ends} 3 s, unlike that of sample {token}", advice)
     if not complete:
         return 0
     away_m = np.linalg.norm(plan - samples.future[row], axis=1)

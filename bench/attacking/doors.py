@@ -27,7 +27,7 @@ DOORS: Final = "doors-{seed}.jsonl"
 BASES: Final = {name: arguments(line) for name, line in TABLE["bases"].items()}
 """A cheap use of each command whose options are attacked."""
 REQUESTS: Final = 1000
-_SERVES: Final = "Ctrl-C ends it"
+_SERVES: Final = "stop it with Ctrl-C"
 """Whoever says so goes on for ever, and is interrupted."""
 ABSURD: Final[dict[str, str]] = {
     "zero": "0",
@@ -39,7 +39,7 @@ ABSURD: Final[dict[str, str]] = {
     "almost nothing": "1e-300",
     "nothing": "",
     "a blank": " ",
-    "a folder": "{case}/folder",
+    "an existing folder": "{case}/folder",
     "a file": "{case}/file.txt",
     "a file of a picture's name": "{case}/picture.png",
     "a folder of a table's name": "{case}/table.csv",
@@ -47,7 +47,7 @@ ABSURD: Final[dict[str, str]] = {
     "what is not there": "{case}/nowhere/at/all",
     "a path with a newline": "{case}/two\nlines",
     "a path with an escape": "{case}/\x1b[31mred",
-    "bytes that are no text": "{case}/\udcff\udcfe",
+    "bytes that are not text": "{case}/\udcff\udcfe",
     "a name of 5000 letters": "{case}/" + "x" * 5000,
     "a pipe that nobody writes to": "{case}/pipe",
     "a link to itself": "{case}/loop",

@@ -110,7 +110,7 @@ def agreement(setting: Setting, *, name: str) -> dict[str, Any]:
         checks = verify_model(name, golden, setting.device)
         worst = max(checks, key=lambda check: check.error / check.tolerance if check.tolerance else check.error)
         return {
-            "against": "numbers of the official code",
+            "against": "outputs of the official code",
             "quantities": len(checks),
             "outside": sum(not check.ok for check in checks),
             "worst": worst.quantity,

@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None, cases: tuple[Case, ...] = CASES
     parser.add_argument("--repeat", type=int, default=3, help="turns; the least time counts")
     parser.add_argument("--quick", action="store_true", help="small sizes, to see that it works")
     parser.add_argument("--json", action="store_true", help="figures as JSON, a line for each case")
-    parser.add_argument("--list", action="store_true", help="what there is")
+    parser.add_argument("--list", action="store_true", help="fitted")
     parser.add_argument("--against", type=Path, help="worktree of another commit, to compare with")
     parser.add_argument("--folder", help="where there is room; what is written there is removed again")
     given = parser.parse_args(arguments)

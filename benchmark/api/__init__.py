@@ -1,4 +1,4 @@
-"""What stands behind the public face where several packages are needed; beside `benchmark.cli` the only such place.
+"""Implementation of the public functions that need several packages; beside `benchmark.cli` the only such place.
 
 Everything is imported inside the functions, so that ``import benchmark`` and ``challenger-bench --help`` answer at once
 and a missing extra breaks only what needs it.

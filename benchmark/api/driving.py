@@ -1,4 +1,4 @@
-"""What stands behind ``drive``: engines and agents of `benchmark`, cameras of `generation`, planners of `adapters`."""
+"""Implementation of ``drive``: engines and agents of `benchmark`, cameras of `generation`, planners of `adapters`."""
 
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def uses_images(name: str) -> bool | None:
-    """Whether a planner looks at images: built-in ones say so, HTTP carries some, others are unknown (``None``)."""
+    """Whether a planner uses images: built-in ones declare it, HTTP carries some, others are unknown (``None``)."""
     from adapters.models import MODELS
     from benchmark.machine.address import is_address
 
@@ -94,16 +94,15 @@ def drive_settings(
 
     drivers = [driver.value for driver in REFERENCE_DRIVER_KINDS]
     if ladder is not None and (strange := [name for name in ladder if name not in drivers]):
-        raise InputError(f"there is no reference driver {strange[0]!r}; there are {', '.join(drivers)}")
+        raise InputError(f"unknown reference driver {strange[0]!r}; choose from {', '.join(drivers)}")
     if keep_considered and (agents != ADVERSARY or adversary_tracks is not None):
         raise InputError(
-            "--keep-considered keeps what an adversary considers that plans; add --agents adversary, and leave "
-            "--adversary-tracks out"
+            "--keep-considered needs an adversary that plans; add --agents adversary, and leave --adversary-tracks out"
         )
     pursuit: AdversaryFactory | None = None
     if adversary_tracks is not None:
         if agents != ADVERSARY:
-            raise InputError("--adversary-tracks are driven by an adversary; add --agents adversary")
+            raise InputError("--adversary-tracks needs an adversary; add --agents adversary")
         pursuit, runs = _given_tracks(adversary_tracks, split)
     elif agents == ADVERSARY and engine == ENGINE:
         pursuit = import_from_extension("agents", ADVERSARY)(
@@ -143,7 +142,7 @@ def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryFactory, int
     known = {at: track for at, track in tracks.items() if track is not None}
     if len(known) < len(tracks) or record.facts.split != split:
         raise InputError(
-            f"{directory} holds no track of an adversary for each of its drives of {split}; name the record of a "
+            f"{directory} does not hold an adversary's track for every drive of {split}; name the record of a "
             "planner that was driven with --agents adversary through the same split"
         )
     others = str(record.facts.measured.agents_facts.get("others", "replay"))
@@ -159,10 +158,10 @@ def require_sensor(sensor: str) -> None:
     known = (NO_SENSOR, "schematic")
     if is_address(sensor):
         if Address.of(sensor, "--sensor").name in known:
-            raise InputError(f"--sensor {sensor} is called like a sensor that there is; give it another name")
+            raise InputError(f"--sensor {sensor} has the name of a built-in sensor; rename it")
     elif sensor not in known:
         raise InputError(
-            f"there is no sensor {sensor!r}; {did_you_mean(sensor, known)}there are {' and '.join(known)}, and "
+            f"unknown sensor {sensor!r}; {did_you_mean(sensor, known)}choose from {' and '.join(known)}, and "
             "renderers at http://HOST:PORT"
         )
 
@@ -178,5 +177,5 @@ def _sensor(name: str, split: str, *, tensors: bool) -> "Sensor":
     if is_address(name):
         served: Sensor = import_from_extension("sensor", "http")(Address.of(name, "--sensor"), tensors)
         return served
-    # Generated splits are drawn in the second style, what they are made from in the first.
+    # Generated splits are drawn in the second style, their recordings in the first.
     return NoSensor() if name == NO_SENSOR else SchematicSensor("second" if is_generated(split) else "first")

@@ -46,7 +46,7 @@ def worker_count(count: int) -> int:
     if count < 0:
         raise InputError(f"--workers must be 0 (all processors) or more, got {count}")
     if count > MOST_WORKERS:
-        raise InputError(f"--workers must be at most {MOST_WORKERS:,}; 0 takes all processors")
+        raise InputError(f"--workers must be at most {MOST_WORKERS:,}; 0 uses all processors")
     return count or default_workers()
 
 
@@ -140,7 +140,7 @@ def open_split(
         from generation.pipeline.settings import BuildSettings
         from generation.pipeline.split import build_split
 
-        notify(f"rendering split {split} of the embedded data set (once, some minutes)")
+        notify(f"rendering split {split} of the embedded data set (once, takes a few minutes)")
         target, executor = workspace(out).split_root(source.name, split), LocalProcesses(worker_count(workers))
         timings = workspace(out).timings_of(target)
         drawing = schematic_renderer()

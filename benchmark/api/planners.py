@@ -58,7 +58,7 @@ def load_planner(
 
     chosen = find_runnable_model(name, checkpoint, data=data)
     if chosen != name:
-        notify_once(f"there are no weights for {name}: {chosen} runs in its place (docs/miniatures.md)")
+        notify_once(f"no weights found for {name}: running {chosen} instead (docs/miniatures.md)")
     return planner_factory(
         chosen,
         checkpoint=checkpoint,
@@ -164,13 +164,13 @@ class PlannerSource:
         from adapters.models import MODELS
 
         for runs in self.runnable_names:
-            # What devices and precisions a planner of another package has is for that package to say.
+            # A planner of another package checks its own devices and precisions.
             if runs not in MODELS or MODELS[runs].network is None:
                 continue
             if self.device is not None:
                 require_devices(self.device)
             if self.precision is not None and self.precision not in _PRECISIONS:
-                raise InputError(f"there is no precision {self.precision!r}; use {' or '.join(_PRECISIONS)}")
+                raise InputError(f"unknown precision {self.precision!r}; use {' or '.join(_PRECISIONS)}")
         _ = self.supervision
         return self
 
@@ -178,8 +178,8 @@ class PlannerSource:
         """Refuse ``--frame`` where no file and no model server is named: classes say in which frame they plan."""
         if self.frame is not None and not of_file and not self._served:
             raise InputError(
-                "--frame says in which frame a file or a model at http://HOST:PORT plans; a class says so with "
-                "PlanFrame in its Plan, leave --frame out"
+                "--frame is for plan files and models at http://HOST:PORT; a class states its frame with "
+                "PlanFrame in its Plan; leave --frame out"
             )
 
     def require_servers(self, sensor: str = "none", *, tensors: bool = False) -> None:
@@ -192,9 +192,9 @@ class PlannerSource:
         from benchmark.machine.extension import import_from_extension, require_package
 
         if self.image_format is not None and not self._served:
-            raise InputError("--image-format says how pictures are sent to a model at http://HOST:PORT; leave it out")
+            raise InputError("--image-format applies only to a model at http://HOST:PORT; leave it out")
         if tensors and not is_address(sensor):
-            raise InputError("--accept-torch-tensors belongs to a renderer at --sensor http://HOST:PORT; leave it out")
+            raise InputError("--accept-torch-tensors is only for a renderer at --sensor http://HOST:PORT; leave it out")
         require_sensor(sensor)
         if not self._served and not is_address(sensor):
             return
@@ -205,16 +205,16 @@ class PlannerSource:
             import_from_extension("sensor", "http")(Address.of(sensor, "--sensor")).require_alive()
 
     def remembers_across_scenes(self) -> bool:
-        """Whether any planner repeats a habit of published runs that makes plans depend on the scenes before.
+        """Whether any planner repeats a behaviour of published runs that makes plans depend on the scenes before.
 
         Raises:
-            InputError: If a planner does nothing of the kind that is asked for.
+            InputError: If a planner has no such behaviour.
         """
         from adapters.models import MODELS
         from adapters.planner import CROSS_SCENES, select_options
 
         if self.as_published and not self.names:
-            raise InputError("--as-published says how networks run that --model names; leave it out")
+            raise InputError("--as-published applies only to networks named with --model; leave it out")
         done: set[str] = set()
         for runs in self.runnable_names if self.as_published else ():
             network = MODELS[runs].network if runs in MODELS else None
@@ -277,7 +277,7 @@ class PlannerSource:
 def require_device(name: str) -> None:
     """Refuse what names no device; whether this machine has it is only known to torch, which is slow to import."""
     if not _DEVICE.fullmatch(name):
-        raise InputError(f"there is no device {name!r}; use cpu, cuda, cuda:1 or auto")
+        raise InputError(f"unknown device {name!r}; use cpu, cuda, cuda:1 or auto")
 
 
 def require_devices(names: str) -> None:

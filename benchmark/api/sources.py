@@ -103,7 +103,7 @@ class DataSource:
         """Refuse what nothing can be generated from; as `require_split`, with scenes that may be of any split."""
         if self._is_mini:
             if split != "val":
-                raise InputError(f"the embedded data set mini has no split {split!r} of its own; the only one is val")
+                raise InputError(f"the embedded data set mini has no split {split!r}; its only split is val")
             return _preview_embedded("val", self.out, scenes, limit)
         of_split = self._listed(split)
         return SourcePreview(_choose_scenes(of_split if scenes is None else self._listed(None), split, scenes, limit))
@@ -137,7 +137,8 @@ class DataSource:
             if not is_generated(split) or not all_scenes:
                 raise
             raise InputError(
-                f"split {split!r} of {name} is not at {split_folder}; make it with: challenger-bench generate --data "
+                f"split {split!r} of {name} is missing at {split_folder}; build it with: challenger-bench "
+                "generate --data "
                 f"{self.data} {format_generate_options(split)} --out {self.out}"
             ) from error
         return SourcePreview(_choose_scenes(of_split, split, scenes, limit))
@@ -200,7 +201,7 @@ def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit
     splits = ("val", *GENERATED_SPLITS)
     if parse_seed(split) is not None and not is_finished(made_by_seed := workspace(out).split_root(EMBEDDED, split)):
         raise InputError(
-            f"split {split!r} of {EMBEDDED} is not at {made_by_seed}; make it with: challenger-bench generate "
+            f"split {split!r} of {EMBEDDED} is missing at {made_by_seed}; build it with: challenger-bench generate "
             f"{format_generate_options(split)} --out {out}"
         )
     if parse_seed(split) is None and split not in splits:
@@ -228,7 +229,7 @@ def _preview_embedded(split: str, out: Path, scenes: Sequence[str] | None, limit
     needed = estimate_town_bytes(len(recorded))
     require_place(split_folder, "--out")
     require_room(split_folder, needed, f"split {split} of the embedded data set", "--out")
-    builds.append(f"split {split} of it in {split_folder} (once, some minutes, {format_gigabytes(needed)})")
+    builds.append(f"split {split} of it in {split_folder} (once, takes a few minutes, {format_gigabytes(needed)})")
     return SourcePreview(_choose_scenes(recorded, split, scenes, limit), tuple(builds))
 
 
@@ -236,7 +237,7 @@ def _list_frozen_builds(newest: "NamedSplit") -> list[str]:
     """A frozen split of the embedded data set, where it is not built yet."""
     from benchmark.machine.workspace import cache_root, is_finished
 
-    # What else its folder's name is made of is known once the recordings are there.
+    # The rest of its folder's name is known only once the recordings exist.
     if any(is_finished(root) for root in cache_root().glob(f"{newest.name}-*")):
         return []
     needed = estimate_town_bytes(len(newest.frozen.scenes), frames="keyframes")
@@ -264,8 +265,8 @@ def _choose_scenes(
             f"{', '.join(known[:3])}"
         )
     if not known:
-        raise InputError(f"split {split!r} has no scene that could be used: inspectors rejected all, or it has none")
+        raise InputError(f"split {split!r} has no usable scenes: it is empty, or inspectors rejected all of them")
     wanted = known if scenes is None else tuple(name for name in known if name in set(scenes))
     if not wanted:
-        raise InputError("--scenes names no scene; leave it out or name one")
+        raise InputError("--scenes is empty; leave it out or name at least one scene")
     return wanted[:limit]

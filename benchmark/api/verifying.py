@@ -1,4 +1,4 @@
-"""What stands behind ``verify``: comparisons with golden numbers, wherever the numerics are."""
+"""Implementation of ``verify``: comparisons with golden numbers in every package that computes."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,13 +29,13 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
     if what == "model":
         return _verify_model(model, golden, noise=noise)
     if noise:
-        raise InputError("--noise belongs to verify model; leave it out")
+        raise InputError("--noise applies only to verify model; leave it out")
     if model is not None:
-        raise InputError("--model belongs to verify model; leave it out")
+        raise InputError("--model applies only to verify model; leave it out")
     known = OFFERS["golden set"]
     if what not in known:
         others = ", ".join(name for name in known if name != "model")
-        raise InputError(f"cannot verify {what!r}; what has golden numbers is {others} and model")
+        raise InputError(f"cannot verify {what!r}; golden numbers exist for {others} and model")
     checks: list[Check] = import_from_extension("golden set", what).verify(golden)
     return checks
 
@@ -49,12 +49,12 @@ def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "li
         missing = "verify model needs --model" if model is None else f"no model {model!r} can be verified"
         raise InputError(f"{missing}; {did_you_mean(model or '', known)}known are {', '.join(known)}")
     if golden is None:
-        raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
+        raise InputError("verify model needs --golden, a directory of outputs of the official code; none are built in")
     checks: list[Check]
     if model not in renderers:
         checks = import_from_extension("golden set", "model")(model, golden, noise=noise)
         return checks
     if noise:
-        raise InputError(f"--noise is for driving models; leave it out for {model}")
+        raise InputError(f"--noise applies only to driving models; leave it out for {model}")
     checks = import_from_extension("golden set of a renderer", model)(golden)
     return checks

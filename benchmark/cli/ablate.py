@@ -61,7 +61,7 @@ def ablate_command(options: AblateOptions) -> None:
     driver = api.PlannerSource.of(options, device=None).require()
     require_trajectory_model(options.device, options.denoiser)
     if options.executor != "local":
-        require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
+        require_one_device(options.device, "a Ray cluster assigns GPUs to its tasks")
     drawing, scenes = api.schematic_renderer(parse_image_size(options.size)), parse_name_list(options.scenes)
     place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
     data = api.DataSource.of(options)
@@ -69,8 +69,8 @@ def ablate_command(options: AblateOptions) -> None:
     require_place(options.out, "--out")
     if options.dry_run and ahead.builds:
         next_step = (
-            f"search {ahead.counted()} four times, with {options.model} driving; --dry-run says how long once they are "
-            "there"
+            f"search {ahead.counted()} four times, with {options.model} driving; --dry-run estimates the time once "
+            "they are built"
         )
         print_plan(
             [*ahead.plan(next_step), *format_differences(options.preset, hyper)], json_output=options.json_output
@@ -105,6 +105,6 @@ def ablate_command(options: AblateOptions) -> None:
     print_result(report_json, report.table().plain(wide=options.wide), json_output=options.json_output)
     print_next_steps(
         f"study: {settings.out}",
-        (f"leaderboard{repeat_out_option(options.out)}", "all records in tables beside the paper's"),
+        (f"leaderboard{repeat_out_option(options.out)}", "tables of all records next to the paper's"),
         json_output=options.json_output,
     )

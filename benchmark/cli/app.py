@@ -54,7 +54,7 @@ ENTRY_POINTS: Final = "challenger_bench.extensions"
 
 
 def add_command_of_extension(words: str, groups: Groups) -> None:
-    """Add a command of one of our extensions, or one that says that the extension is absent.
+    """Add a command of one of our extensions, or one that reports that the extension is not installed.
 
     ``words`` are as the table of offers has them, ``data card``.
     """
@@ -186,7 +186,7 @@ _LONGEST_SENTENCE: Final = 1000
 _PATH_ERRNOS: Final = frozenset(
     (errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
 )
-"""What the operating system says of a path that somebody gave, wherever it is first used."""
+"""Errors of the operating system that concern a path given by the user."""
 
 
 def main() -> None:
@@ -211,18 +211,18 @@ def main() -> None:
     except OSError as error:
         if debug or error.errno not in _PATH_ERRNOS or error.filename is None:
             raise
-        code = _fail(f"cannot use {error.filename}: {error.strerror}; name another place")
+        code = _fail(f"cannot use {error.filename}: {error.strerror}; choose another path")
     except RuntimeError as error:
-        # What `Path.resolve` raises before Python 3.13, where a link leads to itself.
+        # `Path.resolve` raises this before Python 3.13 where a link points to itself.
         if debug or not str(error).startswith("Symlink loop"):
             raise
-        code = _fail(f"cannot use {str(error).partition(' from ')[2]}: its links lead in a circle; name another place")
+        code = _fail(f"cannot use {str(error).partition(' from ')[2]}: its links form a loop; choose another path")
     except typer.TyperException as error:
         message = str(error.format_message() if hasattr(error, "format_message") else error)
-        # The help that stands in for a missing command has many lines and is no error to explain.
+        # Without a command Typer raises its help text, which has several lines and is not an error.
         code = _fail(message) if "\n" not in message else _help(message)
     except (KeyboardInterrupt, typer.Abort):
-        typer.echo("interrupted; finished work is kept, the same command goes on", err=True)
+        typer.echo("interrupted; finished work is kept, the same command resumes", err=True)
         code = 130
     sys.exit(code if isinstance(code, int) else 0)
 
@@ -231,7 +231,7 @@ def _require_text(arguments: list[str]) -> None:
     """Refuse bytes that are no text: they could stand neither in a record nor on a terminal."""
     for argument in arguments:
         if not argument.isascii() and argument != argument.encode(errors="replace").decode():
-            raise InputError(f"{argument} is not text in UTF-8; name it otherwise")
+            raise InputError(f"{argument} is not UTF-8 text; use a UTF-8 name")
 
 
 def _fail(sentence: str) -> int:

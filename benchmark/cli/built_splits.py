@@ -1,4 +1,4 @@
-"""What one ``generate`` command builds: a split, or one for each of several seeds; searched for, or frozen."""
+"""Splits built by one ``generate`` command: one split, or one for each of several seeds; searched for, or frozen."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -66,12 +66,12 @@ def list_splits_to_build(options: "GenerateOptions", data: "DataSource") -> tupl
         _require_no_search(split, but=("freeze",) if edited else ())
         if edited:
             if options.seeds is not None:
-                raise InputError("--seeds belongs to a search, and edited scenes have none; leave it out")
+                raise InputError("--seeds applies only to a search, and edited scenes are not searched; leave it out")
             if freeze is not None:
                 require_freezable(split, freeze)
             from generation.splits.edited import build_edited_split, read_edited
 
-            # Before the recordings, which may have to be built.
+            # Checked before the recordings, which may have to be built.
             files = read_edited(Path(from_file))
             return (SplitToBuild(split, seed, freeze, build_edited_split(data.open(), Path(from_file), files)),)
     if options.seeds is None:
@@ -80,9 +80,9 @@ def list_splits_to_build(options: "GenerateOptions", data: "DataSource") -> tupl
         )
     else:
         if split != "adv":
-            raise InputError(f"--seeds builds one adv for each seed, not {split}; leave --split out")
+            raise InputError(f"--seeds builds one adv split per seed, not {split}; leave --split out")
         if is_given("seed"):
-            raise InputError("--seed and --seeds contradict each other; leave one of them out")
+            raise InputError("--seed and --seeds exclude each other; give only one of them")
         splits = tuple(
             SplitToBuild(
                 f"adv-seed-{split_seed}",
@@ -180,8 +180,8 @@ def build_shards(
         else:
             finished_shards.append(build_shard(source, split_to_build.split, split_settings, shard))
     for did, why in (
-        ("searched", "with the same options, when all shards are: with --shard to draw in shards, or without"),
-        ("drawn", "with the same options and no --shard, when all shards are"),
+        ("searched", "with the same options, once all shards are done: with --shard to draw in shards, or without"),
+        ("drawn", "with the same options and no --shard, once all shards are done"),
     ):
         if did in {progress.did for progress in finished_shards}:
             shards_of_step = [progress.finished for progress in finished_shards if progress.did == did]
@@ -196,13 +196,13 @@ def require_shardable(shard: "Shard | None", surrogate: str | None, executor: "E
         return
     if surrogate is not None:
         raise InputError(
-            "--surrogate judges all scenes together; search in shards without it, and name it in the command that "
-            "comes last, without --shard"
+            "--surrogate evaluates all scenes together; search in shards without it, and add it to the "
+            "last command, the one without --shard"
         )
     from benchmark.machine.workers import LocalProcesses
 
     if not isinstance(executor, LocalProcesses):
-        raise InputError("a Ray cluster shares the work out itself; leave --shard or --executor ray out")
+        raise InputError("a Ray cluster distributes the work itself; leave --shard or --executor ray out")
 
 
 def print_built_splits(
@@ -219,8 +219,8 @@ def print_built_splits(
     )
     print_next_steps(
         f"data set: {roots}" + ("" if wanted[0].freeze is None else f"; frozen split: {files}"),
-        (f"data show {settings[0].out} --to pictures", "a picture of each scene"),
-        (f"eval --split {wanted[0].split} --model idm{again}", "a planner on it; yours: docs/planners.md"),
+        (f"data show {settings[0].out} --to pictures", "draw a picture of each scene"),
+        (f"eval --split {wanted[0].split} --model idm{again}", "a planner on it; see docs/planners.md"),
         json_output=json_output,
     )
 
@@ -228,8 +228,8 @@ def print_built_splits(
 def _require_no_search(split: str, but: tuple[str, ...] = ()) -> None:
     """Refuse options of the search beside a frozen split."""
     if split != "adv":
-        raise InputError(f"--from builds split adv, not {split}; leave --split out")
+        raise InputError(f"--from always builds split adv, not {split}; leave --split out")
     for name in SEARCH_OPTIONS:
         if name not in but and is_given(name):
             option = {"changes": "set"}.get(name, name).replace("_", "-")
-            raise InputError(f"--{option} belongs to a search, and --from does not search; leave one of them out")
+            raise InputError(f"--{option} applies only to a search, and --from does not search; leave one of them out")

@@ -213,7 +213,7 @@ def data_import_command(options: DataImportOptions) -> None:
     from generation.sources.importing import ImportSettings, import_scenarionet
 
     if options.form != "scenarionet":
-        raise InputError(f"cannot import {options.form!r}; the form that can be imported is scenarionet")
+        raise InputError(f"cannot import {options.form!r}; the only supported format is scenarionet")
     require_place(options.out, "--out")
     width, height = parse_image_size(options.size)
     images = options.renderer != "none"

@@ -1,6 +1,6 @@
 """``demo``: the whole story on the embedded data.
 
-What ``demo`` does, for Python too (`benchmark.demo`, `benchmark.full_demo`): all four packages in one story.
+The demo of all four packages, for the command line and Python (`benchmark.demo`, `benchmark.full_demo`).
 """
 
 from dataclasses import dataclass
@@ -61,14 +61,14 @@ def demo(
 
     space, processes = api.workspace(out), api.worker_count(workers)
     say(f"1/4 building {pluralise(town_scenes, 'scene')} of the embedded town")
-    # Planners, tables and the site look at samples; what lies between them is drawn when somebody asks for it.
+    # Planners, tables and the site use key frames only; frames in between are drawn on request.
     settings = TownSettings(val_scenes=town_scenes, pictures="keyframes")
     town = build_town_data_set(out / "data" / "demo" / "val", settings, workers=processes)
     source = open_root(town, name="demo")
     search = BuildSettings(
         out=space.split_root("demo", "adv"),
         timings=space.timings_of(space.split_root("demo", "adv")),
-        # The default keeps scenes of two of these four recordings alone, whose ego hardly reacts to anybody.
+        # The default would keep scenes of only two of these four recordings, where the ego hardly reacts to others.
         hyper=build_hyper_parameters("near", {"candidates": 64, "candidate_limit": 5}),
         per_scene=1,
         renderer=api.schematic_renderer(),
@@ -133,9 +133,9 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
     )
     records = []
     for split in ("val", "val-r", "adv"):
-        # Planners see key frames only; the others would take most of the time.
+        # Planners see key frames only; drawing the other frames would take most of the time.
         if split == "adv":
-            # Not what somebody searched for below the same folder: the page is about the frozen split.
+            # Not a split that was searched below the same folder: the page is about the frozen split.
             dataset = open_root(api.build_frozen_root(source, workers), name=source.name)
         else:
             dataset = api.open_split(source, split, out, workers=workers, frames="keyframes")
@@ -211,7 +211,7 @@ def demo_command(options: DemoOptions) -> None:
     from benchmark.machine.path_checks import require_place, require_room
 
     if options.check and not options.full:
-        raise InputError("--check belongs to demo --full, whose results it looks at")
+        raise InputError("--check applies only to demo --full; add --full or leave --check out")
     if options.check:
         stale = stale_demo(options.to)
         text = "\n".join(stale) or f"{options.to} is current"
@@ -245,7 +245,7 @@ def demo_command(options: DemoOptions) -> None:
     again = f" --data demo{repeat_out_option(options.out)}"
     print_next_steps(
         f"scenes: {options.out / 'data' / 'demo' / 'adv'}",
-        (f"film --limit 1 --model uniad --model idm --to films{again}", "a scene as a film"),
-        (f"eval --split adv --model my_package.planner:MyPlanner{again}", "your own planner: docs/planners.md"),
+        (f"film --limit 1 --model uniad --model idm --to films{again}", "film of a scene"),
+        (f"eval --split adv --model my_package.planner:MyPlanner{again}", "your planner (docs/planners.md)"),
         json_output=options.json_output,
     )

@@ -137,17 +137,17 @@ def drive_command(options: DriveOptions) -> None:
     names = tuple(dict.fromkeys([*options.model, *(BASELINES if options.baselines else ())]))
     if not names:
         raise InputError("name a planner with --model (for example constant-velocity), or leave --no-baselines out")
-    # A little longer than the drive itself waits, so that who is late is late for one reason.
+    # A little longer than the drive's own limit, so that a late planner is reported for one reason only.
     planners = api.PlannerSource.of(options, deadline_s=options.timeout + 5.0).require()
     supervision = replace(planners.supervision, sample_s=options.timeout)
     for planner in planners.runnable_names:
         if options.sensor == "none" and api.uses_images(planner):
-            raise InputError(f"{planner} looks at images, and --sensor none has none; add --sensor schematic")
+            raise InputError(f"{planner} needs images, and --sensor none provides none; add --sensor schematic")
     planners.require_frame()
     planners.require_servers(options.sensor, tensors=options.accept_torch_tensors)
     shard = None if options.shard is None else Shard.named(options.shard)
     if options.executor != "local":
-        require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
+        require_one_device(options.device, "a Ray cluster assigns GPUs to its tasks")
     place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
     data, scenes = api.DataSource.of(options), parse_name_list(options.scenes)
     ahead = data.require_split(options.split, scenes, options.limit)
@@ -156,7 +156,7 @@ def drive_command(options: DriveOptions) -> None:
         next_step = f"drive {', '.join(names)} through {ahead.counted()} of {options.split}"
         print_plan(ahead.plan(next_step), json_output=options.json_output)
         return
-    # Planners first: a class of another package may not be importable, and data may take minutes to build.
+    # Planners first: importing a class of another package may fail, and data may take minutes to build.
     loading = replace(planners, image_format=options.image_format or "torch", frame=options.frame or "ego")
     loaded = dict(zip(options.model, loading.load(supervision)))
     factories = [
@@ -187,7 +187,7 @@ def drive_command(options: DriveOptions) -> None:
                 dataset, options.split, group, space.drive_root(), _settings_of(group[0], how), shard
             )
         ]
-        step = (f"drive{again}", "with the same options and no --shard, when all shards are")
+        step = (f"drive{again}", "with the same options and no --shard, once all shards are done")
         print_shard_progress(shard, done, "driven", step, json_output=options.json_output)
         return
     records = _drive_planners(dataset, options.split, factories, space.drive_root(), how)
@@ -195,7 +195,7 @@ def drive_command(options: DriveOptions) -> None:
     sound = _show(records, wide=options.wide, json_output=options.json_output)
     print_next_steps(
         f"records: {', '.join(str(record.directory) for record in records)}",
-        (f"eval --split {options.split}{again}", "the same planners in open loop"),
+        (f"eval --split {options.split}{again}", "evaluate the same planners in open loop"),
         json_output=options.json_output,
     )
     if not sound:
@@ -226,19 +226,19 @@ def _require_engine(options: DriveOptions) -> None:
     if engine != "default":
         if options.agents != "replay":
             raise InputError(
-                f"actors of {engine} never react; leave --agents {options.agents} out or take --engine default"
+                f"road users of {engine} never react; leave --agents {options.agents} out or use --engine default"
             )
         if latency:
-            raise InputError(f"{engine} has no latency; leave --latency out or take --engine default")
+            raise InputError(f"{engine} does not simulate latency; leave --latency out or use --engine default")
         if options.until != "contact":
             raise InputError(
-                f"every contact ends a run of {engine}; leave --until {options.until} out or take --engine default"
+                f"every collision ends a run of {engine}; leave --until {options.until} out or use --engine default"
             )
     elif options.scenarios != "recorded":
-        raise InputError(f"--scenarios {options.scenarios} are of NeuroNCAP's engine; add --engine neuroncap@code")
+        raise InputError(f"--scenarios {options.scenarios} needs NeuroNCAP's engine; add --engine neuroncap@code")
     if latency % STEP_MS or latency > LONGEST_LATENCY_MS:
         raise InputError(
-            f"--latency {latency} is no multiple of {STEP_MS} ms up to {LONGEST_LATENCY_MS}: the engine's steps are "
+            f"--latency {latency} is not a multiple of {STEP_MS} ms up to {LONGEST_LATENCY_MS}: the engine's steps are "
             f"{STEP_MS} ms and a plan is 3 s long"
         )
     usual = DriveOptions()
@@ -246,7 +246,7 @@ def _require_engine(options: DriveOptions) -> None:
     of_adversary = (*(f"adversary_{name}" for name in about_adversary), "keep_considered")
     if options.agents != "adversary" and any(getattr(options, name) != getattr(usual, name) for name in of_adversary):
         raise InputError(
-            f"--agents {options.agents} has no adversary; add --agents adversary or leave --adversary-... and "
+            f"--agents {options.agents} has no adversary; use --agents adversary, or leave --adversary-... and "
             "--keep-considered out"
         )
 
@@ -305,5 +305,5 @@ def _show(records: "Sequence[DriveRecord]", *, wide: bool, json_output: bool) ->
             typer.echo(table.plain(wide=wide))
     partial = [record for record in records if not record.complete]
     for record in partial:
-        typer.echo(f"{describe_failures(record)}; no number counts them", err=True)
+        typer.echo(f"{describe_failures(record)}; no score includes them", err=True)
     return not partial

@@ -56,12 +56,12 @@ def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
         require_writable(options.dump_results)
     if not paths:
         if wanted != AUTO or name is not None:
-            raise InputError(f"{'--name' if name is not None else '--format'} belongs to --results; add it")
+            raise InputError(f"{'--name' if name is not None else '--format'} needs --results; add it")
         return []
     require_format(wanted)
     require_known_native(options.native, f"result file {paths[0]}")
     if name is not None and (not name.strip() or not name.isprintable() or len(name) > 100):
-        raise InputError("--name must be some printable text of at most 100 characters")
+        raise InputError("--name must be printable text of at most 100 characters")
     return [recognise(path, wanted) for path in paths]
 
 
@@ -129,7 +129,7 @@ def eval_command(options: EvalOptions) -> None:
     planners.require_frame(of_file=options.plans is not None or bool(options.results))
     planners.require_servers()
     opened = open_result_files(options)
-    # Unchanged recordings first: the records of the others say which of theirs they are compared with.
+    # Unchanged recordings first: records of other splits name the record that they are compared with.
     splits = tuple(sorted(dict.fromkeys(options.split), key=is_adversarial))
     _require_one_split(splits, options)
     data = api.DataSource.of(options)
@@ -162,7 +162,7 @@ def eval_command(options: EvalOptions) -> None:
         asked=() if "all" in (options.protocol or ()) else protocols or (),
         unchanged=elsewhere,
     )
-    # Planners first: a class of another package may not be importable, and data may take minutes to build.
+    # Planners first: importing a class of another package may fail, and data may take minutes to build.
     factories: list[PlannerFactory] = [*planners.load()]
     source = data.open()
     dataset = data.open_split(splits[0], source)
@@ -180,7 +180,7 @@ def eval_command(options: EvalOptions) -> None:
     if shard is not None:
         from benchmark.evaluation import plan_shard
 
-        step = (f"eval{again}", "with the same options and no --shard, when all shards are")
+        step = (f"eval{again}", "with the same options and no --shard, once all shards are done")
         done = plan_shard(dataset, splits[0], judged, run_root, shard)
         print_shard_progress(shard, done, "planned", step, json_output=options.json_output)
         return
@@ -207,8 +207,8 @@ def eval_command(options: EvalOptions) -> None:
     )
     print_next_steps(
         "; ".join([f"records: {', '.join(str(record.directory) for record in records)}", *dumped]),
-        (f"sheets --split {splits[-1]}{again}", "what films and the site show of the scenes"),
-        (f"leaderboard{repeat_out_option(options.out)}", "tables, figures and a site of all records"),
+        (f"sheets --split {splits[-1]}{again}", "draw the scenes for films and the site"),
+        (f"leaderboard{repeat_out_option(options.out)}", "write tables, figures and a site of all records"),
         json_output=options.json_output,
     )
     if not sound:
@@ -224,10 +224,10 @@ def _require_planner(options: EvalOptions) -> None:
             "with --results"
         )
     if options.native is not None and not of_file:
-        raise InputError("--native belongs to --plans and --results; planners that --model names say it themselves")
+        raise InputError("--native is for --plans and --results; planners given with --model state it themselves")
     if options.as_is and not of_file:
         raise InputError(
-            "--as-is belongs to --plans and --results; the plans of running planners are judged in any case"
+            "--as-is applies only to --plans and --results; plans of running planners are always evaluated as they are"
         )
 
 
@@ -238,10 +238,10 @@ def _processes(options: EvalOptions, planners: "PlannerSource") -> int:
 
     count = api.worker_count(count_workers(options.workers, options.device))
     if options.shard is not None:
-        require_one_device(options.device, "a shard plans in one process, on a device of its own")
+        require_one_device(options.device, "a shard plans in one process, on its own device")
     if not planners.remembers_across_scenes():
         return count
-    require_one_device(options.device, "who remembers across scenes plans all of them in one process")
+    require_one_device(options.device, "a planner that keeps state across scenes must plan all of them in one process")
     require_whole_split("the model", parse_name_list(options.scenes), options.limit, options.workers)
     return 1
 
@@ -251,7 +251,7 @@ def _require_one_split(splits: tuple[str, ...], options: EvalOptions) -> None:
     given = next((name for name in ("plans", "results", "dump_results", "shard") if getattr(options, name)), None)
     if len(splits) > 1 and given is not None:
         option = given.replace("_", "-")
-        raise InputError(f"--{option} belongs to one split, and --split names {', '.join(splits)}; give one at a time")
+        raise InputError(f"--{option} applies to one split, and --split names {', '.join(splits)}; give one at a time")
 
 
 def _with_native_protocol(settings: "EvalSettings", factory: "PlannerFactory") -> "EvalSettings":
@@ -315,7 +315,7 @@ def _show_runs(
     from leaderboard.tables.slices import run_slices
 
     partial = [record for record in records if not record.complete]
-    # The table that compares is shown where none is asked for by name.
+    # The comparison table is shown unless tables are requested by name.
     against = find_unchanged_candidates(run_root, records) if json_output or protocols is None else []
     sliced = run_slices(data_name, records, select_kinds(by), protocols, allow_partial=allow_partial)
     if json_output:
@@ -338,7 +338,7 @@ def _show_runs(
         typer.echo(
             f"{record.planner} failed on {record.summary.failed} of {pluralise(record.summary.samples, 'sample')} "
             f"(the first: {find_first_failure(record.rows)}; all tracebacks: {record.directory / FAILURES_FILE}); "
-            + ("rates leave them out" if allow_partial else "--allow-partial prints the rates of the others"),
+            + ("the rates exclude them" if allow_partial else "--allow-partial prints the rates of the other samples"),
             err=True,
         )
     return allow_partial or not partial

@@ -170,13 +170,13 @@ def generate_command(options: GenerateOptions) -> None:
     hyper = build_hyper_parameters(options.preset, shortcuts, options.changes or ())
     manoeuvres = _parse_manoeuvres(options)
     if options.variants is not None and options.per_scene is not None:
-        raise InputError("--variants keeps scenes that differ, --per-scene the most challenging ones; give one of them")
+        raise InputError("--variants keeps scenes that differ, --per-scene the most challenging ones; give only one")
     surrogate = _surrogate(options)
     require_trajectory_model(options.device, options.denoiser)
     photorealistic = _photorealistic(options)
     pixels, named = parse_image_size(options.size), parse_name_list(options.scenes)
     if options.executor != "local":
-        require_one_device(options.device, "a Ray cluster gives its tasks GPUs itself")
+        require_one_device(options.device, "a Ray cluster assigns GPUs to its tasks")
     place = make_executor(options.executor, options.address, count_workers(options.workers, options.device))
     shard = None if options.shard is None else Shard.named(options.shard)
     require_shardable(shard, options.surrogate, place)
@@ -186,7 +186,7 @@ def generate_command(options: GenerateOptions) -> None:
         ahead = replace(data.require(), scenes=list_frozen_scenes(wanted, named, options.limit))
     require_place(options.out, "--out")
     if options.renderer == "schematic" and not options.dry_run:
-        # How many a search finds is not known.
+        # The number of scenes that a search finds is not known in advance.
         least = 1 if options.split == "adv" and frozen is None else len(ahead.scenes)
         data.require_room_to_draw(wanted[0].split, scenes=least, size=pixels, frames=options.frames)
     unlike = (
@@ -197,7 +197,7 @@ def generate_command(options: GenerateOptions) -> None:
     if options.dry_run and ahead.builds:
         from_what = ahead.counted() if frozen is None else f"frozen split {frozen.name}, {ahead.counted()}"
         next_step = (
-            f"build split {options.split} from {from_what}; --dry-run says how much work that is once they are there"
+            f"build split {options.split} from {from_what}; --dry-run estimates the work once the recordings exist"
         )
         print_plan([*ahead.plan(next_step), *unlike], json_output=options.json_output)
         return
@@ -212,7 +212,7 @@ def generate_command(options: GenerateOptions) -> None:
     if photorealistic is not None:
         drawing = network = photorealistic.renderer(space.rendering_root())
         rendering = photorealistic.executor(place)
-    # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
+    # Last: the embedded data set takes minutes to build the first time, and a mistyped option must fail before that.
     source = data.open()
     root = space.split_root(source.name, wanted[0].split)
     others: dict[str, Any] = {
@@ -272,17 +272,17 @@ def _parse_manoeuvres(options: GenerateOptions) -> "tuple[Manoeuvre, ...]":
     from generation.search.manoeuvre_requests import parse_manoeuvre
 
     if options.split != "adv" or options.from_file is not None:
-        raise InputError("--manoeuvre steers the search for split adv, and nothing is searched here; leave it out")
+        raise InputError("--manoeuvre steers a search for split adv, and this command does not search; leave it out")
     kinds = tuple(map(parse_manoeuvre, options.manoeuvres))
     if len(set(kinds)) < len(kinds):
-        raise InputError("--manoeuvre names one kind twice; name each once")
+        raise InputError("--manoeuvre repeats a kind; give each kind once")
     return kinds
 
 
 def _surrogate(options: GenerateOptions) -> "PlannerSource | None":
     """The planner that scenes have to be hard for, checked; `InputError` for options of it where there is none."""
     if options.surrogate is None and options.surrogate_checkpoint is not None:
-        raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
+        raise InputError("--surrogate-checkpoint needs --surrogate; name the planner that the checkpoint is for")
     names = () if options.surrogate is None else (options.surrogate,)
     others = {"checkpoint": options.surrogate_checkpoint, "device": None}
     surrogate = api.PlannerSource.of(options, names=names, **others).require()
@@ -315,4 +315,4 @@ def _require_generated(split: str) -> None:
 
     if split not in GENERATED_SPLITS:
         close = did_you_mean(split, GENERATED_SPLITS)
-        raise InputError(f"cannot generate split {split!r}; {close}those that can be generated are val-r and adv")
+        raise InputError(f"cannot generate split {split!r}; {close}choose val-r or adv")

@@ -151,7 +151,7 @@ def parse_image_size(text: str) -> tuple[int, int]:
     """Width and height of ``WIDTHxHEIGHT``; raises `InputError` for anything else."""
     width, _, height = text.partition("x")
     if not (width.isdigit() and height.isdigit()) or not (32 <= int(width) <= 8192 and 32 <= int(height) <= 8192):
-        raise InputError(f"--size {text!r} is not WIDTHxHEIGHT in pixels, for example 448x256 (32 to 8192 each)")
+        raise InputError(f"--size {text!r} is not WIDTHxHEIGHT in pixels; use for example 448x256 (32 to 8192 each)")
     return int(width), int(height)
 
 
@@ -166,7 +166,7 @@ def make_executor(name: str, address: str | None, workers: int) -> "Place":
         from benchmark.machine.workers import LocalProcesses
 
         if address is not None:
-            raise InputError("--address belongs to --executor ray; add it or leave the address out")
+            raise InputError("--address needs --executor ray; add it or leave --address out")
         return LocalProcesses(api.worker_count(workers))
     from benchmark.machine.extension import require_package
     from benchmark.machine.ray_cluster import NOT_INSTALLED, RayCluster

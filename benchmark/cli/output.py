@@ -1,4 +1,4 @@
-"""What commands print: JSON, plans of ``--dry-run``, caveats, where things are and what comes next."""
+"""Output of commands: JSON, plans of ``--dry-run``, caveats, paths of results and next commands."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class DataLocation(Protocol):
-    """Options that say where data are and where what is made goes."""
+    """Options for the data and for the output folder."""
 
     @property
     def data(self) -> str:
@@ -50,7 +50,7 @@ def print_plan(sentences: Sequence[str], *, json_output: bool) -> None:
 
 
 def print_next_steps(where: str, *steps: tuple[str, str], json_output: bool) -> None:
-    """Say on stderr where things are and which commands come next; nothing where a program reads.
+    """Print on stderr where results are and which commands come next; nothing with ``--json``.
 
     Args:
         steps: Commands without the program's name, and what each is for.
@@ -79,7 +79,7 @@ def repeat_out_option(out: Path) -> str:
 def print_shard_progress(
     shard: "Shard", found: "Sequence[ShardProgress]", did: str, step: tuple[str, str], *, json_output: bool
 ) -> None:
-    """Say what a shard did and what is left to do.
+    """Print what a shard did and what is left to do.
 
     Args:
         did: What it did with its scenes: ``driven``, ``scored``, ``searched``, ``drawn``.
@@ -101,7 +101,7 @@ def print_shard_progress(
 
 
 def warn_of_caveats(records: "Iterable[RecordFacts]") -> None:
-    """Print on stderr what the numbers of records needed and did not get, each sentence once with its planners."""
+    """Print the caveats of records on stderr, each sentence once with its planners."""
     planners: dict[str, list[str]] = {}
     for facts in records:
         for caveat in facts.caveats:

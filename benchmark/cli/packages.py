@@ -117,12 +117,12 @@ def data_unpack_command(options: DataUnpackOptions) -> None:
         recordings = api.DataSource.of(options)
         recordings.require_source("val", tuple({scene.source for scene, _ in named}))
     elif options.split is not None:
-        raise InputError("--split says what is built from recordings; add --data, or leave it out")
+        raise InputError("--split chooses what is built from recordings; add --data, or leave --split out")
     files = () if options.dry_run else write_package_files(package, options.to)
     package_json = {"files": [str(path) for path in files], "splits": [split.name for split in package.splits]}
     if not options.json_output:
         typer.echo(
-            f"{options.package} is whole: {pluralise(len(package.files), 'file')}"
+            f"{options.package} is intact: {pluralise(len(package.files), 'file')}"
             + (f" in {options.to}" if files else "")
         )
     if chosen is None or options.data is None:

@@ -79,7 +79,7 @@ def _read_common_options(members: Mapping[str, Any]) -> dict[str, Any]:
     planner, config = members["planner"], members.get("config", {})
     scenes, memory = members["scenes"], config.get("supervision", {}).get("memory_limit_bytes")
     return {
-        # Of a planner of another package its name is stored, and not where its class is.
+        # For a planner of another package the name is stored, not the location of its class.
         "model": [planner["name"]] if planner["name"] in MODELS else None,
         "data": members["data"]["name"],
         "scenes": None if len(scenes) == members["scenes_in_split"] else scenes,

@@ -46,7 +46,7 @@ def rescore_command(options: RescoreOptions) -> None:
         require_folder(folder, "--records")
     if not folders:
         raise InputError(
-            f"there are no run records at {place.run_root()} and no drives at {place.drive_root()}; run "
+            f"no evaluation records in {place.run_root()} and no drive records in {place.drive_root()}; run "
             "challenger-bench eval first, or challenger-bench drive"
         )
     source = data.open()
@@ -114,7 +114,7 @@ def transfer_command(options: TransferOptions) -> None:
     known = find_records(*folders)
     for record in known:
         if record.run.split == options.split and not record.covers_split:
-            typer.echo(f"left out: {record.directory} holds a part of the split only", err=True)
+            typer.echo(f"left out: {record.directory} covers only part of the split", err=True)
     matrices = transfer_matrices(known, options.split, protocol=options.protocol, data=options.data)
     if not matrices:
         of_data = "" if options.data is None else f" for data set {options.data!r}"
@@ -126,13 +126,13 @@ def transfer_command(options: TransferOptions) -> None:
         )
     if options.figure is not None:
         if len(matrices) > 1:
-            raise InputError(f"--figure draws one matrix and there are {', '.join(matrices)}; choose one with --data")
+            raise InputError(f"--figure draws one matrix, not {', '.join(matrices)}; choose one with --data")
         ((name, drawn),) = matrices.items()
         of_adversary = _adversary_matrices(known, options.split, name) if options.protocol == EXACT else []
         if options.figure_of == "adversary" and not of_adversary:
             raise InputError(
-                "--figure-of adversary needs two records that say whom contacts are with, judged by exact; "
-                "challenger-bench rescore brings that to older ones"
+                "--figure-of adversary needs two records, judged by exact, that name the other party of each contact; "
+                "update older records with challenger-bench rescore"
             )
         drawn = drawn if options.figure_of == "transfer" else (*of_adversary, drawn)[0]
         (write_lift_map if options.figure_of == "lift" else write_heat_map)(drawn, options.figure)

@@ -54,7 +54,7 @@ class Option:
         if not self.names:
             return Annotated[kind, typer.Argument(**shared)]
         if self.metavar is None and typing.get_origin(kind) is not Literal:
-            # Of repeated values it would say that they are a list.
+            # For repeated values it would show the type as a list.
             names = {
                 types.GenericAlias(list, candidate): f"<{candidate.__name__.lower()}>" for candidate in (str, Path)
             }
@@ -185,7 +185,7 @@ def _read_settings_file(context: typer.Context, settings: type, path: Path) -> d
 
     members = read_json(path) if path.suffix.lower() == ".json" else read_yaml(path)
     if not isinstance(members, Mapping):
-        raise InputError(f"{path} holds no settings; write NAME: VALUE lines, or name a record")
+        raise InputError(f"{path} holds no settings; write NAME: VALUE lines, or give a record")
     known, values = _index_fields(settings), {}
     for name, value in _read_record_settings(context, settings, path, members).items():
         field = _find_field(known, str(name), str(path), context)
@@ -211,9 +211,9 @@ def _read_record_settings(
     try:
         recorded: Mapping[str, Any] | None = None if from_record is None else from_record(members)
     except (LookupError, TypeError, AttributeError) as error:
-        raise InputError(f"{path} is a damaged record ({type(error).__name__}: {error}); name another") from error
+        raise InputError(f"{path} is a damaged record ({type(error).__name__}: {error}); choose another") from error
     if recorded is None and "schema" in members:
-        raise InputError(f"{path} is no record that {context.info_name} could take settings from; name another")
+        raise InputError(f"{path} is not a record that {context.info_name} can read settings from; choose another")
     return members if recorded is None else recorded
 
 
@@ -246,9 +246,9 @@ def _require_kind(field: SettingField, value: Any, where: str, name: str) -> Non
         right, kind_text = isinstance(value, int | float | str) and not isinstance(value, bool), "a number"
     else:
         elements = value if isinstance(value, list) and field.repeated else [value]
-        right, kind_text = all(isinstance(element, str) for element in elements), "text, in quotes if need be"
+        right, kind_text = all(isinstance(element, str) for element in elements), "text, quoted if necessary"
     if not right:
-        raise InputError(f"{where} gives {name} as {value!r}, and it has to be {kind_text}; correct it")
+        raise InputError(f"{where} sets {name} to {value!r}, which must be {kind_text}; correct it")
 
 
 def _convert_value(context: typer.Context, field: SettingField, value: Any, where: str, name: str) -> Any:
@@ -258,7 +258,7 @@ def _convert_value(context: typer.Context, field: SettingField, value: Any, wher
         return parameter.process_value(context, value)
     except typer.BadParameter as error:
         reason = " ".join(error.message.removeprefix("Value error, ").split())
-        raise InputError(f"{where} gives {name} as {value!r}, and that does not fit: {reason}") from error
+        raise InputError(f"{where} sets {name} to {value!r}, which is not valid: {reason}") from error
 
 
 _given: ContextVar[frozenset[str]] = ContextVar("given", default=frozenset())
@@ -283,7 +283,7 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
         given = {name: _source(context, name) for name in values}
         for name in context.meta.get(NAMES_GIVEN_BY_SET, ()):
             if given.get(name) == "COMMANDLINE":
-                raise InputError(f"--set {name} and the option of that name say one thing twice; leave one out")
+                raise InputError(f"--set {name} and the option of that name set the same thing; give only one")
         of_fields = {
             field_name: tuple(map(_plain, value)) if isinstance(value, list) else value
             for field_name, value in values.items()
@@ -355,7 +355,7 @@ def format_rare_settings(settings: type) -> str | None:
 
 
 def is_given(name: str) -> bool:
-    """Whether the running command was given a setting, rather than taking its default."""
+    """Whether the user set an option of the running command, rather than leaving its default."""
     return name in _given.get()
 
 

@@ -66,7 +66,7 @@ def sheets_command(options: SheetsOptions) -> None:
         options.rounds,
     )
     if options.rounds and options.split in ("val", "val-r"):
-        raise InputError(f"--rounds shows what generate --split adv --keep-rounds kept; split {options.split} has none")
+        raise InputError(f"--rounds needs a split built with generate --keep-rounds; {options.split} has no rounds")
     data = api.DataSource.of(options)
     ahead = data.require_split(options.split, settings.scenes, options.limit)
     require_place(options.out, "--out")
@@ -87,9 +87,9 @@ def sheets_command(options: SheetsOptions) -> None:
         f"sheets: {written.directory}",
         (
             f"film --split {options.split} --limit 1 --to films{again}",
-            "a film of a scene; --model shows planners that ran",
+            "make a film of a scene; --model adds plans of evaluated planners",
         ),
-        (f"leaderboard{repeat_out_option(options.out)}", "tables and a site that plays all scenes"),
+        (f"leaderboard{repeat_out_option(options.out)}", "write tables and a site that plays all scenes"),
         json_output=options.json_output,
     )
 
@@ -125,12 +125,12 @@ def leaderboard_command(options: LeaderboardOptions) -> None:
 
     if options.publish_check is not None:
         if options.check:
-            raise InputError("--check and --publish-check are two questions; ask them one after the other")
+            raise InputError("--check and --publish-check exclude each other; run them one after the other")
         raise typer.Exit(
             _print_unpublishable(options.publish_check, options.may_show or (), json_output=options.json_output)
         )
     if options.may_show:
-        raise InputError("--may-show belongs to --publish-check; add it or leave it out")
+        raise InputError("--may-show needs --publish-check; add it or leave --may-show out")
     folder = options.to or options.out / "leaderboard"
     for place in options.records or ():
         require_folder(place, "--records")
@@ -143,10 +143,10 @@ def leaderboard_command(options: LeaderboardOptions) -> None:
     first = folder / ("site/index.html" if options.site else "README.md")
     text = f"{pluralise(len(written), 'file')} in {folder}; start with {first}"
     print_result({"files": [str(path) for path in written]}, text, json_output=options.json_output)
-    page = f", {folder / 'site/index.html'} in any browser" if options.site else ""
+    page = f", or open {folder / 'site/index.html'} in a browser" if options.site else ""
     print_next_steps(
         f"to read: {folder / 'README.md'}{page}",
-        (f"leaderboard --check{repeat_out_option(options.out)}", "whether it is current, after further runs"),
+        (f"leaderboard --check{repeat_out_option(options.out)}", "check that it is current, after further runs"),
         json_output=options.json_output,
     )
 
@@ -162,9 +162,7 @@ def _print_unpublishable(folder: Path, may_show: "Sequence[str]", *, json_output
         for finding in findings:
             typer.echo(finding.sentence())
         summary_text = (
-            pluralise(len(findings), "finding")
-            if findings
-            else "nothing that tells of this machine, nothing that needs a server"
+            pluralise(len(findings), "finding") if findings else "nothing reveals this machine, nothing needs a server"
         )
         typer.echo(f"{root}: {summary_text}")
     return 1 if findings else 0
@@ -210,7 +208,7 @@ def slices_command(options: SlicesOptions) -> None:
     ]
     if not chosen:
         raise InputError(
-            f"there are no such run records below {', '.join(map(str, folders))}; "
+            f"no matching run records below {', '.join(map(str, folders))}; "
             f"{describe_recorded(list_recorded(folders))}; name "
             "one of these or run challenger-bench eval first"
         )

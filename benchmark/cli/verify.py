@@ -52,7 +52,7 @@ def verify_command(options: VerifyOptions) -> None:
     else:
         typer.echo(format_report(checks))
         if options.what == "model" and not options.noise and not all(check.ok for check in checks):
-            typer.echo("--noise says which of these are as far off as our own rounding moves them", err=True)
+            typer.echo("--noise shows which of these errors are within our own floating-point noise", err=True)
     raise typer.Exit(0 if all(check.passes for check in checks) else 1)
 
 

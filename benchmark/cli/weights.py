@@ -57,7 +57,7 @@ def weights_import_command(options: WeightsImportOptions) -> None:
     from benchmark.machine.path_checks import require_file
 
     if not options.path.exists():
-        raise InputError(f"there is no file or folder {options.path}; name one that is there")
+        raise InputError(f"{options.path} does not exist; give an existing file or folder")
     _require_weights(options.model, options.normalisation)
     require_file(options.anchors, "--anchors")
     from adapters.checkpoints.loading import import_weights
@@ -109,7 +109,7 @@ def weights_anchors_command(options: WeightsAnchorsOptions) -> None:
     known = [name for name, model in published_models().items() if model.net.clustered]
     if options.model not in known:
         close = did_you_mean(options.model, known)
-        raise InputError(f"{options.model!r} is no model with anchors; {close}those are {', '.join(known)}")
+        raise InputError(f"{options.model!r} is not a model with anchors; {close}choose from {', '.join(known)}")
     require_output_file(options.out, "--out", (".safetensors",))
     data = api.DataSource.of(options, out=api.OUT)
     data.require_source(options.split)

@@ -19,7 +19,7 @@ from benchmark.geometry import Floats, wrap_angle
 from benchmark.scene import Scene
 
 ADVERSARY: Final = "adversary"
-"""What ``--agents`` calls it."""
+"""Its name in ``--agents``."""
 _MEMORY_US: Final = 200_000
 """Velocities are of the last 0.2 s, as those of recorded tracks."""
 _GENTLE_M_S2: Final = 2.5
@@ -153,7 +153,7 @@ class Handover:
         """(K, 3) poses at (K,) times: linear between frames, headings by the shortest turn."""
         known = np.concatenate([self.recorded[self.first : self.start], track])
         frames = self.times_us[self.first : self.first + len(known)]
-        # What is meant for after the scene's end is not driven.
+        # The part of the track after the scene's end is not driven.
         known = known[: len(frames)]
         seconds, query_seconds = (frames - frames[0]) / 1e6, (times_us - frames[0]) / 1e6
         yaw = np.unwrap(known[:, 2])
@@ -194,7 +194,7 @@ class ScriptedAdversary:
         return memory, self.handover.moved(moved, self._whole, moment.time_us)
 
     def adversary(self, memory: Any) -> AdversaryTrack:
-        """What it was given."""
+        """The tracks that were passed in."""
         return self.track
 
 
@@ -234,11 +234,11 @@ class ScriptedTracks:
         """The policy of a scene; raises `InputError` where there is no track of it, or one that does not fit it."""
         track = self.tracks.get((scene.name, run))
         if track is None:
-            raise InputError(f"there is no track of an adversary in {scene.name}, run {run}; drive it first")
+            raise InputError(f"no adversary track for {scene.name}, run {run}; drive it first")
         room = len(scene.timestamps_us) - track.start
         if not 0 <= track.agent < len(scene.agents) or not 0 < len(track.poses) <= room:
             raise InputError(
-                f"the track of the adversary in {scene.name}, run {run}, does not fit the scene; drive again"
+                f"the track of the adversary in {scene.name}, run {run}, does not match the scene; drive it again"
             )
         return ScriptedAdversary(others(track.agent), Handover.of(scene, track.agent, track.start), track)
 

@@ -201,24 +201,24 @@ def check_policy(policy: AgentPolicy[Any], moment: TrafficSnapshot, steps: int =
             again = policy.act(memory, now, step)
             memory_after, moved = policy.act(memory, now, step)
             if _to_comparable(again) != _to_comparable((memory_after, moved)):
-                raise ValueError(f"{policy.name} answers the same call differently: its memory is not in its memory")
+                raise ValueError(f"{policy.name} gives two results for one call; keep all of its state in `memory`")
             if (_to_comparable(memory), _to_comparable(now)) != before:
-                raise ValueError(f"{policy.name} changes what it is given")
+                raise ValueError(f"{policy.name} modifies its arguments; copy them first")
             _require_shape(policy.name, moved, len(now.boxes))
             memory, time = memory_after, time + SUBSTEP_US
             outputs.append((memory, moved))
         runs.append(_to_comparable(outputs))
     if runs[0] != runs[1]:
-        raise ValueError(f"{policy.name} is not the same twice from the same key")
+        raise ValueError(f"{policy.name} gives two results for one key; draw random numbers from the key only")
 
 
 def _require_shape(name: str, moved: AgentMotion, count: int) -> None:
     if moved.boxes.shape != (INSTANTS, count, 5) or moved.present.shape != (INSTANTS, count):
-        raise ValueError(f"{name} answers boxes {moved.boxes.shape} for {count} agents at {INSTANTS} instants")
+        raise ValueError(f"{name} returns boxes of shape {moved.boxes.shape} for {count} agents at {INSTANTS} instants")
     if moved.velocity.shape != (count, 2):
-        raise ValueError(f"{name} answers velocities {moved.velocity.shape} for {count} agents")
+        raise ValueError(f"{name} returns velocities of shape {moved.velocity.shape} for {count} agents")
     if not (np.isfinite(moved.boxes).all() and np.isfinite(moved.velocity).all()):
-        raise ValueError(f"{name} answers boxes or velocities that are not finite")
+        raise ValueError(f"{name} returns boxes or velocities that are not finite")
 
 
 def _to_comparable(value: Any) -> Any:

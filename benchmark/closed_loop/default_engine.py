@@ -134,7 +134,7 @@ class DefaultBackend:
         """The course of a run; raises `InputError` as `begin_simulation` does."""
         require_enough_keyframes(scene, PRIMING_STEPS + 2)
         if self.agents not in AGENTS:
-            raise InputError(f"there are no agents {self.agents!r}; there are {', '.join(AGENTS)}")
+            raise InputError(f"unknown agents {self.agents!r}; choose from {', '.join(AGENTS)}")
         start_us, end_us = (int(scene.timestamps_us[scene.keyframes[at]]) for at in (PRIMING_STEPS, -1))
         return build_simulation_config(
             scene,
@@ -149,9 +149,7 @@ class DefaultBackend:
         if self.agents != ADVERSARY:
             return _policy_of(scene, self.agents, start_us, end_us)
         if self.adversary is None:
-            raise InputError(
-                "nobody says who the adversary is; drive with --agents adversary, or with its stored tracks"
-            )
+            raise InputError("the scene has no adversary; drive with --agents adversary, or with stored tracks")
         others = self.adversary.others
         return self.adversary.policy(
             scene, run, start_us, lambda agent: _policy_of(scene, others, start_us, end_us, agent)
@@ -219,7 +217,7 @@ class DefaultSimulationState:
         return advanced
 
     def advance_primed(self) -> "DefaultSimulationState | None":
-        """Half a second later where that is still recorded; whatever was planned for it."""
+        """The state half a second later on the recorded path, ignoring the plan; ``None`` after priming."""
         ticks = len(self.motion.ticks)
         if ticks > PRIMING_STEPS:
             return None
@@ -286,11 +284,11 @@ def compute_rear_axle_waypoints(plan: Plan, lidar_ahead_m: float) -> Floats:
 
 
 def describe_agents(maker: SimulatorBackend) -> dict[str, Any]:
-    """What the agents of an engine depend on besides the name of their policy."""
+    """Settings of an engine's agents besides the name of their policy."""
     adversary = maker.adversary if isinstance(maker, DefaultBackend) else None
     return {} if adversary is None else dict(adversary.facts)
 
 
 def read_stop_condition(maker: SimulatorBackend) -> StopCondition:
-    """What ends rides before their time; runs of other engines end at any contact."""
+    """Event that ends an episode early; runs of other engines end at any contact."""
     return maker.until if isinstance(maker, DefaultBackend) else "contact"

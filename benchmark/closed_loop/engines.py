@@ -35,27 +35,25 @@ def make_backend(
         InputError: If there is no such engine or policy, or the engine has no such thing.
     """
     if engine not in ENGINES:
-        raise InputError(
-            f"there is no engine {engine!r}; {did_you_mean(engine, ENGINES)}there are {', '.join(ENGINES)}"
-        )
+        raise InputError(f"unknown engine {engine!r}; {did_you_mean(engine, ENGINES)}choose from {', '.join(ENGINES)}")
     if agents not in AGENTS:
         known = " and ".join([", ".join(AGENTS[:-1]), AGENTS[-1]])
-        raise InputError(f"there are no agents {agents!r}; {did_you_mean(agents, AGENTS)}there are {known}")
+        raise InputError(f"unknown agents {agents!r}; {did_you_mean(agents, AGENTS)}choose from {known}")
     if scenarios not in SCENARIOS:
-        raise InputError(f"there are no scenarios {scenarios!r}; there are {', '.join(SCENARIOS)}")
+        raise InputError(f"unknown scenarios {scenarios!r}; choose from {', '.join(SCENARIOS)}")
     if until not in STOP_CONDITIONS:
         raise InputError(
-            f"no drive ends at {until!r}; {did_you_mean(until, STOP_CONDITIONS)}there are "
+            f"unknown --until {until!r}; {did_you_mean(until, STOP_CONDITIONS)}there are "
             f"{' and '.join(STOP_CONDITIONS)}"
         )
     if engine == ENGINE:
         if scenarios != RECORDED:
-            raise InputError(f"scenarios are of NeuroNCAP's engine; take --engine {ENGINES[1]} or leave them out")
+            raise InputError(f"scenarios need NeuroNCAP's engine; use --engine {ENGINES[1]} or leave --scenarios out")
         return DefaultBackend(agents, 1000 * latency_ms, adversary if agents == ADVERSARY else None, until)
     if agents != "replay" or latency_ms:
-        raise InputError(f"actors of {engine} never react and its plans take effect at once; take --engine {ENGINE}")
+        raise InputError(f"road users of {engine} never react and plans take effect at once; use --engine {ENGINE}")
     if until != "contact":
-        raise InputError(f"every contact ends a run of {engine}; take --engine {ENGINE} or leave --until {until} out")
+        raise InputError(f"every collision ends a run of {engine}; use --engine {ENGINE} or leave --until {until} out")
     backend: SimulatorBackend = import_from_extension("engine", engine)(engine, scenarios)
     return backend
 

@@ -27,7 +27,7 @@ from benchmark.records.drive_schema import NeuroncapScore
 from benchmark.scene import Camera, Scene
 
 End = Literal["contact", "end", "failed"]
-"""What ends a drive: a contact, the end of the scene, or the planner's failure."""
+"""Cause of the end of an episode: a contact, the end of the scene, or the planner's failure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,9 +158,9 @@ class _Simulation:
 
     @classmethod
     def of(cls, stage: EpisodeSpec, planner: Planner) -> "_Simulation":
-        """The seat of a planner that has been told where it drives."""
+        """The simulation of one episode, after the planner was given the scene."""
         if stage.meter is not None:
-            # A drive that begins again begins without what it took before.
+            # A restarted episode drops the latencies measured before.
             stage.meter.latency_s.clear()
         scene, ride = stage.scene, stage.maker.begin(stage.scene, stage.run, stage.can, stage.family)
         route, look = Route.of(scene), stage.sensor.look(scene)
@@ -188,7 +188,7 @@ class _Simulation:
         return plan
 
     def ended(self) -> Episode:
-        """What came of it."""
+        """The finished episode."""
         failed = self.failure is not None
         ride = self.ride if failed else self.ride.finished()
         touch = None if failed else ride.touch
@@ -209,7 +209,7 @@ class _Simulation:
 
 @dataclass(frozen=True, slots=True)
 class _PlannerInterface:
-    """What stands between a world and a planner in one drive."""
+    """Builds the observations of one episode and asks the planner for plans."""
 
     scene: Scene
     route: Route

@@ -5,7 +5,7 @@ the lanes of the map, straight on where they fork; speed is that of the intellig
 drove where that was faster, 1.5 s and 1 m behind a leader, 1 and 2 m/s^2), and any that stands or moves in their way is
 the leader: the ego, others, people. All others, parked cars too, do what the tracks say.
 
-Who is ahead of each vehicle on its road: all vehicles of a scene at once.
+Leading vehicle of each vehicle on its road: all vehicles of a scene at once.
 """
 
 from collections.abc import Sequence
@@ -94,7 +94,7 @@ def find_leaders(
     boxes, velocity, vehicles, other = _find_visible_pairs(driving, here, moment)
     if not len(vehicles):
         return gaps, speeds
-    # Nobody reaches farther to the side than half of its diagonal.
+    # A box reaches no farther to the side than half of its diagonal.
     reach = 0.5 * np.hypot(boxes[other, 2], boxes[other, 3]) + 0.5 * moment.boxes[driving[vehicles], 3]
     reach += SIDE_MARGIN_M + _SAFE_M
     in_reach, point = _find_nearest_points(roads, vehicles, station[vehicles], boxes[other, :2], reach)
@@ -151,7 +151,7 @@ def _find_nearest_points(
     Of Q vehicles at stations and (Q, 2) places of others, which have to be within ``reach`` beside the road to matter:
     (R,) which of them, rising, and (R,) points.
     """
-    # Truncation is towards zero, and whoever is before the start of its road is at its start.
+    # Truncation is towards zero, which puts vehicles before the start of their road at its start.
     lowest = np.maximum(((station - _BEHIND_M) / SPACING_M).astype(np.int64), 0)
     beyond = np.minimum(((station + 2 * SIGHT_M) / SPACING_M).astype(np.int64) + 1, roads.length[who])
     farthest = _bound_distances(roads, who, station, reach)
@@ -223,7 +223,7 @@ def _find_first_indices(rising: Integers) -> Integers:
 
 FREE_SPEED_M_S: Final = 10.0
 MOVING_M: Final = 2.0
-"""Who comes no further than this in the recording is parked."""
+"""A vehicle that moves no farther than this in the recording is parked."""
 _BEYOND_M: Final = 300.0
 """Of road beyond the end of a recorded path."""
 
@@ -310,7 +310,7 @@ class IdmPolicy:
         return after, AgentMotion(boxes, present, velocity)
 
     def _add_arrivals(self, memory: IdmMemory, moved: AgentMotion) -> IdmMemory:
-        """Who is there for the first time drives on from where the tracks have it."""
+        """Vehicles that appear for the first time start at their recorded states."""
         new = moved.present[-1, self.driving] & ~memory.come
         if not new.any():
             return memory
@@ -350,7 +350,7 @@ def _build_road_path(places: Floats, speed: float, road_map: RoadMap) -> LanePat
     end = places[-1, [0, 1, 4]]
     beyond = build_lane_path(road_map, end, Command.STRAIGHT, speed, _BEYOND_M) or build_straight_path(end, _BEYOND_M)
     recorded = places[spaced_rows, :2]
-    # The last recorded place is where the road beyond begins; what is nearer than a step to it would fold the line.
+    # The last recorded place is where the road beyond begins; points nearer than a step to it would fold the line.
     far = np.hypot(*(recorded - end[:2]).T) >= SPACING_M
     return LanePath.through(np.concatenate([recorded[far], beyond.points]))
 
@@ -361,7 +361,7 @@ def _find_spaced_rows(places: Floats) -> list[int]:
     x, y = at[0]
     for row in range(1, len(at)):
         squared = (at[row][0] - x) ** 2 + (at[row][1] - y) ** 2
-        # Plain numbers are fast, and the last bit decides only where they are as good as equal.
+        # Plain numbers are fast, and the last bit matters only where they are nearly equal.
         if abs(squared - SPACING_M**2) > 1e-9:
             apart = squared > SPACING_M**2
         else:

@@ -1,9 +1,9 @@
-"""What a planner sees of a driven world: an `Observation` at each planning instant, made field by field.
+"""Observations of a simulated world for a planner: an `Observation` at each planning instant, made field by field.
 
 Nothing of the recording's future is in it but the command, which is the route's. Where the ego is still primed, motion
 is what the recorded car measured; from then on it is what was simulated, in the form in which a data set has it.
 
-What looks at a driven world for the planner: one Protocol, and the sensor that sees nothing.
+Camera sensors of a simulated world: one Protocol, and the sensor without images.
 """
 
 from collections.abc import Mapping
@@ -41,7 +41,7 @@ class SceneCameras(Protocol):
         """The rig that it sees with."""
 
     def views(self, driven: Scene) -> dict[str, CameraView]:
-        """What the cameras see now.
+        """Current camera images.
 
         Args:
             driven: The world as driven; its last frame is now.
@@ -52,7 +52,7 @@ class SceneCameras(Protocol):
 
 
 class Sensor(Protocol):
-    """What cameras see of a driven world. Picklable; the same world gives the same pictures in every process."""
+    """Cameras in a simulated world. Picklable; the same world gives the same pictures in every process."""
 
     @property
     def name(self) -> str:
@@ -60,7 +60,7 @@ class Sensor(Protocol):
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """What else its pictures depend on, as plain JSON values."""
+        """Further settings that its pictures depend on, as plain JSON values."""
 
     def look(self, scene: Scene) -> SceneCameras:
         """Make ready for a scene."""
@@ -177,7 +177,7 @@ class ObservationBuilder:
             steering_angle=wheel,
             source="can_bus" if self.can.measured or not primed else "derived",
             can_motion=can.copy(),
-            # Nothing later has been simulated, and of the recording nothing later may be seen.
+            # Nothing later has been simulated, and nothing later of the recording may be visible.
             can_motion_after=can.copy(),
         )
 

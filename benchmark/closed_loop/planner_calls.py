@@ -114,13 +114,12 @@ def request_plan(
     if not isinstance(plan, Plan):
         answer_type = type(plan).__name__
         return Failure(
-            FailureReason.NO_PLAN, f"{planner.name} answered {answer_type}, a planner answers benchmark.planning.Plan"
+            FailureReason.NO_PLAN,
+            f"{planner.name} returned {answer_type}; a planner must return benchmark.planning.Plan",
         )
-    # A plan is checked when it is made; its numbers may have been changed since.
+    # A plan is checked at construction; its numbers may have been changed since.
     if not np.isfinite(plan.waypoints).all():
-        return Failure(
-            FailureReason.UNUSABLE, "a plan's waypoints must be finite numbers, this one has NaN or infinity"
-        )
+        return Failure(FailureReason.UNUSABLE, "a plan's waypoints must be finite, but this plan has NaN or infinity")
     return plan
 
 
@@ -134,7 +133,7 @@ def notify_planner(planner: Planner, tell: Callable[[], None], timeout_s: float)
         with contextlib.redirect_stdout(sys.stderr), _time_limit_of(planner, timeout_s):
             tell()
     except PlanTimeoutError:
-        return Failure(FailureReason.TIMEOUT, f"it did not return within {timeout_s:g} s")
+        return Failure(FailureReason.TIMEOUT, f"the call did not return within {timeout_s:g} s")
     except PlannerGoneError:
         raise
     except PlannerLateError as error:
@@ -145,12 +144,12 @@ def notify_planner(planner: Planner, tell: Callable[[], None], timeout_s: float)
 
 
 def _time_limit_of(planner: Planner, timeout_s: float) -> contextlib.AbstractContextManager[None]:
-    """Who watches the clock: a planner in a process of its own is watched over there, to the end of its process."""
+    """The time limit of a call; a planner in a subprocess has its own, enforced by killing the subprocess."""
     return contextlib.nullcontext() if isinstance(planner, SupervisedPlanner) else time_limit(timeout_s)
 
 
 def _to_failure(failure: BaseException) -> Failure:
-    """What was raised, and handled now, as why there is no plan."""
+    """The exception that is being handled, as the failure of a plan."""
     if isinstance(failure, PlannerLostError):
         return Failure(FailureReason.TIMEOUT if failure.late else FailureReason.DIED, failure.text)
     return Failure(FailureReason.RAISED, format_failure(failure))

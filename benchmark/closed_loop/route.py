@@ -1,4 +1,4 @@
-"""The route: the path of the recorded ego, which in closed loop is known, as a road is that one was told to take.
+"""The route: the path of the recorded ego, which in closed loop is given, as navigation gives a route.
 
 The world as it was driven, as a `Scene`: what privileged planners, sensors and scores look at.
 """
@@ -174,7 +174,7 @@ class Route:
 
 @runtime_checkable
 class RouteFollower(Protocol):
-    """A baseline that in closed loop is told the recorded path, with times: it is then about that path alone."""
+    """A baseline that gets the recorded path with times in closed loop: its results are about that path alone."""
 
     def follow(self, route: Route) -> None:
         """Called after `benchmark.planning.Planner.reset`, before the first plan."""

@@ -6,7 +6,7 @@ HUGSIM's HD-Score as a formula, with terms of our own; the number is not HUGSIM'
 
 nuPlan's closed-loop terms for whole drives on nuScenes, without what nuScenes lacks.
 
-Whose fault a contact is while a drive goes on, by the rules that it is scored by afterwards.
+Fault attribution of a contact during an episode, by the same rules as the later scoring.
 """
 
 import math
@@ -77,7 +77,7 @@ class EpisodeFaultAttribution:
     scene: Scene
 
     def __call__(self, contact: CollisionEvent, ego: Floats) -> bool:
-        """Whether the ego is to blame.
+        """Whether the ego is at fault.
 
         ``ego`` are (6,) values of `Ego` at the first end of a sub-step that does not come before the contact.
         """
@@ -92,7 +92,7 @@ class EpisodeFaultAttribution:
 
 
 LACKS: Final = ("SL (speed limits)", "traffic lights", "route blocks (the route is the recorded path)")
-"""What of nuPlan's closed-loop score there is not."""
+"""Parts of nuPlan's closed-loop score that are not implemented."""
 OFF_ROAD_M: Final = 0.3
 """A corner this far outside the drivable area is off the road."""
 LEAST_PROGRESS: Final = 0.2
@@ -242,7 +242,7 @@ def locate_segment(road: RoadPolygons, part: DrivenPart) -> RoadPositions:
     return locate_on_road(road, part.states[None])
 
 
-NOT_HUGSIM: Final = "HD-Score's formula with our terms; not HUGSIM's number"
+NOT_HUGSIM: Final = "HD-Score's formula with our terms; not comparable to HUGSIM's"
 COMPLETE_AT: Final = 0.9
 """Of the recorded poses, from which on the route is complete."""
 

@@ -43,7 +43,7 @@ def build_simulation_config(
         blamed: As of a `SimulationConfig`; ``None``: every contact ends the drive.
     """
     if not 0 <= keyframe < len(scene.keyframes):
-        raise InputError(f"{scene.name} has {len(scene.keyframes)} keyframes, none of number {keyframe}")
+        raise InputError(f"{scene.name} has {len(scene.keyframes)} keyframes; it has no keyframe number {keyframe}")
     start_us = int(scene.timestamps_us[scene.keyframes[keyframe]])
     last_us = int(scene.timestamps_us[scene.keyframes[-1]])
     end_us = last_us if duration_s is None else start_us + round(duration_s * 1e6)

@@ -1,4 +1,4 @@
-"""What drives have in common whatever engine drives: the motion so far, a contact, and the ride as one Protocol."""
+"""Interface shared by all engines: the motion so far, a contact, and the simulation state as one Protocol."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -229,7 +229,7 @@ class RecordedCan:
 
     @classmethod
     def of(cls, states: Iterable[EgoState], root: Path | None = None) -> Self:
-        """What observations of a scene say, of a data set with a root."""
+        """Observation metadata of a scene in a data set with a root."""
         ego_states = list(states)
         motion = np.array([build_can_row(state) for state in ego_states]).reshape(-1, 9)
         wheel = np.array([state.steering_angle or 0.0 for state in ego_states], np.float64)
@@ -244,7 +244,7 @@ def require_enough_keyframes(scene: Scene, ticks: int) -> None:
     """Refuse a scene with fewer keyframes than a drive of so many ticks needs to begin."""
     if len(scene.keyframes) < ticks:
         raise InputError(
-            f"scene {scene.name} has {len(scene.keyframes)} keyframes, and a drive needs {ticks} at least to begin; "
+            f"scene {scene.name} has {len(scene.keyframes)} keyframes, and a drive needs at least {ticks} to start; "
             "leave it out with --scenes"
         )
 

@@ -91,13 +91,13 @@ def require_drivable(course: SimulationConfig, plan: Any) -> Floats:
     try:
         waypoints = np.array(plan, np.float64)
     except (TypeError, ValueError):
-        raise InfeasiblePlanError(f"a plan for {course.scene} is no table of numbers") from None
+        raise InfeasiblePlanError(f"a plan for {course.scene} is not a numeric array") from None
     if waypoints.ndim != 2 or waypoints.shape[1] != 2 or not PLAN_STEPS <= len(waypoints) <= LONGEST_PLAN_STEPS:
         raise InfeasiblePlanError(
             f"a plan for {course.scene} is {waypoints.shape}, not {PLAN_STEPS} to {LONGEST_PLAN_STEPS} waypoints"
         )
     if not np.isfinite(waypoints).all() or np.abs(waypoints).max() > FARTHEST_WAYPOINT_M:
-        raise InfeasiblePlanError(f"a plan for {course.scene} has NaN, infinity or another world's coordinates in it")
+        raise InfeasiblePlanError(f"a plan for {course.scene} has NaN, infinity or global coordinates")
     return waypoints
 
 

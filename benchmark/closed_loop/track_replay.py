@@ -1,4 +1,4 @@
-"""Agents that do what their tracks say, recorded or generated, whatever the ego does."""
+"""Agents that replay their recorded or generated tracks without reacting to the ego."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -37,7 +37,7 @@ class TrackReplay:
         rows = -(-(end_us - start_us) // INSTANT_US) + 1
         times = (start_us - first_us) / 1e6 + INSTANT_US / 1e6 * np.arange(rows)
         boxes, present = tracks.agents_at(times)
-        # Tracks hold their ends; whose track has ended is not there.
+        # Tracks hold their last state; an agent whose track has ended is absent.
         inside = (times >= tracks.seconds[0] - _END_S) & (times <= tracks.seconds[-1] + _END_S)
         velocity = tracks.velocities_at(np.clip(times, tracks.seconds[0], tracks.seconds[-1]))
         return cls(

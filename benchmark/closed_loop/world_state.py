@@ -46,15 +46,15 @@ class SimulationConfig:
     def __post_init__(self) -> None:
         if self.latency_us < 0 or self.latency_us % SUBSTEP_US:
             raise InputError(
-                f"a latency of {self.latency_us / 1000:g} ms does not divide into steps of {SUBSTEP_US // 1000} ms; "
-                "take a multiple of that, or 0"
+                f"a latency of {self.latency_us / 1000:g} ms is not a multiple of the {SUBSTEP_US // 1000} ms step; "
+                "use a multiple of it, or 0"
             )
         if self.end_us <= self.start_us:
-            raise InputError(f"a drive of {self.scene} that ends when it starts has nothing in it; let it end later")
+            raise InputError(f"a drive of {self.scene} ends when it starts; set a later end")
 
     @property
     def name(self) -> str:
-        """What is measured: engine, agents, the latency if there is one, and what ends a drive if not any contact."""
+        """Short description: engine, agents, latency if any, and the stop condition if it is not any contact."""
         late = f" +{self.latency_us // 1000} ms" if self.latency_us else ""
         return f"{ENGINE} {self.policy.name}{late}{' until fault' if self.blamed else ''}"
 

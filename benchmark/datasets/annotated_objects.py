@@ -42,7 +42,7 @@ class AnnotationCount:
 
     @property
     def is_mostly_unknown(self) -> bool:
-        """Whether so many categories are unknown that what goes by them means nothing."""
+        """Whether too many categories are unknown for results by category to mean anything."""
         return sum(self.unknown.values()) > MOST_UNKNOWN * self.annotations
 
     @property
@@ -71,8 +71,8 @@ def require_annotated(data: AnnotationCounter, split: str, scenes: Sequence[str]
     if not total.annotations:
         which = "none of them" if len(scenes) > 1 else "it"
         raise InputError(
-            f"{pluralise(len(scenes), 'scene')} of split {split!r} of {data.root} cannot be judged: {which} has "
-            f"{'an' if len(scenes) > 1 else 'no'} annotation; choose scenes that are labelled (test splits are not)"
+            f"{pluralise(len(scenes), 'scene')} of split {split!r} of {data.root} cannot be scored: {which} has "
+            f"{'an' if len(scenes) > 1 else 'no'} annotation; choose labelled scenes (test splits have no labels)"
         )
     return total
 

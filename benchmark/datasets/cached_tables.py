@@ -1,4 +1,4 @@
-"""What one pass over large tables found, kept in the user's cache: where rows are, which scene has which, which images.
+"""Index of large tables in the user's cache, from one pass: where rows are, which scene has which, which images.
 
 The tables are not parsed again as long as each is the file that it was (`benchmark.machine.user_cache.Stamp`) and the
 checks are the same; rows themselves are always read from the tables. All processes share the memory of what is kept.
@@ -52,7 +52,7 @@ def read_tables_cached(folder: Path, rates: FaultList) -> SceneTables | None:
     noted = rates.counts.total()
     tables = read_scene_tables(folder, rates)
     settled = all(is_settled(stamp, looked_ns) for stamp in stamps.values())
-    # What is noted of scenes is not kept, so that tables with anything to note are read again.
+    # Findings about scenes are not cached, so tables with findings are read again.
     if tables is not None and settled and rates.counts.total() == noted and _stamps(folder) == stamps:
         write_batch(place, folder, made_of, _encode_tables(tables))
     return tables

@@ -1,4 +1,4 @@
-"""Names of categories that are not nuScenes', and what they mean there: without that most protocols see nobody."""
+"""Maps from other category names to nuScenes'; without them most protocols see no road users."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -135,7 +135,7 @@ READY: Final[Mapping[str, Mapping[str, str]]] = {
     "t4": _T4,
     "argoverse2": _ARGOVERSE_2,
 }
-"""What ``--categories`` knows by name (docs/data.md)."""
+"""Built-in maps for ``--categories`` (docs/data.md)."""
 
 
 def read_categories(named: str) -> dict[str, str]:
@@ -149,13 +149,13 @@ def read_categories(named: str) -> dict[str, str]:
     path = Path(named)
     if not path.is_file():
         raise InputError(
-            f"--categories {named!r} is no ready map and no file; {did_you_mean(named, READY)}ready are "
+            f"--categories {named!r} is no built-in map or file; {did_you_mean(named, READY)}built in are "
             f"{', '.join(READY)}"
         )
     read = read_json(path, SETTINGS)
     wrong = None
     if not isinstance(read, dict) or not read:
-        wrong = "is no object of names"
+        wrong = "is not a JSON object of names"
     else:
         wrong = next((f"maps {name!r} to {to!r}" for name, to in read.items() if to not in CATEGORIES), None)
     if wrong is not None:

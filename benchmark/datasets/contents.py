@@ -1,4 +1,4 @@
-"""What a data set holds, in numbers."""
+"""Content of a data set, in numbers."""
 
 from typing import Any, Final
 

@@ -206,6 +206,5 @@ def _require_masks(root: Path, maps: list[Row]) -> None:
     for row in maps:
         if not (root / row["filename"]).is_file():
             raise InputError(
-                f"map mask {root / row['filename']} of map.json is missing; the devkit needs the file (any small PNG "
-                "does)"
+                f"map mask {root / row['filename']} of map.json is missing; add it for the devkit (any small PNG works)"
             )

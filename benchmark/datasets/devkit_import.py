@@ -1,8 +1,8 @@
-"""Importing nuscenes-devkit without what only its drawing and its lidar statistics need.
+"""Importing nuscenes-devkit without the modules that only its drawing and lidar statistics need.
 
 The devkit imports scikit-learn (and so scipy.stats and pandas) for one distance in a picture of ego poses, and pyplot
 for its pictures: seconds of processor time in each process, of which nothing here uses anything. Its modules are given
-stand-ins that import the real thing once something is asked of them. Nobody else meets a stand-in: ``sys.modules``
+stand-ins that import the real module on first use. No other code meets a stand-in: ``sys.modules``
 holds none.
 
 The devkit's object over rows that were read here; further tables it reads by itself where they are.
@@ -32,7 +32,7 @@ _PUT_OFF: Final = (
     "matplotlib.backends.backend_agg",
     "matplotlib.rcParams",
 )
-"""What the devkit names when it is imported and uses in functions that nobody here calls."""
+"""Names that the devkit needs at import and uses only in functions that are never called here."""
 
 _lock = threading.RLock()
 
@@ -122,7 +122,7 @@ def _devkit_finder_installed() -> Iterator[None]:
 
 
 FURTHER_TABLES: Final = ("lidarseg", "panoptic", "image_annotations")
-"""Tables that the devkit reads where they are, and nobody here."""
+"""Optional tables that the devkit reads and this package does not."""
 
 
 def build_devkit(root: Path, version: str, tables: Tables) -> Any:

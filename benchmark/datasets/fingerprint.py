@@ -1,4 +1,4 @@
-"""A content hash of a data set: equal for equal data, wherever it lies and whatever its folder is called.
+"""A content hash of a data set: equal for equal data, independent of the location and name of its folder.
 
 Hashes of large files, kept in the user's cache under what tells that a file is still the one that was hashed.
 """

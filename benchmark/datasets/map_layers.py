@@ -54,7 +54,7 @@ def read_road_map(path: Path) -> RoadMap:
     """
     layers = read_json(path)
     if not isinstance(layers, dict):
-        raise InputError(f"{path} must be a map expansion, an object of layers; fetch or make it again")
+        raise InputError(f"{path} must be a map expansion (a JSON object of layers); fetch or make it again")
     _require_version(layers, path)
     try:
         require_records(path, "node", layers["node"], MAP_NODE)

@@ -75,6 +75,6 @@ def _require_all_or_none(scene: str, paths: Sequence[Path]) -> None:
     missing = [path for path in paths if not path.is_file()]
     if missing and len(missing) < len(paths):
         raise InputError(
-            f"image {missing[0]} is missing, {len(missing)} of the {len(paths)} images of scene {scene} are; complete "
+            f"image {missing[0]} is missing ({len(missing)} of the {len(paths)} images of scene {scene} are); complete "
             "the data set or leave the scene out"
         )

@@ -1,4 +1,4 @@
-"""What a data set is to everybody else, and data sets that lie in several roots.
+"""Interface of a data set, and data sets that lie in several roots.
 
 Official model code accepts only original scene names, so several adversarial variants of one scene need several
 roots: ``v0/``, ``v1/``, ... side by side, each a complete nuScenes root. They are read as one data set whose scenes
@@ -233,7 +233,7 @@ class VariantRoots:
         folder, _, inner = name.partition("/")
         if folder not in self._variants or not inner:
             raise InputError(
-                f"{self.root} has no scene {name!r}; its scenes are called like {next(iter(self.scene_names()))!r}"
+                f"{self.root} has no scene {name!r}; its scenes have names such as {next(iter(self.scene_names()))!r}"
             )
         return self._variants[folder], inner
 

@@ -100,7 +100,7 @@ class SampleRoads:
         Returns:
             (N, 20, 2) points at equal distances along each edge, ego frame, metres.
         """
-        # The border of the patch itself is trimmed away, so what is left are the edges within.
+        # The border of the patch itself is trimmed away, which leaves the edges within.
         half_x, half_y = 0.5 * PATCH_M[0] - _TRIM_M, 0.5 * PATCH_M[1] - _TRIM_M
         edges = self._in_ego(self.surfaces.near(self.axle_pose[:2])[0])
         pieces = shapely.get_parts(shapely.line_merge(shapely.clip_by_rect(edges, -half_x, -half_y, half_x, half_y)))
@@ -329,7 +329,7 @@ def _add_timed_truth(truth: SampleTruth, scene: Scene, boxes_yaw: Floats, steps:
     )
     local = _in_lidar(between, truth.lidar_pose)
     lidar_points, radar_points = known.num_lidar_pts[rows, nearest], known.num_radar_pts[rows, nearest]
-    # Steps become unknown once and for all, so that the last known one is held.
+    # Once a step is unknown all later ones are, so the last known one is held.
     last = np.minimum(np.arange(len(steps.known)), np.count_nonzero(steps.known) - 1)
     future = _timed_future(scene, truth.lidar_pose, steps)
     command = compute_command(future[1:], steps.recorded[1:])

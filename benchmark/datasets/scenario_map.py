@@ -36,7 +36,7 @@ def to_real_numbers(value: Any) -> Floats:
     try:
         numbers = np.asarray(value)
         if numbers.dtype.kind not in "biufO":
-            raise ValueError(f"{numbers.dtype} is no type of numbers")
+            raise ValueError(f"{numbers.dtype} is not a numeric type")
         return np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(to_one_line(error, 80)) from error
@@ -50,7 +50,7 @@ def to_name(value: Any, what: str, path: Path) -> str:
     """
     text = str(value) if isinstance(value, str | int | np.integer) else ""
     if len(text) > _LONGEST_NAME or not text.isprintable() or (not text and not isinstance(value, str)):
-        raise InputError(f"{path}: {what} must be a name, it is {to_one_line(repr(value), 60)}; fetch the file again")
+        raise InputError(f"{path}: {what} must be a name, not {to_one_line(repr(value), 60)}; fetch the file again")
     return text
 
 
@@ -62,7 +62,7 @@ ADVERSARIES: Final = "adversaries"
 IS_ADVERSARY: Final = "is_adversary"
 """In the metadata of each track of a file that is written here."""
 RING_PREFIX: Final = "boundary_"
-"""What parts of the map that are rings of the drivable area are called after, as in files of nuScenes."""
+"""Prefix of the names of drivable-area rings in the map, as in nuScenes files."""
 
 NEEDS_A_PACKAGE: Final = (
     "writing OpenSCENARIO needs the package scenariogeneration; install it with: pip install "
@@ -190,7 +190,7 @@ def decode_map(features: Mapping[Any, Any], own: Any, path: Path) -> RoadMap:
         return _map(features, own, path)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, shapely.errors.ShapelyError) as error:
         raise InputError(
-            f"{path}: its map is not as challenger-bench writes it ({type(error).__name__}: {to_one_line(error, 80)}); "
+            f"{path}: its map is not in challenger-bench's format ({type(error).__name__}: {to_one_line(error, 80)}); "
             "export it again"
         ) from error
 
@@ -241,7 +241,7 @@ def _require_no_more_than_roads(features: Mapping[Any, Any]) -> None:
     points = sum(len(line) for line in lines if line is not None)
     lanes = sum(feature[OWN]["layer"] == "lanes" for feature in features.values())
     if points > MAP_POINTS or lanes > MAP_LANES:
-        raise ValueError(f"{points} points and {lanes} lanes, more than roads have")
+        raise ValueError(f"{points} points and {lanes} lanes, more than any road network")
 
 
 def _read_lane(name: str, feature: MapFeature, path: Path) -> Lane:
@@ -280,5 +280,5 @@ def _read_numbers(value: Any, shape: tuple[int, ...]) -> Floats:
 
 def _finite(values: Floats) -> Floats:
     if not np.isfinite(values).all() or np.abs(values).max(initial=0.0) > FARTHEST_M:
-        raise ValueError("coordinates that are no metres")
+        raise ValueError("coordinates that are not metres")
     return values

@@ -146,7 +146,7 @@ def _build_external_scene(recording: _ScenarioNetFile, ego: SourceTrack, others:
     scene = Scene(
         name=name,
         token=_scene_token(recording),
-        # Words of a description name the look, and an identifier may contain any word.
+        # Words of a description set the appearance, and an identifier may contain any word.
         description="",
         log=f"scenarionet-{recording.dataset}-{recording.identifier}",
         vehicle="scenarionet",
@@ -191,7 +191,7 @@ def _read_recording(path: Path) -> _ScenarioNetFile:
         raise InputError(f"{path}: 'ts' steps by {np.median(steps):g}; it must be in seconds, at 1 to 100 Hz")
     if seconds[-1] - seconds[0] > RECORDING_S:
         raise InputError(
-            f"{path} lasts {seconds[-1] - seconds[0]:g} s; one recording has at most {RECORDING_S:g} s, cut it"
+            f"{path} lasts {seconds[-1] - seconds[0]:g} s; one recording has at most {RECORDING_S:g} s; cut it"
         )
     dataset = to_name(metadata.get("dataset", "unknown"), "metadata dataset", path)
     return _ScenarioNetFile(path, to_name(value["id"], "id", path), dataset, seconds - seconds[0], metadata, value)
@@ -201,10 +201,10 @@ def _tracks_of(recording: _ScenarioNetFile) -> dict[str, SourceTrack]:
     path, given = recording.path, recording.value["tracks"]
     named = {to_name(name, "the name of a track", path): track for name, track in given.items()}
     if len(named) != len(given):
-        raise InputError(f"{path} has two tracks of one name; fetch the file again")
+        raise InputError(f"{path} has two tracks with the same name; fetch the file again")
     frames = max(len(recording.seconds), (recording.seconds[-1] + 1.0) * FRAME_HZ)
     if len(named) > RECORDED_OBJECTS or len(named) * frames > RECORDED_POSES:
-        raise InputError(f"{path} has {len(named)} tracks at {frames:.0f} frames, which is too much; cut it")
+        raise InputError(f"{path} has {len(named)} tracks at {frames:.0f} frames, which is too many; cut it")
     read = {name: read_track(track, name, len(recording.seconds), path) for name, track in named.items()}
     return {name: track for name, track in read.items() if track is not None}
 
@@ -222,14 +222,14 @@ def _require_steady(recording: _ScenarioNetFile, ego: SourceTrack) -> None:
     """Refuse an ego that is not always there, or jumps."""
     if not ego.valid.all():
         raise InputError(
-            f"{recording.path}: the ego is not there at step {int(np.argmin(ego.valid))}; a recording needs its ego "
+            f"{recording.path}: the ego is absent at step {int(np.argmin(ego.valid))}; a recording needs its ego "
             "at every step"
         )
     moved = np.linalg.norm(np.diff(ego.position[:, :2], axis=0), axis=1) / np.diff(recording.seconds)
     if moved.max() > _FASTEST_EGO_MPS:
         raise InputError(
             f"{recording.path}: the ego moves at {moved.max():.3g} m/s after step {int(np.argmax(moved))}; positions "
-            "must be metres and without jumps, fetch the file again"
+            "must be in metres and without jumps; fetch the file again"
         )
 
 

@@ -170,7 +170,7 @@ def _width(value: Any, name: str, path: Path) -> Floats | None:
     try:
         return None if value is None else to_real_numbers(value)
     except ValueError as error:
-        raise InputError(f"{path}: width of map feature {name} is no list of numbers ({error})") from error
+        raise InputError(f"{path}: width of map feature {name} is not a list of numbers ({error})") from error
 
 
 def _names(value: Any, name: str, path: Path) -> tuple[str, ...] | None:
@@ -223,7 +223,7 @@ def _linked_lanes(features: Mapping[str, _CheckedFeature]) -> dict[str, Lane]:
     for name, neighbours in successors.items():
         for other in neighbours:
             predecessors[other].add(name)
-    # nuScenes gives lanes a surface and connectors none; other sources treat all lanes alike.
+    # In nuScenes lanes have a surface and connectors do not; other sources treat all lanes alike.
     tells_connectors = any(feature.outline is not None for feature in features.values())
     lanes = {}
     for name, feature in features.items():

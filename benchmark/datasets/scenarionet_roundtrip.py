@@ -30,7 +30,7 @@ from benchmark.untrusted.files import RECORD, to_one_line
 from benchmark.untrusted.text_files import parse_json
 
 _SAME_M: Final = 1e-6
-"""How far the ego may be from where the file's own block has it before somebody moved it."""
+"""Largest distance of the ego from its pose in the file's own block before the file counts as edited."""
 _LONGEST_TEXT: Final = 10_000
 _MOST_PIXELS: Final = 20_000
 
@@ -62,7 +62,7 @@ def find_own_block(metadata: Mapping[Any, Any], path: Path) -> Mapping[Any, Any]
     if not isinstance(additions, dict) or additions.get("schema") != SCHEMA:
         schema = additions.get("schema") if isinstance(additions, dict) else None
         raise InputError(
-            f"{path} was exported by another version (its block {OWN} has the schema {schema!r:.40}, this "
+            f"{path} was exported by another version (its {OWN} block has schema {schema!r:.40}, this "
             "version reads "
             f"{SCHEMA}); upgrade challenger-bench or export it again"
         )
@@ -79,7 +79,7 @@ def restore_scene(file: RoundtripFile) -> ExchangedScene:
         return _scene(file)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise InputError(
-            f"{file.path}: what challenger-bench adds to its files is damaged ({type(error).__name__}: "
+            f"{file.path}: the block added by challenger-bench is damaged ({type(error).__name__}: "
             f"{to_one_line(error, 80)}); export it again"
         ) from error
 
@@ -92,7 +92,7 @@ def _scene(file: RoundtripFile) -> ExchangedScene:
     if len(timestamps) != frames or (np.diff(timestamps) <= 0).any() or timestamps[0] < 0:
         raise ValueError("times that do not match its steps")
     if not len(keyframes) or (np.diff(keyframes) <= 0).any() or keyframes[0] < 0 or keyframes[-1] >= frames:
-        raise ValueError("keyframes that are no steps of it")
+        raise ValueError("keyframes that are not steps of the recording")
     agents, annotations = _objects(file, keyframes)
     name = to_name(additions["name"], "the name of the scene", path)
     exchanged = ExchangedScene(
@@ -135,7 +135,7 @@ def read_adversaries(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path
     unknown = [name for name in names if name not in ids]
     if unknown:
         raise InputError(
-            f"{path}: metadata {ADVERSARIES} names {unknown[0]}, and it has no such object at any keyframe; correct it"
+            f"{path}: metadata {ADVERSARIES} names {unknown[0]}, which is not an object at any keyframe; correct it"
         )
     return names
 
@@ -271,13 +271,13 @@ def _sweeps(stored: Any, frames: int, cameras: int) -> SweepPoses | None:
 def _report(text: Any) -> dict[str, Any]:
     value = parse_json(_text(text, RECORD.line_bytes).encode(), RECORD)
     if not isinstance(value, dict):
-        raise ValueError("a report that is no object")
+        raise ValueError("a report that is not an object")
     return value
 
 
 def _text(value: Any, longest: int = _LONGEST_TEXT) -> str:
     if not isinstance(value, str) or len(value) > longest:
-        raise ValueError("text that is none, or too long")
+        raise ValueError("a value that is not text, or text that is too long")
     value.encode()
     return value
 
@@ -291,12 +291,12 @@ def _numbers(value: Any, shape: tuple[int, ...]) -> Floats:
 
 def _unit(quaternions: Floats) -> Floats:
     if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0) > 1e-3).any():
-        raise ValueError("rotations that are no unit quaternions")
+        raise ValueError("rotations that are not unit quaternions")
     return quaternions
 
 
 def _whole_numbers(value: Any) -> NDArray[np.int64]:
     numbers = np.asarray(value)
     if numbers.dtype.kind not in "iu" or numbers.ndim != 1:
-        raise ValueError(f"{numbers.dtype} where whole numbers belong")
+        raise ValueError(f"{numbers.dtype} instead of whole numbers")
     return numbers.astype(np.int64)

@@ -60,7 +60,7 @@ def read_track(track: Any, name: str, steps: int, path: Path) -> SourceTrack | N
     """
     try:
         if not isinstance(track, dict) or not isinstance(track["state"], dict) or not isinstance(track["type"], str):
-            raise TypeError("no dictionary with a state and a type")
+            raise TypeError("not a dictionary with a state and a type")
         state, kind = track["state"], track["type"]
         valid = to_real_numbers(state["valid"]).reshape(steps) > 0
         position = to_real_numbers(state["position"])
@@ -85,12 +85,12 @@ def read_track(track: Any, name: str, steps: int, path: Path) -> SourceTrack | N
         step = int(np.flatnonzero(valid & ~good)[0])
         raise InputError(f"{path}: track {name} has a pose that is not finite at step {step}; fetch the file again")
     if not np.isfinite(size).all() or not (size > 0).all():
-        raise InputError(f"{path}: track {name} has the size {size.tolist()}; sizes must be positive, fetch it again")
+        raise InputError(f"{path}: track {name} has the size {size.tolist()}; sizes must be positive; fetch it again")
     farthest_m = np.abs(position[valid]).max()
     if farthest_m > FARTHEST_M or size.max() > _LARGEST_M:
         raise InputError(
             f"{path}: track {name} has positions up to {farthest_m:g} and the size {size.tolist()}; these cannot be "
-            "metres, fetch the file again"
+            "metres; fetch the file again"
         )
     return SourceTrack(_category(track, kind, size), position, heading, size, valid)
 

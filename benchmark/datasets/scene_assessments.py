@@ -1,7 +1,7 @@
-"""``judgements.json`` beside the tables: what is said of each scene of a generated root.
+"""``judgements.json`` beside the tables: the assessment of each scene of a generated root.
 
 It is no part of the data set's fingerprint and can be made from the tracks again: a better definition makes no other
-data set. Roots without it are judged when somebody asks (`benchmark.fairness.data_set_assessment`).
+data set. Roots without it are assessed on demand (`benchmark.fairness.data_set_assessment`).
 """
 
 from collections.abc import Mapping
@@ -65,7 +65,7 @@ def read_assessments_file(folder: Path) -> AssessmentsFile | None:
     return validate_stored(
         AssessmentsFile.model_validate,
         read_json(path, RECORD),
-        lambda where, why: f"{path} is damaged at {where}: {why}; delete it, and data stats judges the scenes anew",
+        lambda where, why: f"{path} is damaged at {where}: {why}; delete it, and data stats assesses them again",
     )
 
 
@@ -84,6 +84,6 @@ def collect_assessments(root: Path, version: str) -> dict[str, tuple[SceneAssess
 def collect_realism(root: Path, version: str) -> SplitRealism | None:
     """Realism of a data set's adversaries, as its builder found it; ``None`` where it was not measured."""
     folders = find_variant_folders(root)
-    # Every variant says the same of all of them.
+    # Every variant has the same values for all of them.
     stored = read_assessments_file((root / folders[0] if folders else root) / version)
     return None if stored is None else stored.realism

@@ -1,6 +1,6 @@
 """A scene in words as nuScenes describes its own: traffic and road, and where and when it was, as far as that is known.
 
-Nothing is guessed: what a recording does not say is not said here. Words for light and weather are read by whoever
+Nothing is guessed: facts missing in the recording are left out. Words for light and weather are read when a
 draws a scene (`benchmark.scene.Conditions`), so they stand here only where the recording has them.
 """
 

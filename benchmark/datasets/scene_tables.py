@@ -116,7 +116,7 @@ def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:
         the tables must be read whole.
     """
     collecting = gc.isenabled()
-    # Rows hold no circles, so looking for some among millions of them is time lost.
+    # Rows hold no reference cycles, so a garbage collection over millions of them is time lost.
     gc.disable()
     try:
         return _TablesPass(folder, rates).result()

@@ -160,7 +160,7 @@ def read_videos(nusc: Any, root: Path, samples: Sequence[Row], *, sweeps: bool) 
         times = [view.timestamp_us for view in video]
         if any(later <= earlier for earlier, later in pairwise(times)):
             raise InputError(
-                f"the images of {name} of scene {samples[0]['scene_token']} turn back in time; fix sample_data.json"
+                f"the images of {name} of scene {samples[0]['scene_token']} go back in time; correct sample_data.json"
             )
     return {name: tuple(video) for name, video in videos.items()}
 

@@ -1,6 +1,6 @@
 """Which scenes a split has.
 
-The order in which readers go through exported infos: scene by scene, whatever times variants share.
+The order in which readers go through exported infos: scene by scene, even where variants share times.
 """
 
 import re
@@ -80,7 +80,7 @@ def _checked(value: Any, path: Path) -> dict[str, tuple[str, ...]]:
         raise InputError(f"{path} must map split names to lists of scene names; make it again")
     for split, names in value.items():
         if len(set(names)) < len(names):
-            raise InputError(f"{path}: split {split!r} lists a scene twice; name each scene once")
+            raise InputError(f"{path}: split {split!r} lists a scene twice; list each scene once")
     return {split: tuple(names) for split, names in value.items()}
 
 
@@ -111,12 +111,12 @@ def select_scenes(
         InputError: If ``splits.json`` names a scene that is not here.
     """
     if split in custom and not custom[split]:
-        raise InputError(f"{where}: splits.json puts no scene into {split!r}; correct it, or ask for another split")
+        raise InputError(f"{where}: split {split!r} of splits.json is empty; correct it, or choose another split")
     if split in custom:
         absent = sorted(set(custom[split]) - set(present))
         if absent:
             raise InputError(
-                f"{where}: splits.json puts {to_one_line(absent[0], 80)} into {split!r}, but there is no such scene; "
+                f"{where}: splits.json lists {to_one_line(absent[0], 80)} in {split!r}, but there is no such scene; "
                 "complete the data set or correct splits.json"
             )
         return tuple(sorted(custom[split]))

@@ -124,6 +124,6 @@ def require_scenes(names: Mapping[str, Any], tokens: Mapping[str, str], path: Pa
     unknown = sorted(set(names) - set(tokens))
     if unknown:
         raise InputError(
-            f"{path} names {to_one_line(unknown[0], 80)}, and {root} has no such scene; "
+            f"{path} names {to_one_line(unknown[0], 80)}, which is not a scene of {root}; "
             f"{did_you_mean(unknown[0], list(tokens))}it has {pluralise(len(tokens), 'scene')}; nothing was recorded"
         )

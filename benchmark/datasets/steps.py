@@ -27,7 +27,7 @@ SHORTEST_US: Final = 395_000
 LONGEST_US: Final = 605_000
 """Intervals of nuScenes run from 0.4 to 0.6 s, to the hundredth."""
 LONGEST_KNOWN_US: Final = 750_000
-"""Across a longer gap nobody knows where anything was."""
+"""Positions across a longer gap are unknown."""
 ON_KEY_FRAME_US: Final = 1_000
 """A time so near to a key frame is the key frame: time stamps are rounded."""
 _RATE_TOLERANCE_US: Final = STEP_US // 10
@@ -121,7 +121,7 @@ class KeyFrameSteps:
         wanted = times[index] + STEP_US * np.asarray(steps, np.int64)
         before = np.clip(np.searchsorted(times, wanted + ON_KEY_FRAME_US, side="right") - 1, 0, last)
         after = np.clip(np.searchsorted(times, wanted - ON_KEY_FRAME_US, side="left"), 0, last)
-        # Of two key frames within the rounding of a time stamp the earlier one is meant.
+        # Of two key frames within the rounding of a time stamp, the earlier one is used.
         before = np.minimum(before, after)
         span = np.where(after > before, times[after] - times[before], 1)
         fraction = np.where(after > before, (wanted - times[before]) / span, 0.0)
@@ -162,7 +162,7 @@ def require_two_hz(scene: Scene, what: str) -> None:
     if interval_us is not None:
         raise InputError(
             f"the key frames of {scene.name} are {interval_us * 1e-6:.3g} s apart (median), and {what} needs one every "
-            f"{STEP_US * 1e-6:g} s; only eval and rescore take other rates, leave the scene out here"
+            f"{STEP_US * 1e-6:g} s; only eval and rescore accept other rates; leave the scene out"
         )
 
 

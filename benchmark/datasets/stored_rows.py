@@ -25,7 +25,7 @@ from benchmark.untrusted.text_files import require_utf8
 
 _CHUNK_BYTES: Final = 1 << 20
 _LONGEST_ROW_CHARACTERS: Final = 1 << 24
-"""What cannot be decoded within so much is no row: the rest of a broken table is not read into memory."""
+"""Longest row; a longer one is an error, so that a broken table is not read into memory whole."""
 _BATCH_ROWS: Final = 4096
 _READ_THROUGH_BYTES: Final = 1 << 14
 """Rows that lie nearer to each other than this are read in one piece."""
@@ -237,7 +237,7 @@ def _collect_linked(path: Path, field: str, wanted: Collection[str] | None, give
             linked.add(row[gives])
     # Eight bytes a row, as a table of trainval has millions; one in a million such tables has two tokens of one hash.
     if len(np.unique(tokens)) < len(tokens):
-        raise InputError(f"{path} has two rows of one token; challenger-bench data check names them")
+        raise InputError(f"{path} has two rows with the same token; challenger-bench data check lists them")
     return linked, count
 
 

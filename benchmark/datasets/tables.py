@@ -66,7 +66,7 @@ def _require_all_tables(folder: Path) -> None:
     missing = [table for table in NUSCENES_TABLES if not (folder / f"{table}.json").is_file()]
     if missing:
         names = ", ".join(f"{table}.json" for table in missing)
-        raise InputError(f"{folder} lacks {names}; all 13 nuScenes tables must be there (they may be empty lists)")
+        raise InputError(f"{folder} lacks {names}; all 13 nuScenes tables must exist (they may be empty lists)")
 
 
 def find_splits_file(folder: Path, root: Path) -> Path | None:

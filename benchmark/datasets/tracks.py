@@ -77,7 +77,7 @@ def _check_arrays(path: Path, arrays: dict[str, Any]) -> None:
     kinds = {"ptr": "iu", "cls": "U", "source": "U", "licence": "U", "is_ego": "biuf"}
     for name in (*REQUIRED, "is_ego"):
         if arrays[name].size and arrays[name].dtype.kind not in kinds.get(name, "fiu"):
-            raise InputError(f"{path}: {name} holds {arrays[name].dtype}, which it cannot be; make the file again")
+            raise InputError(f"{path}: {name} has the wrong type {arrays[name].dtype}; make the file again")
     if any(arrays[name].size != 1 for name in ("hz", "source", "licence")):
         raise InputError(f"{path}: hz, source and licence must be one value each; make the file again")
     ptr, samples, count = arrays["ptr"], len(np.atleast_1d(arrays["x"])), len(np.atleast_1d(arrays["cls"]))
@@ -91,4 +91,4 @@ def _check_arrays(path: Path, arrays: dict[str, Any]) -> None:
     if not all(np.isfinite(arrays[name]).all() for name in by_sample):
         raise InputError(f"{path} has NaN or infinite positions or headings; leave those tracks out")
     if not (np.isfinite(arrays["hz"]) and 2 <= float(arrays["hz"]) <= 1000):
-        raise InputError(f"{path} says {arrays['hz']} samples per second; 2 to 1000 are understood")
+        raise InputError(f"{path} has {arrays['hz']} samples per second; 2 to 1000 are supported")

@@ -1,8 +1,8 @@
-"""What a data set holds of the truth of a scene, so that a record can say which of its numbers rest on nothing.
+"""Availability of ground truth for a scene, so that a record can mark numbers without a basis.
 
-What a scene holds of what planners and metrics want beside annotations, and what of it cannot be.
+Inputs of planners and metrics beside annotations: which of them a scene has, and which are implausible.
 
-What recorded motion says against a data set: boxes that jump or lie across it, rotations in another order.
+Signs of a wrong data set in recorded motion: boxes that jump or lie across it, rotations in another order.
 """
 
 from collections import Counter
@@ -101,7 +101,7 @@ def count_objects_across(steps: AnnotationSteps, yaw: Floats, size: Floats) -> t
     """
     driving = steps.drives
     row, owner = steps.row[driving], steps.owner[driving]
-    # Backwards is along, too.
+    # Driving backwards counts as along.
     turned = np.abs(wrap_angle(2.0 * (steps.direction[driving] - yaw[row]))) / 2.0 > ACROSS_RAD
     across = turned | (size[row, 1] > WIDER * size[row, 0])
     objects, which, count = np.unique(owner, return_inverse=True, return_counts=True)

@@ -61,7 +61,7 @@ def idm_acceleration(
     braking_distance = speed * closing / (2 * np.sqrt(driver.acceleration * driver.comfortable_braking))
     wanted_gap = driver.standstill_gap_m + max(speed * driver.time_gap_s + braking_distance, 0.0)
     following = free - driver.acceleration * (wanted_gap / gap) ** 2
-    # What would do if the leader went on as it does now: a driver who trusts it lets the gap grow gently.
+    # Acceleration that suffices if the leader keeps its motion: a driver who trusts it lets the gap grow gently.
     trusting = -(max(closing, 0.0) ** 2) / (2 * gap)
     if following < trusting:
         beyond = trusting + driver.comfortable_braking * np.tanh((following - trusting) / driver.comfortable_braking)

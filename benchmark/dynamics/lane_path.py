@@ -108,7 +108,7 @@ def build_lane_path(
     centre = route.at(start + along)
     points = centre + offset[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)])
     points[0] = pose[:2]
-    # Where the mapped lane ends a driver does not stop but goes straight on.
+    # Where the mapped lane ends, the driver continues straight.
     missing_m = length_m - float(along[-1])
     if missing_m > 0.0:
         ahead = np.array([np.cos(heading[-1]), np.sin(heading[-1])])

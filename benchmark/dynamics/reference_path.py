@@ -124,7 +124,7 @@ def _speed_fit(frames: int, dt: float, true_jerk: bool) -> Floats:
     """(F, F) matrix from displacements to speeds: least squares with a small penalty on jerk.
 
     The reference's difference matrix lost its super-diagonal, so that it penalises acceleration except in the last
-    row, and there a change per frame, whatever its time; ``true_jerk`` is what was meant.
+    row, and there a change per frame, regardless of its duration; ``true_jerk`` is the intended matrix.
     """
     acceleration = np.diff(np.eye(frames), axis=0) / dt
     penalised = np.diff(acceleration, axis=0) / dt

@@ -1,4 +1,4 @@
-"""What is said of a split, as text tables."""
+"""Assessment of a split, as text tables."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -33,7 +33,7 @@ def build_split_tables(judged: SplitAssessment) -> list[Table]:
 
 
 def format_assessment(judged: SplitAssessment) -> str:
-    """The tables for a terminal, with what else there is to say."""
+    """The tables for a terminal, with the reason if realism was not compared."""
     blocks = [table.plain() for table in build_split_tables(judged)]
     if judged.realism.not_compared is not None:
         blocks.append(f"Realism: not compared; {judged.realism.not_compared}.\n")
@@ -46,24 +46,24 @@ def _build_scene_table(judged: SplitAssessment) -> Table:
     tracks = {assessment.tracks for assessments in judged.scenes.values() for assessment in assessments}
     maps = {assessment.has_map for assessments in judged.scenes.values() for assessment in assessments}
     notes = [
-        "ok: the driver hits nobody; else kind and second of its first contact, * with an adversary, "
-        "> with the recorded path behind it.",
+        "ok: no contact; otherwise kind and time (s) of the driver's first contact, * with an adversary, "
+        "> beyond the recorded path.",
         "margin: seconds from 0.75 s after the adversary is first visible to the last chance at constant speed.",
     ]
     if "annotated" in tracks:
-        notes.append("Judged on what a reader interpolates between 2 Hz keyframes, where no 12 Hz track was at hand.")
+        notes.append("Assessed on tracks interpolated between 2 Hz keyframes where no 12 Hz track was available.")
     if any(
         assessment.adversary is not None and assessment.acts_s is None
         for assessments in judged.scenes.values()
         for assessment in assessments
     ):
-        notes.append("Where nobody says when an adversary begins to act, drivers take over at the first frame.")
+        notes.append("Where the start of the adversary's action is unknown, drivers take over at the first frame.")
     if False in maps:
-        notes.append("no map: manoeuvres may go anywhere.")
+        notes.append("No map: manoeuvres are not limited to roads.")
     if missing:
-        notes.append(f"{missing} scenes of a single frame are not judged.")
+        notes.append(f"{missing} scenes with a single frame are not assessed.")
     columns = ("scene", *_SHOWN, "margin", "gap", "TTC", "PET", "BTN", "faults")
-    return build_table("", "Who survives which scene", columns, rows, notes=notes)
+    return build_table("", "Reference drivers by scene", columns, rows, notes=notes)
 
 
 def _build_scene_row(name: str, assessments: Sequence[SceneAssessment]) -> tuple[str, ...]:
@@ -112,14 +112,14 @@ def _build_reference_driver_table(judged: SplitAssessment) -> Table:
     recordings = ["of the recordings"] if ordinary else []
     columns = ("driver", "survives", "share", *recordings, "hits an adversary", "is run into", "leaves the path")
     notes = [
-        f"Nobody could have avoided {len(judged.unsolvable)}: {', '.join(judged.unsolvable)}."
+        f"Unavoidable scenes ({len(judged.unsolvable)}): {', '.join(judged.unsolvable)}."
         if judged.unsolvable
-        else "No scene that nobody could have avoided.",
-        "Agents replay their tracks: who brakes where the recording did not is run into from behind.",
+        else "No scene is unavoidable.",
+        "Agents replay their tracks: a driver that brakes where the recording did not may be hit from behind.",
     ]
     if ordinary:
         notes.append("Drivers take over where an adversary begins to act, and in the recordings at the first frame.")
-    return build_table("", "The ladder", columns, rows, notes=notes)
+    return build_table("", "Reference drivers", columns, rows, notes=notes)
 
 
 def _build_severity_table(judged: SplitAssessment) -> Table:
@@ -164,8 +164,8 @@ def _build_realism_tables(realism: SplitRealism) -> list[Table]:
     columns = ("feature", "realism", "95 %", "halves", "W1", "W1 / W1 of halves")
     notes = [
         f"{realism.samples[0]} samples of adversaries against {realism.samples[1]} of {realism.reference}.",
-        "halves: one half of the recordings against the other, which is what zero looks like; a realism above it is no "
-        "evidence of anything.",
+        "halves: one half of the recordings against the other, the noise floor; a realism value above it is not "
+        "evidence of a difference.",
     ]
     times = f"{_number(worst.w1_in_halves, 1)} times the W1 of halves"
     title = f"Realism, worst feature {worst.name}: {worst.realism:.3f}, {times}"
@@ -177,7 +177,7 @@ def _build_ctg_tables(ctg: CtgRow | None) -> list[Table]:
         return []
     title = f"ctg-realism@code, version {ctg.version}, normalisation {ctg.normalisation}, mask {ctg.mask}"
     rows = [("ctg-realism@code", _number(ctg.mean_real_dev, 3), _number(ctg.mean_real_dev_int, 3))]
-    notes = ["For comparison with the literature; it ranks nothing (docs/realism.md)."]
+    notes = ["For comparison with the literature; not used for ranking (docs/realism.md)."]
     return [build_table("", title, ("", "mean_real_dev", "mean_real_dev_int"), rows, notes=notes)]
 
 

@@ -159,7 +159,7 @@ def _count_scene(scene: SceneTracks, version: CtgVersion, mask: CtgMask, edges: 
 
 def _build_histogram(values: Singles, counts: Bools, edges: Floats) -> Floats:
     counted_values = values[counts]
-    # What follows an absent sample is NaN and falls out, as what is out of range does.
+    # Values after an absent sample are NaN and dropped, like values out of range.
     return np.histogram(counted_values[np.isfinite(counted_values)], np.asarray(edges, np.float32))[0].astype(
         np.float64
     )
@@ -167,7 +167,7 @@ def _build_histogram(values: Singles, counts: Bools, edges: Floats) -> Floats:
 
 def _compute_agent_values(position: Singles, yaw: Singles, version: CtgVersion) -> dict[str, Singles]:
     if version is CtgVersion.OLD:
-        # That code pads with the first difference itself, and differentiates positions where velocities are meant.
+        # That code pads with the first difference itself, and differentiates positions instead of velocities.
         velocity = _differences(position, position[:, 1:2] - position[:, :1])
         acceleration = _differences(position, velocity[:, 1:2] - velocity[:, :1])
         size = _norm(acceleration)

@@ -235,7 +235,7 @@ class NearbyRoadUsers:
         mine, theirs = motion.boxes[column], others[rows[row], column]
         contact_times = compute_time_to_contact(mine, motion.velocity[column], theirs, velocity[row, column])
         soon = contact_times <= LONGEST_TTC_S
-        # Only of those that matter is it asked whether they are near enough to count.
+        # Only agents with a short time to contact need the distance test.
         soon[soon] = box_gap(mine[soon], theirs[soon]) <= TTC_WITHIN_M
         ttc = np.full(len(samples), LONGEST_TTC_S)
         np.minimum.at(ttc, column[soon], contact_times[soon])

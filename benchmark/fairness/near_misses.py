@@ -118,7 +118,7 @@ def compute_braking_threats(ego: Floats, speed: Floats, other: Floats, present: 
     path, at, now = path[near], at[near], now[near]
     boxes, size = other[path, at], ego[0, 0, 2:4] if len(ego) else np.zeros(2)
     station, across = paths.project(path, boxes[:, :2], now - LOOK_BACK_M, now + LOOK_AHEAD_M)
-    # Whoever is in the way has its centre no further from the path than its half diagonal beyond the ego's side.
+    # An obstacle's centre is no farther from the path than its half diagonal beyond the ego's side.
     reach = 0.5 * (size[1] + np.hypot(boxes[:, 2], boxes[:, 3])) + 1e-6
     in_the_way = (station >= now) & (np.abs(across) <= reach)
     path, at, now, station, boxes = (

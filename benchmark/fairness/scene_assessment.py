@@ -1,6 +1,6 @@
 """The judgement of a scene: one for each of its adversaries, from the tracks that are at hand.
 
-Who is to blame for a contact: on a map, a lateral one is the ego's fault in several lanes or off the road.
+Fault attribution of a contact: on a map, the ego is at fault in a lateral one in several lanes or off the road.
 
 How hard a contact is: what a row of a table says of the first contact of a scene.
 """
@@ -116,7 +116,7 @@ Number = TypeVar("Number", float, None, float | None)
 
 @dataclass(frozen=True, slots=True)
 class AdversaryProvenance:
-    """What is known of how a scene's adversaries were made.
+    """Provenance of a scene's adversaries.
 
     Attributes:
         generated: Whether the scene has their 12 Hz tracks, and not what a reader interpolates between keyframes.

@@ -138,16 +138,16 @@ def _bootstrap_interval(
 OWN_TOWN: Final = "n000"
 """Vehicle of the embedded town's recordings (`generation.sources.town.scenes`)."""
 OWN_TOWN_REASON: Final = (
-    "the recordings are our own town, whose cars are simulated too: a comparison would say nothing about real ones"
+    "the recordings are our own simulated town: a comparison would not say anything about real traffic"
 )
-NO_ADVERSARY: Final = "nobody is known to be an adversary"
+NO_ADVERSARY: Final = "no adversary is known"
 TOO_SHORT: Final = "no adversary, or no recorded agent of its category, moves 5 m in 2 s or more of keyframes"
 DIGITS: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
 class _SceneComparison:
-    """What one scene gives: runs of its adversaries and their reference, and both versions as ``ctg`` sees them."""
+    """Data of one scene: runs of its adversaries and their reference, and both versions as ``ctg`` sees them."""
 
     adversaries: list[FeatureRun]
     recorded: list[FeatureRun]

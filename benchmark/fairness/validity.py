@@ -1,4 +1,4 @@
-"""What no recorded car does: counts of adversaries whose written track breaks a rule of driving, road or arithmetic.
+"""Validity rates: counts of adversaries whose written track breaks a rule of driving, road or arithmetic.
 
 ``docs/realism.md``, "Validity rates". Unlike the divergences they need no recordings to compare with.
 """

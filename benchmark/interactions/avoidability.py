@@ -181,7 +181,7 @@ class BaselineEgo:
         surroundings: CollisionChecker | None = None,
     ) -> None:
         if driver not in (Driver.RECORDED, Driver.CONSTANT):
-            raise ValueError(f"{driver} is no base; drive it and pass its track as the ego of the scene")
+            raise ValueError(f"{driver} cannot be a base; drive it and pass its track as the ego of the scene")
         self.situation, self.driver = situation, driver
         self.drivable = None if drivable is None else drivable.buffer(OFF_ROAD_M)
         if self.drivable is not None:

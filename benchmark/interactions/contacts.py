@@ -40,7 +40,7 @@ _NOT_AGENTS: Final = ("movable_object.", "static_object.")
 
 
 class ContactKind(StrEnum):
-    """What hits what."""
+    """Kind of a contact between the ego and another road user."""
 
     STOPPED_EGO = "stopped_ego"
     STOPPED_TRACK = "stopped_track"

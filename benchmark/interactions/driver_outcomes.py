@@ -1,4 +1,4 @@
-"""What comes of a driver's motion: the first contact, of what kind, or none.
+"""Outcome of a driver's motion: the first contact and its kind, or none.
 
 Contact is looked for at five instants of each step of 0.1 s: the station is linear inside a step, and while the driver
 is the recording, so is its rectangle.

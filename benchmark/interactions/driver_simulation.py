@@ -3,7 +3,7 @@
 ``docs/severity.md``, "Reference drivers". All drivers of a scene advance together, one step of 0.1 s after another;
 contacts do not change what a driver does before them, so that they are looked for afterwards, in `outcomes`.
 
-Who sees whom: a free line from the ego's centre to the centre or a corner of an agent.
+Visibility between road users: a free line from the ego's centre to the centre or a corner of an agent.
 """
 
 from collections.abc import Sequence
@@ -217,7 +217,7 @@ class DriverSimulation:
         verdict = unsafe.any(axis=1)
         self._unsafe[:, step] = verdict
         for row in np.flatnonzero(verdict & ~latched).tolist():
-            # The largest target for FSM; the others' are all alike, and so the first of them.
+            # The largest target for FSM; targets of the other drivers are equal, so it is the first of them.
             self._reasons[row] = int(np.argmax(np.where(unsafe[row], targets[row], -1.0)))
             self.free_from[row] = step
         latched |= verdict
@@ -232,7 +232,7 @@ class DriverSimulation:
         station[:, step + 1] = np.where(latched, station[:, step] + STEP_S * after, station[:, step + 1])
 
     def collect_motions(self) -> list[DriverMotion]:
-        """What they have done."""
+        """Motion of each driver."""
         return [
             DriverMotion(
                 rung,
@@ -249,7 +249,7 @@ class DriverSimulation:
 
 @dataclass(frozen=True, slots=True)
 class _DriverView:
-    """What R drivers see at one step; sight is asked for only where something follows from it."""
+    """View of R drivers at one step; visibility is computed only where the result depends on it."""
 
     situation: DrivingSituation
     around: RelativeAgents

@@ -102,7 +102,7 @@ def is_at_most(quantity: Floats, limit: Floats | float) -> Bools:
 
 
 class Driver(StrEnum):
-    """Who drives.
+    """Reference driver.
 
     ``RECORDED`` is the recorded ego, ``CONSTANT`` keeps the speed of the start, ``IDM`` keeps distance; ``R157`` does
     what UN Regulation 157, 5.2.5.2 asks for, ``CC`` is the careful and competent human of its Annex 3.

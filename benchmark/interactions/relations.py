@@ -69,7 +69,7 @@ class PathRelations:
         moved = np.ones(shape, np.bool_)
         moved[:, 1:] = (boxes[:, 1:] != boxes[:, :-1]).any(axis=-1) | ~present[:, :-1]
         needs_placing = moved & present
-        # Nobody drives backwards: what is behind all of the recording is behind everybody, whatever its outline.
+        # No driver reverses: an agent behind the whole recording is behind every driver, for any outline.
         placements = place_on_path(path, boxes[needs_placing], outlines_from=float(path.recorded_station(times).min()))
         owner = np.cumsum(needs_placing.ravel()).reshape(shape) - 1
         owner = np.where(present, owner, 0)

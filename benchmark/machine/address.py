@@ -35,14 +35,14 @@ class Address:
             InputError: If it is none, or has anything beside host and port.
         """
         name, equals, url = text.rpartition("=") if "=" in text.partition("://")[0] else ("", "", text)
-        form = f"{option} {to_one_line(text, 80)!r} is no address; write http://HOST:PORT or NAME=http://HOST:PORT"
+        form = f"{option} {to_one_line(text, 80)!r} is not an address; write http://HOST:PORT or NAME=http://HOST:PORT"
         try:
             parts = urlsplit(url)
             host, port = parts.hostname, parts.port
         except ValueError as error:
             raise InputError(f"{form} ({to_one_line(error)})") from error
         if parts.scheme.lower() == "https":
-            raise InputError(f"{form}: the protocol is plain HTTP, without a certificate")
+            raise InputError(f"{form}; only plain HTTP is supported")
         extra_parts = parts.username or parts.password or parts.query or parts.fragment or parts.path.strip("/")
         if parts.scheme.lower() != "http" or not host or not port or extra_parts:
             raise InputError(form)
@@ -53,7 +53,7 @@ class Address:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What of it is part of an identity beside the name."""
+        """Settings that are part of an identity beside the name."""
         return {} if self.named else {"address": self.url}
 
 

@@ -85,7 +85,7 @@ def read_batch(path: Path, made_of: str) -> "pa.RecordBatch | None":
             mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
         batch = pa.ipc.open_file(pa.py_buffer(mapped)[start:]).get_batch(0)
         batch.validate(full=True)
-        # What was looked at for that alone.
+        # Releases pages that were read only for the validation.
         mapped.madvise(mmap.MADV_DONTNEED)
     except (InputError, OSError, ValueError, pa.ArrowException):
         return None
@@ -102,7 +102,7 @@ def to_arrow(values: NDArray[Any]) -> "pa.Array":
 
 
 def to_numpy_array(column: "pa.Array") -> NDArray[Any]:
-    """The values of a whole column of them, whatever it has in its gaps; they are read-only."""
+    """Values of a whole column, read-only; entries at nulls are arbitrary."""
     kind, data = np.dtype(str(column.type)), column.buffers()[1]
     if kind == np.bool_:
         values = np.unpackbits(np.frombuffer(data, np.uint8), count=len(column), bitorder="little").view(np.bool_)
@@ -113,7 +113,7 @@ def to_numpy_array(column: "pa.Array") -> NDArray[Any]:
 
 
 def _head(stream: BinaryIO) -> dict[str, Any]:
-    """What the first line says; nothing if it is not one of ours."""
+    """The parsed first line; empty if it is not one of ours."""
     try:
         head = parse_json(stream.readline(_LONGEST_HEAD))
     except ValueError:

@@ -19,9 +19,9 @@ def select_device(name: str) -> torch.device:
     try:
         device = torch.device(name)
     except RuntimeError as error:
-        raise InputError(f"there is no device {name!r}; use cpu, cuda or auto") from error
+        raise InputError(f"unknown device {name!r}; use cpu, cuda or auto") from error
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        raise InputError(f"there is no GPU for device {name!r}; use cpu or auto")
+        raise InputError(f"no GPU found for device {name!r}; use cpu or auto")
     return device
 
 
@@ -39,7 +39,7 @@ def select_worker_device(name: str, number: int) -> torch.device:
 def require_precision(name: str) -> None:
     """Refuse precisions, other than `PRECISIONS`, that networks do not have here."""
     if name not in PRECISIONS:
-        raise InputError(f"there is no precision {name!r}; use {' or '.join(PRECISIONS)}")
+        raise InputError(f"unknown precision {name!r}; use {' or '.join(PRECISIONS)}")
 
 
 @contextmanager

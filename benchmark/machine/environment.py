@@ -1,4 +1,4 @@
-"""What ran where: facts for run records, and whether this machine can be trusted with numbers."""
+"""Environment of a run: metadata for run records, and checks that this machine computes correctly."""
 
 import importlib.metadata
 import importlib.util
@@ -87,7 +87,7 @@ def read_source_state() -> dict[str, Any]:
 
 
 def read_machine_metadata() -> dict[str, Any]:
-    """What a run record says about where it ran; nothing that changes between two runs on the same machine."""
+    """Environment fields of a run record; nothing that changes between two runs on the same machine."""
     return {"packages": read_package_versions(), "hardware": {"cpu": _cpu_model()}, "source": read_source_state()}
 
 
@@ -133,12 +133,12 @@ def _linear_algebra() -> MachineCheck:
     }
     worst = max(errors, key=lambda name: errors[name])
     if errors[worst] < 1e-9:
-        return MachineCheck("linear algebra", True, f"matrix results are right to {errors[worst]:.0e}")
+        return MachineCheck("linear algebra", True, f"matrix results are accurate to {errors[worst]:.0e}")
     return MachineCheck(
         "linear algebra",
         False,
         f"NumPy's {worst} is wrong by {errors[worst]:.1e} on this processor; install another NumPy build "
-        "(pip install --force-reinstall 'numpy>=1.26,<3') before trusting any number",
+        "(pip install --force-reinstall 'numpy>=1.26,<3') before using any results",
     )
 
 
@@ -174,6 +174,6 @@ def _disk_space(folder: Path) -> MachineCheck:
     sentence = f"{free / 1e9:.1f} GB free for {folder}"
     if free < _MIN_FREE_BYTES:
         return MachineCheck(
-            "disk", False, f"{sentence}; generated data sets need a few GB, choose another place with --out"
+            "disk", False, f"{sentence}; generated data sets need a few GB; choose another location with --out"
         )
     return MachineCheck("disk", True, sentence)

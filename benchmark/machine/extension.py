@@ -1,6 +1,6 @@
-"""What extensions offer to the core: one table of kinds, names and where each is defined.
+"""Contributions of extensions to the core: one table of kinds, names and where each is defined.
 
-Nothing is imported before it is asked for by name, and an extension that is not installed is told by a sentence.
+Nothing is imported before it is requested by name; an extension that is not installed is reported in one sentence.
 """
 
 import importlib
@@ -11,7 +11,7 @@ from typing import Any, Final
 from benchmark.errors import InputError
 
 OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
-    # A Typer application, or a function that one makes a command of, by the words that it is called with.
+    # A Typer application, or a function that becomes a command, by the words of the command.
     "command": {
         "data card": "benchmark.extensions.cards.cli:data_card_command",
         "leaderboard card": "benchmark.extensions.cards.cli:records_card_command",
@@ -37,7 +37,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     # From an address to a planner, and to a `closed_loop.sensors.Sensor`; by scheme.
     "planner": {"http": "benchmark.extensions.http.model:http_planner"},
     "sensor": {"http": "benchmark.extensions.http.sensor:HttpSensor"},
-    # From the options of ``generate`` to what checks them and makes a `generation.render.contract.Renderer`.
+    # From the options of ``generate`` to an object that checks them and makes a `generation.render.contract.Renderer`.
     "renderer": {"magicdrive": "generation.extensions.magicdrive.cli:PhotorealisticOptions"},
     # Pictures of scenes for ``data show``.
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
@@ -46,9 +46,9 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "challenges": "leaderboard.extensions.challenge.tables:build_sections",
         "quality": "leaderboard.extensions.quality.tables:build_sections",
     },
-    # From run records to pictures of where judges part.
+    # From run records to pictures of disagreements between protocols.
     "judge": {"explanation": "benchmark.extensions.explain.pictures:explain"},
-    # From a folder to what of it should not be published.
+    # From a folder to findings that should not be published.
     "check": {"publishing": "leaderboard.extensions.publishing.checking:check_publishable"},
     # From the bytes of a member of a package of splits to the same bytes, or `InputError`.
     "package": {"rules": "benchmark.extensions.challenge.rules:validate_rules"},
@@ -91,7 +91,7 @@ def find_absent_extension(error: ModuleNotFoundError) -> str | None:
 
 def make_absent_error(name: str) -> AbsentExtensionError:
     """The error where an extension is missing."""
-    return AbsentExtensionError(f"this needs the extension {name}, which is not installed here; install it")
+    return AbsentExtensionError(f"this needs the extension {name}, which is not installed; install it")
 
 
 def import_from_extension(kind: str, name: str) -> Any:

@@ -1,4 +1,4 @@
-"""What was made of the last few objects, while it is asked for again: scenes are large, and many drives are of one."""
+"""Cache of results for the last few objects by identity: scenes are large, and many episodes share one."""
 
 from collections.abc import Callable
 from typing import Generic, TypeVar
@@ -22,7 +22,7 @@ class IdentityCache(Generic[Source, Made]):
         self._last: list[tuple[Source, tuple[object, ...], Made]] = []
 
     def __call__(self, source: Source, *values: object) -> Made:
-        """What was made of them, or is made now."""
+        """The cached result, or a new one."""
         for known, others, result in self._last:
             if known is source and others == values:
                 return result

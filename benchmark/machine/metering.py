@@ -36,7 +36,7 @@ def disable_malloc_trim() -> bool:
         mallopt = ctypes.CDLL(None).mallopt
     except (OSError, AttributeError):
         return False
-    # Large blocks come from the heap too, and its end is never given back.
+    # Large blocks come from the heap too, whose end is never returned to the system.
     return bool(mallopt(_MMAP_MAX, 0)) and bool(mallopt(_TRIM_THRESHOLD, _NEVER))
 
 

@@ -155,7 +155,7 @@ class ProgressReporter:
                 return
             if stream.isatty() and (bar := self._bar or self._new_bar(stream, work)) is not None:
                 state, inner = work.state(now_s, unit), 0.0 if unit is None else unit.share()
-                # The state is shown whole; of the label there is what room is left.
+                # The state is shown in full; the label is cut to the remaining width.
                 room = max(bar.console.width - _BAR_COLUMNS - len(state) - 2, 0)
                 label = work.label if len(work.label) <= room else f"{work.label[: room - 3]}..." if room > 3 else ""
                 done = work.share() * work.total + inner
@@ -168,7 +168,7 @@ class ProgressReporter:
 
     def _tick_until(self, over: threading.Event) -> None:
         while not over.wait(_REDRAWN_EVERY_S):
-            # Whoever closed the stream does not want to know.
+            # A closed stream needs no progress.
             with contextlib.suppress(OSError, ValueError):
                 self.tick()
 

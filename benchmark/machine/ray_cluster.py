@@ -71,7 +71,7 @@ class RayCluster:
             InputError: If Ray is not installed, the cluster cannot be joined, a node has other code, or units are lost
                 more often than they are tried again.
         """
-        # Ray says on stdout which workers were lost, where a command may print JSON.
+        # Ray reports lost workers on stdout, where a command may print JSON.
         with (
             contextlib.redirect_stdout(sys.stderr),
             _connected(self.address) as ray,
@@ -99,7 +99,7 @@ class RayCluster:
             raise error.cause from error
         except ray.exceptions.RayError as error:
             raise InputError(
-                f"a unit of work was lost on the Ray cluster ({label}; {_first_line(error)}); see to the nodes, then "
+                f"a unit of work was lost on the Ray cluster ({label}; {_first_line(error)}); check the nodes, then "
                 "run the same command again (finished work is kept)"
             ) from error
         finally:
@@ -123,7 +123,7 @@ def _code_fingerprint() -> str:
     root = Path(__file__).resolve().parents[2]
     files = (path for package in _PACKAGES for path in sorted((root / package).rglob("*")))
     sources = [path for path in files if path.is_file() and path.parent.name != "__pycache__"]
-    # The build of a package for CPU or CUDA is no other version.
+    # CPU and CUDA builds of a package count as the same version.
     versions = {name: version and version.partition("+")[0] for name, version in read_package_versions().items()}
     return content_key(versions, {str(path.relative_to(root)): file_sha256(path) for path in sources})
 
@@ -139,7 +139,7 @@ def _connected(address: str | None) -> Iterator[Any]:
     if ray.is_initialized():
         yield ray
         return
-    # A benchmark does not report to anybody that it is used.
+    # A benchmark must not send usage statistics.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     # Ray announces with a warning that it will change what it means to ask for no accelerators.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
@@ -183,7 +183,7 @@ def require_answer(address: str) -> None:
 
 
 def _is_healthy(address: str) -> bool:
-    """Whether Ray's own check succeeds, in a process of its own: it cannot be told how long to wait."""
+    """Whether Ray's own check succeeds, in a subprocess because it has no timeout."""
     where = [] if address == "auto" else ["--address", address]
     check = [sys.executable, "-m", "ray.scripts.scripts", "health-check", *where]
     try:
@@ -207,5 +207,5 @@ def _count_slots(ray: Any, address: str | None, gpus: int) -> int:
 
 
 def _first_line(error: BaseException) -> str:
-    """What an error of Ray says before it explains itself at length."""
+    """First line of an error of Ray, without its long explanation."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".;")

@@ -15,7 +15,7 @@ def parse_device_names(text: str) -> tuple[str, ...]:
     if not all(names):
         raise InputError(f"--device {text!r} has an empty name; separate devices by one comma: cuda:0,cuda:1")
     if len({name.partition(":")[0] for name in names}) > 1:
-        raise InputError(f"--device {text} names devices of different kinds, whose numbers differ; name one kind")
+        raise InputError(f"--device {text} mixes kinds of devices, whose results differ; use one kind")
     return names
 
 
@@ -41,7 +41,7 @@ def count_workers(workers: int, device: str | None) -> int:
         return workers
     if 0 < workers < count:
         raise InputError(
-            f"--workers {workers} leaves some of {device} without work; name at least {count}, or fewer devices"
+            f"--workers {workers} leaves some of {device} without work; use at least {count}, or fewer devices"
         )
     return workers or count
 
@@ -52,4 +52,4 @@ def require_one_device(text: str | None, why: str) -> None:
     ``why`` names what needs one process, as the beginning of a sentence.
     """
     if text is not None and len(parse_device_names(text)) > 1:
-        raise InputError(f"{why}; name one device instead of --device {text}")
+        raise InputError(f"{why}; use one device instead of --device {text}")

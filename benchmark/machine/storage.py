@@ -1,7 +1,7 @@
 """Files that are either whole or absent, and keys made of content.
 
 Everything the project writes goes through here: a file without a name, flushed to disk, then given its name. A process
-killed in between leaves nothing behind. JSON is read by one door (`benchmark.untrusted`), whoever wrote it.
+killed in between leaves nothing behind. All JSON, even our own, is read through `benchmark.untrusted`.
 """
 
 import contextlib
@@ -75,7 +75,7 @@ def writing_to(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        advice = "free some space" if full else "choose a place that can be written to (--out)"
+        advice = "free some space" if full else "choose a writable location with --out"
         raise InputError(
             f"cannot write {path}: {error.strerror or error}; {advice}, then run the same command again (finished work "
             "is kept)"
@@ -98,7 +98,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
         except BlockingIOError as error:
             raise InputError(
                 f"another command is writing to {folder}; wait until it has ended, then run this one again, or choose "
-                "another place with --out"
+                "another location with --out"
             ) from error
         except OSError:
             # Some network file systems have no locks; every file is still written whole.
@@ -151,8 +151,8 @@ def _fill(stream: BinaryIO, parts: Sequence[bytes | memoryview], *, durable: boo
 def _name(descriptor: int, path: Path) -> None:
     """Give a file without a name its name; what has that name is replaced.
 
-    Where there is something to replace, the file is called ``.<name>.part`` for a moment. It is whole then: whoever
-    comes upon it, of a process that was killed in that moment or that writes the same file now, puts it in its place.
+    Where there is something to replace, the file is called ``.<name>.part`` for a moment. It is whole then: a
+    process that finds it, left by a killed process or by one that writes the same file now, moves it into place.
     """
     nameless, temporary = _PROC / str(descriptor), path.with_name(f".{path.name}.part")
     if not path.exists():
@@ -173,7 +173,7 @@ def _put_in_place(temporary: Path, path: Path) -> None:
     try:
         temporary.replace(path)
     except FileNotFoundError:
-        # Somebody else has put it there.
+        # Another process has moved it into place.
         return
     except OSError:
         temporary.unlink(missing_ok=True)

@@ -1,6 +1,6 @@
 """Work on many items with this machine's processes, in order, saying how far it is.
 
-Results come in the order of the items whatever the number of workers; every process computes with one thread, so that
+Results come in the order of the items for any number of workers; every process computes with one thread, so that
 one worker and many give the same bytes. Items are drawn only a little ahead of the results: they may be large.
 
 Reading many values without Python's collector passing over all of them again and again.
@@ -79,7 +79,7 @@ class Executor(Protocol):
 
 
 def single_threaded() -> None:
-    """Make the numerical libraries of this process use one thread, whatever the environment says."""
+    """Make the numerical libraries of this process use one thread, regardless of environment variables."""
     import cv2
     import numpy as np  # noqa: F401 - limits hold for the libraries that are loaded by then
     from threadpoolctl import threadpool_limits
@@ -87,10 +87,10 @@ def single_threaded() -> None:
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
     else:
-        # torch takes two seconds to import, which most planners do not need; it obeys these if it is imported later.
+        # torch takes two seconds to import, which most planners do not need; it reads these if it is imported later.
         os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
     cv2.setNumThreads(1)
-    # numpy has no switch of its own, and its products round differently with more threads.
+    # numpy has no setting for it, and its products round differently with more threads.
     threadpool_limits(1, user_api="blas")
 
 
@@ -157,7 +157,7 @@ class LocalProcesses:
                     "is kept)"
                 ) from error
             except BaseException:
-                # Nobody wants the rest, and a unit may take minutes: interrupted work is made again anyway.
+                # The other results are not needed, and a unit may take minutes: interrupted work is redone anyway.
                 for worker in set(multiprocessing.active_children()) - before:
                     worker.terminate()
                 raise
@@ -176,7 +176,7 @@ def map_ordered(
 
 
 def report_when_done(future: "Future[Result]", work: WorkProgress) -> "Future[Result]":
-    """The same future; once it has a result, the work is told, whatever the order in which results are taken."""
+    """The same future; once it has a result, the progress is updated, in any order of results."""
 
     def finished(done: "Future[Result]") -> None:
         if not done.cancelled() and done.exception() is None:
@@ -223,7 +223,7 @@ def _needs_script(function: Callable[..., Any]) -> bool:
     try:
         return b"__main__" in pickle.dumps(function)
     except Exception:
-        # Whatever is wrong with it is reported where it is sent.
+        # Errors of pickling are reported where the function is sent.
         return True
 
 
@@ -252,7 +252,7 @@ def _module_of(function: Callable[..., Any]) -> tuple[str, ...]:
 
 
 def _list_preloads(function: Callable[..., Any]) -> list[str]:
-    """What the process that workers are copied from imports, so that none has to."""
+    """Modules that the forkserver imports, so that workers need not."""
     module = _module_of(function)
     # The process is started once; work that builds data is followed by work that plans with a network.
     needs_torch = "torch" in sys.modules or any(name.partition(".")[0] == "generation" for name in module)
@@ -271,7 +271,7 @@ def worker_number() -> int:
 
 def _begin_worker(begun: "Synchronized[int]") -> None:
     global _number
-    # A terminal interrupts all processes of a command at once; the first of them answers for all.
+    # A terminal interrupts all processes of a command at once; the main process handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with begun.get_lock():
         _number = begun.value

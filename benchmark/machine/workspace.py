@@ -17,7 +17,7 @@ EMBEDDED = "mini"
 DEMONSTRATED = "demo"
 """The small town, and the ``adv`` made from it, that ``challenger-bench demo`` leaves below ``--out``."""
 EMBEDDED_NAMES = (EMBEDDED, DEMONSTRATED)
-"""What ``--data`` takes beside the root of a data set; a folder of such a name is written ``./demo``."""
+"""Values of ``--data`` beside the root of a data set; a folder of such a name is written ``./demo``."""
 
 TIMINGS_FOLDER = "timings"
 
@@ -57,8 +57,7 @@ class Workspace:
         root = self.split_root(DEMONSTRATED, split)
         if not is_finished(root):
             raise InputError(
-                f"--data demo is what the demo makes, and there is nothing at {root}; run: challenger-bench demo --out "
-                f"{self.out}"
+                f"--data demo is the output of the demo, missing at {root}; run: challenger-bench demo --out {self.out}"
             )
         return root
 
@@ -121,7 +120,7 @@ class Workspace:
         if not is_finished(root):
             data = "" if source.name == EMBEDDED else f"--data {source.root} "
             raise InputError(
-                f"split {split!r} of {source.name} is not at {root}; make it with: "
+                f"split {split!r} of {source.name} is missing at {root}; build it with: "
                 f"challenger-bench generate {data}{format_generate_options(split)} --out {self.out}"
             )
         generated = open_data(root, name=source.name)

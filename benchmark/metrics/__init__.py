@@ -1,1 +1,1 @@
-"""What records say in numbers: rates with intervals, comparisons, transfer, diagnosis, disagreement of protocols."""
+"""Statistics of records: rates with intervals, comparisons, transfer, diagnosis, disagreement of protocols."""

@@ -32,7 +32,7 @@ __all__ = [
     "knows_adversaries",
     "select_counted_rows",
 ]
-# The leaderboard reads records: what it says of attacks, it has from here.
+# Imported by the leaderboard for its text on attacks.
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +190,7 @@ def _to_attack(row: BriefRow, survives: bool | None) -> Attack:
 def _combine_scene(attacks: Iterable[Attack], reading: Reading, missing: bool, survives: bool | None) -> bool | None:
     verdicts = [getattr(attack, reading) for attack in attacks]
     if reading == "attributable" and survives is False:
-        # Whatever a failed sample would have shown, nothing of this scene is attributed to anybody.
+        # Contacts of this scene are never attributed, so a failed sample changes nothing.
         return False if verdicts else None
     # A sample on which the planner failed could have shown anything.
     return any_or_unknown([*verdicts, *([None] if missing or not verdicts else [])])

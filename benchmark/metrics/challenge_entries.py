@@ -52,7 +52,7 @@ def sum_adversary_contacts(record: RunRecord, horizon: str, refused: Sequence[Re
 
 
 def sum_attributable_contacts(record: RunRecord, refused: Sequence[RefusedScene]) -> SceneSums:
-    """What each recording adds to the rate of attributable contacts; arguments as of `sum_collisions`."""
+    """Contribution of each recording to the rate of attributable contacts; arguments as of `sum_collisions`."""
     sources = map_scenes_to_sources(record)
     known_verdicts = [
         (sources[scene], sample.attributable)

@@ -110,7 +110,7 @@ def build_forecast_boxes(box: Floats, trajectories: Floats) -> Floats:
     turns = np.diff(chords, axis=-1, prepend=box[4])
     keyframes = np.tile(box, (len(trajectories), PLAN_STEPS + 1, 1))
     keyframes[:, 1:, :2] = trajectories
-    # Half a turn leaves a rectangle as it is, and a car that backs up must not be swung round.
+    # A rectangle is symmetric under half a turn, and a car that reverses must not be flipped.
     keyframes[:, 1:, 4] += np.cumsum(turns - np.pi * np.round(turns / np.pi), axis=-1)
     return interpolate_object_boxes(keyframes, np.ones(keyframes.shape[:2], dtype=np.bool_))[0]
 

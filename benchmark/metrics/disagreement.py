@@ -12,7 +12,7 @@
 8. ``mask``: steps do not count at which the recorded ego collides too.
 
 Where key frames are not half a second apart, the two look at other instants: the cause is ``other instants`` there,
-whatever else they differ in.
+regardless of other differences.
 
 Each rung gives a verdict, "any contact at the steps in question": those at which ``exact`` sees the collision that is
 missed, or the protocol the one that is none. The cause of a disagreement is the last rung at which the verdict changes:
@@ -55,7 +55,7 @@ CAUSES = (
     *(f"{FALSE_ALARM}: {rung}" for rung in COUNTERFACTUALS[5:7]),
     *(f"{kind}: {OTHER_INSTANTS}" for kind in (MISS, FALSE_ALARM)),
 )
-"""Every cause there is. Whatever only takes contacts away can cause misses only."""
+"""All causes. A rung that only removes contacts can cause only misses."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -255,9 +255,9 @@ def find_attributed_collisions(record: RunRecord) -> Bools:
 
 
 def score_adversary_contacts(record: RunRecord) -> ScoredSamples:
-    """What the samples of a record add to its rate of first contacts with an adversary.
+    """Contributions of a record's samples to its rate of first contacts with an adversary.
 
-    The record must say whom contacts are with (`knows_contact_partners`).
+    The record must name the other party of each contact (`knows_contact_partners`).
     """
     own, cache = score_record(record, protocol=EXACT), record.columns.kept
     if _TOUCHING not in cache:

@@ -1,6 +1,6 @@
-"""Whether plans know what only the recorded future can tell; it proves nothing, and honest planners set the limits.
+"""Signs that plans use the recorded future; they prove nothing, and honest planners set the limits.
 
-A plan is compared with the recorded future on the samples that nobody could have foretold. A sample's *surprise* is how
+A plan is compared with the recorded future on the samples that were unpredictable. A sample's *surprise* is how
 far the recorded future is from the nearest of eight simple continuations of the motion so far: to stand, to keep the
 speed, to keep the acceleration, to keep half of it, each straight ahead and along the recorded path itself. So what
 surprises is when a car brakes, starts or speeds up, not where the road goes. A plan *hits* where its error is less
@@ -98,7 +98,7 @@ class LeakFigures:
 
     @property
     def suspicions(self) -> tuple[str, ...]:
-        """What no honest planner was seen to do, each in words with its figure; empty where there is nothing."""
+        """Signs that no honest planner showed, each as text with its figure; empty if there are none."""
         sentences = []
         if _below(self.error_m, LEAST_ERROR_M):
             sentences.append(
@@ -116,8 +116,7 @@ class LeakFigures:
             )
         if self.hits >= FEWEST_HITS and self.hits > MOST_HITS * self.surprises:
             sentences.append(
-                f"{self.hits} of {self.surprises} futures that could not be foretold are met (planners: at most "
-                f"{MOST_HITS:.0%})"
+                f"{self.hits} of {self.surprises} unpredictable futures are matched (planners: at most {MOST_HITS:.0%})"
             )
         if _below(self.ratio, LEAST_RATIO):
             sentences.append(
@@ -125,7 +124,7 @@ class LeakFigures:
             )
         if _below(self.ratio_braking, LEAST_RATIO_BRAKING):
             sentences.append(
-                f"plans know when the recorded car will brake: error over surprise {self.ratio_braking:.2f} at "
+                f"plans anticipate when the recorded car brakes: error over surprise {self.ratio_braking:.2f} at "
                 f"{self.braking} samples before it does (planners: over {LEAST_RATIO_BRAKING})"
             )
         if _below(self.ratio_in_danger, LEAST_RATIO_IN_DANGER):
@@ -219,7 +218,7 @@ def _growth(errors: Floats) -> tuple[float | None, float | None]:
     if len(errors) < FEWEST:
         return None, None
     first, last = np.median(errors[:, 0]), np.median(errors[:, -1])
-    # Of plans that are the future itself nothing grows.
+    # Errors of plans that equal the future do not grow.
     return float(last / max(first, 1e-3)), float(first)
 
 

@@ -23,9 +23,9 @@ from benchmark.records.rows import find_scene_failures
 from benchmark.records.run import RunRecord
 
 OPEN_LOOP: Final = "exact"
-"""Who judges in open loop."""
+"""Protocol of the open-loop evaluation."""
 FEWEST_RANKED: Final = 3
-"""Below this many planners a rank correlation is 1 or -1 whatever they do."""
+"""Below this many planners a rank correlation is always 1 or -1."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 Only what the map supports is said: a map without junction surfaces (imported recordings) tells junctions by lanes that
 cross, and a place without any lane is unknown.
 
-What each sample of a scene is sorted by: the place of the recorded car and its speed.
+Slicing criteria of each sample: the place of the recorded car and its speed.
 """
 
 import heapq

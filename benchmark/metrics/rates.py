@@ -1,7 +1,7 @@
 """Rates at 1, 2 and 3 s with 95 % intervals from resampling whole scenes.
 
 Samples of one scene see the same traffic half a second apart, so the scene is what is drawn, never the sample. Where
-scenes were made from one recording, their caller may name that instead: what is drawn here is whatever is named.
+scenes were made from one recording, the caller may pass recordings instead: the passed names are resampled.
 
 The 95 % interval of a paired difference over recordings.
 """
@@ -64,7 +64,7 @@ def compute_paired_difference(differences: Floats, weights: Floats) -> PairedDif
     value = float(differences.sum()) / total
     if count < FEWEST_RECORDINGS or differing < fewest_differing(count):
         return PairedDifference(value, None, None, count, differing, _count_enough_recordings(count, differing))
-    # scipy takes a second to import, and whoever only plans needs none of it.
+    # scipy takes a second to import, and planning does not need it.
     from scipy import stats
 
     residuals = differences - value * weights
@@ -82,7 +82,7 @@ def _count_enough_recordings(count: int, differing: int) -> int | None:
     """The least number of recordings above ``count`` that gives an interval if the same share of them differs."""
     if not differing:
         return None
-    # All of ten recordings or more ask for the same, so that the search ends.
+    # Ten or more recordings all need the same number, so the search ends.
     number = max(FEWEST_RECORDINGS, count + 1)
     while number * differing < fewest_differing(number) * count:
         number += 1
@@ -162,7 +162,7 @@ def rates(
         weights = np.where(is_known, outcomes.counted[:, None], False).astype(np.float64)
         values, own = np.where(is_known, values, 0.0) * weights, scenes
         if outcomes.known is not None and not is_known.all():
-            # A scene whose surroundings are not annotated is not drawn either.
+            # A scene without annotated surroundings is not drawn either.
             rows = np.flatnonzero(is_known.any(axis=1)).tolist()
             values, weights, own = values[rows], weights[rows], [scenes[row] for row in rows]
         column_rates = compute_ratios_over_scenes(values, weights, own, seed=seed)
@@ -313,7 +313,7 @@ def _compute_intervals(sums: SceneSums, seed: int) -> tuple[Floats, Floats]:
     wanted = {key: column for column, key in enumerate(keys) if key not in where}
     if wanted:
         chosen = list(wanted.values())
-        # The first column stands beside a single one: what is alone is added in another order.
+        # The first column is repeated for a single one: a lone column is summed in another order.
         beside = chosen if len(chosen) > 1 or columns == 1 else [*chosen, *chosen]
         bounds = _compute_percentiles(sums.numerators[:, beside], sums.denominators[:, beside], sums.names, seed)
         where |= dict(zip(wanted, zip(*(part.tolist() for part in bounds))))
@@ -338,7 +338,7 @@ def _compute_percentiles(
     different, which = np.unique(denominators, axis=1, return_inverse=True)
     if different.shape[1] == 1 and columns > 1:
         different = np.repeat(different, 2, axis=1)
-    # A resample in a row: percentiles of what lies together take half the time.
+    # One resample per row: percentiles of contiguous values take half the time.
     above = np.ascontiguousarray(resample_totals(numerators, names, seed=seed).T)
     below = np.ascontiguousarray(resample_totals(different, names, seed=seed).T)[which.ravel()]
     known = np.count_nonzero(denominators, axis=0) >= 2

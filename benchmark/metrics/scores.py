@@ -1,4 +1,4 @@
-"""What the samples of a record add to its collision rates, for everything that compares records."""
+"""Contributions of a record's samples to its collision rates, for all comparisons of records."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ _MAX_CACHED: Final = 16
 
 @dataclass(frozen=True, slots=True)
 class ScoredSamples:
-    """What each sample of a record adds to its collision rates under one protocol, never ``native``.
+    """Contribution of each sample of a record to its collision rates under one protocol, never ``native``.
 
     Attributes:
         tokens: S samples with a plan.
@@ -53,7 +53,7 @@ class ScoredSamples:
         return self.kept[key][1]
 
     def _sums(self, unit_of: Mapping[str, str], rows: NDArray[np.int64]) -> SceneSums:
-        # A scene of which nothing is said is not drawn either.
+        # A scene without verdicts is not drawn either.
         rows = rows[~np.isnan(self.values[rows]).all(axis=1)]
         values = self.values[rows]
         is_known = ~np.isnan(values)
@@ -108,7 +108,7 @@ def require_current(record: RunRecord, protocol: str) -> None:
         raise InputError(f"{where} was not judged by protocol {protocol!r}; run challenger-bench rescore")
     if now is None:
         raise InputError(
-            f"{where} was judged by protocol {protocol!r}, which is not known here; install the package that has it"
+            f"{where} was judged by protocol {protocol!r}, which is not installed; install the package that defines it"
         )
     if judged != now:
         raise InputError(

@@ -129,7 +129,7 @@ def compare_planners(
         raise InputError(
             f"{describe_record(first.record)} and {describe_record(second.record)} are not of the same data, "
             "split and protocol; "
-            "planners are compared on the same samples only"
+            "compare planners on the same samples"
         )
     mine, theirs = _find_common_rows(first, second)
     unit_of = map_scenes_to_sources(first.record)
@@ -175,13 +175,13 @@ def _require_one_planner(baseline: ScoredSamples, other: ScoredSamples) -> None:
     first, second = baseline.record.run, other.record.run
     places = f"{describe_record(baseline.record)} and {describe_record(other.record)}"
     if first.planner.name != second.planner.name or first.data.name != second.data.name:
-        raise InputError(f"{places} are not of the same planner and data set; splits are compared for one planner")
+        raise InputError(f"{places} differ in planner or data set; compare splits of one planner")
     if first.planner.weights_sha256 != second.planner.weights_sha256:
         raise InputError(
-            f"{places} ran with different weights and do not compare; run challenger-bench eval again for the older one"
+            f"{places} ran with different weights; to compare, run challenger-bench eval again for the older one"
         )
     if baseline.protocol != other.protocol:
-        raise InputError(f"{places} are judged by {baseline.protocol} and {other.protocol}, which do not compare")
+        raise InputError(f"{places} use protocols {baseline.protocol} and {other.protocol}; compare within one")
 
 
 def _resolve_source(source: str, known: set[str]) -> str:
@@ -197,7 +197,7 @@ def _compare_rates(
 ) -> dict[str, RateComparison]:
     """Comparison at each of H horizons over the named recordings."""
     sides = first.over(names), second.over(names)
-    # One recording with counted samples has nothing to be drawn against.
+    # A single recording with counted samples cannot be resampled.
     enough = all(np.count_nonzero(side.denominators[:, 0]) > 1 for side in sides)
     columns = [HORIZONS.index(horizon) for horizon in horizons]
     rates = [_ratio(side.numerators.sum(axis=0), side.denominators.sum(axis=0))[columns] for side in sides]

@@ -26,7 +26,7 @@ from benchmark.records.run_schema import LightName
 
 SliceKind = Literal["place", "light", "manoeuvre", "speed", "command"]
 KINDS: Final[tuple[SliceKind, ...]] = get_args(SliceKind)
-"""What samples may be sorted by."""
+"""Criteria for slicing samples."""
 NOT_STATED: Final = "not said"
 ADVERSARY: Final = "adversary"
 """Column of first contacts with an adversary, beside the columns of ``exact``."""
@@ -190,7 +190,7 @@ def sum_by_slice(members: Bools, values: Floats, weights: Floats, scenes: Sequen
         weights: (S, C) how often each counts.
     """
     if (members.sum(axis=1) > 1).any():
-        # In which order numbers are added depends on all slices that a sample is in.
+        # The order of summation depends on all slices that a sample belongs to.
         spread = (weights[:, None, :] * members[:, :, None]).reshape(len(scenes), -1)
         return sum_by_scene(np.tile(values, (1, members.shape[1])) * spread, spread, scenes)
     names = tuple(sorted(set(scenes)))

@@ -1,4 +1,4 @@
-"""What records say of the scenes of a split: who survives them, how near the recorded ego comes, what is wrong.
+"""Scene assessments of a split in records: survival by driver, least gap of the recorded ego, track defects.
 
 How severe a planner's plans are, from its record: distributions over its samples with a contact, and without.
 """
@@ -160,7 +160,7 @@ class SplitReferenceDrivers:
 
 
 def read_scene_assessments(record: RunRecord) -> dict[str, AssessmentSummary]:
-    """What a record says of its scenes, by scene; only of those that were judged."""
+    """Assessments of a record's scenes, by scene; only of those that were assessed."""
     facts_of_scene = {scene: record.run.scene_facts.get(scene) for scene in record.run.scenes}
     return {
         scene: facts.judgement
@@ -188,7 +188,7 @@ def _summarise_split(record: RunRecord) -> SplitReferenceDrivers:
     survived = np.array(
         [[summary.survives.get(name, np.nan) for name in DRIVER_NAMES] for summary in summaries], np.float64
     )
-    # Without a known adversary nobody can be asked for faults, nor whether the scene is solvable.
+    # Without a known adversary, track defects and solvability are undefined.
     answerable = [summary.least_gap_m is not None or bool(summary.faults) for summary in summaries]
     values = np.column_stack([np.nan_to_num(survived), [not summary.faults for summary in summaries]]).astype(
         np.float64

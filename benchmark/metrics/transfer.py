@@ -117,14 +117,14 @@ def transfer(
     """
     judges = _find_judges(records, protocol)
     if adversary_only and protocol != EXACT:
-        raise InputError(f"only {EXACT} says of a scene whether the adversary is touched first, not {protocol}")
+        raise InputError(f"only {EXACT} reports which road user is touched first, not {protocol}; use {EXACT}")
     verdicts = [
         find_adversary_failures(record) if adversary_only else find_scene_failures(record.rows, judge)
         for record, judge in zip(records, judges)
     ]
     if all(failed is None for verdict in verdicts for failed in verdict.values()):
         raise InputError(
-            f"no scene of split {records[0].run.split!r} has a verdict of {' or '.join(dict.fromkeys(judges))}, for no "
+            f"no scene of split {records[0].run.split!r} has a verdict of {' or '.join(dict.fromkeys(judges))}, as no "
             "sample is complete and has its surroundings annotated; choose another split or protocol"
         )
     every_scene = sorted({scene for verdict in verdicts for scene in verdict})
@@ -204,7 +204,7 @@ class FailureMatrix:
         intervals = self._find_intervals(tables, shared, estimable, (-1.0, 1.0), lambda drawn: _phi_of(*drawn), seed)
         lifts = _lift_of(*totals)
         estimable = ~np.isnan(lifts) & (np.count_nonzero(shared, axis=1) > 1)
-        # The most there can be: both fail one scene, the same one.
+        # The maximum: both fail one scene, the same one.
         most = float(self.fails.shape[1])
         of_lift = self._find_intervals(tables, shared, estimable, (0.0, most), lambda drawn: _lift_of(*drawn), seed)
         return [
@@ -306,17 +306,17 @@ def find_adversary_failures(record: RunRecord) -> dict[str, bool | None]:
 
 
 def _find_judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:
-    """Who judged each record; refuses what cannot be compared."""
+    """Protocol that judged each record; refuses records that cannot be compared."""
     if not records:
-        raise InputError("a transfer matrix needs run records and there are none; run challenger-bench eval first")
+        raise InputError("a transfer matrix needs run records, but none were found; run challenger-bench eval first")
     if protocol != NATIVE:
-        # One that nobody knows is said to be that, rather than one that did not judge.
+        # An unknown protocol is reported as unknown, rather than as one that did not judge.
         definition_of(protocol)
     names = [record.planner for record in records]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise InputError(
-            f"more than one record of {', '.join(repeated)} on this split; name single runs with --records"
+            f"more than one record of {', '.join(repeated)} on this split; select single runs with --records"
         )
     first = records[0].run
     judges = tuple(resolve_protocol(record, protocol) for record in records)

@@ -9,13 +9,13 @@ from typing import Final
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_WIDTH_M
 
 PDM: Final = "pdm"
-"""What ``--protocol`` asks for it by."""
+"""Its name in ``--protocol``."""
 DEFINITION: Final = "nuscenes-pdm"
 VERSION: Final = 2
 NOTE: Final = (
     "nuscenes-pdm: sub-scores of NAVSIM's PDM family on plans for nuScenes; 3 s instead of 4, no traffic lights, the "
-    "ego of nuScenes, the route is the recorded path and the reference of EP the recorded future: no number here "
-    "compares with one that is published for NAVSIM"
+    "ego of nuScenes, the route is the recorded path and the reference of EP the recorded future: its numbers "
+    "are not comparable to numbers published for NAVSIM"
 )
 
 DT_S: Final = 0.1
@@ -29,9 +29,9 @@ LENGTH_M: Final = EGO_LENGTH_M
 WIDTH_M: Final = EGO_WIDTH_M
 CENTER_AHEAD_M: Final = EGO_CENTER_FROM_REAR_AXLE_M
 WHEELBASE_M: Final = 3.089
-"""Of nuPlan's car: that of the tracker in the official code whatever the vehicle, and here of the bicycle too."""
+"""Of nuPlan's car: used by the tracker of the official code for every vehicle, and by our bicycle model."""
 COMFORT_CENTER_AHEAD_M: Final = 1.461
-"""Centre of nuPlan's car ahead of its rear axle: where comfort is felt in the official code whatever the vehicle."""
+"""Centre of nuPlan's car ahead of its rear axle: where the official code measures comfort for every vehicle."""
 
 (
     X,

@@ -139,7 +139,7 @@ def _unwrapped(heading: Floats) -> Floats:
 def _filtered(values: Floats, window: int, order: int, derivative: int) -> Floats:
     """A filter along the last axis, rounded as officially."""
     matrix = _savitzky_golay(values.shape[-1], window, order, derivative)
-    # einsum without optimisation adds in a fixed order; a BLAS product would depend on how many plans there are.
+    # einsum without optimisation adds in a fixed order; a BLAS product would depend on the number of plans.
     return np.asarray(np.round(np.einsum("...t,st->...s", values, matrix), DECIMALS))
 
 

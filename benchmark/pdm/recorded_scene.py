@@ -1,4 +1,4 @@
-"""What a recorded scene gives to judge plans by: the car's motion, objects, road and route at its samples."""
+"""Recorded scene as a reference for plans: the car's motion, objects, road and route at its samples."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final

@@ -3,7 +3,7 @@
 Each plan is judged beside the recorded future, which is brought to motion in the same way: it is the measure of EP, and
 what its driver fails is forgiven in the filtered scores.
 
-What is measured along the route: wrong way (DDC), progress (EP) and lane keeping (LK).
+Sub-scores along the route: wrong way (DDC), progress (EP) and lane keeping (LK).
 """
 
 from dataclasses import dataclass, replace
@@ -66,7 +66,7 @@ def measure_along_route(states: Floats, route: Floats, oncoming: Bools, in_inter
     within = np.lib.stride_tricks.sliding_window_view(padded, WRONG_WAY_STATES, axis=1).sum(axis=-1)
     line = shapely.linestrings(route)
     points = shapely.points(center)
-    # On the route of a car that stands, which has no length, every place is its beginning.
+    # The route of a standing car has no length: every position is its start.
     with np.errstate(invalid="ignore"):
         ends = shapely.line_locate_point(line, points[:, [0, -1]])
     return RouteMeasures(

@@ -11,7 +11,7 @@ from benchmark.geometry import Bools, Floats, boxes_overlap, wrap_angle
 from benchmark.pdm.definition import STATES, STATES_PER_WAYPOINT
 
 AGENT_CATEGORIES: Final = ("vehicle.", "human.")
-"""What moves by itself; a collision with anything else costs half."""
+"""Categories of moving road users; a collision with any other object costs half."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,7 +64,7 @@ def register(definition: CollisionProtocol) -> None:
         ValueError: If the name is taken: two protocols never share a column.
     """
     if definition.name in PROTOCOLS:
-        raise ValueError(f"there already is a protocol named {definition.name!r}")
+        raise ValueError(f"a protocol named {definition.name!r} is already registered; choose another name")
     PROTOCOLS[definition.name] = definition
 
 
@@ -87,7 +87,7 @@ def find_protocol(name: str) -> CollisionProtocol:
 
 def find_category_protocols(names: Iterable[str]) -> tuple[str, ...]:
     """Those of some known protocols for which it depends on an object's category whether it can be hit."""
-    # Protocols of other packages may be older than the question.
+    # Protocols of other packages may predate this attribute.
     return tuple(name for name in names if getattr(PROTOCOLS[name], "uses_categories", True))
 
 

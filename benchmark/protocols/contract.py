@@ -1,4 +1,4 @@
-"""What a protocol is: boxes and plans in, verdicts per sample and step out, and how those are averaged.
+"""Interface of a protocol: boxes and plans in, verdicts per sample and step out, and how those are averaged.
 
 The ways in which protocols make one value of the steps up to a horizon; they never share a column.
 """
@@ -72,7 +72,7 @@ class ProtocolOutcomes:
     def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> "ProtocolOutcomes":
         """The inverse of `as_rows`."""
         shape = (len(rows), PLAN_STEPS)
-        # Null becomes NaN, which no displacement is.
+        # Null becomes NaN, which marks a missing displacement.
         l2 = np.array([row["l2"] for row in rows], dtype=np.float64).reshape(shape)
         valid = ~np.isnan(l2)
         first = rows[0] if rows else {"steps": {}, "facts": {}}

@@ -218,7 +218,7 @@ def find_contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, li
     contact[sample_of[which], instant] = True
     names = [name for truth in truths for name in truth.instances]
     first = [FirstContact()] * len(truths)
-    # Earliest contact of each sample; objects that are touched at the same instant are told apart by their names.
+    # Earliest contact of each sample; ties between objects at one instant are broken by name.
     for sample, at, name in sorted(zip(sample_of[which].tolist(), instant.tolist(), (names[row] for row in which))):
         known, adversary = first[sample], name in truths[sample].adversaries
         if known.time_s is not None and (known.adversary_s is not None or not adversary):

@@ -269,7 +269,7 @@ class RasterProtocol(ABC):
         )
 
     def _touched(self, truths: StackedTruths, collision: Bools, cells: Cells) -> dict[str, tuple[Any, ...]]:
-        """Whose polygons cover (S, 6, C, 2) cells at (S, 6) colliding steps."""
+        """Objects whose polygons cover (S, 6, C, 2) cells at (S, 6) colliding steps."""
         objects, steps = np.nonzero(self.counted_objects(truths) & collision[truths.sample_of])
         places = truths.sample_of[objects] * PLAN_STEPS + steps
         flat = cells.reshape(-1, cells.shape[-2], 2)

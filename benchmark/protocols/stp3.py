@@ -103,7 +103,7 @@ class STP3Protocol:
         )
 
     def _touched(self, truths: StackedTruths, collision: Bools, block: Cells) -> dict[str, tuple[Any, ...]]:
-        """Whose warped polygons cover (S, 6, C, 2) cells at (S, 6) colliding steps."""
+        """Objects whose warped polygons cover (S, 6, C, 2) cells at (S, 6) colliding steps."""
         objects, steps = np.nonzero(self.counted_objects(truths) & collision[truths.sample_of])
         polygons, places = _draw_objects(truths, objects, steps)
         cells, on_grid = _cells_before_warp(truths, block)

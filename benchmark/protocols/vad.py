@@ -14,8 +14,8 @@ Definition:
 
 The indices mean what the data set's ``category.json`` lists at them. With the table of 32 entries (alphabetical, since
 lidarseg) they are all pedestrians and all vehicles: this is ``vad``. With the first table of 23 entries they are cars,
-police officers, construction workers, construction vehicles, trailers, barriers and cones: this is ``vad-23``. Nobody
-can tell from the code which one the published numbers used.
+police officers, construction workers, construction vehicles, trailers, barriers and cones: this is ``vad-23``. The code
+does not show which of the two the published numbers used.
 
 Version 1 counted objects with nothing but radar points on them too.
 
@@ -53,7 +53,7 @@ DETECTED: Final = VEHICLES | {
 """Categories that become one of the ten detection classes; the others are dropped before the indices are looked at."""
 
 COUNTED_32: Final = frozenset(name for name in DETECTED if name.startswith(("human.", "vehicle.")))
-"""What the indices 2..8 and 14..23 mean in the table of 32 entries, of those that are detected."""
+"""Detected categories at the indices 2..8 and 14..23 of the table of 32 entries."""
 
 COUNTED_23: Final = frozenset(
     {
@@ -66,7 +66,7 @@ COUNTED_23: Final = frozenset(
         "movable_object.trafficcone",
     }
 )
-"""What the same indices mean in the first table of 23 entries, of those that are detected."""
+"""Detected categories at the same indices of the first table of 23 entries."""
 assert set(CATEGORIES) >= DETECTED >= COUNTED_23
 
 
@@ -103,7 +103,7 @@ class VADProtocol(RasterProtocol):
 
     def point_cells(self, waypoints_lidar: Floats) -> Floats:
         """The cell that ``obj_col`` looks at by mistake, (S, 6, 2)."""
-        # Half of the offset that would be meant: 24.875 m in place of 49.75 m.
+        # Half of the intended offset: 24.875 m in place of 49.75 m.
         offset = 0.5 * (EXTENT_M - 0.5 * CELL_M)
         turned = np.stack([-waypoints_lidar[..., 1], waypoints_lidar[..., 0]], axis=-1)
         return np.asarray(np.trunc((offset + turned) / CELL_M))

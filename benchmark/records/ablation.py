@@ -116,7 +116,7 @@ class AblationReport(Stored):
             f"{self.protocol[0]}, 95 % intervals over scenes"
         )
         notes = (
-            "of tried: colliding samples over the samples of all tried vehicles, the paper's reading; of kept: over "
+            "of tried: colliding samples over the samples of all tried vehicles, as in the paper; of kept: over "
             "those of scenes that passed verification; paper: quoted, UniAD on 20 nuScenes scenes rendered by "
             "MagicDriveDiT; MTR: multi-round refinement, TS: scoring.",
             *([f"{self.planner.name} is a miniature: it {RANKS_NOTHING}."] if self.planner.miniature else []),

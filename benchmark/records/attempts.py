@@ -1,4 +1,4 @@
-"""What the search for adversaries tried, as it is stored: ``attempts.jsonl`` and reports in ``challenger.json``.
+"""Stored attempts of the search for adversaries: ``attempts.jsonl`` and reports in ``challenger.json``.
 
 Splits that differ in the seed of the search alone: their names, and what made them.
 """

@@ -1,4 +1,4 @@
-"""What a challenge says of an entry: the verdict of ``challenge check``, scene by scene, with reasons.
+"""Result of a challenge for one entry: the verdict of ``challenge check``, scene by scene, with reasons.
 
 How the entries of a challenge rank: what ``challenge score`` writes and the leaderboard shows.
 """

@@ -1,4 +1,4 @@
-"""What tables read of a record's rows, as one Arrow batch: the same in memory and in a file of the user's cache.
+"""Columns of a record's rows for tables, as one Arrow batch: the same in memory and in a file of the user's cache.
 
 A column has a value for each row, some value where the row has none. Verdicts, plans and scores are lists of numbers;
 everything else is JSON, each different text once. What is made of columns for Python is remembered for a few planners.
@@ -42,7 +42,7 @@ _ENDED: Final = (np.nan, np.nan)
 _BRIEF: Final = tuple(field.name for field in fields(BriefRow))
 _TYPES: Final = {pa.dictionary(pa.int32(), pa.string()), pa.bool_(), pa.int64(), pa.float64(), pa.binary()}
 _MAKES: Final[Mapping[str, Callable[[Any], Any]]] = {
-    # All planners of a split have the same ones.
+    # They are equal for all planners of a split.
     "scene": sys.intern,
     "sample_token": sys.intern,
     "judged": frozenset,
@@ -238,7 +238,7 @@ def build_batch(rows: Iterable[SampleRow]) -> pa.RecordBatch | None:
     if not gaps <= {unjudged}:
         return None
     batch = table.combine_chunks().to_batches()[0]
-    # Displacements of most protocols are those of one, where they stand once.
+    # Most protocols share the displacements of one, where they are stored once.
     l2 = {name: batch.column(name).buffers()[-1] for name in batch.schema.names if name.split("/")[2:] == ["l2"]}
     shared = l2.pop(_SHARED_L2, None)
     return batch.drop_columns([name for name, values in l2.items() if shared is not None and values == shared])
@@ -279,7 +279,7 @@ def _verdicts(protocol: str, planned: Sequence[SampleRow]) -> dict[str, Any]:
     try:
         outcomes = ProtocolOutcomes.from_rows([vars(row.outcomes[protocol]) for row in planned])
     except (KeyError, ValueError):
-        # Whoever asks for them gets the error that they deserve.
+        # Readers of these verdicts raise the error.
         return {}
     if any(values.shape != outcomes.l2.shape or values.dtype.kind not in "bif" for values in outcomes.steps.values()):
         return {}
@@ -297,7 +297,7 @@ def _motion(rows: Sequence[SampleRow]) -> dict[str, Any]:
     recorded, of_frames = in_lidar.copy(), dict[str, list[tuple[int, float, Waypoints]]]()
     for place, row in enumerate(rows):
         waypoints, future = row.plan.waypoints[:PLAN_STEPS] if row.plan is not None else [], row.recorded_future
-        # Plans that are no plans are found by whoever judges them.
+        # Malformed plans are reported where they are judged.
         if row.plan is not None and len(waypoints) == PLAN_STEPS and all(len(point) == 2 for point in waypoints):
             of_frames.setdefault(row.plan.frame, []).append((place, row.lidar_ahead_m, waypoints))
         if future and future[0]:

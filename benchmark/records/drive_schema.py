@@ -16,9 +16,9 @@ MOST_RUNS: Final = 10_000
 REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
 EngineName = Literal["default", "neuroncap@code", "neuroncap@paper"]
 StopCondition = Literal["contact", "fault"]
-"""What ends a drive before its time: any contact, or one that is the ego's fault."""
+"""Event that ends a drive early: any contact, or one that is the ego's fault."""
 ScenariosName = Literal["recorded", "own", "official"]
-"""What scenes are driven with in NeuroNCAP's engine: as they are, ours, or NeuroNCAP's own."""
+"""Scenarios of NeuroNCAP's engine: none, ours, or NeuroNCAP's own."""
 SCENARIOS: Final[tuple[ScenariosName, ...]] = get_args(ScenariosName)
 RECORDED, OWN, OFFICIAL = SCENARIOS
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -301,13 +301,13 @@ class EpisodeRow(Stored):
             or failed != (self.end == "failed")
             or failed == (self.scores is not None)
         ):
-            raise ValueError("a failed drive has a reason and no scores, any other has scores")
+            raise ValueError("a failed drive needs a reason and no scores, any other drive needs scores")
         if (self.contact is not None) != (self.end == "contact"):
-            raise ValueError("a drive has a contact where one ended it")
+            raise ValueError("a drive needs a contact exactly if a contact ended it")
         if any(collision.at_fault for collision in self.passed):
             raise ValueError("a contact that is the ego's fault ends a drive")
         if len(self.ticks.time_us) != len(self.ticks.ego):
-            raise ValueError("every planning instant has a time and a state")
+            raise ValueError("every planning instant needs a time and a state")
         return self
 
 

@@ -1,10 +1,10 @@
-"""What a data set says of an ego that a planner drove: where a good driver would go from there, frame by frame.
+"""Labels of an ego that a planner drove: the path of a good driver from there, frame by frame.
 
 A planner that learned from good drivers alone never saw the places that its own driving leads it to. In scenes of
 ``data build --driven`` the ego goes where a record of drives says that it went. Its own future is nothing to learn
 from; the way back to what the town's driver would have done is (Ross et al. 2011, DAgger).
 
-What a data set says of how a scene was made.
+Generation reports of scenes in a data set.
 """
 
 from collections.abc import Mapping, Sequence
@@ -68,10 +68,10 @@ class DrivenEgoTargets:
     def from_json(cls, value: object) -> Self:
         """Read what `as_json` wrote."""
         if not isinstance(value, Mapping) or not isinstance(value.get("planner"), str):
-            raise InputError(f"what a driven scene says must name its planner; {_AGAIN}")
+            raise InputError(f"a driven scene must name its planner; {_AGAIN}")
         commands, wanted = value.get("commands"), value.get("wanted")
         if not isinstance(commands, list) or not isinstance(wanted, list) or len(commands) != len(wanted):
-            raise InputError(f"a driven scene must have a command and a way for each key frame; {_AGAIN}")
+            raise InputError(f"a driven scene must have a command and a path for each key frame; {_AGAIN}")
         known = {int(item) for item in Command}
         if any(type(item) is not int or item not in known for item in commands):
             raise InputError(f"the commands of a driven scene must be 0, 1 or 2; {_AGAIN}")
@@ -80,13 +80,13 @@ class DrivenEgoTargets:
 
 def _read_path(places: object) -> Floats:
     if not isinstance(places, Sequence) or len(places) != PLAN_STEPS:
-        raise InputError(f"each way of a driven scene must have {PLAN_STEPS} places; {_AGAIN}")
+        raise InputError(f"each path of a driven scene must have {PLAN_STEPS} points; {_AGAIN}")
     path = np.full((PLAN_STEPS, 2), np.nan)
     for row, place in enumerate(places):
         if place is None:
             continue
         if not isinstance(place, list) or len(place) != 2 or not all(_is_place(coordinate) for coordinate in place):
-            raise InputError(f"a place of a driven scene must be two numbers or null; {_AGAIN}")
+            raise InputError(f"a point of a driven scene must be two numbers or null; {_AGAIN}")
         path[row] = place
     return path
 

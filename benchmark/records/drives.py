@@ -159,7 +159,7 @@ def compute_column_values(row: EpisodeRow) -> dict[str, float | None]:
 
 def _compute_values(row: EpisodeRow) -> dict[str, float | None]:
     scores, contact, first = row.scores, row.contact, row.first_contact
-    assert scores is not None, "a failed drive adds to no column"
+    assert scores is not None, "a failed drive has no value in any column"
     common: dict[str, float | None] = {
         "route": scores.route_share,
         "progress_m": scores.progress_m,
@@ -250,7 +250,7 @@ def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[Episo
         facts: `DriveFacts` less schema, status, seed and files.
     """
     if not rows:
-        raise InputError(f"there are no drives to write to {directory}: no scene was chosen")
+        raise InputError(f"no drives to write to {directory}: no scene was selected; select at least one")
     measured = ClosedLoopDefinition.model_validate(facts["measured"])
     summary = summarise_episodes(rows, facts.get("scene_facts") or {}, seed=seed, engine=measured.engine)
     status: Literal["complete", "partial"] = "complete" if summary.failed == 0 else "partial"
@@ -304,7 +304,7 @@ def find_drives(*roots: Path) -> list[DriveRecord]:
     records = []
     for root in roots:
         if not root.is_dir():
-            raise InputError(f"there is no folder {root}; run challenger-bench drive first, or name the right --out")
+            raise InputError(f"{root} does not exist; run challenger-bench drive first, or correct --out")
         places = (path.parent for path in sorted(root.rglob(DRIVE_FILE)))
         records += read_records(places, load_drives, instead=" to do without this record")
     return records

@@ -23,7 +23,7 @@ __all__ = [
     "read_sample_scores",
     "summarise_driving_scores",
 ]
-# The leaderboard reads records: what it says of the definition, it has from here.
+# Imported by the leaderboard for its text on the definition.
 
 SUB_SCORES: Final = ("nc", "dac", "ddc", "ep", "ttc", "lk", "hc", "ec")
 TOTALS: Final = ("score", "score_without_ec")
@@ -75,7 +75,7 @@ def summarise_score_columns(
 def read_sample_scores(rows: Sequence[DrivenPlan]) -> tuple[Floats, Bools]:
     """Driving scores of S samples: (S, C) values in the order of ``COLUMNS`` and (S, C) whether each exists."""
     always = {name: np.array([getattr(row, name) for row in rows], np.float64) for name in SUB_SCORES[:6]}
-    # What does not exist is null and becomes NaN, which no score is.
+    # A missing score is null and becomes NaN.
     hc, ec = (np.array([getattr(row, name) for row in rows], np.float64) for name in ("hc", "ec"))
     scores = SubScores(**always, hc=np.where(np.isnan(hc), 1.0, hc))
     forgiven = {name: np.array([name in row.forgiven for row in rows], np.bool_) for name in FILTERED}

@@ -76,7 +76,7 @@ class NeuroncapSwitches:
         for field in fields(self):
             value = getattr(self, field.name)
             if value not in ("code", "paper"):
-                raise InputError(f"switch {field.name} of NeuroNCAP is code or paper, not {value!r}")
+                raise InputError(f"switch {field.name} of NeuroNCAP must be code or paper, not {value!r}")
 
     @classmethod
     def named(cls, name: str) -> Self:
@@ -87,7 +87,7 @@ class NeuroncapSwitches:
         """
         preset, *departures = name.removeprefix(_ENGINE).split("+")
         if not name.startswith(_ENGINE) or preset not in ("code", "paper"):
-            raise InputError(f"{name!r} is no engine of NeuroNCAP; there are neuroncap@code and neuroncap@paper")
+            raise InputError(f"{name!r} is not an engine of NeuroNCAP; use neuroncap@code or neuroncap@paper")
         known = [field.name for field in fields(cls)]
         changed = dict(departure.partition("=")[::2] for departure in departures)
         for switch in changed:
@@ -174,7 +174,7 @@ def find_invalid_reason(runs: Runs) -> str | None:
             folder = f"{family}-{name}"
             wanted = len(sequence_runs) if wanted is None else wanted
             if len(sequence_runs) != wanted:
-                return f"{folder} has {len(sequence_runs)} runs and the first sequence {wanted}; run what is missing"
+                return f"{folder} has {len(sequence_runs)} runs and the first sequence {wanted}; run the missing ones"
             for run, metrics in sequence_runs.items():
                 if metrics is None:
                     return f"{folder}/{run} has no metrics; run it again"

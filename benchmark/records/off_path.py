@@ -1,4 +1,4 @@
-"""What a data set says of an ego that was driven off its path: when it was pushed away, and how it came back.
+"""Labels of an ego that was driven off its path: when it left the path, and how it came back.
 
 A recording of good drivers never shows how to come back to the path. In scenes of ``data build --off-path`` the ego
 departs from the path that it would have driven, and comes back. Departing is nothing to learn from; coming back is.
@@ -59,7 +59,7 @@ class Excursion:
             )
         excursion = cls(kind=str(value["kind"]), **{name: float(value[name]) for name in numbers})
         if not 0 <= excursion.begin_s < excursion.worst_s < excursion.end_s < np.inf:
-            raise InputError("the times of an excursion off the path must follow one another; build the data again")
+            raise InputError("the times of an excursion off the path must increase; build the data again")
         return excursion
 
 

@@ -1,4 +1,4 @@
-"""What a planner costs: the latency of each sample and the memory of each scene, kept beside the records.
+"""Cost of a planner: the latency of each sample and the memory of each scene, stored beside the records.
 
 Costs are the clock's and the machine's: they lie in ``<out>/timings``, so that records of two machines are equal.
 """
@@ -130,7 +130,7 @@ def gather_costs(whole: Path, facts: PlannerFacts) -> None:
         try:
             known = read_matching_cost(part, facts)
         except InputError:
-            # Costs are a convenience; what is damaged is missing.
+            # Costs are optional; a damaged file counts as missing.
             continue
         scenes |= {} if known is None else known.scenes
     if scenes:
@@ -150,7 +150,7 @@ def note_cost(path: Path, facts: PlannerFacts, scenes: Mapping[str, SceneCost | 
     try:
         known = read_cost(path)
     except InputError:
-        # Costs are a convenience; a damaged file of them is written anew.
+        # Costs are optional; a damaged file is written again.
         known = None
     before = known.scenes if known is not None and known.planner == who else {}
     new_costs = {scene: cost for scene, cost in scenes.items() if cost is not None}
@@ -176,9 +176,9 @@ def read_matching_cost(path: Path, facts: PlannerFacts) -> PlannerCost | None:
 
 
 def _identify_version(facts: PlannerFacts) -> str:
-    # What a planner is called elsewhere makes it no slower.
+    # The published name of a planner does not affect its cost.
     return content_key(facts.model_dump(mode="json", exclude=LABELS))
 
 
 def _format_damage(path: Path, where: str, why: str) -> str:
-    return f"{path} is not what eval notes of the cost of a planner: {where or 'the whole'}: {why}; delete it"
+    return f"{path} is not a valid planner cost file of eval: {where or 'the whole'}: {why}; delete it"

@@ -1,6 +1,6 @@
 """Names that tell apart several versions of one planner: two checkpoints, two seeds, two settings.
 
-What tables have to say of runs whose plans come from the result files of a repository.
+Notes of tables on runs whose plans come from the result files of a repository.
 """
 
 from collections.abc import Iterable, Sequence
@@ -30,10 +30,10 @@ def describe_sample_order(plans_from: PlanFileFacts) -> str:
 PLANS_SHA256 = "plans_sha256"
 """Setting of a planner whose plans come from a file: the file's hash."""
 _OF_ONE_SPLIT = frozenset({PLANS_SHA256})
-"""What differs between splits without making another version: a plan file holds one split."""
+"""Settings that differ between splits of one version: a plan file holds one split."""
 _HASH_CHARACTERS = 8
 PlannerOnSplit = tuple[PlannerFacts, str, str]
-"""Who ran, on which data set, on which split."""
+"""Planner, data set and split of a run."""
 
 
 def label_versions(records: Sequence[RunRecord]) -> list[RunRecord]:
@@ -81,15 +81,15 @@ def _differs(name: str, ran: Sequence[PlannerOnSplit], values: Sequence[str | No
 
 def describe_version(planner: PlannerFacts) -> dict[str, str]:
     """Differences between versions of planners, as text by their kind."""
-    # Records of before name the code of native planners in their settings too (shared_code_sha256).
+    # Older records also name the code of native planners in their settings (shared_code_sha256).
     settings = {name: value for name, value in planner.settings.items() if not name.endswith("code_sha256")}
     facts: dict[str, Any] = {"seed": planner.seed, **settings}
     if AS_PUBLISHED in facts:
-        # It says all that these do.
+        # It implies these.
         facts.pop("reads_message_after", None)
         facts |= {"memory_crosses_scenes": False} if "memory_crosses_scenes" in facts else {}
     if planner.weights_sha256 is not None:
-        # The hash says all that the name of the file they came from would.
+        # The hash identifies the file, so its name is not needed.
         facts = {name: value for name, value in facts.items() if not name.startswith("checkpoint")}
         facts["weights"] = planner.weights_sha256
     return {name: _format_fact(name, value) for name, value in facts.items()}

@@ -84,7 +84,7 @@ class VideoRow(Stored):
 
 
 class SceneQualityRows(Stored):
-    """What one unit of work gives."""
+    """Result of one unit of work."""
 
     scene: str
     subjects: list[SubjectRow]
@@ -168,7 +168,7 @@ class QualityFacts(Stored):
     def _says_what_tables_ask(cls, definition: dict[str, Any]) -> dict[str, Any]:
         for name in ("masks", "frames"):
             if not isinstance(definition.get(name), str):
-                raise ValueError(f"its definition does not say {name!r}")
+                raise ValueError(f"its definition lacks {name!r}")
         return definition
 
 

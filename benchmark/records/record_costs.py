@@ -30,6 +30,6 @@ def with_drive_cost(record: DriveRecord, roots: Sequence[Path], timings_of: Call
 def _find_noted_cost(
     directory: Path, planner: PlannerFacts, roots: Sequence[Path], timings_of: Callable[[Path], Path]
 ) -> PlannerCost | None:
-    """What was noted of the planner of a record below one of the folders."""
+    """Measured cost of the planner of a record below one of the folders."""
     root = next((root for root in roots if directory.is_relative_to(root)), None)
     return None if root is None else read_matching_cost(cost_path(timings_of(root), root, directory), planner)

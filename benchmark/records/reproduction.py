@@ -49,7 +49,7 @@ class ComparedNumber(Stored):
     @property
     def ok(self) -> bool:
         """Whether it is the published number, as far as that is allowed."""
-        # A value on the border is inside, whatever the last bit of the difference says.
+        # A value on the border is inside, despite floating-point noise.
         return self.ours is not None and abs(self.ours - self.published) <= self.allowed * (1 + 1e-9)
 
 
@@ -77,7 +77,7 @@ class Reproduction(Stored):
 
 
 def version_key(planner: PlannerFacts) -> str:
-    """What makes two runs runs of one version: name, weights, code and options of the planner."""
+    """Key of a planner version: name, weights, code and options."""
     options = {name: value for name, value in planner.settings.items() if name not in _NO_OPTIONS}
     return content_key("version", planner.name, planner.weights_sha256, planner.code_sha256, options)
 
@@ -103,7 +103,7 @@ def with_reproductions(records: Sequence[RunRecord], found: Iterable[Reproductio
             reproduced[key] = f"{reproduction.of} (on {reproduction.data.name}, {reproduction.split})"
         else:
             failed.add(key)
-    # A version that reproduced its numbers in one place and not in another did not.
+    # A version must reproduce its numbers everywhere to count as reproduced.
     known = {key: sentence for key, sentence in reproduced.items() if key not in failed}
     return [replace(record, reproduced=known.get(version_key(record.run.planner))) for record in records]
 
@@ -113,7 +113,7 @@ def _read(path: Path) -> Reproduction:
         Reproduction.model_validate,
         read_json(path),
         lambda where, why: (
-            f"{path} does not say what was reproduced: {where or 'the whole file'}: {why}; run challenger-bench "
+            f"{path} is not a valid reproduction record: {where or 'the whole file'}: {why}; run challenger-bench "
             "reproduce again or delete it"
         ),
     )

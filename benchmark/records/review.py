@@ -1,4 +1,4 @@
-"""What inspectors say of scenes: the file beside a split, and which of its verdicts stand.
+"""Inspectors' verdicts on scenes: the file beside a split, and which of its verdicts are still valid.
 
 The paper inspects scenes by hand (appendix "The Adv-nuSc Dataset"). ``review.json`` in the root of a data set holds the
 verdicts. A verdict is about a scene as it was when it was looked at: it names the token of its row, which for generated
@@ -41,7 +41,7 @@ OneLineText = Annotated[str, Field(max_length=LONGEST_REASON), AfterValidator(_o
 
 
 class Verdict(Stored):
-    """What an inspector says of one scene.
+    """An inspector's verdict on one scene.
 
     Attributes:
         verdict: Whether it may be judged.
@@ -171,7 +171,7 @@ def require_not_rejected(names: Sequence[str], rejected: Mapping[str, str], wher
     for name in names:
         if name in rejected:
             raise InputError(
-                f"scene {name} was rejected by hand ({rejected[name]}), and rejected scenes are not judged; leave it "
+                f"scene {name} was rejected by hand ({rejected[name]}); rejected scenes are not evaluated: leave it "
                 f"out, or take the verdict back with: challenger-bench data review {where}"
             )
 
@@ -195,7 +195,7 @@ def check_review(stored: Any, path: Path) -> ReviewFile:
         ReviewFile.model_validate,
         stored,
         lambda where, why: (
-            f"{path} is not a valid review: {f'{where[:120]}: ' if where else ''}{why}; mend it, or move it away and "
+            f"{path} is not a valid review: {f'{where[:120]}: ' if where else ''}{why}; fix it, or move it away and "
             "run challenger-bench data review again"
         ),
     )
@@ -207,7 +207,7 @@ def check_verdict(stored: Any, what: str) -> Verdict:
         Verdict.model_validate,
         stored,
         lambda where, why: (
-            f"{what} is none: {f'{where}: ' if where else ''}{why}; a verdict is "
+            f"{what} is not a valid verdict: {f'{where}: ' if where else ''}{why}; a verdict is "
             "accepted or rejected, and a rejection has a reason"
         ),
     )

@@ -1,9 +1,9 @@
 """Rows of a record as they are kept in memory: compressed JSON lines, and columns of what tables read.
 
-A parsed row takes 20 to 30 kB, its line 3 to 4 kB, and compressed, scene by scene, 0.4 kB. Rows are parsed again when
-somebody goes through them, a scene at a time. Lines and columns of large records are kept in the user's cache, so that
+A parsed row takes 20 to 30 kB, its line 3 to 4 kB, and compressed, scene by scene, 0.4 kB. Rows are parsed again on
+iteration, a scene at a time. Lines and columns of large records are kept in the user's cache, so that
 a record is parsed and checked once. They count for rows with one SHA-256, that of ``samples.jsonl``, and for the code
-that made them; whatever does not fit is as good as none.
+that made them; a cache file that does not match is ignored.
 
 Scenes that a planner fails, from the columns of a record.
 """
@@ -102,7 +102,7 @@ class SampleRows(Sequence[SampleRow]):
                 compressed._add(scene, lines)
 
         batch = build_batch(added())
-        # Of rows of their own: what refers to itself stays in memory until Python looks for it.
+        # Of separate rows: a reference cycle would stay in memory until Python's next collection.
         compressed.columns = RowColumns(cls(compressed._blocks), batch)
         return compressed
 
@@ -165,7 +165,7 @@ class SampleRows(Sequence[SampleRow]):
         return RowColumns(SampleRows(self._blocks))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Columns are made again, and nobody else can read what lies in a file of ours.
+        # Columns are made again: other processes cannot read our mapped file.
         return SampleRows, ([(scene, count, bytes(packed)) for scene, count, packed in self._blocks],)
 
     def __len__(self) -> int:
@@ -241,7 +241,7 @@ def cache_in_parallel(files: Mapping[Path, str], read: Callable[[Path], object])
     sizes = [path.stat().st_size for path in new]
     workers = min(default_workers(), sum(size >= WORTH_BYTES for size in sizes))
     if workers > 1 and sum(sizes) >= WORTH_WORKERS_BYTES:
-        # What is damaged is said by who reads it next, and where the first cannot be kept, no other is tried.
+        # The next reader reports damage; if the first record cannot be cached, no other is tried.
         with contextlib.suppress(InputError):
             keep, count = functools.partial(_cache_file, read), CountedUnits("record")
             all(map_ordered(keep, list(new.items()), workers=workers, label="reading records", count=count))

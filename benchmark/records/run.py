@@ -56,9 +56,9 @@ if TYPE_CHECKING:
 _Read = TypeVar("_Read", bound=Stored)
 
 NATIVE = "native"
-"""What the planner's own protocol is called where a protocol is asked for."""
+"""Name of the planner's own protocol in ``--protocol``."""
 NO_NATIVE = "exact"
-"""Who judges planners that have no protocol of their own."""
+"""Protocol for planners without a protocol of their own."""
 _CONTENT_ID = "content id"
 
 
@@ -130,18 +130,18 @@ class RunRecord:
     def content_id(self) -> str:
         """Twelve hexadecimal digits made of the facts and the results, the same on any machine and in any folder."""
         kept = self.columns.kept
-        # Tables ask for it with every number.
+        # Tables read it for every number.
         if (known := kept.get(_CONTENT_ID)) is None or known[0] is not self.run:
             known = kept[_CONTENT_ID] = self.run, self._content_id()
         return str(known[1])
 
     def _content_id(self) -> str:
         run, planner = self.run, self.run.planner
-        # Settings are a stranger's: as text they may hold any number.
+        # Settings are third-party data: as JSON text they may hold any number.
         settings = json.dumps(planner.settings, sort_keys=True)
         ran = [planner.name, planner.weights_sha256, planner.code_sha256, planner.seed, settings]
         on = [run.data.name, run.data.fingerprint, run.split, run.scenes]
-        # As it was before there were reviews, where there is none.
+        # Without a review the identifier is that of versions before reviews existed.
         on += [] if run.review is None else [run.review.content]
         return content_key(ran, on, run.protocols, run.seed, run.files)[:12]
 
@@ -260,7 +260,7 @@ def write_record(
         facts: `RunFacts` less status, protocols, seed and files.
     """
     if not rows:
-        raise InputError(f"there are no samples to write to {directory}: the chosen scenes have none")
+        raise InputError(f"no samples to write to {directory}: the selected scenes have none; choose other scenes")
     rows = SampleRows.of(rows)
     summary = summarise_rows(rows, versions, seed=seed, scene_facts=facts.get("scene_facts"))
     run = RunFacts(
@@ -281,7 +281,7 @@ def write_record(
         "".join(f"{line}\n" for line in rows.lines()).encode(),
         summary.model_dump(mode="json", by_alias=True),
     )
-    # Whoever reads the record next, the leaderboard above all, need not parse what is at hand here.
+    # Later readers of the record, above all the leaderboard, need not parse the rows again.
     rows = cache_rows(directory / ROWS_FILE, written[ROWS_FILE], rows)
     return RunRecord(directory, run.model_copy(update={"files": written}), rows, summary)
 
@@ -324,7 +324,7 @@ def load_record(directory: Path) -> RunRecord:
         cached = rows = SampleRows.of([read(SampleRow, ROWS_FILE, row) for row in raw_rows])
     run = read(RunFacts, RUN_FILE, raw_run)
     if list(rows.columns.places_of_scenes) != run.scenes:
-        raise InputError(f"{directory / RUN_FILE} names other scenes than {ROWS_FILE} has rows of")
+        raise InputError(f"{directory / RUN_FILE} lists other scenes than {ROWS_FILE}")
     summary = read(RunSummary, SUMMARY_FILE, raw_summary)
     if cached is None:
         rows = cache_rows(directory / ROWS_FILE, run.files[ROWS_FILE], rows)
@@ -333,7 +333,7 @@ def load_record(directory: Path) -> RunRecord:
 
 def _rows(directory: Path, head: dict[str, Any], lines: Sequence[tuple[int, str]]) -> list[SampleRow]:
     """Lines of ``samples.jsonl``, by the faster parser where they are sure to be sound."""
-    # What is plain of all lines together is plain of each.
+    # One check of all lines together covers each line.
     plain = is_plain("\n".join(line for _, line in lines).encode(), RECORD)
     return [_row(directory, head, number, line, plain=plain) for number, line in lines]
 
@@ -343,7 +343,7 @@ def _row(directory: Path, head: dict[str, Any], number: int, line: str, *, plain
         try:
             return SampleRow.model_validate_json(line)
         except ValidationError:
-            # What is wrong is said in the words and in the order of the slower way.
+            # The slower path reports errors in its own words and order.
             pass
     path = directory / ROWS_FILE
     value = parse_line(path, number, line, RECORD)
@@ -353,7 +353,7 @@ def _row(directory: Path, head: dict[str, Any], number: int, line: str, *, plain
 
 
 def _format_damage(path: Path, where: str, why: str) -> str:
-    return f"{path} is not that of a valid run record: {where or 'the whole'}: {why}"
+    return f"{path} is not part of a valid run record: {where or 'the whole'}: {why}"
 
 
 def _named_rows(directory: Path) -> tuple[Path, str] | None:
@@ -381,7 +381,7 @@ def find_records(*roots: Path) -> list[RunRecord]:
     for root in roots:
         if not root.is_dir():
             raise InputError(
-                f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
+                f"{root} does not exist; run challenger-bench eval first, or give the right folder with --out"
             )
         places = [path.parent for path in sorted(root.rglob(RUN_FILE))]
         cache_in_parallel(dict(filter(None, map(_named_rows, places))), load_record)

@@ -21,7 +21,7 @@ MOST_ADVERSARIES: Final = 1000
 Seed = Annotated[int, Field(strict=True, ge=0, le=LARGEST_SEED)]
 Version = Annotated[int, Field(strict=True, ge=0, le=1000)]
 MachineValue = str | int | float | bool | None
-"""What is said of a machine: a record with anything else there is damaged."""
+"""Values of machine metadata: a record with any other type is damaged."""
 Name = Annotated[str, Field(max_length=200)]
 """Of something that files are named after, and text wherever it is shown."""
 SceneCount = Annotated[int, Field(strict=True, ge=0, le=10_000_000)]
@@ -30,7 +30,7 @@ LightName = Literal["day", "dusk", "night", "rain"]
 
 
 PlannerInput = Literal["map", "motion", "images"]
-"""What a planner goes without where a data set lacks it: lanes of the map, measured motion (CAN bus), cameras."""
+"""Optional inputs of planners: lanes of the map, measured motion (CAN bus), cameras."""
 
 
 class PlannerFacts(Stored):
@@ -58,7 +58,7 @@ class PlannerFacts(Stored):
 
 
 LABELS: Final = {"native_protocol", "published_as", "miniature", "wants"}
-"""What is said of a planner and changes no plan."""
+"""Labels of a planner that do not affect its plans."""
 
 
 class InputFacts(Stored):

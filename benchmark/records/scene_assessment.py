@@ -1,4 +1,4 @@
-"""What is said of an adversarial scene: who could have avoided it, how severe it is, what is wrong with its adversary.
+"""Assessment of an adversarial scene: avoidability by reference drivers, severity, and defects of its adversary.
 
 ``docs/severity.md`` and ``docs/realism.md`` define every word. A `SceneAssessment` is about one adversary of one scene,
 `AssessmentSummary` about a scene as tables, cards and filters need it, `SplitRealism` about the adversaries of a split.
@@ -67,11 +67,11 @@ class ReferenceDriverRun(Stored):
     @model_validator(mode="after")
     def _agree(self) -> Self:
         if self.survives != (self.contact is None):
-            raise ValueError("a driver survives if it has no contact")
+            raise ValueError("a driver survives exactly if it has no contact")
         if (self.reacted_s is None) != (self.reacted_to is None) or (self.reacted_s is None) != (
             self.reacted_to_instance is None
         ):
-            raise ValueError("a driver that reacts does so at a time and to somebody")
+            raise ValueError("a reaction needs both a time and an instance")
         return self
 
 
@@ -140,7 +140,7 @@ class StoredTrackDefects(Stored):
     @model_validator(mode="after")
     def _agree(self) -> Self:
         if set(self.unknown) != {name for name in TRACK_DEFECT_NAMES if getattr(self, name) is None}:
-            raise ValueError("exactly the faults that nobody could tell have a reason")
+            raise ValueError("exactly the faults that are unknown need a reason")
         return self
 
     @property
@@ -191,12 +191,12 @@ class SceneAssessment(Stored):
         if set(self.drivers) != set(DRIVER_NAMES):
             raise ValueError(f"drivers must be {', '.join(DRIVER_NAMES)}")
         if (self.chance == "until") != (self.last_chance_s is not None):
-            raise ValueError("a last chance is there if something avoids the contact until then")
+            raise ValueError("a last chance needs a manoeuvre that avoids the contact, and the reverse")
         if self.margin_s is not None and (self.last_chance_s is None or self.first_visible_s is None):
-            raise ValueError("a margin is between a first sight and a last chance")
+            raise ValueError("a margin needs a first sight and a last chance")
         known = [value is not None for value in (self.category, self.unsolvable, self.encounter, self.faults)]
         if set(known) != {self.adversary is not None}:
-            raise ValueError("category, solvability, encounter and faults are of an adversary")
+            raise ValueError("category, solvability, encounter and faults need an adversary")
         return self
 
 

@@ -301,7 +301,7 @@ def read_scene_page(directory: Path) -> StoredScenePage:
     count = len(sheet.timestamps_us)
     if not count or {len(sheet.ego.x_m), len(sheet.ego.y_m), len(sheet.ego.yaw_rad)} != {count}:
         raise InputError(
-            f"{directory / SHEET_FILE} has {count} frames and another number of ego poses, or none; run "
+            f"{directory / SHEET_FILE} has {count} frames but another number of ego poses, or no frames; run "
             "challenger-bench sheets again"
         )
     if any(second <= first for first, second in pairwise(sheet.timestamps_us)):
@@ -313,7 +313,7 @@ def read_scene_page(directory: Path) -> StoredScenePage:
         if not path.resolve().is_relative_to(directory.resolve()):
             raise InputError(f"{directory / SHEET_FILE} names {name!r}, which is outside its folder; write it again")
         if not path.is_file() or file_sha256(path) != expected:
-            raise InputError(f"{path} is not the picture that its sheet names; run challenger-bench sheets again")
+            raise InputError(f"{path} does not match the picture in its sheet; run challenger-bench sheets again")
     rounds = directory / ROUNDS_FILE
     return StoredScenePage(directory, sheet, _read(rounds, RefinementTrace) if rounds.is_file() else None)
 
@@ -323,7 +323,7 @@ def _read(path: Path, model: type[_Read]) -> _Read:
     content = read_json(path)
     version = content.get("schema") if isinstance(content, dict) else None
     if version != SCHEMA:
-        raise InputError(f"{path} has schema {version!r}, this version reads {SCHEMA}; {again}")
+        raise InputError(f"{path} has schema {version!r}, but this version reads {SCHEMA}; {again}")
     return validate_stored(
         model.model_validate, content, lambda where, why: f"{path} is damaged at {where}: {why}; {again}"
     )

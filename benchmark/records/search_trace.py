@@ -1,4 +1,4 @@
-"""What an adversary in the loop considered at each of its planning frames: a file a drive, beside its record.
+"""Search trace of a reactive adversary at each of its planning frames: one file per drive, beside its record.
 
 The files are written on request (`drive --keep-considered`) and are no part of the record: with and without them its
 bytes are the same.
@@ -41,11 +41,11 @@ class SearchTraceFrame(Stored):
     @model_validator(mode="after")
     def _agree(self) -> Self:
         if len(self.scores) != len(self.candidates) or len({len(line) for line in self.candidates}) > 1:
-            raise ValueError("every candidate has a score and as many points as the others")
+            raise ValueError("each candidate needs a score and the same number of points")
         if (self.chosen is not None) != (self.did == "searched"):
-            raise ValueError("a candidate is chosen where one of the search was driven")
+            raise ValueError("exactly the frames with a search need a chosen candidate")
         if self.chosen is not None and not 0 <= self.chosen < len(self.candidates):
-            raise ValueError("the chosen candidate is one of them")
+            raise ValueError("the chosen candidate must be one of the candidates")
         return self
 
 
@@ -77,7 +77,7 @@ def read_search_trace(directory: Path, row: EpisodeRow) -> tuple[SearchTraceFram
     try:
         file = _SearchTraceFile.model_validate(stored)
     except ValueError:
-        # What is absent or damaged is made again by whoever asks for it.
+        # A missing or damaged trace is made again by its reader.
         return None
     return file.frames if file.adversary == _key(row.adversary) else None
 

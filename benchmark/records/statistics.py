@@ -1,6 +1,6 @@
 """Splits in numbers, as ``split.json`` stores them: rows of tables, what adversaries do, seconds of generation.
 
-What is said of the scenes of a split together, as ``data stats`` gives it.
+Assessment of all scenes of a split, as ``data stats`` prints it.
 """
 
 from typing import Annotated, Any, Final

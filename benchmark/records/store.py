@@ -83,7 +83,7 @@ def read_records(places: Iterable[Path], read: Callable[[Path], Record], *, inst
         try:
             records.append(read(place))
         except InputError as damage:
-            raise InputError(f"{damage}; or delete or move {place}{instead}") from damage
+            raise InputError(f"{damage}, or delete or move {place}{instead}") from damage
     return records
 
 
@@ -318,9 +318,9 @@ def describe_recorded(found: Iterable[RecordIdentity]) -> str:
     for record in found:
         places.setdefault(record.data, {}).setdefault(record.split, []).append(record.planner)
     if not places:
-        return "there are no run records"
+        return "no run records found"
     named = []
     for data, splits in places.items():
         ran = "; ".join(f"{split}: {', '.join(planners)}" for split, planners in splits.items())
         named.append(f"{data} ({ran})")
-    return f"there are records of {', '.join(named)}"
+    return f"found records of {', '.join(named)}"

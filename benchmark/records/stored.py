@@ -1,4 +1,4 @@
-"""What the schemas of all our files share."""
+"""Base model of the schemas of all our files."""
 
 from pydantic import BaseModel, ConfigDict
 

@@ -192,7 +192,7 @@ class BirdseyeScene:
         count = len(sheet.timestamps_us)
         if not count or {len(sheet.ego.x_m), len(sheet.ego.y_m), len(sheet.ego.yaw_rad)} != {count}:
             raise InputError(
-                f"the sheet of {sheet.scene} has {count} frames and another number of ego poses, or none; run "
+                f"the sheet of {sheet.scene} has {count} frames but another number of ego poses, or no frames; run "
                 "challenger-bench sheets again"
             )
         self.sheet = sheet
@@ -224,12 +224,10 @@ class BirdseyeScene:
         """
         sheet = self.sheet
         if not 0 <= frame < len(self.seconds):
-            raise InputError(
-                f"{sheet.scene} has frames 0 to {len(self.seconds) - 1}, there is no frame {frame} to draw"
-            )
+            raise InputError(f"{sheet.scene} has frames 0 to {len(self.seconds) - 1}, not {frame}; choose one of these")
         if min(width_px, height_px) < 1 or not 0.0 < extent_m < np.inf:
             raise InputError(
-                f"a picture from above needs a positive size and extent, got {width_px}x{height_px} px and {extent_m} m"
+                f"a bird's-eye picture needs a positive size and extent, got {width_px}x{height_px} px and {extent_m} m"
             )
         pose = np.array([sheet.ego.x_m[frame], sheet.ego.y_m[frame], sheet.ego.yaw_rad[frame]])
         view = make_view(
@@ -252,7 +250,7 @@ class BirdseyeScene:
         for plan in plans:
             draw_expectations(image, view, plan)
         self._draw_boxes(image, view, frame)
-        # Later planners are drawn first, so that the one that is named first is on top.
+        # Later planners are drawn first, so that the first planner is on top.
         for plan in reversed(plans):
             draw_plan(image, view, plan)
         draw_contacts(image, view, plans)

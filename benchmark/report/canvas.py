@@ -86,7 +86,7 @@ def _fill(image: Picture, x1: int, y1: int, x2: int, y2: int, colour: Rgb) -> No
 @functools.lru_cache(maxsize=16)
 def _font(size_px: int, bold: bool) -> ImageFont.FreeTypeFont:
     path = Path(mpl.get_data_path()) / "fonts" / "ttf" / _FONTS[bold]
-    # The other layout engine is not everywhere, and would give other pixels.
+    # The other layout engine is not available everywhere, and gives other pixels.
     return ImageFont.truetype(str(path), size_px, layout_engine=ImageFont.Layout.BASIC)
 
 
@@ -284,7 +284,7 @@ def split_into_dashes(line: Floats, pattern: Dash) -> list[Floats]:
     total = float(along[-1])
     if not total > 0.0:
         return []
-    # A line that leaves the picture by far would be thousands of strokes that nobody sees.
+    # A line that leaves the picture by far would be thousands of invisible strokes.
     steps = np.tile(pattern, int(min(total, 4 * _FARTHEST_PX) // sum(pattern)) + 1)
     ends = np.cumsum(steps)
     begins, ends = (ends - steps)[::2], np.minimum(ends[::2], total)

@@ -1,4 +1,4 @@
-"""What is written on a picture from above: time, scale, what is what, verdicts."""
+"""Captions of a bird's-eye picture: time, scale, legend, verdicts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -12,8 +12,8 @@ from benchmark.records.run import RunRecord
 UNDEFINED: Final = "–"
 """Shown where a number does not exist; never a zero."""
 PERCENT: Final = "%"
-RANKS_NOTHING: Final = "shows the pipeline, ranks nothing"
-"""What is said of a miniature wherever it is shown (docs/miniatures.md)."""
+RANKS_NOTHING: Final = "demonstrates the pipeline; not for ranking"
+"""Note on a miniature wherever it is shown (docs/miniatures.md)."""
 MINIATURE_MARK: Final = "§"
 MINIATURE_WORDS: Final = f"{MINIATURE_MARK} miniature: {RANKS_NOTHING}"
 _STORED_DIGITS: Final = 12

@@ -1,4 +1,4 @@
-"""What is drawn over a scene: plans with their verdicts, and candidates of the search."""
+"""Overlays of a scene: plans with their verdicts, and candidates of the search."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Plots by matplotlib: the same numbers give the same bytes, whatever settings the user has."""
+"""Plots by matplotlib: the same numbers give the same bytes, independent of user settings."""
 
 import gc
 import io
@@ -106,7 +106,7 @@ def _saved(sketch: Sketch, suffixes: tuple[str, ...], theme: PlotTheme) -> tuple
             else:
                 figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
             saved.append(stream.getvalue())
-        # Thousands of artists that refer to each other would wait for Python's collector beside those of the next one.
+        # Thousands of artists in reference cycles would stay in memory with those of the next figure.
         del figure
         gc.collect(1)
     return tuple(saved)

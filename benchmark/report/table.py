@@ -43,7 +43,7 @@ _LATEX_SPECIAL = {
     ">": r"\textgreater{}",
     "|": r"\textbar{}",
     '"': "{''}",
-    # After the end of a row these two would be taken for its options.
+    # After the end of a row these two would be read as its options.
     "[": "{[}",
     "*": "{*}",
 }
@@ -123,9 +123,9 @@ class Table:
         if self.groups and sum(span for _, span in self.groups) != width:
             raise ValueError(f"table {self.name}: groups do not cover {width} columns")
         if self.cells is not None and [len(row) for row in self.cells] != [width] * len(self.rows):
-            raise ValueError(f"table {self.name}: cells are not those of {len(self.rows)} rows of {width}")
+            raise ValueError(f"table {self.name}: cells do not match {len(self.rows)} rows of {width}")
         if self.miniatures and len(self.miniatures) != len(self.rows):
-            raise ValueError(f"table {self.name}: {len(self.miniatures)} rows are marked or not, of {len(self.rows)}")
+            raise ValueError(f"table {self.name}: {len(self.miniatures)} miniature flags for {len(self.rows)} rows")
 
     @property
     def heads(self) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """How tables and sentences look in a terminal: as wide as it is and no wider, 80 columns where there is none.
 
-What a notebook shows of a record or a scene: a table, in place of all its fields.
+Notebook display of a record or a scene: a table, in place of all its fields.
 """
 
 import re

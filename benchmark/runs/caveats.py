@@ -1,10 +1,10 @@
 """The caveats of a run record, put together in one place; each kind is decided in the room that knows of it.
 
-What key frames that are not half a second apart do to the numbers of a run, as caveats.
+Caveats on runs whose key frames are not half a second apart.
 
-What records say of truth that their data set does not have: labels, sizes, categories, complete samples, poses.
+Caveats on missing ground truth of a data set: labels, sizes, categories, complete samples, poses.
 
-What planners, engines and driving scores want of a data set and do not get, and what of it cannot be, as caveats.
+Caveats on inputs that planners, engines and driving scores lack, and on impossible values of a data set.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -34,13 +34,13 @@ def list_data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
         yield Caveat(
             kind="map",
             sentence=f"the recorded ego is off the drivable area of the map in {100 * share:.0f} % of the samples: the "
-            "map does not fit, and neither do lanes and driving scores",
+            "map does not match, so lanes and driving scores are wrong",
         )
     if jumps := sum(inputs.jumps for inputs in facts.values()):
         yield Caveat(
             kind="boxes",
-            sentence=f"{pluralise(jumps, 'annotation')} of objects that jump (over 60 m/s since the one before): "
-            "contacts with them are of no real motion",
+            sentence=f"{pluralise(jumps, 'annotation')} of objects that jump (over 60 m/s since the previous one): "
+            "contacts with them are not realistic",
         )
     moving, across = (sum(getattr(inputs, name) for inputs in facts.values()) for name in ("moving", "across"))
     if are_boxes_across(moving, across):
@@ -48,21 +48,21 @@ def list_data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
             kind="boxes",
             sentence=f"the boxes of {across} of {pluralise(moving, 'moving object')} lie across their motion "
             "(width and "
-            "length exchanged, or headings turned by 90 degrees): contacts are not where they would be",
+            "length exchanged, or headings turned by 90 degrees): contacts are misplaced",
         )
     if turned := [name for name, inputs in facts.items() if inputs.turned_quaternions]:
         yield Caveat(
             kind="pose",
             sentence=f"rotations in {_format_scenes(turned, facts)} make sense only if read as x, y, z, w, and "
             "nuScenes has w "
-            "first: headings and all that follows from them are wrong",
+            "first: headings and all derived values are wrong",
         )
     if without := [name for name, inputs in facts.items() if not inputs.lidar]:
         yield Caveat(
             kind="lidar",
             sentence=f"{_format_scenes(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, whose place "
             "plans and protocols "
-            "count from, is taken to sit as on nuScenes' cars",
+            "is assumed to be mounted as on nuScenes' cars",
         )
 
 
@@ -84,13 +84,13 @@ def list_map_caveats(scenes: Mapping[str, SceneFacts], goes_without: Sequence[st
 
 def list_planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: SampleRows) -> Iterator[Caveat]:
     """Caveats about inputs that a planner wanted and did not get, and about plans that lack what the others have."""
-    lanes = ["it drives straight on where it would follow a lane"] if "map" in planner.wants else []
-    yield from list_map_caveats(scenes, [*lanes, "there are no driving scores (pdm)"])
+    lanes = ["the planner drives straight instead of following a lane"] if "map" in planner.wants else []
+    yield from list_map_caveats(scenes, [*lanes, "driving scores (pdm) are not computed"])
     facts = collect_inputs(scenes)
     blind = [name for name, inputs in facts.items() if not inputs.cameras]
     if blind and "images" in planner.wants:
         yield Caveat(
-            kind="images", sentence=f"{_format_scenes(blind, facts)} {_have(blind)} no camera, and it plans from images"
+            kind="images", sentence=f"{_format_scenes(blind, facts)} {_have(blind)} no camera, but it needs images"
         )
     derived: list[str] = []
     offered, without = 0, 0
@@ -109,8 +109,8 @@ def list_planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts]
     if offered and without:
         yield Caveat(
             kind="forecasts",
-            sentence=f"{without} of {pluralise(offered + without, 'plan')} have no forecasts, and the others do: no "
-            "cause is said of their collisions",
+            sentence=f"{without} of {pluralise(offered + without, 'plan')} have no forecasts, unlike the others: no "
+            "cause is given for their collisions",
         )
 
 
@@ -118,13 +118,13 @@ def list_drive_input_caveats(
     planner: PlannerFacts, scenes: Mapping[str, SceneFacts], measured: ClosedLoopDefinition
 ) -> Iterator[Caveat]:
     """Caveats about map inputs that a planner, the engine, its agents and the sensor wanted and did not get."""
-    goes_without = ["it drives straight on where it would follow a lane"] if "map" in planner.wants else []
+    goes_without = ["the planner drives straight instead of following a lane"] if "map" in planner.wants else []
     if measured.agents == "idm":
-        goes_without.append("agents drive straight on where their recorded way ends")
+        goes_without.append("agents continue straight where their recorded path ends")
     if measured.sensor == "schematic":
-        goes_without.append("pictures have no road")
+        goes_without.append("pictures show no road")
     if measured.engine == "default":
-        goes_without.append("there are no terms of nuPlan and no HD-Score")
+        goes_without.append("nuPlan terms and HD-Score are not computed")
     yield from list_map_caveats(scenes, goes_without)
 
 
@@ -147,32 +147,32 @@ def _have(names: Sequence[str]) -> str:
 
 
 _NAMED: Final = 3
-_DRIVES: Final = "drives there are in no rate of contacts and in no score that counts them"
+_DRIVES: Final = "collision rates and scores that use contacts exclude drives there"
 
 
 def list_run_truth_caveats(scenes: Mapping[str, SceneFacts], rows: SampleRows) -> Iterator[Caveat]:
     """Caveats of a run record about the truth of its scenes."""
     known = _known(scenes)
-    yield from _labels(known, "collision rates and counts of failed scenes leave them out")
+    yield from _labels(known, "collision rates and counts of failed scenes exclude them")
     partly = [name for name, truth in known.items() if truth.annotations and truth.unlabelled]
     if partly:
         of = pluralise(sum(len(rows.columns.places_of_scenes[name]) for name in partly), "sample")
         unlabelled = sum(known[name].unlabelled for name in partly)
         yield Caveat(
             kind="truth",
-            sentence=f"{_scenes(partly, len(scenes))} annotations in a part only: {unlabelled} of {of} there are in no "
-            "collision rate",
+            sentence=f"{_scenes(partly, len(scenes))} incomplete annotations: {unlabelled} of {of} there are excluded "
+            "from collision rates",
         )
     complete = rows.columns.flags("complete")
     short = [name for name, places in rows.columns.places_of_scenes.items() if not complete[places].any()]
     if short:
         yield Caveat(
             kind="truth",
-            sentence=f"{_scenes(short, len(scenes))} no sample with a recording of 3 s ahead: only protocols that "
+            sentence=f"{_scenes(short, len(scenes))} no sample with 3 s of recorded future: only protocols that "
             "count incomplete samples have a rate there",
         )
     yield from _boxes(known)
-    yield from _categories(known, "protocols that go by categories say nothing of contacts")
+    yield from _categories(known, "protocols that depend on categories cannot detect contacts")
     yield from _poses(known, len(scenes))
 
 
@@ -184,10 +184,10 @@ def list_drive_truth_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Cavea
     if partly:
         yield Caveat(
             kind="truth",
-            sentence=f"{_scenes(partly, len(known))} annotations in a part only: {_DRIVES}",
+            sentence=f"{_scenes(partly, len(known))} incomplete annotations: {_DRIVES}",
         )
     yield from _boxes(known)
-    yield from _categories(known, "who is at fault, and scores that ask who moves by itself, may be wrong")
+    yield from _categories(known, "fault attribution and scores that depend on the kind of road user may be wrong")
     yield from _poses(known, len(scenes))
 
 
@@ -208,15 +208,15 @@ def _boxes(known: Mapping[str, TruthFacts]) -> Iterator[Caveat]:
             kind="boxes",
             sentence=f"{pluralise(sum(without.values()), 'annotation')} of {_names([*without])} without length, "
             "width or "
-            "height: nothing can touch them",
+            "height: they are ignored",
         )
 
 
 def _categories(known: Mapping[str, TruthFacts], consequence: str) -> Iterator[Caveat]:
     total = AnnotationCount.together([AnnotationCount(truth.annotations, truth.unknown) for truth in known.values()])
     if total.unknown:
-        few = "protocols that go by categories do not see them"
-        advice = f"{consequence}; say what they mean with --categories" if total.is_mostly_unknown else few
+        few = "protocols that depend on categories ignore them"
+        advice = f"{consequence}; map them with --categories" if total.is_mostly_unknown else few
         yield Caveat(kind="categories", sentence=f"{total.sentence}: {advice}")
 
 
@@ -225,8 +225,8 @@ def _poses(known: Mapping[str, TruthFacts], scenes: int) -> Iterator[Caveat]:
     if still:
         yield Caveat(
             kind="pose",
-            sentence=f"{_scenes(still, scenes)} the same ego pose at every sample, as if there were none: L2 and "
-            "verdicts there are those of a car that stands",
+            sentence=f"{_scenes(still, scenes)} the same ego pose at every sample, as if it were missing: L2 and "
+            "verdicts there are those of a stationary car",
         )
 
 
@@ -261,7 +261,7 @@ def list_time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
             f"{pluralise(samples, 'sample')} of {pluralise(len(irregular), 'scene')} have key frames ahead that "
             "are not "
             "half a second apart: exact and driving scores interpolate steps there"
-            + (f" and say nothing beyond a gap over 0.75 s ({pluralise(cut, 'sample')})" if cut else "")
+            + (f" and give no verdict beyond a gap over 0.75 s ({pluralise(cut, 'sample')})" if cut else "")
             + ", and official protocols take the k-th key frame for step k"
         )
     return [Caveat(kind="time", sentence=sentence) for sentence in sentences]

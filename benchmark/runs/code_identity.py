@@ -1,4 +1,4 @@
-"""What makes a kept plan stale: a hash of the code that it was made by.
+"""Identity of planner code: a hash by which a cached plan is recognised as stale.
 
 Of this project all of `benchmark` and `adapters` counts, but for what no plan depends on (`APART`) and for extensions
 that the planner does not use. Of other code those modules count that the planner's module imports, directly and through
@@ -35,7 +35,7 @@ APART: Final = (
     "benchmark/extensions",
     "adapters/extensions",
 )
-"""What the hash of this project leaves out; extensions count where a planner imports them."""
+"""Code that the hash of this project excludes; extensions count where a planner imports them."""
 _NO_STRANGERS: Final = (*OURS, "generation", "leaderboard", "__main__", "__mp_main__")
 _INSTALLED: Final = frozenset({"site-packages", "dist-packages"})
 _LIBRARIES: Final = frozenset({"torch"})
@@ -161,7 +161,7 @@ def _parsed(content: bytes) -> ast.Module | None:
 
 def _tree_sha256(content: bytes, tree: ast.Module | None) -> str:
     if tree is None:
-        # Not Python of this version: all that can be said is whether it changed.
+        # Not Python of this version: only a change of its bytes can be detected.
         return hashlib.sha256(content).hexdigest()
     words: list[str] = []
     _write(tree, words)
@@ -179,7 +179,7 @@ def _write(node: ast.AST, words: list[str]) -> None:
         for child in value if isinstance(value, list) else (value,):
             if not isinstance(child, ast.AST):
                 words.append(repr(child))
-            # Docstrings, and what stands where there is nothing to say.
+            # Docstrings, and placeholders such as `...`.
             elif not isinstance(child, ast.Pass) and not (
                 isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant)
             ):

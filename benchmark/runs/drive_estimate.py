@@ -53,7 +53,7 @@ def estimate_driving(data: "DataSet", split: str, planner: PlannerFactory, setti
         seconds = left * (first + a_tick * (len(scene.keyframes) - 1) + _SCORING_S)
     workers = settings.executor.workers if isinstance(settings.executor, LocalProcesses) else 1
     where = f"{pluralise(len(scenes), 'scene')} of {split}, {pluralise(settings.runs_made, 'run')} each"
-    done = f", {cached_count} of them kept already" if cached_count else ""
+    done = f", {cached_count} of them already kept" if cached_count else ""
     return (
         f"would drive {planner.facts.name} through {where} ({pluralise(len(units), 'drive')}{done}; engine "
         f"{settings.measured.world}, sensor {settings.sensor.name}): at most about "

@@ -1,6 +1,6 @@
 """How planners are driven in closed loop.
 
-What is driven: a job, its units, and where each is kept.
+Jobs of closed-loop runs: a job, its units, and where each is stored.
 """
 
 from dataclasses import dataclass, field
@@ -99,7 +99,7 @@ class ClosedLoopJob:
         """Content key of a unit. No score is part of it: kept drives are scored again."""
         who = self.planner.model_dump(mode="json", exclude=LABELS)
         code = [code_sha256(type(self.maker)), code_sha256(type(self.sensor)), code_sha256(EpisodeSpec, made_by=_LOOP)]
-        # Nobody else than an adversary is made elsewhere.
+        # Only adversaries are defined outside the engine.
         adversary = getattr(self.maker, "adversary", None)
         code += [] if adversary is None else [code_sha256(type(adversary))]
         definition = self.measured.model_dump(mode="json")
@@ -124,7 +124,7 @@ class EpisodeTask(NamedTuple):
 
 
 GROUPS_PER_WORKER: Final = 4
-_OFFICIAL: Final = ", which are for scenes of nuScenes by their names"
+_OFFICIAL: Final = ", which exist only for original nuScenes scenes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,12 +227,12 @@ class DriveSettings:
         if not units and self.agents == ADVERSARY:
             raise InputError(
                 f"no vehicle of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} can become an adversary; "
-                "take other scenes (docs/extensions/reactive_adversary.md)"
+                "choose other scenes (docs/extensions/reactive_adversary.md)"
             )
         if not units:
             raise InputError(
                 f"none of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} has {self.scenarios} scenarios"
-                f"{_OFFICIAL if self.scenarios == 'official' else ''}; take other scenes or other scenarios "
+                f"{_OFFICIAL if self.scenarios == 'official' else ''}; choose other scenes or other scenarios "
                 "(docs/closed-loop.md)"
             )
         return units

@@ -55,7 +55,7 @@ def run_reference_drivers(data: "DataSet", job: ClosedLoopJob, unit: EpisodeUnit
     rows = None if job.fresh else store.get(key, unit.name)
     if rows is None:
         if not isinstance(job.maker, DefaultBackend):
-            raise InputError(f"reference drivers drive in the default engine alone, not in {job.measured.engine}")
+            raise InputError(f"reference drivers run only in the default engine, not in {job.measured.engine}")
         scene = data.scene(unit.scene)
         outcomes = simulate_reference_drivers(
             scene, job.maker.course(scene, unit.run), [Driver(name) for name in job.ladder]

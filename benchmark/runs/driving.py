@@ -1,8 +1,8 @@
 """The main path of closed loop: drive every scene and run of a split, write the record.
 
 Read from the top: `drive_planners` chooses scenes and runs, hands units to `benchmark.runs.drive_work`, and writes
-what comes back. What came of a unit is kept, so the same command goes on where it stopped; the record is the same bytes
-whatever the number of workers.
+what comes back. Results of units are kept, so the same command resumes where it stopped; the record is the same bytes
+for any number of workers.
 
 The record of all drives of a planner: its fields, what its planner took, and what is kept no longer.
 """
@@ -80,7 +80,7 @@ class ClosedLoopResults:
 
     @cached_property
     def of_data(self) -> dict[str, Any]:
-        """What the record says of its data."""
+        """Metadata of the record's data."""
         scenes = JudgedScenes(self.data, self.split, self.scenes)
         description = describe_data(scenes, "scene_facts", "frozen_split", "review", "generated")
         return {**description, "scene_facts": add_truth_facts(description["scene_facts"], self.truths)}
@@ -109,7 +109,7 @@ FIELDS: Final[Mapping[str, Callable[[ClosedLoopResults], Any]]] = {
     "config": _config,
     "caveats": _caveats,
 }
-"""What the record says of its drives, by field."""
+"""Functions that compute fields of the record from its drives, by field."""
 
 
 def write_record(of: ClosedLoopResults) -> DriveRecord:
@@ -251,7 +251,7 @@ def _prepare_jobs(
     require_annotated(data, split, settings.chosen(data, split))
     jobs = [replace(make_job(data, split, factory.facts, out, settings), factory=factory) for factory in planners]
     if isinstance(settings.sensor, RemoteSensor) or any(isinstance(planner, RemotePlanner) for planner in built):
-        # What is elsewhere holds one scene at a time.
+        # A planner in another process holds one scene at a time.
         return jobs, replace(settings, together=1), None
     open_again = reopen or make_reopener(data)
     return jobs, settings, partial(drive_tasks_in_worker, open_again)
@@ -291,7 +291,7 @@ def _require_drivable(planners: Sequence[Planner], settings: DriveSettings) -> N
     """Refuse planners that single scenes cannot be driven with, and groups of none."""
     for planner in planners:
         if remembers_across_scenes(planner):
-            raise InputError(f"{planner.name} remembers across scenes, which a drive of single scenes cannot give it")
+            raise InputError(f"{planner.name} keeps state across scenes, but a drive starts each anew; use eval")
     if not 0.0 < settings.timeout_s <= LONGEST_TIMEOUT_S:
         raise InputError(f"--timeout must be more than 0 and at most {LONGEST_TIMEOUT_S:g}, got {settings.timeout_s}")
     if settings.together < 1:
@@ -303,7 +303,7 @@ def make_job(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settin
     scenes = settings.chosen(data, split)
     part = () if len(scenes) == len(data.scene_names(split)) else scenes
     directory = drives_directory(out, data.name, split, facts, settings.measured, part)
-    # Looking plans up in a file says nothing of how fast their planner was.
+    # The time to read plans from a file is not the latency of their planner.
     timings = None if PLANS_SHA256 in facts.settings else settings.timings
     return ClosedLoopJob(
         directory=directory,

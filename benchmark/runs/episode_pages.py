@@ -60,7 +60,7 @@ def write_episode_page(
     """
     if data.fingerprint() != record.facts.data.fingerprint:
         raise InputError(
-            f"{record.directory} drove on other content than {data.root} holds (the data fingerprints differ); run "
+            f"{record.directory} used other data than {data.root} now holds (the fingerprints differ); run "
             "challenger-bench drive again"
         )
     scene, plans = data.scene(row.scene), StoredPlansWithViews(row)
@@ -71,7 +71,7 @@ def write_episode_page(
     asked_at = [first + int(tick) for tick in episode.motion.ticks]
     if sensor is not None:
         sheet = _with_pictures(folder, driven, sheet, asked_at, plans.seen)
-    # As many plans as were drawn from: a failed drive has an instant without one.
+    # One plan per planned instant: a failed drive has an instant without a plan.
     placed_plans = {
         frame: place_waypoints(
             np.array(plan.waypoints, np.float64),
@@ -82,7 +82,7 @@ def write_episode_page(
         for frame, plan in zip(asked_at, row.plans, strict=False)
     }
     recorded, seconds = _find_recorded_path(scene, sheet)
-    # Before the drive began the recorded ego is the driven one.
+    # Before the drive starts, the driven ego follows the recording.
     speed = np.interp(np.arange(first), np.arange(len(seconds)), compute_speeds(recorded, seconds))
     return EpisodePage(
         stored=StoredScenePage(folder, sheet, None),
@@ -113,7 +113,7 @@ def _with_pictures(
         {name: view.camera for name, view in views_of_ticks[0].items()}, CELL_WIDTH_PX
     )
     edges, files = {}, {}
-    # The last instant of a drive was not planned from.
+    # The last instant of a drive has no plan.
     for frame, views in zip(frames, views_of_ticks, strict=False):
         path = picture_name(frame)
         write_bytes(folder / path, draw_mosaic(cells, views), durable=False)

@@ -3,7 +3,7 @@
 `judge_plans` asks each judge of `ROW_JUDGES` about all plans of a scene; each fills one field of the rows. The verdict
 on a sample depends on that sample alone, so a scene judged today gives the bytes that it gave in the run.
 
-What a record says of the data that it is about: which judge fills which field, in one table.
+Data fields of a record: one table of the judges that fill them.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -224,7 +224,7 @@ def _find_disagreements(samples: PlannedSamples) -> Sequence[Any]:
 def _measure_severity(samples: PlannedSamples) -> Sequence[Any]:
     """How hard and at whose fault plans hit, and how near they come."""
     recorded = samples.scene.recorded
-    # A map without roads or lanes would blame the ego for every contact at its sides.
+    # With a map without roads or lanes the ego would be at fault in every lateral contact.
     known = recorded is not None and recorded.road.drivable and recorded.road.lanes
     road = recorded.road if recorded is not None and known else None
     return measure_plan_severities([truth.by_clock for truth in samples.truths], samples.in_lidar, road)
@@ -259,7 +259,7 @@ def _mask_other_rates(
 ) -> ProtocolOutcomes:
     """Verdicts that count nothing where key frames come at another rate and a protocol takes them for its steps."""
     at_two_hz = np.array([truth.at_two_hz for truth in truths], np.bool_)
-    # Protocols of other packages may be older than the question.
+    # Protocols of other packages may predate this attribute.
     if at_two_hz.all() or getattr(definition, "goes_by_clock", False):
         return outcomes
     return replace(outcomes, counted=outcomes.counted & at_two_hz)

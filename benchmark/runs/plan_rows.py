@@ -49,7 +49,7 @@ from benchmark.runs.units import ResultStore
 from benchmark.scene import Scene
 
 TIMES: Final = 5
-"""So often is one scene begun again; whoever goes away more often than that dies of the scene."""
+"""Restarts of one scene at most; a planner that goes away more often fails it."""
 Outcome = TypeVar("Outcome")
 
 
@@ -79,7 +79,7 @@ ROW_FORMAT = 2
 _DIGITS = 6
 
 FAILURES = (Exception, SystemExit, GeneratorExit, CancelledError)
-"""What a planner may raise: one that calls `sys.exit` must not end the run as if it had succeeded."""
+"""Exceptions of planners that are caught: `sys.exit` in a planner must not end the run as if it had succeeded."""
 
 
 class PlannerFactory(Protocol):
@@ -118,7 +118,7 @@ class BrokenImageError(InputError):
 
 
 _RUN_ENDING_ERRORS = (BrokenImageError, PlannerGoneError, PlannerLateError)
-"""What ends a command instead of being recorded: the same one goes on."""
+"""Exceptions that end a command instead of being recorded: the same command resumes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class PlannedScene:
 
 def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> str:
     """Content key of one scene's plan rows. No protocol is part of it: protocols judge kept plans again."""
-    # What a planner is called elsewhere changes no plan.
+    # The published name of a planner does not affect its plans.
     who = facts.model_dump(mode="json", exclude=LABELS)
     return content_key("plan rows", ROW_FORMAT, fingerprint, split, scene, who)
 
@@ -226,7 +226,7 @@ def _rows(
     planner: Planner, scene: Scene, observations: Sequence[Observation], meter: Meter
 ) -> tuple[list[dict[str, Any]], bool]:
     """Rows of a scene, and whether the planner's process was lost in it."""
-    # A scene that begins again begins without what it took before.
+    # A restarted scene drops the costs measured before.
     meter.latency_s.clear()
     try:
         planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
@@ -265,14 +265,14 @@ class _PlannerInScene:
                 plan = planner.plan(observed)
             if not isinstance(plan, Plan):
                 raise TypeError(
-                    f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan"
+                    f"{planner.name} returned {type(plan).__name__}; a planner must return benchmark.planning.Plan"
                 )
             return _row(observation, encode_plan(plan), None)
         except _RUN_ENDING_ERRORS:
             raise
         except FAILURES as failure:
             if isinstance(failure, PlannerLostError):
-                self.lost = f"not asked: at sample {observation.index} of the scene {failure}"
+                self.lost = f"not planned: at sample {observation.index} of the scene {failure}"
             return _row(observation, None, format_failure(failure))
 
 
@@ -295,7 +295,7 @@ def encode_plan(plan: Plan) -> dict[str, Any]:
     count = len(scores if modes is None else modes) if scores is not None else 0
     return {
         "frame": plan.frame.value,
-        # A plan is checked when it is made; its numbers may have been changed since.
+        # A plan is checked at construction; its numbers may have been changed since.
         "waypoints": _numbers(plan.waypoints, np.shape(plan.waypoints), "waypoints"),
         "modes": None if modes is None else _numbers(modes, (len(modes), _mode_steps(plan), 2), "modes"),
         "mode_scores": None if scores is None else _numbers(scores, (count,), "mode scores"),
@@ -313,7 +313,7 @@ def _mode_steps(plan: Plan) -> int:
 def _forecasts_json(forecasts: Forecasts) -> dict[str, Any]:
     parts = {"boxes": forecasts.boxes, "trajectories": forecasts.trajectories, "scores": forecasts.scores}
     if not any(map(len, parts.values())):
-        # Nobody is expected: arrays of any empty shape say so.
+        # No agents are forecast: empty arrays of any shape mean that.
         return {name: [] for name in parts}
     agents, modes = len(forecasts.boxes), np.shape(forecasts.trajectories)[1]
     if not modes:
@@ -328,7 +328,7 @@ def _forecasts_json(forecasts: Forecasts) -> dict[str, Any]:
 def _numbers(values: Floats, shape: tuple[int, ...], part: str) -> Any:
     array = np.asarray(values, float)
     if array.shape != shape:
-        raise ValueError(f"a plan's {part} have the shape {array.shape}, not {shape}")
+        raise ValueError(f"a plan's {part} have shape {array.shape}, expected {shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"a plan's {part} must be finite numbers")
     return array.tolist()

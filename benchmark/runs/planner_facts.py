@@ -1,4 +1,4 @@
-"""Who a planner is: what it says of itself, which may be anything, as facts that records can hold."""
+"""Identity of a planner: its own attributes, which may be anything, as metadata that records can hold."""
 
 import json
 from operator import index
@@ -31,7 +31,7 @@ def build_planner_facts(planner: Planner, made_by: str | None = None) -> Planner
     """
     whose = f"planner {planner.name!r}"
     settings = _settings(_read_attribute(planner, "settings", {}), whose)
-    # Of these every record knows, whoever wrote the planner.
+    # These are recorded for every planner, third-party ones included.
     settings |= {"memory_crosses_scenes": True} if remembers_across_scenes(planner) else {}
     settings |= {"reads_message_after": True} if reads_message_after(planner) else {}
     seed, weights = (
@@ -53,7 +53,7 @@ def build_planner_facts(planner: Planner, made_by: str | None = None) -> Planner
 def require_known_native(name: str | None, whose: str) -> str | None:
     """Name of a planner's native protocol, once it is known to exist."""
     if name is not None and (not isinstance(name, str) or name not in PROTOCOLS):
-        raise InputError(f"{whose} has the unknown native protocol {name!r}; known are {', '.join(PROTOCOLS)}")
+        raise InputError(f"{whose} has the unknown native protocol {name!r}; choose from {', '.join(PROTOCOLS)}")
     return name
 
 
@@ -63,7 +63,7 @@ def _read_attribute(planner: Planner, attribute: str, default: Any) -> Any:
         return getattr(planner, attribute, default)
     except Exception as error:
         raise InputError(
-            f"asking planner {planner.name!r} for its {attribute} raised {type(error).__name__}: {to_one_line(error)}"
+            f"reading {attribute} of planner {planner.name!r} raised {type(error).__name__}: {to_one_line(error)}"
         ) from error
 
 
@@ -73,16 +73,16 @@ def _settings(value: Any, whose: str) -> dict[str, Any]:
         if not all(isinstance(key, str) for key in settings):
             raise TypeError("their names must be text")
         text = canonical_json(settings)
-        # Records are read to a depth, and text that is none cannot be shown.
+        # Records are read to a limited depth, and invalid text cannot be shown.
         _require_shallow(settings, _DEEPEST_SETTINGS)
         json.dumps(settings, ensure_ascii=False).encode()
     except (TypeError, ValueError, RecursionError, AttributeError) as error:
         raise InputError(
-            f"the settings of {whose} must be plain JSON values by name ({to_one_line(error)}); leave the others out"
+            f"the settings of {whose} must be plain JSON values by name ({to_one_line(error)}); remove the others"
         ) from error
     if len(text) > _LONGEST_SETTINGS:
         raise InputError(
-            f"the settings of {whose} have {len(text)} characters, which every record would hold; {_LONGEST_SETTINGS} "
+            f"the settings of {whose} have {len(text)} characters, too many to store in records; {_LONGEST_SETTINGS} "
             "are allowed: name a file by its hash instead"
         )
     return settings
@@ -91,7 +91,7 @@ def _settings(value: Any, whose: str) -> dict[str, Any]:
 def _require_shallow(value: Any, depth: int) -> None:
     """Raise `ValueError` for containers within containers within containers."""
     if not depth:
-        raise ValueError(f"they lie more than {_DEEPEST_SETTINGS} deep")
+        raise ValueError(f"they are nested more than {_DEEPEST_SETTINGS} deep")
     if isinstance(value, dict | list | tuple):
         for member in value.values() if isinstance(value, dict) else value:
             _require_shallow(member, depth - 1)

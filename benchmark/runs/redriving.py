@@ -107,7 +107,7 @@ def redrive(stage: EpisodeSpec, row: EpisodeRow, plans: "StoredPlans") -> Episod
 
 def _format_mismatch(row: EpisodeRow) -> str:
     return (
-        f"the stored plans of {row.scene}, run {row.run}, lead elsewhere than they did: the engine or the data set "
+        f"the stored plans of {row.scene}, run {row.run}, give another trajectory: the engine or the data set "
         "has changed since; run the same drive command again"
     )
 

@@ -45,15 +45,16 @@ def require_vocabulary(counts: AnnotationCount, asked: Iterable[str], protocols:
     wrong = next((name for name in asked if name in silent), None)
     if wrong is not None:
         raise InputError(
-            f"{counts.sentence} in {where}, so that {wrong}, which goes by categories, sees almost nobody; say what "
-            "they mean with --categories (short, lyft, t4, argoverse2 or a JSON file)"
+            f"{counts.sentence} in {where}, so that {wrong}, which depends on categories, sees almost no road "
+            "users; map "
+            "them with --categories (short, lyft, t4, argoverse2 or a JSON file)"
         )
 
 
 _OF_THE_PLAN = {"scene", "sample_token", "index", "timestamp_us", "status", "ego_motion", "plan", "error"}
-"""What a row says of the planner: stays as it is."""
+"""Fields of a row about the planner, which rescoring keeps."""
 _OF_THE_VERDICTS = {"schema_version", "status", "protocols", "seed", "files"}
-"""What writing a record says of itself."""
+"""Fields of a record that are set when it is written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,9 +115,7 @@ def rescore_all(
         InputError: If the folder does not exist or a protocol is unknown.
     """
     if not root.is_dir():
-        raise InputError(
-            f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
-        )
+        raise InputError(f"{root} does not exist; run challenger-bench eval first, or give the right folder with --out")
     protocols = tuple(PROTOCOLS) if protocols is None else protocols
     for name in protocols:
         find_protocol(name)
@@ -197,14 +196,14 @@ def _open(
     """A record to be judged anew, locked against other writers until ``held`` ends; or why it is left alone."""
     versions = {name: find_protocol(name).version for name in protocols}
     if not directory.is_dir():
-        raise InputError(f"there is no run record {directory}; name the folder that holds its {RUN_FILE}")
+        raise InputError(f"no run record in {directory}; give the folder that holds its {RUN_FILE}")
     with ExitStack() as own:
         own.enter_context(lock_folder(directory))
         finish_replacement(directory)
         old = load_record(directory)
         data = open_for(old)
         if data is None:
-            return f"left alone, it is of the data set {old.run.data.name}; choose that one with --data"
+            return f"skipped: it belongs to data set {old.run.data.name}; choose that one with --data"
         require_same_data(directory, old.run, data)
         held.enter_context(own.pop_all())
     counts = AnnotationCount.together(list(data.annotation_counts(old.run.scenes).values()))
@@ -250,7 +249,7 @@ def _judge_together(
             yield opened, error
     if not readable:
         return
-    # All of them are judged by those that the command names.
+    # All of them are judged by the protocols that the command names.
     protocols = tuple(readable[0].versions)
     if len({opened.silent for opened in readable}) > 1:
         for opened in readable:
@@ -309,13 +308,13 @@ def require_same_data(directory: Path, facts: RecordFacts, data: "DataSet", *, a
     """
     if facts.data.fingerprint != data.fingerprint():
         raise InputError(
-            f"{directory} ran on other content of {facts.data.name} than {data.root} holds (the data "
+            f"{directory} used other data of {facts.data.name} than {data.root} now holds (the "
             f"fingerprints differ); open the data set that it ran on with --data, or run challenger-bench {again} again"
         )
     review = data.review(facts.split).facts
     if (None if facts.review is None else facts.review.content) != (None if review is None else review.content):
         raise InputError(
-            f"{directory} ran under other verdicts of inspectors ({describe_review(facts.review)}) than lie "
+            f"{directory} used other verdicts of inspectors ({describe_review(facts.review)}) than are "
             f"beside {data.root} now ({describe_review(review)}); run challenger-bench {again} again, kept plans stay"
         )
 

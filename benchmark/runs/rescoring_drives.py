@@ -66,7 +66,7 @@ def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_
         InputError: If the folder does not exist.
     """
     if not root.is_dir():
-        raise InputError(f"there is no folder {root}; run challenger-bench drive first, or name the right --out")
+        raise InputError(f"{root} does not exist; run challenger-bench drive first, or correct --out")
     opened: OpenedDataSets = {}
 
     def open_for(record: DriveRecord) -> "DataSet | None":
@@ -79,7 +79,7 @@ def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_
         try:
             yield RescoringResult(directory, _rescore(directory, open_for)[1])
         except AbsentExtensionError as absent:
-            yield RescoringResult(directory, f"left alone: {absent}")
+            yield RescoringResult(directory, f"skipped: {absent}")
         except InputError as error:
             yield RescoringResult(directory, str(error), failed=True)
 
@@ -87,14 +87,14 @@ def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_
 def _rescore(directory: Path, open_for: "Callable[[DriveRecord], DataSet | None]") -> tuple[DriveRecord, str]:
     """The record and what became of it; it is left alone where there is no data set for it."""
     if not directory.is_dir():
-        raise InputError(f"there is no record of drives {directory}; name the folder that holds its {DRIVE_FILE}")
+        raise InputError(f"no record of drives in {directory}; give the folder that holds its {DRIVE_FILE}")
     with lock_folder(directory):
         finish_replacement(directory, DRIVE_FILES)
         old = load_drives(directory)
         facts, measured = old.facts, old.facts.measured
         data = open_for(old)
         if data is None:
-            return old, f"left alone, it is of the data set {facts.data.name}; choose that one with --data"
+            return old, f"skipped: it belongs to data set {facts.data.name}; choose that one with --data"
         require_same_data(directory, facts, data, again="drive")
         maker = restore_backend(measured)
         truths = collect_truth_facts(data, facts.scenes)

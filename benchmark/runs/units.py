@@ -5,7 +5,7 @@ nothing but what its content key is made of, and is kept in a file of its own, w
 on where it stopped, one process, many and a cluster give the same bytes, and ``--shard 3/40`` does every 40th unit and
 leaves the rest, and the record, to the same command without it.
 
-What a planner raised, as text to read: beside a record, not part of it.
+Errors of a planner as a text file: beside a record, not part of it.
 """
 
 import functools
@@ -55,7 +55,7 @@ def find_first_failure(rows: Sequence[SampleRow]) -> str | None:
     # A message may have many lines; the one that names the exception is the last that is not indented.
     lines = [line for line in error.rstrip().splitlines() if line.strip()]
     raised = [line for line in lines[_last_frame(lines) + 1 :] if not line.startswith(" ")]
-    return (raised or lines or ["nothing was said"])[0].strip()
+    return (raised or lines or ["no message"])[0].strip()
 
 
 def _last_frame(lines: Sequence[str]) -> int:
@@ -178,7 +178,7 @@ class Shard:
         match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         number, of = map(int, match.groups()) if match else (0, 0)
         if not 1 <= number <= of:
-            raise InputError(f"--shard takes a number and how many shards there are, for example 3/40; got {text!r}")
+            raise InputError(f"--shard takes INDEX/COUNT, for example 3/40; got {text!r}")
         return cls(number, of)
 
     def part(self, everything: Sequence[Part]) -> tuple[Part, ...]:

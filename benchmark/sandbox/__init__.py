@@ -1,1 +1,1 @@
-"""Planners of other packages, each in a process of its own: whatever it does, the run goes on (docs/planners.md)."""
+"""Planners of other packages, each in a subprocess: if it crashes or hangs, the run continues (docs/planners.md)."""

@@ -1,6 +1,6 @@
-"""A planner's process: builds the planner, then answers question after question until nobody asks any more.
+"""A planner's process: builds the planner, then answers requests until the connection is closed.
 
-Whatever a planner raises is an answer. Whatever ends this process is seen by who asks (`process.py`). What the planner
+Any exception of a planner is an answer. The parent (`process.py`) detects any end of this process. What the planner
 prints goes to stderr: stdout belongs to the command, and this process does not have it.
 """
 
@@ -50,16 +50,16 @@ class PictureError(InputError):
 
 
 def main(channel: int, pictures: int, memory_bytes: int) -> None:
-    """Answer until nobody asks any more.
+    """Answer requests until the connection is closed.
 
     Args:
-        channel: Descriptor of the connection to who asks.
+        channel: Descriptor of the connection to the parent.
         pictures: Descriptor of the shared memory.
         memory_bytes: Of data that this process may hold; 0 for as much as there is.
     """
     _apply_memory_limit(memory_bytes)
     stream = socket.socket(fileno=channel)
-    # A copy that the planner makes of this process must not answer in its name.
+    # A fork that the planner makes of this process must not answer for it.
     os.register_at_fork(after_in_child=stream.close)
     PlannerRequestHandler(stream, SharedImageReader(pictures)).go_on()
 
@@ -67,7 +67,7 @@ def main(channel: int, pictures: int, memory_bytes: int) -> None:
 def _apply_memory_limit(memory_bytes: int) -> None:
     limits = [(resource.RLIMIT_CORE, 0)]
     if memory_bytes:
-        # What is only reserved does not count there: networks and GPUs reserve far more than they use.
+        # Reserved address space does not count there: networks and GPUs reserve far more than they use.
         limits.append((resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS, memory_bytes))
     for limit, most in limits:
         with contextlib.suppress(OSError, ValueError):
@@ -76,10 +76,10 @@ def _apply_memory_limit(memory_bytes: int) -> None:
 
 @dataclass(slots=True)
 class PlannerRequestHandler:
-    """The planner of this process and whoever asks it.
+    """The planner of this process and the connection to its parent.
 
     Attributes:
-        stream: To who asks.
+        stream: To the parent.
         viewer: Of pictures.
         planner: Once it is built.
         number: Of the question that is being answered; 0 between questions.
@@ -96,13 +96,13 @@ class PlannerRequestHandler:
     _process: int = field(default_factory=os.getpid)
 
     def go_on(self) -> None:
-        """Answer until nobody asks any more."""
+        """Answer requests until the connection is closed."""
         threading.Thread(target=self._beat, daemon=True).start()
         while True:
             try:
                 number, kind, parts = receive_question(self.stream)
             except (ClosedError, OSError):
-                # Nobody waits for the memory to be given back piece by piece.
+                # Exits at once: freeing the memory piece by piece would only take time.
                 atexit._run_exitfuncs()
                 os._exit(0)
             self.number = number
@@ -122,12 +122,12 @@ class PlannerRequestHandler:
             pause.wait(BEAT_S)
 
     def _exit_in_forked_copy(self) -> None:
-        """A planner that forks and returns twice: the copy has nobody to answer."""
+        """Ends the copy of a planner that forks and returns twice: it must not answer."""
         if os.getpid() != self._process:
             os._exit(0)
 
     def _answer(self, kind: str, parts: tuple[Any, ...]) -> list[Any]:
-        """What to say to a question, whatever the planner does."""
+        """The answer to a request, even if the planner raises."""
         try:
             return _KINDS[kind](self, *parts)
         except PictureError:
@@ -163,7 +163,7 @@ class PlannerRequestHandler:
         return ["done"]
 
     def loaded(self) -> list[Any]:
-        """What code this process has loaded."""
+        """Code that this process has loaded."""
         return ["loaded", hash_loaded_code()]
 
     def tell(self, method: str, what: Any) -> list[Any]:
@@ -216,7 +216,7 @@ _KINDS: Final[dict[str, Callable[..., list[Any]]]] = {
 
 
 def _list_abilities(planner: Planner) -> dict[str, bool]:
-    """What a planner can do beside planning."""
+    """Optional abilities of a planner."""
     return {
         "reveal": isinstance(planner, PrivilegedPlanner),
         "follow": hasattr(planner, "follow"),
@@ -252,16 +252,16 @@ def _encode_or_report(number: int, answered: list[Any]) -> bytes:
     try:
         return encode_answer(number, answered)
     except (UnencodableValueError, TypeError, ValueError, RecursionError, MemoryError) as error:
-        why = f"{type(error).__name__}: what was answered cannot be handed on: {to_one_line(error)}"
+        why = f"{type(error).__name__}: the answer cannot be sent: {to_one_line(error)}"
         return encode_answer(number, [answered[0], ["raised", why, why]])
 
 
 def _describe_error(error: BaseException) -> tuple[str, str]:
-    """What was raised, in a line and as a traceback; its own words may be broken in every way."""
+    """The exception in one line and as a traceback, even if its own text cannot be produced."""
     try:
         text = _sanitise_text(format_traceback())
     except BaseException:
-        text = f"{type(error).__name__}: no traceback can be had of it"
+        text = f"{type(error).__name__}: its traceback cannot be printed"
     try:
         line = _sanitise_text(to_one_line("".join(traceback.format_exception_only(error))))
     except BaseException:
@@ -270,7 +270,7 @@ def _describe_error(error: BaseException) -> tuple[str, str]:
 
 
 def _sanitise_text(text: str) -> str:
-    """Text that can be written down, of a length that somebody reads."""
+    """Text that can be encoded, cut to a readable length."""
     sound = text.encode(errors="backslashreplace").decode()
     half = _LONGEST_TEXT // 2
     return sound if len(sound) <= _LONGEST_TEXT else f"{sound[:half]}\n  ...\n{sound[-half:]}"

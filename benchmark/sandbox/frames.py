@@ -1,6 +1,6 @@
-"""What goes between a planner's process and the one that asks: a number and a length, then the message.
+"""Messages between a planner's process and its parent: a number and a length, then the message.
 
-Questions are pickles: the planner's process trusts who asks. Answers are plain values (`benchmark.untrusted.answers`):
+Questions are pickles: the process trusts its parent. Answers are plain values (`benchmark.untrusted.answers`):
 who asks trusts nothing in them. Every answer repeats the number of its question, so that none is taken for another's.
 """
 
@@ -30,7 +30,7 @@ class LateError(Exception):
 
 
 class MalformedError(Exception):
-    """What the other side says is no message, or not an answer to what was asked."""
+    """The other side sent no valid message, or not an answer to the question."""
 
 
 def encode_question(number: int, kind: str, *parts: Any) -> bytes:
@@ -48,8 +48,8 @@ def encode_answer(number: int, value: Any) -> bytes:
 
 
 def receive_question(stream: socket.socket) -> tuple[int, str, tuple[Any, ...]]:
-    """In the planner's process: wait for a question; raises `ClosedError` when nobody asks any more."""
-    # Nobody sends a second question before the first is answered, so that what comes together belongs together.
+    """In the planner's process: wait for a question; raises `ClosedError` when the parent has closed it."""
+    # The parent sends no second question before the first is answered, so bytes that arrive belong to one message.
     begun = b""
     while len(begun) < _HEAD.size:
         received = stream.recv(_AT_ONCE)
@@ -97,8 +97,8 @@ class QuestionChannel:
             deadline: On the monotonic clock.
 
         Raises:
-            ClosedError: If nobody listens any more.
-            LateError: If nobody reads.
+            ClosedError: If the other side has closed the connection.
+            LateError: If the other side does not read in time.
         """
         left = memoryview(message)
         while left:
@@ -137,13 +137,13 @@ class QuestionChannel:
         begun = self._begun(deadline)
         answered_number, length = _HEAD.unpack_from(begun)
         if answered_number != number:
-            raise MalformedError("it answered what it was not asked")
+            raise MalformedError("it answered another question")
         if length > PLANNER_ANSWER.content_bytes:
-            raise MalformedError(f"its answer has {length} bytes")
+            raise MalformedError(f"its answer of {length} bytes is too large")
         data = self._whole(begun, length, deadline)
         try:
             return read_answer(data)
-        # What a stranger's process says may be anything, and readers raise whatever they come upon.
+        # Bytes of a third-party process may be anything, and readers raise many kinds of exceptions.
         except Exception as error:
             raise MalformedError("its answer cannot be read") from error
 
@@ -169,7 +169,7 @@ class QuestionChannel:
         return received
 
     def _receive_some(self, most: int, deadline: float) -> bytes:
-        """What there is, once there is something."""
+        """The next bytes, after waiting for at least one."""
         while True:
             try:
                 received = self._stream.recv(most)

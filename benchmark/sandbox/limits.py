@@ -1,4 +1,4 @@
-"""What a planner in a process of its own may cost, and the times after which nobody waits any longer.
+"""Limits of a planner in a subprocess: its memory, and timeouts.
 
 Libraries of a planner's process compute and draw as they do in the process of the command.
 """
@@ -23,7 +23,7 @@ _TORCH: Final = "torch"
 
 
 def use_one_thread() -> None:
-    """Make the libraries that are loaded compute with one thread, whatever the planner told them."""
+    """Make the libraries that are loaded compute with one thread, overriding the planner's settings."""
     if _TORCH in sys.modules:
         sys.modules[_TORCH].set_num_threads(1)
     if "cv2" in sys.modules:
@@ -77,7 +77,7 @@ SILENCE_S: Final = 60.0
 """Without one heartbeat: the process is stopped, or hangs in code that never returns to Python."""
 BEAT_S: Final = 0.5
 GRACE_S: Final = 1.0
-"""To end by itself when nobody needs it any more."""
+"""Time for a process to exit by itself when it is no longer needed."""
 REAPING_S: Final = 10.0
 """For what was killed to be gone: the kernel may have to free gigabytes."""
 MOST_PICTURE_BYTES: Final = 8 * GIB
@@ -133,5 +133,5 @@ class SandboxLimits:
         return max(LOADING_S, SAMPLES_PER_LOADING * self.sample_s) if self.loading_s is None else self.loading_s
 
     def said(self) -> dict[str, Any]:
-        """What a record says of it."""
+        """Fields of a record."""
         return {"sample_limit_s": self.sample_s, "memory_limit_bytes": self.memory_bytes}

@@ -1,4 +1,4 @@
-"""What a planner sees at a sample as few bytes in few pieces: the numbers of all arrays in one, plain values beside.
+"""Compact encoding of observations: the numbers of all arrays in one block, plain values beside it.
 
 Ready-made ways of handing values on look at every object by itself, which costs as much as all else that is done for a
 sample. Of pictures there are names here, calibration and poses (`pictures.py` has what is on them).

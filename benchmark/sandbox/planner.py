@@ -49,13 +49,13 @@ class PlannerSpec:
 
 @dataclass(frozen=True, slots=True)
 class PlannerIdentity:
-    """Who a planner says that it is.
+    """Identity that a planner reports.
 
     Attributes:
         facts: Its identity.
-        reveal: Whether it sees what no car sees.
-        follow: Whether it is told the route of a drive.
-        begin_run: Whether it can forget everything.
+        reveal: Whether it is a privileged planner.
+        follow: Whether it gets the route of a drive.
+        begin_run: Whether it can reset all of its state.
         memory_crosses_scenes: Whether `benchmark.planning.Planner.reset` leaves what it remembers.
         reads_message_after: Whether it is given the CAN message after the sample.
     """
@@ -162,7 +162,7 @@ class SandboxedPlanner:
             InputError: If a picture that it looks at cannot be read.
         """
         if self._process is None:
-            raise PlannerLostError("there is no process of this planner; a scene begins with reset")
+            raise PlannerLostError("the process of this planner is not running; call reset first")
         views = observation.views
 
         def picture(name: str) -> NDArray[np.uint8]:
@@ -173,9 +173,9 @@ class SandboxedPlanner:
         answer = self._asked("plan", packed, doing="no plan", picture=picture, ahead=looked)
         if answer[0] == "no plan":
             name = str(answer[1])
-            # Nothing of the object itself is here, and nothing but the name of its type is ever said of it.
+            # The object itself is not here, and only the name of its type is ever reported.
             return type(name if name.isidentifier() else "object", (), {})()  # type: ignore[no-any-return]
-        # Who looked at a picture looks at the next one of that camera, probably.
+        # A planner that read a picture probably reads the next one of that camera.
         self._looked = tuple(name for name in answer[2] if name in views)
         return _plan(answer[1])
 
@@ -183,7 +183,7 @@ class SandboxedPlanner:
         """Code that its process has loaded; raises as `reset` does."""
         if self._process is None:
             return {}
-        hashes = self._asked("loaded", doing="asking what it has loaded did not return")[1]
+        hashes = self._asked("loaded", doing="the request for its loaded code did not return")[1]
         return {str(file): str(sha256) for file, sha256 in hashes.items()}
 
     def close(self) -> None:
@@ -210,7 +210,7 @@ class SandboxedPlanner:
         except PlannerFailedError:
             raise
         except BaseException:
-            # Interrupted, perhaps: nobody knows what it is doing.
+            # Possibly interrupted: the state of its process is unknown.
             self.close()
             raise
 
@@ -226,16 +226,16 @@ class SandboxedPlanner:
         except PlannerLostError:
             raise
         except (InputError, PlannerFailedError) as error:
-            # It could be built before, so that this is no wrong use.
+            # It could be built before, so this is not a usage error.
             raise PlannerLostError(f"it cannot be built again: {error}") from error
         if identity != self._identity:
-            raise PlannerLostError("it says that it is another planner whenever it is built")
+            raise PlannerLostError("it reports a different identity each time it is built")
         return self._process
 
 
 class _SandboxedPrivilegedPlanner(SandboxedPlanner):
     def reveal(self, scene: Scene) -> None:
-        """What no car sees; raises as `reset` does."""
+        """Privileged information; raises as `reset` does."""
         self._asked("tell", "reveal", scene, doing="reveal did not return")
 
 
@@ -254,7 +254,7 @@ class _SandboxedContinuousPlanner(SandboxedPlanner):
 
 @cache
 def _choose_class(reveal: bool, follow: bool, begin_run: bool) -> type[SandboxedPlanner]:
-    """What is asked of a planner goes by which methods it has, so it must not have others."""
+    """Class with exactly the planner's methods, since callers test for their presence."""
     chosen = (
         (_SandboxedPrivilegedPlanner, reveal),
         (_SandboxedRouteFollower, follow),
@@ -294,7 +294,7 @@ def _check_answer(answer: list[Any], expected: tuple[str, ...]) -> list[Any]:
         raise PlannerLateError(words[0])
     if kind == "gone" and words:
         raise PlannerGoneError(words[0])
-    raise MalformedError("its answer is none to what was asked")
+    raise MalformedError("its answer does not fit the request")
 
 
 def _make_lost_error(error: Exception) -> PlannerLostError:
@@ -314,7 +314,7 @@ def _plan(answer: Any) -> Plan:
             mode_scores=answer["mode_scores"],
             forecasts=None if forecasts is None else Forecasts(**forecasts),
         )
-        # It was one when it was made there; its numbers may have been changed since, and whoever asks looks at them.
+        # The plan was valid when it was made there; callers check its numbers, which may have been changed since.
         if not is_sound:
             np.copyto(plan.waypoints, waypoints)
         return plan

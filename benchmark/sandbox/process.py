@@ -70,7 +70,7 @@ class PlannerProcess:
             )
         except OSError as error:
             raise InputError(
-                f"cannot start a process for a planner: {error.strerror or error}; end other programs, then try again"
+                f"cannot start a process for a planner: {error.strerror or error}; close other programs, then try again"
             ) from error
         finally:
             theirs.close()
@@ -132,7 +132,7 @@ class PlannerProcess:
             self.end(at_once=True)
             raise PlannerLostError(f"the planner's process broke the connection: {to_one_line(error)}") from None
         except BaseException:
-            # An answer that comes later must not be taken for that of the next question.
+            # A late answer must not be taken for the answer to the next question.
             self.end(at_once=True)
             raise
         if answer[0] == "picture missing" and broken:
@@ -164,11 +164,11 @@ class PlannerProcess:
             if self._shelf.beats() != beats:
                 beats, heard = self._shelf.beats(), now
             elif beats and now - heard > self._supervision.silence_s:
-                # Before the first beat it is starting, and has not come to its heart yet.
+                # Before the first heartbeat it is still starting.
                 raise _SilentError
 
     def _received(self, deadline: float) -> list[Any]:
-        # What has begun in time may end a little later.
+        # An answer that began in time may end a little later.
         message = self._asker.receive(self._number, max(deadline, time.monotonic() + GRACE_S))
         try:
             let_go, answer = message
@@ -182,7 +182,7 @@ class PlannerProcess:
     def _ready(
         self, picture: Callable[[str], NDArray[np.uint8]], names: Sequence[str]
     ) -> dict[str, tuple[int, tuple[int, ...], bool]]:
-        """Pictures that are sent with a question; whoever looks at one that is broken is told then."""
+        """Pictures that are sent with a question; a broken one is reported when the planner reads it."""
         ready = {}
         for name in names:
             with contextlib.suppress(InputError, KeyError, TooManyPicturesError):
@@ -203,7 +203,7 @@ class PlannerProcess:
             broken.append(error)
             return encode_question(self._number, "broken", str(error))
         except (KeyError, ValueError, TypeError) as error:
-            raise MalformedError("it asked for a picture that there is not") from error
+            raise MalformedError("it asked for a picture that does not exist") from error
         except TooManyPicturesError as error:
             raise MalformedError(f"it keeps more than {format_bytes(MOST_PICTURE_BYTES)} of pictures") from error
 

@@ -1,7 +1,7 @@
-"""The small process between who asks and a planner: it ends the planner with all that it started, and says how it died.
+"""The reaper between a planner and its parent: it ends the planner with all its children and reports how it died.
 
 A planner's children outlive it where they want to; the guardian becomes their parent then (Linux), finds them and ends
-them. It lives exactly as long as whoever asks: the end of its connection is the sign, so no end is too sudden.
+them. It ends when its connection to the parent closes, which even a sudden end of the parent does.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ def run_under_reaper(channel: int, lifeline: int, pictures: int, memory_bytes: i
     for descriptor in (channel, lifeline, pictures):
         os.set_inheritable(descriptor, False)
     _fork_under_reaper(socket.socket(fileno=lifeline))
-    # The guardian is small because it has nothing of this.
+    # Imported only in the child, which keeps the guardian small.
     from benchmark.sandbox.child import main
 
     main(channel, pictures, memory_bytes)
@@ -53,7 +53,7 @@ def _fork_under_reaper(lifeline: socket.socket) -> None:
     guardian = os.getpid()
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
-    # Before there is a child, whose end must not be missed.
+    # Set before the child starts, so that its end is not missed.
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(wake)
     planner = os.fork()
@@ -111,7 +111,7 @@ def _reap_children(planner: int) -> tuple[int | None, bool]:
 
 
 def _end_all(planner: int, status: int | None) -> int:
-    """Kill whatever descends from this process until nothing is left; how the planner ended."""
+    """Kill all descendants of this process until none is left; returns how the planner ended."""
     until, has_children = time.monotonic() + REAPING_S, True
     while has_children and time.monotonic() < until:
         for process in {*_list_descendants(os.getpid()), *([planner] if status is None else [])}:

@@ -122,7 +122,7 @@ class SharedImageReader:
         Args:
             place: Where the block begins.
             shape: Of the picture.
-            writable: Whether it may be written to, which changes it for nobody else.
+            writable: Whether it may be written to, as a private copy.
 
         Returns:
             It.
@@ -136,7 +136,7 @@ class SharedImageReader:
         return shaped
 
     def _pages(self, place: int, count: int, *, writable: bool) -> mmap.mmap:
-        """A block's memory: what nobody may write to is looked at in place, again and again."""
+        """A block's memory: read-only blocks are mapped once and reused."""
         if writable:
             return mmap.mmap(self._file, count, access=mmap.ACCESS_COPY, offset=place)
         known = self._read.get(place)
@@ -145,7 +145,7 @@ class SharedImageReader:
         return known
 
     def release_unread(self, places: Iterable[int]) -> None:
-        """Let blocks go that nobody looked at."""
+        """Release blocks that were not read."""
         self._let_go.extend(places)
 
     def collect_released(self) -> list[int]:

@@ -185,7 +185,7 @@ def build_page(data: "DataSet", split: str, name: str, facts: DataFacts) -> Scen
     sheet = validate_stored(
         build_page_to_draw,
         data.scene(name),
-        lambda where, why: f"{scene} cannot be shown, its {where} is not sound ({why}); correct the tables",
+        lambda where, why: f"{scene} cannot be shown: its {where} is invalid ({why}); correct the tables",
     )
     return sheet.model_copy(
         update={
@@ -271,7 +271,7 @@ def _compute_key(job: PageJob, scene: str, keyframes: Videos, sweeps: Videos) ->
         for view in views
     ]
     facts = job.facts.model_dump(mode="json")
-    # Another version of OpenCV may write other bytes.
+    # Another version of OpenCV may write different bytes.
     made_by = [MAKING_VERSION, SCHEMA, cv2.__version__]
     return content_key("sheet", made_by, facts, job.split, scene, job.pictures, job.cell_width_px, sizes)
 
@@ -318,7 +318,7 @@ def _write_pictures(job: PageJob, folder: Path, scene: Scene, keyframes: Videos,
     edges, files = {}, {}
     for pictured in frames:
         path = picture_name(pictured.frame)
-        # The sheet, written last, knows each picture's hash.
+        # The sheet is written last because it holds each picture's hash.
         write_bytes(folder / path, draw_mosaic(cells, pictured.views), durable=False)
         files[path] = file_sha256(folder / path)
         edges_of_frame = project_adversary_edges(scene, cells, pictured.views)

@@ -77,7 +77,7 @@ def select_pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> t
     for name, views in sweeps.items():
         if not views:
             continue
-        # Cameras look one after the other, the first of them half a frame before the sample: a camera's images are
+        # Cameras fire one after the other, the first of them half a frame before the sample: a camera's images are
         # counted from its own images of the samples, or some would be left out and others shown twice.
         taken_us = np.array([view.timestamp_us for view in views], np.int64) - int(np.median(late_us[name]))
         for frame, time_us in enumerate(times_us.tolist()):
@@ -183,7 +183,7 @@ def _project_edges(corners: Floats, camera: Camera, cell: PageCamera) -> list[Se
         if not ahead.all():
             ends[~ahead] = intersect_near_plane(ends[0], ends[1], NEAR_PLANE_M)
         projected = ends @ camera.intrinsic.T
-        # A matrix that is none gives points that are nowhere, and those are not drawn.
+        # An invalid matrix gives points that are not finite, and those are not drawn.
         with np.errstate(all="ignore"):
             inside = clip_segment(projected[:, :2] / projected[:, 2:], cell.width, cell.height)
         if inside is not None:
@@ -210,6 +210,6 @@ def clip_segment(segment: Floats, width: int, height: int) -> Floats | None:
     if first > last:
         return None
     inside = np.stack([start + first * along, start + last * along])
-    # A little beyond the border is a matter of rounding.
+    # A small distance beyond the border is rounding error.
     inside = np.clip(inside, 0.0, [width, height])
     return inside if np.abs(inside[1] - inside[0]).max() >= _LEAST_EDGE_PX else None

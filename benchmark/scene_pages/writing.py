@@ -1,6 +1,6 @@
 """The main path of scene sheets: data set in, sheets and pictures out; finished work is found and kept.
 
-What is shown of a whole split: its scenes, its numbers, and what the search for adversaries tried.
+Sheets of a whole split: its scenes, its numbers, and the attempts of the search for adversaries.
 """
 
 import shutil
@@ -161,11 +161,11 @@ class WrittenPages:
         total = self.as_json()
         new_count, cached_count = total["made"], len(self.scenes) - total["made"]
         when = (
-            f"{new_count} made, the others were there"
+            f"{new_count} made, the others existed"
             if new_count and cached_count
             else "made now"
             if new_count
-            else "there already"
+            else "already made"
         )
         return (
             f"{pluralise(len(self.scenes), 'sheet')} in {self.directory} ({when}): "
@@ -207,11 +207,11 @@ def write_sheets(
     chosen = EvalSettings(scenes=settings.scenes, limit=settings.limit).chosen(data, split)
     if settings.rounds and not any(kept_rounds_path(data.root, name).is_file() for name in chosen):
         raise InputError(
-            f"{data.root} has no rounds of refinement; challenger-bench generate --split adv --keep-rounds keeps them "
-            "(run again, it searches anew where they are missing)"
+            f"{data.root} has no rounds of refinement; run challenger-bench generate --split adv --keep-rounds "
+            "(it searches again where they are missing)"
         )
     job = _build_job(data, split, root, settings)
-    # What is wrong with the first scene is said before anything is written.
+    # Errors in the first scene are reported before anything is written.
     data.scene(chosen[0])
     directory = split_folder(root, data.name, split)
     with lock_folder(directory):
@@ -245,7 +245,7 @@ def describe_plan(data: "DataSet", split: str, root: Path, settings: SheetSettin
     return (
         f"would write {pluralise(len(chosen), 'sheet')} with "
         f"{pluralise(sum(page.pictures for page in planned), 'picture')} to "
-        f"{split_folder(root, data.name, split)}; {sum(not page.made for page in planned)} are there already"
+        f"{split_folder(root, data.name, split)}; {sum(not page.made for page in planned)} already exist"
     )
 
 

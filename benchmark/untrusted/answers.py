@@ -1,4 +1,4 @@
-"""What the child process answers: plain values as JSON, arrays as bytes behind it; nothing in it is a pickle.
+"""Answers of the child process: plain values as JSON, arrays as bytes behind it; nothing in it is a pickle.
 
 Every object of the JSON stands for one value that JSON does not have, named by its only key: ``d`` a dictionary,
 ``o`` an ordered one, ``u`` one with defaults, ``t`` a tuple, ``s`` and ``f`` sets, ``b`` and ``y`` bytes, ``c`` a
@@ -33,7 +33,7 @@ class _AnswerEncoder:
         self.limits = limits
         self.buffers: list[Any] = []
         self.values = self.bytes = 0
-        # Held, so that no other object gets the same identity.
+        # Kept alive, so that no other object gets the same `id`.
         self._places: dict[int, tuple[int, Any]] = {}
 
     def encoded(self, value: Any, depth: int) -> Any:
@@ -42,7 +42,7 @@ class _AnswerEncoder:
             self._count(1)
             return value
         if depth > self.limits.depth:
-            raise UnencodableValueError(f"its containers lie more than {self.limits.depth} deep")
+            raise UnencodableValueError(f"its containers are nested more than {self.limits.depth} deep")
         if kind is list:
             return self._items(value, depth)
         writer = _WRITERS.get(kind)
@@ -72,7 +72,7 @@ class _AnswerEncoder:
     def _pairs(self, value: Any, depth: int) -> list[Any]:
         self._count(1)
         pairs: list[Any] = []
-        # Not its own methods: what a stranger stores beside an ordered dictionary hides them.
+        # Not its own methods: untrusted attributes of an ordered dictionary can hide them.
         for key, member in dict.items(value):
             if type(key) is str and len(key) > self.limits.name_characters:
                 raise UnencodableValueError(f"it holds a name of more than {self.limits.name_characters} characters")

@@ -56,15 +56,15 @@ def require_sound_header(path: Path, limits: Limits = SAFETENSORS) -> None:
             )
         header = parse_json(stream.read(length), limits)
     if not isinstance(header, dict) or len(header) > limits.values:
-        raise ValueError("its header is no list of tensors")
+        raise ValueError("its header is not a list of tensors")
     metadata = header.pop(_METADATA, {})
     if not isinstance(metadata, dict) or not all(isinstance(text, str) for text in metadata.values()):
-        raise ValueError("its header's metadata are not texts by name")
+        raise ValueError("the metadata in its header must map names to text")
     for name, entry in header.items():
         if len(name) > limits.name_characters:
             raise ValueError(f"a tensor's name has more than {limits.name_characters} characters")
         if not _can_be_true(entry, size - _LENGTH_BYTES - length):
-            raise ValueError(f"its header says of {to_one_line(name, 80)} what cannot be true")
+            raise ValueError(f"its header has impossible values for {to_one_line(name, 80)}")
 
 
 def _can_be_true(entry: Any, held_bytes: int) -> bool:
@@ -101,7 +101,7 @@ def read_npz(path: Path, limits: Limits = NPZ) -> dict[str, NDArray[Any]]:
         ValueError: If it is damaged, holds pickled objects, or unpacks to more than it may.
     """
     if not path.exists():
-        raise FileNotFoundError("there is no such file")
+        raise FileNotFoundError("the file does not exist")
     with open_file(path, limits) as stream:
         _require_few(stream, limits)
         stream.seek(0)
@@ -126,9 +126,9 @@ def _require_few(stream: BufferedReader, limits: Limits) -> None:
     tail = stream.read()
     at = tail.rfind(_END)
     if at < 0 or len(tail) - at < _END_BYTES:
-        raise ValueError("it is no npz file, or not all of one")
+        raise ValueError("it is not a complete npz file")
     count, length = struct.unpack_from("<HI", tail, at + 10)
-    # 65,535 stands for more; no file of arrays has as many.
+    # 65,535 means that there are more; no file of arrays has that many.
     if count > limits.values or length > limits.values * (limits.name_characters + 128):
         raise ValueError(f"it holds {count} arrays, at most {limits.values} are read")
 
@@ -147,4 +147,4 @@ def _require_sound(archive: zipfile.ZipFile, limits: Limits) -> None:
             if kind.hasobject:
                 raise ValueError("Object arrays cannot be loaded, they are pickles")
             if held.tell() + math.prod(shape) * kind.itemsize != entry.file_size:
-                raise ValueError(f"{to_one_line(entry.filename, 80)} is not as long as it says")
+                raise ValueError(f"{to_one_line(entry.filename, 80)} has another length than it declares")

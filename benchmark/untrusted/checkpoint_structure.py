@@ -1,6 +1,6 @@
-"""What a PyTorch file says of its tensors, found without PyTorch and without reading a single number of them.
+"""Tensors that a PyTorch file declares, read without PyTorch and without any of their numbers.
 
-Runs in the child process. Tensors and storages are stand-ins that carry what was said; whether it can be true is for
+Runs in the child process. Tensors and storages are stand-ins with declared values; whether these are possible is for
 the parent to check (`checkpoints.py`), which maps the numbers from the file.
 """
 
@@ -57,14 +57,14 @@ class _TensorStandIn:
         self.storage, self.name, self.offset, self.shape, self.strides = storage, name, offset, shape, strides
 
     def __setstate__(self, state: Any) -> None:
-        raise ValueError("a tensor with a state of its own")
+        raise ValueError("a tensor with its own state")
 
 
 _SPECIAL: Final = (None, "", 0, (), ())
 
 
 def _tensor(storage: Any, offset: Any, shape: Any, strides: Any, *rest: Any) -> _TensorStandIn:
-    """What PyTorch calls to rebuild a tensor; conjugates and negatives are views that no weights need."""
+    """Stand-in that rebuilds a tensor; conjugates and negatives are views that no weights need."""
     if not isinstance(storage, _StorageStandIn) or (len(rest) > 2 and rest[2]):
         return _TensorStandIn(*_SPECIAL)
     return _TensorStandIn(storage, storage.name, offset, shape, strides)
@@ -92,7 +92,7 @@ def _parameter(data: Any = None, *_: Any) -> Any:
 
 
 def _rebuild_by_function(function: Any, _: Any, arguments: tuple[Any, ...], __: Any) -> Any:
-    """What PyTorch calls for tensors of a class of their own, or with attributes."""
+    """Stand-in for tensors of subclasses, or with attributes."""
     return function(*arguments)
 
 
@@ -149,7 +149,7 @@ _TORCH: Final[dict[tuple[str, str], Any]] = {
     },
     ("torch._tensor", "_rebuild_from_type_v2"): _rebuild_by_function,
 }  # fmt: skip
-"""What PyTorch's own weights-only reader allows."""
+"""Names that PyTorch's own weights-only reader allows."""
 
 
 class _StructureUnpickler(AllowListUnpickler):
@@ -169,7 +169,7 @@ class _StructureUnpickler(AllowListUnpickler):
         self.counts: dict[str, tuple[str, int]] = {}
 
     def persistent_load(self, saved: Any) -> Any:
-        """What a checkpoint calls a storage: ``("storage", type, key, place, count)``, older ones with a view."""
+        """Resolve a reference to a storage: ``("storage", type, key, place, count)``, older ones with a view."""
         kind, *arguments = saved
         if kind in ("module", b"module"):
             return arguments[0]
@@ -215,19 +215,19 @@ def _of_archive(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
             return {"wrong": "size"}
         names = {entry.filename: entry for entry in entries}
         if not entries or len(names) != len(entries):
-            raise zipfile.BadZipFile("two records of one name" if entries else "no records")
+            raise zipfile.BadZipFile("two records with the same name" if entries else "no records")
         top = entries[0].filename.partition("/")[0]
         if f"{top}/constants.pkl" in names:
             raise ValueError("a TorchScript archive")
         if names[f"{top}/data.pkl"].file_size > _LONGEST_PICKLE_BYTES:
-            raise UnencodableValueError("its pickle alone is larger than any that names weights")
+            raise UnencodableValueError("its pickle is larger than any list of weights")
         order = archive.read(f"{top}/byteorder") if f"{top}/byteorder" in names else b"little"
         if order not in (b"little", b"big"):
-            raise ValueError("an unknown order of bytes")
+            raise ValueError("an unknown byte order")
         with archive.open(f"{top}/data.pkl") as held:
             reader = _StructureUnpickler(held)  # type: ignore[arg-type]
             loaded = reader.load()
-            # To the end, so that its checksum is compared.
+            # Read to the end, so that its checksum is compared.
             held.read()
     starts = {entry.filename: _first_byte(stream, entry, size) for entry in entries}
     records = [[starts[e.filename], e.file_size, e.CRC, to_one_line(e.filename)] for e in entries if not e.is_dir()]
@@ -264,10 +264,10 @@ def _of_stream(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
         name, count = reader.counts[key.decode() if isinstance(key, bytes) else str(key)]
         length = stream.read(8)
         if len(length) != 8 or int.from_bytes(length, "little", signed=True) != count:
-            raise EOFError("a storage of another length than it should have")
+            raise EOFError("a storage of the wrong length")
         first, item = stream.tell(), ITEM_BYTES.get(name)
         if item is None:
-            raise ValueError("numbers of a kind that weights have not")
+            raise ValueError("numbers of a type that weights do not use")
         if count < 0 or first + count * item > size:
             raise EOFError("ends within its numbers")
         places[str(key)] = first, count * item
@@ -306,7 +306,7 @@ def _describe_tensor(tensor: _TensorStandIn, numbers: dict[str, int]) -> tuple[A
     start = storage.start * ITEM_BYTES[storage.name]
     shape, strides = list(tensor.shape), list(tensor.strides)
     if start % item or not all(type(number) is int for number in (tensor.offset, *shape, *strides)):
-        raise ValueError("a tensor whose place is no whole number")
-    # No storage is a storage of nothing, which a tensor without elements may have.
+        raise ValueError("a tensor whose offset is not a whole number")
+    # `None` is an empty storage, which a tensor without elements may have.
     place = numbers.get(storage.key, -1)
     return tensor.name, place, tensor.offset + start // item, shape, strides

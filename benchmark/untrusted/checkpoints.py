@@ -40,7 +40,7 @@ class TensorLocation:
 
 @dataclass(frozen=True, slots=True)
 class StoredCheckpoint:
-    """What a PyTorch file holds.
+    """Content of a PyTorch file.
 
     Attributes:
         tensors: By name, in the file's order; each lies inside its storage.
@@ -87,7 +87,8 @@ def read_stored(path: Path, limits: Limits = CHECKPOINT, *, checksums: bool = Tr
     claimed = sum(math.prod(tensor.shape) * ITEM_BYTES[tensor.number_type] for tensor in tensors.values())
     if claimed > EXPANSION * len(mapped) + MIB:
         raise InputError(
-            f"{path} claims tensors of {claimed} bytes and has {len(mapped)}; it is made to harm, get it from a source "
+            f"{path} claims tensors of {claimed} bytes but has {len(mapped)}; it may be malicious, get it from a "
+            "source "
             "that you trust"
         )
     return StoredCheckpoint(tensors, storages, structure["big_endian"], structure["configuration"])
@@ -104,7 +105,7 @@ def _require_bytes(path: Path, limits: Limits) -> None:
         raise InputError(f"{path} is empty; fetch it again")
     if start.lstrip()[:1] == b"<":
         raise InputError(
-            f"{path} is a web page, not a checkpoint: the server answered with something to click on; open the address "
+            f"{path} is a web page, not a checkpoint: the server sent a page to click through; open the address "
             "in a browser and save the file itself"
         )
 
@@ -112,7 +113,7 @@ def _require_bytes(path: Path, limits: Limits) -> None:
 def _structure(path: Path, answer: ChildAnswer) -> dict[str, Any]:
     if answer.kind == "refused":
         raise InputError(
-            f"{path} is refused: it asks for {answer.parts[0]}, which is not among the tensors and plain values that "
+            f"{path} is refused: it uses {answer.parts[0]}, which is not among the tensors and plain values that "
             "weights need and could run code; get it from a source that you trust, or save its state_dict alone in the "
             "environment that made it"
         )
@@ -123,7 +124,7 @@ def _structure(path: Path, answer: ChildAnswer) -> dict[str, Any]:
         return _structure(path, ChildAnswer("refused", (name,)))
     if answer.kind == "broken":
         raise InputError(
-            f"{path} cannot be read as a PyTorch checkpoint ({answer.parts[0]}); it is damaged or something else, "
+            f"{path} cannot be read as a PyTorch checkpoint ({answer.parts[0]}); it is damaged or not a checkpoint; "
             "fetch it again"
         )
     structure: dict[str, Any] = answer.parts[0]
@@ -133,10 +134,10 @@ def _structure(path: Path, answer: ChildAnswer) -> dict[str, Any]:
             "source that you trust"
         )
     if structure.get("wrong") == "kind":
-        raise InputError(f"{path} holds a {structure['kind']} without tensors by name; weights are a state dict")
+        raise InputError(f"{path} holds a {structure['kind']} without named tensors; weights must be a state dict")
     if structure.get("wrong") == "entry":
         raise InputError(
-            f"{path} holds {structure['entry']}, which is no tensor with a name; weights are a state dict, or an mmcv "
+            f"{path} holds {structure['entry']}, which is not a named tensor; weights must be a state dict, or an mmcv "
             "checkpoint with one under state_dict"
         )
     return structure

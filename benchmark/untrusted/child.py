@@ -65,7 +65,7 @@ KINDS: Final[dict[str, tuple[Callable[[BinaryIO, Limits], Any], Limits]]] = {
     "parquet": (read_parquet_columns, PLANS),
     "results": (read_result_value, RESULTS),
 }
-"""What the child can take apart."""
+"""Kinds of files that the child can read."""
 
 
 def apply_limits(limits: Limits, parent: int) -> None:
@@ -87,7 +87,7 @@ def apply_limits(limits: Limits, parent: int) -> None:
     ):
         hard = resource.getrlimit(resource_kind)[1]
         least = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        # Some systems do not bound memory; the clock and the processor time stay.
+        # Some systems do not limit memory; the limits on wall and processor time still hold.
         with contextlib.suppress(OSError, ValueError):
             resource.setrlimit(resource_kind, (least, least))
 
@@ -114,7 +114,7 @@ def read_request(kind: str, limits: Limits, stream: BinaryIO) -> tuple[Any, ...]
         return ("memory",)
     except zipfile.BadZipFile as error:
         return "archive", to_one_line(error)
-    # A malformed stream may raise anything, from EOFError to what numpy thinks of a damaged array.
+    # A malformed stream may raise anything, from EOFError to numpy's errors on a damaged array.
     except Exception as error:
         return "broken", type(error).__name__, to_one_line(error)
 
@@ -139,7 +139,7 @@ def main() -> None:
     try:
         write_answer(out, parts, given)
         out.flush()
-    # What cannot be written may be anything, for example a whole number of a million digits.
+    # Writing may fail on any value, for example on a whole number of a million digits.
     except Exception as why:
         del parts
         out.seek(0)

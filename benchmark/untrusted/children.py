@@ -1,4 +1,4 @@
-"""Starting the child process that takes a foreign file apart, and one sentence for whatever becomes of it.
+"""Starting the child process that reads an untrusted file, and one sentence for each way it can fail.
 
 Pickles of recordings and anchors: arrays, numbers and plain containers, unpickled in a child process.
 """
@@ -19,12 +19,12 @@ from benchmark.untrusted.files import PICKLE, Limits, format_bytes, open_file
 _ROOT: Final = Path(__file__).resolve().parents[2]
 _PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv[1]); from benchmark.untrusted.child import main; main()"
 _PASSED_ENVIRONMENT: Final = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "TMPDIR", "LANG", "HOME")
-_UNTRUSTED: Final = "it is damaged or made to harm, get it from a source that you trust"
+_UNTRUSTED: Final = "it is damaged or malicious, get it from a source that you trust"
 
 
 @dataclass(frozen=True, slots=True)
 class ChildAnswer:
-    """What the child says of a file that it did not read to the end of its limits.
+    """The child's result for a file that it handled within its limits.
 
     Attributes:
         kind: ``value``, ``refused`` (asks for something that is not on the allow-list), ``archive`` (a damaged zip
@@ -56,7 +56,7 @@ def read_in_child(path: Path, kind: str, limits: Limits) -> ChildAnswer:
         if code < 0:
             raise InputError(_death(path, -code, limits))
         size = os.fstat(answer.fileno()).st_size
-        # What a damaged child leaves behind is foreign as well, and may be anything.
+        # The output of a damaged child is untrusted as well, and may be anything.
         try:
             data = bytearray(size)
             answer.seek(0)
@@ -80,7 +80,7 @@ def _run(path: Path, kind: str, limits: Limits, source: int, target: int) -> int
         limits.memory_bytes,
         limits.cpu_s,
     )
-    # Numpy's libraries claim memory for every processor unless they are told not to.
+    # Numpy's libraries reserve memory for every processor unless limited to one thread.
     environment = {name: os.environ[name] for name in _PASSED_ENVIRONMENT if name in os.environ}
     environment |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     command = [sys.executable, "-I", "-c", _PROGRAM, str(_ROOT), kind, str(os.getpid()), *map(str, numbers)]
@@ -90,7 +90,7 @@ def _run(path: Path, kind: str, limits: Limits, source: int, target: int) -> int
         )
     except OSError as error:
         raise InputError(
-            f"cannot start a process to read {path} in: {error.strerror or error}; end other programs, then try again"
+            f"cannot start a process to read {path} in: {error.strerror or error}; close other programs, then try again"
         ) from error
     try:
         return child.wait(timeout=limits.clock_s)
@@ -130,7 +130,7 @@ def read_pickle(path: Path, limits: Limits = PICKLE) -> Any:
         return answer.parts[0]
     if answer.kind == "refused":
         raise InputError(
-            f"{path} is refused: its pickle asks for {answer.parts[0]}, which is not among the arrays and containers "
+            f"{path} is refused: its pickle uses {answer.parts[0]}, which is not among the arrays and containers "
             "that a recording needs and could run code; do not open this file, get the recording from a source you "
             "trust"
         )

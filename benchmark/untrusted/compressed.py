@@ -77,20 +77,20 @@ def read_package(path: Path, limits: Limits = PACKAGE) -> dict[str, bytes]:
 
 def _require_harmless(path: Path, entries: list[zipfile.ZipInfo], size: int, limits: Limits) -> None:
     if len(entries) > limits.values:
-        raise InputError(f"{path} holds more than {limits.values} files; it is no package, fetch it again")
+        raise InputError(f"{path} holds more than {limits.values} files; it is not a package, fetch it again")
     names: set[str] = set()
     for entry in entries:
         name = entry.filename
         kind = stat.S_IFMT(entry.external_attr >> 16)
         if not _stays_inside(name, limits) or kind not in (0, stat.S_IFREG) or name in names:
             raise InputError(
-                f"{path} holds {to_one_line(name, 80)!r}, which is no plain file inside it or is there twice; it is "
-                "damaged or made to harm, get it from a source that you trust"
+                f"{path} holds {to_one_line(name, 80)!r}, which is not a regular file inside it or occurs twice; it is "
+                "damaged or malicious, get it from a source that you trust"
             )
         packed = entry.compress_type != zipfile.ZIP_STORED or entry.file_size != entry.compress_size
         if packed or entry.flag_bits & 0x1:
             raise InputError(
-                f"{path} holds {to_one_line(name, 80)} compressed or encrypted, and packages hold files as they are; "
+                f"{path} holds {to_one_line(name, 80)} compressed or encrypted, but packages store files unchanged; "
                 "fetch the package itself again"
             )
         names.add(name)

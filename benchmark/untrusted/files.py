@@ -41,7 +41,7 @@ GIB: Final = 1 << 30
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a foreign file of one kind may be at most.
+    """Upper limits of an untrusted file of one kind.
 
     Attributes:
         what: The kind, in words that fit after "a".
@@ -77,7 +77,7 @@ PROGRAM: Final = Limits("program", MIB)
 CHECKPOINT: Final = Limits("checkpoint", 16 * GIB, values=1_000_000, content_bytes=256 * MIB)
 """PyTorch files; the largest that is read here has 5 GB. Their content is what stands beside the numbers."""
 LIBRARY_CHECKPOINT: Final = replace(CHECKPOINT, file_bytes=64 * GIB)
-"""What libraries of others read: the encoder of prompts has 45 GB in one file."""
+"""For files read by third-party libraries: the prompt encoder has 45 GB in one file."""
 SAFETENSORS: Final = Limits("weights file", 64 * GIB, values=1_000_000, content_bytes=64 * MIB)
 """Content is the header."""
 NPZ: Final = Limits("file of arrays", 4 * GIB, values=10_000, content_bytes=8 * GIB)
@@ -119,7 +119,7 @@ HTTP_ANSWER: Final = Limits("answer over HTTP", 64 * MIB, depth=8, values=4_000_
 HTTP_PICTURE: Final = Limits("picture over HTTP", 48 * MIB, values=16_000_000)
 """Values are pixels; six of them are in memory together."""
 RECORDING_S: Final = 3600.0
-"""Seconds of one imported recording, whatever its steps."""
+"""Seconds of one imported recording, for any step."""
 RECORDED_OBJECTS: Final = 5000
 RECORDED_POSES: Final = 4_000_000
 """Its objects times its frames; a crowded scene of nuScenes has 60,000."""
@@ -156,7 +156,7 @@ def scale_limits(limits: Limits, size: int) -> Limits:
 
 
 def format_bytes(count: int) -> str:
-    """Bytes as somebody would say them."""
+    """Human-readable number of bytes."""
     for unit, size in (("GB", GIB), ("MB", MIB), ("KB", 1024)):
         if count >= size:
             return f"{count / size:.3g} {unit}"
@@ -178,21 +178,21 @@ def open_file(path: Path, limits: Limits) -> BufferedReader:
     """
     require_name(path)
     try:
-        # Without waiting: opening a named pipe would wait for somebody to write to it.
+        # Without waiting: opening a named pipe would wait for a writer.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
     status = os.fstat(descriptor)
     if not stat.S_ISREG(status.st_mode):
         os.close(descriptor)
-        kind = "Is a directory" if stat.S_ISDIR(status.st_mode) else "it is no ordinary file"
+        kind = "Is a directory" if stat.S_ISDIR(status.st_mode) else "it is not a regular file"
         raise InputError(f"cannot read {path}: {kind}")
     if status.st_size > limits.file_bytes:
         os.close(descriptor)
         raise InputError(
-            f"{path} has {format_bytes(status.st_size)}, and a {limits.what} has at most "
+            f"{path} has {format_bytes(status.st_size)}, but a {limits.what} has at most "
             f"{format_bytes(limits.file_bytes)}; it "
-            "is damaged or something else, get it again"
+            "is damaged or another kind of file, get it again"
         )
     return os.fdopen(descriptor, "rb")
 
@@ -217,7 +217,7 @@ def require_name(path: Path) -> None:
 
 
 def to_one_line(text: object, longest: int = 160) -> str:
-    """What a foreign file or its reader says, fit for a sentence: one line, printable, not long.
+    """Text of an untrusted file or its reader, fit for a message: one line, printable, short.
 
     Args:
         text: Anything that can be turned into text.

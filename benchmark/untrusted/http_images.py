@@ -60,7 +60,7 @@ def decode_picture(stream: BinaryIO, limits: Limits) -> NDArray[np.uint8]:
     """
     from PIL import Image
 
-    # Decoders raise whatever they come upon, from SyntaxError to what a damaged table makes of an index.
+    # Decoders raise many kinds of exceptions, from SyntaxError to IndexError on a damaged table.
     try:
         with Image.open(stream, formats=_FORMATS) as image:
             if image.width * image.height > limits.values:
@@ -102,7 +102,7 @@ def decode_image(data: bytes, *, tensors: bool, limits: Limits = HTTP_PICTURE) -
         ValueError: If it is anything else, damaged, or larger; says which, fit behind "the picture".
     """
     if len(data) > limits.file_bytes:
-        raise ValueError(f"has {format_bytes(len(data))}, and a picture has at most {format_bytes(limits.file_bytes)}")
+        raise ValueError(f"has {format_bytes(len(data))}, but a picture has at most {format_bytes(limits.file_bytes)}")
     if data.startswith((_ARCHIVE, _OLD_TENSOR)):
         if not tensors:
             raise TensorRefusedError("is a saved tensor of PyTorch, which is a pickle")
@@ -112,7 +112,7 @@ def decode_image(data: bytes, *, tensors: bool, limits: Limits = HTTP_PICTURE) -
     try:
         return decode_picture(io.BytesIO(data), limits)
     except ValueError as error:
-        raise ValueError(f"is no picture that can be read ({error})") from error
+        raise ValueError(f"is not a readable picture ({error})") from error
 
 
 def _array(data: bytes, limits: Limits) -> NDArray[np.uint8]:
@@ -122,7 +122,7 @@ def _array(data: bytes, limits: Limits) -> NDArray[np.uint8]:
         if version != (1, 0):
             raise ValueError(f"format {version}")
         header = npy.read_array_header_1_0(stream)  # type: ignore[no-untyped-call]
-    # The header is a literal of Python, which may be anything.
+    # The header is a Python literal, which may be anything.
     except Exception as error:
         raise ValueError("is an array of numpy whose header cannot be read") from error
     shape, columns_first, dtype = header
@@ -139,13 +139,13 @@ def _tensor(data: bytes, limits: Limits) -> NDArray[np.uint8]:
     import torch
 
     _require_sound_archive(data, limits)
-    # Damage that none of this sees is whatever the library makes of it.
+    # Damage that these checks miss raises an error of the library.
     try:
         tensor: Any = torch.load(io.BytesIO(data), weights_only=True, map_location="cpu")
     except Exception as error:
         raise ValueError("is a saved tensor that cannot be read") from error
     if not isinstance(tensor, torch.Tensor) or tensor.dtype != torch.uint8 or tensor.layout is not torch.strided:
-        raise ValueError("is saved by PyTorch, and no dense tensor of bytes")
+        raise ValueError("is saved by PyTorch, but is not a dense tensor of bytes")
     _require_size(tuple(tensor.shape), limits)
     if tensor.device.type != "cpu" or tensor.untyped_storage().nbytes() < tensor.numel():
         raise ValueError("is a saved tensor that claims more numbers than it has")
@@ -155,7 +155,7 @@ def _tensor(data: bytes, limits: Limits) -> NDArray[np.uint8]:
 def _require_sound_archive(data: bytes, limits: Limits) -> None:
     """Nothing packed, nothing large, and a pickle that asks for nothing but a tensor of bytes."""
     if not data.startswith(_ARCHIVE):
-        raise ValueError("is a tensor in PyTorch's old form; save it with a version of this decade")
+        raise ValueError("is a tensor in PyTorch's old form; save it with PyTorch 1.6 or later")
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
@@ -169,15 +169,15 @@ def _require_sound_archive(data: bytes, limits: Limits) -> None:
             requested = _names(archive.read(pickles[0]))
             if damaged := archive.testzip():
                 raise ValueError(f"{damaged} fails its checksum")
-    # What the archive or the pickle says of itself is a stranger's, and the library raises whatever it meets.
+    # The archive and the pickle are untrusted, and the library raises many kinds of exceptions.
     except Exception as error:
-        raise ValueError("is an archive, but no saved tensor of a picture") from error
+        raise ValueError("is an archive, but not a saved picture tensor") from error
     if not requested <= _NAMES:
-        raise ValueError(f"is a saved tensor that asks for {min(requested - _NAMES)}, which no picture needs")
+        raise ValueError(f"is a saved tensor that uses {min(requested - _NAMES)}, which no picture needs")
 
 
 def _names(pickled: bytes) -> set[str]:
-    """What a pickle names, without running it; names that are put together while it runs are no names of tensors."""
+    """Names in a pickle, without running it; tensors need no names that are assembled at run time."""
     names = set()
     for operation, argument, _ in pickletools.genops(pickled):
         if operation.name == "GLOBAL":

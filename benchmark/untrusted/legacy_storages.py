@@ -3,7 +3,7 @@
 Runs in the child process. The pickles of this second stream may name storages and nothing else, so that what is hidden
 in the bytes of a tensor is refused like anything in the open.
 
-What foreign pickles may ask for, and what they get in its place: the first wall, on which the others rest.
+Allow-list of untrusted pickles with stand-ins for each name: the first line of defence.
 """
 
 import codecs
@@ -24,7 +24,7 @@ class DisallowedNameError(Exception):
 
 
 def _encode(text: str, encoding: str = "utf-8") -> bytes:
-    """What pickle protocol 2 calls to rebuild bytes; other codecs than these two have no business there."""
+    """Stand-in that rebuilds bytes in pickle protocol 2, which needs only these two codecs."""
     if encoding not in ("latin1", "utf-8"):
         raise pickle.UnpicklingError(f"encoding {encoding!r} is not allowed")
     return codecs.encode(text, encoding)
@@ -70,19 +70,19 @@ class _ArrayType:
 
 
 def _empty_array(subtype: Any, shape: tuple[int, ...], _: Any) -> Any:
-    """What pickle calls to begin an array; numpy itself always asks for a flat one without elements."""
+    """Stand-in that creates an array in pickles; numpy itself always asks for a flat one without elements."""
     if subtype is not _ArrayType or shape != (0,):
         raise pickle.UnpicklingError(f"an array of shape {shape} without content is not allowed")
     return _PickledArray((0,), np.uint8)
 
 
 def _array_from_buffer(buffer: bytes, kind: NumberType, shape: tuple[int, ...], order: Any) -> Any:
-    """What pickle protocol 5 calls to rebuild an array."""
+    """Stand-in that rebuilds an array in pickle protocol 5."""
     return np.frombuffer(buffer, dtype=kind.dtype).reshape(shape, order=order)
 
 
 def _scalar(kind: NumberType, data: bytes) -> Any:
-    """What pickle calls to rebuild a number."""
+    """Stand-in that rebuilds a number in pickles."""
     return np.frombuffer(data, kind.dtype, count=1)[0]
 
 
@@ -120,7 +120,7 @@ ALLOWED: Final[dict[tuple[str, str], Any]] = {
     ("collections", "defaultdict"): defaultdict,
     ("_codecs", "encode"): _encode,
 }
-"""What foreign files may ask for, by module and name, and what they get in its place."""
+"""Allowed names of untrusted files, by module and name, and their stand-ins."""
 
 
 class AllowListUnpickler(pickle.Unpickler):
@@ -129,7 +129,7 @@ class AllowListUnpickler(pickle.Unpickler):
     allowed: ClassVar[dict[tuple[str, str], Any]] = ALLOWED
 
     def find_class(self, module: str, name: str) -> Any:
-        """What stands for a name; nothing is ever imported for it."""
+        """The stand-in for a name; nothing is ever imported for it."""
         if (module, name) not in self.allowed:
             raise DisallowedNameError(f"{module}.{name}")
         return self.allowed[module, name]
@@ -174,7 +174,7 @@ class _StorageClass:
 
 
 class _StorageId:
-    """What a persistent id says of a storage."""
+    """A storage as declared by a persistent id."""
 
     __slots__ = ("count", "key", "kind")
 
@@ -207,7 +207,7 @@ class _StorageUnpickler(_PlainUnpickler):
         return _StorageClass(name)
 
     def persistent_load(self, pid: Any) -> Any:
-        """What the id says; where the numbers once lay (``cuda:0``) does not matter."""
+        """The storage of an id; the former device of its numbers (``cuda:0``) does not matter."""
         if not isinstance(pid, tuple) or len(pid) not in (5, 6) or pid[0] != "storage" or pid[5:] not in ((), (None,)):
             raise DisallowedNameError("a persistent id that names no storage")
         _, kind, key, _, count = pid[:5]

@@ -1,6 +1,6 @@
-"""Tests of the unit, frame, origin and time of plans: each compares them with what was recorded, as read and otherwise.
+"""Tests of the unit, frame, origin and time of plans: each compares them with the recording, as read and otherwise.
 
-Plans are suspected only where another reading fits far better, whoever planned: one who stands still, brakes or drives
+Plans are suspected only where another reading fits far better, for any planner: one that stands still, brakes or drives
 straight through every bend passes. A test with too few samples says "not testable", which is not that plans fit.
 
 Plans beside what was recorded: what the tests of this folder measure on.
@@ -45,11 +45,11 @@ class ComparedPlans:
 
     @classmethod
     def from_lists(cls, plan: list[Any], recorded: list[Any]) -> Self:
-        """What was written as lists; raises `ValueError` for what is none."""
+        """Plans and recording from lists; raises `ValueError` for other values."""
         shape = (-1, PLAN_STEPS, 2)
         compared = cls(np.array(plan, np.float64).reshape(shape), np.array(recorded, np.float64).reshape(shape))
         if compared.plan.shape != compared.recorded.shape:
-            raise ValueError("there is a plan for each recording")
+            raise ValueError("plans and recordings must have the same number")
         return compared
 
     @classmethod
@@ -106,7 +106,7 @@ class Misreading:
 
 @dataclass(frozen=True, slots=True)
 class Plausibility:
-    """What the tests measured.
+    """Results of the tests.
 
     Attributes:
         measured: By the name of the test: what was measured on how many samples, or that it is not testable.
@@ -118,7 +118,7 @@ class Plausibility:
 
 
 TestFinding = str | Misreading
-"""What a test says: its measure, or what fits better."""
+"""Result of a test: its measure, or the reading that fits better."""
 
 
 def measure_plausibility(compared: ComparedPlans) -> Plausibility:
@@ -228,7 +228,7 @@ def _check_offsets(steps: _PlanSteps) -> TestFinding:
     if last < _SUMMED and second < _SECOND_STEP and summed < read:
         return Misreading(
             "offsets",
-            f"its plans grow {last:.2f} times as much from 0.5 s to 3 s as the recorded ways: offsets that were not "
+            f"its plans grow {last:.2f} times as much from 0.5 s to 3 s as the recorded paths: offsets that were not "
             f"summed would fit (1/6; as read {read:.2f}, summed {summed:.2f})",
         )
     return f"plans grow {last:.2f} times as much as recorded ({int(begun.sum())} samples)"
@@ -262,13 +262,13 @@ def _check_rate(steps: _PlanSteps) -> TestFinding:
     shares = np.arange(1, _POINTS_A_STEP + 1) / _POINTS_A_STEP
     between = np.linalg.norm(steps.plan[chosen, :_POINTS_A_STEP] - shares[:, None] * first[:, None], axis=2)
     fast = float(np.median(between.mean(axis=1) / scale))
-    # A car that brakes hard gets as far, but hardly moves in the end.
+    # A car that brakes hard covers the same distance, but hardly moves at the end.
     last_step = np.linalg.norm(steps.plan[chosen, -1] - steps.plan[chosen, -2], axis=1)
     goes_on = float(np.median(last_step / np.maximum(steps.size[chosen, 0], _DROVE_M)))
     if read > _FAR_OFF and fast < _AT_10_HZ and goes_on > _GOES_ON:
         return Misreading(
             "time",
-            f"its plans go a fifth as far as the recorded car: points at 10 Hz would fit (as read {read:.2f}, 0.1 s "
+            f"its plans cover a fifth of the recorded distance: points at 10 Hz would fit (as read {read:.2f}, 0.1 s "
             f"apart {fast:.2f}; error of the first 0.5 s)",
         )
     return f"as read {read:.2f}, 0.1 s apart {fast:.2f} ({int(chosen.sum())} samples)"
@@ -322,15 +322,15 @@ def _check_origin(steps: _PlanSteps) -> TestFinding:
         return few
     begins = steps.plan[standing, 0]
     away_m = float(np.median(np.linalg.norm(begins, axis=1)))
-    # Another point of the car is the same for all plans; what a planner misses by is not.
+    # The offset to another point of the car is equal for all plans; a planner's errors are not.
     differ_m = float(np.median(np.linalg.norm(begins - np.median(begins, axis=0), axis=1)))
     if away_m > _ORIGIN_M and differ_m < _ONE_POINT * away_m:
         return Misreading(
             "origin",
-            f"plans of a car that stands begin {away_m:.2f} m away: positions measured from another point of the car "
+            f"plans of a stationary car begin {away_m:.2f} m away: positions measured from another point of the car "
             "would fit (lidar and rear axle are 0.94 m apart)",
         )
-    return f"plans of a car that stands begin {away_m:.2f} m away ({int(standing.sum())} samples)"
+    return f"plans of a stationary car begin {away_m:.2f} m away ({int(standing.sum())} samples)"
 
 
 TESTS: Final[dict[str, Callable[[_PlanSteps], TestFinding]]] = {

@@ -1,4 +1,4 @@
-"""What follows from a reading that fits far better: a file is refused, a running planner's record has a caveat."""
+"""Consequence of a reading that fits far better: a file is refused, a running planner's record gets a caveat."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from benchmark.records.caveats import Caveat
 from benchmark.untrusted.plan_plausibility import ComparedPlans, Misreading, measure_plausibility
 
-_RESTS = "every number rests on plans as they are read"
+_RESTS = "all numbers use the plans as read"
 
 
 def format_refusal(path: Path, misreading: Misreading) -> str:
@@ -22,21 +22,21 @@ def format_refusal(path: Path, misreading: Misreading) -> str:
     remedy = (
         "check which script wrote the file" if misreading.frame is None else f"--frame {misreading.frame} reads it so"
     )
-    return f"{path}: {misreading.sentence}; {remedy}, --as-is takes it as it stands"
+    return f"{path}: {misreading.sentence}; {remedy}, or accept it with --as-is"
 
 
 def describe_checks(measured: Mapping[str, str]) -> str:
-    """What tests measured, in a line."""
+    """Results of the tests, in one line."""
     return f"checks: {'; '.join(f'{name}: {text}' for name, text in measured.items())}"
 
 
 def make_as_is_caveat(misreading: Misreading) -> Caveat:
     """The caveat of a file that ``--as-is`` took in."""
-    return Caveat(kind="as-is", sentence=f"taken as the file stands (--as-is), though {misreading.sentence}; {_RESTS}")
+    return Caveat(kind="as-is", sentence=f"accepted as is (--as-is), although {misreading.sentence}; {_RESTS}")
 
 
 def list_plan_caveats(compared: ComparedPlans) -> list[Caveat]:
-    """What there is to say of the plans of a planner, running or of a file.
+    """Caveats on the plans of a planner, running or from a file.
 
     Args:
         compared: Its plans beside what was recorded.
@@ -50,5 +50,5 @@ def list_plan_caveats(compared: ComparedPlans) -> list[Caveat]:
     remedy = ""
     if misreading.frame is not None:
         remedy = f" (PlanFrame.{misreading.frame.upper()} of a class, --frame {misreading.frame} of a model server"
-        remedy += ", as VAD's fork for NeuroNCAP answers)" if misreading.frame == "lidar" else ")"
+        remedy += ", the frame of VAD's fork for NeuroNCAP)" if misreading.frame == "lidar" else ")"
     return [Caveat(kind="plans", sentence=f"{misreading.sentence}{remedy}; {_RESTS}")]

@@ -24,10 +24,10 @@ from benchmark.untrusted.text_files import TooDeepError, TooLargeError, parse_js
 _START_BYTES: Final = 64
 _ADVICE: Final[dict[str, str]] = {
     "truncated": "copy or make it again",
-    "trailing": "it is damaged or several files in one, make it again",
+    "trailing": "it is damaged or several files in one; make it again",
     "class": "it could run code: do not open it elsewhere either, and get the file from a source that you trust",
-    "nesting": "it is damaged or made to harm, get it from a source that you trust",
-    "size": "it is damaged or made to harm, get it from a source that you trust",
+    "nesting": "it is damaged or malicious: get it from a source that you trust",
+    "size": "it is damaged or malicious: get it from a source that you trust",
 }
 
 
@@ -76,8 +76,8 @@ def read_result_pickle(path: Path) -> Any:
     if category not in CATEGORIES:
         raise RefusedFileError("unknown", f"{path} is not a readable pickle; make it again")
     if category == "class":
-        why = f"its pickle asks for {why}, which no result file needs"
-    advice = _ADVICE.get(category, "it is damaged or something else, make it again")
+        why = f"its pickle uses {why}, which no result file needs"
+    advice = _ADVICE.get(category, "it is damaged or not a result file; make it again")
     raise RefusedFileError(category, f"{path} is refused: {why}; {advice}")
 
 
@@ -134,16 +134,16 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(members) < len(pairs):
         names: set[str] = set()
         twice = next(name for name, _ in pairs if name in names or names.add(name))  # type: ignore[func-returns-value]
-        raise _NamedTwiceError(f"{to_one_line(twice, 80)!r} stands twice in one object")
+        raise _NamedTwiceError(f"{to_one_line(twice, 80)!r} occurs twice in one object")
     return members
 
 
 def _not_finite(text: str) -> NoReturn:
-    raise _NotFiniteError(f"it holds {text}, which is no number")
+    raise _NotFiniteError(f"it holds {text}, which is not a number")
 
 
 def _finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise _NotFiniteError(f"it holds {text[:40]}, which is beyond all numbers")
+        raise _NotFiniteError(f"it holds {text[:40]}, which is out of range")
     return value

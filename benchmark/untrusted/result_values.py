@@ -1,4 +1,4 @@
-"""What pickles of planners' repositories hold, read without running anything of them: arrays, tensors, plain values.
+"""Values in pickles of planners' repositories, read without running their code: arrays, tensors, plain values.
 
 Runs in the child process. Names are answered by stand-ins of this module alone, exact pairs of module and name. Tensors
 hide a second pickle stream in the bytes of their storage, which has a list of its own (the names of storages). Of the
@@ -89,19 +89,19 @@ class _ArrayStandIn:
 
     def __setstate__(self, state: Any) -> None:
         if self.value is not None or not isinstance(state, tuple) or len(state) != 5:
-            raise DisallowedNameError("an array with a state that no array has")
+            raise DisallowedNameError("an array with an unknown state")
         _, shape, kind, fortran, data = state
         self.value = _numbers(data, kind, shape, "F" if fortran else "C")
 
 
 class _BoxesStandIn:
-    """Stands for the boxes of mmdet3d: a record that nobody looks into."""
+    """Stands for the boxes of mmdet3d, whose content is never used."""
 
     __slots__ = ("held",)
 
     def __setstate__(self, state: Any) -> None:
         if type(state) is not dict or hasattr(self, "held"):
-            raise DisallowedNameError("boxes with a state that boxes have not")
+            raise DisallowedNameError("boxes with an unknown state")
         self.held = state
 
 
@@ -136,7 +136,7 @@ def _number_type(name: Any, *_: Any) -> _NumberTypeStandIn:
 
 def _empty_array(subtype: Any, shape: Any, kind: Any) -> _ArrayStandIn:
     if subtype is not _NDARRAY or kind not in (b"b", "b"):
-        raise DisallowedNameError("an array of a kind of its own")
+        raise DisallowedNameError("an array of a subclass")
     if shape != (0,):
         raise UnencodableValueError(f"it declares an array of shape {to_one_line(shape, 60)} before any content")
     return _ArrayStandIn()
@@ -164,7 +164,7 @@ def _ordered(*arguments: Any) -> dict[Any, Any]:
 
 def _tensor(storage: Any, offset: Any, shape: Any, strides: Any, *rest: Any) -> _ArrayStandIn:
     if not isinstance(storage, LegacyStorage) or any(not isinstance(part, bool | dict | None) or part for part in rest):
-        raise DisallowedNameError("a tensor that is no plain one")
+        raise DisallowedNameError("a tensor that is not a plain one")
     if not _are_counts(shape) or not _are_counts(strides) or len(shape) != len(strides) or not _are_counts((offset,)):
         raise UnencodableValueError("it declares a tensor of an impossible shape")
     values = storage.values
@@ -174,7 +174,7 @@ def _tensor(storage: Any, offset: Any, shape: Any, strides: Any, *rest: Any) -> 
         )
     last = offset + sum((length - 1) * step for length, step in zip(shape, strides))
     if math.prod(shape) and last >= len(values):
-        raise UnencodableValueError("it declares a tensor that leaves the numbers stored for it")
+        raise UnencodableValueError("it declares a tensor that exceeds its stored numbers")
     if not math.prod(shape):
         return _ArrayStandIn(np.zeros(shape, values.dtype))
     steps = [step * values.itemsize for step in strides]
@@ -201,7 +201,7 @@ _ALLOWED: Final[dict[tuple[str, str], Any]] = {
     ("torch.storage", "_load_from_bytes"): _FunctionStandIn("_load_from_bytes", read_legacy_storage),
     **dict.fromkeys(_LIDAR_BOXES, _BoxesStandIn),
 }
-"""What result files may ask for, and what they get in its place."""
+"""Allowed names of result files, and their stand-ins."""
 
 
 class _ResultUnpickler(pickle.Unpickler):
@@ -234,12 +234,12 @@ def read_result_value(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
     try:
         value = _ResultUnpickler(stream).load()
         if stream.read(1):
-            return {"wrong": "trailing", "why": "there are bytes behind its end"}
-        # Deep enough to tell what unfolds endlessly from what is only deep; Python's own calls take no C stack.
+            return {"wrong": "trailing", "why": "it has bytes after its end"}
+        # Deep enough to tell endless structures from deep ones; Python's own calls take no C stack.
         sys.setrecursionlimit(max(sys.getrecursionlimit(), 8 * _FARTHEST_DOWN))
         copy, _, height = _LimitedCopier(limits).of(value, 0)
         if height > limits.depth:
-            raise _NestingError(f"its containers lie more than {limits.depth} deep")
+            raise _NestingError(f"its containers are nested more than {limits.depth} deep")
         return {"value": copy}
     except DisallowedNameError as refused:
         return {"wrong": "class", "why": to_one_line(refused)}
@@ -252,7 +252,7 @@ def read_result_value(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
     except pickle.UnpicklingError as error:
         return {"wrong": "truncated" if "truncated" in str(error) else "unknown", "why": to_one_line(error)}
     except TypeError as error:
-        # What a stand-in cannot do: it was asked for something that no array, tensor or box asks for.
+        # A stand-in was used in a way that arrays, tensors and boxes never are.
         return {"wrong": "class", "why": to_one_line(error)}
 
 
@@ -269,7 +269,7 @@ class _LimitedCopier:
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        # The values are held, so that no other object gets the same identity.
+        # The values are kept alive, so that no other object gets the same `id`.
         self._known: dict[int, tuple[Any, int, int, Any]] = {}
 
     def of(self, value: Any, depth: int) -> tuple[Any, int, int]:
@@ -281,7 +281,7 @@ class _LimitedCopier:
         known = self._known.get(id(value))
         if known is None:
             if depth > _FARTHEST_DOWN:
-                raise _NestingError(f"its containers lie more than {self._limits.depth} deep")
+                raise _NestingError(f"its containers are nested more than {self._limits.depth} deep")
             copied = self._container(value, depth)
             self._known[id(value)] = known = (*copied, value)
         copy, count, height = known[:3]
@@ -305,7 +305,7 @@ class _LimitedCopier:
         parts = []
         for key, member in value.items():
             if type(key) not in _PLAIN or (isinstance(key, str) and len(key) > self._limits.name_characters):
-                raise UnencodableValueError("it holds a key that is no short text")
+                raise UnencodableValueError("it holds a key that is not short text")
             if not whole and (key not in _KEPT or key in _LONG):
                 parts.append((None, 1, 0))
             elif key in _ALWAYS_PARTLY and type(member) is dict:

@@ -39,13 +39,13 @@ def _read_csv(data: bytes, limits: Limits) -> "pandas.DataFrame":
     import pandas as pd
 
     if b"\0" in data:
-        raise ValueError("it holds bytes that are no text")
+        raise ValueError("it holds bytes that are not text")
     _require_few(max(data.count(b"\n"), data.count(b"\r")), limits)
     lines = data.splitlines()
     if max(map(len, lines), default=0) > limits.line_bytes:
         raise ValueError(f"a line is longer than {format_bytes(limits.line_bytes)}")
     header = next((line for line in lines if line.strip()), b"")
-    # As Excel writes where the comma is the decimal sign.
+    # Excel's format where the comma is the decimal sign.
     between = b";" if header.count(b";") > header.count(b",") else b","
     decimal = "," if between == b";" and b"," in data else "."
     _require_narrow(header.count(between) + 1)
@@ -67,7 +67,7 @@ def _read_json(data: bytes, limits: Limits) -> "pandas.DataFrame":
 
     rows = parse_json(data, limits)
     if not isinstance(rows, list):
-        raise ValueError("it is no list of rows")
+        raise ValueError("it is not a list of rows")
     _require_few(len(rows), limits)
     names: set[str] = set()
     for place, row in enumerate(rows):
@@ -82,7 +82,7 @@ def _require_numbers(place: int, row: object) -> None:
     for name, value in row.items() if isinstance(row, dict) else ():
         if name not in _TEXTS and isinstance(value, str):
             raise ValueError(
-                f"row {place} has the text {to_one_line(value, 20)!r} for the number {to_one_line(name, 20)}"
+                f"row {place} has text {to_one_line(value, 20)!r} in numeric column {to_one_line(name, 20)}"
             )
 
 

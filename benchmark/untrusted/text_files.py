@@ -123,7 +123,7 @@ def require_utf8(start: bytes) -> int:
         ValueError: If it is UTF-16 or UTF-32; says which.
     """
     encoding = json.detect_encoding(start[:_BYTES_OF_ENCODING])
-    # Zeros alone are a hole in a file, no text.
+    # Zeros alone are a hole in a file, not text.
     if not encoding.startswith("utf-8") and start[:_BYTES_OF_ENCODING].strip(b"\0"):
         raise ValueError(f"it is text in {encoding[:6].upper()}, save it as UTF-8")
     return len(codecs.BOM_UTF8) if start.startswith(codecs.BOM_UTF8) else 0
@@ -165,7 +165,7 @@ def parse_json(data: bytes, limits: Limits = JSON) -> Any:
 
 def _is_deeper(data: bytes, depth: int) -> bool:
     """Whether brackets are nested deeper; text in quotes is left out only where there is a bracket in it."""
-    # All of one kind, so that each round takes one layer away: JSON has no bracket that another kind closes.
+    # All of one kind, so that each round removes one layer: no JSON bracket closes one of another kind.
     left = data.translate(_ONE_KIND, _BETWEEN).replace(b'""', b"")
     if b'"' in left or b'\\"' in data:
         left = _STRINGS.sub(b"", data).translate(_ONE_KIND, _BETWEEN)
@@ -284,7 +284,7 @@ def _bytes(path: Path, limits: Limits) -> bytes:
         with open_file(path, limits) as stream:
             start = stream.peek(_FIRST_BYTES)[:_FIRST_BYTES].lstrip(_SPACE)
             if start and start[0] not in _STARTS and not start.startswith((b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff")):
-                # In the words that the whole of it would give.
+                # With the message that parsing the whole file gives.
                 return start[:1] if 0 < start[0] < 0x80 else stream.read(_FIRST_BYTES)
             return stream.read()
     except OSError as error:

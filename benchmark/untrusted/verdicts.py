@@ -12,11 +12,11 @@ from benchmark.untrusted.text_files import read_json
 COLUMNS: Final = ("scene", "verdict", "reason", "inspector", "token")
 _NEEDED: Final = ("scene", "verdict")
 _SAID: Final = {"accept": "accepted", "reject": "rejected"}
-"""What people write, and what is meant; a verdict in full is itself."""
+"""Accepted short forms of verdicts."""
 
 
 def read_verdicts(path: Path, limits: Limits = VERDICTS) -> dict[str, dict[str, Any]]:
-    """Read what somebody says of scenes.
+    """Read inspectors' verdicts on scenes.
 
     Args:
         path: A ``.csv`` file whose first line names the columns (`COLUMNS`, of which ``scene`` and ``verdict`` must be
@@ -32,7 +32,7 @@ def read_verdicts(path: Path, limits: Limits = VERDICTS) -> dict[str, dict[str, 
     """
     kind = path.suffix.lower()
     if kind not in (".csv", ".json"):
-        raise InputError(f"{path} is no file of verdicts; name a .csv or .json file")
+        raise InputError(f"{path} is not a file of verdicts; give a .csv or .json file")
     verdicts = _from_csv(path, limits) if kind == ".csv" else _from_json(path, limits)
     for members in verdicts.values():
         verdict = members.get("verdict")
@@ -48,7 +48,7 @@ def _from_json(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
     if not isinstance(value, dict) or not all(isinstance(members, dict) for members in value.values()):
         raise InputError(
             f'{path} must be an object of verdicts by name of the scene, such as {{"scene-0061-1a2b3c4d": '
-            '{"verdict": "rejected", "reason": "drives through a kerb"}}; mend it'
+            '{"verdict": "rejected", "reason": "drives through a kerb"}}; correct it'
         )
     return {name: dict(members) for name, members in value.items()}
 
@@ -56,13 +56,15 @@ def _from_json(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
 def _from_csv(path: Path, limits: Limits) -> dict[str, dict[str, Any]]:
     data = read_file(path, limits)
     if max(map(len, data.splitlines()), default=0) > limits.line_bytes:
-        raise InputError(f"{path} has a line longer than {format_bytes(limits.line_bytes)}; it is no file of verdicts")
+        raise InputError(
+            f"{path} has a line longer than {format_bytes(limits.line_bytes)}; it is not a file of verdicts"
+        )
     try:
         rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig")), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path} is no CSV file ({to_one_line(error)}); make it again") from error
+        raise InputError(f"{path} is not a CSV file ({to_one_line(error)}); make it again") from error
     if len(rows) > limits.values:
-        raise InputError(f"{path} has more than {limits.values} lines; it is no file of verdicts")
+        raise InputError(f"{path} has more than {limits.values} lines; it is not a file of verdicts")
     verdicts: dict[str, dict[str, Any]] = {}
     for number, row in enumerate(rows, start=2):
         if not set(_NEEDED) <= row.keys() or not {str(name) for name in row} <= set(COLUMNS):

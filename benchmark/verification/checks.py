@@ -1,4 +1,4 @@
-"""What `challenger-bench verify` compares and prints: one line per quantity, the largest error and what is allowed."""
+"""Comparisons of `challenger-bench verify`: one line per quantity, the largest error and its tolerance."""
 
 from collections.abc import Mapping, Sequence
 from copy import copy
@@ -13,7 +13,7 @@ from benchmark.geometry import Bools, wrap_angle
 from benchmark.report.table import build_table
 from benchmark.report.words import pluralise
 
-ROUNDING: Final = "as far as our own rounding moves it"
+ROUNDING: Final = "within our own floating-point noise"
 AS_FAR: Final = 3.0
 """Errors of up to so many times what rounding was seen to move: two runs do not see the worst that it does."""
 
@@ -112,7 +112,7 @@ def _measure_difference(sizes: list[NDArray[Any]], others: list[NDArray[Any]]) -
         return float(sum(np.count_nonzero(ours != theirs) for ours, theirs in zip(sizes, others)))
     with np.errstate(invalid="ignore"):
         apart = [np.max(np.abs(ours - theirs), initial=0.0) for ours, theirs in zip(sizes, others)]
-    # Two infinite errors, of lists of other lengths, are as far apart as none.
+    # Two infinite errors, of lists of different lengths, count as equal.
     return float(np.nan_to_num(np.max(apart, initial=0.0), nan=0.0, posinf=np.inf))
 
 
@@ -171,7 +171,7 @@ class Comparison:
         """
         if np.shape(ours) != np.shape(golden):
             raise ValueError(f"{quantity}: shapes {np.shape(ours)} and {np.shape(golden)}")
-        # Equal infinities would give NaN, and different ones are meant to.
+        # Equal infinities would give NaN; different ones should.
         with np.errstate(invalid="ignore"):
             difference = np.asarray(ours, np.float64) - np.asarray(golden, np.float64)
             self.errors(quantity, wrap_angle(difference) if angle else difference, tolerance, where=where)

@@ -18,7 +18,7 @@ from benchmark.untrusted.text_files import read_json
 from benchmark.verification.checks import Check, Comparison
 
 _DAMAGED: Final = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError, MemoryError)
-"""What code meets that takes a damaged set, or one of another kind, for a whole one."""
+"""Exceptions that reading a damaged set, or one of another kind, can raise."""
 
 
 class GoldenArrays:
@@ -35,7 +35,7 @@ class GoldenArrays:
             arrays = read_npz(path)
         except (OSError, ValueError) as error:
             raise build_damage_error(
-                path, f"{to_one_line(error)}; a whole npz file without pickled objects is wanted"
+                path, f"{to_one_line(error)}; it must be a complete npz file without pickled objects"
             ) from error
         if not arrays:
             raise build_damage_error(path, "it holds no arrays")
@@ -76,7 +76,9 @@ class GoldenArrays:
             raise build_damage_error(self.path, f"no array {name}")
         fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape))
         if array.dtype.kind not in kinds or not fits:
-            raise build_damage_error(self.path, f"array {name} of {array.dtype} has the shape {array.shape}")
+            raise build_damage_error(
+                self.path, f"array {name} of {array.dtype} has the wrong type or shape {array.shape}"
+            )
         return array
 
 
@@ -94,9 +96,9 @@ class GoldenFolder:
         """Value of a JSON file; ``gaps`` as of `GoldenArrays.floats`."""
         value = read_json(self.path / name)
         if not value:
-            raise build_damage_error(self.path / name, "it says nothing")
+            raise build_damage_error(self.path / name, "it is empty")
         if not gaps:
-            # NaN and infinity are all that Python reads and JSON has no words for.
+            # Python's reader accepts NaN and infinity, which JSON does not have.
             json.dumps(value, allow_nan=False)
         return value
 
@@ -144,7 +146,7 @@ class GoldenSet:
         if folder is None and self.made_here is not None:
             self.made_here(comparison)
         elif folder is None:
-            raise InputError(f"verify {self.name} needs --golden, a directory of {self.holds}; none is built in")
+            raise InputError(f"verify {self.name} needs --golden, a directory of {self.holds}; none are built in")
         else:
             find_golden_directory(folder, self.usual or self.name, *self.files)
             with raise_input_error(folder, self.name):
@@ -155,7 +157,7 @@ class GoldenSet:
 
 def build_damage_error(path: Path, what: str) -> InputError:
     """The one sentence on a file or folder that is not what it should be."""
-    return InputError(f"{path} is no golden set of this kind, or damaged ({what}): get it again")
+    return InputError(f"{path} is not a golden set of this kind or is damaged ({what}); get it again")
 
 
 @contextmanager
@@ -165,7 +167,7 @@ def raise_input_error(path: Path, kind: str) -> Iterator[None]:
         yield
     except _DAMAGED as error:
         reason = f"{type(error).__name__}: {to_one_line(' '.join(str(error).split()))}"
-        raise InputError(f"{path} is no golden set of {kind}, or damaged ({reason}): get it again") from error
+        raise InputError(f"{path} is not a golden set of {kind} or is damaged ({reason}); get it again") from error
 
 
 def find_golden_directory(golden: Path, kind: str, *names: str) -> Path:
@@ -174,7 +176,7 @@ def find_golden_directory(golden: Path, kind: str, *names: str) -> Path:
     ``kind`` is also the usual name of such a directory.
     """
     if not golden.is_dir():
-        raise InputError(f"no golden set at {golden}: it is not a directory; pass one that holds {', '.join(names)}")
+        raise InputError(f"no golden set at {golden}: it is not a directory; give one that holds {', '.join(names)}")
     for name in names:
         if not any(golden.glob(name)):
             below = any((golden / kind).glob(name))

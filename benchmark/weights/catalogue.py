@@ -107,7 +107,7 @@ def find_checkpoint(name: str) -> PublishedWeights:
         close = did_you_mean(
             name, [known_name for entry in CHECKPOINTS for known_name in (entry.name, entry.files[0].name)]
         )
-        raise InputError(f"there is no official weights file {name!r}; {close}known are {known}")
+        raise InputError(f"unknown official weights file {name!r}; {close}choose from {known}")
     return checkpoint
 
 
@@ -207,7 +207,7 @@ DINO: Final = PublishedWeights(
     (PublishedFile("config.json"), PublishedFile("model.safetensors")),
     "Apache-2.0; trained on ImageNet-1k without labels",
     repository="facebook/dino-vitb16",
-    # The branch that adds safetensors to what is on main.
+    # The branch that adds safetensors to the files of main.
     revision="a77533c84408875b30b5e8beb766c82a5be82bf4",
     used_by="quality (subject consistency)",
     about_megabytes=343,
@@ -215,7 +215,7 @@ DINO: Final = PublishedWeights(
 MUSIQ: Final = PublishedWeights(
     "musiq-spaq",
     (
-        # Its authors put the first digits of the SHA-256 into the name.
+        # Its name holds the first digits of the SHA-256.
         PublishedFile(
             "musiq_spaq_ckpt-358bb6af.pth",
             sha256="358bb6af",

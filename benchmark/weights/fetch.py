@@ -58,14 +58,14 @@ def _fetch_from_hub(weights: PublishedWeights, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     try:
         snapshot_download(weights.repository, revision=weights.revision, allow_patterns=names, local_dir=folder)
-    # Whatever the network, the hub and its client find wrong.
+    # Any error of the network, the hub or its client.
     except Exception as error:
         raise _cannot_fetch(weights.address, error, _format_advice(weights)) from error
     shutil.rmtree(folder / ".cache", ignore_errors=True)
     for file in weights.files:
         path = folder / file.name
         if not path.is_file():
-            raise InputError(f"cannot fetch {weights.url(file)} (it is not there); {_format_advice(weights)}")
+            raise InputError(f"cannot fetch {weights.url(file)} (not found); {_format_advice(weights)}")
         try:
             require_published(weights, file, path)
         except InputError:
@@ -90,7 +90,7 @@ def _download(weights: PublishedWeights, file: PublishedFile, path: Path) -> Non
     except urllib.error.HTTPError as error:
         if error.code != _RANGE_NOT_SATISFIABLE:
             raise _cannot_fetch(url, error, _format_advice(weights, file)) from error
-        # What is there is longer than the file: it is another one.
+        # The partial file is longer than the file: it is another one.
         _delete_partial(part)
         raise InputError(f"{url} has changed since its download began; run the command again") from error
     except (OSError, http.client.HTTPException, ValueError) as error:
@@ -98,11 +98,11 @@ def _download(weights: PublishedWeights, file: PublishedFile, path: Path) -> Non
     received = part.stat().st_size
     if size_bytes not in (None, received):
         _delete_partial(part)
-        raise InputError(f"{url} gave {received} bytes instead of {size_bytes}; fetch {path.name} again")
+        raise InputError(f"{url} returned {received} bytes instead of {size_bytes}; fetch {path.name} again")
     if sha256 is not None and not file_sha256(part).startswith(sha256.lower()):
         _delete_partial(part)
         raise InputError(
-            f"what {url} gave is not {path.name} (its SHA-256 differs); get it from {file.page or weights.address}"
+            f"{url} did not return {path.name} (its SHA-256 differs); get it from {file.page or weights.address}"
         )
     with writing_to(path):
         part.replace(path)
@@ -121,7 +121,7 @@ def _receive(url: str, part: Path) -> None:
         tag, announced = answer.headers.get("ETag", ""), answer.headers.get("Content-Length")
         received = 0
         with writing_to(part):
-            # A weak tag does not promise the same bytes, so that a later range could not rely on it.
+            # A weak tag does not guarantee the same bytes, so a later range request cannot rely on it.
             if tag and not tag.startswith("W/"):
                 tag_file.write_text(tag)
             else:

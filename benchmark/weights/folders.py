@@ -71,7 +71,7 @@ def read_checkpoint(path: Path) -> UntrustedCheckpoint:
 
 def _numbers(data: NDArray[np.uint8], number_type: str, *, swapped: bool) -> "Tensor":
     """The whole of a storage as numbers of one type."""
-    # The door itself needs no PyTorch.
+    # Reading untrusted files needs no PyTorch.
     import torch
 
     item = ITEM_BYTES[number_type]
@@ -129,7 +129,7 @@ def require_folder_of(weights: PublishedWeights, given: Path | None, cache: Path
     lacks = "" if started is None else f" ({started} lacks {', '.join(list_missing_files(started, weights))})"
     where = "" if given is None else f" in {given}"
     raise InputError(
-        f"there are no weights {weights.name}{where}{lacks}, which {weights.used_by} needs; get {weights.names} "
+        f"no weights {weights.name} found{where}{lacks}, which {weights.used_by} needs; get {weights.names} "
         f"({weights.size_text}) from {weights.address} and run: challenger-bench weights import FOLDER --model "
         f"{weights.name}, or on a machine with internet: challenger-bench weights fetch {weights.name}"
     )
@@ -158,13 +158,13 @@ def import_folder(weights: PublishedWeights, path: Path, cache: Path | None = No
     """
     source = path.parent if path.is_file() and [path.name] == [file.name for file in weights.files] else path
     if not source.is_dir():
-        raise InputError(f"there is no folder {path}; give the one that holds {weights.names}")
+        raise InputError(f"{path} does not exist; give the folder that holds {weights.names}")
     missing = list_missing_files(source, weights)
     if missing:
         raise InputError(f"{source} lacks {', '.join(missing)} of {weights.name}; get them from {weights.address}")
     target, folder = find_hub_folder(cache) / weights.name, find_hub_folder(cache) / f".importing-{weights.name}"
     if target.is_dir() and target.resolve() == source.resolve():
-        raise InputError(f"{source} is where {weights.name} is kept already; there is nothing to import")
+        raise InputError(f"{source} is already the stored copy of {weights.name}; nothing to import")
     for file in weights.files:
         require_published(weights, file, source / file.name)
     with lock_folder(folder):
@@ -197,7 +197,7 @@ def recognise_weights(
     named = [entry for entry in entries if path.name in (entry.name, PurePosixPath(entry.repository).name)]
     if len(named) != 1:
         known = ", ".join(entry.name for entry in entries)
-        raise InputError(f"say which weights {path} holds with --model, one of {known}")
+        raise InputError(f"cannot tell which weights {path} holds; give --model, one of {known}")
     return named[0]
 
 

@@ -74,7 +74,7 @@ class OptionalLibrary:
                 f"{self.needed_by} needs the package {self.name}; install it with: pip install "
                 f"'challenger-bench[{self.extra}]'"
             ) from error
-        # Loading bars and advice on the terminal are not for users of a benchmark.
+        # Progress bars and hints of the library are hidden from users of a benchmark.
         logging = importlib.import_module(f"{self.name}.utils.logging")
         logging.set_verbosity_error()
         logging.disable_progress_bar()

@@ -32,7 +32,7 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: Any, *, entr
         facts: JSON values; one entry of the header, because the order of several is not fixed.
         entry: Its name, which tells kinds of files apart.
     """
-    # Each on its own: safetensors refuses tensors that share memory, as slices of one storage do.
+    # Copied one by one: safetensors refuses tensors that share memory, as slices of one storage do.
     contiguous = {
         name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()
     }

@@ -65,7 +65,7 @@ def load_denoiser(path: Path) -> TrajectoryDenoiser:
 def _parse_config(path: Path, stored: Any) -> DenoiserConfig:
     """Configuration of the network of a file, if there can be such a network."""
     kinds = {field.name: type(field.default) for field in fields(DenoiserConfig)}
-    wrong = f"{path} says of its network what no trajectory denoiser is"
+    wrong = f"{path} describes a network that is not a trajectory denoiser"
     if not isinstance(stored, dict) or not set(stored) <= set(kinds):
         raise InputError(f"{wrong}; fetch or make the file again")
     for name, value in stored.items():
@@ -83,7 +83,7 @@ def _require_same_shapes(path: Path, config: DenoiserConfig, tensors: Mapping[st
         with torch.device("meta"):
             expected = TrajectoryDenoiser(config).state_dict()
     except (ArithmeticError, RuntimeError, ValueError) as error:
-        raise InputError(f"{path} says of its network what no trajectory denoiser is ({error}); get another") from error
+        raise InputError(f"{path} does not describe a trajectory denoiser ({error}); get another") from error
     kinds = (
         ([name for name in expected if name not in tensors], "missing"),
         ([name for name in tensors if name not in expected], "too many"),

@@ -63,7 +63,7 @@ class DenoiserConfig:
                 f"a denoiser's width must be an even multiple of its heads, got {self.feature_dim} and {self.heads}"
             )
         if self.conditioned and self.attention:
-            raise InputError("only a network without attention can be told how the vehicle moves; set one of them off")
+            raise InputError("only a network without attention can take the vehicle's motion as input; turn one off")
 
 
 PACKAGED = DenoiserConfig(
@@ -238,7 +238,7 @@ class TrajectoryDenoiser(nn.Module):
             timesteps: (1,) or (B,) 0..99.
             present: (1, 4) or (B, 4) `present_features`, which a network that cannot be told ignores; ``None`` says
                 nothing.
-            step: What `step` gives for these timesteps and what is told, where it is known.
+            step: Output of `step` for these timesteps and conditions, if already computed.
 
         Returns:
             (B, 16, 3) predicted standard normal noise.

@@ -1,6 +1,6 @@
 """Speeds, accelerations and turns of 2 Hz trajectories: which ones a driver could have driven.
 
-What was drawn for one request, and how much more is wanted until enough of it can be driven.
+Samples of one request, and how many more are needed until enough of them are drivable.
 """
 
 import math
@@ -22,7 +22,7 @@ MAX_ACCELERATION: Final = 8.0
 MAX_CURVATURE: Final = 0.22
 """1/m: a rear axle turns around a point at least 4.5 m away."""
 FREE_TURN_RAD: Final = 0.06
-"""Turn that is forgiven whatever the step length, because short steps are noisy."""
+"""Turn that is always tolerated, because the headings of short steps are noisy."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,7 @@ class BatchedNetwork:
     def told(self, present: Tensor | None) -> Denoise:
         """The network with what it is told (`present`): predicts the noise in the rows of all requests."""
         preconditioner = self.denoiser.preconditioner
-        # Elsewhere than on a processor, asking which timestep it is would wait for all that is under way.
+        # On an accelerator, reading the timestep would wait for all pending work.
         kind = None if preconditioner is None or self.device.type != "cpu" else preconditioner.kind(present)
         return functools.partial(self._predict, present=present, kind=kind)
 
@@ -82,7 +82,7 @@ class BatchedNetwork:
             noisy, present = _pad_rows(noisy, size), None if present is None else _pad_rows(present, size)
         step = None if kind is None else self._prepare_step(timestep, present, kind)
         blocks = torch.split(noisy, size)
-        # One row speaks for all.
+        # All rows are equal, so one is enough.
         alone = present is None or len(present) == 1
         moving = [present] * len(blocks) if present is None or alone else list(torch.split(present, size))
         answers = [self.denoiser(block, timestep, known, step) for block, known in zip(blocks, moving, strict=True)]

@@ -1,4 +1,4 @@
-"""What Gaussians of the training data already know about the noise, so that a small network learns only the rest.
+"""Gaussian preconditioner: the linear part of the noise prediction, so that a small network learns only the rest.
 
 The small noise predictor: all waypoints as one vector through residual blocks.
 """
@@ -189,9 +189,9 @@ class NoiseLevelScaling:
     """Knowledge at one noise level, for all actions: (1 or B, 48) each.
 
     Attributes:
-        gaussian: Whose axes they are.
+        gaussian: Gaussian that defines the axes.
         offset: Mean action as it stands there.
-        whitening: What scales components to unit variance.
+        whitening: Factors that scale components to unit variance.
         spread: Standard deviation of the noise.
         variance: Of the noisy actions along each axis.
         left: Standard deviation left to explain along each axis.
@@ -264,12 +264,12 @@ class GaussianPreconditioner(nn.Module):
         if not self.conditioned:
             return
         if present is None:
-            raise InputError("a preconditioner that is told the speed is fitted with the speed of every window")
+            raise InputError("a speed-conditioned preconditioner needs the speed of every window")
         speed, _ = decode_known_speed(present)
         kinds = torch.bucketize(speed, self.edges, right=True)
         for kind in range(len(SPEED_EDGES_M_S) + 1):
             part = flat[kinds == kind]
-            # Too few windows of a speed say less of it than all windows do.
+            # With too few windows at a speed, statistics of all windows are more reliable.
             values = _compute_moments(part if len(part) > 4 * ACTIONS else flat)
             for buffer, value in zip((self.told_mean, self.told_axes, self.told_variances), values, strict=True):
                 buffer[kind].copy_(value)

@@ -90,7 +90,7 @@ class SamplerSettings:
 
 
 class TrajectoryPrior:
-    """What background vehicles could do in the next eight seconds (paper, Diffusion Trajectory Generator).
+    """Prior over background vehicles' trajectories of the next eight seconds (paper, Diffusion Trajectory Generator).
 
     Waypoints are (B, 16, 3): x, y, heading at 2 Hz over 8 s, metres and radians, in the rear-axle frame of the vehicle
     now, x forward. Results depend on the arguments and the state of the generator only; numerical libraries are
@@ -306,7 +306,7 @@ def _read_bank(weights: Path, settings: SamplerSettings) -> Floats:
     if settings.dropout:
         raise InputError("stored samples were drawn without dropout; draw afresh, or leave dropout off")
     if not beside.is_file():
-        raise InputError(f"no stored samples at {beside}; draw afresh, or take weights of train denoiser")
+        raise InputError(f"no stored samples at {beside}; draw afresh, or use weights of train denoiser")
     return read_bank(beside, weights)
 
 
@@ -324,7 +324,7 @@ def _unwrap_headings(waypoints: Floats) -> Floats:
 
 def _check_count(count: int) -> int:
     if count < 1:
-        raise InputError(f"at least one trajectory must be asked for, got {count}")
+        raise InputError(f"at least one trajectory must be requested, got {count}")
     return count
 
 

@@ -147,7 +147,7 @@ def choose_solver_timesteps(calls: int) -> tuple[int, ...]:
     spacing is finer than the schedule, at small noise, it follows the schedule.
     """
     if not 2 <= calls <= STEPS:
-        raise InputError(f"a fast reverse process asks the network 2 to {STEPS} times, got {calls}")
+        raise InputError(f"a fast reverse process takes 2 to {STEPS} network calls, got {calls}")
     ratios = compute_log_ratios()
     wanted = np.linspace(ratios[-1], ratios[0], calls)
     rising = np.rint(np.interp(wanted[::-1], ratios[::-1], np.arange(STEPS)[::-1].astype(np.float64)))

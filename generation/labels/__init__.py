@@ -1,1 +1,1 @@
-"""What an adversary does, in the frame of the ego's path, and where."""
+"""Labels of an adversary's manoeuvre and place, in the frame of the ego's path."""

@@ -1,4 +1,4 @@
-"""What an adversary does to the ego: kind of manoeuvre, closest approach, side, times, place."""
+"""Labels of an adversary: kind of manoeuvre, closest approach, side, times, place."""
 
 from enum import StrEnum
 
@@ -33,15 +33,15 @@ def compute_labels(scene: Scene, agent: int, start: int) -> ManoeuvreLabels:
     if not (0 <= agent < len(scene.agents) and 0 <= start < len(scene.timestamps_us)):
         raise InputError(
             f"{scene.name} has {len(scene.agents)} agents and {len(scene.timestamps_us)} frames; there is no agent "
-            f"{agent} from frame {start} on to describe"
+            f"{agent} from frame {start} on to label; choose one that exists"
         )
     present, boxes = scene.agents.valid[agent], read_agent_boxes(scene, agent)
     if not present[start:].any() or not np.isfinite(boxes).all():
         raise InputError(
-            f"{scene.name}: agent {scene.agents.ids[agent]} is not there from frame {start} on or its track is not "
-            "finite; describe another one"
+            f"{scene.name}: agent {scene.agents.ids[agent]} is absent from frame {start} on, or its track is not "
+            "finite; label another one"
         )
-    # Where the vehicle is not there, its box is the nearest valid one and would count as standing.
+    # While the vehicle is absent, its box is the nearest valid one and would count as standing.
     frames = start + np.flatnonzero(present[start:])
     interaction = compute_path_interaction(scene.ego.boxes, boxes, scene.seconds, present, start)
     closest = find_closest_approach(scene, agent, start)

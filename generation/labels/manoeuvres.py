@@ -1,4 +1,4 @@
-"""What kind of manoeuvre a vehicle makes towards the ego, from its motion in the frame of the ego's driven path.
+"""Kinds of a vehicle's manoeuvre towards the ego, from its motion in the frame of the ego's driven path.
 
 ``docs/manoeuvres.md`` has the definitions in one table; the numbers are the constants below.
 """
@@ -43,7 +43,7 @@ LONG_S = 1.0
 ALONG_RAD = np.deg2rad(45.0)
 """Headings within this of the path's are the ego's own direction; of its reverse, the opposite one."""
 HORIZON_S = 3.0
-"""What the ego reaches within the horizon of a plan concerns it."""
+"""Horizon of a plan: positions that the ego reaches within it matter."""
 BLOCKING_S = 5.0
 """A vehicle ahead blocks if the ego would hit it within this at the present speeds."""
 TAILGATING_S = 1.0
@@ -57,7 +57,7 @@ BESIDE_M = 4.0
 BLIND_SPOT_M = 3.0
 """How far behind the ego's rear, and how far to its side, the blind spot reaches."""
 CLEAR_M = 0.3
-"""Gap to the ego's strip that whoever cuts in had within the 3 s before."""
+"""Gap to the ego's strip that a vehicle had within the 3 s before it cuts in."""
 GAIN_M = 3.0
 OVERTAKEN_M = 2.0
 """An overtaking vehicle gains at least this while it is abreast, and is at least this far ahead then."""
@@ -138,7 +138,7 @@ def _find_beside(met: PathInteraction) -> Iterator[tuple[Manoeuvre, slice]]:
     same = np.abs(met.other.turn) <= ALONG_RAD
     driving = met.present & (met.ego_speed >= MOVING_M_S)
     lead = met.other.station - met.ego.station
-    # An ego that comes to a stand while it is passed is overtaken all the same.
+    # An ego that stops while it is passed still counts as overtaken.
     for run in _find_runs(met, same & (met.side_gap <= BESIDE_M) & met.abreast):
         first, last = lead[run][0], lead[run][-1]
         if driving[run.start] and first < 0.0 and last >= OVERTAKEN_M and last - first >= GAIN_M:
@@ -182,7 +182,7 @@ def _find_runs(met: PathInteraction, mask: Bools, least_s: float = 0.0) -> Itera
 
 
 def _is_coming_in(met: PathInteraction, run: slice) -> bool:
-    """Whether the vehicle was there before a run inside, and clear of the ego's way: who weaves in front never left."""
+    """Whether the vehicle was there before a run inside, and clear of the ego's way: weaving in front is excluded."""
     if run.start < HELD_FRAMES or not met.present[run.start - HELD_FRAMES : run.start].all():
         return False
     before = slice(int(np.searchsorted(met.seconds, met.seconds[run.start] - HORIZON_S)), run.start)
@@ -197,7 +197,7 @@ def _compute_succession(met: PathInteraction, run: slice) -> float:
     """Shortest time between the vehicle in the ego's way and the ego there, in either order."""
     passed = np.searchsorted(np.maximum.accumulate(met.ego.rear), met.other.front[run])
     since = met.seconds[run] - met.seconds[np.minimum(passed, len(met.seconds) - 1)]
-    # What the ego had passed before the first frame, it passed nobody knows when.
+    # Positions that the ego passed before the first frame have an unknown time.
     is_known = (met.ego.rear[run] >= met.other.front[run]) & (passed > 0)
     after = np.where(is_known, np.maximum(since, 0.0), np.inf)
     before = np.where(met.ahead[run], met.meet_s[run], np.inf)

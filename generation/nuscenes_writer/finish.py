@@ -33,7 +33,7 @@ def finish_data_set(
 
     Args:
         plan: The data set.
-        keys: What `write_scene` returned, in the order that the scenes get in the tables.
+        keys: Return values of `write_scene`, in the order of the scenes in the tables.
         extra_splits: Further splits: scene names by split. Their scenes are not in ``plan.split``, unless
             ``plan.split`` is given here as well.
 
@@ -42,7 +42,7 @@ def finish_data_set(
             a split names an unknown scene, or the disk refuses.
     """
     if not keys:
-        raise InputError(f"there is no scene to write to {plan.root}; nothing was changed")
+        raise InputError(f"there are no scenes to write to {plan.root}; nothing was changed")
     fragments = [_read_fragment(plan, key) for key in dict.fromkeys(keys)]
     roots: dict[int, list[Fragment]] = {}
     for fragment in fragments:
@@ -78,14 +78,14 @@ def _require_distinct(members: Sequence[Fragment]) -> None:
     for fragment in members:
         name = fragment["name"]
         if name in names:
-            raise InputError(f"two scenes are called {name}; give each its own name or use another variant")
+            raise InputError(f"two scenes have the name {name}; give each its own name or use another variant")
         names.add(name)
         for kind, known in owners.items():
             for item in fragment[kind]:
                 if item in known:
                     raise InputError(
                         f"{known[item]} and {name} share {kind[:-1]} {item}; scenes of one data set need logs or times "
-                        "and instances of their own: rename their logs or identifiers"
+                        "and instances that they do not share: rename their logs or identifiers"
                     )
                 known[item] = name
 

@@ -27,7 +27,7 @@ from generation.nuscenes_writer.road_maps import merge_road_maps, pack_road_map,
 from generation.nuscenes_writer.vocabulary import LabelVocabulary, Row
 
 MASK_RESOLUTION_M: Final = 0.1
-"""What ``MapMask`` of the devkit takes for granted."""
+"""Resolution that ``MapMask`` of the devkit assumes."""
 _BASEMAP_LONGEST_PX: Final = 4000
 _BAND_ROWS: Final = 512
 _SUBPIXEL_BITS: Final = 4

@@ -1,4 +1,4 @@
-"""What is known of a data set before work on it starts, and the keys and names that follow from it."""
+"""Plan of a data set to be written: facts known in advance, and the keys and names that follow from them."""
 
 import hashlib
 import re
@@ -59,7 +59,7 @@ class DataSetPlan:
             the same plan with ``all`` adds later: tables, tokens and keys are the same with and without them.
         jpeg_quality: 1..100.
         lossless: Beside each JPEG file a PNG file of the same name, which no table names.
-        source: What the data set derives from, or ``None``.
+        source: Source of the data set, or ``None``.
         frozen: Name and content hash of the frozen split that it is built from, if it is.
         search: Hash of what decided its search beside the seed; of splits that are called after their seed alone.
         left_out: Scenes that are not written because an inspector rejected them, each with the number of its variant;
@@ -121,9 +121,9 @@ class SceneNames:
     """Tokens and file names of one scene.
 
     Attributes:
-        suffix: What ``name`` adds to the name of the source scene; part of the file names.
+        suffix: Suffix of ``name`` after the name of the source scene; part of the file names.
         log: Log name, as it may stand in a file name.
-        identity: What the tokens are hashes of, beside their own parts.
+        identity: Content that the tokens are hashes of, beside their own parts.
         keeps_instances: Whether instance tokens of the source stay what they are.
     """
 
@@ -231,4 +231,4 @@ def require_own_root(plan: DataSetPlan, variant: int) -> None:
     folder = plan.data_root(variant) / plan.version
     if plan.state.is_dir() or not any((folder / f"{table}.json").exists() for table in NUSCENES_TABLES):
         return
-    raise InputError(f"{folder} holds a data set that was not written here; choose another --out, nothing was changed")
+    raise InputError(f"{folder} holds a foreign data set; choose another --out, nothing was changed")

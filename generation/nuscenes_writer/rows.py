@@ -116,7 +116,7 @@ def _build_sensor_rows(
 ) -> tuple[list[Row], list[Row]]:
     """Rows of ``sample_data`` and ``ego_pose``, one pair a frame with equal tokens."""
     keyframes, ego = set(scene.keyframes.tolist()), channel.ego or scene.ego
-    # A sweep belongs to the sample before it, as in the reference code; nuScenes says the one after.
+    # A sweep belongs to the sample before it, as in the reference code; in nuScenes, to the one after.
     owner = np.maximum(np.searchsorted(scene.keyframes, frames, side="right") - 1, 0)
     data, poses = [], []
     for frame, sample in zip(frames, owner.tolist()):
@@ -177,8 +177,8 @@ def _build_annotation(names: SceneNames, vocabulary: LabelVocabulary, scene: Sce
     agent_id = scene.agents.ids[agent]
     length, width, height = source.size[at].tolist()
     lidar_points, radar_points = int(source.num_lidar_pts[at]), int(source.num_radar_pts[at])
-    # Evaluators drop boxes without points. Counts of the source stay what they are; where the source says nothing of
-    # visibility it counted nothing either, and what the adversary does must be seen.
+    # Evaluators drop boxes without points. Counts of the source are kept; where the source has no
+    # visibility it has no counts either, and the adversary must stay visible.
     if agent_id in scene.adversaries or source.visibility[at] == 0:
         lidar_points = max(lidar_points, 1)
     attributes = [word for word in str(source.attribute[at]).split(";") if word]

@@ -68,12 +68,12 @@ def write_scene_if_missing(
 
     Args:
         plan: The data set it belongs to.
-        scene: What happens in it; a `CuttingRenderer` may leave its end out.
+        scene: Content of the scene; a `CuttingRenderer` may leave its end out.
         name: Its name in the data set.
         source_scene: Name of the recorded scene it comes from.
         report: Provenance that ends up in ``challenger.json``; plain JSON values.
         variant: Number of the root in the ``per-variant`` layout.
-        identity: What tokens are made of; the scene's motion by default, whose last bits depend on the processor.
+        identity: Source of tokens; the scene's motion by default, whose last bits depend on the processor.
 
     Returns:
         The content key, and whether there was something to do.
@@ -201,7 +201,7 @@ def release_claim(plan: DataSetPlan, claim: dict[str, Any], keep: frozenset[str]
     """Remove the fragment and files that a claim stands for. Those of ``keep`` stay."""
     root = plan.data_root(claim["variant"])
     with writing_to(root):
-        # The fragment goes first: without it the scene is unfinished and whatever is left is written again.
+        # The fragment goes first: without it the scene is unfinished and the rest is written again.
         plan.fragments.path(claim["key"]).unlink(missing_ok=True)
         for path in claim["files"]:
             if path not in keep:
@@ -214,7 +214,7 @@ def require_valid(scene: Scene) -> None:
     It needs keyframes, times that increase, finite poses and positive sizes.
     """
     if not len(scene.keyframes):
-        raise InputError(f"{scene.name} has no keyframes, there is nothing to write; leave it out")
+        raise InputError(f"{scene.name} has no keyframes to write; leave it out")
     if not (np.diff(scene.timestamps_us) > 0).all() or not (np.diff(scene.keyframes) > 0).all():
         raise InputError(f"{scene.name}: the frame times do not increase; repair the recording or leave it out")
     known = scene.annotations.valid

@@ -155,7 +155,9 @@ def _find_table_folder(source: SourceInfo | None) -> Path | None:
         return source.root / source.version
     versions = find_version_folders(source.root)
     if len(versions) > 1:
-        raise InputError(f"{source.root} has several versions ({', '.join(versions)}); say which one is the source")
+        raise InputError(
+            f"{source.root} has several versions ({', '.join(versions)}); name the one to use as the source"
+        )
     return source.root / versions[0] if versions else None
 
 

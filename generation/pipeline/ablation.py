@@ -33,7 +33,7 @@ def run_ablation(source: DataSet, planner: PlannerUnderTest, settings: BuildSett
 
     Args:
         source: Recorded scenes.
-        planner: Who drives.
+        planner: Planner that is evaluated.
         settings: The full search. Its ``out`` is the folder of the study, which holds one build for each row; limits on
             what is kept, several adversaries and a surrogate do not apply.
 

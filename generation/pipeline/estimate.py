@@ -96,7 +96,7 @@ def _read_stage_times(paths: Iterable[Path]) -> list[_StageTimes]:
         try:
             stage_times.append(_StageTimes.model_validate(read_cached_json(path)))
         except ValidationError:
-            # Times are a convenience; a damaged or absent note says nothing.
+            # Times are a convenience; a damaged or absent note is ignored.
             continue
     return stage_times
 
@@ -233,7 +233,7 @@ def estimate_rendering(
         return known
     few = [int(frame) for frame in scene.keyframes[:4]]
     one, some = (_measure_seconds(functools.partial(_draw, renderer, scene, frames)) for frames in (few[:1], few))
-    # What a scene costs before its first picture is drawn is not paid again for each.
+    # The cost of a scene before its first picture is not paid again for each picture.
     frame_s = (some - one) / (len(few) - 1) if len(few) > 1 else one
     return one + max(frame_s, 0.0) * (count - 1)
 

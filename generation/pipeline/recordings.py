@@ -32,7 +32,7 @@ def build_search(source: DataSet, names: Sequence[str], settings: BuildSettings)
         raise InputError(
             f"{source.root} has no map expansion for {without_map[0]} ({len(without_map)} of "
             f"{pluralise(len(names), 'scene')}), and "
-            "an adversary must know the road; put the map expansion's JSON files into maps/expansion"
+            "the search needs the road; put the map expansion's JSON files into maps/expansion"
         )
     return Search(
         fingerprint=source.fingerprint(),
@@ -49,10 +49,7 @@ def build_search(source: DataSet, names: Sequence[str], settings: BuildSettings)
 def require_generated(split: str) -> None:
     """Raise `InputError` for a split that cannot be generated."""
     if not is_generated(split):
-        raise InputError(
-            f"cannot generate split {split!r}; the splits that can be generated are val-r and adv, and adv-seed-N with "
-            "seed N"
-        )
+        raise InputError(f"cannot generate split {split!r}; choose val-r, adv, or adv-seed-N with seed N")
 
 
 def list_source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What a build did: numbers for machines, a short table for people.
+"""Report of a build: numbers for machines, a short table for people.
 
 How much work a build is, counted and timed by small samples; nothing is written.
 """
@@ -30,7 +30,7 @@ from generation.search.verify import DiscardReason, format_masked_steps, sum_mas
 
 @dataclass(frozen=True, slots=True)
 class BuildReport:
-    """What was done.
+    """Numbers of one build.
 
     Attributes:
         split: Split that was built.
@@ -50,7 +50,7 @@ class BuildReport:
         requests: By kind of manoeuvre, if any was asked for: of how many vehicles (``asked``), how many of them drive
             in a direction in which they can do it (``tried``), attempts that passed verification and do it (``kept``),
             and how many are ``written``.
-        surrogate: What the surrogate made of the survivors, if there was one.
+        surrogate: Results of the surrogate on the surviving scenes, if there was one.
         estimate: How much work there is (dry run only).
         runtime: How long the work took, on this or an earlier run; no part of the JSON, which is the same every time.
         dry_run: Whether the work was only counted.
@@ -90,7 +90,7 @@ class BuildReport:
         discarded = Counter(
             attempted.attempt.discard for attempted in found.tried if attempted.attempt.discard is not None
         )
-        # Later looks at the same scene, with adversaries in it, are in candidates.jsonl.
+        # Later selections in the same scene, with adversaries in it, are in candidates.jsonl.
         first_looks = [vehicles for earlier, vehicles in found.eligibility if not earlier]
         return cls(
             split="adv",
@@ -105,7 +105,7 @@ class BuildReport:
                 "dropped": discarded[DiscardReason.UNSOLVABLE.value],
                 "written": sum(is_unsolvable(chain.judgements) for chain in written),
             },
-            # The last adversary of a chain was looked at with all the others in the scene.
+            # The last adversary of a chain was checked with all the others in the scene.
             masked_steps=sum_masked_steps(chain.links[-1].attempt.masked_steps for chain in written),
             adversaries=adversaries,
             requests=_count_requests(found, written),
@@ -167,11 +167,11 @@ class BuildReport:
         lines += [f"  {outcome:<9} {count:>7}  {reason}" for outcome, count, reason in rows]
         if self.unsolvable is not None:
             lines.append(
-                f"  scenes that nobody could have avoided: {self.unsolvable['dropped']} dropped for it, "
+                f"  unavoidable scenes: {self.unsolvable['dropped']} dropped, "
                 f"{self.unsolvable['written']} among those written"
             )
         lines += [
-            f"  {kind}: asked of {pluralise(row['asked'], 'vehicle')}, {row['tried']} tried, {row['kept']} kept, "
+            f"  {kind}: requested from {pluralise(row['asked'], 'vehicle')}, {row['tried']} tried, {row['kept']} kept, "
             f"{row['written']} written"
             for kind, row in self.requests.items()
         ]
@@ -197,7 +197,7 @@ def _count_requests(result: SearchResult, written: Sequence[AdversaryChain]) -> 
 
 
 def estimate_build(source: DataSet, split: str, settings: BuildSettings) -> BuildReport:
-    """What `generation.pipeline.split.build_split` would do, with an estimate; arguments and errors as there."""
+    """Preview of `generation.pipeline.split.build_split`, with an estimate; arguments and errors as there."""
     names = require_buildable(source, split, settings)
     if split != "val-r":
         search = build_search(source, names, settings)

@@ -132,7 +132,7 @@ class SceneSelection:
 def select_scenes(source: DataSet, plan: DataSetPlan, found: SearchResult, settings: BuildSettings) -> SceneSelection:
     """Choose the scenes that are written, and note in ``found`` why the others are not."""
     order = rank_scenes(found.chains, per_scene=None, total=None)
-    # Variants keep their numbers whoever is left out, and with them their tokens, to which verdicts belong.
+    # Variants keep their numbers when scenes are left out, and so their tokens, which verdicts refer to.
     by_name = {job.name: job for job in build_writing_jobs(order, plan)}
     rejected = find_rejected_jobs(plan, list(by_name.values()), source.scene)
     for chain in order:

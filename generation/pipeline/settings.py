@@ -1,4 +1,4 @@
-"""What to build and where."""
+"""Settings of a build."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +18,7 @@ from generation.search.presets import build_default_settings
 
 @dataclass(frozen=True, slots=True)
 class BuildSettings:
-    """What to build and where.
+    """Settings of a build: the scenes, the search and the output.
 
     Attributes:
         out: Root of the new data set.
@@ -81,7 +81,7 @@ class BuildSettings:
             if number is not None and number < 1:
                 raise InputError(f"--{option} must be at least 1, got {number}")
         if self.adversaries > MOST_ADVERSARIES:
-            raise InputError(f"--adversaries must be at most {MOST_ADVERSARIES:,}; no scene has as many vehicles")
+            raise InputError(f"--adversaries must be at most {MOST_ADVERSARIES:,}; no scene has so many vehicles")
 
     @property
     def rendering_executor(self) -> Executor:

@@ -41,8 +41,8 @@ def build_shard(source: DataSet, split: str, settings: BuildSettings, shard: Sha
     """
     if settings.surrogate is not None:
         raise InputError(
-            "a surrogate judges all scenes together; search in shards without --surrogate, and name it in the command "
-            "that comes last, without --shard"
+            "a surrogate needs all scenes together; search in shards without --surrogate, and give it to the command "
+            "that runs last, without --shard"
         )
     names = require_buildable(source, split, settings)
     if split == "val-r":
@@ -78,7 +78,7 @@ def _draw_part(
     files: dict[str, bytes],
     settings: BuildSettings,
 ) -> BuiltShard:
-    # Before anything is written: it would make the root of somebody else look like one of ours.
+    # Before anything is written: writing would make a foreign root look like one of ours.
     for variant in sorted({job.variant for job in mine}):
         require_own_root(plan, variant)
     mark_unfinished_if_changed(plan.root, files)

@@ -50,10 +50,10 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
         source: Recorded scenes.
         split: ``adv`` (adversarial), the same with one of several seeds (``adv-seed-3``), or ``val-r`` (the originals,
             rendered again).
-        settings: What and where.
+        settings: Settings of the build.
 
     Returns:
-        What was done. The same is in ``report.json``, each attempt in ``attempts.jsonl`` and each choice of vehicles in
+        The report. It is also in ``report.json``, each attempt in ``attempts.jsonl`` and each choice of vehicles in
         ``candidates.jsonl``, in the output root.
 
     Raises:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from benchmark.runs.plan_rows import PlannerFactory
 
 PROTOCOL = "exact"
-"""Who says what a collision is."""
+"""Protocol that defines a collision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ def evaluate_surrogate(
     """Finish a data set of written scenes and run a planner on it.
 
     Args:
-        keys: What `write_scene` returned.
+        keys: Return values of `write_scene`.
         seed: Seed of the record's intervals.
 
     Raises:
@@ -122,10 +122,10 @@ def require_all_planned(record: RunRecord) -> None:
         raise InputError(
             f"{record.planner} raised on {record.summary.failed} of "
             f"{pluralise(record.summary.samples, 'sample')}, so it "
-            f"cannot be said which scenes it copes with; the first: {find_first_failure(record.rows)}; all "
+            f"is unknown which scenes it passes; the first: {find_first_failure(record.rows)}; all "
             "tracebacks are "
-            f"in {record.directory / FAILURES_FILE}, correct the "
-            "planner, or have images drawn if it needs them, and run the same command again"
+            f"in {record.directory / FAILURES_FILE}; fix the "
+            "planner, or render images if it needs them, then run the same command again"
         )
 
 

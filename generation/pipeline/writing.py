@@ -42,10 +42,10 @@ class WritingJob:
     Attributes:
         variant: Number of its root in the ``per-variant`` layout; part of its tokens in any.
         make: Turns the recorded scene into what is written; picklable, as jobs go to workers.
-        report: What ``challenger.json`` says of it.
+        report: Its entry in ``challenger.json``.
         last_attempt: Content key of the attempt that made its last adversary, and the place of that among the scene's
             adversaries; ``None`` for a recording.
-        identity: What its tokens are made of, if not its motion.
+        identity: Source of its tokens, if not its motion.
         tracks: How its adversaries were made, if it is to be judged where it is written.
     """
 
@@ -111,7 +111,7 @@ def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob
     if job.tracks is not None:
         _assess_scene(plan, written.key, scene, job.tracks)
     note = timing / f"{written.key}.timing.json"
-    # A scene that was complete takes no time: what it took when it was rendered stays.
+    # A scene that was complete takes no time: its time of rendering is kept.
     if not note.exists():
         value = {"scene": job.written_as, "seconds": {"rendering": time.process_time() - started}}
         write_bytes(note, (canonical_json(value) + "\n").encode(), durable=False)
@@ -211,7 +211,7 @@ PUBLISHERS: Final[tuple[Callable[[WrittenScenes], None], ...]] = (
     _finish,
     _publish_realism,
 )
-"""What makes a data set of written scenes, in this order: realism is read from the finished one."""
+"""Steps that turn written scenes into a data set, in this order: realism is read from the finished one."""
 
 
 def publish(written: WrittenScenes) -> None:
@@ -272,7 +272,7 @@ def _remove_other_layout(plan: DataSetPlan) -> None:
     other = replace(plan, layout="per-variant" if suffixed else "suffixed")
     claims = filter(None, map(read_state, sorted((plan.state / "claims").glob("*.json"))))
     sensor_files = [other.data_root(claim["variant"]) / path for claim in claims for path in claim["files"]]
-    # The tables go last: a killed command finds by them that there is something to take away.
+    # The tables are removed last: they tell a killed command that there is something to remove.
     marks = (root / plan.version / name for root in roots for name in (PROVENANCE, ASSESSMENTS_FILE))
     for path in (*marks, *sensor_files, *left):
         with writing_to(path):
@@ -286,7 +286,7 @@ def mark_unfinished(root: Path) -> None:
     """
     for path in (*_list_marks(root), *(root / KEPT_ROUNDS_FOLDER).glob("*")):
         with writing_to(path):
-            # Another shard may take it away at the same moment.
+            # Another shard may remove it at the same moment.
             path.unlink(missing_ok=True)
 
 

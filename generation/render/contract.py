@@ -49,7 +49,7 @@ def require_frames(scene: Scene, frames: Sequence[int]) -> None:
     count = len(scene.timestamps_us)
     for frame in frames:
         if not 0 <= frame < count:
-            raise InputError(f"{scene.name} has frames 0 to {count - 1}, there is no frame {frame} to render")
+            raise InputError(f"{scene.name} has frames 0 to {count - 1}, so frame {frame} cannot be rendered")
 
 
 @runtime_checkable

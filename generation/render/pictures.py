@@ -77,7 +77,7 @@ def find_best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) ->
     cameras = renderer.cameras(scene)
     names = [camera.name for camera in cameras]
     usual = "CAM_FRONT" if "CAM_FRONT" in names else names[0]
-    # The usual camera wins unless another one sees clearly more.
+    # The usual camera is chosen unless another one sees clearly more.
     score = {name: 1e-6 if name == usual else 0.0 for name in names}
     adversaries = [scene.agents.ids.index(name) for name in scene.adversaries]
     for frame in frames:

@@ -40,7 +40,7 @@ class SearchOutcome:
     Attributes:
         finding: Why the result is not kept and what shows it, or ``None``.
         poses: (T - start, 3) executed poses of the box centre; fewer where planning gave up, (0, 3) without launch.
-        rounds: What was searched, where the whole track was planned and rounds are kept.
+        rounds: Rounds of the search, if the whole track was planned and rounds are kept.
         stage_seconds: Processor seconds of all tries by stage: sampling, physics, scoring, other (everything else).
     """
 
@@ -84,12 +84,12 @@ def search_vehicles(
         model: Physics; those of ``hyper`` by default.
         keep_rounds: Whether the candidates of every round are kept; no other result depends on it.
         earlier: For each vehicle the launch frames of the adversaries that its scene has already, by identifier.
-        asked: What each vehicle is to do, ``None`` where anything is welcome; by default that is everywhere.
+        asked: Manoeuvre requested from each vehicle, ``None`` for any, which is the default for all.
     """
     model = model or hyper.build_motion_model()
     for scene, agent in vehicles:
         if not 0 <= agent < len(scene.agents):
-            raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
+            raise InputError(f"{scene.name} has {len(scene.agents)} agents, so there is no agent {agent}")
     diversify = diversify or (_load_packaged_diversify() if hyper.varied else _keep_unchanged)
     searches = [
         _search_vehicle(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds, launches, kind)
@@ -140,7 +140,7 @@ def _search_vehicle(
         attempt = blank.attempt.model_copy(update={"tries": number + 1, "plans": driven.plans})
         outcome = SearchOutcome(attempt, None, driven.poses, rounds=driven.rounds)
         result = _assess(outcome, planning, earlier) if driven.failure is None else outcome.discarded(driven.failure)
-        # A vehicle that the area loses drives the other way; it would be lost again.
+        # A vehicle that left the area drives away from it, and would leave it again.
         if result.finding is None or result.finding.reason is DiscardReason.LEAVES_AREA:
             break
     return replace(result, stage_seconds=stages)
@@ -165,7 +165,7 @@ def _build_blank_outcome(
         plans=(),
     )
     if asked is not None:
-        # Where nothing is asked for, the report is as it was before one could ask.
+        # Without a requested manoeuvre the report is unchanged from earlier versions.
         attempt = attempt.model_copy(update={"asked": asked.value})
     return SearchOutcome(attempt, None, np.zeros((0, 3)))
 
@@ -174,7 +174,7 @@ def _assess(outcome: SearchOutcome, planning: AdversaryPlanning, earlier: Mappin
     """The result with its verdict and its numbers."""
     agent, start = planning.agent, planning.start
     changed = planning.scene.with_adversary(agent, slice(start, start + len(outcome.poses)), outcome.poses)
-    # The reference code has asked at each planning frame all that it asks.
+    # The reference code makes all its checks at the planning frames.
     verified_here = planning.hyper.discards is not DiscardRules.REFERENCE
     finding = verify(changed, agent, start, planning.hyper, planning.model.limits) if verified_here else None
     soonest = float(compute_times_to_collision(changed, agent, start).min())

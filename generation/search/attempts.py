@@ -160,11 +160,11 @@ def _run_batch(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Se
         stored = StoredAttempt.of(unit, _check_earlier_adversaries(result, unit, search.hyper))
         before = read_cached_attempt(search, unit)
         if before is not None:
-            # Whatever was planned or drawn with this track stays true.
+            # Everything planned or drawn with this track stays valid.
             _require_same_track(before, stored)
             stored = before
         timing = {"scene": unit.scene_name, "agent": unit.agent_id, "seconds": result.stage_seconds}
-        # Before the attempt: whoever finds the attempt finds its time and its rounds as well.
+        # Before the attempt, so that its time and rounds exist wherever the attempt does.
         write_bytes(search.timing_path(unit), (canonical_json(timing) + "\n").encode(), durable=False)
         if keep_rounds and stored.report.kept:
             _write_rounds(search, unit, scene, result.rounds)
@@ -187,7 +187,7 @@ def _require_same_track(before: StoredAttempt, again: StoredAttempt) -> None:
         raise InputError(
             f"searching again for {first_report.agent} in {first_report.scene} gives another track here than the "
             "one that "
-            "was kept, as happens with other versions of the numerical libraries, so its rounds cannot be kept; leave "
+            "stored (other versions of numerical libraries can cause this), so its rounds cannot be stored; leave "
             "--keep-rounds out, or delete the output and generate it again"
         )
 

@@ -37,18 +37,18 @@ from generation.search.reference_scoring import CAR, find_reference_launch, is_i
 SOONEST_S: Final = 1.0
 LATEST_S: Final = 6.0
 SOON_S: Final = 3.0
-"""Who is there as soon as this takes over at once."""
+"""Arrival time within which a vehicle takes over at once."""
 ROOMS_M: Final = (3.0, 10.0, 20.0)
 """How far ahead of the ego's front it may arrive."""
 ACCELERATION_M_S2: Final = 2.0
 BRAKING_M_S2: Final = 3.5
 ACROSS_M_S2: Final = 3.0
-"""What the way there may ask for; less than a driver's limits, because no arc is driven as it is drawn."""
+"""Limits of the way there; below a driver's limits, because no arc is followed exactly."""
 MOST_BEARING_RAD: Final = np.deg2rad(75.0)
 MOST_TURN_RAD: Final = np.deg2rad(100.0)
 """Arriving against the ego's direction is no way in front of it but a head-on crash."""
 FOLLOWING_RAD: Final = np.deg2rad(60.0)
-"""Who arrives along the ego's path within this can drive on with it; others must stop where they are."""
+"""Heading error within which an arriving vehicle can drive on along the ego's path; others must stop there."""
 ROAD_SHARES: Final = (0.2, 0.4, 0.6, 0.8, 1.0)
 MARGIN_M: Final = 5.0
 """Of the area around the ego that is not counted on."""
@@ -191,7 +191,7 @@ class ExclusionReason(StrEnum):
 def draw_candidates(scene: Scene, eligible: Sequence[int], hyper: HyperParameters, seed: int) -> tuple[int, ...]:
     """At most ``hyper.candidate_limit`` of the eligible agent indices, ascending; ``seed`` says which."""
     rng = np.random.default_rng(content_seed("candidates", scene.name, scene.token, seed))
-    # Weighted draw without replacement: who waits least, with waiting times of rate "weight".
+    # Weighted draw without replacement: the shortest exponential waiting times, with the weights as rates.
     measure = compute_nearness if hyper.launch is LaunchRule.REACH else compute_staying_share
     weight = np.array([measure(scene, agent, hyper) for agent in eligible]) ** hyper.staying_preference
     drawn = np.argsort(rng.exponential(size=len(eligible)) / weight, kind="stable")[: hyper.candidate_limit]

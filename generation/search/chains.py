@@ -104,7 +104,7 @@ class AdversaryChain:
     @property
     def name(self) -> str:
         """Name of the generated scene; it does not depend on the rank."""
-        # The same vehicle may have been asked for several kinds.
+        # Several manoeuvres may have been requested from the same vehicle.
         kinds = [link.unit.asked.value for link in self.links if link.unit.asked is not None]
         suffix = make_token("adversary", self.scene_name, *self.agent_ids, *kinds)[:8]
         return f"{self.scene_name.replace('/', '-')}-{suffix}"

@@ -1,4 +1,4 @@
-"""What decides an attempt: the recordings, the settings, the diffusion model and the vehicle; its content keys."""
+"""Definition of an attempt: recordings, settings, diffusion model and vehicle; its content keys."""
 
 import functools
 from collections.abc import Callable

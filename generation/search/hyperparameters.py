@@ -55,7 +55,7 @@ class CollisionReading(StrEnum):
 
 
 class ScoreDefinition(StrEnum):
-    """Whose score: the appendix's (`generation.search.scoring`), or the code's (`reference_scoring` beside it)."""
+    """Source of the score: the appendix (`generation.search.scoring`), or the code (`reference_scoring` beside it)."""
 
     APPENDIX = "appendix"
     REFERENCE = "reference"
@@ -75,7 +75,7 @@ class ExecutionModel(StrEnum):
 
 
 class VehicleChoiceRule(StrEnum):
-    """Whose rules say which vehicles may become adversaries: ours, with our limits, or the reference code's."""
+    """Source of the rules for vehicles that may become adversaries: ours, with our limits, or the reference code's."""
 
     OURS = "ours"
     REFERENCE = "reference"
@@ -163,7 +163,7 @@ class HyperParameters(ThreatSettings):
         most_off_road_share: Share of driven frames with the centre off the drivable area that is tolerated.
         most_corner_off_road_share: The same for any corner.
         stopping_m_s2: Braking that must save the ego if the scene went on after its last frame.
-        collision_reading: What counts as a collision while planning; verification always means contact.
+        collision_reading: Definition of a collision while planning; verification always means contact.
         best_of_all_rounds: Execute the best candidate of all rounds; the reference forgets all but the last round.
         stable_softmax: Subtract the smallest score before the exponential. The reference does not, in single
             precision: where every score is beyond about 103 it can draw nothing and stops.
@@ -173,11 +173,11 @@ class HyperParameters(ThreatSettings):
         init_least: Lower end of the random initial score.
         manoeuvre_weight: Weight of what is missing to a manoeuvre that was asked for (``generate --manoeuvre``), until
             the driven track has it; it counts only where one was asked for.
-        score: Whose score.
+        score: Source of the score.
         motion: How a planned vehicle moves.
-        choice: Whose rules choose vehicles.
+        choice: Source of the rules that choose vehicles.
         launch: When an adversary takes over.
-        discards: What a scene is dropped for.
+        discards: Reasons to drop a scene.
         solvable: Whether a scene that no driver could have avoided is dropped (``docs/severity.md``, "What solvable
             means"). Neither the paper nor the code asks. No track depends on it.
     """

@@ -31,7 +31,7 @@ from generation.labels.manoeuvres import (
 from generation.search.recorded_ego_path import RecordedEgoPath
 
 MOST_MISSING_M: Final = 30.0
-"""What is farther away than this is as far as anything else."""
+"""Largest missing distance; larger ones are clipped to it."""
 RADIAN_M: Final = 5.0
 """Metres that a radian of heading counts for, about the length of a car."""
 SPEED_S: Final = 1.0
@@ -45,7 +45,7 @@ BESIDE_AIM_M: Final = 1.0
 PAST_M: Final = 1.0
 """Free space along the path with which a vehicle that has passed another may come in."""
 _PREPARING_M: Final = 5.0
-"""What is missing at least while a vehicle is not in position, so that being in position is always better."""
+"""Least missing distance of a vehicle out of position, so that being in position is always better."""
 _SIDES: Final = {"left": 1.0, "right": -1.0}
 
 

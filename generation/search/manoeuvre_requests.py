@@ -20,7 +20,7 @@ from generation.search.recorded_ego_path import RecordedEgoPath
 from generation.search.threat import EgoLookahead
 
 FALLBACK_KINDS: Final = (Manoeuvre.PASSING_WIDE, Manoeuvre.DISTANT)
-"""What is left where nothing else happens, and cannot be asked for."""
+"""Manoeuvres that apply when no other does, and cannot be requested."""
 REQUESTABLE_KINDS: Final = tuple(kind for kind in Manoeuvre if kind not in FALLBACK_KINDS)
 READY_FRAMES: Final = 24
 """Within so many frames a vehicle that cuts in was outside."""
@@ -68,11 +68,11 @@ class ManoeuvreRequest:
     def is_fulfilled(self, track: Floats) -> bool:
         """Whether the executed track has the kind already, by the label itself."""
         end = self.start + len(track)
-        # The label looks as far ahead as the ego gets in 3 s; a second more is for what it settles on.
+        # The label looks as far ahead as the ego gets in 3 s, plus one second to settle.
         visible = slice(0, end + LOOK_AHEAD_FRAMES)
         boxes = read_agent_boxes(self.scene, self.agent)[visible]
         boxes[self.start : end, [0, 1, 4]] = track
-        # It goes on as it does: speeds at the last frame look ahead.
+        # Extrapolated at constant speed: speeds at the last frame look ahead.
         step = track[-1, :2] - track[-2, :2] if len(track) > 1 else np.zeros(2)
         boxes[end:, [0, 1, 4]] = track[-1]
         boxes[end:, :2] += step * np.arange(1, len(boxes) - end + 1)[:, None]
@@ -96,17 +96,17 @@ class ManoeuvreRequest:
 
 
 def parse_manoeuvre(name: str) -> Manoeuvre:
-    """The kind of a name; `InputError` for an unknown one, and for the kind that is left where nothing happens."""
+    """The kind of a name; `InputError` for an unknown one, and for kinds that cannot be requested."""
     kinds = [kind.value for kind in REQUESTABLE_KINDS]
     if name in FALLBACK_KINDS:
-        raise InputError(f"{name} is what is left where nothing else happens; ask for one of {', '.join(kinds)}")
+        raise InputError(f"{name} applies when no other kind does; request one of {', '.join(kinds)}")
     if name not in kinds:
-        raise InputError(f"there is no manoeuvre {name!r}; {did_you_mean(name, kinds)}there are {', '.join(kinds)}")
+        raise InputError(f"unknown manoeuvre {name!r}; {did_you_mean(name, kinds)}use one of {', '.join(kinds)}")
     return Manoeuvre(name)
 
 
 def can_perform(kind: Manoeuvre, scene: Scene, agent: int, start: int) -> bool:
-    """Whether a vehicle drives in a direction in which it can do what is asked: none turns round for a request.
+    """Whether a vehicle drives in a direction that allows the requested manoeuvre; none turns round for it.
 
     Returns:
         For `ONCOMING`, whether it is opposing at the launch; for `CROSSING`, whether its recording is ever across

@@ -1,6 +1,6 @@
 """The planning frames of one adversary: searched one after the other, the best candidate executed up to the next.
 
-What the public reference code drops a scene for: a bad score, or a place far from the ego. Contact is no reason.
+Discard rules of the public reference code: a bad score, or a place far from the ego. Contact is no reason.
 """
 
 import time
@@ -191,7 +191,7 @@ class AdversaryPlanning:
     def offsets(self, frame: int) -> tuple[int, ...]:
         """Frames after a planning frame that are scored."""
         left = len(self.scene.timestamps_us) - 1 - frame
-        # Where less than a timestep is left, the scene's last frame stands for it.
+        # If less than a timestep is left, the scene's last frame is used.
         return tuple(offset for offset in self.hyper.scored_frames if offset <= left) or (left,)
 
     def build_rating(

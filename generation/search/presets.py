@@ -94,9 +94,9 @@ def build_trajectory_model(
             says.
 
     Returns:
-        What makes the model in each process.
+        Factory of the model for each process.
     """
-    # Settings are checked where nothing runs yet, and torch is slow to import.
+    # Settings are checked before anything runs, and torch is slow to import.
     from generation.diffusion.prior import CandidateSource, SamplerSettings
     from generation.search.definition import PackagedPrior
 

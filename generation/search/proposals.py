@@ -1,4 +1,4 @@
-"""What a search asks of a diffusion model, and many searches asking together.
+"""Requests of searches to a diffusion model, and batching of many searches.
 
 A search is a generator: it yields a request for trajectories and is sent the answer. One search alone and many side by
 side run through the same code (`run_searches`), so that a model on an accelerator can answer all of them in one call.

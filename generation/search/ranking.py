@@ -12,7 +12,7 @@ from generation.labels.labelling import compute_body_gaps, compute_ego_speed, co
 CLOSE_M = 10.0
 """Gap at which closeness begins to count."""
 THREAT_S = 3.0
-"""Horizon of a plan: meeting later than that is nobody's mistake yet."""
+"""Horizon of a plan: a plan is not responsible for later conflicts."""
 MOVING_M_S = 3.0
 """Speed of the ego from which on a frame counts in full."""
 

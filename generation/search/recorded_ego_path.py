@@ -1,4 +1,4 @@
-"""What the recorded ego will do, as planning needs it: its path, where it is on it, and how far it would overrun."""
+"""Future of the recorded ego for planning: its path, its position on it, and how far it would overrun."""
 
 from dataclasses import dataclass
 from typing import Final, Self
@@ -58,7 +58,7 @@ class RecordedEgoPath:
         segment = np.clip(np.searchsorted(path.stations, stations, side="right") - 1, 0, len(edge) - 1)
         headings = np.arctan2(edge[segment, 1], edge[segment, 0])
         speed = compute_smooth_speed(path.ego_stations, scene.seconds)
-        # Who is to be there when it matters has to come a little earlier.
+        # An adversary that must be in position at that time has to arrive a little earlier.
         over = maximum_filter1d(
             compute_overrun(path.ego_stations, speed), 2 * round(AROUND_S * FRAME_HZ) + 1, mode="nearest"
         )

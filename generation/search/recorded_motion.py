@@ -1,6 +1,6 @@
 """Where a recorded vehicle is around the ego, and how it moves at a frame: what a hand-over starts from.
 
-Whether the recorded ego gets through: its own trajectory, judged as the metrics judge a plan.
+Check that the recorded ego passes: its own trajectory, scored as the metrics score a plan.
 """
 
 import numpy as np

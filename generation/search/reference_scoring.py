@@ -5,7 +5,7 @@ candidate where boxes are intersected, and gives candidates that would touch the
 What the paper says in their place is in `generation.search.differences_from_paper`. Vectorised over candidates, poses
 and objects.
 
-What the public reference code does before its score: which vehicles, from when on, in which state of motion.
+Rules of the public reference code before its score: choice of vehicles, launch times, initial motion.
 """
 
 from collections.abc import Sequence

@@ -204,7 +204,7 @@ def build_trace_frame(
     for number, (batch, score) in enumerate(zip(found.batches, compare_scores(found.batches, hyper), strict=True)):
         motion = batch.evaluated.motion
         if motion.center.shape[1] <= steps:
-            # Scores look no farther than the scene; a picture does.
+            # Scores end with the scene; pictures show the full trajectories.
             motion = simulate(batch.waypoints, state, length_m, steps=steps, model=model)
         chosen = found.chosen if number == found.round else None
         shown = select_shown_candidates(score, motion.finite, chosen)

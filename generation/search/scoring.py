@@ -134,7 +134,7 @@ def compute_score_terms(
     safety_weight = hyper.compute_safety_step_weights()[:count]
     center_off = ~around.raster.look_up(boxes[..., :2])
     corner_off = _is_any_corner_off(boxes, around.raster)
-    # What overflows is marked as not finite, because it would spoil the normalisation of the whole batch.
+    # Overflows are marked as not finite, because they would spoil the normalisation of the whole batch.
     with np.errstate(over="ignore"):
         offset = boxes[..., :2] - around.ego_center[:, None]
         distance = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
@@ -272,7 +272,7 @@ def normalise_challenge(challenge: Floats, finite: Bools) -> Floats:
 def compute_final_scores(terms: ScoreTerms, start: Floats, hyper: HyperParameters) -> Floats:
     """FinalScore of the appendix: (B,), lower is better, infinity for candidates that must never be chosen."""
     (challenge,) = terms.challenges([terms])
-    # What was asked for stands in the place of the challenge until it is done.
+    # The requested manoeuvre replaces the challenge until it is done.
     wanted = hyper.ac_weight * challenge
     if terms.asked is not None:
         wanted = hyper.manoeuvre_weight * terms.requests([terms])[0]

@@ -106,7 +106,7 @@ USUAL_ACROSS_M_S2: Final = 0.7
 AHEAD_M: Final = 8.0
 """Room ahead of the ego at which an adversary is surely ahead of it."""
 MOST_BEHIND: Final = 3.0
-"""In units of 20 m: whoever is farther behind is not further off."""
+"""Largest distance behind, in units of 20 m; larger ones are clipped to it."""
 FREE_SHARE: Final = 0.6
 """Share of half the area's side within which nothing is said of its edge."""
 

@@ -30,7 +30,7 @@ def parse_setting(name: str, text: str, kind: type) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class ThreatSettings:
-    """What `generation.search.threat` adds to a score, equation by equation in ``docs/generation.md``.
+    """Terms that `generation.search.threat` adds to a score; ``docs/generation.md`` has the equations.
 
     Attributes:
         threat_weight: Of the distance to where an ego that does not react would run into the candidate.

@@ -1,8 +1,8 @@
-"""Whether an adversarial scene is kept: challenging, drivable, and passable for the recorded ego.
+"""Verification of adversarial scenes: challenging, drivable, and passable for the recorded ego.
 
 Paper section 3 (last paragraph of "Multi-round Trajectory Refinement") and appendix "The Adv-nuSc Dataset".
 
-Whether the recorded ego is clear of an adversary as the official protocols see both, and how large it is for them.
+Ground-truth checks: whether the recorded ego is clear of an adversary under the official protocols.
 """
 
 from collections import Counter
@@ -74,7 +74,7 @@ def sum_masked_steps(scenes: Iterable[Mapping[str, MaskedSteps]]) -> dict[str, d
 def format_masked_steps(sums: Mapping[str, Mapping[str, int]]) -> str:
     """`sum_masked_steps` for people."""
     counts = ", ".join(f"{name} {of['adversary']} / {of['others']}" for name, of in sums.items())
-    return f"steps masked whatever is planned, for adversaries / for others: {counts}"
+    return f"steps masked for every plan, because of adversaries / of others: {counts}"
 
 
 def compute_raster_footprints(scene: Scene, frames: NDArray[np.int64]) -> Floats:
@@ -137,7 +137,7 @@ class VerificationFailure:
     Attributes:
         frame: First frame at which it shows, where there is one.
         other: Instance identifier of what was touched, or ``ego``.
-        quantity: What was measured, with its unit.
+        quantity: Measured quantity, with its unit.
         limit: How much was allowed, or needed.
     """
 

@@ -76,10 +76,10 @@ class TownSettings:
 
     def _drawn(self) -> tuple[object, ...]:
         settings = asdict(self)
-        # Nothing is measured on images that wait to be drawn, and the folder stays the same when they are.
+        # Nothing is measured on images not yet drawn, and the folder name does not change when they are.
         del settings["pictures"]
         if not self.off_path:
-            # A town of before is still the same town.
+            # A town of an earlier version is still the same town.
             del settings["off_path"]
         if not self.crossing:
             del settings["crossing"]
@@ -95,7 +95,7 @@ def build_town_data_set(root: Path, settings: TownSettings, *, workers: int) -> 
 
     Args:
         root: Root of the data set.
-        settings: What to write.
+        settings: Settings of the town.
         workers: Number of processes.
 
     Returns:
@@ -114,7 +114,7 @@ def build_town_data_set(root: Path, settings: TownSettings, *, workers: int) -> 
             f"--crossing is a number of pedestrians in training scenes, got {settings.crossing}; give 0 or more, with "
             "--train-scenes or --driven"
         )
-    # How many there can be is asked before a billion of them are listed.
+    # The largest number is checked before a billion of them are listed.
     list_town_scene_names("val", settings.val_scenes)
     list_town_scene_names("train", settings.train_scenes)
     drives = _read_drives(settings)
@@ -146,7 +146,7 @@ def _read_drive_record(folder: Path) -> DriveRecord:
     records = find_drives(folder)
     if len(records) != 1:
         raise InputError(
-            f"{folder} holds {len(records) or 'no'} records of drives ({DRIVE_FILE}); give --driven the folder of one"
+            f"{folder} holds {len(records) or 'no'} records of drives ({DRIVE_FILE}); give --driven a folder of one"
         )
     return records[0]
 
@@ -156,19 +156,17 @@ def _read_drives(settings: TownSettings) -> dict[int, PlannerDrive]:
     if settings.driven is None:
         return {}
     if settings.off_path or settings.train_scenes:
-        raise InputError(
-            "--driven says itself which training scenes there are; leave --train-scenes and --off-path out"
-        )
+        raise InputError("--driven sets the training scenes itself; leave --train-scenes and --off-path out")
     record = _read_drive_record(settings.driven)
     measured = record.facts.measured
     if measured.engine != "default" or measured.agents != "replay":
         raise InputError(
-            f"{settings.driven} was driven with --engine {measured.engine} --agents {measured.agents}; only where "
-            "others do what they did (default, replay) is the scene the one that was driven through"
+            f"{settings.driven} was driven with --engine {measured.engine} --agents {measured.agents}; give drives "
+            "in which other road users do as recorded (--engine default --agents replay)"
         )
     if measured.until != "contact":
         raise InputError(
-            f"{settings.driven} was driven with --until {measured.until}, in which whoever touches the ego goes; drive "
+            f"{settings.driven} was driven with --until {measured.until}, which removes cars that touch the ego; drive "
             "without it"
         )
     known = {name: number for number, name in enumerate(list_town_scene_names("train", MOST_TRAIN_SCENES))}
@@ -177,7 +175,7 @@ def _read_drives(settings: TownSettings) -> dict[int, PlannerDrive]:
     if strange is not None or not drives:
         raise InputError(
             f"{settings.driven} holds no drive through training scenes of the town"
-            f"{f', but one through {strange}' if strange else ''}; drive the split train of one (--data, --split train)"
+            f"{f', but one through {strange}' if strange else ''}; drive its split train (--data, --split train)"
         )
     return {known[name]: PlannerDrive.of_row(record.planner, row) for name, row in drives.items()}
 

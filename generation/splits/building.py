@@ -39,7 +39,7 @@ _MARK: Final = "frozen.json"
 
 @dataclass(frozen=True, slots=True)
 class FrozenBuildReport:
-    """What was built.
+    """Report of a built frozen split.
 
     Attributes:
         name: Of the frozen split.
@@ -47,14 +47,14 @@ class FrozenBuildReport:
         scenes: Recorded scenes used.
         written: Names of the scenes, most challenging first.
         other_tables: Scenes whose tables differ from those that were frozen.
-        images: What the frozen hashes of images are of, if the images here could be compared.
+        images: Renderer and settings of the frozen image hashes, if the images here could be compared.
         other_images: Scenes whose images differ.
         verified_by: Version of the search that verified the scenes; they are not verified anew.
         unsolvable: Scenes that no driver could have avoided (``docs/severity.md``); kept as frozen.
         masked_steps: By protocol, steps that are masked for every plan (`BuildReport.masked_steps`).
         estimate: How much work there is (dry run only).
         split: Name of the split.
-        faults: What is wrong with the motion of adversaries, by scene; of edited scenes alone, which are not verified.
+        faults: Faults in the motion of adversaries, by scene; only of edited scenes, which are not verified.
     """
 
     name: str
@@ -109,7 +109,7 @@ class FrozenBuildReport:
                 f"{self.estimate.sentence()}; nothing was written"
             )
         tables = (
-            "equal to those that were frozen"
+            "equal to the frozen ones"
             if not self.other_tables
             else f"differ in {len(self.other_tables)} of {pluralise(count, 'scene')}, "
             "because the recordings here differ"
@@ -118,8 +118,7 @@ class FrozenBuildReport:
             f"{pluralise(count, 'scene')} built from {'the edited' if self.edited else 'frozen split'} {self.name}, "
             f"{pluralise(self.scenes, 'recorded scene')}\n"
             f"  tables: {tables}\n  images: {self._images(count)}\n  {format_masked_steps(self.masked_steps)}\n"
-            f"  scenes that nobody could have avoided: {len(self.unsolvable)}, kept as frozen"
-            + self._format_verification()
+            f"  unavoidable scenes: {len(self.unsolvable)}, kept as frozen" + self._format_verification()
         )
 
     def _format_verification(self) -> str:
@@ -128,18 +127,18 @@ class FrozenBuildReport:
             return ""
         if self.edited:
             wrong = "; ".join(f"{name}: {', '.join(names)}" for name, names in self.faults.items() if names)
-            return f"\n  edited, and verified by nobody; faults of motion (docs/realism.md): {wrong or 'none'}"
+            return f"\n  edited and not verified; faults of motion (docs/realism.md): {wrong or 'none'}"
         return (
-            f"\n  verified by version {self.verified_by} of the search, as it was frozen; a search verifies by version "
-            f"{ALGORITHM_VERSION} today (docs/frozen-splits.md)"
+            f"\n  verified by version {self.verified_by} of the search, as frozen; today's search verifies by version "
+            f"{ALGORITHM_VERSION} (docs/frozen-splits.md)"
         )
 
     def _images(self, count: int) -> str:
         if self.images is None:
-            return "not compared, the frozen split has no hashes of images made in this way"
+            return "not compared, because the frozen split has no hashes of such images"
         if not self.other_images:
-            return "equal to those that were frozen"
-        why = "the recordings here differ" if self.other_tables else "the renderer rounds otherwise here"
+            return "equal to the frozen ones"
+        why = "the recordings here differ" if self.other_tables else "the renderer rounds differently here"
         return f"differ in {len(self.other_images)} of {count} scenes, because {why}"
 
 
@@ -151,11 +150,11 @@ def build_frozen(
     Args:
         source: The recordings.
         split: The frozen split (`generation.splits.packaged.read_frozen_split`).
-        settings: What and where. What belongs to the search is not looked at.
+        settings: Settings of the build; those of the search are ignored.
         as_split: Name of the split that is written: ``adv``, or that of the seed with which it was searched.
 
     Returns:
-        What was built, and what is not as it was frozen.
+        Report of the build, with differences from the frozen scenes.
 
     Raises:
         InputError: If these are other recordings, a scene is unknown, the output holds a split that was searched or is
@@ -169,7 +168,7 @@ def build_frozen(
         )
         workers = count_workers(settings.rendering_executor)
         return replace(report, estimate=WorkEstimate(0, 0.0, len(chosen), scene_s, workers, workers))
-    # Everything is looked at before anything is written.
+    # Everything is checked before anything is written.
     jobs, tables, masked = build_frozen_jobs(source, plan, chosen, split)
     with lock_folder(settings.out):
         write_json(plan.state / _MARK, {"name": split.name, "content": report.content})
@@ -240,8 +239,7 @@ def require_not_frozen(root: Path) -> None:
         stored = read_cached_json(mark)
         name = stored.get("name") if isinstance(stored, dict) else None
         raise InputError(
-            f"{root} is built from the frozen split {name}; search for another split in another --out, nothing was "
-            "changed"
+            f"{root} was built from the frozen split {name}; search into another --out, nothing was changed"
         )
 
 
@@ -249,11 +247,11 @@ def _require_free_root(root: Path, name: str, content: str) -> None:
     """Refuse a root that was searched in, or that is built from another frozen split."""
     state = root / STATE_FOLDER
     if (root / "search.json").exists() or (state / "attempts").exists() or (state / "surveys").exists():
-        raise InputError(f"{root} holds what generate searched for; build {name} in another --out, nothing was changed")
+        raise InputError(f"{root} holds the results of a search; build {name} in another --out, nothing was changed")
     stored = read_cached_json(state / _MARK)
     if isinstance(stored, dict) and stored.get("content") != content:
         raise InputError(
-            f"{root} is built from the frozen split {stored.get('name')}, which is not the same; build {name} in "
+            f"{root} was built from another frozen split ({stored.get('name')}); build {name} in "
             "another "
             "--out, nothing was changed"
         )
@@ -264,7 +262,7 @@ def _require_recorded(source: DataSet, recorded: Sequence[str]) -> None:
     if missing:
         raise InputError(
             f"{source.name} lacks {len(missing)} of the {len(recorded)} recorded scenes that the frozen split needs, "
-            f"the first is {missing[0]}; choose the recordings that it was made from with --data, or fewer with "
+            f"the first is {missing[0]}; choose the recordings that it was made from with --data, or fewer scenes with "
             "--scenes"
         )
 

@@ -25,7 +25,7 @@ def build_cached_root(source: DataSet, renderer: Renderer, workers: int, say: Ca
     made_of = content_key(newest.frozen.content_id, source.fingerprint(), renderer.name, renderer.version, DEFINITION)
     root = cache_root() / f"{newest.name}-{made_of[:12]}"
     if is_finished(root):
-        say(f"split adv of {source.name} is the frozen split {newest.name}; generate --split adv searches for another")
+        say(f"split adv of {source.name} is the frozen split {newest.name}; generate --split adv starts a new search")
         return root
     say(f"building the frozen split {newest.name} in {root} (once, about a minute)")
     settings = BuildSettings(out=root, renderer=renderer, frames="keyframes", executor=LocalProcesses(workers))

@@ -52,7 +52,7 @@ def build_edited_split(source: DataSet, path: Path, edited: EditedScenes | None 
 
     Args:
         source: The recordings.
-        edited: What was read of the files, if they were.
+        edited: Content of the files, if already read.
         path: A ScenarioNet file of an edited scene, or a folder of them: files that `data export scenarionet` wrote, of
             the recordings or of generated scenes, or others whose tracks have the recordings' identifiers.
 
@@ -102,7 +102,7 @@ def _read_recording(source: DataSet, exchanged: ExchangedScene, file: Path) -> S
     recorded_name = next((name for name in (exchanged.source_scene, exchanged.scene.name) if name in names), None)
     if recorded_name is None:
         raise InputError(
-            f"{file} is of {to_one_line(exchanged.source_scene, 80)}, which {source.name} has no recording of; "
+            f"{file} was made from {to_one_line(exchanged.source_scene, 80)}, which {source.name} has no recording of; "
             "choose the "
             "recordings that it was exported from with --data"
         )
@@ -123,7 +123,7 @@ def build_edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene
         if differs.any():
             adversaries.append(_build_adversary(scene, row, recorded, agent, differs, file))
     if not adversaries:
-        raise InputError(f"{file} holds {recorded.name} as it was recorded; move a vehicle in it, or leave it out")
+        raise InputError(f"{file} holds {recorded.name} unchanged; move a vehicle in it, or leave it out")
     adversaries.sort(key=lambda each: (each.launch_frame, recorded.agents.ids.index(each.instance)))
     stem = recorded.name.replace("/", "-")
     suffix = make_token("edited", recorded.name, [adversary.model_dump(mode="json") for adversary in adversaries])[:8]
@@ -134,7 +134,7 @@ def _require_same_drive(scene: Scene, recorded: Scene, file: Path) -> None:
     """Refuse other times, and an ego that drives elsewhere."""
     if len(scene.timestamps_us) != len(recorded.timestamps_us):
         raise InputError(
-            f"{file} has {len(scene.timestamps_us)} frames and {recorded.name} was recorded with "
+            f"{file} has {len(scene.timestamps_us)} frames but {recorded.name} was recorded with "
             f"{len(recorded.timestamps_us)}; export it again from these recordings"
         )
     apart = np.abs(scene.seconds - recorded.seconds).max()
@@ -155,15 +155,13 @@ def _require_same_drive(scene: Scene, recorded: Scene, file: Path) -> None:
 def _match_objects(scene: Scene, recorded: Scene, file: Path) -> NDArray[np.int64]:
     """Index in the edited scene of each recorded object."""
     ids = {name: row for row, name in enumerate(scene.agents.ids)}
-    # Generated scenes that share a root have identifiers of their own, made of those of the recording.
+    # Generated scenes that share a root have new identifiers, derived from those of the recording.
     called = [name if name in ids else make_token("instance", scene.name, name) for name in recorded.agents.ids]
     missing = [name for name, own in zip(recorded.agents.ids, called, strict=True) if own not in ids]
     added = sorted(set(ids) - set(called))
     if missing or added:
-        problem = (
-            f"lacks {missing[0]} of {recorded.name}" if missing else f"has {to_one_line(added[0], 80)}, which is new"
-        )
-        raise InputError(f"{file} {problem}; vehicles may be moved, and nothing may be added or taken away")
+        problem = f"lacks {missing[0]} of {recorded.name}" if missing else f"adds {to_one_line(added[0], 80)}"
+        raise InputError(f"{file} {problem}; vehicles may be moved, but not added or removed")
     rows = np.array([ids[own] for own in called], np.int64)
     sizes = np.abs(scene.agents.size[rows] - recorded.agents.size).max(axis=1, initial=0.0)
     kinds = [scene.agents.categories[row] for row in rows.tolist()]
@@ -190,18 +188,18 @@ def _build_adversary(
     name, category = recorded.agents.ids[agent], recorded.agents.categories[agent]
     described = f"{file}: {name} of {recorded.name}"
     if not category.startswith("vehicle."):
-        raise InputError(f"{described} ({category}) is not where it was recorded; only vehicles may be edited")
+        raise InputError(f"{described} ({category}) was moved; only vehicles may be edited")
     recorded_valid = recorded.agents.valid[agent, recorded.keyframes]
     first = int(np.argmax(differs))
     before = np.flatnonzero(recorded_valid[:first])
     if not len(before) and not recorded_valid[first]:
         begins = int(recorded.keyframes[np.argmax(recorded_valid)])
-        raise InputError(f"{described} is there before frame {begins}, where its recording begins; let it begin there")
+        raise InputError(f"{described} exists before frame {begins}, where its recording begins; start it there")
     launch = int(recorded.keyframes[before[-1] if len(before) else first])
     missing = np.flatnonzero(~scene.agents.valid[row, launch:])
     if len(missing):
         raise InputError(
-            f"{described} is not there at frame {launch + int(missing[0])}; a vehicle that is edited must be "
+            f"{described} is absent at frame {launch + int(missing[0])}; a vehicle that is edited must be "
             "there from its "
             f"first change to the end (frame {len(scene.timestamps_us) - 1})"
         )

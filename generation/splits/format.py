@@ -18,7 +18,7 @@ from benchmark.records.store import validate_stored
 FORMAT: Final = "challenger-bench frozen split"
 SCHEMA: Final = 1
 EDITED: Final = "edited"
-"""In place of the version of the search: somebody edited the scenes, and nobody verified them."""
+"""Replaces the version of the search if the scenes were edited by hand and not verified."""
 MOST_BYTES: Final = 256 * 1024 * 1024
 """No frozen split of any data set is larger; a file that is will not be read into memory."""
 METRE_DIGITS: Final = 3
@@ -73,10 +73,10 @@ class FrozenScene(_FrozenModel):
     @model_validator(mode="after")
     def _check_consistency(self) -> Self:
         if not self.name.startswith(self.source.replace("/", "-")):
-            raise ValueError(f"the scene {self.name} is not called after its recorded scene {self.source}")
+            raise ValueError(f"the scene {self.name} is not named after its recorded scene {self.source}")
         instances = [adversary.instance for adversary in self.adversaries]
         if len(set(instances)) < len(instances):
-            raise ValueError(f"{self.name} has one adversary twice")
+            raise ValueError(f"{self.name} names the same adversary twice")
         return self
 
     @property
@@ -171,13 +171,13 @@ class FrozenSplit(_FrozenModel):
     """A frozen split.
 
     Attributes:
-        format: What the file is.
+        format: Format name of the file.
         schema_version: Version of the format.
         split: Name of the split.
-        recordings: What it was made from.
-        search: Who searched.
+        recordings: Data set that it was made from.
+        search: Identity of the search.
         chosen: How its scenes were chosen.
-        images: What the scenes' hashes of images are of; null where there are none.
+        images: Renderer and settings of the scenes' image hashes; null if there are none.
         scenes: The scenes, most challenging first.
     """
 
@@ -195,7 +195,7 @@ class FrozenSplit(_FrozenModel):
         known: set[str] = set()
         for scene in self.scenes:
             if scene.name in known:
-                raise ValueError(f"two scenes are called {scene.name}")
+                raise ValueError(f"two scenes have the name {scene.name}")
             known.add(scene.name)
         return self
 
@@ -221,13 +221,13 @@ def read_frozen(path: Path) -> FrozenSplit:
     except OSError as error:
         raise InputError(f"cannot read the frozen split {path}: {error.strerror or error}") from error
     if size > MOST_BYTES:
-        raise InputError(f"{path} has {size} bytes and is no frozen split, which has a few thousand a scene")
+        raise InputError(f"{path} has {size} bytes, too many for a frozen split; name another file")
     stored = read_json(path)
     if not isinstance(stored, dict) or stored.get("format") != FORMAT:
-        raise InputError(f"{path} is no frozen split: it does not say {FORMAT!r}; generate --freeze writes one")
+        raise InputError(f"{path} is not a frozen split: it lacks the format {FORMAT!r}; generate --freeze writes one")
     if type(stored.get("schema")) is not int or stored["schema"] != SCHEMA:
         raise InputError(
-            f"{path} has version {stored.get('schema')!r} of the format, this version reads {SCHEMA}; upgrade "
+            f"{path} has version {stored.get('schema')!r} of the format, but this version reads {SCHEMA}; upgrade "
             "challenger-bench or fetch the file again"
         )
     return validate_stored(
@@ -243,7 +243,7 @@ def require_freezable(split: str, path: Path) -> None:
     It must be searched for, the folder be there, and nothing else have the name.
     """
     if not is_adversarial(split):
-        raise InputError(f"only adv can be frozen, there is no search in {split}; leave --freeze out")
+        raise InputError(f"only adv can be frozen, because {split} involves no search; leave --freeze out")
     if path.exists() and not path.is_file():
         raise InputError(f"--freeze {path} is a folder, a pipe or a device; name a file")
     if path.is_file():
@@ -255,7 +255,5 @@ def require_freezable(split: str, path: Path) -> None:
 def write_frozen(path: Path, frozen: FrozenSplit) -> None:
     """Write a frozen split; one that is there is never replaced by another."""
     if path.exists() and read_frozen(path) != frozen:
-        raise InputError(
-            f"{path} holds another frozen split, which others may have built already; give this one another name"
-        )
+        raise InputError(f"{path} holds another frozen split, which may already be in use; give this one another name")
     write_bytes(path, frozen.text().encode())

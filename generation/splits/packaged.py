@@ -72,7 +72,7 @@ def read_newest_split(data: str, split: str = "adv") -> NamedSplit:
     """The newest frozen split of a data set that comes with the package."""
     names = list_packaged_splits(data, split)
     if not names:
-        raise InputError(f"no frozen split {split} of {data} comes with the package; run challenger-bench generate")
+        raise InputError(f"no frozen split {split} of {data} is packaged; run challenger-bench generate")
     return read_frozen_split(names[-1])
 
 
@@ -93,7 +93,7 @@ def read_frozen_split(file: str | Path) -> NamedSplit:
     path = Path(file)
     if not path.exists():
         raise InputError(
-            f"there is no file {path} and no frozen split of that name; those that come with the package are "
+            f"there is no file {path} and no frozen split of that name; packaged ones are "
             f"{', '.join(list_packaged_splits()) or 'none'}"
         )
     return NamedSplit(path.stem, read_frozen(path), path)
@@ -107,7 +107,7 @@ def compute_search_hash(search: SearchMetadata, chosen: SceneChoice, adversaries
     searched = [search.algorithm, search.hyper, search.prior, *([] if search.solvable is None else [search.solvable])]
     chose: list[Any] = [chosen.scenes, chosen.per_scene, chosen.total, chosen.surrogate, adversaries]
     younger = {"variants": chosen.variants, "asked": chosen.asked}
-    # Searches without them keep the hash that they had before there were any.
+    # Searches without them keep the hash of earlier versions.
     chose += [{name: value} for name, value in younger.items() if value]
     return content_key("search", searched, *chose)
 
@@ -125,7 +125,7 @@ def read_frozen_of_seed(path: Path, seed: int) -> NamedSplit:
     own = format_seed_path(path, seed)
     if not own.exists():
         raise InputError(
-            f"there is no file {own}, the frozen split of seed {seed}; --from names the file that --freeze named, "
+            f"there is no file {own}, the frozen split of seed {seed}; give --from the file name given to --freeze, "
             "without the seed"
         )
     named_split = read_frozen_split(own)
@@ -138,7 +138,7 @@ def require_seed(split: str, seed: int, what: str) -> None:
     named = parse_seed(split)
     if named is not None and named != seed:
         raise InputError(
-            f"{what} was searched with seed {seed} and cannot be {split}; build it as {format_seed_split(seed)}"
+            f"{what} was searched with seed {seed}, so it is not {split}; build it as {format_seed_split(seed)}"
         )
 
 

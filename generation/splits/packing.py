@@ -36,7 +36,7 @@ _DRIVE_SETTINGS: Final = (
     "planner", "split", "scenes_in_split", "frozen_split", "review", "generated", "status", "seed", "measured", "runs",
     "scoring",
 )  # fmt: skip
-"""What of a record of drives says how was driven; machines, folders and what came out are no part of it."""
+"""Fields of a drive record that define how it was driven; machines, folders and results are left out."""
 
 Kind = Literal["split", "verdicts", "statistics", "drive", "rules"]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -82,7 +82,7 @@ class PackageManifest(Stored):
     def _check_consistency(self) -> Self:
         split_files = {name for name, file in self.files.items() if file.kind == "split"}
         if split_files != {format_split_path(split.name) for split in self.splits}:
-            raise ValueError("its splits are not those of its files")
+            raise ValueError("its splits do not match its files")
         return self
 
 
@@ -122,11 +122,11 @@ def pack_split(path: Path, contents: PackageContents, executor: Executor) -> Wri
 
     Args:
         path: The file. One that is there is never replaced by another package.
-        contents: What goes in.
+        contents: Contents of the package.
         executor: Where scenes are judged for the statistics that are not judged yet.
 
     Returns:
-        What was written.
+        Summary of the written package.
 
     Raises:
         InputError: If splits have one name or none that a file can have, the root or a record is of another split, the
@@ -165,13 +165,13 @@ def _require_names(splits: Sequence[NamedSplit]) -> None:
     names = [split.name for split in splits]
     for name in names:
         if not _PLAIN.fullmatch(name) or names.count(name) > 1:
-            why = "is there twice" if names.count(name) > 1 else "is no plain name of a file"
+            why = "is listed twice" if names.count(name) > 1 else "is not a plain file name"
             raise InputError(f"the frozen split {to_one_line(name, 80)} {why}; rename its file")
 
 
 def _require_free(path: Path, data: bytes) -> None:
     if path.exists() and (not path.is_file() or path.stat().st_size != len(data) or path.read_bytes() != data):
-        raise InputError(f"{path} is there and holds something else; name another file with --to")
+        raise InputError(f"{path} exists with other content; name another file with --to")
 
 
 def _describe_split(split: NamedSplit) -> PackedSplit:
@@ -199,15 +199,13 @@ def _collect_root_files(
     """Verdicts and statistics of a data set that was built from the splits."""
     known = {scene.name for split in splits for scene in split.frozen.scenes}
     names = root.scene_names(None)
-    # In variant roots scenes are called after their recordings.
+    # In variant roots scenes are named after their recordings.
     strangers = [name for name in names if "/" not in name and name not in known]
     built_from = ((root.provenance() or {}).get("frozen") or {}).get("content")
     contents = {split.frozen.content_id for split in splits}
     if strangers or (built_from is not None and built_from not in contents) or not find_adversarial_names(root, names):
         odd = f"it has the scene {strangers[0]}" if strangers else "it was made from something else"
-        raise InputError(
-            f"{root.root} is not built from the frozen splits that are packed, {odd}; name the right --root"
-        )
+        raise InputError(f"{root.root} was not built from the packed frozen splits: {odd}; name the right --root")
     members: dict[str, tuple[Kind, bytes]] = {}
     verdicts = read_review(root.root)
     if verdicts:

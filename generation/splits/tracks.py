@@ -52,19 +52,19 @@ def _find_vehicle(adversary: FrozenAdversary, scene: Scene) -> int:
     """Index of an adversary's vehicle in its recording."""
     if adversary.instance not in scene.agents.ids:
         raise InputError(
-            f"{scene.name} has no object {adversary.instance}, which is its adversary in the frozen split; these are "
+            f"{scene.name} has no object {adversary.instance}, its adversary in the frozen split; these are "
             "not the recordings that it was made from, choose those with --data"
         )
     agent, start, frames = scene.agents.ids.index(adversary.instance), adversary.launch_frame, len(scene.timestamps_us)
     if start + len(adversary.track) != frames:
         raise InputError(
-            f"{scene.name} has {frames} frames and the frozen split wants {start + len(adversary.track)}; these are "
+            f"{scene.name} has {frames} frames but the frozen split needs {start + len(adversary.track)}; these are "
             "not the recordings that it was made from, choose those with --data"
         )
     away = _compute_distance(scene, agent, start, adversary)
     if away > SAME_M:
         raise InputError(
-            f"{adversary.instance} in {scene.name} was recorded {away:.3f} m from where the frozen split has it at the "
+            f"{adversary.instance} in {scene.name} was recorded {away:.3f} m from its position in the frozen split at "
             f"launch (frame {start}); these are not the recordings that it was made from, choose those with --data"
         )
     return agent
@@ -96,7 +96,7 @@ def read_recorded_pose(scene: Scene, agent: int, frame: int) -> Floats:
 def round_pose(pose: Floats | tuple[float, float, float]) -> Pose:
     """A pose (x, y, yaw) as frozen splits hold it."""
     x, y, yaw = map(float, pose)
-    # Adding zero makes -0.0 plain.
+    # Adding zero turns -0.0 into 0.0.
     return round(x, METRE_DIGITS) + 0.0, round(y, METRE_DIGITS) + 0.0, round(yaw, YAW_DIGITS) + 0.0
 
 
@@ -203,5 +203,5 @@ def compute_written_digest(plan: DataSetPlan, fragment: dict[str, Any]) -> str:
 
 
 def _combine_hashes(hashes: Iterable[str]) -> str:
-    # Sorted: names of files differ between layouts, and with them their order.
+    # Sorted: file names, and so their order, differ between layouts.
     return content_key(sorted(hashes))

@@ -73,15 +73,13 @@ def read_split_package(path: Path) -> SplitPackage:
     manifest = _read_manifest(path, members.pop(MANIFEST, None))
     missing, unknown = sorted(manifest.files.keys() - members), sorted(members.keys() - manifest.files)
     if missing or unknown:
-        problem = f"lacks {missing[0]}" if missing else f"holds {unknown[0]}, which its manifest does not name"
+        problem = f"lacks {missing[0]}" if missing else f"holds {unknown[0]}, which is not in its manifest"
         raise InputError(f"{path} {problem}; it is damaged, fetch it again")
     left_out = []
     for name, file in manifest.files.items():
         data = members[name]
         if len(data) != file.bytes or hashlib.sha256(data).hexdigest() != file.sha256:
-            raise InputError(
-                f"{path}: {name} is not what the manifest says (its hash differs); fetch the package again"
-            )
+            raise InputError(f"{path}: {name} does not match the manifest (its hash differs); fetch the package again")
         try:
             _require_form(path, name, file.kind, data)
         except AbsentExtensionError as absent:
@@ -92,7 +90,7 @@ def read_split_package(path: Path) -> SplitPackage:
         frozen = _read_frozen(path, packed.name, members[format_split_path(packed.name)])
         facts = (frozen.content_id, len(frozen.scenes), frozen.recordings.name, frozen.recordings.fingerprint)
         if facts != (packed.content, packed.scenes, packed.recordings, packed.fingerprint):
-            raise InputError(f"{path}: the split {packed.name} is not the one that the manifest names; fetch it again")
+            raise InputError(f"{path}: the split {packed.name} is not the one named in the manifest; fetch it again")
         splits.append(NamedSplit(packed.name, frozen))
     review = None
     if VERDICTS_FILE in members:
@@ -114,7 +112,7 @@ def write_package_files(package: SplitPackage, to: Path) -> tuple[Path, ...]:
     targets = {to / name: data for name, data in {MANIFEST: manifest, **package.files}.items()}
     for path, data in targets.items():
         if path.exists() and (not path.is_file() or path.read_bytes() != data):
-            raise InputError(f"{path} is there and holds something else; choose another folder with --to")
+            raise InputError(f"{path} exists with other content; choose another folder with --to")
     for path, data in targets.items():
         write_bytes(path, data)
     return tuple(targets)
@@ -124,11 +122,12 @@ def _read_manifest(path: Path, data: bytes | None) -> PackageManifest:
     stored = None if data is None else _read_json(path, MANIFEST, data)
     if not isinstance(stored, dict) or stored.get("format") != FORMAT:
         raise InputError(
-            f"{path} is no package of a split: it has no {MANIFEST} that says {FORMAT!r}; data pack makes one"
+            f"{path} is not a split package: it has no {MANIFEST} of format {FORMAT!r}; make one with data pack"
         )
     if type(stored.get("schema")) is not int or stored["schema"] != SCHEMA:
         raise InputError(
-            f"{path} has version {to_one_line(stored.get('schema'), 40)} of the format, this version reads {SCHEMA}; "
+            f"{path} has version {to_one_line(stored.get('schema'), 40)} of the format, but this version reads "
+            f"{SCHEMA}; "
             "upgrade challenger-bench"
         )
     return validate_stored(PackageManifest.model_validate, stored, _build_damage_formatter(path, MANIFEST))
@@ -138,7 +137,8 @@ def _read_frozen(path: Path, name: str, data: bytes) -> FrozenSplit:
     stored = _read_json(path, format_split_path(name), data)
     if not isinstance(stored, dict) or stored.get("format") != SPLIT_FORMAT or stored.get("schema") != SPLIT_SCHEMA:
         raise InputError(
-            f"{path}: {format_split_path(name)} is no frozen split that this version reads; upgrade challenger-bench"
+            f"{path}: {format_split_path(name)} is not a frozen split that this version can read; upgrade "
+            "challenger-bench"
         )
     return validate_stored(
         FrozenSplit.model_validate_json, data, _build_damage_formatter(path, format_split_path(name))
@@ -156,7 +156,7 @@ def _read_json(path: Path, name: str, data: bytes) -> Any:
     try:
         return parse_json(data)
     except ValueError as error:
-        raise InputError(f"{path}: {name} is no JSON ({to_one_line(error, 80)}); fetch the package again") from error
+        raise InputError(f"{path}: {name} is not JSON ({to_one_line(error, 80)}); fetch the package again") from error
 
 
 def _build_damage_formatter(path: Path, name: str) -> Any:

@@ -106,7 +106,7 @@ def _horizon_figure(data_name: str, protocol: str, rows: Sequence[RunRow[Protoco
         axes.grid(axis="y", color=theme.rule, linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("collision rate (%)")
-    # Panels share this axis: its end is known once all are drawn.
+    # Panels share this axis: its limit is known once all are drawn.
     panels[0].set_ylim(bottom=0)
     lines = [mpl.lines.Line2D([], [], **style[name]) for name in planners]
     names = [names_of[name] for name in planners]
@@ -153,7 +153,7 @@ def _disagreement(
                     axes.plot(0.0, at, marker="|", color=theme.planner(place), markersize=5)
                 else:
                     axes.barh(at, 100 * share, height * 0.9, color=theme.planner(place))
-    for axes, title in zip(panels, ("missed, % of what exact sees", "false, % of what is reported")):
+    for axes, title in zip(panels, ("missed, % of collisions by exact", "false, % of reported collisions")):
         axes.set_xlim(0, 100)
         axes.set_title(title, fontsize="medium")
         axes.grid(axis="x", color=theme.rule, linewidth=0.6)

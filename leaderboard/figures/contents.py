@@ -94,8 +94,8 @@ def explain_missing_figure(data_name: str, records: Sequence[RunRecord]) -> str 
     if not own or any(setting.data_name == data_name for setting in list_generator_settings(own)):
         return None
     if not any(map(has_severity, own)):
-        return "No figure of attack success against realism: no record says how severe its plans are."
-    return "No figure of attack success against realism: nobody said of any scene who survives it."
+        return "No figure of attack success against realism: no record has the severity of its plans."
+    return "No figure of attack success against realism: the avoidability of no scene was assessed."
 
 
 def _draw_figure(data_name: str, settings: Sequence[GeneratorSetting], theme: PlotTheme) -> Figure:
@@ -216,16 +216,14 @@ def _describe_settings(settings: Sequence[GeneratorSetting]) -> list[str]:
         sentences.append(f"{number}: {name}{worst}")
     if any(setting.worst is None for setting in settings):
         sentences.append(
-            "Where nobody compared the adversaries with recordings, as on our own town, there is no realism; the share "
-            "of scenes whose adversaries have no validity fault says less."
+            "Adversaries that were not compared with recordings, as in our own town, have no realism; the share "
+            "of scenes whose adversaries have no validity fault is a weaker measure."
         )
     halves = [setting.worst.realism_of_halves for setting in settings if setting.worst is not None]
     known = [half for half in halves if half is not None]
     if known:
         ends = f"{min(known):.2f}" if min(known) == max(known) else f"{min(known):.2f} to {max(known):.2f}"
-        sentences.append(
-            f"Two halves of the recordings reach {ends} on the same feature: what is above says nothing more."
-        )
+        sentences.append(f"Two halves of the recordings reach {ends} on the same feature: more than this is noise.")
     return sentences
 
 

@@ -190,7 +190,7 @@ def _draw_figure(
 ) -> Figure:
     """Squares with the planners' names at the left and above; a row beyond the planners stands apart."""
     count = len(matrix.planners)
-    # The last row stands apart: it is no surrogate.
+    # The last row is set apart: it is not a surrogate.
     rows = [*range(count), *(row + 0.4 for row in range(count, len(squares)))]
     names = [sanitise_name(name) for name in format_planner_names(matrix)]
     longest, lines = max(len(name) for name in names), caption.count("\n") + 1

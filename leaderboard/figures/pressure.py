@@ -62,7 +62,7 @@ def draw_pressure_figure(title: str, rows: Sequence[DrivePressure], theme: PlotT
             beside = _APART * (place - 0.5 * (len(planners) - 1))
             rates = {pressure.budget: pressure.row.rates.get(column) for pressure in rows if pressure.row.name == name}
             _draw_line(axes, [rates.get(budget) for budget in budgets], beside, look, 100.0 if share else 1.0)
-        # The end of the other axis is known once all are drawn.
+        # The limit of the other axis is known once all are drawn.
         axes.set_ylim(*((-4.0, 104.0) if share else (0.0, None)))
     height = figure.get_figheight()
     figure.tight_layout(rect=(0, below / height, 1, 1 - above / height))

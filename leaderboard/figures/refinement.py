@@ -1,4 +1,4 @@
-"""What multi-round refinement did at one planning frame: candidates and scores of every round on the map."""
+"""Figure of multi-round refinement at one planning frame: candidates and scores of every round on the map."""
 
 import math
 import textwrap
@@ -132,7 +132,7 @@ def _require_complete_trace(stored: StoredScenePage, at: TraceFrame) -> None:
         len(entry.candidates) != len(entry.scores) or not entry.candidates for entry in at.rounds
     ):
         raise InputError(
-            f"{stored.directory / ROUNDS_FILE} does not fit together at frame {at.frame}; delete it and run "
+            f"{stored.directory / ROUNDS_FILE} is inconsistent at frame {at.frame}; delete it and run "
             "challenger-bench sheets --rounds again"
         )
 
@@ -164,7 +164,7 @@ def _draw_figure(sheet: ScenePage, rounds: RefinementTrace, at: TraceFrame, view
         draw_traffic(axes, sheet, rounds.agent, at.frame, view, theme)
         _style_panel(axes, at, number, view, _count_searched(rounds), theme)
     beside = width - _BESIDE
-    # The bar stands at the strips and shares their axis.
+    # The colour bar is next to the strips and shares their axis.
     _draw_bar(placed(width - 0.35, below, 0.15, tall - _TITLE), scale, colours)
     _draw_scores(
         placed(beside + 0.75, below, _BESIDE - 1.15, tall - _TITLE), at, scale, colours, _count_searched(rounds), theme
@@ -200,7 +200,7 @@ def _ticks(scale: LogNorm) -> list[float]:
 
 
 def _colours(theme: PlotTheme) -> Colormap:
-    # The end nearest to the road's own lightness would be lost on it.
+    # The end nearest to the road's lightness would be invisible on it.
     ends = (1.0, 0.2) if theme.dark else (0.0, 0.93)
     return ListedColormap(colormaps["viridis"](np.linspace(*ends, 256)))
 
@@ -284,10 +284,10 @@ def _describe_rounds(rounds: RefinementTrace, at: TraceFrame, theme: PlotTheme) 
     seconds = (max(len(line) for entry in at.rounds for line in entry.candidates) - 1) / 2
     better = "brighter" if theme.dark else "darker"
     return (
-        "A: adversary, E: ego, dashed: where the ego goes, star: executed. "
+        "A: adversary, E: ego, dashed: path of the ego, star: executed. "
         f"Lines: the adversary's centre over {seconds:g} s{drawn_note}; the {better}, the better. Scores are "
         "compared over "
-        "all rounds together; beside: each candidate, median and quartiles. Free: candidates that touch nothing in the "
+        "all rounds together; beside: each candidate, median and quartiles. Free: candidates without contact in the "
         "part that would be executed."
     )
 

@@ -89,11 +89,11 @@ class ComparableDrives:
     def notes(self) -> list[str]:
         """Notes on the records: sensor, few scenes, marks, old scores."""
         first = self.records[0].facts
-        # A scene of which nobody says where it comes from is its own recording.
+        # A scene of unknown origin counts as its own recording.
         known = first.scene_facts
         few = len({known[name].source if name in known else name for name in first.scenes}) < FEW_SCENES
         stale = [
-            f"{STALE_MARK} {row.name}: scored by version {row.record.facts.scoring} of closed loop's scores, not the "
+            f"{STALE_MARK} {row.name}: scored by version {row.record.facts.scoring} of the closed-loop scores, not the "
             "present one; run the same challenger-bench drive again."
             for row in self.rows
             if is_stale(row.record)

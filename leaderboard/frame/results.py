@@ -42,7 +42,7 @@ def build_frames(records: Sequence[RunRecord]) -> tuple[DataSetRuns, ...]:
     `InputError`.
     """
     if not records:
-        raise InputError("there are no run records to make tables of; run challenger-bench eval first")
+        raise InputError("there are no run records for tables; run challenger-bench eval first")
     chosen = select_runs(records)
     names = sorted({record.run.data.name for record in chosen})
     return tuple(DataSetRuns(name, [run for run in chosen if run.run.data.name == name], chosen) for name in names)

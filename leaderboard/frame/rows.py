@@ -1,4 +1,4 @@
-"""What rows of tables share: their order, names and marks, and what has to be said of the runs behind them."""
+"""Shared parts of table rows: their order, names and marks, and notes on the runs behind them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -15,18 +15,18 @@ from benchmark.report.words import pluralise
 
 SPLIT_ORDER = ("val", "val-r", "adv")
 PRIVILEGED_MARK = "†"
-PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
+PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} privileged: sees boxes, the map or the recorded future; a reference row."
 STALE_MARK = "‡"
 REPRODUCED_MARK = "✓"
 CAVEAT_MARK = "¶"
 OLDER_WORDS = (
-    "older records, which do not say whether their scenes are annotated; rates may count scenes without annotations as "
-    "free of contacts until challenger-bench rescore"
+    "older records, without information on annotations; rates may count scenes without annotations as "
+    "free of contacts until you run challenger-bench rescore"
 )
 MINIATURE_NOTE = f"{MINIATURE_WORDS} (docs/miniatures.md)."
 FEW_SCENES = 20
 """Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
-FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, take them as a hint."
+FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, only an indication."
 
 
 def split_sort_key(split: str) -> tuple[int, str]:
@@ -56,11 +56,11 @@ class PlannerFlags(Protocol):
 
     @property
     def privileged(self) -> bool:
-        """Whether it saw what no car sees."""
+        """Whether the planner is privileged."""
 
     @property
     def miniature(self) -> bool:
-        """Whether it shows the pipeline and ranks nothing."""
+        """Whether it is a miniature, which is not for ranking."""
 
 
 def name_cell(planner: str, facts: PlannerFlags) -> TableCell:
@@ -135,7 +135,7 @@ def list_run_marks(records: Iterable[RunRecord]) -> list[str]:
 def stale_notes(record: RunRecord, protocols: Sequence[str]) -> list[str]:
     """One sentence for each of the protocols that judged a run in another version than the present one."""
     return [
-        f"{STALE_MARK} {record.planner} on {record.run.split}: judged by version {record.run.protocols[name]} of "
+        f"{STALE_MARK} {record.planner} on {record.run.split}: scored by version {record.run.protocols[name]} of "
         f"protocol {name}, now {find_protocol_version(name)}; run challenger-bench rescore."
         for name in protocols
         if name in record.stale_protocols
@@ -155,7 +155,7 @@ def count_recordings(record: RunRecord) -> int:
 def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
     """Notes on the runs behind a table, in the table's order.
 
-    What marks mean, what numbers lacked, whether any has few recorded scenes, what inspectors said, what is ``told`` of
+    Notes on marks, missing inputs, few recorded scenes, verdicts of inspectors, and those in ``told`` on
     single runs, and what is not whole.
     """
     few = [FEW_NOTE] if any(count_recordings(record) < FEW_SCENES for record in records) else []

@@ -117,7 +117,7 @@ class DataSetRuns:
 
     @property
     def has_native(self) -> bool:
-        """Whether any planner has a protocol of its own."""
+        """Whether any planner has a native protocol."""
         return any(record.run.planner.native_protocol for record in self.runs)
 
     @cached_property

@@ -85,7 +85,7 @@ def estimate_columns(
 
 
 def numbered_columns(heads: Iterable[str], digits: int = 0) -> Columns:
-    """A column for each head, whatever it is called: the values have the names ``#0``, ``#1`` ..."""
+    """A column for each head, under any title: the values have the names ``#0``, ``#1`` ..."""
     return [TableColumn(head, f"#{place}", digits=digits) for place, head in enumerate(heads)]
 
 

@@ -49,7 +49,7 @@ def data_set_sections(results: LeaderboardResults) -> Iterator[Section]:
             items += figures
         links = [f"[{escape_markdown(judge)}]({quote(find_page_path(name, judge))})" for judge in set_tables.others]
         if links:
-            items += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
+            items += [f"Changes, planners and transfer under other protocols: {', '.join(links)}.", ""]
         items += [tables[0] for tables in set_tables.others.values()]
         groups = dict.fromkeys(map(find_group, set_tables.front))
         yield Section(
@@ -77,7 +77,7 @@ def closed_loop_sections(results: LeaderboardResults) -> Iterator[Section]:
         scenes = [table for table in tables if table.name.startswith(DISAGREEMENTS)]
         items: list[SectionItem] = [table for table in tables if table not in scenes]
         if scenes:
-            items += [f"Scenes on which the two loops disagree, by name: [{CLOSED_LOOP}]({quote(page)}).", ""]
+            items += [f"Scenes on which the two loops disagree: [{CLOSED_LOOP}]({quote(page)}).", ""]
         files = {page: format_page(heading, tables)}
         yield Section(name, heading, [*items, *figures], [(CLOSED_LOOP, tables)], figures, files)
 
@@ -100,7 +100,7 @@ def paper_sections(results: LeaderboardResults) -> Iterator[Section]:
             name,
             f"{escape_markdown(name)}: the paper's layout",
             [
-                f"As one document: `{folder}/paper.tex`, which any LaTeX compiles.",
+                f"As one LaTeX document: `{folder}/paper.tex`.",
                 "",
                 *(
                     item

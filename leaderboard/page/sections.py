@@ -13,12 +13,12 @@ from benchmark.records.driving import PDM
 from benchmark.report.table import Table
 
 COST: Final = "cost"
-"""What planners take; name of its table."""
+"""Name of the table of latency and memory."""
 TABLES_FOLDER: Final = "tables"
 """Holds one folder for each data set and nothing else, so that what is no longer made there can be told."""
 
 CLOSED_LOOP: Final = "closed loop"
-"""What tables of drives are shown under."""
+"""Heading above tables of drives."""
 _RATES: Final = "collision rates"
 _GROUPS: Final = {
     "planners and transfer": ("planners", "transfer", "lift", "agreement"),
@@ -27,7 +27,7 @@ _GROUPS: Final = {
     "driving scores": (PDM,),
     "cost": (COST,),
 }
-"""What the site shows together, by the first word of a table's name; all others are `_RATES`."""
+"""Groups of tables on the site, by the first word of a table's name; all others are `_RATES`."""
 
 
 def find_group(table: Table) -> str:

@@ -38,7 +38,7 @@ COMPONENTS: Final = {
     "scoring": "Traj. scoring",
     "rendering": "Rendering",
 }
-"""What the paper calls the stages of generation."""
+"""Names of the stages of generation in the paper."""
 
 
 def _format_scientific(value: float) -> str:
@@ -105,7 +105,7 @@ def _hyper_parameter_table(data_name: str, searches: Mapping[str, Mapping[str, A
             *group_columns("paper", text_columns("paper")),
         ],
         rows,
-        (*notes, "What the paper leaves open has settings of its own: docs/generation.md."),
+        (*notes, "Choices that the paper leaves open are settings: docs/generation.md."),
         sources=(HYPER_PARAMETERS_SOURCE,),
         latex_form=LatexForm("l" * (2 + len(searches)), fit=len(searches) > 0),
     )
@@ -134,8 +134,8 @@ def _runtime_table(data_name: str, split: SplitPage, runtime: BuildRuntime) -> T
         [*rows, {"Component": "Total", "here": total, "paper": quote_seconds("all")}],
         (
             f"Here: processor seconds of one attempt and of rendering one scene, means of "
-            f"{pluralise(runtime.attempts, 'attempt')} and {pluralise(runtime.scenes, 'scene')}. Paper: seconds by the "
-            f"clock for one scene of about 240 frames and six cameras on {RUNTIME_MACHINE}. They do not compare.",
+            f"{pluralise(runtime.attempts, 'attempt')} and {pluralise(runtime.scenes, 'scene')}. Paper: wall-clock "
+            f"seconds for one scene of about 240 frames and six cameras on {RUNTIME_MACHINE}. They are not comparable.",
         ),
         sources=(RUNTIME_SOURCE,),
     )

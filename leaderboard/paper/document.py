@@ -56,8 +56,8 @@ def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
         ("data set", *_HEADS, *_HEADS),
         rows,
         notes=(
-            "As in the paper each planner is judged by the protocol of its own repository (exact where it has none): "
-            "planners do not compare with each other. ×: (adv − val) / val of the averages. In the paper "
+            "As in the paper, each planner is scored by the protocol of its own repository (exact if it has none): "
+            "planners are not comparable. ×: (adv − val) / val of the averages. In the paper "
             f"{split_names}.",
             *row_notes([row for block in blocks for row in block.values()]),
         ),
@@ -67,7 +67,7 @@ def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
         latex_form=LatexForm(
             alignment=r"llrrrrrrr@{\hspace{1.5em}}lrrrrrrr",
             rules_after=tuple(range(len(splits), len(rows), len(splits))),
-            # As in the paper the name stands once, in the middle of its lines.
+            # As in the paper, the name appears once, in the middle of its lines.
             once=(1, 1 + len(_HEADS)),
             bold_rows=tuple(place for place in range(len(rows)) if rows[place][0] == "adv"),
             fit=True,
@@ -153,7 +153,7 @@ PREAMBLE: Final = r"""\documentclass[10pt]{article}
 \def\fps@figure{!htbp}
 \makeatother
 """
-"""What every table of a leaderboard needs."""
+"""LaTeX preamble of all leaderboard tables."""
 
 
 def format_paper_document(data_name: str, tables: Sequence[Table], charts: Sequence[tuple[str, str]]) -> str:

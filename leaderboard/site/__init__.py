@@ -1,1 +1,1 @@
-"""The leaderboard as a static site: one folder that opens from disk and asks nobody for anything."""
+"""The leaderboard as a static site: one folder that opens from disk and makes no network requests."""

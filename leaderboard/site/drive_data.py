@@ -1,9 +1,9 @@
-"""Drives that the player plays: one script for each, and what the index says of them.
+"""Drives for the player: one script for each, and their entries in the index.
 
 A drive's script has members of a scene's (`leaderboard.site.scene_data`) that take the place of those of its scene,
 whose key is ``base``: ``frames`` to the drive's end, ``ego`` as driven, ``samples`` (the planning instants), ``models``
-(who drove, with the plan of each instant), no protocols and no pictures; ``agents`` is empty where nobody knows where
-they went, and all of the scene, each for as long as it was there, where somebody who touched the ego went. Beyond them:
+(who drove, with the plan of each instant), no protocols and no pictures; ``agents`` is empty if the tracks of
+others are unknown, and has all of the scene, each while present, if a vehicle that touched the ego was removed. Also:
 
 * ``recordedPath``: x, y in turn of the recorded body, centimetres as steps;
 * ``contact``: ``{t, x, y}`` seconds and metres of the contact that ended it, or null;
@@ -60,7 +60,7 @@ class _NamedDrive:
 
     @property
     def shows_all_agents(self) -> bool:
-        """Whether the others are where the recording has them: records hold an ego's and an adversary's places."""
+        """Whether other road users follow the recording: records hold only positions of ego and adversary."""
         measured = self.record.facts.measured
         return measured.engine == "default" and measured.agents_facts.get("others", measured.agents) == "replay"
 

@@ -1,6 +1,6 @@
 """The site's index: everything that is shown without loading a scene.
 
-What the site's index says of planners: what ran, its rates under every protocol, and its driving scores.
+Planners in the site's index: their runs, rates under every protocol, and driving scores.
 """
 
 import json
@@ -244,7 +244,7 @@ def _key_tables(
 
 
 def _table_ids(tables: Iterable[PlacedTable]) -> list[str]:
-    """Names for addresses, unique whatever data sets and splits are called."""
+    """Names for addresses, unique over all data sets and splits."""
     ids: list[str] = []
     for placed in tables:
         base = "-".join(sanitise_file_name(part) for part in (placed.data_name, placed.table.name) if part)
@@ -338,7 +338,7 @@ LISTS: Final[dict[str, Callable[[LeaderboardResults, frozenset[str]], list[dict[
     "attempts": lambda results, _: _attempt_entries(results.sheets),
     "drives": lambda results, _: build_drive_index(results.drives, results.sheets),
 }
-"""What pages list, by its name in the index."""
+"""Lists shown on pages, by their names in the index."""
 
 
 def build_key_table(frame: DataSetRuns) -> Table | None:
@@ -372,7 +372,7 @@ def build_key_table(frame: DataSetRuns) -> Table | None:
         *((PRIVILEGED_NOTE,) if any(facts.privileged for facts in planners.values()) else ()),
         *((f"{MINIATURE_WORDS}.",) if any(facts.miniature for facts in planners.values()) else ()),
     )
-    return tabulate("key", f"{frame.data_name}: how often plans collide (%), protocol exact", columns, rows, notes)
+    return tabulate("key", f"{frame.data_name}: collision rates (%), protocol exact", columns, rows, notes)
 
 
 def _take_cell(table: Table, row: int | None, column: str) -> TableCell | None:

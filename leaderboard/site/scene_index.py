@@ -1,4 +1,4 @@
-"""What the site's index says of scenes: enough to browse and filter them without loading any."""
+"""Scenes in the site's index: enough to browse and filter them without loading any."""
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -37,12 +37,12 @@ class _SceneSummary:
     Attributes:
         adversarial: Whether its split has adversaries, so that contacts with others are counted by themselves.
         verdicts: By protocol whether the planner fails it (`benchmark.metrics.effect.find_touched_scenes`).
-        others: Protocols under which a plan touches somebody else first.
-        unsaid: Protocols under which a plan collides and nobody says with whom.
-        colliding: Samples that touch the adversary first under ``exact``, anybody without adversaries; ``None`` where
-            that is not said. What has none is left out.
-        bystanders: The same of samples that touch somebody else first.
-        judgement: Who survives it.
+        others: Protocols under which a plan touches another road user first.
+        unsaid: Protocols under which a plan collides with an unrecorded object.
+        colliding: Samples that touch the adversary first under ``exact``, anything without adversaries; ``None`` where
+            that is unknown. Planners without any are left out.
+        bystanders: The same of samples that touch another road user first.
+        judgement: Drivers that survive it.
         severity: How severe the planner's plans are.
     """
 
@@ -143,7 +143,7 @@ def _add_record(summaries: dict[SceneName, _SceneSummary], record: RunRecord) ->
             summary.source, summary.manoeuvre = facts.source, facts.manoeuvre
             summary.judgement = summary.judgement or assessment_entry(facts.judgement)
     for protocol in sorted(record.summary.protocols):
-        # A newer version's protocol cannot be asked what a failed scene is; the tables below it say so.
+        # A protocol of a newer version cannot define failed scenes here; the tables below state it.
         if find_protocol_version(protocol) is None:
             continue
         verdicts = find_touched_scenes(record, protocol)
@@ -280,9 +280,9 @@ def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
     """Severity of a planner's plans, by scene; only of scenes with something to say.
 
     Returns:
-        ``contacts`` (samples whose first contact is with an adversary, with anybody on a split without them),
-        ``bystanders`` (samples whose first contact is with somebody else; null on a split without adversaries),
-        ``atFault`` and ``attributable`` (verdicts on the scene, null where nobody can tell), of the most severe of
+        ``contacts`` (samples whose first contact is with an adversary, with any object on a split without them),
+        ``bystanders`` (samples whose first contact is with another; null on a split without adversaries),
+        ``atFault`` and ``attributable`` (verdicts on the scene, null if unknown), of the most severe of
         ``contacts`` its ``kind``, ``speed``, ``deltaV`` and ``fatal``, and of samples without contact ``ttc`` and
         ``gap``.
     """

@@ -1,4 +1,4 @@
-"""What each planner did in one scene, in the scene's local frame: plans, forecasts, verdicts."""
+"""Data of each planner in one scene, in the scene's local frame: plans, forecasts, verdicts."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -83,7 +83,7 @@ def build_sample(
         if it moves), ``verdicts`` (for each protocol six bits, the first step lowest, and `COUNTED`; null if it did not
         judge or the surroundings are not annotated), ``contact`` (seconds to each protocol's first contact, or null),
         ``whom`` (on a split with adversaries, if there is a contact: for each protocol 1 where it is with an adversary,
-        0 where it is with somebody else, null where that is not said), ``cause``, ``reason``, ``hit`` and ``l2``
+        0 where it is with another object, null where unknown), ``cause``, ``reason``, ``hit`` and ``l2``
         (metres at the six steps; null past the recording). Every plan has ``path`` and ``yaw``, ``verdicts`` and
         ``contact``; what there is none of beyond them is left out.
 
@@ -96,7 +96,7 @@ def build_sample(
     start = to_global(np.array([row.lidar_ahead_m, 0.0]), axle)
     begin = (float(start[0]), float(start[1]))
     judged = [row.outcomes.get(name) for name in protocols]
-    # A packed series may be empty and still be one: headings that are all zero, of a plan straight ahead.
+    # A packed series may be empty and still valid: all headings of a plan straight ahead are zero.
     always: dict[str, Any] = {
         "path": pack_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
         "yaw": pack_series(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
@@ -125,7 +125,7 @@ def _sort_modes(row: SampleRow) -> SampleRow:
     if len(scores) != len(plan.modes):
         return row
     order = sorted(range(len(scores)), key=lambda index: -scores[index])
-    # One more than is shown, because one of them is the plan itself.
+    # One more than shown, because one of them is the plan itself.
     modes = [plan.modes[index] for index in order[: MODES_SHOWN + 1]]
     return row.model_copy(update={"plan": plan.model_copy(update={"modes": modes})})
 
@@ -149,7 +149,7 @@ def _encode_verdict(protocol: str, outcome: OutcomeRow | None) -> int | None:
     if outcome is None or outcome.collision is None:
         return None
     steps = sum(1 << step for step, collides in enumerate(outcome.collision) if collides)
-    # Without contact up to a gap in the recording nothing is said of the sample as a whole.
+    # Without contact up to a gap in the recording, the verdict on the whole sample is unknown.
     unknown = protocol == EXACT and outcome.cut_short and not steps
     return steps + (COUNTED if outcome.counted and not unknown else 0)
 

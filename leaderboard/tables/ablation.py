@@ -59,7 +59,7 @@ def _table(study: AblationReport, suffix: str) -> Table:
             "over the samples of all tried vehicles, the paper's reading. Brackets: 95 % bootstrap interval over "
             "recorded scenes.",
             "Paper: UniAD on 20 nuScenes scenes rendered by MagicDriveDiT; another planner, other scenes and another "
-            "renderer, so that only the direction of the differences compares.",
+            "renderer, so only the direction of the differences is comparable.",
             *(
                 [f"{study.planner.name} is a miniature: it {RANKS_NOTHING} (docs/miniatures.md)."]
                 if study.planner.miniature

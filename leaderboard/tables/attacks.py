@@ -27,24 +27,24 @@ SEVERITY: Final = "severity"
 HEADS: Final[dict[Reading, str]] = {"contact": "contact", "at_fault": "at fault", "attributable": "attributable"}
 READINGS_NOTE: Final = (
     "Contact: the plan touches the adversary before anything else within 3 s. At fault: that is the planner's fault, "
-    "as nuPlan has it. Attributable: at fault, and the careful and competent human (UN R157) survives the scene. "
-    "Bystander: the plan touches another than the adversary first; no reading counts it."
+    "by nuPlan's rules. Attributable: at fault, and the careful and competent human (UN R157) survives the scene. "
+    "Bystander: the plan touches a road user other than the adversary first; it counts in no rate."
 )
 RULES_NOTE: Final = (
-    "Of a scene one sample is enough. What nobody can tell is in neither part of a rate: attributable needs a scene "
-    "that was judged. Brackets: 95 % bootstrap interval over recorded scenes (docs/severity.md)."
+    "One sample decides a scene. Unknown cases are left out of rates: attributable needs an assessed scene. "
+    "Brackets: 95 % bootstrap interval over recorded scenes (docs/severity.md)."
 )
 _CONTACT_NOTE: Final = (
-    "Of the samples whose plan touches the adversary before anything else: median, and what the worst tenth reaches; "
-    "the last columns are of those that touch a bystander first. Delta-v: change of velocity in a plastic "
-    "impact, by masses. P(fatal): of somebody in the ego, the fourth power of delta-v / 31.74 m/s (Joksch); for people "
-    "on foot look at the other's delta-v."
+    "Of the samples whose plan touches the adversary before anything else: median, and threshold of the worst tenth; "
+    "the last columns are of those that touch a bystander first. Delta-v: change of velocity in a plastic impact, by "
+    "masses. P(fatal): of an occupant of the ego, the fourth power of delta-v / 31.74 m/s (Joksch); for pedestrians, "
+    "see the other's delta-v."
 )
 _NEAR_NOTE: Final = (
-    "Plans without contact, and the adversaries; median, and what the worst tenth reaches. TTC: least time to contact "
-    "at constant velocities, of those that head for one another. TET: time with a TTC below 1.5 s; TIT: by how much, "
-    "summed. PET: time between one leaving a place and the other reaching it, where the ways meet. BTN: braking needed "
-    "beside what a dry road allows; 1 and more: braking alone is not enough."
+    "Plans without contact, and the adversaries; median, and threshold of the worst tenth. TTC: least time to contact "
+    "at constant velocities, of pairs on a collision course. TET: time with a TTC below 1.5 s; TIT: integral of the "
+    "shortfall. PET: time between one leaving a place and the other reaching it, where the paths meet. BTN: braking "
+    "needed, relative to the limit of a dry road; 1 and more: braking alone is not enough."
 )
 
 
@@ -108,11 +108,11 @@ def attack_tables(frame: DataSetRuns) -> list[Table]:
         map(_success_values, rows),
         (READINGS_NOTE, RULES_NOTE, *unknown, *notes),
         brief=("planner", "split", *(f"{head}, scenes" for head in _READINGS), "judged"),
-        # The rest of what has to be said of the runs stands below the rates already.
+        # The other notes on the runs are below the rates already.
         brief_notes=(READINGS_NOTE, *list_run_marks(row.record for row in rows), *unknown),
     )
-    contacts = f"{frame.data_name}: how severe the first contact of a plan is"
-    near = f"{frame.data_name}: how near plans without contact come to an adversary"
+    contacts = f"{frame.data_name}: severity of the first contact of a plan"
+    near = f"{frame.data_name}: near misses of plans without contact with an adversary"
     return [
         success,
         tabulate("severity-contacts", contacts, _CONTACTS, map(_contact_values, rows), (_CONTACT_NOTE, *notes)),
@@ -156,13 +156,15 @@ def _unknown_notes(rows: Sequence[RunRow[AttackRates]]) -> list[str]:
     for row in rows:
         scenes, judged = len(row.record.run.scenes), row.found.judged
         if judged < scenes:
-            some = f"{judged} of {pluralise(scenes, 'scene')} were judged: attributable is of these alone"
-            sentences[f"{row.split}: {some if judged else 'nobody judged its scenes: attributable is unknown'}."] = None
+            some = f"{judged} of {pluralise(scenes, 'scene')} were assessed: attributable covers only these"
+            sentences[
+                f"{row.split}: {some if judged else 'its scenes were not assessed: attributable is unknown'}."
+            ] = None
     for row in rows:
         if row.found.unknown_fault:
             sentences[
                 f"{row.describe_run}: {pluralise(row.found.unknown_fault, 'contact')} at the ego's sides "
-                "without a map of lanes, so that nobody can tell whose fault they are."
+                "without a lane map, so their fault is unknown."
             ] = None
     return list(sentences)
 
@@ -174,7 +176,7 @@ def _contact_values(row: RunRow[AttackRates]) -> Values:
         summarise_contacts(row.record, bystanders=True),
     )
     kinds = severity.kinds
-    # A contact with what stands, or while the ego itself stands.
+    # A contact with a standing object, or while the ego itself stands.
     standing = kinds.get("stopped_track", 0) + kinds.get("stopped_ego", 0)
     parts = {"at fault": severity.at_fault, "front": kinds.get("front", 0), "side": kinds.get("lateral", 0)}
     parts |= {"rear": kinds.get("rear", 0), "standing": standing}

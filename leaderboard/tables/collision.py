@@ -28,22 +28,21 @@ from leaderboard.tables.longer_plans import longer_table
 from leaderboard.tables.published import find_published_rate, is_model_variant, quote_rates
 
 BRIEF_NOTE = (
-    "Brackets: 95 % bootstrap interval over recorded scenes; a dash where there are fewer than two or all of them "
-    "agree."
+    "Brackets: 95 % bootstrap interval over recorded scenes; a dash if there are fewer than two or all of them agree."
 )
 _BRIEF = ("planner", "split", "protocol", "col. avg", "95 % of col. avg", "L2 avg", "scenes failed")
-"""What a terminal shows; nonsense shows at once in L2."""
+"""Columns in a terminal; L2 exposes nonsense at once."""
 BEFORE_MASK = "collision_before_mask"
 MASK_COLUMNS = ("avg before mask", "steps masked", "masked for adversaries", "masked for others")
 _MASK_NOTE = (
     "Mask: steps at which the recorded ego collides too, under the same protocol, do not count. Before it: the "
-    "average without that exclusion; masked: how many colliding steps it removed, at which the recorded ego "
-    "touches an adversary, and at which it touches something else alone. Where a protocol leaves out whole "
+    "average without that exclusion; masked: number of removed colliding steps at which the recorded ego "
+    "touches an adversary, and at which it touches only other objects. Where a protocol leaves out whole "
     "samples (safemvdrive), the colliding steps of these are counted, and there is no average before it."
 )
 _PAPER_NOTE = (
-    "Paper: what it prints for the model of that name under the same protocol on nuScenes-val, nuScenes-val-R "
-    "and Adv-nuSc; on other data it is a reference and no target."
+    "Paper: its numbers for the model of that name under the same protocol on nuScenes-val, nuScenes-val-R "
+    "and Adv-nuSc; on other data they are a reference, not a target."
 )
 
 
@@ -72,13 +71,13 @@ def collision_table(frame: DataSetRuns, protocol: str) -> Table:
 
 def _native_notes(runs: Sequence[RunRecord], maxima: Sequence[RunRecord]) -> list[str]:
     without = any(record.run.planner.native_protocol is None for record in runs)
-    exact_note = " The last rows, under exact, are planners without a repository of their own." if without else ""
+    exact_note = " The last rows, under exact, are planners without a published repository." if without else ""
     return [
         "As in the paper, each row quotes the protocol of the planner's own repository: rows of different "
         f"protocols are not comparable.{exact_note}",
         *(
-            f"{record.planner} on {record.run.split}: {record.native_protocol} says whether there is any contact "
-            "up to the horizon, which shares no column with values at a step or means; see its own table."
+            f"{record.planner} on {record.run.split}: {record.native_protocol} reports any contact "
+            "up to the horizon, which is not comparable with values at a step or means; see its own table."
             for record in maxima
         ),
     ]
@@ -231,7 +230,7 @@ def _run_notes(runs: Sequence[RunRecord], protocol: str) -> list[str]:
 
 
 def _list_variant_notes(runs: Sequence[RunRecord], protocol: str) -> list[str]:
-    """Beside whom the paper's numbers do not stand."""
+    """Planners without published numbers beside them."""
     variants = {run.run.planner.name for run in runs if is_model_variant(run, resolve_protocol(run, protocol))}
-    some = f"No published row stands beside {', '.join(sorted(variants))}"
-    return [f"{some}: a miniature or a variant is not the model that the paper ran."] if variants else []
+    some = f"No published row is shown for {', '.join(sorted(variants))}"
+    return [f"{some}: a miniature or a variant is not the model of the paper."] if variants else []

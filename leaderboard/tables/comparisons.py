@@ -40,12 +40,12 @@ AVERAGE = HORIZONS[-1]
 SPLIT_PAIRS = (("val", "adv"), ("val-r", "adv"), ("val", "val-r"))
 """Which splits are compared; the last pair is what rendering alone does."""
 DRAWN_NOTE = (
-    "Brackets: 95 % bootstrap interval; recorded scenes are drawn, each with everything made from it. An interval "
-    "without 0 is a difference beyond chance; of twenty intervals about one errs."
+    "Brackets: 95 % bootstrap interval; recorded scenes are resampled, each with everything made from it. An interval "
+    "without 0 is a difference beyond chance; about one in twenty intervals errs."
 )
 REDRAWN_NOTE = (
-    "val → val-r is what drawing the same scenes again does; val-r → adv is free of it, since one renderer draws both. "
-    "How the embedded data are drawn again: docs/rendering.md."
+    "val → val-r is the effect of rendering the same scenes; val-r → adv is free of it, since one renderer draws both. "
+    "Rendering of the embedded data: docs/rendering.md."
 )
 
 
@@ -117,7 +117,7 @@ def planner_table(frame: DataSetRuns, protocol: str, split: str) -> Table | None
         columns,
         [_planner_row(pair, comparison) for pair, comparison in compared],
         (
-            "Both rates are over the samples that both planners planned; samples that one of them failed on are left "
+            "Both rates are over the samples that both planners planned; samples on which one of them failed are left "
             "out of both.",
             DRAWN_NOTE,
             *_notes(here, min(count_recordings(record) for record in here)),

@@ -60,9 +60,9 @@ _AVERAGE = HORIZONS.index("avg")
 _RULE = (
     "Splits adv-seed-N: the same recordings, searched with seed N (generate --seeds). The row of all: the mean "
     "of the rates. Over scenes: 95 % bootstrap interval over recorded scenes, of all seeds with everything that they "
-    "made of a recording; it holds the chance of the search, which comes in once for each recording and seed. "
+    "made of a recording; it includes the chance of the search, once for each recording and seed. "
     "Deviation: of the rates of the seeds around their mean (n − 1); over seeds: 95 % interval of that mean (Student) "
-    "on these very recordings, as wide as drawing the search again makes it (docs/metrics.md)."
+    "on these recordings, the spread from repeating the search (docs/metrics.md)."
 )
 
 
@@ -128,11 +128,11 @@ def _select_comparable(runs: dict[int, RunRecord], protocol: str) -> tuple[dict[
 def _explain_refusal(seed: int, run: RunRecord, first: RunRecord | None, protocol: str) -> str | None:
     generated = run.run.generated
     if generated is None or generated.seed != seed:
-        return "its data set does not say that it was searched with this seed"
+        return "its data set does not record this seed of the search"
     if not (run.covers_split and run.complete):
         return "it has no plan for some samples of the split"
     if first is not None and first.run.generated is not None and first.run.generated.search != generated.search:
-        return f"it comes from another search than {first.run.split}, not from another seed alone"
+        return f"its search differs from that of {first.run.split} in more than the seed"
     weights = None if first is None else first.run.planner
     if weights is not None and weights != run.run.planner:
         return f"the planner has other weights, settings, code or seed than on {first.run.split if first else ''}"
@@ -187,9 +187,9 @@ _COLUMNS = [
     *group_columns("counted", number_columns("pairs")),
 ]
 _NOTE = (
-    "Two plans half a second apart, the recorded motion between them taken out: distance at the same instants, by "
+    "Two plans half a second apart, without the recorded motion between them: distance at the same instants, by "
     "seconds after the later one. Brackets: 95 % bootstrap interval over recorded scenes. 0: one fixed path is "
-    "followed. Who changes a plan for a good reason is not told from who dithers."
+    "followed. Justified changes of a plan are not distinguished from dithering."
 )
 
 
@@ -198,7 +198,7 @@ def consistency_table(frame: DataSetRuns) -> Table | None:
     rows = [row for row in frame.rows("", measure_consistency) if row.found.pairs]
     if not rows:
         return None
-    title = f"{frame.data_name}: how far consecutive plans disagree about the same place and time (m)"
+    title = f"{frame.data_name}: disagreement of consecutive plans on the same instants (m)"
     without = [(row.describe_run, row.found.without) for row in rows if row.found.without]
     sentences = [f"{run_name}: {count} pairs are left out because a plan is missing." for run_name, count in without]
     brief = ("planner", "split", MEAN, f"95 % of {MEAN}", "pairs")
@@ -325,7 +325,7 @@ def missing_notes(frame: DataSetRuns) -> list[str]:
         run_name = f"{record.planner} on {record.run.split}"
         if record.missing_protocols:
             notes.append(
-                f"{run_name}: not judged by {', '.join(record.missing_protocols)}; run challenger-bench rescore."
+                f"{run_name}: not scored by {', '.join(record.missing_protocols)}; run challenger-bench rescore."
             )
         if any(None in record.columns.values(field) for field in ("place", "speed_m_s")):
             notes.append(
@@ -343,6 +343,6 @@ def missing_notes(frame: DataSetRuns) -> list[str]:
             notes.append(
                 f"{run_name}: the record does not say which recordings its scenes come from, so that intervals "
                 "take scenes "
-                "of one recording for independent; run challenger-bench rescore."
+                "of one recording as independent; run challenger-bench rescore."
             )
     return notes

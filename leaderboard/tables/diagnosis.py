@@ -27,11 +27,11 @@ from leaderboard.frame.specification import (
 )
 
 _RULE: Final = (
-    "Unseen: no forecast of the planner is near what it hits. Misforecast: the plan is clear of the planner's own "
+    "Unseen: no forecast of the planner is near the object hit. Misforecast: the plan is clear of the planner's own "
     "forecast of it. Misplanned: it hits that forecast too. Not attributable: the planner gives no forecasts. The rule "
     "is in docs/diagnosis.md. On splits with adversaries only samples whose first contact is with one are diagnosed."
 )
-_MANOEUVRE_NOTE: Final = "Col. 3s: share of the samples that collide within 3 s; the other shares are of those."
+_MANOEUVRE_NOTE: Final = "Col. 3s: share of samples that collide within 3 s; the other shares are of these."
 _BY_CAUSE: Final = group_columns(f"% of the colliding samples, {EXACT}", estimate_columns(*CAUSES))
 _CAUSES: Final = [
     *text_columns("planner", "split"),
@@ -62,7 +62,7 @@ class _DiagnosedSamples:
 
     @property
     def diagnosed(self) -> bool:
-        """Whether its collisions were diagnosed: those of old records were not."""
+        """Whether its collisions were diagnosed; those of old records were not."""
         return all(diagnosis is not None for _, diagnosis in self.colliding)
 
     def of_scenes(self, scenes: set[str]) -> "_DiagnosedSamples":
@@ -94,14 +94,14 @@ def diagnosis_tables(frame: DataSetRuns) -> list[Table]:
     if not runs:
         return []
     name, notes, known = frame.data_name, _notes(runs), [run for run in runs if run.found.diagnosed]
-    why = f"{name}: why plans collide (% of the colliding samples), protocol {EXACT}"
+    why = f"{name}: causes of collisions (% of the colliding samples), protocol {EXACT}"
     tables = [tabulate("diagnosis", why, _CAUSES, [run.names | _values(run) for run in known], notes)]
     if any(run.found.colliding for run in known):
         cases = [case for run in known for case in _case_rows(run)]
         title = f"{name}: cases of the diagnosis (colliding samples), protocol {EXACT}"
         tables.append(tabulate("diagnosis-cases", title, _CASES, cases, notes))
     if any(_group_scenes_by_manoeuvre(run.record) for run in known):
-        title = f"{name}: collisions (%) and why, by manoeuvre of the first adversary, protocol {EXACT}"
+        title = f"{name}: collisions (%) and causes, by manoeuvre of the first adversary, protocol {EXACT}"
         rows = _group_by_manoeuvre(known)
         tables.append(tabulate("diagnosis-manoeuvres", title, _MANOEUVRES, rows, (_MANOEUVRE_NOTE, *notes)))
     return tables

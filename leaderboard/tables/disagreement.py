@@ -1,4 +1,4 @@
-"""What each protocol misses and invents, measured by ``exact`` on the same plans."""
+"""Misses and false alarms of each protocol, measured by ``exact`` on the same plans."""
 
 from collections.abc import Sequence
 
@@ -47,7 +47,7 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
         records: Run records; those of other data sets or splits, or not judged by ``exact``, are left out.
 
     Returns:
-        One row for each planner and protocol but ``exact``; causes that nobody shows have no column.
+        One row for each planner and protocol but ``exact``; causes that never occur have no column.
     """
     runs = [
         record
@@ -74,7 +74,7 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
             "steps, exact and the row's protocol", number_columns("mask took", "step misses", "step false alarms")
         ),
     ]
-    title = f"{format_title(data_name, split)}: what each protocol misses and invents, measured by exact"
+    title = f"{format_title(data_name, split)}: misses and false alarms of each protocol, measured by exact"
     brief = ("planner", "protocol", "samples", "misses", "false alarms", "mask took")
     return tabulate(f"disagreement-{split}", title, columns, map(_values, rows), _notes(runs, rows), brief=brief)
 
@@ -123,13 +123,13 @@ def _shorten_cause(cause: str) -> str:
 
 def _notes(runs: Sequence[RunRecord], rows: Sequence[_DisagreementRow]) -> tuple[str, ...]:
     notes = [
-        "A sample is positive if the plan collides at any time within 3 s; exact looks at all objects all the time, "
-        "the official verdict is the one after the protocol's mask. Only samples count that both count. Brackets: % of "
-        "exact + for misses, of official + for false alarms.",
+        "A sample is positive if the plan collides at any time within 3 s; exact checks all objects at all times, and "
+        "the official verdict is the one after the protocol's mask. Only samples that both count are used. Brackets: "
+        "% of exact + for misses, of official + for false alarms.",
         "Causes (docs/footguns.md): "
         f"{', '.join(f'{_SHORT[counterfactual]} = {counterfactual}' for counterfactual in COUNTERFACTUALS[:5])}.",
-        "Mask took: steps (and samples with such steps) that a protocol drops because, in its eyes, the recorded ego "
-        "collides there too. Steps: the verdicts at the six waypoints, where exact looks at the waypoint alone.",
+        "Mask took: steps (and samples with such steps) that a protocol drops because, by its rule, the recorded ego "
+        "collides there too. Steps: the verdicts at the six waypoints, where exact checks only the waypoint.",
     ]
     unknown = sorted({f"{row.record.planner} ({row.judge})" for row in rows if row.found.causes is None})
     if unknown:

@@ -39,12 +39,12 @@ DISAGREEMENTS = "loops-scenes"
 """How names of tables of single scenes begin."""
 _RATES_NOTE = (
     f"Open loop: scenes with any sample whose plan collides under {OPEN_LOOP}. Contact, at fault: drives of the same "
-    "scenes that end in a contact, and in one that the ego is at fault for. Only open, only closed: scenes that are "
-    "failed in that loop alone; agree: share of the others. Only scenes count of which both loops can say."
+    "scenes that end in a contact, and in one that the ego is at fault for. Only open, only closed: scenes "
+    "failed only in that loop; agree: share of the others. Only scenes with a verdict in both loops count."
 )
 _SCENES_NOTE = (
-    "Scenes that a planner fails in one loop and not in the other; only closed: a drive ends in a contact and no plan "
-    f"of the recording collides under {OPEN_LOOP}. Contact: of the first run that has one, seconds after the drive "
+    "Scenes that a planner fails in only one of the loops; only closed: a drive ends in a contact and no plan "
+    f"of the recording collides under {OPEN_LOOP}. Contact: of the first run that has one, in seconds after the drive "
     "began."
 )
 _LoopPair = tuple[DriveTableRow, PlannerLoopComparison]
@@ -110,10 +110,10 @@ def _rates_table(group: ComparableDrives, loop_pairs: Sequence[_LoopPair], missi
 
 
 def _describe_ranking(contact: RankCorrelation, at_fault: RankCorrelation) -> list[str]:
-    """Whether closed loop ranks planners as open loop does, in words."""
-    where = f"{contact.planners} planners on the {pluralise(contact.scenes, 'scene')} that all of them have"
+    """Agreement of closed loop and open loop on the ranking of planners, in words."""
+    where = f"{contact.planners} planners on the {pluralise(contact.scenes, 'scene')} that they share"
     if contact.planners and not contact.scenes:
-        where = f"{contact.planners} planners, which have no scene in common"
+        where = f"{contact.planners} planners, which share no scenes"
     correlations = ", ".join(
         f"{words} {'–' if correlation.tau is None else f'{correlation.tau:.2f}'}"
         for words, correlation in (("contact", contact), ("at fault", at_fault))
@@ -201,31 +201,31 @@ _FAIRNESS: Final = (
 )
 """Where reference drivers drove the same encounters."""
 _NOTE_FAIRNESS: Final = (
-    "Attributable: contacts at fault with the adversary, in encounters that a careful human survives, who drives the "
-    "same path against the same adversary (docs/extensions/reactive_adversary.md); bystander: the same with anybody "
-    "else; careful survives: the share of encounters in which this human touches nobody. The adversary answers each "
-    "driver, so that an encounter is the vehicle, the hand-over and the seed."
+    "Attributable: contacts at fault with the adversary, in encounters that a careful human driver survives on the "
+    "same path against the same adversary (docs/extensions/reactive_adversary.md); bystander: the same with any other "
+    "road user; careful survives: share of encounters that this driver survives. The adversary reacts to each "
+    "driver, so an encounter is defined by the vehicle, the hand-over and the seed."
 )
 _PUBLISHED: Final = ("NNS as published code rounds", "CR % as published code rounds")
 _PUBLISHED_NOTE: Final = (
-    "As published code rounds: means over runs, then scenes, then families, each rounded to three digits, and a scene "
-    "with a run without a score left out; so are the numbers in NeuroNCAP's tables. NNS and CR % are not rounded on "
-    "the way."
+    "As published code rounds: means over runs, then scenes, then families, each rounded to three digits; a scene "
+    "with an unscored run is left out; as in NeuroNCAP's tables. NNS and CR % have no intermediate "
+    "rounding."
 )
 _FAMILIES: Final = ("stationary", "frontal", "side")
 _BRIEF: Final = (
     *("planner", "sensor", "contact", "at_fault", "95 % of at_fault", ATTRIBUTABLE, BYSTANDER, "survives_cc"),
     *("impact_speed", "route", "off_road", "comfortable", "nuplan_score", "hd_score", "failed", "drives"),
 )
-"""What a terminal shows of our own engine; of intervals that of blame alone."""
+"""Columns of our own engine in a terminal; the only interval is that of fault."""
 _NOTE_CONTACT: Final = (
-    "Contact: any, whoever it is with; at fault: by nuPlan's rules (docs/severity.md). Impact speed and delta-v: means "
-    "over contacts. Route: share of the recorded way. "
+    "Contact: with any object; at fault: by nuPlan's rules (docs/severity.md). Impact speed and delta-v: means "
+    "over contacts. Route: driven share of the recorded path. "
 )
 _NOTE_STOP_ON: Final[dict[StopCondition, str]] = {
     "contact": "A drive ends at its first contact.",
-    "fault": "A drive ends at the first contact that is its fault; whoever touches the ego otherwise is gone from the "
-    "next planning instant on. Impact speed and delta-v are of the first contact of a drive, whoever's fault it is.",
+    "fault": "A drive ends at the first contact that is its fault; others that touch the ego are removed from the "
+    "next planning instant on. Impact speed and delta-v are of the first contact of a drive, at fault or not.",
 }
 _NOTE_SCORES: Final = (
     "nuPlan terms: NC DAC MP DDC (5 P + 5 TTC + 2 C) / 12, without speed limits, traffic lights and route blocks, "
@@ -233,7 +233,7 @@ _NOTE_SCORES: Final = (
 )
 _NOTES_NEURONCAP: Final = (
     "NNS: 5 without contact, else 4 max(0, 1 - impact / reference); CR: drives with a contact. Numbers of this engine "
-    "compare with published ones only on NeuroNCAP's own scenarios and renderer. Families of scenarios count alike.",
+    "are comparable with published ones only on NeuroNCAP's own scenarios and renderer. Families weigh equally.",
 )
 _FAILED_NOTE: Final = (
     "failed: drives in which the planner raised, answered no usable plan or was late; in no other column."

@@ -37,13 +37,13 @@ _COLUMNS: Final = [
 ]
 WORDS_NOTE: Final = (
     "NC no collision at fault, DAC drivable area, DDC driving direction, EP progress beside the recorded future, TTC "
-    "time to collision, LK lane keeping, HC comfort with what was before, EC agreement with the plan before. Score: NC "
-    "DAC DDC times the weighted mean of the others, over samples with a plan before; without EC over all."
+    "time to collision, LK lane keeping, HC comfort including the past, EC agreement with the previous plan. Score: NC "
+    "DAC DDC times the weighted mean of the others, over samples with a previous plan; without EC over all."
 )
 FULL_NOTE: Final = (
     "Means of the plans in %; beside them the share of plans that have exactly 1. Filtered: a sub-score in which the "
     "recorded driver has 0 counts as 1. HC: samples with 1.5 s of recording before them; totals count it as 1 where "
-    "there are none, as the official code does. Brackets: 95 % bootstrap interval over recorded scenes."
+    "there are none, as in the official code. Brackets: 95 % bootstrap interval over recorded scenes."
 )
 
 
@@ -105,7 +105,7 @@ def _notes(frame: DataSetRuns) -> list[str]:
             )
         elif summary.version != VERSION:
             sentences.append(
-                f"{STALE_MARK} {run_name}: judged by version {summary.version} of {DEFINITION}, now {VERSION}; run "
+                f"{STALE_MARK} {run_name}: scored by version {summary.version} of {DEFINITION}, now {VERSION}; run "
                 "challenger-bench rescore."
             )
     return run_notes(frame.given, sentences)

@@ -26,12 +26,12 @@ from leaderboard.frame.specification import (
 
 _NOTE: Final = (
     "Adversary: samples whose plan touches the adversary before anything else within 3 s (avg: mean of 1, 2 and 3 s); "
-    "at fault: those at the planner's fault. Any: contact with anything within 3 s, on the adversarial scenes and on "
-    "the same recordings unchanged, sample by sample. Difference in points of per cent, with its 95 % interval over "
-    "recordings. Each recording weighs once, however many variants it has (docs/metrics.md)."
+    "at fault: those that are the planner's fault. Any: contact with anything within 3 s, on the adversarial scenes "
+    "and on the same recordings unchanged, sample by sample. Difference in percentage points, with 95 % interval over "
+    "recordings. Each recording has the same weight, with any number of variants (docs/metrics.md)."
 )
 _OTHERS_NOTE: Final = (
-    "New others: contacts with another than the adversary that the planner does not have on the unchanged recording; "
+    "New others: contacts with other objects that the planner does not have on the unchanged recording; "
     "lost others: the reverse."
 )
 _COLUMNS: Final = [
@@ -77,7 +77,7 @@ def effect_table(frame: DataSetRuns) -> Table | None:
         effects += [] if effect is None else [effect]
         rows.append({"planner": row_name(record, EXACT), "split": record.run.split, **_values(effect)})
     lacking = (*_list_missing(runs, effects), *refused)
-    # Of other tables' intervals: this one's hold over few recordings, or are not given.
+    # A note for intervals of other tables: this one's hold over few recordings, or are omitted.
     run_sentences = [note for note in run_notes(runs, ()) if note != FEW_NOTE]
     return tabulate(
         "effect",
@@ -86,7 +86,7 @@ def effect_table(frame: DataSetRuns) -> Table | None:
         rows,
         (_NOTE, _OTHERS_NOTE, *lacking, *run_sentences),
         brief=_BRIEF,
-        # The rest of what has to be said of the runs stands below the rates already.
+        # The other notes on the runs are below the rates already.
         brief_notes=(_NOTE, *lacking, *list_run_marks(runs)),
     )
 
@@ -161,9 +161,7 @@ def _describe_remedy(record: RunRecord) -> str:
     """Advice on how to make the record that is missing."""
     if knows_adversaries(record):
         return "challenger-bench eval --split val --split adv runs both"
-    return (
-        "run challenger-bench eval --split val on the data set that has them, and name that one here with --unchanged"
-    )
+    return "run challenger-bench eval --split val on the data set that has them, and name it here with --unchanged"
 
 
 def _name_planners(effects: Sequence[AdversaryEffect], split: str) -> str:
@@ -175,9 +173,9 @@ def _name_planners(effects: Sequence[AdversaryEffect], split: str) -> str:
 def explain_unknown_contacts(record: RunRecord) -> str:
     """Reason why a record on a split with adversaries does not say whom contacts are with, in a sentence."""
     facts = [record.run.scene_facts.get(scene) for scene in record.run.scenes]
-    why = "older records do not say whom contacts are with; challenger-bench rescore brings that to them"
+    why = "older records lack the objects touched; challenger-bench rescore adds them"
     if any(fact is None or fact.adversaries is None for fact in facts):
-        why = "it is not known which road users are adversaries, so that no contact is attributed to one"
+        why = "the adversaries are unknown, so no contact is attributed to one"
     return f"{record.run.split}: {why}."
 
 
@@ -199,4 +197,6 @@ def _explain_too_few(difference: PairedDifference) -> str | None:
         return None
     verb = "differs" if difference.differing == 1 else "differ"
     sentence = f"only {difference.differing} of {difference.recordings} recordings {verb}, too few for an interval"
-    return sentence if difference.enough is None else f"{sentence}; about {difference.enough} recordings would do"
+    return (
+        sentence if difference.enough is None else f"{sentence}; about {difference.enough} recordings would be enough"
+    )

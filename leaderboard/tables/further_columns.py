@@ -29,15 +29,15 @@ class FurtherColumn:
 
 
 COLUMNS: Final = (
-    FurtherColumn("kerb", "kerb", "Kerb: any contact with the edge of the road up to there, after the mask."),
-    FurtherColumn("kerb_before_mask", "kerb before mask", "Before mask: the same whatever the recorded ego does."),
+    FurtherColumn("kerb", "kerb", "Kerb: any contact with the edge of the road up to this time, after the mask."),
+    FurtherColumn("kerb_before_mask", "kerb before mask", "Before mask: the same, regardless of the recorded ego."),
     FurtherColumn(
         "kerb_point",
         "point on kerb",
-        "Point on kerb: mean over the steps up to there, of the point below the waypoint.",
+        "Point on kerb: mean over the steps up to this time, for the point below the waypoint.",
     ),
-    FurtherColumn("off_road", "off road", "Off road: any step up to there with a cell that is not drivable."),
-    FurtherColumn("collision_mean", "col. mean", "col. mean: mean of the same flags over the steps up to there."),
+    FurtherColumn("off_road", "off road", "Off road: any step up to this time with a cell that is not drivable."),
+    FurtherColumn("collision_mean", "col. mean", "col. mean: mean of the same flags over the steps up to this time."),
 )
 """Each is one average and never another: no column here is comparable with one beside it."""
 

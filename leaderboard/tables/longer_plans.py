@@ -1,4 +1,4 @@
-"""What plans that go on beyond 3 s come to at 4, 5 and 6 s."""
+"""Collision rates and displacements of longer plans at 4, 5 and 6 s."""
 
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.longer_plans import HORIZONS, LongerRates, compute_longer_rates
@@ -25,7 +25,7 @@ _COLUMNS = [
 ]
 _NOTE = (
     "Any contact up to the horizon, and displacement there, of plans and recordings that both reach it: the "
-    "horizons are not counted over the same samples. No official protocol judges beyond 3 s."
+    "horizons cover different samples. No official protocol goes beyond 3 s."
 )
 
 

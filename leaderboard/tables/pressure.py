@@ -27,16 +27,16 @@ from leaderboard.frame.specification import (
 )
 
 BUDGET: Final = ("every_s", "rounds", "candidates")
-"""What a budget is, by the names of a record's `agents_facts`."""
+"""Fields of a budget, by the names of a record's `agents_facts`."""
 TRACKS_OF, RECORD = "tracks_of", "record"
-"""Whose drives given tracks arose in: the planner's name, and the content id of its record."""
+"""Source of given tracks: the name of the planner in whose drives they were searched, and its record's content id."""
 _OF_SEARCH: Final = ("search",)
 """Of the facts, what follows from a budget: the fingerprint of all settings."""
 _PRESSURE_NOTE: Final = (
-    "Each row is one budget of the adversary: it is planned anew every so many seconds, with so many refinement "
-    "rounds of so many candidates. Attributable: contacts at fault with the adversary, in encounters that a careful "
-    "human survives against the same budget; bystander: the same with anybody else; at fault: whoever is touched; "
-    "impact: mean over contacts. Everything else that was measured is the same in all rows."
+    "Each row is one budget of the adversary: the time between its plans, the number of refinement "
+    "rounds and of candidates. Attributable: contacts at fault with the adversary, in encounters that a careful "
+    "human survives against the same budget; bystander: the same with other road users; at fault: with any object; "
+    "impact: mean over contacts. All other settings are the same in all rows."
 )
 _TRANSFER_NOTE: Final = (
     "Rows: the planner in whose drives the adversary was planned; columns: the planner that drives against the same "
@@ -89,9 +89,7 @@ def group_by_pressure(records: Sequence[DriveRecord]) -> list[tuple[str, list[Dr
             rest = _remove_names(facts.measured.agents_facts, (*BUDGET, *_OF_SEARCH))
             key = json.dumps([facts.data.fingerprint, facts.split, facts.scenes, facts.runs, rest, world.sensor])
             measured_texts = ", ".join(f"{word.replace('_', ' ')} {value}" for word, value in rest.items())
-            titles[key] = (
-                f"{facts.data.name} {facts.split}: pressure of an adversary that is planned anew ({measured_texts})"
-            )
+            titles[key] = f"{facts.data.name} {facts.split}: pressure of a reactive adversary ({measured_texts})"
             kinds.setdefault(key, []).append(DrivePressure(row, budget))
     several = {key: group for key, group in kinds.items() if len({drive.budget for drive in group}) > 1}
     return [
@@ -123,7 +121,7 @@ def _values(pressure: DrivePressure) -> Values:
 
 
 def transfer_tables(records: Sequence[DriveRecord]) -> list[Table]:
-    """Whether tracks that arose against one planner fail another: one table for each data set and split.
+    """Transfer of adversarial tracks from one planner to another: one table for each data set and split.
 
     Only where a planner drove against tracks of a record that is among these.
     """

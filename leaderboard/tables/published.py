@@ -153,7 +153,7 @@ def find_published_rate(record: RunRecord, judge: str) -> PublishedRate | None:
 
 
 def is_model_variant(record: RunRecord, judge: str) -> bool:
-    """Whether a planner is named after a model of the paper that was judged likewise, and is not that model."""
+    """Whether a planner is named after a model of the paper with the same protocol, but is not that model."""
     planner = record.run.planner
     stems = {row.model.lower() for row in TABLE_1 if row.protocol == judge}
     alike = any(planner.name.lower().startswith(f"{stem}-") for stem in stems)
@@ -244,8 +244,8 @@ def _open_loop(records: Sequence[RunRecord]) -> Table:
         _SOURCES,
         "Rows of different protocols are not comparable. Several rows of one planner and protocol are several "
         "evaluations by others, or several checkpoints.",
-        "Ours stands beside a row where planner, protocol and split are the same; the split is known by its number "
-        "of samples, which nobody prints of nuScenes-val-R.",
+        "Ours is shown beside a row if planner, protocol and split are the same; the split is identified by its number "
+        "of samples, which no source gives for nuScenes-val-R.",
         *(f"[{number}] {source}." for number, source in enumerate(_SOURCES, start=1)),
         *dict.fromkeys(list_file_notes(measured)),
     )

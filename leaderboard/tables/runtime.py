@@ -1,6 +1,6 @@
 """Where the time of generation goes, ours beside the paper's: from scene sheets.
 
-What planners cost: latency and memory, by the machine that they ran on.
+Cost of planners: latency and memory, by the machine that they ran on.
 """
 
 from collections.abc import Sequence
@@ -32,12 +32,12 @@ from leaderboard.tables.published import quote_seconds
 
 _MS: Final = 1000.0
 _NOTE: Final = (
-    f"Latency: from asking to the plan, reading images included, by the clock; the first {COLD_SAMPLES} samples of "
-    "each scene are left out. Memory: greatest resident memory of the process that plans, the harness included (of "
-    "planners of other packages their own process); GPU: greatest memory allocated there. Of this machine and of what "
-    "else ran on it: no part of a record, and different each time."
+    f"Latency: wall-clock time from request to plan, including reading images; the first {COLD_SAMPLES} samples of "
+    "each scene are left out. Memory: peak resident memory of the planning process, including the harness (planners "
+    "of other packages have their own process); GPU: peak memory allocated there. The numbers depend on the machine "
+    "and its load: they are not part of a record, and vary from run to run."
 )
-_SHARED_NOTE: Final = "Several processes planned side by side; latencies are longer than alone."
+_SHARED_NOTE: Final = "Several processes planned side by side; latencies are longer than in a single process."
 
 
 def cost_table(frame: DataSetRuns) -> Table | None:
@@ -45,7 +45,7 @@ def cost_table(frame: DataSetRuns) -> Table | None:
     rows = frame.rows("", _find_cost)
     cost_rows = [row.names | _cost_values(row.origin, row.found, "scenes") for row in rows]
     marks = list_run_marks(row.record for row in rows)
-    return _cost_table(COST, f"{frame.data_name}: what planners cost", "split", cost_rows, marks)
+    return _cost_table(COST, f"{frame.data_name}: cost of planners", "split", cost_rows, marks)
 
 
 def drive_cost_table(data_name: str, records: Sequence[DriveRecord]) -> Table | None:
@@ -58,7 +58,7 @@ def drive_cost_table(data_name: str, records: Sequence[DriveRecord]) -> Table | 
             where = f"{facts.split}, {facts.measured.world}, sensor {facts.measured.sensor}"
             cost_rows.append({"planner": row.planner, "driven": where, **_cost_values(row.origin, cost, "drives")})
             planners.append(facts.planner)
-    title = f"{data_name}: what planners cost while they drive"
+    title = f"{data_name}: cost of planners in closed loop"
     return _cost_table(f"drive-{COST}", title, "driven", cost_rows, list_planner_marks(planners))
 
 
@@ -126,10 +126,10 @@ def _table(data_name: str, split: SplitPage, runtime: BuildRuntime) -> Table:
         [_values(split, runtime, stage) for stage in (*list_stages(runtime), ALL)],
         (
             f"Here: seconds of one processor core over {pluralise(runtime.attempts, 'attempt')} and "
-            f"{pluralise(runtime.scenes, 'rendered scene')}, whatever the machine; each: one attempt, rendering: one "
+            f"{pluralise(runtime.scenes, 'rendered scene')}, on any machine; each: one attempt, rendering: one "
             "scene.",
-            f"Paper: seconds by the clock for one scene of about 240 frames and six cameras on {RUNTIME_MACHINE}. The "
-            "two columns have different units of work and do not compare.",
+            f"Paper: wall-clock seconds for one scene of about 240 frames and six cameras on {RUNTIME_MACHINE}. The "
+            "two columns have different units of work and are not comparable.",
         ),
         sources=(RUNTIME_SOURCE,),
     )

@@ -48,33 +48,33 @@ DRIVER_HEADS: Final[dict[DriverName, str]] = {
     "rss": "RSS",
 }
 REFERENCE_DRIVERS_NOTE: Final = (
-    "Share of the scenes that a driver survives who follows the recorded path and only brakes: the recording itself, "
-    "one that keeps its speed, IDM, UN R157 (5.2.5.2), the careful and competent human of R157, the fuzzy safety "
+    "Share of scenes survived by reference drivers that follow the recorded path and only brake: the recording itself, "
+    "constant speed, IDM, UN R157 (5.2.5.2), the careful and competent human of R157, the fuzzy safety "
     "model, RSS (docs/severity.md)."
 )
 _CAUTION_NOTE: Final = (
-    "RSS and, in dense traffic, FSM often react at once to an ordinary leader: read them as a car that had driven like "
-    "this all along. The careful human and R157 react late by design."
+    "RSS and, in dense traffic, FSM often react at once to an ordinary leader: read them as cars that had always kept "
+    "their own distance. The careful human and R157 react late by design."
 )
 _MARGIN_NOTE: Final = (
     "Unsolvable: no sampled manoeuvre avoids it 0.75 s after the adversary is first visible, and neither the careful "
-    "human nor FSM survives. Margin: from then to the last chance of an ego at constant speed, where that ends in a "
-    "contact of its own; median and worst tenth. Ego's: medians of the recorded ego's encounter with the adversary."
+    "human nor FSM survives. Margin: from then to the last avoidable time of an ego at constant speed, if it ends in "
+    "a contact; median and worst tenth. Ego's: medians of the recorded ego's encounter with the adversary."
 )
 _REALISM_NOTE: Final = (
-    "How far adversaries' motion is from that of recorded cars, feature by feature: W1 in the unit of the feature, and "
+    "Distance between the motion of adversaries and of recorded cars, by feature: W1 in the unit of the feature, and "
     "as a multiple of the W1 between two halves of the recordings; realism: 1 − Jensen-Shannon divergence over the "
-    "recordings' 5 % quantiles. The row of the halves is what zero looks like: a realism above it is no evidence of "
+    "recordings' 5 % quantiles. The row of the halves is the noise floor: a realism above it is no evidence of "
     "anything. The headline is the worst feature, marked among all; a mean would hide it (docs/realism.md)."
 )
 _CTG_NOTE: Final = (
-    "Ctg-realism@code: what papers on nuScenes quote, to compare with them and never to rank by; turning the map "
-    "changes it as much as two cars that stop and go."
+    "Ctg-realism@code: the measure quoted in papers on nuScenes, for comparison with them, not for ranking; rotating "
+    "the map changes it as much as two cars in stop-and-go traffic."
 )
 _VALIDITY_NOTE: Final = (
-    "Adversaries with a fault, of those of which somebody could tell: beyond the limits of driver and car; a corner "
-    "more than 0.3 m off the drivable area; contact with anybody but the ego; against the lanes below it for more than "
-    "1 s; within 0.5 m of the same other for more than 0.5 s; jumps between frames (docs/realism.md)."
+    "Adversaries with a fault, of those that could be checked: beyond the limits of driver and car; a corner more "
+    "than 0.3 m off the drivable area; contact with an object other than the ego; against the lanes below it for more "
+    "than 1 s; within 0.5 m of the same object for more than 0.5 s; jumps between frames (docs/realism.md)."
 )
 CTG: Final = "ctg-realism@code"
 WORST_MARK: Final = "(worst)"
@@ -156,7 +156,7 @@ def assessment_tables(frame: DataSetRuns) -> list[Table]:
             _VALIDITY_NOTE,
             *dict.fromkeys(note for fault_counts in split_fault_counts for note in fault_counts.notes),
         )
-        tables.append(tabulate("validity", f"{name}: what is wrong with adversaries", _FAULTS, rows, notes))
+        tables.append(tabulate("validity", f"{name}: faults of adversaries", _FAULTS, rows, notes))
     compared = [(record, realism, realism.headline) for record, realism in real if realism.headline is not None]
     tables += [_headline_table(name, compared)] if compared else []
     return [*tables, *(_realism_table(name, record, realism) for record, realism, _ in compared)]
@@ -174,7 +174,7 @@ def list_split_realism(records: Sequence[RunRecord]) -> list[tuple[RunRecord, Sp
 def _reference_driver_table(data_name: str, split_drivers: Sequence[SplitReferenceDrivers]) -> Table:
     records = [drivers.record for drivers in split_drivers]
     few = [FEW_NOTE] if any(count_recordings(record) < FEW_SCENES for record in records) else []
-    title = f"{data_name}: who survives the adversarial scenes (%)"
+    title = f"{data_name}: avoidability of the adversarial scenes by reference drivers (%)"
     notes = (
         REFERENCE_DRIVERS_NOTE,
         _CAUTION_NOTE,
@@ -210,19 +210,17 @@ def _reference_driver_notes(split_drivers: Sequence[SplitReferenceDrivers]) -> l
     for drivers in split_drivers:
         split, scenes = drivers.record.run.split, len(drivers.record.run.scenes)
         if drivers.scenes < scenes:
-            notes.append(f"{split}: {drivers.scenes} of {pluralise(scenes, 'scene')} were judged.")
+            notes.append(f"{split}: {drivers.scenes} of {pluralise(scenes, 'scene')} were assessed.")
         if drivers.without_map:
             some = pluralise(drivers.without_map, "scene")
-            notes.append(f"{split}: no map for {some}, so that manoeuvres may have left the road there.")
+            notes.append(f"{split}: no map for {some}, so manoeuvres may have left the road there.")
         if drivers.annotated:
             some = pluralise(drivers.annotated, "scene")
-            notes.append(
-                f"{split}: of {some} the generated tracks are not at hand; what lies between keyframes counts."
-            )
+            notes.append(f"{split}: the generated tracks of {some} are not available; interpolated ones are used.")
         if drivers.outdated:
             notes.append(
-                f"{split}: {pluralise(drivers.outdated, 'scene')} judged by an earlier definition: drivers take over "
-                "at the first frame and not where the adversary acts; eval judges anew."
+                f"{split}: {pluralise(drivers.outdated, 'scene')} assessed by an earlier definition: drivers take over "
+                "at the first frame and not where the adversary acts; run eval to assess them again."
             )
     return notes
 
@@ -311,7 +309,7 @@ def _headline_table(data_name: str, headlines: Sequence[tuple[RunRecord, SplitRe
         if realism.ctg is not None
     ]
     notes = (_REALISM_NOTE, *([_CTG_NOTE] if versions else []), *versions)
-    title = f"{data_name}: how real adversaries move, by their worst feature"
+    title = f"{data_name}: realism of adversaries' motion, by the worst feature"
     return tabulate(REALISM, title, _HEADLINES, rows, notes)
 
 
@@ -323,7 +321,7 @@ def _realism_table(data_name: str, record: RunRecord, realism: SplitRealism) -> 
         feature = f"{name} {WORST_MARK}" if row.name == realism.worst else name
         rows.append({"feature": feature, **_feature_values(origin, row, samples)})
     reference = "" if realism.reference is None else f" Recordings: {realism.reference}."
-    title = f"{format_title(data_name, record.run.split)}: how real its adversaries move"
+    title = f"{format_title(data_name, record.run.split)}: realism of its adversaries' motion"
     return tabulate(f"{REALISM}-{record.run.split}", title, _FEATURES, rows, (f"{_REALISM_NOTE}{reference}",))
 
 

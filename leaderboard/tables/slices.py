@@ -42,25 +42,25 @@ from leaderboard.tables.further_columns import COLUMNS, FurtherColumn, further_v
 SLICES: Final = "slices"
 """First word of the names of these tables."""
 DIAGNOSIS: Final = "diagnosis"
-"""Who is asked for why plans collide, beside protocols and ``pdm``."""
+"""Name of the diagnosis among the sources of slices, beside protocols and ``pdm``."""
 _SLICE_WORDS: Final[dict[SliceKind, str]] = {
-    "place": "Place: what the recorded car is on at the sample, from the map (docs/manoeuvres.md); unknown: on no lane "
-    "that the map knows.",
-    "light": "Light: what the description of the scene names, in words; a scene may have several, and nuScenes never "
-    "says that it is day.",
-    "manoeuvre": "Manoeuvre: what the first adversary of the scene does (docs/manoeuvres.md).",
+    "place": "Place: part of the road under the recorded car, from the map (docs/manoeuvres.md); unknown: on no lane "
+    "of the map.",
+    "light": "Light: as named in the description of the scene; a scene may have several, and nuScenes never "
+    "names daylight.",
+    "manoeuvre": "Manoeuvre: of the first adversary of the scene (docs/manoeuvres.md).",
     "speed": "Speed: of the recorded car at the sample; below 1 m/s it stands.",
-    "command": "Command: where the route goes, read from where the recorded car will be in 3 s.",
+    "command": "Command: direction of the route, from the recorded car's position 3 s later.",
 }
 _LACKING_WORDS: Final[dict[SliceKind, str]] = {
-    "place": "does not say at which places its samples are",
-    "light": "does not say in what light its scenes are",
-    "speed": "does not say how fast the recorded car is",
+    "place": "lacks the places of its samples",
+    "light": "lacks the light of its scenes",
+    "speed": "lacks the speed of the recorded car",
 }
 _INTERVALS: Final = "Brackets: 95 % bootstrap interval over recorded scenes, drawn as for the whole split."
 _WHOM: Final = (
-    "Adversary: the plan touches the adversary before anything else; any contact: whoever is touched, so that what it "
-    "has more is bystanders. A dash: no adversaries, or the record does not say whom contacts are with."
+    "Adversary: the plan touches the adversary before anything else; any contact: with any object, so the "
+    "difference is bystanders. A dash: no adversaries, or the record lacks the objects touched."
 )
 _ADVERSARY: Final = ["adversary 3s", "adversary avg", "95 % of adversary"]
 
@@ -116,7 +116,7 @@ def run_slices(
 def _rates_table(frame: DataSetRuns, kind: SliceKind, protocol: str) -> Table:
     """Collision rates, L2 and the further rates of a protocol."""
     own, judge_words = protocol == NATIVE, name_judges(protocol)
-    # As in the whole table: maxima share no column with means, and who has no protocol stands under exact.
+    # As in the whole table: maxima share no column with means, and planners without a protocol are under exact.
     runs = [run for run in frame.runs if run.run.planner.native_protocol and not takes_maxima(run.native_protocol)]
     rows, notes = _rows(
         runs if own else frame.runs, protocol, kind, lambda record: compute_rates_by(record, kind, protocol)
@@ -145,7 +145,7 @@ def _rates_table(frame: DataSetRuns, kind: SliceKind, protocol: str) -> Table:
         ),
         *group_columns(f"counted, {judge_words}", number_columns("samples", "scenes")),
     ]
-    # A terminal has no room for everything, and L2 does not ask who is in the way.
+    # A terminal has no room for everything, and L2 does not depend on other road users.
     first = (
         ("adversary avg", "95 % of adversary avg", "any avg") if pursued else ("col. avg", "95 % of col. avg", "L2 avg")
     )
@@ -228,7 +228,7 @@ def _causes_table(frame: DataSetRuns, kind: SliceKind) -> Table:
         }
         for row in rows
     ]
-    title = f"{frame.data_name}: why plans collide (% of the colliding samples) by {kind}, protocol {EXACT}"
+    title = f"{frame.data_name}: causes of collisions (% of the colliding samples) by {kind}, protocol {EXACT}"
     notes = [_SLICE_WORDS[kind], "The causes are those of docs/diagnosis.md.", _INTERVALS, *notes]
     return _table(f"{SLICES}-{kind}-{DIAGNOSIS}", title, columns, values, notes, CAUSES)
 

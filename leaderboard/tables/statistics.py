@@ -38,8 +38,8 @@ from leaderboard.frame.specification import (
 from leaderboard.tables.published import quote_rows
 
 _RULE = (
-    "Runs of one planner on one split that differ in the seed and in nothing else that a record names. Deviation: of "
-    "the runs' rates around their mean (n − 1). It is what drawing the noise again does, and no interval over scenes."
+    "Runs of one planner on one split that differ only in the seed, as far as recorded. Deviation: of the runs' rates "
+    "around their mean (n − 1). It measures the planner's random noise, and is not an interval over scenes."
 )
 
 
@@ -129,7 +129,7 @@ _SEARCH = [
 ]
 PAPER_NOTE = (
     "The paper names cut-ins, sudden lane changes, tailgating, blocking and blind-spot intrusions, and junctions, "
-    "roundabouts and parking areas; it counts none of them, so nothing of it stands beside."
+    "roundabouts and parking areas; it gives no counts, so there is no column for it."
 )
 _NOTE = (
     "Primary: the one manoeuvre that an adversary is named after, at the place of its closest approach. At any "
@@ -194,8 +194,8 @@ def _closeness_table(data_name: str, splits: Sequence[SplitPage]) -> Table | Non
             )
     if not rows:
         return None
-    note = "Time to collision: the least one of each adversary that comes within 5 s of one. The paper has none."
-    return tabulate("closeness", f"{data_name}: how close adversaries come to the ego", _CLOSENESS, rows, (note,))
+    note = "Time to collision: the least of each adversary with one below 5 s. The paper gives none."
+    return tabulate("closeness", f"{data_name}: distance of adversaries to the ego", _CLOSENESS, rows, (note,))
 
 
 def _search_table(data_name: str, split: SplitPage) -> Table | None:
@@ -210,8 +210,8 @@ def _search_table(data_name: str, split: SplitPage) -> Table | None:
         )
         for outcome in order
     ]
-    title = f"{format_title(data_name, split.split)}: what the search tried, and why it discarded it"
-    note = "The paper names the reasons for which it discards scenes and counts none."
+    title = f"{format_title(data_name, split.split)}: vehicles tried by the search, and reasons to discard them"
+    note = "The paper names its reasons to discard scenes, but gives no counts."
     return tabulate(f"search-{split.split}", title, _SEARCH, [*rows, _attempt_values(split, "all", attempts)], (note,))
 
 
@@ -253,7 +253,7 @@ def _table(data_name: str, split: SplitPage) -> Table:
     }
     return tabulate(
         f"manoeuvres-{split.split}",
-        f"{format_title(data_name, split.split)}: what adversaries do, and where",
+        f"{format_title(data_name, split.split)}: manoeuvres of adversaries, and their places",
         columns,
         [*(_values(split, row) for row in statistics.manoeuvres), every],
         (_NOTE, PAPER_NOTE),

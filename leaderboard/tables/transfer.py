@@ -46,12 +46,12 @@ def transfer_matrices(
     data: str | None = None,
     adversary_only: bool = False,
 ) -> dict[str, TransferMatrix]:
-    """Transfer matrices of a split from whatever records there are; those of a part of the split are left out.
+    """Transfer matrices of a split from all given records; those of a part of the split are left out.
 
     Args:
         records: Of any planners, splits and data sets.
         split: The split.
-        protocol: Whose verdicts count; ``native`` takes those of each planner's own repository.
+        protocol: Protocol of the verdicts; ``native`` uses that of each planner's own repository.
         data: Only the data set of this name.
         adversary_only: Whether only first contacts with an adversary fail a scene.
 
@@ -184,10 +184,10 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
         columns,
         [_agreement_values(matrix, agreement) for agreement in matrix.agreements],
         (
-            "φ: correlation of the two verdicts over the scenes that both were judged on: 1 the same scenes, 0 as by "
+            "φ: correlation of the two verdicts over the scenes with verdicts of both: 1 the same scenes, 0 as by "
             f"chance, below 0 other ones; {UNDEFINED} where one of them fails all or none.",
             "Lift: how many times more often they fail together than by chance. It is near 1 where both fail nearly "
-            "everything, whatever the transfer matrix says.",
+            "everything, regardless of the transfer matrix.",
             *_list_undecided(matrix),
             *_common_notes(matrix),
         ),
@@ -244,9 +244,8 @@ def name_transfer(data_name: str, matrix: TransferMatrix) -> tuple[str, str]:
 def name_lift(data_name: str, matrix: TransferMatrix) -> tuple[str, str]:
     """Name and title of what shows lift and φ of a matrix."""
     by = " by contacts with the adversary" if matrix.adversary_only else ""
-    title = (
-        f"{format_title(data_name, matrix.split)}: do planners fail the same scenes{by}, {name_judge(matrix.protocol)}"
-    )
+    about = f"agreement of planners on failed scenes{by}, {name_judge(matrix.protocol)}"
+    title = f"{format_title(data_name, matrix.split)}: {about}"
     return f"lift-{matrix.split}-{_name_contacts(matrix)}", title
 
 
@@ -256,7 +255,7 @@ def _name_contacts(matrix: TransferMatrix) -> str:
 
 
 _FAILS: Final = {
-    False: "any counted sample of it collides, whoever it is with",
+    False: "any counted sample of it collides with any object",
     True: "the first contact of any counted sample is with the adversary",
 }
 
@@ -273,7 +272,7 @@ def format_planner_names(matrix: TransferMatrix) -> list[str]:
 def _list_undecided(matrix: TransferMatrix) -> list[str]:
     return [
         f"{planner}: no verdict on {pluralise(len(scenes), 'scene')} ({', '.join(scenes[:3])}"
-        f"{', …' if len(scenes) > 3 else ''}), in no denominator."
+        f"{', …' if len(scenes) > 3 else ''}), left out of the rates."
         for planner, scenes in zip(matrix.planners, matrix.undecided)
         if scenes
     ]

@@ -178,7 +178,7 @@ def test_a_missing_camera_is_one_sentence() -> None:
 def test_an_image_of_another_size_than_its_table_says_is_refused() -> None:
     sample = seen()
     view = replace(sample.views["CAM_FRONT"], load=lambda: np.zeros((450, 800, 3), np.uint8))
-    with pytest.raises(InputError, match=r"CAM_FRONT\.jpg is 800 x 450 pixels, but sample_data says 1600 x 900"):
+    with pytest.raises(InputError, match=r"CAM_FRONT\.jpg is 800 x 450 pixels, but in sample_data 1600 x 900"):
         camera_images(replace(sample, views={**sample.views, "CAM_FRONT": view}), TINY, BGR_MEAN)
 
 

@@ -218,13 +218,13 @@ def test_a_miniature_without_its_file_and_with_another_is_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("adapters.models.PACKAGED", tmp_path)
-    with pytest.raises(InputError, match="not in this installation; train them with"):
+    with pytest.raises(InputError, match="missing in this installation; train them with"):
         build_native_planner(miniature("vad-mini"))
     assert stand_in("vad", None, EMBEDDED) == "vad"
     monkeypatch.undo()
     with pytest.raises(InputError, match=r"holds the weights of vad-mini, not of uniad-mini"):
         build_native_planner(miniature("uniad-mini"), miniature("vad-mini").packaged)
-    with pytest.raises(InputError, match="'nonsense' is no miniature; those are uniad-mini"):
+    with pytest.raises(InputError, match="'nonsense' is not a miniature; those are uniad-mini"):
         miniature("nonsense")
 
 

@@ -170,7 +170,7 @@ CHANGES: dict[str, tuple[Callable[[Rows], Rows], str]] = {
     "truth": (lambda rows: [{**rows[0], "x3": True}, *rows[1:]], "true or false in column x3|not finite numbers"),
     "words": (
         lambda rows: [{**rows[0], "x3": "far"}, *rows[1:]],
-        "not finite numbers|has the text .far. for the number x3",
+        "not finite numbers|has text .far. in numeric column x3",
     ),
     "wrong frame": (lambda rows: [{**rows[0], "frame": "camera"}, *rows[1:]], "unknown frame 'camera'"),
     "empty token": (lambda rows: [{**rows[0], "sample_token": ""}, *rows[1:]], "without a sample_token"),
@@ -208,7 +208,7 @@ def test_files_that_are_no_tables(tmp_path: Path) -> None:
 def test_text_of_digits_is_no_number(tmp_path: Path) -> None:
     rows = rows_for(town_of_two())
     rows[3]["x2"] = str(rows[3]["x2"])
-    with pytest.raises(InputError, match=r"row 3 has the text .* for the number x2"):
+    with pytest.raises(InputError, match=r"row 3 has text .\* in numeric column x2"):
         read_plan_file(write(tmp_path / "plans.json", rows))
 
 

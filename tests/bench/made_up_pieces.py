@@ -37,4 +37,4 @@ def so_far(setting: Setting) -> dict[str, Any]:
 COUNT, BREAKS = Piece("count", "counts", count, told), Piece("breaks", "breaks", breaks, told)
 ODD = Piece("odd", "no number", not_a_number, told)
 LONG = Piece("long", "takes long", sleeps, told, so_far)
-WHOLE = Piece("whole", "takes long and cannot be cut", sleeps, told)
+WHOLE = Piece("whole", "takes long , so it is not cut", sleeps, told)

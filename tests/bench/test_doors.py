@@ -111,7 +111,7 @@ def test_a_server_answers_one_path_oddly_and_the_others_well() -> None:
 
 
 def test_what_a_command_says_of_a_server_may_come_before_its_refusal() -> None:
-    said = "the model server at http://127.0.0.1:1 went away; waiting 1 s at most for it to come back\n"
+    said = "the model server at http://127.0.0.1:1 is gone; waiting at most 1 s for it to return\n"
     assert is_sentence(f"{said}error: it went away\n") and not is_sentence(f"it went away\n{said}error: a\n")
 
 

@@ -160,7 +160,7 @@ def test_plans_of_a_file_have_the_native_protocol_that_is_given(tmp_path: Path) 
     assert record.native_protocol == "uniad"
     plain = evaluate(data, "val", plan_file_factory(path, data, "val"), tmp_path / "out")
     assert plain.directory == record.directory and plain.native_protocol == "exact"
-    with pytest.raises(InputError, match=r"mine\.csv has the unknown native protocol 'UniAD'; known are exact, uniad"):
+    with pytest.raises(InputError, match=r"mine\.csv has the unknown native protocol 'UniAD'; use one of exact, uniad"):
         plan_file_factory(path, data, "val", native="UniAD")
 
 
@@ -303,7 +303,7 @@ def test_a_disk_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
 
 def test_an_empty_road_is_no_truth_and_a_short_one_has_no_rate(tmp_path: Path) -> None:
     data = FakeData({"scene-9901": scene_on_straight_road(())})
-    with pytest.raises(InputError, match="cannot be judged: it has no annotation"):
+    with pytest.raises(InputError, match="cannot be scored: it has no annotation"):
         evaluate(data, "val", Straight(), tmp_path)
     short = FakeData({"scene-9901": scene_on_straight_road((Car(80.0, 198.25),), seconds=1.0)})
     record = evaluate(short, "val", LogReplay(), tmp_path)

@@ -111,7 +111,7 @@ def test_what_is_written_is_current_until_something_changes(runs: tuple[RunRecor
     (tmp_path / "README.md").write_text("edited")
     (tmp_path / "published" / "published.csv").unlink()
     assert sorted(sentence.rpartition("/")[2] for sentence in find_stale_files(read_results(runs), tmp_path)) == [
-        "README.md differs from what the run records say",
+        "README.md differs from the run records",
         "published.csv is missing",
     ]
     write_leaderboard(read_results(runs), tmp_path)
@@ -186,7 +186,7 @@ def test_adversarial_scenes_under_the_name_of_another_split_are_refused() -> Non
     with pytest.raises(InputError, match="the same scenes of d as split val and as split adv"):
         select_runs([adversarial, replace(recorded, run=same)])
     facts = {"a": SceneFacts(source="a", manoeuvre="cut-in-left")}
-    with pytest.raises(InputError, match="have a generated adversary"):
+    with pytest.raises(InputError, match="with a generated adversary"):
         select_runs([replace(recorded, run=recorded.run.model_copy(update={"scene_facts": facts}))])
 
 
@@ -258,7 +258,7 @@ def test_a_hostile_planner_name_stays_text_everywhere(runs: tuple[RunRecord, ...
 
 def test_a_note_is_said_once_in_the_readme_and_below_every_table_elsewhere(runs: tuple[RunRecord, ...]) -> None:
     files = texts(runs)
-    legend = "† sees what no car sees"
+    legend = "† privileged: sees"
     assert files["README.md"].count(legend) == 1
     assert legend in files["tables/fake/transfer-adv-exact.tex"].replace(r"$\dagger$", "†")
     assert files["tables/fake/vad.md"].count(legend) > 3

@@ -62,7 +62,7 @@ def test_a_page_that_was_edited_or_lost_is_stale(records: list[RunRecord], tmp_p
     written(records, tmp_path)
     page = tmp_path / PAGE
     page.write_text(page.read_text() + "and more\n")
-    assert find_stale_results(tmp_path, MADE_FROM) == [f"{page} is not what was written with {tmp_path / NUMBERS}"]
+    assert find_stale_results(tmp_path, MADE_FROM) == [f"{page} does not match {tmp_path / NUMBERS}"]
     page.unlink()
     assert len(find_stale_results(tmp_path, MADE_FROM)) == 1
     (tmp_path / NUMBERS).write_text("{")
@@ -71,7 +71,7 @@ def test_a_page_that_was_edited_or_lost_is_stale(records: list[RunRecord], tmp_p
 
 def test_checking_without_full_is_wrong_use_and_nothing_there_is_stale(tmp_path: Path) -> None:
     wrong = challenger_bench("demo", "--check")
-    assert wrong.code == 2 and "--check belongs to demo --full" in wrong.err
+    assert wrong.code == 2 and "--check applies only to demo --full" in wrong.err
     absent = challenger_bench("demo", "--full", "--check", "--to", tmp_path, "--json")
     assert absent.code == 1 and absent.json == {"stale": [f"there are no results in {tmp_path}"]}
 

@@ -18,7 +18,7 @@ from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import Failing, Straight
 from tests.hand_made import Car, scene_on_straight_road
 
-MACHINE = {"hardware": {"cpu": "a processor"}, "packages": {"numpy": "1.26.4"}, "source": {"commit": None}}
+MACHINE = {"hardware": {"cpu": "accelerator"}, "packages": {"numpy": "1.26.4"}, "source": {"commit": None}}
 
 
 def short_road() -> FakeData:

@@ -21,7 +21,7 @@ def verify_model(name: str, golden: Path, device: str = "cpu", *, noise: bool = 
     """
     known = verified_models()
     if name not in known:
-        raise InputError(f"no model {name!r} can be verified; choose one of {', '.join(known)}")
+        raise InputError(f"model {name!r} cannot be verified; choose one of {', '.join(known)}")
     verify = partial(resolve(known[name]).verify, published_models()[name], golden, device)
     if not noise:
         return cast("list[Check]", verify())

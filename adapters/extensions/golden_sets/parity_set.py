@@ -26,7 +26,7 @@ from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder, find_
 from benchmark.verification.synthetic_weights import WeightsRecipe, draw_seeded_normal, read_shapes
 
 IMAGE_NOISE: Final = 1e-7
-"""What images are changed by: about the last bit of numbers around one, which normalised images are."""
+"""Noise added to images: about the last bit of numbers around one, the scale of normalised images."""
 NOTABLE: Final = 0.5
 """A quantity that rounding moves by more than this share of its tolerance is told of."""
 
@@ -262,7 +262,7 @@ def build_network(model: Model, golden: ParitySet) -> nn.Module:
 def require_recorded_images(images: NDArray[np.float32], sha256: str | None, frame: int) -> Tensor:
     """Images as a tensor, if they are those that a set was made with, where it says."""
     if sha256 is not None and hashlib.sha256(images.tobytes()).hexdigest() != sha256:
-        raise ValueError(f"the images of frame {frame} made here are not those whose SHA-256 it has")
+        raise ValueError(f"the images of frame {frame} made here do not match the stored SHA-256")
     return torch.from_numpy(images)
 
 
@@ -291,7 +291,7 @@ def _compare(comparison: Comparison, golden: ParitySet, frame: int, name: str, q
     else:
         layout = golden.stored(name, frame)
         if not have_same_lengths(values.shape, layout.shape):
-            # How many tracks there are is the network's to say.
+            # The number of tracks is up to the network.
             comparison.errors(f"shape of {name}", np.inf, 0.0)
             return
         sampled = f"{name}{SAMPLED}" in stored.names

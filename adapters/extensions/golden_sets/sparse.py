@@ -1,6 +1,6 @@
 """`challenger-bench verify model` for SparseDrive and DiffusionDrive: golden frames with the state carried along.
 
-What the modules of a network give, call by call, beside what those of the official code gave.
+Outputs of the modules of a network, call by call, compared with those of the official code.
 
 Golden sets of the sparse networks: how their inputs are made, and what the official code made of them.
 """
@@ -49,7 +49,7 @@ T = TypeVar("T")
 
 def _length(pixels: int) -> int:
     if not image_length_fits(pixels):
-        raise ValueError(f"the networks have no images that are {pixels} pixels high or wide")
+        raise ValueError(f"the networks cannot take images {pixels} pixels high or wide")
     return pixels
 
 
@@ -144,7 +144,7 @@ class SparseSet:
         if (inputs.floats(f"{name}_image_wh", 1, cameras, 2) != (width, height)).any():
             raise ValueError("inputs.npz has images of other sizes than manifest.json says")
         if not np.allclose(turn @ turn.T, np.eye(3), atol=RIGID) or not np.array_equal(pose[3], (0, 0, 0, 1)):
-            raise ValueError(f"array {name}_T_global is no pose")
+            raise ValueError(f"array {name}_T_global is not a pose")
         noise = f"{name}_diffusion_noise"
         drawn = inputs.floats(noise, 1, config.modes, config.steps, 2)[0] if noise in inputs.names else None
         sparse_inputs = SparseInputs(

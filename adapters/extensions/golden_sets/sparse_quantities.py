@@ -1,4 +1,4 @@
-"""What golden sets of the sparse networks store, from our networks, and how near it must be.
+"""Quantities in golden sets of the sparse networks, computed by our networks, and their tolerances.
 
 Rows that changed places: where scores nearly tie, another processor may sort them in another order.
 """
@@ -82,8 +82,8 @@ def reorder_memory(
 ) -> None:
     """Put what a network remembers into the golden order, so that later frames can be compared row by row.
 
-    What is remembered of a row is ours in any case; only where it stands is the set's, and its number, which follows
-    from where it stands. Where that takes more than changes of place at ties, nothing is changed.
+    The memory of a row is always ours; only its position is the set's, and its number, which follows
+    from the position. If that takes more than swaps at ties, nothing is changed.
     """
     memory, head = network.memory, network.head
     names = {"det_instance_id", "state_cached_instance_id", "state_map_cached_anchor"}

@@ -1,6 +1,6 @@
 """Comparing tensors with what golden sets store of them: all numbers or a part of them, and statistics of the whole.
 
-What inner modules of a network give while it runs, under the names of golden sets.
+Outputs of inner modules of a running network, under the names of golden sets.
 """
 
 import math
@@ -67,7 +67,7 @@ class Tolerance:
         share: Of the values for which it holds. The others, which a network with random weights pushes over a bend, may
             be off by more.
         rows: Whether a row counts as one value, its worst.
-        others: What the errors of all values are called where `share` does not hold for all.
+        others: Name of the errors of all values, if `share` is below one.
         allowed_of_others: How far they may be off, of the spread.
     """
 
@@ -93,7 +93,7 @@ class Quantity:
 
     Attributes:
         values: The golden shape but for axes of length one.
-        tolerance: What is allowed; whole numbers must be equal.
+        tolerance: Allowed error; whole numbers must be equal.
         undecided: Along the first axis of `values`, what hangs on a comparison too close to call. Where such an entry
             disagrees it is left out, and the note says how many values were.
         listed: Whether the first axis is a list whose length may differ from frame to frame.

@@ -2,7 +2,7 @@
 
 UniAD's collision optimisation against stored plans: alone, from stored occupancy, and behind the whole network.
 
-What UniAD's golden sets store, from a network of ours that was given the same inputs.
+Quantities in UniAD's golden sets, computed by our network from the same inputs.
 """
 
 from collections.abc import Mapping
@@ -37,7 +37,7 @@ PLAN: Final = Tolerance(1e-3, of_spread=False)
 DECODED: Final = Tolerance(1e-2, of_spread=False, share=0.999)
 """Logits, box codes, metres and states that many layers of random weights have stirred."""
 SHARES: Final = Tolerance(1e-3, of_spread=False, share=0.999)
-"""What is 0 to 1 over the bird's-eye view."""
+"""Quantities from 0 to 1 over the bird's-eye view."""
 SCORES: Final = Tolerance(1e-3, of_spread=False)
 MASKS: Final = Tolerance(0.1)
 """Values of masks: the specification calls them the least stable, and a few are thirty times the spread."""
@@ -261,7 +261,7 @@ def _occupancy(p: UniADPredictions, order: Tensor, stored: GoldenArrays) -> dict
 
 
 SAME_M: Final = 1e-2
-"""What the specification allows the moved plan."""
+"""Tolerance of the specification for the moved plan."""
 SAME_COST: Final = 1e-5
 """Stored plans are in single precision."""
 CELLS: Final = "occupied cells that count for the plan"
@@ -309,7 +309,7 @@ def _per_point(occupied: Bools, plan: Floats) -> list[Bools]:
 
 
 ELSEWHERE: Final = ("sdc_traj", "col_optim_cells")
-"""What `compare_optimiser` compares."""
+"""Quantities compared by `compare_optimiser`."""
 
 
 def compare_uniad(comparison: Comparison, network: UniAD, golden: ParitySet) -> None:

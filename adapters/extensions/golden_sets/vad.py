@@ -1,4 +1,4 @@
-"""What VAD's golden sets store, from a network of ours that is given the same inputs."""
+"""Quantities in VAD's golden sets, computed by our network from the same inputs."""
 
 from dataclasses import replace
 from typing import Final
@@ -33,7 +33,7 @@ DECODED: Final = Tolerance(1e-2, of_spread=False, share=0.999)
 """Logits, box codes, metres of forecasts and the states they are read from."""
 PLACES: Final = Tolerance(1e-3, share=0.999)
 SCORES: Final = Tolerance(2.5e-3, of_spread=False)
-"""What `DECODED` means for sigmoids of logits."""
+"""Tolerance `DECODED` as it applies to sigmoids of logits."""
 TOO_CLOSE: Final = 2e-5
 """Lanes whose distance from an agent is so close to the limit may be seen or not, on another processor."""
 TOO_CLOSE_SCORE: Final = 1e-4
@@ -154,7 +154,7 @@ def _reorder_ties(ours: dict[str, Quantity], stored: GoldenArrays, boxes: str, s
     apart = np.abs(golden_boxes[:, None] - own_boxes[None]).max(-1)
     apart[(np.abs(golden_scores[:, None] - own_scores[None]) > TIED) | (apart > SAME_M)] = np.inf
     order, paired = _match_pairs(apart)
-    # Which of two with tied scores comes last and which is no longer reported is as open as their order.
+    # Of two with tied scores, which is reported last and which is dropped is as arbitrary as their order.
     last = ~paired & (golden_scores < golden_scores.min(initial=1.0) + TIED)
     return {
         name: replace(

@@ -64,7 +64,7 @@ class FrameStore:
             counts = {str(name): int(count) for name, count in index["scenes"]}
             identity = str(index["identity"])
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path} is no list of training frames; remove {folder} and build them again") from error
+            raise InputError(f"{path} is not a list of training frames; remove {folder} and build again") from error
         return cls(folder, counts, identity)
 
     def __len__(self) -> int:
@@ -191,7 +191,7 @@ ADVERSARIAL_SPLIT: Final = "adv"
 """Split of a root of adversarial scenes."""
 
 IN_THE_WAY_M: Final = 3.0
-"""Between the ego's lidar and the middle of somebody's box; cars in lanes side by side are further apart."""
+"""Between the ego's lidar and the centre of another box; cars in neighbouring lanes are further apart."""
 
 
 class MixedFrames:
@@ -328,13 +328,13 @@ def require_source_scenes(root: Path, data: DataSet, split: str) -> dict[str, st
     names = adversarial.scene_names(ADVERSARIAL_SPLIT)
     source_facts = (adversarial.provenance() or {}).get("source") or {}
     if source_facts.get("fingerprint") != data.fingerprint():
-        raise InputError(f"{root} was not made from {data.root}; give adversarial scenes that generate made from it")
+        raise InputError(f"{root} was not made from {data.root}; give adversarial scenes generated from it")
     sources = {name: facts.source for name, facts in adversarial.scene_facts(names).items()}
     learned = set(data.scene_names(split))
     for name, source in sources.items():
         if source not in learned:
             raise InputError(
-                f"{name} of {root} was made from {source}, which is not in split {split}; planners are judged on such "
+                f"{name} of {root} was made from {source}, which is not in split {split}; planners are scored on such "
                 f"scenes: generate them with --source-split {split}"
             )
     return sources

@@ -1,4 +1,4 @@
-"""What the first channels of a bird's-eye view say of the ground in training: a target for every cell.
+"""Dense training targets for the first channels of a bird's-eye view: a class of the ground for every cell.
 
 A view that has learned where road, lines and agents are is a far quicker start for the decoders than one that only they
 teach. No parameters are added: channel number c of the view is the logit of target number c.

@@ -235,7 +235,7 @@ def train_ego_status(
     settings = settings or TrainingSettings()
     if settings.steps < 1 or settings.batch < 1:
         raise InputError(f"steps and batch must be at least 1, got {settings.steps} and {settings.batch}")
-    # What it is measured on is read first: nothing is trained and written that then cannot be measured.
+    # Evaluation data is read first, so that no model is trained that then cannot be measured.
     held_out = read_samples(tracks, settings.held_out)
     samples = join_sources(read_samples(tracks, settings.sources))
     network = _fit(samples, settings, seed)

@@ -1,4 +1,4 @@
-"""What a network learns from: one key frame with everything that is annotated about it.
+"""Training frame: one key frame with all its annotations.
 
 Drives as they are learned from: in a world that is turned, and without a word on how the ego moves.
 
@@ -51,7 +51,7 @@ DRIVABLE_HALF_M = 51.2
 
 
 PROCESSOR_FIELDS = frozenset({"lidar2img", "global_T_lidar", "can_bus"})
-"""What planners give their networks on the processor, whatever these run on: matrices in double precision."""
+"""Inputs that stay on the CPU on every device: matrices in double precision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,9 +215,9 @@ class CachingObjective(Objective, Protocol):
 
 
 NOT_STRAIGHT_ON_M: Final = 3.0
-"""Who is so far from where constant velocity leads after 3 s does something that a plan has to learn."""
+"""Distance from constant velocity after 3 s beyond which a plan has something to learn."""
 SHORT_WAY_M: Final = 3.0
-"""Who gets no further in 3 s stands, or is about to."""
+"""Distance in 3 s below which the ego stands, or is about to."""
 REPEATS: Final = 3
 """How often a round of learning has a frame of either."""
 SPEED: Final = CAN_BUS_INDICES[0]

@@ -1,6 +1,6 @@
 """How miniatures learn to see in the front camera where their lane is, before the rest of them learns anything.
 
-What the plan's own eyes for the front camera begin with, in all miniatures.
+Initial weights of the plan's dedicated front-camera backbone, in all miniatures.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,17 +25,17 @@ FARTHEST_GAP_M: Final = 40.0
 """Metres of a number's 1, and beyond which nothing ahead matters yet."""
 OWN_HALF_WIDTH_M: Final = 1.0
 STANDING_M: Final = 0.05
-"""Who moves less in half a second stands still."""
+"""Motion in half a second below which an object counts as standing."""
 STRIPS_M: Final = (-6.0, -3.0, -1.0, 1.0, 3.0, 6.0)
 """Edges of the strips along the ego, to its right, in each of which the nearest walker matters."""
 WALKER_REACH_M: Final = 25.0
 """Walkers farther ahead than this do not matter yet."""
 WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0, "gap": 1.0, "walkers": 5.0}
-"""What each loss of what is read counts."""
+"""Weights of the losses of the front readings."""
 HEAT_WEIGHT: Final = 0.3
-"""What that of the maps of own eyes counts."""
+"""Weight of the loss of the front encoder's maps."""
 RARE_WALKER: Final = 4.0
-"""How many times more a strip with somebody in it counts: most have nobody."""
+"""Extra weight of a strip with a pedestrian in it: most are empty."""
 _WALKER: Final = DETECTION_CLASSES.index("pedestrian")
 _VEHICLES: Final = tuple(
     DETECTION_CLASSES.index(name)

@@ -4,7 +4,7 @@ The published networks start from weights that were trained on images alone (Ima
 network learns to say, for each image by itself, where the centres of boxes are, how far, how large and how turned, and
 where the ground is drivable or painted (after CenterNet, FCOS3D and inverse perspective mapping).
 
-What an image encoder is asked for, cell by cell of each image: things, and the ground between them.
+Training targets of an image encoder, cell by cell of each image: objects, and the ground between them.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ CELL_PX: Final = 8
 GROUND_PX: Final = 4
 """The same for the maps of the ground."""
 GROUND_KINDS: Final = ("drivable", "divider", "crossing", "boundary")
-"""What is asked of a piece of ground; the last three are lines."""
+"""Targets of a ground cell; the last three are lines."""
 BOX_NUMBERS: Final = 8
 """Offset of the centre in cells (2), log depth, log length, width, height, sine and cosine of the angle of view."""
 NEAREST_M: Final = 1.0
@@ -235,7 +235,7 @@ class ImageEncoder(nn.Module):
         self.ground = nn.Conv2d(_CHANNELS, 4 * len(GROUND_KINDS), 1)
         with torch.no_grad():
             for rare in (self.heat, self.ground):
-                # Much ground is drivable, little is a line.
+                # Much of the ground is drivable, little of it is a line.
                 bias = next(value for name, value in rare.named_parameters() if name == "bias")
                 bias[4 if rare is self.ground else 0 :] = RARE
 

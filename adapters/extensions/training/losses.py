@@ -1,4 +1,4 @@
-"""What the objectives of the miniatures share: matching of predictions with annotations, and losses of matched ones.
+"""Shared parts of the miniatures' objectives: matching of predictions with annotations, and losses of matched ones.
 
 All are pure functions of one key frame (no batch). Losses are means that are zero, with zero gradients, where nothing
 is annotated.

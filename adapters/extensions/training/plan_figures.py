@@ -1,6 +1,6 @@
 """How well a planner drives on scenes that it has not learned from, and whether it looks at the images.
 
-Whether a planner sees the others and knows where they go: what a diagnosis of its collisions rests on.
+Detection and forecast quality of a planner, the basis of a diagnosis of its collisions.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,7 +36,7 @@ class ForecastFigures:
     Attributes:
         vehicles: Annotated ones that count, over all samples.
         recall: Share of them that have a forecast.
-        precision: Share of the forecasts of that area that are of an annotated object, whatever it is.
+        precision: Share of the forecasts of that area that are of any annotated object.
         least_error_m: Mean distance over 3 s of the best mode, over matched vehicles annotated to the end.
         likeliest_error_m: Of the most likely mode.
         standing_error_m: Of the forecast that all stay where they are.
@@ -331,7 +331,7 @@ def evaluate_plans(
                 visible.append(visible_by_frame[truth.index])
     if not truths:
         raise InputError(
-            f"none of the {pluralise(len(scenes), 'scene')} has a sample with three recorded seconds after it"
+            f"none of the {pluralise(len(scenes), 'scene')} has a sample followed by three recorded seconds"
         )
     return EvaluatedPlans(truths, plans, visible)
 
@@ -352,7 +352,7 @@ def observe_with_images(
             yield replace(observation, views={key: _blank(view) for key, view in observation.views.items()})
         return
     if len(scenes) < 2:
-        raise InputError("images cannot be shuffled between scenes where there is only one")
+        raise InputError("images cannot be shuffled between scenes if there is only one; give more scenes")
     other_views: list[Mapping[str, CameraView]] = [
         observation.views for observation in data.observations(scenes[(number + 1) % len(scenes)])
     ]

@@ -1,7 +1,7 @@
-"""How much room a plan leaves to the bodies of others, where they will be: it keeps driven plans from creeping in.
+"""Clearance of a plan to the future boxes of other road users: a loss that keeps closed-loop plans from creeping in.
 
-The constraint of VAD looks at centres, 3 m apart along the way: two cars touch at 4.7 m. Distances to what was driven
-do not say it either: half a metre too far is half a metre, whether somebody stands there or not.
+The constraint of VAD looks at centres, 3 m apart along the way: two cars touch at 4.7 m. Distances to the driven path
+do not measure it either: half a metre too far is half a metre, with or without a road user there.
 
 Three constraints on plans (section 3.4 of the paper of VAD): away from agents, inside the road, along the lanes.
 """
@@ -90,7 +90,7 @@ AHEAD_M: Final = 1.5
 NARROWER_M: Final = 0.25
 """To each side."""
 BEHIND_M: Final = 1.0
-"""Whose centre is further behind the body's than this keeps its own distance."""
+"""Road users whose centre is further behind the body's than this keep the distance themselves."""
 """Steps that are shorter have no direction."""
 
 _HALF: Final = EGO_BODY_WIDTH_M / 2

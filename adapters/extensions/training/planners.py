@@ -47,7 +47,7 @@ from benchmark.machine.storage import (
 from benchmark.weights.tensors import hash_tensors, read_tensors
 
 ENCODER_NAME: Final = "image-encoder"
-"""What ``--model`` calls the network that all miniatures start from."""
+"""Name for ``--model`` of the network that all miniatures start from."""
 ENCODER_PYRAMID: Final = "pyramid."
 PYRAMID: Final = "img_neck."
 """The image encoder's feature pyramid is the one that the sparse networks have under this name (``--start-from``)."""
@@ -124,7 +124,7 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
     """Train and write weights, facts (JSON) and model card; the same command resumes.
 
     Args:
-        training: What and how.
+        training: Model and recipe.
 
     Returns:
         The facts.
@@ -133,7 +133,7 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
         InputError: If the data, the split or the weights to start from cannot be used, nothing is there to train on,
             the progress file belongs to another run, the losses are no longer finite, or a file cannot be written.
     """
-    # What cannot be used is said at once, not after minutes of gathering frames.
+    # Unusable inputs are refused at once, not after minutes of gathering frames.
     _select_phases(training)
     given_weights = _read_start_weights(training)
     data = open_data(training.data_root)
@@ -152,7 +152,7 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
         # By its place, not by the folder's name: the same data give the same weights wherever they lie.
         more.append(PrefixedScenes(cached_frames_of(root, training.split, workers=training.workers), f"also-{place}"))
     store: Frames = MixedFrames([recorded, *more]) if more else recorded
-    # What was made from a held-out scene is held out as well.
+    # Scenes made from a held-out scene are held out as well.
     made_from = {name: source for of_root in sources.values() for name, source in of_root.items()}
     learned = [
         number for name in store.scenes if made_from.get(name, name) not in held_out for number in store.frames_of(name)
@@ -180,7 +180,7 @@ def judge_again(weights: Path, data_root: Path) -> dict[str, Any]:
     path = weights.with_suffix(".json")
     facts = read_json(path)
     if not isinstance(facts, dict) or not weights.is_file() or facts.get("sha256") != file_sha256(weights):
-        raise InputError(f"{path} does not hold the facts of {weights}; give a file that train planner has written")
+        raise InputError(f"{path} does not hold the facts of {weights}; give a file written by train planner")
     small, data = miniature(str(facts.get("model"))), open_data(data_root)
     network = small.build()
     load_weights(network, resolve_checkpoint(small.name, weights))
@@ -323,7 +323,7 @@ def _read_start_weights(training: PlannerTraining) -> dict[str, dict[str, Tensor
         chosen = {name: value for name, value in tensors.items() if name.startswith(IMAGE_ENCODER)}
         if not chosen:
             raise InputError(
-                f"{training.image_encoder} has no weights of an image encoder ({IMAGE_ENCODER}...); give another file"
+                f"{training.image_encoder} holds no weights of an image encoder ({IMAGE_ENCODER}...); give another file"
             )
         by_option["image_encoder"] = chosen
     return by_option
@@ -338,7 +338,7 @@ def _load_matching(network: nn.Module, weights: Mapping[str, Tensor]) -> None:
     state = network.state_dict()
     fitting = {name: value for name, value in weights.items() if name in state and state[name].shape == value.shape}
     if weights and not fitting:
-        raise InputError("none of the weights to start from belongs to this model; give the file of another one")
+        raise InputError("none of the weights to start from fit this model; give another file")
     network.load_state_dict(fitting, strict=False)
 
 

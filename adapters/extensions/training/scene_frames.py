@@ -55,7 +55,7 @@ def scene_arrays(data: DataSet, name: str) -> Arrays:
     require_two_hz(scene, "training")
     excursions, driven = read_excursions(data.provenance(), name), read_driven_ego_targets(data.provenance(), name)
     if driven is not None and len(driven.commands) != len(truths):
-        raise InputError(f"{name} of {data.root} was driven for another number of key frames; build the data again")
+        raise InputError(f"{name} of {data.root} has a drive with another number of key frames; build the data again")
     classes = np.array(detected_classes(scene), np.int64)
     motion = _read_agent_motion(scene)
     poses = compute_planar_lidar_poses(scene)

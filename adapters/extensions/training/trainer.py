@@ -48,7 +48,7 @@ class Recipe:
         gradient_norm: Longer gradients are shortened to this.
         average: Share of the averaged weights kept per step; they follow faster in the beginning.
         check_every: Steps between two checks on held-out scenes.
-        seed: Of weights, order and whatever the objective draws.
+        seed: Of weights, order and random draws of the objective.
     """
 
     steps: int
@@ -81,7 +81,7 @@ def fit(
 ) -> dict[str, Tensor]:
     """Train; the same command resumes.
 
-    What a step learns from and draws depends on the seed and on its number alone, so an interrupted run ends with the
+    Frames and random draws of a step depend only on the seed and its number, so an interrupted run ends with the
     same weights as an undisturbed one.
 
     Args:
@@ -105,7 +105,7 @@ def fit(
     run = TrainingRun(network, _optimiser(network, recipe), _copy_tensors(network.state_dict()), [])
     if unfinished.exists():
         read_run(run, unfinished, identity, "settings, frames or initial weights", entry=_ENTRY)
-    # Before the first step: a place that cannot be written to is said at once.
+    # Before the first step, so that an unwritable path is reported at once.
     write_json_lines(log_path, run.log)
     if run.step < recipe.steps and isinstance(objective, CachingObjective):
         store, frames = objective.look(store, frames)
@@ -214,7 +214,7 @@ def _take_step(
     learned = [parameter for group in run.optimiser.param_groups for parameter in group["params"]]
     logged["gradient"] = float(torch.nn.utils.clip_grad_norm_(learned, recipe.gradient_norm))
     run.optimiser.step()
-    # A young average would remember the random start.
+    # An early average would keep the random start.
     keep = min(recipe.average, (run.step + 1) / (run.step + 10))
     with torch.no_grad():
         for name, tensor in run.network.state_dict().items():

@@ -99,7 +99,7 @@ def sine_grid_encoding(rows: int, columns: int, features: int, offset: float = -
     (rows * columns, 2 * features) float32, row by row. `offset` is added to rows and columns, which count from one;
     -0.5 puts them at the centres of cells.
     """
-    # Kept from dividing by zero in the published code, so it is in the published numbers.
+    # Guard against division by zero in the published code, so it affects the published numbers.
     guard = 1e-6
     row, column = (
         (torch.arange(1, length + 1, dtype=torch.float32) + offset) / (length + guard) * (2 * math.pi)

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 NEAREST_DEPTH_M = 1e-5
-"""What is closer to a camera's plane, or behind it, is not seen."""
+"""Least depth of a visible point; closer to a camera's plane, or behind it, it is hidden."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
-"""What the networks with a bird's-eye view share: how they see it (BEVFormer, Li et al., 2022).
+"""Base of the networks with a bird's-eye view, which BEVFormer computes (Li et al., 2022).
 
 The bird's-eye-view encoder of BEVFormer (Li et al., ECCV 2022): cells attend to the past and to camera images.
 
-What the networks with a bird's-eye view have in common: their sizes.
+Sizes shared by the networks with a bird's-eye view.
 """
 
 from collections import OrderedDict

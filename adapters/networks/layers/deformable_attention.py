@@ -48,7 +48,7 @@ def deformable_sampling(
     references = references.float().expand(offsets.shape)
     result, start = None, 0
     for level, (rows, columns) in enumerate(shapes):
-        # Coordinates stay in single precision whatever the type of the features: half a cell matters.
+        # Coordinates stay in single precision for every feature type: half a cell matters.
         x = references[:, :, level, :, 0] * columns + offsets[:, :, level, :, 0].float() - 0.5
         y = references[:, :, level, :, 1] * rows + offsets[:, :, level, :, 1].float() - 0.5
         part = level_sum(values, start, rows, columns, x, y, weights[:, :, level].float(), source)
@@ -72,13 +72,13 @@ def _by_bags(
     """One level: x, y, weights (Q, heads, P) in cells to (Q, heads, c)."""
     _, cells, heads, width = values.shape
     queries, _, points = x.shape
-    # Points far outside would overflow the integers; one cell outside they are as good as anywhere.
+    # Points far outside would overflow the integers; one cell outside, their exact place does not matter.
     x, y = x.clamp(-1, columns)[..., None], y.clamp(-1, rows)[..., None]
     pair = torch.arange(2, device=x.device)
     near_columns, near_rows = x.floor() + pair, y.floor() + pair
     across = (1 - (x - near_columns).abs()) * ((near_columns >= 0) & (near_columns < columns))
     along = (1 - (y - near_rows).abs()) * ((near_rows >= 0) & (near_rows < rows)) * weights[..., None]
-    # Neighbours outside have no share, so any row of the table may stand for them.
+    # Neighbours outside have weight zero, so any row of the table may be used for them.
     column = near_columns.to(torch.int32).clamp(0, columns - 1) * heads
     row = near_rows.to(torch.int32).clamp(0, rows - 1) * columns
     first = start if source is None else (source.to(torch.int32) * cells + start)[:, None, None, None]

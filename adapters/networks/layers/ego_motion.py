@@ -1,4 +1,4 @@
-"""What the network is told about how the ego moved since the previous key frame.
+"""Ego-motion input of the networks: the ego's motion since the previous key frame.
 
 How the ego moves, told to the plan of a small network.
 """
@@ -40,7 +40,7 @@ class BEVMotion:
         previous view is turned.
         """
         motion = present.detach().to("cpu", torch.float64, copy=True)
-        # The turn may pass 360 degrees and is not brought back: the published weights know it so.
+        # The turn may exceed 360 degrees and is not wrapped: the published weights were trained so.
         if previous is None:
             motion[:3], motion[17] = 0.0, 0.0
         else:

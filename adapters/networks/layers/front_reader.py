@@ -1,4 +1,4 @@
-"""What the plan of a small network reads in the front camera's finest feature map.
+"""Front-camera reader: inputs of a small network's plan from the finest feature map.
 
 An image network for the front camera alone, whose map a plan looks at.
 """

@@ -1,4 +1,4 @@
-"""What is passed on of what a network says: which boxes count as what it expects, and which way short plans lead."""
+"""Reported outputs of a network: boxes that count as its expectation, and headings of short plans."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -35,7 +35,7 @@ STANDING_M: Final = 1.0
 
 
 def find_distinct(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float) -> Tensor:
-    """Whether each of N centres is left without those that a more certain one has said (non-maximum suppression).
+    """Mask of N centres that are kept after non-maximum suppression.
 
     `centres` are (N, 2) and `lengths` (N,) metres; of equal certainty the first is the earlier; `apart` as in
     `ReportingRules`.

@@ -35,13 +35,13 @@ class FeaturePyramid(nn.Module):
     Args:
         levels: Outgoing maps; those past the incoming ones are strided convolutions of the one before them.
         relu_before_extra: Whether those convolutions, but for the first of them, see what is positive only. (The first
-            sees all in the published code too, whatever its option says; golden numbers of VAD-base confirm it.)
+            sees all in the published code too, despite its option; golden numbers of VAD-base confirm it.)
     """
 
     def __init__(self, inputs: Sequence[int], channels: int, levels: int, relu_before_extra: bool = True) -> None:
         super().__init__()
         if levels < len(inputs):
-            raise ValueError(f"a pyramid of {len(inputs)} maps has at least as many levels, not {levels}")
+            raise ValueError(f"a pyramid of {len(inputs)} maps needs at least as many levels, got {levels}")
         self.relu_before_extra = relu_before_extra
         self.lateral_convs = nn.ModuleList([NamedConvolution(width, channels, 1) for width in inputs])
         strides = [1] * len(inputs) + [2] * (levels - len(inputs))

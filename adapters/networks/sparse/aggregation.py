@@ -109,7 +109,7 @@ def sine_of_points(points: Tensor, features: int) -> Tensor:
 
 
 NEAREST_DEPTH_M = 1e-5
-"""What is nearer to a camera's plane, or behind it, is projected as if it were here; hardly ever into the image."""
+"""Least depth of projection; nearer points and those behind are clamped to it, hardly ever into the image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +141,7 @@ class CameraFeatures:
 
         (..., N, cameras, P, 2) x, y where 0 to 1 spans the image; also of points outside.
         """
-        # Written out, because matrix products may run in reduced precision: a pixel off is another feature.
+        # Written out, because matrix products may run in reduced precision, and one pixel changes the feature.
         x, y, z = points[..., None, :, :].float().unbind(-1)
         rows = self.projections[..., None, :, :3, :].unbind(-2)
         u, v, depth = (row[..., :1] * x + row[..., 1:2] * y + row[..., 2:3] * z + row[..., 3:] for row in rows)
@@ -207,7 +207,7 @@ def _neighbours(shapes: Sequence[tuple[int, int]], x: Tensor, y: Tensor) -> tupl
         right_share = right_share * (column < columns - 1)
         upper_share = (1 - lower_share) * (row >= 0)
         lower_share = lower_share * (row < rows - 1)
-        # Neighbours outside have no share, so that any cell may stand for them.
+        # Neighbours outside have weight zero, so any cell may be used for them.
         first, second = column.clamp(min=0), (column + 1).clamp(max=columns - 1)
         above, below = row.clamp(min=0) * columns + start, (row + 1).clamp(max=rows - 1) * columns + start
         cells.append(torch.stack([above + first, above + second, below + first, below + second], -1))
@@ -243,7 +243,7 @@ class CameraSampling(nn.Module):
         """
         count, levels, total = points.shape[-2], len(cameras.shapes), queries.shape[:-1].numel()
         views = self.camera_encoder(cameras.projections[..., :3, :].flatten(-2))
-        # The layer is linear: a query and a camera can go through it apart, once each.
+        # The layer is linear, so queries and cameras can pass through it separately, once each.
         seen_from = F.linear(views, self.weights_fc.weight)[..., None, :, :]
         logits = (self.weights_fc(queries)[..., None, :] + seen_from).view(total, -1, self.groups).float()
         weights = logits.softmax(1).view(total, views.shape[-2], levels, count, self.groups)

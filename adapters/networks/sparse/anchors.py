@@ -94,7 +94,7 @@ def add_anchors(checkpoint: Mapping[str, Tensor], anchors: Mapping[str, Tensor])
             continue
         if present.shape != anchor.shape:
             raise InputError(
-                f"the checkpoint has {name} of shape {tuple(present.shape)} and the anchors are of shape "
+                f"the checkpoint has {name} of shape {tuple(present.shape)} but the anchors have shape "
                 f"{tuple(anchor.shape)}; load it without anchors, it has its own"
             )
         apart = float((present.double() - anchor.double()).abs().amax())
@@ -115,7 +115,7 @@ def find_cluster_centres(points: Floats, clusters: int, what: str) -> Floats:
     different = len(np.unique(flat, axis=0)) if len(flat) else 0
     if different < clusters:
         raise InputError(
-            f"the data set has {different} different {what} and anchors need {clusters}; take a larger data set"
+            f"the data set has {different} different {what} but anchors need {clusters}; use a larger data set"
         )
     centres = _spread_starts(flat, clusters, np.random.default_rng(content_seed("anchors", what, clusters)))
     for _ in range(ROUNDS):

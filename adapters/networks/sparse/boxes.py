@@ -25,7 +25,7 @@ from adapters.networks.sparse.config import SparseConfig
 USUAL_INTERVAL_S = 0.5
 """Between key frames; it stands in where there is no past."""
 LONGEST_INTERVAL_S = 2.0
-"""What is remembered is stale after this."""
+"""Age beyond which memory is stale."""
 
 
 @dataclass(frozen=True, slots=True)

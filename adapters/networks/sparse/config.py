@@ -13,7 +13,7 @@ STAGES = 4
 
 
 def image_length_fits(pixels: int) -> bool:
-    """Whether images can be so high or wide: whole cells, of which the planner makes a single one for the ego."""
+    """Whether images can have this height or width: whole cells, which the planner reduces to one for the ego."""
     cells = pixels // STRIDE
     return pixels % STRIDE == 0 and cells >= 2 and (cells + 1) // 2 < 2 * (cells // 2)
 
@@ -176,6 +176,6 @@ class SparseConfig:
             plan_compares_front=True,
             front_eyes=True,
             memory_crosses_scenes=False,
-            # On scenes of a town that was not learned from seven of ten vehicles are found from this score on.
+            # On scenes of a held-out town, seven of ten vehicles are found at this score.
             reporting=ReportingRules(least_score=0.18, apart=0.5, steered_from_m=6.0),
         )

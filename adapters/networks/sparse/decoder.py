@@ -126,7 +126,7 @@ FEED: Final = "feed forward"
 REFINE: Final = "refine"
 STAGE_OPERATIONS: Final = (PAST, PRESENT, NORM, SAMPLE, FEED, NORM, REFINE)
 DECAY: Final = 0.6
-"""What is left of the confidence in an instance that is not seen, from frame to frame."""
+"""Decay of an unseen instance's confidence, from frame to frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +280,7 @@ class SparseDecoder(nn.Module, ABC):
                     anchors = torch.cat([fresh.anchors, gather_rows(anchors, rows)], -2)
                 embeddings = self.anchor_encoder(anchors)
                 if len(stages) > 1 and key:
-                    # Also where the first rows are not what is remembered: the published models do so.
+                    # Also if the first rows are not the remembered ones, as in the published models.
                     key = (key[0], embeddings[..., : self.remembered, :])
             else:
                 features = layer(features)

@@ -1,4 +1,4 @@
-"""What both planners share: agents, the ego and the map look at each other, and agents are forecast."""
+"""Shared part of both planners: attention among agents, ego and map, and forecasts of agents."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -80,7 +80,7 @@ class PlannerPredictions:
         plan_logits: (commands, M).
         plan_offsets: (commands, M, S, 2).
         status: (10,) of the ego.
-        denoising: What the diffusion planner did; empty for the other one.
+        denoising: Denoising steps of the diffusion planner; empty for the other one.
         front: (1, numbers) what the plan took from the front camera's finest map; ``None`` if it does not look there.
     """
 

@@ -17,7 +17,7 @@ from benchmark.planning import Command, Observation, Plan, PlanFrame
 class SparsePlanner(NativePlanner[SparseNetwork]):
     """SparseDrive or DiffusionDrive with given weights; arguments and errors as in `NativePlanner`.
 
-    Every scene starts without a past, whatever the configuration says: what a plan is must not depend on which scene
+    Every scene starts without a past, in every configuration: a plan must not depend on which scene
     a process happened to see before. The published evaluation lets memory outlive a change of scene, and so does this
     where `adapters.planner` asks for it. Modes of the command that were refused because they hit a forecast have
     the score 0.
@@ -62,7 +62,7 @@ def example_frame(config: SparseConfig) -> SparseInputs:
 
 def _plan(outputs: SparseOutputs, command: int, reporting: ReportingRules) -> Plan:
     likely = outputs.trajectory_scores.double()
-    # The network scores each mode for itself; as shares they are the probabilities that a forecast has.
+    # The network scores each mode separately; normalised, the scores are the probabilities of a forecast.
     shares = likely / likely.sum(-1, keepdim=True).clamp_min(1e-12)
     return Plan(
         waypoints=to_array(outputs.plan),

@@ -1,4 +1,4 @@
-"""What the planner remembers of agents and of the ego over the last frames."""
+"""Memory queue of the planner: agents and ego over the last frames."""
 
 import math
 from dataclasses import dataclass
@@ -125,7 +125,7 @@ class InstanceQueue(nn.Module):
             box[..., VELOCITY_Y] = past.status[FORWARD_SPEED]
         else:
             box[..., VELOCITY_Y] = 0.0
-        # Boxes that are no longer anybody's are carried along as well; nothing looks at them.
+        # Boxes without an agent are carried along as well, unused.
         old_features, old_boxes, periods = self._followed(past, carry_boxes(past.boxes, motion, 0.0), ids)
         oldest = max(0, len(old_features) + 1 - self.frames)
         return Queue(

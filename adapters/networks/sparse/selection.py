@@ -1,4 +1,4 @@
-"""From raw predictions to what is reported: the most certain boxes and lines, and the plan that hits nobody.
+"""From raw predictions to what is reported: the most certain boxes and lines, and the collision-free plan.
 
 Which plans run into agents as they are forecast; SparseDrive chooses among the others.
 """
@@ -19,7 +19,7 @@ from adapters.networks.sparse.queue import EGO_SIZE_M
 EGO_MARGIN: Final = 1.1
 """The ego is taken to be larger by this factor."""
 STANDING_M: Final = 0.5
-"""What moves less than this over the planned time keeps its heading."""
+"""Motion over the planned time below which an object keeps its heading."""
 CERTAIN_SCORE: Final = 0.5
 """Agents that are less certain are not avoided."""
 FAR_M: Final = 1e6
@@ -84,7 +84,7 @@ def _shift_as_published(ego: Tensor) -> None:
 
 def has_corner_inside(boxes: Tensor, others: Tensor) -> Tensor:
     """Whether, (...), a corner of the other box lies in a box or on its edge, seen from above; boxes are (..., 7)."""
-    # The published code has corners in double precision.
+    # The published code computes corners in double precision.
     boxes, others = boxes.double(), others.double()
     signs = boxes.new_tensor([(1, 1), (1, -1), (-1, -1), (-1, 1)]) / 2
     along, across = (others[..., None, 3:5] * signs).unbind(-1)
@@ -118,7 +118,7 @@ class SparseOutputs:
 
     Attributes:
         plan: (6, 2) positions of the lidar origin 0.5 s to 3 s ahead: of the given command, and of its modes the most
-            likely one that hits nobody.
+            likely collision-free one.
         plan_modes: (3 commands, 6 modes, 6, 2) the same for all.
         plan_scores: (3, 6) 0 to 1, exactly 0 where a plan of the given command was refused because it collides.
         boxes: (N, 9) centre x, y, z (of the bottom face), width, length, height, yaw, velocity x, y. Yaw is that of the

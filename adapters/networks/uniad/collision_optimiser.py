@@ -95,7 +95,7 @@ def newton_points(plan: Floats, cells: list[Floats]) -> Floats:
 
 
 def _lift(lowest: float, last: float) -> float:
-    """What makes second derivatives positive whose least eigenvalue is given, tried as IPOPT does after its last."""
+    """Regularisation that makes second derivatives with a given least eigenvalue positive, tried as in IPOPT."""
     if lowest > 0:
         return 0.0
     lift = last / 3 if last > 0 else 1e-4
@@ -168,7 +168,7 @@ def _trusted_step(gradient: Floats, curvature: Floats, radius: float) -> Floats:
             return np.asarray(vectors @ newton)
     low = max(0.0, -values[0])
     if abs(slopes[0]) < 1e-14:
-        # Straight down there is nothing to choose a side by; either leads out of a saddle.
+        # On a symmetric descent neither side is preferred; either leads out of a saddle.
         slopes[0] = 1e-14
     high = low + np.hypot(*slopes) / radius
     for _ in range(100):
@@ -210,7 +210,7 @@ def official_points(plan: Floats, cells: list[Floats]) -> Floats:
     try:
         solution = program.solve()
     except RuntimeError as error:
-        raise InputError(f"IPOPT found no plan away from occupied cells ({error}); choose another solver") from error
+        raise InputError(f"IPOPT found no plan clear of occupied cells ({error}); choose another solver") from error
     optimum: Floats = np.asarray(solution.value(points), np.float64).reshape(2, len(plan)).T
     return optimum
 
@@ -263,7 +263,7 @@ def move_plan(plan: Floats, occupied: Bools, solver: Solver = "newton") -> Moved
 def nearby_cells(point: Floats, occupied: Bools) -> Floats:
     """Centres of occupied cells near a point, (N, 2) x, y in whole metres; `occupied` is centred on the lidar.
 
-    What is after the decimal point is cut off: the published code keeps them as whole numbers, so four cells or more
+    Decimals are truncated: the published code keeps coordinates as whole numbers, so four cells or more
     lie on one another and all count.
     """
     row, column = np.nonzero(occupied)

@@ -125,15 +125,15 @@ class UniADConfig(BEVConfig):
             max_boxes=24,
             max_lines=12,
             occupancy_half_m=12.0,
-            # Its occupancy is faint everywhere: at 0.1 the plan would be moved away from nothing.
+            # Its occupancy is low everywhere: at 0.1 the plan would avoid cells that are empty.
             occupied_above=0.2,
             rotation_centre=(12.0, 16.0),
             image_format=MINIATURE_IMAGE,
-            # On scenes of a town that was not learned from seven of ten vehicles are followed so.
+            # On scenes of a held-out town, seven of ten vehicles are tracked at this value.
             born_score=0.28,
             asleep_score=0.25,
             reporting=ReportingRules(least_score=0.25),
-            # It finds again what it follows already: tracks would pile up, over twenty of them after 10 s.
+            # It redetects tracked vehicles: tracks would pile up, over twenty of them after 10 s.
             tracks_apart=0.5,
             motion_across_scenes=False,
             plan_sees_front=64,

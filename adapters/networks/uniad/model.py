@@ -30,7 +30,7 @@ from adapters.networks.uniad.tracking import (
 __all__ = ["UniAD", "UniADInputs", "UniADOutputs"]
 
 VEHICLE_CLASSES = (0, 1, 2, 3, 4, 6, 7)
-"""What the occupancy is of: all but barriers, pedestrians and cones."""
+"""Classes of the occupancy: all but barriers, pedestrians and cones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class UniAD(nn.Module):
 
     Args:
         anchors: (4, 6, 12, 2) of ``motion_anchor_infos_mode6.pkl``; `MotionHead.load_anchors` sets them later.
-        solver: What moves plans away from occupied cells; ``None`` leaves them where they are.
+        solver: Solver that moves plans away from occupied cells; ``None`` leaves them unchanged.
         stores_anchors: Whether the anchors are part of the state dict; official checkpoints come without.
     """
 
@@ -229,7 +229,7 @@ class UniAD(nn.Module):
         previous, count = memory.instances, self.config.queries + 1
         tracks = previous.kept(slice(count, None))
         moved = move_references(tracks, memory.pose, pose, self.config)
-        # The published network forgets how high tracks were.
+        # The published network drops the heights of tracks.
         heights = self.reference_points(tracks.queries.chunk(2, -1)[0]).float()[:, 2:]
         references = torch.cat([previous.reference_logits[:count], torch.cat([moved[:, :2], heights], -1)])
         return replace(previous, reference_logits=references), moved

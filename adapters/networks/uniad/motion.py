@@ -1,6 +1,6 @@
 """Forecasts: agents look at each other, at the map and at their goals (MotionFormer, section 3.2 of the paper).
 
-What an agent's forecasts look at: each other, other agents, the map and their goals.
+Attention layers of an agent's forecasts: to each other, other agents, the map and their goals.
 """
 
 import math

@@ -24,7 +24,7 @@ class UniADPlanner(NativePlanner[UniAD]):
     A plan has two modes, before and after it is moved away from occupied cells; one where that is switched off.
 
     Attributes:
-        seen: What the network reported for the last sample, tracks, occupancy and (with `UniAD.masks`) road map
+        seen: Outputs of the network for the last sample: tracks, occupancy and (with `UniAD.masks`) road map
             included, for diagnosis; ``None`` before the first.
     """
 

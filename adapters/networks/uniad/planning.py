@@ -1,6 +1,6 @@
 """The plan from the ego's forecast, its track, the command and the bird's-eye view (section 3.4 of the paper).
 
-What UniAD is given for one key frame, everything that it computes, and what it reports.
+Inputs, intermediate results and outputs of UniAD for one key frame.
 """
 
 from dataclasses import dataclass
@@ -167,7 +167,7 @@ class UniADPredictions:
         bev: (cells, C) bird's-eye view.
         moved_references: (T, 3) where the T tracks were expected, logits of shares of the perception range.
         entering: Queries that went into the decoder.
-        detections: What it made of them.
+        detections: Results from them.
         after: The same instances after the life cycle and the memory.
         next_instances: Queries of the next key frame.
         tracks: The N that are reported, falling scores.

@@ -1,4 +1,4 @@
-"""What tracks remember, and how their queries change from one key frame to the next."""
+"""Memory of tracks, and the update of their queries from one key frame to the next."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ class MemoryBank(nn.Module):
         """The instances with new states and memories."""
         states, empty = instances.states, instances.memory_empty
         remembers = ~empty[:, -1:]
-        # Who remembers nothing looks at everything, so that no row is empty, and what it saw is dropped.
+        # Tracks without memory attend to everything, so that no row is empty; their result is dropped.
         allowed = ~empty[:, None] | ~remembers[:, :, None]
         attended = self.temporal_attn(states[:, None], instances.memory, instances.memory, allowed)[:, 0]
         mixed = self.temporal_norm1(states + attended)

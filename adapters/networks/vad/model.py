@@ -225,7 +225,7 @@ class VADHead(nn.Module):
 
         relative = lane_places - places[:, None]
         nearby = relative.square().sum(-1).sqrt() <= self.config.lane_distance
-        # An empty lane that all agents see, in the corner, keeps agents without lanes from looking at nothing.
+        # An empty lane in the corner, visible to all agents, gives agents without lanes something to attend to.
         relative = torch.cat([relative, torch.ones_like(relative[:, :1])], 1)
         allowed = torch.cat([nearby & lane_seen, torch.ones_like(nearby[:, :1])], 1)
         values = torch.cat([lanes, torch.zeros_like(lanes[:1])])
@@ -243,7 +243,7 @@ class VADHead(nn.Module):
     ) -> Tensor:
         """(commands, steps, 2) metres from step to step: the ego query looks at the agents, then at the lanes.
 
-        What it is told, if anything, is added to what it has seen there.
+        The ego-status input, if any, is added to the result.
         """
         agents = self.agent_fus_mlp(forecasts.flatten(1))
         origin = torch.zeros_like(places[:1])
@@ -334,7 +334,7 @@ class VAD(nn.Module):
         """
         if not (inputs.lidar2img.isfinite().all() and inputs.can_bus.isfinite().all()):
             raise InputError(
-                f"camera matrices or CAN bus of a frame of scene {inputs.scene_token} have NaN or infinity in them; "
+                f"camera matrices or CAN bus of a frame of scene {inputs.scene_token} contain NaN or infinity; "
                 "check the data set's calibration and poses"
             )
         memory = self._memory if self._memory and self._memory.scene_token == inputs.scene_token else None

@@ -1,6 +1,6 @@
 """Pickles of UniAD, VAD, SparseDrive, BEV-Planner, Agent-Driver and AD-MLP.
 
-What is written: the plans of a run record in the frames of result files.
+Content to write: the plans of a run record in the frames of result files.
 
 Tensors in pickles as PyTorch writes them there, with the same bytes each time.
 """
@@ -32,7 +32,7 @@ from benchmark.untrusted.legacy_storages import FORMAT, MAGIC, STORAGES
 from benchmark.waypoints import chord_headings
 
 _PROTOCOL: Final = 2
-"""What mmcv writes."""
+"""Pickle protocol of mmcv."""
 _SYSTEM: Final = {
     "protocol_version": FORMAT,
     "little_endian": True,
@@ -141,7 +141,7 @@ class PlansToWrite:
         missing = [self.samples.tokens[row] for row in self.info_rows.tolist() if row not in self.plans]
         if missing:
             raise InputError(
-                f"a file of the format {format_name} names no samples, so each needs a plan, and {len(missing)} have "
+                f"a file of the format {format_name} names no samples, so each needs a plan, but {len(missing)} have "
                 f"none, the first {missing[0]}; choose another format"
             )
 

@@ -215,7 +215,7 @@ CASES = (
             partial(looking, size),
             partial(plan, image_format),
             "plan",
-            other=("in this process", partial(plan, None)),
+            other=("in `eval`", partial(plan, None)),
             wall=True,
             needs=("httpx2",),
         )

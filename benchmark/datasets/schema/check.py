@@ -1,12 +1,12 @@
 """All checks of one data set, in the order in which a reader would trip over the faults.
 
-Tables that the devkit reads by itself where they are: whoever opens the root is told what it says of them.
+Optional tables that the devkit reads by itself where they exist: its errors about them become faults.
 
 Map expansions: there, in their place, whole, and of the place where the ego drove.
 
 Truth that is missing though the tables are sound: labels, sizes, tracks, nuScenes' categories, poses that move.
 
-What recorded motion says against the tables: boxes that jump or lie across it, rotations in another order.
+Signs of wrong tables in recorded motion: boxes that jump or lie across it, rotations in another order.
 """
 
 from collections import Counter, defaultdict
@@ -51,7 +51,7 @@ from benchmark.machine.storage import read_json
 from benchmark.report.words import pluralise
 from benchmark.road_map import RoadMap
 
-_QUATERNIONS = "make sense only if they are read as x, y, z, w; nuScenes has w, x, y, z: reorder them"
+_QUATERNIONS = "make sense only as x, y, z, w; nuScenes stores w, x, y, z: reorder them"
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +116,7 @@ def check_motion(tables: CheckedTables, ego: EgoSamplePoses, faults: FaultList) 
     for step in np.flatnonzero(steps.jumps).tolist():
         row = rows[int(steps.row[step]) + 1]
         name = row["instance_token"]
-        sentence = f"since its annotation before, instance {name} would have moved at {steps.speed[step]:.0f} m/s"
+        sentence = f"since its previous annotation, instance {name} would have moved at {steps.speed[step]:.0f} m/s"
         faults.add("boxes that jump", "sample_annotation", row["token"], sentence, severity="warning")
     # A table has width before length.
     size = _columns([row["size"] for row in rows], 3)[:, [1, 0]]
@@ -180,12 +180,12 @@ def _check_labels(tables: CheckedTables, faults: FaultList) -> None:
         if not len(missing):
             continue
         if not counts.any():
-            sentence = f"{scene['name']} has no annotations: no contact there can be judged, and no rate counts it"
+            sentence = f"{scene['name']} has no annotations: contacts cannot be detected, and rates exclude it"
         else:
             sentence = (
                 f"{scene['name']} has no annotations at {len(missing)} of {pluralise(len(counts), 'sample')}, "
                 "the first "
-                f"of them number {missing[0]}: no contact that falls there can be judged"
+                f"of them number {missing[0]}: contacts cannot be detected there"
             )
         faults.add(_LABELS, "scene", scene["token"], sentence, severity="warning")
 
@@ -194,12 +194,12 @@ def _check_boxes(tables: CheckedTables, faults: FaultList) -> None:
     """Boxes without a size, and instances without a box."""
     for row in tables.having("sample_annotation", "size"):
         if not has_size(row):
-            sentence = f"its size is {row['size']}: the box is ignored, nothing can touch it"
+            sentence = f"its size is {row['size']}: the box is ignored"
             faults.add("boxes without a size", "sample_annotation", row["token"], sentence, severity="warning")
     tracked = {row["instance_token"] for row in tables.having("sample_annotation", "instance_token")}
     for row in tables.rows["instance"]:
         if row["token"] not in tracked:
-            sentence = "no annotation is of this instance: it is ignored"
+            sentence = "the instance has no annotation and is ignored"
             faults.add("instances without a track", "instance", row["token"], sentence, severity="warning")
 
 
@@ -218,10 +218,8 @@ def _check_categories(tables: CheckedTables, categories: Mapping[str, str], faul
     unknown = {name: count for name, count in counts_by_name.items() if name is not None and name not in KNOWN}
     if unknown:
         counts = AnnotationCount(counts_by_name.total(), unknown)
-        consequence = "say nothing of contacts" if counts.is_mostly_unknown else "do not see them"
-        sentence = (
-            f"{counts.sentence}: protocols that go by categories {consequence}; say what they mean with --categories"
-        )
+        consequence = "cannot detect contacts" if counts.is_mostly_unknown else "ignore them"
+        sentence = f"{counts.sentence}: protocols that depend on categories {consequence}; map them with --categories"
         faults.add("unknown categories", "category", "", sentence, severity="warning")
 
 
@@ -238,7 +236,7 @@ def _check_poses(tables: CheckedTables, faults: FaultList) -> None:
     for scene in tables.having("scene", "name"):
         times = times_us[scene["token"]]
         if len(poses[scene["token"]]) == 1 and (max(times) - min(times)) * 1e-6 >= MOTIONLESS_S:
-            sentence = f"the ego pose of {scene['name']} is the same at every sample, as if there were none"
+            sentence = f"the ego pose of {scene['name']} is the same at every sample, as if it were missing"
             faults.add("ego poses that never move", "scene", scene["token"], sentence, severity="warning")
 
 
@@ -271,7 +269,7 @@ def _note_missing(root: Path, location: str, faults: FaultList) -> None:
     )
     consequence = "planners and generation that need the vector map cannot use the data set"
     if near is not None:
-        consequence = f"it lies at {near}: move or link it, for without it {consequence}"
+        consequence = f"it lies at {near}: move or link it, as without it {consequence}"
     elif location not in OFFICIAL_LOCATIONS:
         return
     faults.add("missing map expansions", name, "", f"{name} is missing; {consequence}", severity="warning")
@@ -301,7 +299,7 @@ def _check_fit(road_map: RoadMap, ego: EgoSamplePoses, logs: set[str], faults: F
         if share > MISFIT_SHARE:
             sentence = (
                 f"the recorded ego is off the drivable area of {road_map.location} in {100 * share:.0f} % of the "
-                f"{np.count_nonzero(in_log)} samples of this log: the map or the location is of another place"
+                f"{np.count_nonzero(in_log)} samples of this log: the map or the location is wrong"
             )
             faults.add("maps that do not fit", "log", log, sentence, severity="warning")
 

@@ -45,10 +45,10 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
             faults.add("broken files", "sample_data", row["token"], f"{name} {problem}")
     for row in tables.having("map", "filename"):
         if folders.size(row["filename"]) is None:
-            sentence = f"{row['filename']} is missing; the devkit does not open a data set without its map masks"
+            sentence = f"{row['filename']} is missing; the devkit cannot open a data set without its map masks"
             faults.add("missing map masks", "map", row["token"], sentence)
         elif not _is_png(root / row["filename"]):
-            faults.add("broken map masks", "map", row["token"], f"{row['filename']} is not a whole PNG image")
+            faults.add("broken map masks", "map", row["token"], f"{row['filename']} is not a complete PNG image")
     for scene in tables.having("scene", "name"):
         try:
             CanBus.read(root, scene["name"])
@@ -95,7 +95,7 @@ def _problem(path: Path, size: int, row: Row) -> str:
     if suffix == ".bin":
         # An empty lidar file is legal: generated data sets have no lidar, but converters want the file to exist.
         is_complete = size % _LIDAR_POINT_BYTES == 0 or "LIDAR" not in row["filename"]
-        return "" if is_complete else f"has {size} bytes, which is no whole number of points"
+        return "" if is_complete else f"has {size} bytes, not a whole number of points"
     if suffix not in (".jpg", ".jpeg", ".png"):
         return ""
     if not size:
@@ -105,7 +105,7 @@ def _problem(path: Path, size: int, row: Row) -> str:
     except OSError as error:
         return f"cannot be read: {error.strerror or error}"
     if size_px is None:
-        return f"is not a whole {'PNG' if suffix == '.png' else 'JPEG'} image"
+        return f"is not a complete {'PNG' if suffix == '.png' else 'JPEG'} image"
     expected = (row["width"], row["height"])
     if size_px != expected:
         return f"is {size_px[0]} x {size_px[1]} pixels, the row says {expected[0]} x {expected[1]}"

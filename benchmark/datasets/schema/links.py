@@ -52,7 +52,7 @@ def check_sample_chains(tables: CheckedTables, faults: FaultList) -> None:
     if "sample" not in tables.unreadable:
         for scene in tables.rows["scene"]:
             if scene["token"] not in samples:
-                faults.add("scenes without samples", "scene", scene["token"], "no sample is of this scene")
+                faults.add("scenes without samples", "scene", scene["token"], "no sample belongs to this scene")
     _check_group(tables, "sample", {f"scene {owner}": rows for owner, rows in samples.items()}, faults)
     _check_ends(tables, "scene", ("nbr_samples", "first_sample_token", "last_sample_token"), samples, faults)
 
@@ -148,7 +148,7 @@ def _check_chain(
         time, next_time = time_of(row), time_of(following)
         if time is not None and next_time is not None and next_time <= time:
             sentence = f"next {row['next']} is not later: {next_time} follows {time}"
-            # A sweep out of order is left out by whoever reads, so the data can still be used.
+            # Readers skip a sweep that is out of order, so the data can still be used.
             swept = table == "sample_data" and not (row.get("is_key_frame") and following.get("is_key_frame"))
             severity: Severity = "warning" if swept else "error"
             faults.add("chains that go back in time", table, row["token"], sentence, severity=severity)
@@ -159,7 +159,7 @@ def _check_chain(
         visited.add(row_now["token"])
         row_now = members.get(row_now["next"], row_now)
     if not heads or row_now["next"] in visited:
-        faults.add("chains that go round", table, row_now["token"], f"the rows of {owner} go round in a circle")
+        faults.add("chains that go round", table, row_now["token"], f"the rows of {owner} form a cycle")
     elif len(visited) < len(rows):
         sentence = f"only {len(visited)} of the {len(rows)} rows of {owner} are reached from its first one"
         faults.add("chains in pieces", table, heads[0]["token"], sentence)
@@ -178,7 +178,7 @@ def _check_ends(
     for row in tables.having(table, *fields):
         members = chains.get(row["token"], [])
         if row[count_field] != len(members):
-            sentence = f"{count_field} is {row[count_field]}, but there are {len(members)} {members_name} of it"
+            sentence = f"{count_field} is {row[count_field]}, but it has {len(members)} {members_name}"
             faults.add(f"wrong {count_field}", table, row["token"], sentence)
         ends = ((first_field, "prev", "first"), (last_field, "next", "last"))
         for field, link, place in ends:

@@ -1,7 +1,7 @@
-"""What is checked when a root is opened, and what when a scene of it is read: the first error ends it.
+"""Checks when a root is opened and when a scene of it is read: the first error is raised.
 
-Together the two are what `data check` calls an error in the tables of the scenes that are read. What it finds in other
-files is refused by whoever opens them.
+Together they cover the errors that `data check` reports in the tables of the scenes that are read. Faults of other
+files are refused where these are opened.
 """
 
 from collections.abc import Collection, Mapping

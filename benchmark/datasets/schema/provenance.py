@@ -40,7 +40,7 @@ def check_provenance(folder: Path, tables: CheckedTables, faults: FaultList) -> 
     if content is None:
         return
     if not isinstance(content.get("split"), str):
-        faults.add("no split", PROVENANCE, "", f"{PROVENANCE} does not name the split that it was built as")
+        faults.add("no split", PROVENANCE, "", f"{PROVENANCE} does not name the split that it was built for")
     scenes = content.get("scenes")
     if not isinstance(scenes, dict):
         faults.add("no scenes", PROVENANCE, "", f"{PROVENANCE} has no object named scenes")

@@ -1,6 +1,6 @@
 """Rows against their description: a quick look at whole columns, and where that fails each value by itself.
 
-Faults, the list that keeps them few enough to read, and the refusal of whoever needs a data set without any.
+Faults of a data set, a list that limits how many are shown, and the error raised for a faulty data set.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""What lies beside the tables, as far as it is read: messages of the CAN bus expansion, points of the map expansion."""
+"""Files beside the tables, as far as they are read: messages of the CAN bus expansion, points of the map expansion."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -65,7 +65,7 @@ def require_records(
 ) -> Sequence[Mapping[str, Any]]:
     """Refuse records of a file that lack a field or hold what they must not; ``what`` is the name of one of them."""
     if type(records) is not list or any(type(record) is not dict for record in records):
-        raise InputError(f"{path} must hold a list of {what}s, each an object; fetch or make it again")
+        raise InputError(f"{path} must hold a list of {what} objects; fetch or make it again")
     for name, kind in fields.items():
         if records and all(name in record for record in records) and kind.column([entry[name] for entry in records]):
             continue

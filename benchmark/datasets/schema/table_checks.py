@@ -76,9 +76,7 @@ def read_checked(folder: Path, faults: FaultList) -> CheckedTables:
 def _content(path: Path, table: str, faults: FaultList) -> list[Row] | None:
     """Rows in a file, read as for opening the data set; ``None``, and a fault, where it cannot be read."""
     if not path.exists():
-        faults.add(
-            "missing table", table, "", f"{path.name} is missing; a data set has all 13 tables, if need be empty"
-        )
+        faults.add("missing table", table, "", f"{path.name} is missing; a data set needs all 13 tables, even if empty")
         return None
     try:
         return list(chain.from_iterable(TableScan(path).batches()))

@@ -1,6 +1,6 @@
 """The tables of nuScenes: what each field of a row must be, and which rows of other tables it names.
 
-Only fields are described that somebody reads, here or in software for this format; a row may have others.
+Only fields that are read, here or in software for this format, are described; a row may have others.
 
 Kinds of values: which a field may hold, value by value and, quickly, a whole column at once.
 """
@@ -188,7 +188,7 @@ def _token_column(values: list[Any]) -> bool:
 
 
 def _link_column(values: list[Any]) -> bool:
-    # Long and odd ones are found where they lead to no row; the empty one where it must lead to one.
+    # Long and odd tokens fail where they lead to no row; an empty one where it must lead to a row.
     return _of_type(values, str)
 
 

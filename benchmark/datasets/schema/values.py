@@ -1,6 +1,6 @@
-"""What rows of several tables say together: calibration, images, times of sensors, maps of logs.
+"""Consistency of rows across tables: calibration, images, times of sensors, maps of logs.
 
-How far apart keyframes are: official protocols take them for steps of half a second, whatever the data say.
+Intervals between keyframes: official protocols take them for steps of half a second at any rate of the data.
 """
 
 from collections import Counter, defaultdict
@@ -44,7 +44,7 @@ def check_gaps(tables: CheckedTables, faults: FaultList) -> None:
             if gap_us <= LONGEST_KNOWN_US if usual_us is not None else is_step(gap_us):
                 continue
             effect = (
-                "what lies in it or beyond is unknown to exact and driving scores"
+                "exact and driving scores treat steps in or after the gap as unknown"
                 if gap_us > LONGEST_KNOWN_US
                 else f"exact and driving scores interpolate steps of {STEP_US * 1e-6:g} s there"
             )
@@ -120,7 +120,7 @@ def check_sensors(tables: CheckedTables, faults: FaultList) -> None:
                 "samples without sensors", "sample", sample["token"], "no sensor row leads to the sample's scene"
             )
         for channel in sorted(name for name, count in row_counts.items() if count > 1):
-            sentence = f"{row_counts[channel]} keyframe rows of {channel} lead to this sample"
+            sentence = f"{row_counts[channel]} keyframe rows of {channel} refer to this sample"
             faults.add("samples with a sensor twice", "sample", sample["token"], sentence)
         for channel, row in keyframes[sample["token"]]:
             seconds_apart = _seconds_apart(tables, ("sample_data", row["token"]), ("sample", sample["token"]))
@@ -186,5 +186,5 @@ def _check_logs(tables: CheckedTables, faults: FaultList) -> None:
     listed = {token for row in tables.having("map", "log_tokens") for token in row["log_tokens"]}
     for row in tables.rows["log"]:
         if row["token"] not in listed:
-            sentence = "no map has this log among its log_tokens; the devkit does not open such a data set"
+            sentence = "no map has this log among its log_tokens; the devkit cannot open such a data set"
             faults.add("logs without map", "log", row["token"], sentence)

@@ -100,7 +100,7 @@ def _print_card(
 ) -> None:
     if settings.licence is None and not named:
         api.notify(
-            "warning: the card says that its licence is not decided; --licence names one (what was made from "
+            "warning: the licence of the card is undecided; set it with --licence (data derived from "
             "recordings stays under their terms)"
         )
     text = f"{pluralise(written.rows, rows)} in {written.files[1]}, beside {written.files[0].name} for a hub"

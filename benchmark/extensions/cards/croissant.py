@@ -34,7 +34,7 @@ def parse_licence(text: str | None) -> str:
     if text is None:
         return UNKNOWN
     if not _IDENTIFIER.fullmatch(text):
-        raise InputError(f"--licence {text!r} is no licence identifier; name one such as cc-by-nc-sa-4.0, or other")
+        raise InputError(f"--licence {text!r} is not a licence identifier; give one such as cc-by-nc-sa-4.0, or other")
     return text.lower()
 
 
@@ -79,7 +79,7 @@ def write_index(path: Path, columns: Sequence[IndexColumn], rows: Sequence[Mappi
 
 def format_column_rows(columns: Sequence[IndexColumn]) -> list[str]:
     """Rows of a Markdown table of the columns."""
-    return ["| column | type | what |", "|---|---|---|"] + [
+    return ["| column | type | meaning |", "|---|---|---|"] + [
         f"| `{column.name}` | {column.kind} | {column.meaning} |" for column in columns
     ]
 
@@ -154,7 +154,7 @@ def build_croissant(said: DataSetDescription, index: Path, rows: str, columns: S
 
     Args:
         index: The file, which must be there; it is named relative to the metadata beside it.
-        rows: What a row is, one word in the plural.
+        rows: Name of the rows, one word in the plural.
     """
     fields = [
         {

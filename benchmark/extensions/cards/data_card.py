@@ -40,9 +40,7 @@ if TYPE_CHECKING:
 
 SCENE_COLUMNS: Final = (
     IndexColumn("scene", "text", "name of the scene"),
-    IndexColumn(
-        "split", "text", "custom splits that it is in, separated by commas; null where the data set names none"
-    ),
+    IndexColumn("split", "text", "custom splits that contain it, separated by commas; null if the data set names none"),
     IndexColumn("token", "text", "token of the scene in the tables"),
     IndexColumn("source_scene", "text", "recorded scene that it was made from; its own name if it is a recording"),
     IndexColumn("description", "text", "free text of the tables"),
@@ -52,26 +50,24 @@ SCENE_COLUMNS: Final = (
     IndexColumn("samples", "count", "2 Hz keyframes"),
     IndexColumn("frames", "count", "12 Hz frames"),
     IndexColumn("seconds", "number", "from the first frame to the last"),
-    IndexColumn("ego_metres", "number", "way of the ego"),
-    IndexColumn("ego_mean_m_s", "number", "its mean speed"),
+    IndexColumn("ego_metres", "number", "distance driven by the ego"),
+    IndexColumn("ego_mean_m_s", "number", "mean speed of the ego"),
     IndexColumn("agents", "count", "objects annotated at any sample"),
-    IndexColumn("vehicles", "count", "of them vehicles"),
-    IndexColumn("pedestrians", "count", "of them pedestrians"),
-    IndexColumn("annotations", "count", "boxes at samples"),
+    IndexColumn("vehicles", "count", "vehicles among them"),
+    IndexColumn("pedestrians", "count", "pedestrians among them"),
+    IndexColumn("annotations", "count", "annotated boxes over all samples"),
     IndexColumn("cameras", "count", "cameras with calibration"),
     IndexColumn("has_map", "truth", "whether its location has a vector map"),
-    IndexColumn(
-        "adversaries", "count", "vehicles that were made to be adversaries; null where the data set does not say"
-    ),
-    IndexColumn("manoeuvre", "text", "what the first adversary does (docs/manoeuvres.md of challenger-bench)"),
-    IndexColumn("place", "text", "where it comes closest: junction, straight, ..."),
+    IndexColumn("adversaries", "count", "vehicles that are adversaries; null if the data set does not state it"),
+    IndexColumn("manoeuvre", "text", "manoeuvre of the first adversary (docs/manoeuvres.md of challenger-bench)"),
+    IndexColumn("place", "text", "place of its closest approach: junction, straight, ..."),
     IndexColumn("closest_gap_m", "number", "smallest gap between it and the recorded ego"),
     IndexColumn(
         "careful_survives",
         "truth",
-        "whether a careful and competent human (docs/severity.md there) survives it; null where nobody judged",
+        "whether a careful and competent human (docs/severity.md there) survives it; null if not assessed",
     ),
-    IndexColumn("unsolvable", "truth", "whether nobody could have avoided it; null where nobody judged"),
+    IndexColumn("unsolvable", "truth", "whether no reference driver could have avoided it; null if not assessed"),
     IndexColumn("review", "text", "accepted by an inspector, or not reviewed"),
 )
 
@@ -154,7 +150,7 @@ class _DataProvenance:
     """Where a data set comes from, in sentences.
 
     Attributes:
-        kinds: What the responsible-AI extension calls that.
+        kinds: Collection types in terms of the responsible-AI extension.
         town: Whether it is the procedural town of this project.
         generated: Whether vehicles were made to be adversaries.
     """
@@ -176,11 +172,11 @@ def write_data_card(
     Args:
         data: The data set, any nuScenes-format root.
         to: Folder.
-        settings: What it does not know of itself.
+        settings: Facts that the data set itself does not hold.
         embedded: Whether it is the town that comes with this project.
 
     Returns:
-        What was written.
+        The written files.
 
     Raises:
         InputError: If the data set is broken or has no scenes, or the folder cannot be written.
@@ -188,7 +184,7 @@ def write_data_card(
     settings = settings or CardSettings()
     rows = list(scene_rows(data))
     if not rows:
-        raise InputError(f"{data.root} has no scenes to describe; name another data set")
+        raise InputError(f"{data.root} has no scenes to describe; choose another data set")
     origin = _find_provenance(data.provenance() or {}, rows, embedded)
     description = _describe_data_set(data, rows, origin, settings)
     return write_card(
@@ -202,12 +198,12 @@ def _find_provenance(
     source, renderer = provenance.get("source"), provenance.get("renderer")
     generated = any(row["adversaries"] for row in rows) or any(row["scene"] != row["source_scene"] for row in rows)
     if embedded:
-        collected = "A procedural town made from a seed by challenger-bench: no recording, no person, no place."
+        collected = "A procedural town made from a seed by challenger-bench: no recordings, no people, no real places."
     elif isinstance(source, dict):
         print_of = str(source.get("fingerprint"))[:_SHORT_HASH]
         collected = f"Made from the recordings {str(source.get('name'))[:80]} (content {print_of}) by challenger-bench."
     else:
-        collected = "Recordings in nuScenes format; how they were collected is not said in the data set."
+        collected = "Recordings in nuScenes format; the data set does not state how they were collected."
     frozen = find_frozen_split(provenance)
     if frozen is not None:
         collected += f" Adversaries are those of the frozen split {frozen[:80]}."
@@ -217,7 +213,7 @@ def _find_provenance(
     pictures = (
         f"Images were drawn by the renderer {drawn} from boxes and maps, not taken by a camera."
         if drawn is not None
-        else "Who took or drew the images, if there are any, is not said in the data set."
+        else "The data set does not state where its images, if any, come from."
     )
     simulated = ("Software Collection",) if embedded or generated or drawn is not None else ()
     recorded = () if embedded else ("Secondary Data Analysis",)
@@ -252,16 +248,16 @@ def _build_responsible_ai(
 ) -> dict[str, str | tuple[str, ...]]:
     """Answers to the responsible-AI extension, as far as the data set tells."""
     people = (
-        "None: every road user is made up."
+        "None: every road user is synthetic."
         if origin.town
         else "Positions of road users at known times and places, and, where images were taken by cameras, faces and "
-        "number plates unless whoever recorded them hid these; the data set does not say."
+        "number plates, unless they were blurred; the data set does not state it."
     )
     missing = sorted(column.name for column in SCENE_COLUMNS if any(row[column.name] is None for row in rows))
     use = (
         "Evaluation of motion planners in open loop and in closed loop.",
         *(
-            ("Not for rates of accidents: the scenes are a search's worst cases, and no sample of traffic.",)
+            ("Not for accident rates: the scenes are worst cases found by a search, not a sample of traffic.",)
             if origin.generated
             else ()
         ),
@@ -271,8 +267,8 @@ def _build_responsible_ai(
         "dataCollectionType": origin.kinds,
         "dataCollectionMissingData": "Columns of the index with nulls: " + (", ".join(missing) or "none") + ".",
         "dataPreprocessingProtocol": ("Scenes that inspectors rejected are left out of the index.",),
-        "dataAnnotationProtocol": "Boxes are those of the tables; labels of manoeuvre, place and severity are computed "
-        f"by challenger-bench {VERSION} by written definitions, and by no person.",
+        "dataAnnotationProtocol": "Boxes come from the tables; labels of manoeuvre, place and severity are computed "
+        f"by challenger-bench {VERSION} from written definitions, not assigned by people.",
         "machineAnnotationTools": (f"challenger-bench {VERSION}",),
         "dataBiases": (
             f"Locations: {_find_most_frequent(rows, 'location')}.",
@@ -282,7 +278,7 @@ def _build_responsible_ai(
         "dataUseCases": use,
         "dataSocialImpact": "Planners that collide here need work; planners that do not are not shown to be safe.",
         "personalSensitiveInformation": (people,),
-        "dataReleaseMaintenancePlan": "The version ends in a hash of the content: other content has another one.",
+        "dataReleaseMaintenancePlan": "The version ends in a hash of the content, so it changes with the content.",
     }
 
 
@@ -291,7 +287,7 @@ def _list_limitations(origin: _DataProvenance) -> tuple[str, ...]:
         "Recorded road users do not react to the adversary.",
         "Adversaries were verified by the search that made them, by its own rules.",
     )
-    town = ("Roads, traffic and images are simple: numbers of planners here are no numbers of planners on the road.",)
+    town = ("Roads, traffic and images are simple: results here do not predict results on real roads.",)
     plain = "Motion between annotated keyframes is interpolated."
     return (plain, *(generated if origin.generated else ()), *(town if origin.town else ()))
 
@@ -313,7 +309,7 @@ def _format_page(
     seconds = sum(row["seconds"] for row in rows)
     review = data.review(None).facts
     licence = (
-        "Not decided: whoever publishes this must say. What was made from recordings stays under their terms."
+        "Undecided: the publisher must choose one. Data derived from recordings stays under their terms."
         if description.licence == UNKNOWN
         else f"{description.licence} ({find_licence_page(description.licence)})."
     )
@@ -330,7 +326,7 @@ def _format_page(
         f"| hours | {seconds / 3600:.2f} |",
         f"| annotated boxes | {totals['annotations']:,} |",
         f"| adversaries | {totals['adversaries']:,} |",
-        f"| what the first of them do | {escape_markdown(manoeuvres)} |",
+        f"| manoeuvres of the first adversaries | {escape_markdown(manoeuvres)} |",
         f"| locations | {escape_markdown(_find_most_frequent(rows, 'location'))} |",
         f"| light, as described | {escape_markdown(_find_most_frequent(rows, 'light'))} |",
         f"| inspected by people | {_describe_review(review)} |",
@@ -340,7 +336,7 @@ def _format_page(
         "## Index",
         "",
         f"`{INDEX_FILE}` has one row a scene; `{CROISSANT_FILE}` describes it for machines. The tables, maps and",
-        "images are the data set itself, a nuScenes-format root that the unmodified nuscenes-devkit opens.",
+        "images form a nuScenes-format root that the unmodified nuscenes-devkit opens.",
         "",
         *format_column_rows(SCENE_COLUMNS),
         "",
@@ -350,7 +346,7 @@ def _format_page(
     for name in ("dataUseCases", "dataLimitations", "dataBiases", "personalSensitiveInformation"):
         answer = description.responsible[name]
         lines += [f"- {escape_markdown(text)}" for text in ((answer,) if isinstance(answer, str) else answer)]
-    lines += ["", "## Judge a planner on it", "", "With challenger-bench installed:", "", "```"]
+    lines += ["", "## Evaluate a planner on it", "", "With challenger-bench installed:", "", "```"]
     lines += ["challenger-bench eval --data FOLDER --split SPLIT --model my_planner:MyPlanner", "```", ""]
     return [*lines, *format_footer()]
 

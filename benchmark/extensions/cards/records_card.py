@@ -35,24 +35,24 @@ RATE_COLUMNS: Final = (
     IndexColumn("data_set", "text", "name of the data set"),
     IndexColumn("data_content", "text", "hash of its content"),
     IndexColumn("split", "text", "split"),
-    IndexColumn("frozen_split", "text", "frozen split that it was built from, if it was"),
+    IndexColumn("frozen_split", "text", "frozen split that it was built from, if any"),
     IndexColumn("planner", "text", "name of the planner"),
     IndexColumn("privileged", "truth", "whether it saw boxes, the map or the recorded future"),
-    IndexColumn("miniature", "truth", "whether it is a small stand-in that ranks nothing"),
+    IndexColumn("miniature", "truth", "whether it is a small stand-in, not for ranking"),
     IndexColumn("weights_sha256", "text", "hash of its weights, if it has any"),
     IndexColumn("loop", "text", "open (plans judged against the recording) or closed (plans driven)"),
     IndexColumn("protocol", "text", "definition: a protocol, nuscenes-pdm, or engine and agents of a drive"),
     IndexColumn("protocol_version", "count", "its version"),
-    IndexColumn("column", "text", "what was measured: collision, l2, ..."),
+    IndexColumn("column", "text", "measured quantity: collision, l2, ..."),
     IndexColumn("horizon", "text", "1s, 2s, 3s, avg, ...; null of drives"),
-    IndexColumn("value", "number", "mean or rate; null where nothing entered it"),
+    IndexColumn("value", "number", "mean or rate; null if no samples counted"),
     IndexColumn("low", "number", "lower end of the 95 % interval over recorded scenes"),
     IndexColumn("high", "number", "upper end"),
-    IndexColumn("numerator", "number", "sum that entered"),
-    IndexColumn("denominator", "number", "how many samples or drives entered"),
+    IndexColumn("numerator", "number", "sum over the counted samples or drives"),
+    IndexColumn("denominator", "number", "number of samples or drives counted"),
     IndexColumn("coverage", "number", "share of samples or drives on which the planner did not fail"),
-    IndexColumn("scenes", "count", "scenes that ran"),
-    IndexColumn("scenes_in_split", "count", "of so many"),
+    IndexColumn("scenes", "count", "number of scenes run"),
+    IndexColumn("scenes_in_split", "count", "number of scenes in the split"),
     IndexColumn("record", "text", "content id of the record"),
 )
 
@@ -89,10 +89,10 @@ def write_records_card(
         records: Of planning.
         drives: Of driving.
         to: Folder.
-        settings: What the records do not know.
+        settings: Facts that the records themselves do not hold.
 
     Returns:
-        What was written.
+        The written files.
 
     Raises:
         InputError: If there are no records or the folder cannot be written.
@@ -150,21 +150,21 @@ def _build_responsible_ai(
     failed = sum(record.summary.failed for record in records) + sum(record.summary.failed for record in drives)
     parts = sum(not record.covers_split for record in records) + sum(not record.covers_split for record in drives)
     return {
-        "dataCollection": f"Planners were run and judged by challenger-bench ({VERSION} wrote this card).",
+        "dataCollection": f"Planners were run and scored by challenger-bench ({VERSION} wrote this card).",
         "dataCollectionType": ("Experiments", "Software Collection"),
         "dataCollectionMissingData": f"{pluralise(failed, 'sample or drive', 'samples or drives')} on which a planner "
-        f"failed are in no rate; {pluralise(parts, 'record')} of a part of a split.",
+        f"failed are left out of all rates; {pluralise(parts, 'record')} covering only part of a split.",
         "dataAnnotationProtocol": "None: numbers are computed from stored plans.",
-        "dataBiases": ("A rate is one of these scenes, and of no others.",),
+        "dataBiases": ("A rate holds for these scenes only.",),
         "dataLimitations": (
-            "Two protocols never compare: rates of one name under two protocols are two quantities.",
+            "Rates of different protocols are not comparable, even under the same name.",
             "Rates on adversarial scenes depend on the search that found them.",
-            "Miniatures are small stand-ins and rank nothing.",
+            "Miniatures are small stand-ins, not for ranking.",
         ),
         "dataUseCases": ("Comparing planners on the same split under the same protocol and version.",),
-        "dataSocialImpact": "A low rate here shows that no planner is safe.",
+        "dataSocialImpact": "A low rate here does not show that a planner is safe.",
         "personalSensitiveInformation": ("None.",),
-        "dataReleaseMaintenancePlan": "The version ends in a hash of the records: other records have another one.",
+        "dataReleaseMaintenancePlan": "The version ends in a hash of the records, so it changes with the records.",
     }
 
 
@@ -195,7 +195,7 @@ def _format_page(
         for record in drives
     ]
     licence = (
-        "Not decided: whoever publishes this must say."
+        "Undecided: the publisher must choose one."
         if description.licence == UNKNOWN
         else f"{description.licence} ({find_licence_page(description.licence)})."
     )

@@ -53,14 +53,14 @@ _ADDRESS: Final = re.compile(r"https?://[^\s\"<>]{1,2000}")
 
 @dataclass(frozen=True, slots=True)
 class CardSettings:
-    """What a data set does not know of itself.
+    """Facts for a card that the data set itself does not hold.
 
     Attributes:
-        title: What it is called in public; its own name if none is given.
+        title: Public name; the data set's own name if none is given.
         licence: Identifier of its licence; ``None`` where that is not decided.
         url: Where it will be published.
-        published: Day of that, ``YYYY-MM-DD``.
-        creator: Who publishes it.
+        published: Day of publication, ``YYYY-MM-DD``.
+        creator: Publisher.
     """
 
     title: str | None = None
@@ -73,9 +73,9 @@ class CardSettings:
         parse_licence(self.licence)
         for option, text in (("--title", self.title), ("--creator", self.creator)):
             if text is not None and not (_TITLE.fullmatch(text) and text.strip()):
-                raise InputError(f"{option} must be one line of at most 200 letters, got {text[:40]!r}")
+                raise InputError(f"{option} must be one line of at most 200 characters, got {text[:40]!r}")
         if self.url is not None and not _ADDRESS.fullmatch(self.url):
-            raise InputError(f"--url must begin with http:// or https:// and hold no blanks, got {self.url[:80]!r}")
+            raise InputError(f"--url must begin with http:// or https:// and contain no spaces, got {self.url[:80]!r}")
         if self.published is not None:
             try:
                 date.fromisoformat(self.published)
@@ -109,8 +109,8 @@ def write_card(
 
     Args:
         page: Lines of ``README.md`` below its head.
-        rows: What a row of it is, one word in the plural.
-        tags: What hubs sort by.
+        rows: Name of its rows, one word in the plural.
+        tags: Tags for hubs.
 
     Raises:
         InputError: If the folder cannot be written or holds a ``README.md`` that is no card of ours.
@@ -146,4 +146,4 @@ def _require_own_card(page: Path) -> None:
     except OSError as error:
         raise InputError(f"cannot read {page}: {error.strerror or error}; name another folder with --to") from error
     if theirs:
-        raise InputError(f"{page} is no card that challenger-bench wrote; name another folder with --to, or move it")
+        raise InputError(f"{page} is not a card written by challenger-bench; name another folder with --to, or move it")

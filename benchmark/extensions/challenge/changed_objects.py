@@ -22,7 +22,7 @@ from benchmark.road_map import RoadMap
 from benchmark.scene import Annotations, Scene
 
 _FAR_M: Final = 60.0
-"""Whoever is further away is not measured."""
+"""Distance beyond which other road users are not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ def check_gap(found: Nearness | None, scene: Scene, rules: GapRules) -> RefusalR
     if found is None:
         return None
     if found.other is None:
-        other_name, rule, least, touches = "the recorded ego, which does not pass", "gaps.ego_m", rules.ego_m, "hits"
+        other_name, rule, least, touches = "the recorded ego", "gaps.ego_m", rules.ego_m, "hits"
     else:
         agents = scene.agents
         other_name = f"{agents.categories[found.other]} {agents.ids[found.other][:12]}"
@@ -222,7 +222,7 @@ def check_changed_objects(
     """Check that few enough vehicles differ, none is missing or made up, and the entry names those that differ."""
     for indices, scene, complaint in (
         (known.removed, recorded, "leaves out"),
-        (known.added, entry, "has, and the recording has not,"),
+        (known.added, entry, "adds, which the recording lacks:"),
     ):
         if indices:
             yield RefusalReason(
@@ -234,8 +234,7 @@ def check_changed_objects(
         listed = _join_names([_describe_move(entry, agent, common) for agent in beyond])
         yield RefusalReason(
             rule="changed.most",
-            sentence=f"changes {pluralise(len(found), 'object')} and may change {rules.changed.most}: besides, "
-            f"{listed}",
+            sentence=f"changes {pluralise(len(found), 'object')} and may change {rules.changed.most}; also: {listed}",
         )
     if len(found) < rules.changed.least:
         yield RefusalReason(
@@ -248,10 +247,10 @@ def check_changed_objects(
         if wrong := [name for name in entry.adversaries if name not in changed]:
             yield RefusalReason(
                 rule="changed.least",
-                sentence=f"names {wrong[0][:12]} as its adversary, which moves as it was recorded",
+                sentence=f"names {wrong[0][:12]} as its adversary, which moves as recorded",
             )
         elif len(found) <= rules.changed.most and (unnamed := sorted(changed - set(entry.adversaries))):
-            yield RefusalReason(rule="changed.most", sentence=f"changes {unnamed[0][:12]}, which it does not name")
+            yield RefusalReason(rule="changed.most", sentence=f"changes {unnamed[0][:12]}, not named as an adversary")
 
 
 def check_labels(
@@ -267,7 +266,7 @@ def check_labels(
     Where a changed vehicle is elsewhere, its entry decides on its looks and number of points. One point it must have,
     since protocols leave out objects that no sensor could have seen.
     """
-    # A track may leave the recorded one just after a keyframe, whose attribute says so already.
+    # A track may leave the recorded one just after a keyframe whose attribute already changes.
     elsewhere = {
         changed_object.agent: changed_object.at | np.append(changed_object.at[1:], False) for changed_object in found
     }
@@ -300,7 +299,7 @@ def check_labels(
 
 
 def _changes_size(notes: Annotations, agent: int, elsewhere: dict[int, Bools]) -> bool:
-    """Whether a changed vehicle has several sizes in the entry."""
+    """Whether the size of a changed vehicle varies within the entry."""
     if agent not in elsewhere:
         return False
     size = notes.size[agent, notes.valid[agent]]
@@ -314,7 +313,7 @@ def _find_label_differences(
     notes, other = entry.annotations, recorded.annotations
     if (notes.attribute[mine] != other.attribute[theirs]).any():
         yield "attribute"
-    # Where a recording says nothing of visibility it counted no points either, and whoever writes it again says one.
+    # A recording without visibility has no point counts either; rewritten data sets store a visibility there.
     has_visibility = other.visibility[theirs] != 0
     for field in _COUNTS:
         values, recorded_values = getattr(notes, field)[mine], getattr(other, field)[theirs]
@@ -337,13 +336,13 @@ def check_changed_vehicle(
     if was.any() and int(np.argmax(valid)) != int(common.here[np.argmax(was[common.there])]):
         yield RefusalReason(
             rule="changed.start_m",
-            sentence=f"lets {name} begin at keyframe {int(np.argmax(valid))}, it was recorded from keyframe "
+            sentence=f"starts {name} at keyframe {int(np.argmax(valid))}; the recording starts it at keyframe "
             f"{int(np.argmax(was))}",
         )
     elif each.distance[first] > rules.changed.start_m:
         yield RefusalReason(
             rule="changed.start_m",
-            sentence=f"lets {name} begin {each.distance[first]:.3g} m from where it was recorded; "
+            sentence=f"starts {name} {each.distance[first]:.3g} m from its recorded position; "
             f"{rules.changed.start_m:g} m are allowed",
         )
     start = int(common.here[each.first])

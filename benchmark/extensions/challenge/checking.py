@@ -3,7 +3,7 @@
 Nothing that an entry says of itself is believed: who is changed, how, and what touches what is found in its tables and
 images. Its own judgements and verdicts of inspectors are not read.
 
-Whether somebody could have driven what a changed vehicle does, from its keyframes alone.
+Drivability of a changed vehicle's motion, from its keyframes alone.
 """
 
 from collections import Counter
@@ -88,7 +88,7 @@ def check_motion_limits(seconds: Floats, boxes: Floats, rules: MotionRules) -> I
             most = float(np.broadcast_to(limit, values.shape)[at])
             yield RefusalReason(
                 rule=f"motion.{rule}",
-                sentence=f"asks for {values[at]:.3g} {unit} at {seconds[at]:.1f} s; {most:.3g} are allowed",
+                sentence=f"needs {values[at]:.3g} {unit} at {seconds[at]:.1f} s; {most:.3g} are allowed",
             )
 
 
@@ -106,7 +106,7 @@ def check_launch(seconds: Floats, boxes: Floats, rules: MotionRules) -> RefusalR
         return None
     return RefusalReason(
         rule="motion.launch_m_s2",
-        sentence=f"jumps at {seconds[1]:.1f} s, where its recorded track ends: {off:.3g} m from where it was going; "
+        sentence=f"jumps at {seconds[1]:.1f} s, where its recorded track ends: {off:.3g} m off its extrapolated path; "
         f"{most:.3g} m are allowed",
     )
 
@@ -117,7 +117,7 @@ def _compute_step_motion(seconds: Floats, boxes: Floats) -> tuple[Floats, Floats
     turn = wrap_angle(np.diff(axle[:, 2]))
     heading = axle[:-1, 2] + 0.5 * turn
     step = np.diff(axle[:, :2], axis=0) / np.diff(seconds)[:, None]
-    # The way along an arc is longer than its chord.
+    # The length of an arc exceeds its chord.
     longer = 1.0 / np.sinc(turn / (2 * np.pi))
     along = (step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading)) * longer
     across = step[:, 1] * np.cos(heading) - step[:, 0] * np.sin(heading)
@@ -125,8 +125,8 @@ def _compute_step_motion(seconds: Floats, boxes: Floats) -> tuple[Floats, Floats
 
 
 DIGITS: Final = 3
-NO_MAP: Final = "the recordings have no map here: the road was not asked"
-NO_CAMERAS: Final = "the recordings have no cameras here: calibration was not compared"
+NO_MAP: Final = "the recordings have no map: the drivable area was not checked"
+NO_CAMERAS: Final = "the recordings have no cameras: calibration was not compared"
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +197,7 @@ def find_source_recordings(entry: DataSet, base: DataSet, names: Sequence[str] |
     recorded = set(base.scene_names(None))
     if lost := next((name for name in wanted if sources[name] not in recorded), None):
         raise InputError(
-            f"{lost} of {entry.root} is said to be made from {sources[lost]}, which {base.root} has not; give the "
+            f"{lost} of {entry.root} names {sources[lost]} as its recording, which {base.root} lacks; give the "
             "recordings with --base, or name the scene after its recording, such as scene-0061-a"
         )
     return sources
@@ -206,8 +206,8 @@ def find_source_recordings(entry: DataSet, base: DataSet, names: Sequence[str] |
 def _require_scenes(entry: DataSet, sources: Mapping[str, str], rules: ChallengeRules) -> None:
     if missing := sorted(set(rules.scenes.required) - set(sources.values())):
         raise InputError(
-            f"{entry.root} has no scene of {', '.join(missing[:5])}{', ...' if len(missing) > 5 else ''}, "
-            f"{len(missing)} of {len(rules.scenes.required)} that the rules require; add them"
+            f"{entry.root} has no scene made from {', '.join(missing[:5])}{', ...' if len(missing) > 5 else ''}, "
+            f"{len(missing)} of {len(rules.scenes.required)} recordings that the rules require; add them"
         )
 
 
@@ -216,7 +216,7 @@ def _check_scenes_per_recording(sources: Mapping[str, str], rules: ChallengeRule
     for recording, count in Counter(sources.values()).items():
         if most and count > most:
             yield RefusalReason(
-                rule="scenes.most_of_one", sentence=f"has {count} scenes of {recording}; {most} may be made of one"
+                rule="scenes.most_of_one", sentence=f"has {count} scenes of {recording}; the rules allow {most}"
             )
 
 
@@ -228,7 +228,7 @@ def _add_repeat_reasons(checked: Sequence[CheckedScene], rules: ChallengeRules) 
         alike = earlier.setdefault((verdict.recording, tuple(token for token, _ in scene.tracks)), [])
         twin = next((other for other in alike if _is_repeat(scene, other, rules.scenes.apart_m)), None)
         if twin is not None:
-            reason = RefusalReason(rule="scenes.apart_m", sentence=f"is the scene {twin.verdict.scene} once more")
+            reason = RefusalReason(rule="scenes.apart_m", sentence=f"repeats the scene {twin.verdict.scene}")
             verdict = verdict.model_copy(update={"reasons": (*verdict.reasons, reason)})
         alike.append(scene)
         yield verdict
@@ -309,7 +309,7 @@ class _SceneCheck:
             yield from check_map(self.scene.road_map, self.recorded.road_map, rules)
         else:
             self.notes.append(NO_MAP)
-        # Observations cannot be had of a scene some of whose images are missing, which is a reason by itself.
+        # A scene with missing images yields no observations; the missing images are a reason by themselves.
         there = {view.path.is_file() for of_camera in self.views[0].values() for view in of_camera}
         if len(there) < 2:
             mine = list(self.entry.observations(self.scene.name))

@@ -101,7 +101,7 @@ def name_entries(roots: Sequence[Path]) -> dict[str, Path]:
     """Roots of entries by name: the folder, with as many of those above as tell entries apart."""
     resolved = [root.resolve() for root in roots]
     if twice := next((root for root, own in zip(roots, resolved, strict=True) if resolved.count(own) > 1), None):
-        raise InputError(f"the entry {twice} is named twice; name each once")
+        raise InputError(f"the entry {twice} is named twice; name each entry once")
     parts = [Path(os.path.normpath(root.absolute())).parts for root in roots]
     count = 1
     while len({own[-count:] for own in parts}) < len(parts):

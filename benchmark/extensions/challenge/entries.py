@@ -21,7 +21,7 @@ from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
 SPLIT: Final = "entry"
-"""What the accepted scenes of an entry are called as a split."""
+"""Split name of the accepted scenes of an entry."""
 
 
 @dataclass(slots=True)
@@ -30,7 +30,7 @@ class CheckedEntry:
 
     Attributes:
         root: A folder of the organiser's: nothing that lies beside the entry's tables is looked for.
-        judgements: What this program says of them, by name.
+        judgements: Scenario assessments of this program, by scene name.
     """
 
     data: DataSet
@@ -114,7 +114,7 @@ class CheckedEntry:
         return self.data.has_map(name)
 
     def has_lidar(self, name: str) -> bool:
-        """Whether the tables say where the scene's lidar sits."""
+        """Whether the tables hold the mounting of the scene's lidar."""
         return self.data.has_lidar(name)
 
     def fingerprint(self) -> str:

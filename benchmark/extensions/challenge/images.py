@@ -97,14 +97,14 @@ def _check_picture(view: CameraView, rules: ImageRules) -> tuple[list[tuple[str,
     height, width = picture.shape[:2]
     if (width, height) != (view.camera.width, view.camera.height):
         rows = f"{view.camera.width} x {view.camera.height}"
-        faults.append(("images.required", f"{view.path.name} is {width} x {height} pixels, its row says {rows}"))
+        faults.append(("images.required", f"{view.path.name} is {width} x {height} pixels, but its row has {rows}"))
     if (rules.width and width != rules.width) or (rules.height and height != rules.height):
         needed = f"{rules.width or 'any'} x {rules.height or 'any'}"
         faults.append(("images.width", f"{view.path.name} is {width} x {height} pixels; {needed} are needed"))
     contrast = float(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).std())
     if contrast < rules.least_contrast:
         faults.append(
-            ("images.least_contrast", f"{view.path.name} shows nothing: its grey values vary by {contrast:.2g}")
+            ("images.least_contrast", f"{view.path.name} shows nothing: its grey values deviate by {contrast:.2g}")
         )
     return faults, _shrink(picture)
 
@@ -130,7 +130,7 @@ def check_image_times(
         ]
         if displaced:
             k, other = displaced[0]
-            more = "" if len(displaced) == 1 else f", and so {pluralise(len(displaced) - 1, 'other')}"
+            more = "" if len(displaced) == 1 else f", as in {pluralise(len(displaced) - 1, 'other picture')}"
             yield RefusalReason(
                 rule="images.of_their_time",
                 sentence=f"the picture of {name} at keyframe {k} shows keyframe {other} rather{more}",
@@ -180,7 +180,7 @@ def _find_shifted_cameras(
         nearest = min(others, key=lambda other: others[other], default=None)
         if nearest is not None and others[nearest] < min(_OF_ONE_STYLE, _CLEARLY * own) and own > _ALIKE:
             yield RefusalReason(
-                rule="images.of_their_time", sentence=f"the pictures of {name} show what {nearest} saw in the recording"
+                rule="images.of_their_time", sentence=f"the pictures of {name} show the recorded view of {nearest}"
             )
             continue
         shifted = {shift: _shifted_distance(mine, theirs, common.there, shift) for shift in _list_shifts(len(theirs))}
@@ -188,14 +188,14 @@ def _find_shifted_cameras(
         if shifted and shifted[best] < min(_OF_ONE_STYLE, _CLEARLY * own) and own > _ALIKE:
             when = f"{pluralise(abs(best), 'keyframe')} {'later' if best > 0 else 'earlier'}"
             yield RefusalReason(
-                rule="images.of_their_time", sentence=f"the pictures of {name} show what was there {when}"
+                rule="images.of_their_time", sentence=f"the pictures of {name} show the recording {when}"
             )
             continue
         if (single := _find_displaced_picture(mine, theirs, common.there)) is not None:
             place, other = single
             yield RefusalReason(
                 rule="images.of_their_time",
-                sentence=f"the picture of {name} at keyframe {common.here[place]} shows what the recording has at "
+                sentence=f"the picture of {name} at keyframe {common.here[place]} shows the recording at "
                 f"keyframe {other}",
             )
 
@@ -247,7 +247,7 @@ def check_change_is_seen(
     if len(same) >= _LEAST_SEEN and all(same):
         return RefusalReason(
             rule="images.of_their_time",
-            sentence=f"all {len(same)} pictures that the changed vehicle is large in are the recording's, without it",
+            sentence=f"all {len(same)} pictures in which the changed vehicle is large are the recording's, without it",
         )
     return None
 

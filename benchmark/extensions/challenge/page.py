@@ -66,7 +66,7 @@ def _page(verdict: EntryVerdict, rules: ChallengeRules, pictures: Mapping[str, b
     accepted = len(verdict.scenes) - len(verdict.refused)
     yield (
         f"<p>{accepted} of {pluralise(len(verdict.scenes), 'scene')} accepted under the rules of "
-        f"{escape(verdict.challenge)}, held to the recordings {escape(verdict.base.name)}.</p>"
+        f"{escape(verdict.challenge)}, checked against the recordings {escape(verdict.base.name)}.</p>"
     )
     yield (
         f'<p class="quiet">entry <code>{verdict.entry.fingerprint[:12]}</code>, recordings '
@@ -80,8 +80,8 @@ def _page(verdict: EntryVerdict, rules: ChallengeRules, pictures: Mapping[str, b
         yield from _rule_table(verdict)
     yield "<h2>Scenes</h2>"
     yield (
-        '<p class="quiet">From above, at the moment at which the changed vehicle (orange) is nearest to the recorded '
-        "ego (green); dashed: where the vehicle was recorded. Refused scenes first.</p>"
+        '<p class="quiet">Top view at the moment when the changed vehicle (orange) is nearest to the recorded '
+        "ego (green); dashed: recorded positions of the vehicle. Refused scenes first.</p>"
     )
     for scene in sorted(verdict.scenes, key=lambda item: item.accepted):
         yield from _scene(scene, pictures.get(scene.scene))
@@ -90,7 +90,7 @@ def _page(verdict: EntryVerdict, rules: ChallengeRules, pictures: Mapping[str, b
 
 def _rule_table(verdict: EntryVerdict) -> Iterator[str]:
     counts = Counter(rule for scene in verdict.refused for rule in {reason.rule for reason in scene.reasons})
-    yield "<h2>Rules that were broken</h2>\n<table>\n<tr><th>rule</th><th>scenes</th></tr>"
+    yield "<h2>Broken rules</h2>\n<table>\n<tr><th>rule</th><th>scenes</th></tr>"
     for rule, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
         yield f'<tr><td><code>{escape(rule)}</code></td><td class="number">{count}</td></tr>'
     yield "</table>"

@@ -1,6 +1,6 @@
-"""What an entry must have as the recording has it: times, ego, sensors, map, and what a planner is told of the ego.
+"""Parts of an entry that must equal the recording: times, ego, sensors, map and ego inputs of planners.
 
-Which object of an entry is which of the recording: tokens may be new, and somebody may be moved or made up.
+Matching of an entry's objects to the recording's: tokens may be new, objects may be moved or added.
 """
 
 from collections import Counter
@@ -27,7 +27,7 @@ FARTHEST_M: Final = 30.0
 """Objects that begin further from one another, or half as far and are of other kinds, are not the same."""
 _ANOTHER_KIND_M: Final = 15.0
 _SAME_KIND: Final = 2
-"""What a common place counts if the category is the same, too; else one."""
+"""Weight of a shared position if the category is the same, too; otherwise one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +143,8 @@ def require_comparable(entry: Scene, recorded: Scene, common: CommonKeyframes) -
     """Refuse scenes that share no keyframe, since they cannot be compared."""
     if not len(common.here):
         raise InputError(
-            f"no keyframe of {entry.name} is at a time of its recording {recorded.name}: the entry is of other "
-            "recordings, or its times were shifted; give the recordings that it was made from with --base"
+            f"no keyframe of {entry.name} is at a time of its recording {recorded.name}: the entry was made from other "
+            "recordings, or its times were shifted; give its own recordings with --base"
         )
 
 
@@ -220,18 +220,16 @@ def check_sensors(
     if _largest_difference(entry.lidar.translation, recorded.lidar.translation) > rules.position_m or (
         _largest_difference(entry.lidar.rotation, recorded.lidar.rotation) > rules.rotation
     ):
-        yield RefusalReason(
-            rule="unchanged.position_m", sentence="mounts LIDAR_TOP elsewhere, whose origin plans are told of"
-        )
+        yield RefusalReason(rule="unchanged.position_m", sentence="moves LIDAR_TOP, the origin of plans")
     mine, theirs = views
     if required and (missing := sorted(set(theirs) - set(mine))):
         yield RefusalReason(rule="images.required", sentence=f"has no {', '.join(missing)}")
     if further := sorted(set(mine) - set(theirs)) if theirs else []:
-        yield RefusalReason(rule="images.required", sentence=f"has {', '.join(further)}, which the recording has not")
+        yield RefusalReason(rule="images.required", sentence=f"has {', '.join(further)}, which the recording lacks")
     for name in (camera for camera in mine if camera in theirs):
         if len(mine[name]) != len(entry.keyframes) or len(theirs[name]) != len(recorded.keyframes):
             if required:
-                yield RefusalReason(rule="images.required", sentence=f"has {name} not at every keyframe")
+                yield RefusalReason(rule="images.required", sentence=f"lacks {name} at some keyframes")
             continue
         for here, there in zip(common.here.tolist(), common.there.tolist(), strict=True):
             fault = _find_view_fault(mine[name][here], theirs[name][there], recorded, there, rules)
@@ -250,7 +248,7 @@ def _find_view_fault(mine: CameraView, theirs: CameraView, recorded: Scene, ther
     frame = int(recorded.keyframes[there])
     if mine.timestamp_us not in (theirs.timestamp_us, int(recorded.timestamps_us[frame])):
         return "alters the time"
-    # A picture is of its own exposure, or drawn for the keyframe as the whole data set is here.
+    # A picture has the ego pose of its exposure, or of the keyframe if it was rendered.
     poses = (theirs.global_T_ego, _pose(recorded, frame))
     most = max(rules.position_m, 1e-9)
     return "" if any(_largest_difference(mine.global_T_ego, pose) <= most for pose in poses) else "alters the ego pose"
@@ -305,7 +303,7 @@ def _area(first: shapely.Geometry, second: shapely.Geometry) -> float:
 def check_planner_inputs(
     entry: Sequence[Observation], recorded: Sequence[Observation], common: CommonKeyframes, rules: UnchangedRules
 ) -> Iterator[RefusalReason]:
-    """Whether planners are told the same of the ego: motion from the CAN bus, past poses, command."""
+    """Check that planners receive the same ego inputs: motion from the CAN bus, past poses, command."""
     for here, there in zip(common.here.tolist(), common.there.tolist(), strict=True):
         mine, theirs = entry[here], recorded[there]
         wrong = _find_motion_differences(mine, theirs, rules)
@@ -314,7 +312,7 @@ def check_planner_inputs(
         if wrong:
             yield RefusalReason(
                 rule="unchanged.motion",
-                sentence=f"tells planners another {', '.join(wrong)} of the ego, first at keyframe {here} (CAN bus)",
+                sentence=f"alters the ego's {', '.join(wrong)} given to planners, first at keyframe {here} (CAN bus)",
             )
             return
 

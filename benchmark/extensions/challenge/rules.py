@@ -39,21 +39,19 @@ def _rule(default: Any, says: str, least: float | None = None) -> Any:
 class SceneRules(Stored):
     """Which scenes an entry has."""
 
-    required: tuple[str, ...] = _rule((), "recordings that an entry must have a scene of; none named: any it likes")
-    most_of_one: int = _rule(0, "scenes that may be made of one recording; 0: any number", 0)
-    apart_m: float = _rule(
-        0.1, "two scenes of one recording are the same one if no changed vehicle is ever further from itself", 0.0
-    )
+    required: tuple[str, ...] = _rule((), "recordings that an entry must cover with a scene; empty: any")
+    most_of_one: int = _rule(0, "most scenes made from one recording; 0: any number", 0)
+    apart_m: float = _rule(0.1, "two scenes of one recording are duplicates if no changed vehicle differs by more", 0.0)
 
 
 class ChangedVehicleRules(Stored):
-    """Who may differ from the recording, and how."""
+    """Vehicles that may differ from the recording, and how."""
 
     least: int = _rule(1, "vehicles of a scene that must differ from the recording", 0)
     most: int = _rule(1, "vehicles of a scene that may differ from the recording", 0)
-    categories: tuple[str, ...] = _rule(FOUR_WHEELED, "what a changed vehicle may be")
-    start_m: float = _rule(0.0, "how far it may start from where it was recorded at its first keyframe", 0.0)
-    to_the_end: bool = _rule(True, "whether it must be there at every keyframe from its first one on")
+    categories: tuple[str, ...] = _rule(FOUR_WHEELED, "permitted categories of changed vehicles")
+    start_m: float = _rule(0.0, "largest distance from its recorded position at its first keyframe", 0.0)
+    to_the_end: bool = _rule(True, "whether it must be present at every keyframe from its first one on")
 
     @model_validator(mode="after")
     def _some_are_allowed(self) -> Self:
@@ -69,21 +67,21 @@ class UnchangedRules(Stored):
     rotation: float = _rule(0.0, "components of quaternions", 0.0)
     map_m2: float = _rule(1e-6, "area by which a surface of the map near the ego may differ", 0.0)
     points: bool = _rule(True, "whether counts of points, visibility and attributes are compared too")
-    motion: float = _rule(1e-9, "speeds, accelerations and yaw rates that a planner is told (CAN bus)", 0.0)
+    motion: float = _rule(1e-9, "speeds, accelerations and yaw rates given to planners (CAN bus)", 0.0)
 
 
 class ImageRules(Stored):
     """Images at keyframes."""
 
-    required: bool = _rule(True, "whether images must be there, where the recording has cameras")
+    required: bool = _rule(True, "whether images are required if the recording has cameras")
     width: int = _rule(0, "pixels; 0: any, one for each camera", 0)
     height: int = _rule(0, "pixels; 0: any, one for each camera", 0)
-    least_contrast: float = _rule(4.0, "standard deviation of the grey values (0..255) of a picture of anything", 0.0)
-    of_their_time: bool = _rule(True, "whether a picture that shows another keyframe or camera is looked for")
+    least_contrast: float = _rule(4.0, "least standard deviation of the grey values (0..255) of a picture", 0.0)
+    of_their_time: bool = _rule(True, "whether pictures are checked for showing another keyframe or camera")
 
 
 class MotionRules(Stored):
-    """What a changed vehicle may ask of car and driver: what cars can do on dry asphalt."""
+    """Limits of a changed vehicle's motion: what cars can do on dry asphalt."""
 
     acceleration_m_s2: float = _rule(4.5, "forwards", 0.0)
     braking_m_s2: float = _rule(8.0, "forwards, slower", 0.0)
@@ -92,25 +90,25 @@ class MotionRules(Stored):
     sideways_m_s: float = _rule(0.3, "of the rear axle across its heading", 0.0)
     backwards_m_s: float = _rule(0.3, "against its heading", 0.0)
     tolerance: float = _rule(1.05, "factor on all of them: finite differences overshoot", 1.0)
-    launch_m_s2: float = _rule(10.0, "change of velocity where the recorded track ends, which annotators shake", 0.0)
-    launch_m: float = _rule(0.2, "and so far it may be off there", 0.0)
+    launch_m_s2: float = _rule(10.0, "change of velocity where the recorded track ends (annotations are noisy)", 0.0)
+    launch_m: float = _rule(0.2, "largest offset there", 0.0)
 
 
 class RoadRules(Stored):
     """The drivable area of the recording's map, every 12th of a second where the vehicle differs."""
 
-    centre_off_share: float = _rule(0.25, "share of the time that its centre may be off", 0.0)
-    centre_off_m: float = _rule(1.0, "how far its centre may be off at most", 0.0)
-    corner_off_share: float = _rule(0.75, "share of the time that a corner may be off", 0.0)
-    corner_off_m: float = _rule(1.5, "how far a corner may be off at most", 0.0)
+    centre_off_share: float = _rule(0.25, "largest share of the time with its centre off the road", 0.0)
+    centre_off_m: float = _rule(1.0, "largest distance of its centre from the road", 0.0)
+    corner_off_share: float = _rule(0.75, "largest share of the time with a corner off the road", 0.0)
+    corner_off_m: float = _rule(1.5, "largest distance of a corner from the road", 0.0)
 
 
 class GapRules(Stored):
     """Contact, every 12th of a second where the vehicle differs."""
 
-    others_m: float = _rule(0.0, "least distance to anybody else; 0: no contact", 0.0)
+    others_m: float = _rule(0.0, "least distance to other road users; 0: no contact", 0.0)
     ego_m: float = _rule(0.0, "least distance to the recorded ego; 0: it passes without contact", 0.0)
-    rounded_m: float = _rule(0.002, "how far boxes may reach into one another because numbers are rounded", 0.0)
+    rounded_m: float = _rule(0.002, "overlap of boxes that counts as rounding", 0.0)
 
 
 class ChallengeRules(Stored):
@@ -141,7 +139,7 @@ RULE_SETS: Final[dict[str, ChallengeRules]] = {
         motion=MotionRules(acceleration_m_s2=2.5, braking_m_s2=5.0, lateral_m_s2=4.0, yaw_rate_rad_s=0.9),
         road=RoadRules(centre_off_share=0.02, corner_off_share=0.15, corner_off_m=1.0),
     ),
-    # The paper mentions no such limit among what it drops scenes for; its presets (`generate --preset`) have none.
+    # The paper has no such limit among its reasons to drop scenes, nor do its presets (`generate --preset`).
     "paper": ChallengeRules(
         name="paper",
         motion=MotionRules(
@@ -175,9 +173,7 @@ def read_rules(path: Path | None) -> ChallengeRules:
     return validate_stored(
         ChallengeRules.model_validate,
         read_toml(path),
-        lambda where, why: (
-            f"{path}: {where or 'the rules'}: {why}; see docs/extensions/challenge.md for the rules that there are"
-        ),
+        lambda where, why: f"{path}: {where or 'the rules'}: {why}; see docs/extensions/challenge.md for the rules",
     )
 
 

@@ -1,4 +1,4 @@
-"""What an organiser looks at: each scene from above, at the moment at which a changed vehicle is nearest to the ego."""
+"""Pictures for the organiser: each scene from above when a changed vehicle is nearest to the ego."""
 
 from collections.abc import Mapping
 from dataclasses import replace

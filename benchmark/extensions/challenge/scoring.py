@@ -2,8 +2,8 @@
 
 The score of an entry is the mean over the planners of how often they first touch a changed vehicle, the higher the
 better; where the organiser asks for another protocol than ``exact``, of their collision rates under it, as in the WACV
-2026 challenge. Refused scenes count as scenes on which nobody collides. Beside it stand contacts with anybody,
-attributable success, severity and realism, which rank nothing.
+2026 challenge. Refused scenes count as scenes without a collision. Reported beside it: contacts with any road user,
+attributable success, severity and realism, which do not rank.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -66,7 +66,7 @@ class ScoreSettings:
     Attributes:
         out: Folder of verdicts and of the planners' records, a folder for each entry.
         rules: Of the challenge.
-        protocol: Who judges.
+        protocol: Protocol that scores the plans.
         horizon: One of `benchmark.metrics.rates.HORIZONS`.
         seed: Of the intervals.
         workers: Processes that check; nothing depends on it.
@@ -95,7 +95,7 @@ class _ScoredEntry:
     def reasons(self) -> tuple[RefusalReason, ...]:
         if self.verdict.reasons or self.records:
             return self.verdict.reasons
-        return (RefusalReason(rule="scenes.required", sentence="has no scene that is accepted"),)
+        return (RefusalReason(rule="scenes.required", sentence="has no accepted scenes"),)
 
     @property
     def sources(self) -> dict[str, str]:
@@ -110,7 +110,7 @@ def score_entries(
     Args:
         entries: Data sets of strangers, by the name that is shown.
         base: The recordings that all were made from.
-        planners: Who plans on them.
+        planners: Planners to run on them.
         settings: The rules, and how it is counted.
 
     Returns:
@@ -122,7 +122,7 @@ def score_entries(
     _require_some(entries, planners, settings)
     scored_entries = [_score_entry(name, data, base, planners, settings) for name, data in entries.items()]
     recordings = sorted({source for scored in scored_entries for source in scored.sources.values()})
-    # Records that are kept from before need not say whom contacts are with; all entries are ranked by the same.
+    # Older records may lack the objects touched; all entries are ranked by the same quantity.
     knows_contacts = all(knows_contact_partners(record) for scored in scored_entries for record in scored.records)
     by: Rank = "adversary" if knows_contacts and settings.protocol == EXACT else "collision"
     scores = [_compute_entry_score(scored, recordings, settings, by, told=knows_contacts) for scored in scored_entries]
@@ -158,7 +158,7 @@ def _require_some(entries: Mapping[str, DataSet], planners: Sequence[PlannerFact
     if settings.protocol == NATIVE:
         for factory in planners:
             if factory.facts.native_protocol is None:
-                raise InputError(f"{factory.facts.name} has no protocol of its own; name one with --protocol")
+                raise InputError(f"{factory.facts.name} has no native protocol; name one with --protocol")
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"{twice} is named twice; name each planner once")
     names_by_fingerprint: dict[str, str] = {}
@@ -222,7 +222,7 @@ def _compute_entry_score(
         sums["adversary"] = [
             sum_adversary_contacts(record, settings.horizon, scored.refused) for record in scored.records
         ]
-    # Shown with the interval of its own recordings; compared in resamples of everybody's.
+    # Shown with the interval of its own recordings; compared in resamples over all recordings.
     own = sorted(set(scored.sources.values()))
     means = {name: average_planners(of_planners, own, seed)[0] for name, of_planners in sums.items()}
     _, draws = average_planners(sums[by], recordings, seed)
@@ -264,7 +264,7 @@ def _severity(scored: _ScoredEntry, seed: int) -> dict[str, ScoredQuantity]:
 
 
 def _is_critical(summary: AssessmentSummary) -> bool | None:
-    """Whether ego and changed vehicle are ever nearly in contact; unknown where it was not measured."""
+    """Whether ego and changed vehicle are ever nearly in contact; unknown if not measured."""
     if summary.least_gap_m is None:
         return None
     return summary.least_ttc_s is not None and summary.least_ttc_s < CRITICAL_S

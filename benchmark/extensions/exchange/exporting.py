@@ -45,7 +45,7 @@ _TYPES: Final = {
 }
 _KINDS: Final = {"vehicle": "VEHICLE", "human": "PEDESTRIAN", "movable_object": "TRAFFIC_OBJECT"}
 _LEAST_MOVED_M: Final = 1.0
-"""What counts as moving in ScenarioNet's summaries."""
+"""Threshold of movement in ScenarioNet's summaries."""
 
 
 def build_scenario(made: ExchangedScene) -> Scenario:
@@ -202,7 +202,7 @@ def _summarise_tracks(tracks: dict[str, dict[str, Any]], features: int) -> dict[
         "object_summary": objects,
         "number_summary": {
             "num_objects": len(objects),
-            # ScenarioNet has a set here, whose order in a pickle changes from run to run.
+            # ScenarioNet has a set here; the order of a pickled set changes from run to run.
             "object_types": types,
             "num_objects_each_type": each(objects.values()),
             "num_moving_objects": len(moving),
@@ -233,7 +233,7 @@ def _summarise_track(name: str, track: dict[str, Any]) -> dict[str, Any]:
 
 SUMMARY: Final = "dataset_summary.pkl"
 MAPPING: Final = "dataset_mapping.pkl"
-"""What ScenarioNet and MetaDrive look for in a folder: metadata by file, and the folder of each file."""
+"""Index files that ScenarioNet and MetaDrive read in a folder: metadata by file, and the folder of each file."""
 _PROTOCOL: Final = 4
 """Of pickles, as ScenarioNet writes them; Python 3.4 reads it."""
 
@@ -285,7 +285,7 @@ def export_scenarionet(dataset: DataSet, names: Sequence[str], to: Path, *, work
         workers: Number of processes; the bytes are the same with any.
 
     Returns:
-        What was written.
+        The written files.
 
     Raises:
         InputError: If a scene is broken, or the folder holds other scenarios or cannot be written.
@@ -311,7 +311,7 @@ def export_scenes(
     own = {scene_file(to, name, ending).name for name in names}
     others = sorted(path.name for path in to.glob(f"*.{ending}") if path.name not in {*own, SUMMARY, MAPPING})
     if others:
-        raise InputError(f"{to} holds {others[0]}, which is no scene of this export; choose an empty folder with --to")
+        raise InputError(f"{to} holds {others[0]}, which is not part of this export; choose an empty folder with --to")
     return list(map_ordered(write, names, workers=workers, label="exporting scenes", count=CountedUnits("scene")))
 
 
@@ -335,7 +335,7 @@ def pickle_plain(value: Any) -> bytes:
     """Pickle plain containers, texts, numbers and arrays: the same bytes for the same values, importing numpy alone."""
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, _PROTOCOL)
-    # Without references: whether two equal texts are one object depends on how they came into memory.
+    # Without references: whether two equal strings are one object depends on how they were created.
     pickler.fast = True
     pickler.dump(_to_plain(value))
     return stream.getvalue()

@@ -1,7 +1,7 @@
 """A scene as an OpenSCENARIO file: every object on its own trajectory in the plane, without a road network.
 
 Needs the package ``scenariogeneration`` (extra ``openscenario``). Positions are those of the global frame. The ego has
-its reference point at the rear axle, as OpenSCENARIO asks; everything else, whose axles nobody recorded, at the
+its reference point at the rear axle, as OpenSCENARIO asks; everything else, whose axles are unknown, at the
 centre of its box on the ground.
 """
 
@@ -41,7 +41,7 @@ _VEHICLES: Final = {
 }  # fmt: skip
 _PEDESTRIANS: Final = {"wheelchair": "wheelchair"}
 _MOST_SPEED, _MOST_ACCELERATION, _MOST_BRAKING = 70.0, 10.0, 10.0
-"""What the format wants to know of vehicles; nothing here is limited by it."""
+"""Limits that the format requires of vehicles; they constrain nothing here."""
 _MASS_KG: Final = 70.0
 _AXLE_SHARE: Final = 0.3
 """Axles of vehicles other than the ego lie so much of their length before and behind the centre: a guess."""
@@ -57,7 +57,7 @@ def export_openscenario(dataset: DataSet, names: Sequence[str], to: Path, *, wor
         workers: Number of processes; the bytes are the same with any.
 
     Returns:
-        What was written.
+        The written files.
 
     Raises:
         InputError: If the package ``scenariogeneration`` is absent, a scene is broken, or the folder holds other

@@ -61,8 +61,8 @@ def find_clearest_cases(records: Sequence[RunRecord], data: "DataSet") -> list[D
                     truths[row.scene] = {truth.sample_token: truth for truth in data.truth(row.scene)}
                 if row.sample_token not in truths[row.scene]:
                     raise InputError(
-                        f"{data.root} has no sample {row.sample_token} in {row.scene}, but the run of {planner} has; "
-                        "name the data set that it ran on"
+                        f"{data.root} has no sample {row.sample_token} in {row.scene}, but the run of {planner} does; "
+                        "name the data set of that run"
                     )
                 truth = truths[row.scene][row.sample_token]
                 case = build_case(planner, protocol, truth, plan_in_lidar(row, truth))
@@ -110,7 +110,7 @@ def build_case(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floa
         return None
     steps = np.flatnonzero(rungs.decisive_steps()[0]).tolist()
     if cause.startswith(FALSE_ALARM) and "at_step" in official.steps:
-        # Latched, the flag goes on after what raised it.
+        # A latched flag stays up after its cause is gone.
         steps = [step for step in steps if official.step("at_step")[0, step]] or steps
     clearness = {step: _clearness(cause, protocol, truth, plan_lidar, step) for step in steps}
     step = max(steps, key=lambda step: (clearness[step], -step))
@@ -155,7 +155,7 @@ def _clearness(cause: str, protocol: str, truth: SampleTruth, plan_lidar: Floats
     air = _gap_m(truth, compute_plan_boxes(plan_lidar)[at_waypoint], at_waypoint, counted)
     if cause.endswith("heading"):
         return air
-    # What the raster alone invents is seen best where the ego's heading does not matter.
+    # Artefacts of the raster alone show best where the ego's heading does not matter.
     turned = ego_rectangle(plan_lidar[step], float(definition.headings(plan_lidar[None])[0, step]))
     return min(air, _gap_m(truth, turned, at_waypoint, counted))
 

@@ -51,16 +51,16 @@ HALF_VIEW_M = 7.5
 _DPI = 100
 
 WORDS = {
-    "miss: between waypoints": "The bodies meet between two waypoints. The protocol looks every 0.5 s only.",
+    "miss: between waypoints": "The bodies meet between two waypoints. The protocol checks only every 0.5 s.",
     "miss: class not counted": "The protocol does not count objects of this class: one can drive through them.",
-    "miss: not annotated now or since": "The object is not annotated when the plan is made, or not all the time since.",
-    "miss: out of range now": "The object is too far away when the plan is made, so the protocol forgets it.",
-    "miss: no sensor points": "No sensor point was counted on the object, so for the protocol it is not there.",
-    "miss: heading": "The protocol does not turn the ego as the plan does, so its body is not where it would be.",
-    "miss: raster": "On the protocol's cells the two bodies do not meet.",
-    "miss: mask": "The protocol sees the recorded ego collide here too, and therefore drops the collision.",
-    "false alarm: heading": "The protocol does not turn the ego as the plan does: its body reaches where none would.",
-    "false alarm: raster": "On the protocol's cells the two bodies meet; in truth there is air between.",
+    "miss: not annotated now or since": "The object is not annotated when the plan is made, or not at all times since.",
+    "miss: out of range now": "The object is too far away when the plan is made, so the protocol drops it.",
+    "miss: no sensor points": "No sensor point was counted on the object, so the protocol ignores it.",
+    "miss: heading": "The protocol does not turn the ego as the plan does, so its box is in the wrong place.",
+    "miss: raster": "On the protocol's grid the two boxes do not overlap.",
+    "miss: mask": "The protocol finds the recorded ego colliding here too, so it drops the collision.",
+    "false alarm: heading": "The protocol does not turn the ego as the plan does, so its box reaches too far.",
+    "false alarm: raster": "On the protocol's grid the two boxes overlap; in truth there is a gap.",
     "miss: other instants": "Key frames are not half a second apart here: the protocol looks at other instants.",
     "false alarm: other instants": "Key frames are not half a second apart here: the protocol looks at other instants.",
 }

@@ -1,4 +1,4 @@
-"""What a protocol compares at one step, as shapes from above: cells, boxes and paths on a matplotlib plane."""
+"""Top view of a protocol's comparison at one step: cells, boxes and paths on matplotlib axes."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

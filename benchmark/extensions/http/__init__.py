@@ -1,5 +1,5 @@
-"""NeuroNCAP's wire protocol, both ways: models and renderers behind HTTP, and our planners for everybody's simulator.
+"""NeuroNCAP's wire protocol, both ways: models and renderers behind HTTP, and our planners for external simulators.
 
-What is on the wire is made and read without sockets (`requests.py`, `answers.py`, `renderer.py`), so that client and
+Messages are encoded and decoded without sockets (`requests.py`, `answers.py`, `renderer.py`), so that client and
 server share it and are tested as a pair. Notes on the protocol and its traps: ``docs/extensions/http.md``.
 """

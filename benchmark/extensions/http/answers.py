@@ -1,4 +1,4 @@
-"""What ``/infer`` answers: a trajectory and what else a model saw. Accepted is what NeuroNCAP's own client accepts."""
+"""Answer of ``/infer``: a trajectory and a model's other outputs, accepted as by NeuroNCAP's own client."""
 
 from dataclasses import dataclass
 from typing import Any, Final, Self
@@ -52,11 +52,11 @@ class ModelAnswer:
         aux = read_member(value, _AUX, _BODY)
         if not isinstance(aux, dict):
             raise NeuroncapHttpError(
-                f"{_AUX} is {'null' if aux is None else type(aux).__name__}; write {{}} where there are none"
+                f"{_AUX} is {'null' if aux is None else type(aux).__name__}; write {{}} if there are none"
             )
         classes = aux.get("object_classes") or []
         if not isinstance(classes, list) or not all(isinstance(class_name, str) for class_name in classes):
-            raise NeuroncapHttpError(f"{_AUX}.object_classes is no list of texts")
+            raise NeuroncapHttpError(f"{_AUX}.object_classes is not a list of strings")
         return cls(
             trajectory=trajectory,
             objects=_read_optional_list(aux, "objects_in_bev", (0, _BOX_COLUMNS)),
@@ -130,7 +130,7 @@ def _read_optional_list(aux: dict[str, Any], name: str, shape: tuple[int, ...]) 
     )
     if wrong:
         wanted_shape = " x ".join("N" if not length else str(length) for length in shape)
-        raise NeuroncapHttpError(f"{_AUX}.{name} must be {wanted_shape} numbers, or null where there are none")
+        raise NeuroncapHttpError(f"{_AUX}.{name} must be {wanted_shape} numbers, or null if there are none")
     return values
 
 

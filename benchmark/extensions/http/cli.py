@@ -1,4 +1,4 @@
-"""``serve``: a planner as a model server for NeuroNCAP, and for whoever speaks its protocol."""
+"""``serve``: a planner as a model server for NeuroNCAP and other clients of its protocol."""
 
 import contextlib
 from dataclasses import dataclass
@@ -45,14 +45,12 @@ def serve_command(options: ServeOptions) -> None:
     server = serve_planner(options.model, **named, supervision=supervision)
     if server.is_open:
         api.notify(
-            f"warning: {server.host} is open to other machines: whoever reaches port {server.port} can use this "
-            "planner, reset it and see what it answers; there is no password and nothing is encrypted"
+            f"warning: {server.host} is open to other machines: anyone who reaches port {server.port} can use this "
+            "planner, reset it and read its answers, without a password or encryption"
         )
     if options.accept_torch_tensors:
-        api.notify(
-            "warning: saved tensors are pickles; they are read with weights_only, from whoever reaches this port"
-        )
-    api.notify(f"{options.model} answers at {server.url}, one scene at a time; Ctrl-C ends it")
+        api.notify("warning: saved tensors are pickles; any client's are read, with weights_only")
+    api.notify(f"{options.model} is served at {server.url}, one scene at a time; stop it with Ctrl-C")
     with contextlib.suppress(KeyboardInterrupt):
         server.serve()
     api.notify("ended")

@@ -1,7 +1,7 @@
 """One request and its answer over HTTP: a connection of its own, a deadline over all of it, a bound on its size.
 
-Nothing is ever sent twice. What goes wrong is one of a closed list: nobody answers or the other side went away half-way
-(`PlannerAwayError`), it answers too late (`PlannerLateError`), or it is no such server (`PlannerGoneError`).
+Requests are never repeated. Failures are a closed list: no answer, or a connection that was lost half-way
+(`PlannerAwayError`), an answer that is late (`PlannerLateError`), or another kind of server (`PlannerGoneError`).
 """
 
 import contextlib
@@ -47,7 +47,7 @@ class HttpConnection:
     """Asks one server.
 
     Attributes:
-        what: What the user calls it, for sentences: "the model server".
+        what: Description of the server in messages: "the model server".
         deadline_s: How long one request may take, from connecting to its last byte.
     """
 
@@ -90,15 +90,15 @@ class HttpConnection:
 
         seconds = self.deadline_s if deadline_s is None else deadline_s
         where = f"{self.what} at {self.url}"
-        # Neither proxies nor passwords of the environment have any business here.
+        # Proxies and passwords of the environment are ignored.
         limits = httpx2.Timeout(seconds, connect=min(CONNECT_S, seconds))
-        # Limits are of each read alone, and what drips in byte by byte would never be late.
+        # Timeouts apply to each read, so an answer that trickles in byte by byte would never time out.
         watch = _DeadlineWatch(seconds)
         try:
             # Plain HTTP: loading certificates for every request would take longer than the request.
             with watch, httpx2.Client(trust_env=False, verify=False, follow_redirects=False, timeout=limits) as client:
                 client.headers["user-agent"] = _AGENT
-                # Nothing that would have to be unpacked: the bound is on what arrives.
+                # No compression: the size limit is on the bytes that arrive.
                 del client.headers["accept-encoding"]
                 headers = {} if body is None else {"content-type": _JSON}
                 trace_extension = {"trace": watch.connected}
@@ -106,13 +106,13 @@ class HttpConnection:
                     method, f"{self.url}{path}", content=body, headers=headers, extensions=trace_extension
                 ) as response:
                     reply = HttpReply(response.status_code, self._read_body(response, path))
-            # A body without a length ends where its connection is cut, and looks whole.
+            # A body without a length ends when the connection is cut, and looks complete.
             if watch.cut:
                 raise self._build_late_error(path, seconds)
             return reply
         except httpx2.TimeoutException as error:
             if isinstance(error, httpx2.ConnectTimeout):
-                raise PlannerAwayError(f"{where} cannot be reached; start it, and name where it listens") from error
+                raise PlannerAwayError(f"{where} cannot be reached; start it, and check its address") from error
             raise self._build_late_error(path, seconds) from error
         except httpx2.ConnectError as error:
             raise PlannerAwayError(
@@ -129,7 +129,7 @@ class HttpConnection:
                 f"{where} does not answer {path} as a web server would ({to_one_line(error, 80)}); name another address"
             ) from error
         except httpx2.HTTPError as error:
-            raise PlannerGoneError(f"{where} cannot be asked for {path} ({to_one_line(error, 80)})") from error
+            raise PlannerGoneError(f"{where} cannot be sent {path} ({to_one_line(error, 80)})") from error
 
     def _read_body(self, response: "httpx2.Response", path: str) -> bytes:
         """All of an answer, within the bound."""
@@ -140,23 +140,22 @@ class HttpConnection:
             if size > HTTP_ANSWER.file_bytes:
                 raise PlannerGoneError(
                     f"{self.what} at {self.url} answers {path} with more than "
-                    f"{format_bytes(HTTP_ANSWER.file_bytes)}; that "
-                    "is no answer of this protocol, name another address"
+                    f"{format_bytes(HTTP_ANSWER.file_bytes)}; this "
+                    "is not an answer of this protocol; check the address"
                 )
             parts.append(part)
         return b"".join(parts)
 
     def _build_late_error(self, path: str, seconds: float) -> PlannerLateError:
         return PlannerLateError(
-            f"{self.what} at {self.url} did not answer {path} within {seconds:g} s; it hangs or is slow, look at its "
-            "own output"
+            f"{self.what} at {self.url} did not answer {path} within {seconds:g} s; it hangs or is slow; check its log"
         )
 
     def _build_away_error(self, path: str, error: Any) -> PlannerAwayError:
         return PlannerAwayError(
-            f"{self.what} at {self.url} went away before it had answered {path} ({to_one_line(error, 80)}); look "
+            f"{self.what} at {self.url} hung up before answering {path} ({to_one_line(error, 80)}); look "
             "at its "
-            "own output, start it, then the same command again: what is finished is kept"
+            "log, restart it, then run the same command again: finished work is kept"
         )
 
 

@@ -1,4 +1,4 @@
-"""Where a server listens: on this machine alone unless somebody asks for more."""
+"""Address of a server: reachable from this machine only by default."""
 
 import socket
 from typing import Final
@@ -10,7 +10,7 @@ _BACKLOG: Final = 128
 
 
 def is_open_address(host: str) -> bool:
-    """Whether other machines can reach what listens there."""
+    """Whether other machines can reach a server on this host address."""
     return not (host in (LOOPBACK, "localhost", "::1") or host.startswith("127."))
 
 

@@ -1,6 +1,6 @@
-"""A planner behind HTTP: whatever serves ``/alive``, ``/reset`` and ``/infer`` as the forks for NeuroNCAP do.
+"""A planner behind HTTP: any server of ``/alive``, ``/reset`` and ``/infer``, as in the forks for NeuroNCAP.
 
-The protocol has no identity. What is kept of a planner goes by the name that the user gives it, or by its address.
+The protocol has no identity. Results are stored under the name that the user gives, or the server's address.
 """
 
 import sys
@@ -69,21 +69,21 @@ class HttpPlanner:
         except NeuroncapHttpError as error:
             self._require_server(reply, "/infer")
             failure = f"status {reply.status}: {_read_detail(reply)}" if reply.status >= _LEAST_ERROR else str(error)
-            raise ModelFailedError(f"{self._who} answered no plan ({failure})") from error
+            raise ModelFailedError(f"{self._who} returned no plan ({failure})") from error
         if reply.status >= _LEAST_ERROR and not self._told:
             self._told = True
             print(
-                f"{self._who} answers plans with status {reply.status}; like NeuroNCAP, the status is passed over",
+                f"{self._who} returns plans with status {reply.status}; the status is ignored, as in NeuroNCAP",
                 file=sys.stderr,
             )
         try:
             return answer.plan(self.frame)
         except NeuroncapHttpError as error:
-            raise ModelFailedError(f"{self._who} answered what cannot be driven: {error}") from error
+            raise ModelFailedError(f"{self._who} returned a plan that cannot be driven: {error}") from error
 
     def come_back(self) -> None:
         """Wait for a server that went away (`benchmark.planning.RemotePlanner`)."""
-        print(f"{self._who} went away; waiting {RETURN_S:g} s at most for it to come back", file=sys.stderr, flush=True)
+        print(f"{self._who} is gone; waiting at most {RETURN_S:g} s for it to return", file=sys.stderr, flush=True)
         self._connection.wait(RETURN_S)
 
     def require_alive(self) -> None:
@@ -102,14 +102,14 @@ class HttpPlanner:
             )
         if reply.is_page:
             raise PlannerGoneError(
-                f"{self._who} answers {path} with a web page (status {reply.status}); that is no model server, name "
+                f"{self._who} answers {path} with a web page (status {reply.status}); this is not a model server; name "
                 "another address"
             )
         if _LEAST_ERROR <= reply.status < _LEAST_FAILURE:
             raise PlannerGoneError(
                 f"{self._who} refuses {path} (status {reply.status}: {_read_detail(reply)}); it speaks another "
                 "version of "
-                f"NeuroNCAP's protocol, wants other pictures (--image-format), or is something else"
+                f"NeuroNCAP's protocol, needs another --image-format, or is not a model server"
             )
 
 

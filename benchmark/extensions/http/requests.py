@@ -1,4 +1,4 @@
-"""What ``/infer`` is asked: one observation on the wire. Keys, their order and their shapes are NeuroNCAP's."""
+"""Request of ``/infer``: one observation over HTTP. Keys, their order and their shapes are NeuroNCAP's."""
 
 import json
 from collections.abc import Mapping
@@ -102,12 +102,12 @@ def parse_body(body: bytes, limits: Limits, what: str) -> Any:
     try:
         return parse_json(body, limits)
     except ValueError as error:
-        raise NeuroncapHttpError(f"{what} is no JSON that can be read ({to_one_line(error, 120)})") from error
+        raise NeuroncapHttpError(f"{what} is not valid JSON ({to_one_line(error, 120)})") from error
 
 
 def _parse_pinhole(matrices: Any, name: str) -> Floats:
     where = f"calibration.camera2image.{name}"
     matrix = parse_matrix(read_member(matrices, name, "camera2image"), (3, 3), where)
     if matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
-        raise NeuroncapHttpError(f"{where} is no pinhole matrix: focal lengths above zero, last row 0 0 1")
+        raise NeuroncapHttpError(f"{where} is not a pinhole matrix (focal lengths above zero, last row 0 0 1)")
     return matrix

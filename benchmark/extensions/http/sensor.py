@@ -1,9 +1,9 @@
-"""A sensor over HTTP: driven worlds as a renderer for NeuroNCAP shows them (NeuRAD's server, any that speaks alike).
+"""A sensor over HTTP: closed-loop states drawn by a renderer for NeuroNCAP (NeuRAD's server or a compatible one).
 
-A renderer shows one recorded scene, and in it the actors that it knows, where it is told. It is told anew at every
-planning instant, because the others may react; nobody's future goes on the wire.
+A renderer shows one recorded scene with the actors it knows, at the positions sent to it. They are sent at every
+planning instant, because other road users may react; no future positions are sent.
 
-What a renderer of NeuroNCAP is asked and answers: actors with their tracks, and one picture of one camera.
+Requests and answers of a NeuroNCAP renderer: actors with their tracks, and one picture of one camera.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -62,17 +62,17 @@ class RendererActor:
         """Read one."""
         uuid = read_member(value, "uuid", where)
         if not isinstance(uuid, str) or not 0 < len(uuid) <= _LONGEST_ID:
-            raise NeuroncapHttpError(f"{where}.uuid is no text of 1 to {_LONGEST_ID} characters")
+            raise NeuroncapHttpError(f"{where}.uuid is not a string of 1 to {_LONGEST_ID} characters")
         times = read_member(value, "timestamps", where)
         if (
             not isinstance(times, list)
             or not times
             or not all(type(timestamp) is int and abs(timestamp) < 1 << 53 for timestamp in times)
         ):
-            raise NeuroncapHttpError(f"{where}.timestamps is no list of whole microseconds")
+            raise NeuroncapHttpError(f"{where}.timestamps is not a list of whole microseconds")
         poses = parse_numbers(read_member(value, "poses", where), f"{where}.poses")
         if poses.shape != (len(times), 4, 4) or not np.isfinite(poses).all() or np.abs(poses).max() > FARTHEST_M:
-            raise NeuroncapHttpError(f"{where}.poses is not a pose of 4 x 4 for each of {len(times)} timestamps")
+            raise NeuroncapHttpError(f"{where}.poses does not hold a 4 x 4 pose for each of {len(times)} timestamps")
         return cls(
             uuid,
             np.array(times, np.int64),
@@ -103,7 +103,7 @@ def parse_actors(body: bytes) -> tuple[RendererActor, ...]:
     """Actors of an answer to ``/get_actors``."""
     value = parse_body(body, HTTP_ANSWER, _BODY)
     if not isinstance(value, list) or len(value) > _MOST_ACTORS:
-        raise NeuroncapHttpError(f"{_BODY} is no list of at most {_MOST_ACTORS} actors")
+        raise NeuroncapHttpError(f"{_BODY} is not a list of at most {_MOST_ACTORS} actors")
     return tuple(RendererActor.read(actor, f"actor {number}") for number, actor in enumerate(value))
 
 
@@ -136,7 +136,7 @@ def encode_image_request(pose: Floats, timestamp: int, camera: str, image_format
 DEADLINE_S: Final = 120.0
 """Of one request."""
 _AHEAD_US: Final = 500_000
-"""So far do tracks go on as they did last: renderers need a step after now, and nobody's future is told."""
+"""Extrapolation of tracks past now: renderers need a further step, and the true future is not sent."""
 _OTHER_SCENE_US: Final = 1_000_000
 _BASE64: Final = frozenset(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/")
 _LEAST_ERROR: Final = 400
@@ -179,8 +179,8 @@ class HttpSensor:
         missing = [name for name in CAMERAS if name not in cameras]
         if missing:
             raise InputError(
-                f"scene {scene.name} has no {missing[0]}, and a renderer for NeuroNCAP is asked for "
-                f"{', '.join(CAMERAS)}; drive a data set with these cameras, calibrated"
+                f"scene {scene.name} has no {missing[0]}, and a renderer for NeuroNCAP needs "
+                f"{', '.join(CAMERAS)}; use a data set with these cameras, calibrated"
             )
         answer = self.asked("/get_actors")
         try:
@@ -214,7 +214,7 @@ class HttpSensor:
         if strange:
             raise _build_error(
                 self.address,
-                f"it shows actor {strange[0]}, which scene {scene.name} has not; choose the scene that it shows with "
+                f"it shows actor {strange[0]}, which scene {scene.name} lacks; select the scene that it shows with "
                 "--scenes",
             )
         first, last = int(scene.timestamps_us[0]) - _OTHER_SCENE_US, int(scene.timestamps_us[-1]) + _OTHER_SCENE_US
@@ -222,14 +222,14 @@ class HttpSensor:
             if actor.timestamps[-1] < first or actor.timestamps[0] > last:
                 raise _build_error(
                     self.address,
-                    f"its actor {actor.uuid} is there from {actor.timestamps[0]} to {actor.timestamps[-1]} us, outside "
-                    f"of scene {scene.name}; choose the scene that it shows with --scenes",
+                    f"its actor {actor.uuid} exists from {actor.timestamps[0]} to {actor.timestamps[-1]} us, outside "
+                    f"scene {scene.name}; select the scene that it shows with --scenes",
                 )
         unknown = [name for name in scene.adversaries if name not in known]
         if unknown:
             raise _build_error(
                 self.address,
-                f"it does not know {unknown[0]}, the adversary of scene {scene.name}, and would show an empty road; "
+                f"it does not know {unknown[0]}, the adversary of scene {scene.name}, and would leave it out; "
                 "drive scenes whose adversaries it knows",
             )
 
@@ -264,8 +264,8 @@ class HttpCameraViews:
         if pixels.shape[:2] != (camera.height, camera.width):
             raise _build_error(
                 self.sensor.address,
-                f"its picture of {camera.name} has {pixels.shape[1]} x {pixels.shape[0]} pixels, and the calibration "
-                f"is of {camera.width} x {camera.height}; let it draw at that size",
+                f"its picture of {camera.name} has {pixels.shape[1]} x {pixels.shape[0]} pixels, but the calibration "
+                f"is for {camera.width} x {camera.height}; set it to that size",
             )
         return CameraView(camera, Path(camera.name), time_us, pose.copy(), partial(_copy_writable, pixels))
 
@@ -291,7 +291,7 @@ def build_moved_actors(driven: Scene, known: frozenset[str], adversaries: tuple[
     for row, uuid in enumerate(agents.ids):
         if uuid not in known or not agents.valid[row, -1]:
             continue
-        # The last stretch without a gap: what was before it is seen no more.
+        # The last stretch without a gap; earlier frames are not sent.
         gaps = np.flatnonzero(~agents.valid[row])
         frames = slice(int(gaps[-1]) + 1 if len(gaps) else 0, None)
         times, places, yaws = driven.timestamps_us[frames], agents.position[row, frames], agents.yaw[row, frames]

@@ -56,7 +56,7 @@ def build_application(session: PlannerSession, bounds: RequestBounds) -> Starlet
         return encode_json(True)
 
     async def reset(request: Request) -> bytes:
-        # Whatever it says: it is always obeyed.
+        # The content does not matter: a reset is always obeyed.
         await _read_body(request, _RESET_BYTES, bounds.body_s)
         return await _run_in_thread(thread, session.reset, bounds.answer_s)
 
@@ -85,8 +85,8 @@ def _wrap_route(work: Callable[[Request], Awaitable[bytes]]) -> Callable[[Reques
         except PlanRequestError as refused:
             return _build_error_response(refused.status, str(refused))
         except ClientDisconnect:
-            # Nobody is there to be answered.
-            return _build_error_response(HTTPStatus.BAD_REQUEST, "the request broke off")
+            # The client is gone; there is no one to answer.
+            return _build_error_response(HTTPStatus.BAD_REQUEST, "the request was cut off")
 
     return answer
 
@@ -123,14 +123,16 @@ async def _run_in_thread(thread: ThreadPoolExecutor, work: Callable[[], bytes], 
 def _require_trusted_client(request: Request) -> None:
     """Refuse pages in a browser, which a stranger may have made, and bodies that would have to be unpacked."""
     if "origin" in request.headers:
-        raise PlanRequestError(HTTPStatus.FORBIDDEN, "pages of a browser are not answered")
+        raise PlanRequestError(HTTPStatus.FORBIDDEN, "requests from web pages are refused; send them from a program")
     if request.headers.get("content-encoding", "identity") != "identity":
-        raise PlanRequestError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "a body is sent as it is, not packed")
+        raise PlanRequestError(
+            HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "compressed bodies are refused; send the body uncompressed"
+        )
 
 
 async def _answer_unknown_route(request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else HTTPStatus.INTERNAL_SERVER_ERROR
-    return _build_error_response(status, "there are GET /alive, POST /reset and POST /infer")
+    return _build_error_response(status, "unknown path or method; use GET /alive, POST /reset or POST /infer")
 
 
 def _build_error_response(status: int, sentence: str) -> Response:
@@ -138,7 +140,7 @@ def _build_error_response(status: int, sentence: str) -> Response:
 
 
 def _build_response(status: int, body: bytes) -> Response:
-    # One connection a request, as NeuroNCAP has it: nothing is left open that somebody could hold on to.
+    # One connection per request, as in NeuroNCAP: no client can hold a connection open.
     return Response(body, status, {"connection": "close"}, "application/json")
 
 
@@ -156,7 +158,7 @@ class _BoundedConnection(H11Protocol):
         self._patience = self.loop.call_later(HEADER_S, self._require_begun)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        # What waits would hold the connection, and all that arrived on it.
+        # A pending timer would keep the connection and its received data in memory.
         self._patience.cancel()
         super().connection_lost(exc)
 

@@ -1,7 +1,7 @@
-"""A planner behind the wire, without a socket: requests in, answers out, one scene at a time.
+"""A served planner, without a socket: requests in, answers out, one scene at a time.
 
-The protocol names neither client nor scene. Whoever posts ``/reset`` begins a scene; an ``/infer`` whose time does not
-go on belongs to another one, and is refused rather than put into the planner's memory.
+The protocol names neither client nor scene. A ``/reset`` begins a scene; an ``/infer`` whose time does not
+increase belongs to another scene, and is refused rather than put into the planner's memory.
 
 From observations to requests and back. What the wire loses on the way is listed in ``docs/extensions/http.md``.
 """
@@ -51,8 +51,8 @@ _POSITION, _ROTATION, _ACCELERATION, _RATE, _VELOCITY = (
 """Of the row ``canbus``."""
 _SAME: Final = 1e-12
 SCENE: Final = "over-http"
-"""What a scene from the wire is called, since the wire does not say: always the same, so that what a planner draws by
-the name of its scene does not depend on how often somebody has asked before."""
+"""Name of every scene received over HTTP, where requests carry no name. It is constant, so that a planner that seeds by
+the name of its scene does not depend on earlier requests."""
 
 
 def build_request(observation: Observation, form: HttpImageFormat) -> InferRequest:
@@ -65,8 +65,8 @@ def build_request(observation: Observation, form: HttpImageFormat) -> InferReque
     missing = [name for name in CAMERAS if name not in views]
     if missing:
         raise InputError(
-            f"scene {observation.scene} shows no {missing[0]} at {observation.timestamp_us}, and NeuroNCAP's requests "
-            f"carry {', '.join(CAMERAS)}; drive with --sensor schematic, or take a data set with these cameras"
+            f"scene {observation.scene} has no {missing[0]} image at {observation.timestamp_us}; NeuroNCAP's requests "
+            f"carry {', '.join(CAMERAS)}; drive with --sensor schematic, or use a data set with these cameras"
         )
     ego, lidar = observation.ego, observation.lidar
     velocity, acceleration, rate = build_can_row(ego).reshape(3, 3)
@@ -137,7 +137,7 @@ def read_ego_state(request: InferRequest) -> EgoState:
         steering_angle=None,
         source="can_bus",
         can_motion=motion,
-        # Nothing later is on the wire.
+        # Requests hold no later times.
         can_motion_after=motion.copy(),
     )
 
@@ -197,11 +197,11 @@ class PlannerSession:
         """
         if isinstance(planner, PrivilegedPlanner):
             raise InputError(
-                f"{planner.name} sees boxes, the map or the recorded path, and none of them is on the wire; serve a "
-                "planner that sees what a car sees"
+                f"{planner.name} sees boxes, the map or the recorded path, which requests do not carry; serve a "
+                "planner that uses sensors only"
             )
         if remembers_across_scenes(planner):
-            raise InputError(f"{planner.name} remembers across scenes, and /reset is there to forget them")
+            raise InputError(f"{planner.name} keeps state across scenes, but /reset must clear it")
         self.planner = planner
         self._tensors = tensors
         self._seed = seed
@@ -235,7 +235,7 @@ class PlannerSession:
         except TensorRefusedError as refused:
             raise PlanRequestError(
                 UNSUPPORTED,
-                f"{refused}; send PNG or JPEG, or start the server with {TENSOR_FLAG} if you trust who asks",
+                f"{refused}; send PNG or JPEG, or start the server with {TENSOR_FLAG} if you trust its clients",
             ) from refused
         except NeuroncapHttpError as error:
             raise PlanRequestError(UNREADABLE, str(error)) from error
@@ -244,13 +244,13 @@ class PlannerSession:
                 self._begin()
             plan = self.planner.plan(observation)
             if not isinstance(plan, Plan):
-                raise TypeError(f"answered {type(plan).__name__}, a planner answers benchmark.planning.Plan")
+                raise TypeError(f"answered {type(plan).__name__}, a planner must return benchmark.planning.Plan")
             return ModelAnswer.of_plan(plan, float(request.lidar2ego[0, 3])).encoded()
         except FAILURES as error:
             raise self._report_failure("plan", error) from error
 
     def _begin(self) -> None:
-        # As in this process: what draws from global generators draws the same in every scene's place.
+        # As in `eval`: global random generators start each scene from the same seed.
         seed_everything(self._seed, self.planner)
         self.planner.reset(SceneInfo(SCENE, "", ()))
         self._begun = True
@@ -260,8 +260,8 @@ class PlannerSession:
         if last is not None and timestamp <= last:
             raise PlanRequestError(
                 CONFLICT,
-                f"timestamp {timestamp} does not go on from {last}, which was asked last: this server holds one scene "
-                "at a time; post /reset before another scene, and no request twice",
+                f"timestamp {timestamp} is not after {last}, the last one received: this server handles one scene "
+                "at a time; post /reset before another scene, and send no request twice",
             )
 
     def _report_failure(self, doing: str, error: BaseException) -> PlanRequestError:

@@ -33,7 +33,7 @@ def parse_numbers(value: Any, where: str) -> Floats:
     try:
         return np.array(value, np.float64)
     except (ValueError, OverflowError, TypeError) as error:
-        raise NeuroncapHttpError(f"{where} is no rectangular list of numbers ({to_one_line(error, 80)})") from error
+        raise NeuroncapHttpError(f"{where} is not a rectangular list of numbers ({to_one_line(error, 80)})") from error
 
 
 def parse_matrix(value: Any, shape: tuple[int, ...], where: str) -> Floats:
@@ -42,7 +42,7 @@ def parse_matrix(value: Any, shape: tuple[int, ...], where: str) -> Floats:
     if matrix.shape != shape:
         raise NeuroncapHttpError(f"{where} has the shape {_format_shape(matrix.shape)}, not {_format_shape(shape)}")
     if not np.isfinite(matrix).all():
-        raise NeuroncapHttpError(f"{where} has NaN or infinity in it")
+        raise NeuroncapHttpError(f"{where} contains NaN or infinity")
     return matrix
 
 
@@ -57,7 +57,7 @@ def parse_pose(value: Any, where: str) -> Floats:
     # Only numbers that cannot overflow are multiplied.
     sound = np.abs(turn).max() < 2.0 and np.abs(turn @ turn.T - np.eye(3)).max() < _ROTATION_TOLERANCE
     if not sound or np.linalg.det(turn) < 0.0 or np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > _ROTATION_TOLERANCE:
-        raise NeuroncapHttpError(f"{where} is no pose: four rows, a rotation and a translation, then 0 0 0 1")
+        raise NeuroncapHttpError(f"{where} is not a pose (rotation and translation in three rows, then 0 0 0 1)")
     if np.abs(pose[:3, 3]).max() > FARTHEST_M:
         raise NeuroncapHttpError(f"{where} is {np.abs(pose[:3, 3]).max():.3g} m away")
     return pose
@@ -73,7 +73,7 @@ def parse_whole_number(value: Any, most: int, where: str) -> int:
 def read_member(value: Any, name: str, where: str) -> Any:
     """A member of an object; raises `NeuroncapHttpError` if there is none."""
     if not isinstance(value, dict):
-        raise NeuroncapHttpError(f"{where} is no object of JSON")
+        raise NeuroncapHttpError(f"{where} is not a JSON object")
     if name not in value:
         raise NeuroncapHttpError(f"{where} has no {name}")
     return value[name]
@@ -87,7 +87,7 @@ def _require_numbers(value: Any, where: str) -> None:
         if type(item) is list:
             waiting += item
         elif type(item) not in (int, float):
-            raise NeuroncapHttpError(f"{where} holds {to_one_line(repr(item), 40)}, which is no number")
+            raise NeuroncapHttpError(f"{where} holds {to_one_line(repr(item), 40)}, which is not a number")
 
 
 def _format_shape(shape: Sequence[int]) -> str:
@@ -95,7 +95,7 @@ def _format_shape(shape: Sequence[int]) -> str:
 
 
 TENSOR_FLAG: Final = "--accept-torch-tensors"
-"""What allows pickles, named by every refusal of one."""
+"""Option that allows pickles; every refusal of one names it."""
 
 
 class HttpImageFormat(StrEnum):
@@ -114,7 +114,7 @@ def encode_image(pixels: NDArray[np.uint8], form: HttpImageFormat) -> str:
     if form is HttpImageFormat.TORCH:
         import torch
 
-        # A copy: pictures from files may not be written to, of which torch warns.
+        # A copy: arrays from files are read-only, and torch warns of that.
         torch.save(torch.from_numpy(np.array(pixels, order="C")), file)
     else:
         from PIL import Image
@@ -136,7 +136,7 @@ def decode_image_text(text: str | bytes, where: str, *, tensors: bool) -> NDArra
     try:
         data = base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise NeuroncapHttpError(f"{where} is no base64 ({to_one_line(error, 80)})") from error
+        raise NeuroncapHttpError(f"{where} is not base64 ({to_one_line(error, 80)})") from error
     return decode_image_file(data, where, tensors=tensors)
 
 

@@ -13,7 +13,7 @@ from benchmark.cli.settings import Option, command
 from benchmark.report.words import pluralise
 
 InfoReader = Literal["uniad", "vad", "sparsedrive"]
-"""Whose info files are written."""
+"""Repository that reads the info files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +58,6 @@ def export_infos_command(options: ExportInfosOptions) -> None:
     for path, count in exported.files.items():
         typer.echo(f"{pluralise(count, 'info')} in {path}")
     for difference in exported.differences:
-        typer.echo(f"otherwise than converted: {difference.what}")
+        typer.echo(f"differs from the converter: {difference.what}")
     for sentence in exported.unrepaired:
-        typer.echo(f"not to be cured here: {sentence}")
+        typer.echo(f"cannot be repaired here: {sentence}")

@@ -96,7 +96,7 @@ class ConverterCanMessages:
         if vector.shape != (VECTOR_VALUES,):
             raise InputError(
                 f"pose messages of the CAN bus at {last['utime']} do not hold the {_MEASURED} numbers that official "
-                f"code takes ({', '.join(map(to_one_line, last))}); fetch or make the files again"
+                f"code reads ({', '.join(map(to_one_line, last))}); fetch or make the files again"
             )
         return vector
 
@@ -158,7 +158,7 @@ class EgoTrajectory:
         command[_compute_command(float(ahead[-1, 0]))] = 1.0
         steps = np.diff(planar, axis=0) if last else np.zeros((1, 2))
         return {
-            # What was before the recording is made up: the step after it once more.
+            # Poses before the recording are extrapolated: the first step is repeated.
             "gt_ego_his_trajs": steps[[max(at - back, 0) for back in range(HISTORY_STEPS, 0, -1)]],
             "gt_ego_fut_trajs": np.diff(ahead, axis=0),
             "gt_ego_fut_masks": np.array([float(at + step <= last) for step in range(1, PLAN_STEPS + 1)]),

@@ -37,7 +37,7 @@ from benchmark.machine.progress import CountedUnits, track_progress
 from benchmark.machine.storage import read_json, write_bytes, write_json, writing_to
 
 FOLDER: Final = "nuscenes"
-"""What official code calls the folder below its ``data``."""
+"""Name that official code gives to the folder below its ``data``."""
 _LINKED: Final = ("samples", "sweeps", "can_bus")
 _MAPS: Final = "maps/expansion"
 
@@ -86,27 +86,27 @@ class StandInRoot:
     def _require_free(self) -> None:
         """Maps are plain files where a former export had none to link to."""
         if self.folder.is_symlink():
-            raise InputError(f"{self.folder} is a link, and what it leads to must stay as it is; choose another --to")
+            raise InputError(f"{self.folder} is a link, whose target must not be changed; choose another --to")
         for path, target in self.links.items():
             if path.is_symlink() and path.readlink() != target:
                 raise InputError(
-                    f"{path} leads to {path.readlink()}, for {self.folder.parent} was exported from another root; "
+                    f"{path} links to {path.readlink()}, for {self.folder.parent} was exported from another root; "
                     "choose another --to"
                 )
             occupied = path.exists() and not path.is_symlink()
             if occupied and not (path.is_file() and path.parent == self.folder / _MAPS):
-                raise InputError(f"{path} is in the way of a link; choose another --to, or remove it")
+                raise InputError(f"{path} exists where a link must go; choose another --to, or remove it")
 
 
 CONVERTED_PREFIX: Final = "./data/nuscenes/"
-"""What the converters' file names begin with, called as their documentation says."""
+"""Prefix of the converters' file names when called as documented."""
 PROTOCOL: Final = 2
 """Of pickles, as the official converters write them."""
 
 
 @dataclass(frozen=True, slots=True)
 class InfoSettings:
-    """What is exported, for whom.
+    """Settings of an export of info files.
 
     Attributes:
         repository: ``uniad``, ``vad`` or ``sparsedrive`` (DiffusionDrive reads the same).
@@ -149,10 +149,10 @@ def export_infos(root: Path, to: Path, settings: InfoSettings) -> ExportedInfos:
     Args:
         root: Root of a data set, or a folder of variant roots, each of which gets a folder of its own.
         to: Folder to write to.
-        settings: What, for whom.
+        settings: Settings of the export.
 
     Returns:
-        What was written.
+        The written files.
 
     Raises:
         InputError: If there is no such data set or split, or it holds something that official code would fail at or
@@ -236,7 +236,7 @@ class _InfoConverter:
 
     def _scene(self, rows: SceneTableRows) -> list[Info]:
         if self.reader.name == "vad" and len(rows.samples) < 2:
-            raise InputError(f"{rows.name} has a single sample, which VAD's converter fails at; leave the scene out")
+            raise InputError(f"{rows.name} has only one sample, on which VAD's converter fails; leave the scene out")
         repairs.require_cameras(rows)
         sources = SceneSources(
             rows=rows,
@@ -262,7 +262,7 @@ class _InfoConverter:
             if path is None:
                 raise InputError(
                     f"{rows.name} lies in {rows.location}, and {self.root} has no maps/expansion/{rows.location}.json, "
-                    "which map elements are made of; fetch the map expansion or make it again"
+                    "the source of map elements; fetch the map expansion or make it again"
                 )
             self._maps[rows.location] = MapLines(path)
         return self._maps[rows.location]
@@ -278,7 +278,7 @@ class _RepairingInfoConverter(_InfoConverter):
         self._times: list[tuple[str, int, int]] = []
         self._infos: dict[str, list[Info]] = {}
         if not Path(here).is_absolute():
-            raise InputError(f"--root-as {here} must be an absolute path; it is what files are named by")
+            raise InputError(f"--root-as {here} must be an absolute path; file names begin with it")
         self._seen = repairs.ExportObservations()
         self._surroundings: dict[str, shapely.Geometry] = {}
 

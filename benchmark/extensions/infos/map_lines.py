@@ -111,7 +111,7 @@ def _build_layers(stored: Mapping[str, Any]) -> dict[str, _MapLayer]:
         outline = Polygon(
             [nodes[name] for name in row["exterior_node_tokens"]], [[nodes[name] for name in hole] for hole in holes]
         )
-        # The converters leave out what is not valid.
+        # The converters leave out invalid geometry.
         return outline if outline.is_valid else Polygon()
 
     return {

@@ -1,7 +1,7 @@
-"""What is done otherwise than by the converters, because official code trips on roots that are not nuScenes.
+"""Repairs: differences from the converters, because official code fails on roots other than nuScenes.
 
-A cure changes as little as lets the official readers do what they do on nuScenes itself. What cannot be cured is
-refused before anything is written, or said beside the export.
+A repair is the smallest change that lets the official readers work as on nuScenes itself. What cannot be repaired is
+refused before anything is written, or reported with the export.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -40,7 +40,7 @@ class ConverterDifference:
 
     Attributes:
         what: In words.
-        why: What official code would do without.
+        why: Behaviour of official code without the difference.
         keys: Keys of an info that differ.
         scenes: Scenes that it is about, and the amount where there is one; empty for all.
     """
@@ -76,7 +76,7 @@ def require_usable(root: Path, repository: Repository, rows: SceneTableRows) -> 
     _require_map(root, rows)
     if len(rows.samples) < _NEEDS_FUTURE:
         raise InputError(
-            f"{rows.name} has a single sample, which official code does not evaluate; leave the scene out with --split"
+            f"{rows.name} has only one sample, which official code does not evaluate; leave the scene out with --split"
         )
     _require_size(repository, rows)
     for sample in rows.samples:
@@ -96,8 +96,8 @@ def _require_size(repository: Repository, rows: SceneTableRows) -> None:
             size = (cameras[name]["width"], cameras[name]["height"])
             if size != repository.image_size:
                 raise InputError(
-                    f"{rows.name} has images of {size[0]}x{size[1]}, and the code of {repository.title} cuts as if "
-                    f"they were {wanted}, so that its networks would see black; draw the data set in that size "
+                    f"{rows.name} has images of {size[0]}x{size[1]}, and the code of {repository.title} crops as if "
+                    f"they were {wanted}, so its networks would see black; render the data set in that size "
                     f"({_SIZE_OPTIONS.format(size=wanted)})"
                 )
 
@@ -105,8 +105,8 @@ def _require_size(repository: Repository, rows: SceneTableRows) -> None:
 def _require_map(root: Path, rows: SceneTableRows) -> None:
     if rows.location not in OFFICIAL_LOCATIONS:
         raise InputError(
-            f"{rows.name} lies in {rows.location}, and official code knows the maps of {', '.join(OFFICIAL_LOCATIONS)} "
-            "alone; leave the scene out with --split, or call its place one of these in log.json and in maps/expansion"
+            f"{rows.name} lies in {rows.location}, and official code has only maps of {', '.join(OFFICIAL_LOCATIONS)}; "
+            "leave the scene out with --split, or rename its location to one of these in log.json and maps/expansion"
         )
     if find_expansion_file(root, rows.location) is None:
         raise InputError(
@@ -117,7 +117,7 @@ def _require_map(root: Path, rows: SceneTableRows) -> None:
 
 def _require_file(root: Path, name: str, advice: str) -> None:
     if not (root / name).is_file():
-        raise InputError(f"{root / name} of the tables is missing; {advice}")
+        raise InputError(f"{root / name} named in the tables is missing; {advice}")
 
 
 def shift_times(infos: Iterable[Info], shift_us: int) -> None:
@@ -130,10 +130,10 @@ def shift_times(infos: Iterable[Info], shift_us: int) -> None:
 def describe_shifts(shifts: Mapping[str, int]) -> ConverterDifference:
     """The departure that moved times are."""
     return ConverterDifference(
-        f"times of {pluralise(len(shifts), 'scene')} are moved, those of cameras and sweeps with them (the table keeps "
-        "its own; readers use order and differences alone)",
-        "readers sort by time: variants of one recording have the same times and would be mixed sample by sample, so "
-        "that temporal models begin anew at each or remember another variant",
+        f"times of {pluralise(len(shifts), 'scene')} are shifted, with their cameras and sweeps (the tables keep "
+        "the original times; readers use only order and differences)",
+        "readers sort by time: variants of one recording share their times and would be interleaved by sample, so "
+        "temporal models would restart at each sample or mix variants",
         ("timestamp", "cams.*.timestamp", "sweeps.*.timestamp"),
         {name: {"shift_us": shift} for name, shift in sorted(shifts.items())},
     )
@@ -168,8 +168,7 @@ def describe_paths(prefix: str) -> ConverterDifference:
     """The departure that absolute names of files are."""
     return ConverterDifference(
         f"files are named from {prefix} on",
-        "the converters' names begin with their own working directory's ./data/nuscenes/, which UniAD joins with its "
-        "data_root once more",
+        "the converters' names begin with ./data/nuscenes/, which UniAD joins with its data_root once more",
         ("lidar_path", "cams.*.data_path", "sweeps.*.data_path"),
     )
 
@@ -178,7 +177,7 @@ def describe_can_bus_names(repository: Repository, names: Collection[str]) -> Co
     """The departure that the CAN bus of names is which the devkit refuses."""
     return ConverterDifference(
         "the CAN bus is read from the root's own files",
-        "the devkit takes names like scene-0061 alone; all others would silently get zeros, which models then see",
+        "the devkit accepts only names like scene-0061; other scenes would silently get zeros as model input",
         _MOTION_KEYS[repository.name],
         dict.fromkeys(sorted(names)),
     )
@@ -191,7 +190,7 @@ def describe_scene_choice(split: str, elsewhere: Collection[str], others: int) -
         differences.append(
             ConverterDifference(
                 f"scenes of {split} that nuScenes names among its training scenes are in the val file",
-                "official configurations evaluate the val file alone",
+                "official configurations evaluate only the val file",
                 (),
                 dict.fromkeys(sorted(elsewhere)),
             )
@@ -211,7 +210,7 @@ def describe_default_visibility(boxes: Mapping[str, int]) -> ConverterDifference
     """The departure that a visibility is which the root does not know."""
     return ConverterDifference(
         f"boxes without a visibility have level {DEFAULT_VISIBILITY}",
-        "the converter fails at them",
+        "the converter fails on them",
         ("visibility_tokens",),
         dict(sorted(boxes.items())),
     )
@@ -263,26 +262,25 @@ def list_unrepaired(repository: Repository, seen: ExportObservations) -> list[st
             ", ".join(f"{width}x{height}" for width, height in sizes) for sizes in (other, [_TRAINED_SIZE])
         )
         sentences.append(
-            f"images are {drawn}, and published networks were trained on {trained} "
+            f"images are {drawn}, but published networks were trained on {trained} "
             f"({_SIZE_OPTIONS.format(size=trained)})"
         )
     if seen.without_points:
         boxes = pluralise(seen.without_points, "box has", "boxes have")
         known = (
-            "UniAD sees these objects in its occupancy alone"
+            "UniAD uses these objects only in its occupancy"
             if repository.name == "uniad"
-            else ("the evaluation does not know of these objects at these samples")
+            else ("the evaluation ignores these objects at these samples")
         )
         sentences.append(f"{boxes} no lidar point: {known}")
     if seen.without_can_bus:
         scenes = pluralise(len(seen.without_can_bus), "scene has", "scenes have")
         sentences.append(
-            f"{scenes} no CAN bus, so that models see zeros for "
-            f"the motion of the ego: {', '.join(seen.without_can_bus[:3])}"
+            f"{scenes} no CAN bus, so models get zeros for the motion of the ego: {', '.join(seen.without_can_bus[:3])}"
         )
     if seen.off_the_map:
         sentences.append(
-            f"{pluralise(seen.off_the_map, 'sample has', 'samples have')} nothing of the map within {AROUND_M:g} m, "
-            "which UniAD's reader fails at"
+            f"{pluralise(seen.off_the_map, 'sample has', 'samples have')} no map elements within {AROUND_M:g} m, "
+            "on which UniAD's reader fails"
         )
     return sentences

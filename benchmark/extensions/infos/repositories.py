@@ -21,7 +21,7 @@ class Repository:
     """One repository.
 
     Attributes:
-        title: What people call it.
+        title: Usual name of the repository.
         stem: Beginning of the names of its info files.
         mini_folder: Folder that the files of v1.0-mini lie in, if not beside those of other versions.
         has_can_bus: Whether its infos hold prev, next, frame_idx and can_bus.
@@ -63,15 +63,15 @@ def find_repository(name: str) -> Repository:
     for candidate in REPOSITORIES.values():
         if candidate.name == name:
             return candidate
-    raise InputError(f"--for {name} is no repository with info files; they are {', '.join(REPOSITORIES)}")
+    raise InputError(f"--for {name} is not a repository with info files; use one of {', '.join(REPOSITORIES)}")
 
 
 def require_version(version: str, where: str) -> None:
     """Refuse tables that official code would not open: their version's name is none of nuScenes'."""
     if version not in VERSIONS:
         raise InputError(
-            f"{where} has its tables in {version}/, and official code opens {', '.join(VERSIONS)} alone; copy the root "
-            f"and call that folder {TRAINVAL}"
+            f"{where} has its tables in {version}/, and official code opens only {', '.join(VERSIONS)}; copy the root "
+            f"and rename that folder to {TRAINVAL}"
         )
 
 

@@ -82,7 +82,7 @@ def compute_vad_futures(boxes: SceneBoxes, here: Indices, lidar: SensorFrame) ->
     return {
         "gt_agent_fut_trajs": offsets.reshape(len(here), 2 * PLAN_STEPS),
         "gt_agent_fut_masks": there.astype(np.float64),
-        # Differences are not wrapped: a heading that passes half a turn jumps by a whole one.
+        # Differences are not wrapped: a heading that crosses 180 degrees jumps by 360.
         "gt_agent_fut_yaw": np.where(there, np.diff(angle, axis=1), 0.0),
         "gt_agent_fut_goal": classify_goals(offsets),
     }
@@ -162,9 +162,9 @@ class SceneSources:
 
     Attributes:
         map_lines: The map of its city, where the repository's infos hold one.
-        prefix: What stands before file names.
-        category_numbers: What VAD calls categories, by name.
-        default_visibility: What stands for a visibility that is not known; ``None`` refuses it.
+        prefix: Prefix of file names.
+        category_numbers: VAD's category numbers, by name.
+        default_visibility: Value for unknown visibilities; ``None`` refuses them.
     """
 
     rows: SceneTableRows
@@ -277,7 +277,7 @@ def _build_uniad_keys(sources: SceneSources, moment: _InfoSample, _: Info) -> In
 
 
 def is_level(visibility: str) -> bool:
-    """Whether a visibility is a number, as UniAD's converter takes for granted."""
+    """Whether a visibility is a number, as UniAD's converter assumes."""
     return visibility.isascii() and visibility.isdigit()
 
 
@@ -287,8 +287,8 @@ def _find_visibility(sources: SceneSources, moment: _InfoSample, level: str) -> 
     if sources.default_visibility is not None:
         return sources.default_visibility
     raise InputError(
-        f"{sources.rows.name}, sample {moment.sample['token']}: the visibility {level!r} of a box is no number, which "
-        "UniAD's converter fails at; leave out --as-converted"
+        f"{sources.rows.name}, sample {moment.sample['token']}: the visibility {level!r} of a box is not a number; "
+        "UniAD's converter fails on it, leave out --as-converted"
     )
 
 

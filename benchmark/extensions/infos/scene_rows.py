@@ -79,7 +79,7 @@ class SceneTableRows:
         lidar_row = self.key_frames[sample["token"]].get(LIDAR_NAME)
         if lidar_row is None:
             raise InputError(
-                f"{self.name} has no {LIDAR_NAME}, whose frame info files are in; write the data set with one (an "
+                f"{self.name} has no {LIDAR_NAME}, whose frame info files use; write the data set with one (an "
                 "empty file is enough)"
             )
         return lidar_row
@@ -99,8 +99,8 @@ class InfoTables:
     def __init__(self, root: Path, version: str, rates: FaultList) -> None:
         tables = read_tables_cached(root / version, rates)
         if tables is None:
-            # Texts hash differently in each process.
-            raise InputError(f"two tokens of {root / version} were taken for one by chance; run the same command again")
+            # Strings hash differently in each process.
+            raise InputError(f"two tokens of {root / version} collided by chance; run the same command again")
         self._tables: SceneTables = tables
         shared = tables.shared
         self._sensors = {row["token"]: row["channel"] for row in shared["sensor"]}

@@ -1,4 +1,4 @@
-"""Who the ego touches, as NeuroNCAP's code asks it: the first of the list whose box meets the ego's.
+"""Collision check of NeuroNCAP's code: the first actor in the list whose box meets the ego's.
 
 The car that NeuroNCAP drives and the box that it is checked with.
 """

@@ -66,7 +66,7 @@ def compute_command(pose: Floats, speed: float, path: Floats, switches: Neuronca
     start, step = extended[:-1], np.diff(extended, axis=0)
     squared = np.sum(step**2, axis=1)
     if switches.command_extension == "code" and not (squared > 0).all():
-        # Two equal samples in a row are 0 / 0 in the published code: nothing is left or right of that.
+        # Two equal samples in a row give 0 / 0 in the published code; NaN compares as neither left nor right.
         return Command.STRAIGHT
     share = np.sum((ahead - start) * step, axis=1) / np.where(squared > 0, squared, 1.0)
     nearest = start + np.clip(share, 0.0, 1.0)[:, None] * step
@@ -248,7 +248,7 @@ def begin(engine: Engine) -> NeuroncapWorld:
 
 
 def is_running(engine: Engine, world: NeuroncapWorld) -> bool:
-    """Whether a plan is wanted: no actor was touched as far as is known, and time is left."""
+    """Whether a plan is needed: no contact so far, and time is left."""
     return world.contact is None and world.state.time_us < engine.end_us
 
 

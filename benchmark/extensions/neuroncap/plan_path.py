@@ -1,4 +1,4 @@
-"""What NeuroNCAP's tracker follows: a plan as poses every 0.1 s, with the speeds and curvatures fitted to them.
+"""Reference of NeuroNCAP's tracker: a plan as poses every 0.1 s, with the speeds and curvatures fitted to them.
 
 Steps of the published code (nuPlan's): knots at the plan's waypoints, linear in between; speed and curvature by
 regularised least squares.
@@ -66,15 +66,15 @@ def read_waypoints(plan: ArrayLike, switches: NeuroncapSwitches) -> Waypoints:
         UnusablePlanError: If there are not 1 to 6 waypoints, or some are not finite.
     """
     try:
-        # What is too large for single precision becomes infinite, and is refused as such.
+        # Values too large for single precision become infinite, and are refused as such.
         with np.errstate(over="ignore"):
             waypoints: Waypoints = np.array(plan, np.float32 if switches.float32 == "code" else np.float64)
     except (TypeError, ValueError):
-        raise UnusablePlanError("the plan is no table of numbers") from None
+        raise UnusablePlanError("the plan is not an array of numbers") from None
     if waypoints.ndim != 2 or not 1 <= len(waypoints) <= PLAN_STEPS or waypoints.shape[1] < 2:
-        raise UnusablePlanError(f"a plan has 1 to {PLAN_STEPS} waypoints of x and y, this one is {waypoints.shape}")
+        raise UnusablePlanError(f"a plan has 1 to {PLAN_STEPS} waypoints of x and y; this one is {waypoints.shape}")
     if not np.isfinite(waypoints).all():
-        raise UnusablePlanError("the plan has NaN or infinity in it")
+        raise UnusablePlanError("the plan contains NaN or infinity")
     return waypoints
 
 

@@ -1,4 +1,4 @@
-"""What NeuroNCAP's engine reads of a recording.
+"""Recording as NeuroNCAP's engine reads it.
 
 A stationary, a frontal and a side scenario for any recording, in NeuroNCAP's form: what a newcomer can run offline.
 
@@ -62,7 +62,7 @@ def select_messages(times: Integers, message_times: Integers, values: Floats) ->
 
 def select_steering(times: Integers, message_times: Integers, degrees: Floats) -> Singles:
     """(F,) angle of the steering wheel in radians, from (M,) messages in degrees."""
-    # Times pi, then by 180, each rounded, as in the published code.
+    # Multiplied by pi, then divided by 180, each rounded, as in the published code.
     return np.asarray(select_messages(times, message_times, degrees) * np.float32(np.pi) / np.float32(180), np.float32)
 
 
@@ -115,7 +115,7 @@ DURATION_S: Final = 8.0
 MEETING_FRAMES: Final = 12
 """From the start to the meeting."""
 LEAST_DRIVEN_M: Final = 15.0
-"""An ego that comes no further than this until then meets nobody."""
+"""Least distance that the ego drives until the meeting; a slower ego would meet no actor."""
 _CANDIDATES: Final = 3
 """Cars of the recording of which one is drawn."""
 _CROSSING_M_S: Final = 6.0
@@ -202,7 +202,7 @@ def read_recording(scene: Scene, root: Path, switches: NeuroncapSwitches) -> Neu
 
 
 def has_can_bus(scene: str, root: Path) -> bool:
-    """Whether a data set has what the engine reads of the CAN bus of a scene."""
+    """Whether a data set has the CAN bus messages of a scene that the engine reads."""
     return all((root / "can_bus" / f"{scene}_{message}.json").is_file() for message in ("pose", "zoe_veh_info"))
 
 
@@ -211,7 +211,7 @@ def _read_messages(root: Path, scene: str, message: str, fields: dict[str, Value
     messages = CanMessages.read(path, fields)
     if messages is None:
         raise InputError(
-            f"NeuroNCAP's engine starts its car from the CAN bus, and there is nothing in {path}; get the CAN bus "
+            f"NeuroNCAP's engine starts the ego from the CAN bus, but {path} holds nothing; get the CAN bus "
             "expansion, or leave the scene out"
         )
     return messages

@@ -48,7 +48,7 @@ class ScenarioActor:
 
     Attributes:
         mode: ``override``: a track of the scenario's own; ``optimized``: the renderer's.
-        uuids: Who it may be; one is drawn.
+        uuids: Candidate instances; one is drawn.
         drawn: Whether one is drawn, which a single ``uuid`` is not.
         times: (P,) seconds since the first frame.
         positions: (P, 3) of the middle of its bottom, metres.
@@ -80,7 +80,7 @@ class Scenario:
         duration_s: Of the run, from the start frame.
         start_jitter: Frames by which the start is drawn, either way; 0 for none.
         dim_jitter: Share by which sizes are drawn, either way; 0 for none.
-        actors: Who is put in; with none of them the recording's own actors stay.
+        actors: Actors to insert; without any, the recording's own actors stay.
     """
 
     start_frame: int = 0
@@ -99,10 +99,10 @@ class Scenario:
         general = _ScenarioTable(_require_mapping(facts, where).get("general"), f"{where}, general")
         step = general.number("time_step", STEP_S)
         if step != STEP_S:
-            raise InputError(f"{where} asks for steps of {step} s; this engine takes {STEP_S} s")
+            raise InputError(f"{where} sets steps of {step} s; this engine supports {STEP_S} s")
         actors = facts.get("actors") or []
         if not isinstance(actors, list):
-            raise InputError(f"{where}: actors is no list")
+            raise InputError(f"{where}: actors is not a list")
         listed = tuple(
             _read_actor(_ScenarioTable(actor_value, f"{where}, actor {number}"))
             for number, actor_value in enumerate(actors)
@@ -158,7 +158,7 @@ def read_official_scenarios() -> tuple[OfficialScenario, ...]:
 
 def _require_mapping(value: Any, where: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(f"{where} is no table of names and values; it is no scenario of NeuroNCAP")
+        raise InputError(f"{where} is not a table of names and values, so not a scenario of NeuroNCAP")
     return value
 
 
@@ -175,7 +175,7 @@ class _ScenarioTable:
     def number(self, name: str, default: float) -> float:
         value = self._values.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise InputError(f"{self.where}: {name} is no finite number")
+            raise InputError(f"{self.where}: {name} is not a finite number")
         return float(value)
 
     def maybe(self, name: str) -> float | None:
@@ -184,7 +184,7 @@ class _ScenarioTable:
     def whole(self, name: str, default: int) -> int:
         value = self.number(name, default)
         if value != int(value) or value < 0:
-            raise InputError(f"{self.where}: {name} is no whole number from 0 on")
+            raise InputError(f"{self.where}: {name} is not a whole number of at least 0")
         return int(value)
 
     def flag(self, name: str, default: bool) -> bool:
@@ -197,7 +197,7 @@ class _ScenarioTable:
         value = self._values.get(name, [])
         listed = [value] if isinstance(value, str) else value
         if not isinstance(listed, list) or not all(isinstance(text, str) for text in listed):
-            raise InputError(f"{self.where}: {name} is no list of names")
+            raise InputError(f"{self.where}: {name} is not a list of names")
         return tuple(listed)
 
     def array(self, name: str, *shape: int | None) -> Floats:
@@ -207,7 +207,7 @@ class _ScenarioTable:
             array = np.empty(0)
         fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape))
         if not fits or not array.size or not np.isfinite(array).all():
-            raise InputError(f"{self.where}: {name} is missing, or no table of finite numbers of its shape")
+            raise InputError(f"{self.where}: {name} is missing, or not an array of finite numbers of the right shape")
         return array
 
     def inner(self, name: str) -> "_ScenarioTable":
@@ -218,16 +218,16 @@ def _read_actor(facts: _ScenarioTable) -> ScenarioActor:
     mode = next(iter(facts.texts("mode")), "override")
     if mode not in ("override", "optimized"):
         hint = did_you_mean(mode, ("override", "optimized"))
-        raise InputError(f"{facts.where}: mode {mode!r} is unknown; {hint}there are override and optimized")
+        raise InputError(f"{facts.where}: mode {mode!r} is unknown; {hint}use override or optimized")
     uuids = facts.texts("uuids") or facts.texts("uuid")
     if not uuids:
-        raise InputError(f"{facts.where} names nobody; give uuid or uuids")
+        raise InputError(f"{facts.where} names no actor; give uuid or uuids")
     times = positions = None
     if mode == "override":
         times = facts.array("times", None)
         positions = facts.array("positions", len(times), 3)
         if len(times) < 2 or (np.diff(times) <= 0).any():
-            raise InputError(f"{facts.where}: times must be two or more that rise")
+            raise InputError(f"{facts.where}: times must be two or more in ascending order")
     return ScenarioActor(
         mode="override" if mode == "override" else "optimized",
         uuids=uuids,

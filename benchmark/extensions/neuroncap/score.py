@@ -16,7 +16,7 @@ from benchmark.records.neuroncap_aggregate import NeuroncapSwitches
 WITHOUT_CONTACT: Final = 5.0
 _BEST_CONTACT: Final = 4.0
 _FRAMES_AHEAD: Final = 8
-"""From the start to the impact that nobody avoids."""
+"""Frames from the start to an impact that cannot be avoided."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ def compute_reference_speed(
     if switches.reference_speed == "code":
         if ahead >= count:
             raise InputError(
-                f"a run from frame {start_frame} of {count} has no frame four seconds on, which neuroncap@code needs; "
-                "start earlier or take neuroncap@paper"
+                f"a run from frame {start_frame} of {count} has no frame four seconds on; neuroncap@code needs it, "
+                "start earlier or use neuroncap@paper"
             )
         frame = count - 2
     else:

@@ -57,7 +57,7 @@ _ACCELERATION, _RATE, _VELOCITY = slice(7, 10), slice(10, 13), slice(13, 16)
 """Of a CAN row of the engine."""
 _FEWEST_TICKS: Final = 4
 WITHOUT_SCENARIO: Final = Scenario()
-"""What the published code drives where there is no scenario file."""
+"""Scenario of the published code if there is no scenario file."""
 _COLUMNS: Final = [0, 1, 2, 3, 4, 6, 5]
 """Of a car of the engine, in the order of a motion's ego."""
 
@@ -113,7 +113,7 @@ class NeuroncapBackend:
             renderer_knows=frozenset(actor.uuid for actor in recording.actors),
             switches=self.switches,
         )
-        # A run that could not be scored at its end is refused before anybody plans.
+        # A run that could not be scored at its end is refused before the first plan.
         compute_reference_speed(recording, engine.start_frame, _find_target(engine), self.switches)
         world = begin(engine)
         frame, crowd = int(scene.keyframes[engine.start_frame]), AgentTracks.of(scene, engine)
@@ -144,7 +144,7 @@ class NeuroncapSimulationState:
 
     @property
     def is_running(self) -> bool:
-        """Whether a plan is wanted."""
+        """Whether a plan is needed."""
         return is_running(self.engine, self.world)
 
     @property

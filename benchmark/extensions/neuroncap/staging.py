@@ -98,7 +98,7 @@ class StagedRun:
 
     Attributes:
         actors: Of the scenario, in the order drawn.
-        dim_scale: What sizes were multiplied by, or ``None``.
+        dim_scale: Factor applied to sizes, or ``None``.
         sizes: The renderer's sizes as the next run finds them.
     """
 
@@ -150,7 +150,7 @@ def stage_run(
                 continue
             groups.add(scenario_actor.exclusive_group)
         actors.append(_place_actor(scenario_actor, draws, stage))
-    # The published code scales the renderer's sizes where they are, so that they grow from run to run.
+    # The published code scales the renderer's sizes in place, so they grow from run to run.
     scaled = {actor.uuid: actor.size for actor in actors} if scale and switches.dims_jitter == "code" else {}
     own = {
         uuid for scenario_actor in scenario.actors if scenario_actor.size is not None for uuid in scenario_actor.uuids
@@ -184,13 +184,13 @@ def _compute_pose_times(scenario: Scenario, start: int, times: Integers, switche
 def _place_actor(actor: ScenarioActor, draws: LoggedGenerator, stage: _RunSetup) -> Actor:
     uuid, cast = actor.uuids[draws.choice(len(actor.uuids)) if actor.drawn else 0], stage.cast
     if uuid not in cast.kinds or uuid not in cast.sizes:
-        raise InputError(f"the scenario asks for {uuid}, which is no instance of this recording")
+        raise InputError(f"the scenario names {uuid}, which is not an instance of this recording")
     size = np.asarray(cast.sizes[uuid] if actor.size is None else actor.size, np.float64)
     if stage.scale is not None:
         size = np.asarray(size.astype(np.float32) * np.float32(stage.scale), np.float64)
     if actor.mode == "optimized":
         if uuid not in cast.tracks:
-            raise InputError(f"the scenario asks for the renderer's own track of {uuid}, and there is none")
+            raise InputError(f"the scenario needs the renderer's track of {uuid}, which does not exist")
         poses = _sample_recorded_poses(cast.tracks[uuid], stage.seconds, int(stage.times[0]))
     else:
         poses = _draw_poses(actor, uuid, float(size[2]), draws, stage)

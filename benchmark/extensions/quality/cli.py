@@ -96,7 +96,7 @@ def quality_command(options: QualityOptions) -> None:
     print_result({"directory": str(record.directory), **facts}, f"{table}\n", json_output=options.json_output)
     print_next_steps(
         f"record: {record.directory}",
-        (f"leaderboard{repeat_out_option(options.out)}", "all records in tables beside the paper's"),
+        (f"leaderboard{repeat_out_option(options.out)}", "shows all records in tables beside the paper's"),
         json_output=options.json_output,
     )
 

@@ -1,4 +1,4 @@
-"""What is measured, to the last choice: one object, stored in every record; two definitions never share a table.
+"""Definition of the measurement in full: one object, stored in every record; two definitions never share a table.
 
 The paper names the metrics (VBench's subject consistency and imaging quality), the text prompt and the rule that a mask
 must overlap a projected vehicle. What it leaves open is decided here.
@@ -76,8 +76,7 @@ def find_mask_source(name: str) -> MaskSource:
     known_source = next((source for source in MASK_SOURCES if source == name), None)
     if known_source is None:
         raise InputError(
-            f"there is no source of masks {name!r}; {did_you_mean(name, MASK_SOURCES)}use one of "
-            f"{', '.join(MASK_SOURCES)}"
+            f"unknown source of masks {name!r}; {did_you_mean(name, MASK_SOURCES)}use one of {', '.join(MASK_SOURCES)}"
         )
     return known_source
 

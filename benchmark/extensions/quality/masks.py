@@ -52,7 +52,7 @@ class ProjectedBox:
     def fill_mask(self, height: int, width: int) -> Bools:
         """(height, width) which pixels lie inside."""
         canvas = np.zeros((height, width), np.uint8)
-        # A pixel's middle is at its index plus one half.
+        # The centre of a pixel is at its index plus one half.
         points = np.rint((self.polygon - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
         cv2.fillConvexPoly(canvas, points, (1.0,), lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
         return canvas.astype(bool)

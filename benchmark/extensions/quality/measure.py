@@ -33,7 +33,7 @@ class QualitySettings:
     """How to measure.
 
     Attributes:
-        definition: What is measured.
+        definition: Definition of the measurement.
         weights: Folder of weights that the user has, or ``None`` for the cache.
         device: Where networks run (`benchmark.machine.devices.select_worker_device`): ``cuda`` stands for all GPUs, one
             after the other; ``auto`` for GPUs where there are any; several names, between commas, for a process on
@@ -92,7 +92,7 @@ def measure_quality(
         data: The data set.
         split: Which of its splits.
         out: Folder of quality records.
-        settings: What is measured of which scenes, with which weights and device.
+        settings: Definition, scenes, weights and device of the measurement.
         reopen: Opens the data set in another process; by default from its root, version and name.
 
     Returns:
@@ -153,7 +153,7 @@ def _build_job(
         for weights in needed
     }
     contents = {name: of.content for name, of in weight_facts.items()}
-    # Rows that another version of these libraries made may differ in the last digits.
+    # Rows made with other versions of these libraries may differ in the last digits.
     libraries = {"torch": torch.__version__, "transformers": transformers_version()}
     identity = content_key(QUALITY_SCHEMA, data.fingerprint(), definition.as_json(), contents, device.type, libraries)
     part = () if len(chosen) == len(data.scene_names(split)) else chosen

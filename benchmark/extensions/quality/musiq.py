@@ -64,7 +64,7 @@ class MusiqConfig:
             )
         except (KeyError, IndexError) as error:
             raise InputError(
-                f"{path} does not hold the weights of MUSIQ ({error} is missing or has another shape); get the file "
+                f"{path} does not hold the weights of MUSIQ ({error} is missing or has another shape); fetch the file "
                 "that challenger-bench weights list names"
             ) from error
 
@@ -128,7 +128,7 @@ class Musiq(nn.Module):
             network.load_state_dict(tensors, strict=True)
         except RuntimeError as error:
             reason = str(error).splitlines()[-1].strip()
-            raise InputError(f"the weights in {path} do not fit MUSIQ: {reason}; get the published file") from error
+            raise InputError(f"the weights in {path} do not fit MUSIQ: {reason}; fetch the published file") from error
         return network.eval()
 
     def forward(self, pictures: Sequence[Patches]) -> Tensor:
@@ -147,7 +147,7 @@ class Musiq(nn.Module):
         features = functional.relu(self.gn_root(self.conv_root(patches)))
         features = functional.max_pool2d(functional.pad(features, _same_padding(features.shape[2:], 3, 2)), 3, 2)
         features = self.block1(features)
-        # Channels last, as the weights were trained.
+        # Channels last, as in training.
         tokens: Tensor = self.embedding(features.permute(0, 2, 3, 1).flatten(1))
         return tokens
 

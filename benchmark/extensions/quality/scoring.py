@@ -61,7 +61,7 @@ class SubjectFeatureExtractor:
         self._folder, self._device, self._crop_px, self._batch = folder, device, crop_px, batch
         patch = self._network.config.patch_size
         if crop_px % patch:
-            raise InputError(f"crops of {crop_px} pixels cannot be cut into the patches of {patch} that {folder} wants")
+            raise InputError(f"crops of {crop_px} pixels do not divide into the patches of {patch} that {folder} needs")
 
     @torch.inference_mode()
     def features(self, appearances: Sequence[tuple[NDArray[np.uint8], CroppedMask]]) -> Floats:
@@ -74,7 +74,7 @@ class SubjectFeatureExtractor:
             parts.append(functional.normalize(states[:, 0].double(), dim=-1).cpu())
         features = np.asarray(torch.cat(parts)) if parts else np.zeros((0, 0))
         if not np.isfinite(features).all():
-            raise InputError(f"the weights in {self._folder} give features that are no numbers; get them again")
+            raise InputError(f"the weights in {self._folder} give features that are not finite; fetch them again")
         return features
 
 
@@ -144,7 +144,7 @@ class ImagingQuality:
             scores = self._network([cut_multiscale_patches(picture, grid) for picture in some])
             values += (scores.double() / _FULL_SCORE).tolist()
         if not np.isfinite(values).all():
-            raise InputError(f"the weights in {self._weights} give scores that are no numbers; get them again")
+            raise InputError(f"the weights in {self._weights} give scores that are not finite; fetch them again")
         return values
 
 
@@ -202,7 +202,7 @@ def score_scene(
     scene = data.scene(name)
     videos = data.videos(name, sweeps=definition.frames == "all")
     if not any(videos.values()):
-        raise InputError(f"scene {name} of {data.root} has no camera images, so that there is nothing to score")
+        raise InputError(f"scene {name} of {data.root} has no camera images to score; leave it out")
     subjects: list[SubjectRow] = []
     rows: list[VideoRow] = []
     with single_precision():
@@ -230,7 +230,7 @@ def _read_video(
             )
         frame = reduce_picture(image, definition.longer_side_px)
         if frames and frame.shape != frames[0].shape:
-            raise InputError(f"image {view.path} has another size than the others of {camera} of {scene.name}; fix it")
+            raise InputError(f"image {view.path} differs in size from others of {camera} of {scene.name}; fix it")
         frames.append(frame)
         size = frame.shape[1], frame.shape[0]
         boxes.append(project_boxes(scene, view, size, definition.categories, definition.near_m))

@@ -45,7 +45,7 @@ Box = tuple[float, float, float, float]
 _MEAN: Final = (0.485, 0.456, 0.406)
 _DEVIATION: Final = (0.229, 0.224, 0.225)
 _BOX_CORNERS: Final = (2, 3)
-"""What SAM 2 calls the upper left and the lower right corner of a box among its points."""
+"""Point labels of SAM 2 for the upper left and the lower right corner of a box."""
 _KEPT_FEATURES: Final = 64
 """Frames whose image features are kept for the other subjects of a video."""
 
@@ -130,7 +130,7 @@ class Detector:
 
     Args:
         folder: Weights of ``IDEA-Research/grounding-dino-base``, with tokenizer and image processor.
-        prompt: What to look for, in lower case with a full stop.
+        prompt: Text prompt of the detector, in lower case with a full stop.
     """
 
     def __init__(

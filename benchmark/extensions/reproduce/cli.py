@@ -87,7 +87,7 @@ def reproduce_command(options: ReproduceOptions) -> None:
         f"record: {record.directory}",
         (
             f"eval --model {options.model} --split adv{as_published}{repeat_data_options(options)}",
-            "tables mark runs of the same weights, code and options as reproduced",
+            "marks runs of the same weights, code and options as reproduced in tables",
         ),
         json_output=options.json_output,
     )
@@ -124,5 +124,5 @@ def _read_expected(name: str, file: Path | None, split: str) -> "ExpectedNumbers
         return expected_file(file, name, split)
     own = MODELS[name].native_protocol if name in MODELS else None
     if split != _SPLIT:
-        raise InputError(f"numbers are published of split {_SPLIT}, not of {split}; leave --split out")
+        raise InputError(f"published numbers exist for split {_SPLIT}, not for {split}; leave --split out")
     return published_numbers(name, own or "")

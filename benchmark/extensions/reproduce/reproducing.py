@@ -87,8 +87,8 @@ def published_numbers(model: str, protocol: str) -> ExpectedNumbers:
     if model not in CHECKPOINTS or not rows:
         known = CHECKPOINTS
         raise InputError(
-            f"no numbers are published of {model}; {did_you_mean(model, known)}there are those of {', '.join(known)}, "
-            "and --expected FILE takes others"
+            f"there are no published numbers for {model}; {did_you_mean(model, known)}use one of {', '.join(known)}, "
+            "or give your own with --expected FILE"
         )
     numbers = []
     for column in _COLUMNS:
@@ -105,7 +105,7 @@ def expected_file(path: Path, model: str, split: str) -> ExpectedNumbers:
 
     Args:
         path: A file as `store_expected` writes it.
-        model: What will run.
+        model: Model to run.
         split: On what.
 
     Returns:
@@ -118,17 +118,19 @@ def expected_file(path: Path, model: str, split: str) -> ExpectedNumbers:
         ExpectedValues.model_validate,
         read_json(path),
         lambda where, why: (
-            f"{path} is no file of expected values: {where or 'the whole file'}: {why}; "
+            f"{path} is not a file of expected values: {where or 'the whole file'}: {why}; "
             "see docs/extensions/reproduce.md"
         ),
     )
     if stored.model != model or stored.split != split:
-        raise InputError(f"{path} is of {stored.model} on {stored.split}, not of {model} on {split}; name another file")
+        raise InputError(
+            f"{path} is for {stored.model} on {stored.split}, not for {model} on {split}; name another file"
+        )
     if stored.protocol not in PROTOCOLS:
-        raise InputError(f"{path} names the unknown protocol {stored.protocol!r}; known are {', '.join(PROTOCOLS)}")
+        raise InputError(f"{path} names the unknown protocol {stored.protocol!r}; use one of {', '.join(PROTOCOLS)}")
     missing = sorted(set(stored.values) - set(stored.allowed))
     if missing or not any(stored.values.values()):
-        lacks = f"allows no difference for {missing[0]}" if missing else "has no values"
+        lacks = f"gives no tolerance for {missing[0]}" if missing else "has no values"
         raise InputError(f"{path} {lacks}; add it (docs/extensions/reproduce.md)")
     numbers = [
         _PublishedNumber(column, horizon, ((value, stored.source),), stored.allowed[column])
@@ -218,11 +220,11 @@ def require_whole_split(record: RunRecord) -> None:
     """Refuse a run that is not of the whole split or failed on samples: its rates are of something else."""
     if not record.complete:
         raise InputError(
-            f"{record.planner} failed on {record.summary.failed} of {record.summary.samples} samples, so that nothing "
-            f"can be said; the tracebacks are in {record.directory}"
+            f"{record.planner} failed on {record.summary.failed} of {record.summary.samples} samples, so no comparison "
+            f"is possible; the tracebacks are in {record.directory}"
         )
     if not record.covers_split:
-        raise InputError(f"{record.directory} holds a part of the split; published numbers are of the whole")
+        raise InputError(f"{record.directory} covers part of the split; published numbers are for all of it")
 
 
 def store_expected(path: Path, record: RunRecord, protocol: str) -> None:
@@ -231,7 +233,7 @@ def store_expected(path: Path, record: RunRecord, protocol: str) -> None:
     Args:
         path: The file.
         record: The run.
-        protocol: Who judges.
+        protocol: Protocol that scores the plans.
 
     Raises:
         InputError: If the run is not whole, or the file cannot be written.

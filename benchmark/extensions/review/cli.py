@@ -54,7 +54,7 @@ def data_review_command(options: DataReviewOptions) -> None:
     data, named = api.DataSource.of(options), parse_name_list(options.scenes)
     of_page = options.show or options.sample is not None or options.browser or named or options.limit
     if options.verdicts is not None and of_page:
-        raise InputError("--verdicts records a whole file; leave the options of the page out")
+        raise InputError("--verdicts records a whole file without the page; leave the options of the page out")
     require_file(options.verdicts, "--verdicts", (".csv", ".json"))
     data.require() if options.split is None else data.require_split(options.split)
     dataset = data.open() if options.split is None else data.open_split(options.split)
@@ -111,10 +111,10 @@ def _show_page(
         raise InputError(f"{dataset.root} has no scene {unknown[0]}; it has {', '.join(known[:3])} ...")
     names = draw_scenes_to_inspect([name for name in known if named is None or name in named][:limit], sample, seed)
     if not names:
-        raise InputError(f"{dataset.root} has no scene to look at")
+        raise InputError(f"{dataset.root} has no scene to review")
     with ReviewServer(Inspection(dataset, names, inspector), port) as server:
-        api.notify(f"{pluralise(len(names), 'scene')} to look at: {server.url}")
-        api.notify("the page answers on this machine alone; Finish on it, or Ctrl-C here, ends the review")
+        api.notify(f"{pluralise(len(names), 'scene')} to review: {server.url}")
+        api.notify("the page is served to this machine only; end the review with Finish on the page, or Ctrl-C here")
         if browser:
             import webbrowser
 

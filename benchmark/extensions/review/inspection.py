@@ -1,4 +1,4 @@
-"""What an inspector is shown of each scene, and what they say of it."""
+"""Inspection of scenes: the pictures shown of each, and the inspector's verdicts."""
 
 import threading
 from collections import OrderedDict

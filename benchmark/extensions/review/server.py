@@ -1,4 +1,4 @@
-"""The page's server: this machine alone, one address that nobody can guess, nothing that another site could post.
+"""Server of the page: reachable from this machine only, at a secret address, closed to posts from other sites.
 
 It listens on 127.0.0.1. Every address begins with a secret that is drawn anew each time, so that neither another site
 in the inspector's browser nor another user of the machine can ask for anything; requests for another host name
@@ -103,12 +103,10 @@ class _ReviewHandler(BaseHTTPRequestHandler):
     def _place(self) -> str:
         """Address without the secret; refuses clients that do not know it or call the machine by another name."""
         if self.headers.get("Host") not in self.server.hosts:
-            raise _ReviewRequestError(HTTPStatus.FORBIDDEN, "this page answers on 127.0.0.1 alone")
+            raise _ReviewRequestError(HTTPStatus.FORBIDDEN, "this page is served on 127.0.0.1 only")
         _, secret, place = [*self.path.partition("?")[0].split("/", 2), "", ""][:3]
         if not secrets.compare_digest(secret.encode(), self.server.secret.encode()):
-            raise _ReviewRequestError(
-                HTTPStatus.NOT_FOUND, "there is nothing here; open the address that the command printed"
-            )
+            raise _ReviewRequestError(HTTPStatus.NOT_FOUND, "not found; open the address that the command printed")
         return place
 
     def _get(self, place: str) -> tuple[str, bytes]:
@@ -124,7 +122,7 @@ class _ReviewHandler(BaseHTTPRequestHandler):
             draw = inspection.cameras if picture[3] == "cameras.webp" else inspection.above
             kind = "image/webp" if picture[3] == "cameras.webp" else "image/png"
             return kind, draw(int(picture[1]), int(picture[2]))
-        raise _ReviewRequestError(HTTPStatus.NOT_FOUND, "there is nothing here")
+        raise _ReviewRequestError(HTTPStatus.NOT_FOUND, "not found")
 
     def _post(self, place: str) -> tuple[str, bytes]:
         self._require_same_origin()
@@ -134,27 +132,29 @@ class _ReviewHandler(BaseHTTPRequestHandler):
         elif place == "verdict" and type(posted.get("scene")) is int:
             self.server.inspection.record(posted["scene"], posted.get("verdict"), posted.get("reason", ""))
         else:
-            raise _ReviewRequestError(HTTPStatus.NOT_FOUND, "there is nothing to post here")
+            raise _ReviewRequestError(HTTPStatus.NOT_FOUND, "this address takes no posts")
         return "application/json", _encode_json(self.server.inspection.state())
 
     def _require_same_origin(self) -> None:
         origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site")
         own = {f"http://{host}" for host in self.server.hosts}
         if (origin is not None and origin not in own) or site not in (None, "same-origin"):
-            raise _ReviewRequestError(HTTPStatus.FORBIDDEN, "another site may not post here")
+            raise _ReviewRequestError(HTTPStatus.FORBIDDEN, "posts from other sites are refused")
         if self.headers.get_content_type() != "application/json":
             raise _ReviewRequestError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "verdicts are posted as JSON")
 
     def _read_posted(self) -> dict[str, Any]:
         length = self.headers.get("Content-Length", "")
         if not length.isdigit() or int(length) > _POST_BYTES:
-            raise _ReviewRequestError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a verdict has at most {_POST_BYTES} bytes")
+            raise _ReviewRequestError(
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a verdict must have at most {_POST_BYTES} bytes"
+            )
         try:
             posted = parse_json(self.rfile.read(int(length)), VERDICTS)
         except ValueError as error:
-            raise _ReviewRequestError(HTTPStatus.BAD_REQUEST, f"this is no JSON: {error}") from error
+            raise _ReviewRequestError(HTTPStatus.BAD_REQUEST, f"the body is not JSON: {error}") from error
         if not isinstance(posted, dict):
-            raise _ReviewRequestError(HTTPStatus.BAD_REQUEST, "a verdict is an object")
+            raise _ReviewRequestError(HTTPStatus.BAD_REQUEST, "a verdict must be a JSON object")
         return posted
 
     def _send(self, status: HTTPStatus, kind: str, data: bytes) -> None:

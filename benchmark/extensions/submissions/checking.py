@@ -4,9 +4,9 @@ A record holds the plans, so nothing in it has to be believed: hashes, coverage 
 set, every plan is judged or driven anew, and every number is summed up anew. What cannot be checked from outside, that
 the named model made the plans from the images, is said as what it is.
 
-Who planned: what this version knows of its own planners, and what stays a declaration of whoever submits.
+Identity of the planner: checked for planners of this version, otherwise only declared by the submitter.
 
-What a record says of itself, run or drives, beside its own rows and the data set.
+Claims of a record of runs or drives, checked against its rows and the data set.
 
 Submitted plans beside the recorded future that their planner must not have seen (`benchmark.metrics.leaks`).
 """
@@ -70,7 +70,8 @@ def check_leaks(record: RunRecord | DriveRecord, data: "DataSet") -> Iterator[Gr
     if suspicions := compute_record_leaks(record, data).suspicions:
         yield (
             FindingLevel.SUSPICIOUS,
-            f"{'; '.join(suspicions)}. It proves nothing: ask how it plans (docs/extensions/submissions.md)",
+            f"{'; '.join(suspicions)}. This is no proof; ask the submitter how it plans "
+            "(docs/extensions/submissions.md)",
         )
 
 
@@ -92,7 +93,7 @@ def build_run_moments(rows: Sequence[SampleRow], truths: Sequence[SampleTruth]) 
     speeds: dict[int, tuple[float, float]] = {}
     for index, row in enumerate(rows):
         before, now = (steps[index - 2], steps[index - 1]) if index >= 2 else (None, None)
-        # Speeds and what is planned are compared at steps of half a second.
+        # Speeds and plans are compared at steps of half a second.
         regular = all(truth.timed is None for truth in truths[max(index - 2, 0) : index + 1])
         if row.plan is not None and row.complete and before is not None and now is not None and regular:
             speeds[index] = (float(np.hypot(*before)) / PLAN_STEP_S, float(np.hypot(*now)) / PLAN_STEP_S)
@@ -157,12 +158,12 @@ def check_claims(facts: RecordFacts, failed: int, units: int, unit: str, data_na
     if facts.data.name != data_name:
         yield (
             FindingLevel.ERROR,
-            f"is of the data set {to_one_line(facts.data.name, 80)}, not {data_name}; open that one with --data",
+            f"was run on the data set {to_one_line(facts.data.name, 80)}, not {data_name}; open that one with --data",
         )
     if failed:
         yield FindingLevel.ERROR, f"has no plan for {failed} of {pluralise(units, unit)}; the errors are in its rows"
     if (facts.status == "complete") != (failed == 0):
-        yield FindingLevel.ERROR, f"says that it is {facts.status}, and {failed} of {pluralise(units, unit)} failed"
+        yield FindingLevel.ERROR, f"claims to be {facts.status}, but {failed} of {pluralise(units, unit)} failed"
 
 
 def check_split(facts: RecordFacts, data: "DataSet") -> Iterator[GradedSentence]:
@@ -180,7 +181,7 @@ def check_split(facts: RecordFacts, data: "DataSet") -> Iterator[GradedSentence]
             f"says that {facts.split} has {pluralise(facts.scenes_in_split, 'scene')}, {data.root} has {len(scenes)}",
         )
     if others := _find_differing_scenes(facts, data.scene_facts(facts.scenes)):
-        yield FindingLevel.ERROR, f"says of {others[0]} what the data set does not say; run challenger-bench rescore"
+        yield FindingLevel.ERROR, f"differs from the data set in its facts of {others[0]}; run challenger-bench rescore"
     provenance = data.provenance()
     pairs: list[tuple[str, object, object]] = [
         ("frozen split", facts.frozen_split, find_frozen_split(provenance)),
@@ -190,19 +191,19 @@ def check_split(facts: RecordFacts, data: "DataSet") -> Iterator[GradedSentence]
     if isinstance(facts, RunFacts) and realism is not None:
         pairs.append(("realism", facts.realism, realism))
     for name, claimed, here in pairs:
-        # Older records say nothing.
+        # Older records lack these facts.
         if claimed is not None and claimed != here:
-            yield FindingLevel.ERROR, f"says of the scenes' {name} what {data.root} does not say; run it again"
+            yield FindingLevel.ERROR, f"differs from {data.root} in the scenes' {name}; run it again"
 
 
 _COUNTED_ELSEWHERE: Final = ("judgement", "truth")
 
 
 def _find_differing_scenes(facts: RecordFacts, scene_facts: Mapping[str, SceneFacts]) -> Sequence[str]:
-    """Scenes of which a record says something else than the data set; what either does not say is no fault."""
+    """Scenes whose facts differ between record and data set; a fact missing in either is no difference."""
 
     def other(claimed: SceneFacts, here: SceneFacts) -> bool:
-        # Scenes need not be judged, and their truth is counted where the plans are judged anew.
+        # Scenes need no assessment; their truth counts are checked where the plans are rescored.
         compared = ((name, value) for name, value in claimed if name not in _COUNTED_ELSEWHERE or getattr(here, name))
         return any(value is not None and value != getattr(here, name) for name, value in compared)
 
@@ -223,21 +224,21 @@ def check_planner(facts: RecordFacts, ours_like: OwnPlannerLookup) -> Iterator[G
     planner = facts.planner
     for kind, claimed in (("weights", planner.weights_sha256), ("code", planner.code_sha256)):
         if claimed is not None and not _SHA256.fullmatch(claimed):
-            yield FindingLevel.ERROR, f"names {kind} {claimed[:80]!r}, which is no SHA-256 (64 hexadecimal digits)"
+            yield FindingLevel.ERROR, f"names {kind} {claimed[:80]!r}, which is not a SHA-256 (64 hexadecimal digits)"
     if planner.native_protocol is not None and planner.native_protocol not in PROTOCOLS:
         yield (
             FindingLevel.ERROR,
-            f"names a protocol of its own, {planner.native_protocol!r}, which this version does not know",
+            f"names the native protocol {planner.native_protocol!r}, which this version does not know",
         )
     if planner.weights_sha256 is None and planner.code_sha256 is None:
         yield (
             FindingLevel.NOTE,
-            "names neither weights nor code (plans from a file): nobody can tell which model planned",
+            "names neither weights nor code (plans from a file): the model behind it cannot be verified",
         )
     if planner.privileged:
         yield (
             FindingLevel.NOTE,
-            "is privileged: the planner saw boxes, the map or the recorded future, and tables say so",
+            "is privileged: the planner saw boxes, the map or the recorded future, and tables mark it",
         )
     source = facts.environment.get("source")
     if isinstance(source, dict) and source.get("dirty"):
@@ -252,7 +253,7 @@ def check_planner(facts: RecordFacts, ours_like: OwnPlannerLookup) -> Iterator[G
 def _find_differences(planner: PlannerFacts, ours: PlannerFacts) -> Iterator[GradedSentence]:
     """Where a planner with the code of ours says of itself what ours does not."""
     if ours.name != planner.name:
-        yield FindingLevel.NOTE, f"has the code of {ours.name}, whatever it is called"
+        yield FindingLevel.NOTE, f"has the code of {ours.name} under another name"
     for field in ("privileged", "native_protocol", "miniature", "published_as"):
         claimed, known = getattr(planner, field), getattr(ours, field)
         if claimed != known:
@@ -260,24 +261,24 @@ def _find_differences(planner: PlannerFacts, ours: PlannerFacts) -> Iterator[Gra
                 FindingLevel.ERROR,
                 f"says {field.replace('_', ' ')}: {claimed}, and {ours.name}, whose code it has, is {known}; "
                 "submit what "
-                "eval wrote",
+                "record that eval wrote",
             )
     if _OWN_WEIGHTS in planner.settings:
-        yield FindingLevel.NOTE, f"ran {ours.name} with weights of its own, of which only the hash is known"
+        yield FindingLevel.NOTE, f"ran {ours.name} with other weights, of which only the hash is known"
     elif planner.weights_sha256 != ours.weights_sha256:
         yield (
             FindingLevel.ERROR,
             f"names other weights ({_shorten_hash(planner.weights_sha256)}) than {ours.name} has "
-            f"({_shorten_hash(ours.weights_sha256)}); with your own weights the record says so (eval --checkpoint)",
+            f"({_shorten_hash(ours.weights_sha256)}); run your own weights with eval --checkpoint",
         )
 
 
 def _describe_declaration(planner: PlannerFacts, ours: PlannerFacts | None) -> str:
-    called = "" if ours is None else f"is called {ours.name} and has not this version's code of it; "
+    called = "" if ours is None else f"is called {ours.name} but lacks this version's code of it; "
     native = planner.native_protocol or "none"
     return (
-        f"{called}declares privileged: {'yes' if planner.privileged else 'no'}, its own protocol: {native}, weights: "
-        f"{_shorten_hash(planner.weights_sha256)}, code: {_shorten_hash(planner.code_sha256)}; nothing here can show it"
+        f"{called}declares privileged: {'yes' if planner.privileged else 'no'}, native protocol: {native}, weights: "
+        f"{_shorten_hash(planner.weights_sha256)}, code: {_shorten_hash(planner.code_sha256)}; this cannot be verified"
     )
 
 
@@ -287,7 +288,7 @@ def _shorten_hash(sha256: str | None) -> str:
 
 Record = RunRecord | DriveRecord
 _LABELS: Final = {"published_as", "miniature", "wants"}
-"""What makes no other planner of one."""
+"""Fields in which two descriptions of the same planner may differ."""
 
 
 def find_no_planner(planner: PlannerFacts) -> PlannerFacts | None:
@@ -316,7 +317,7 @@ def check_submission(
         InputError: If there is no such folder.
     """
     if not folder.is_dir():
-        raise InputError(f"there is no folder {folder}; name the one that holds the submitted run records")
+        raise InputError(f"there is no folder {folder}; name the folder with the submitted run records")
     places: list[tuple[Path, Callable[[Path], Record]]] = [
         *((directory, load_record) for directory in find_record_directories(folder)),
         *((path.parent, load_drives) for path in sorted(folder.rglob(DRIVE_FILE))),
@@ -373,7 +374,7 @@ def _recompute(record: Record, data: "DataSet") -> Iterator[GradedSentence]:
     facts = read_record_facts(record)
     of_split = list(check_split(facts, data))
     yield from of_split
-    # Scenes that the data set does not have cannot be judged.
+    # Scenes that the data set lacks cannot be assessed.
     if set(facts.scenes) <= set(data.scene_names(facts.split)):
         yield from recompute_run(record, data) if isinstance(record, RunRecord) else recompute_drives(record, data)
         yield from check_leaks(record, data)

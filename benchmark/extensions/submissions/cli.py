@@ -32,7 +32,7 @@ def submit_check_command(options: SubmitCheckOptions) -> None:
     """Check a stranger's records of runs and drives: who planned, and every number, computed anew from the plans."""
     data = api.DataSource.of(options)
     if not options.folder.is_dir():
-        raise InputError(f"there is no folder {options.folder}; name the one that holds the submitted records")
+        raise InputError(f"there is no folder {options.folder}; name the folder with the submitted records")
     data.require()
     from adapters.planner_listing import find_own_planner
     from benchmark.extensions.submissions.checking import check_submission, read_record_facts

@@ -1,6 +1,6 @@
-"""What the plans of a submitted record give, computed anew, against what the record says, field by field.
+"""Recomputed results of a submitted record's plans, compared with the record field by field.
 
-What a check of a submission finds.
+Findings of a submission check.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -88,7 +88,7 @@ _LATER: Final = frozenset(
 _LATER_COUNTS: Final = frozenset({"mask_removed_steps", "mask_removed_for_adversary"})
 """Counts of a summary that may be null in older records."""
 _UNSAID: Final = frozenset({"columns", "value"})
-"""Fields that nobody who reads a table has heard of."""
+"""Internal fields, left out of messages."""
 _RESCORE: Final = "run challenger-bench rescore"
 
 
@@ -96,13 +96,13 @@ def check_protocols(record: RunRecord) -> Iterator[GradedSentence]:
     """Check that all protocols that judge every run judged this one, in their present versions."""
     unknown = sorted(set(record.run.protocols) - set(PROTOCOLS))
     if unknown:
-        yield FindingLevel.ERROR, f"is judged by {', '.join(unknown)}, which this version does not know; {_RESCORE}"
+        yield FindingLevel.ERROR, f"was scored by {', '.join(unknown)}, which this version does not know; {_RESCORE}"
     if record.stale_protocols:
-        yield FindingLevel.ERROR, f"is judged by other versions of {', '.join(record.stale_protocols)}; {_RESCORE}"
+        yield FindingLevel.ERROR, f"was scored by other versions of {', '.join(record.stale_protocols)}; {_RESCORE}"
     if record.missing_protocols:
-        yield FindingLevel.ERROR, f"is not judged by {', '.join(record.missing_protocols)}; {_RESCORE}"
+        yield FindingLevel.ERROR, f"was not scored by {', '.join(record.missing_protocols)}; {_RESCORE}"
     if record.summary.driving is not None and record.summary.driving.version != VERSION:
-        yield FindingLevel.ERROR, f"is judged by another version of {DEFINITION}; {_RESCORE}"
+        yield FindingLevel.ERROR, f"was scored by another version of {DEFINITION}; {_RESCORE}"
 
 
 def recompute_run(record: RunRecord, data: "DataSet") -> Iterator[GradedSentence]:
@@ -116,7 +116,7 @@ def recompute_run(record: RunRecord, data: "DataSet") -> Iterator[GradedSentence
     if mixed := next((row for row in record.rows if (row.status == "ok") != (row.plan is not None)), None):
         yield (
             FindingLevel.ERROR,
-            f"says {mixed.status!r} of sample {mixed.sample_token} of {mixed.scene} against its own plan",
+            f"claims {mixed.status!r} for sample {mixed.sample_token} of {mixed.scene}, unlike its plan",
         )
         return
     names = tuple(name for name in run.protocols if name in PROTOCOLS and name not in record.stale_protocols)
@@ -130,7 +130,7 @@ def recompute_run(record: RunRecord, data: "DataSet") -> Iterator[GradedSentence
     if len(anew) != len(record.rows):
         yield (
             FindingLevel.ERROR,
-            f"has {pluralise(len(record.rows), 'sample')}, its scenes have {len(anew)}; run eval again",
+            f"has {pluralise(len(record.rows), 'sample')}, but its scenes have {len(anew)}; run eval again",
         )
         return
     different = [row for row, computed in zip(record.rows, anew) if not _is_same_row(row, computed, names)]
@@ -138,7 +138,7 @@ def recompute_run(record: RunRecord, data: "DataSet") -> Iterator[GradedSentence
         first = different[0]
         yield (
             FindingLevel.ERROR,
-            f"says other verdicts than its plans have on {len(different)} of {pluralise(len(anew), 'sample')}, "
+            f"claims other verdicts than its plans on {len(different)} of {pluralise(len(anew), 'sample')}, "
             "first on "
             f"sample {first.sample_token} of {first.scene}; {_RESCORE}",
         )
@@ -151,7 +151,7 @@ def recompute_run(record: RunRecord, data: "DataSet") -> Iterator[GradedSentence
         )
     for scene, facts in run.scene_facts.items():
         if facts.truth is not None and facts.truth != truths[scene]:
-            yield FindingLevel.ERROR, f"says of the truth of {scene} what the data set does not hold; {_RESCORE}"
+            yield FindingLevel.ERROR, f"differs from the data set in the truth of {scene}; {_RESCORE}"
             return
     versions, facts_here = (
         {name: run.protocols[name] for name in names},
@@ -170,16 +170,16 @@ def recompute_drives(record: DriveRecord, data: "DataSet") -> Iterator[GradedSen
     """
     facts, measured = record.facts, record.facts.measured
     if facts.data.fingerprint != data.fingerprint():
-        raise InputError(f"was driven on other content of {facts.data.name} than {data.root} holds; run drive again")
+        raise InputError(f"was driven on {facts.data.name} with other content than {data.root}; run drive again")
     if facts.scoring != DRIVE_SCORING:
         yield (
             FindingLevel.ERROR,
-            f"is scored by version {facts.scoring}, this one is {DRIVE_SCORING}; run the same drive again",
+            f"was scored by version {facts.scoring}, not {DRIVE_SCORING}; run the same drive again",
         )
         return
     driven = {(row.scene, row.family, row.run) for row in record.rows}
     if len(driven) != len(record.rows) or {row.scene for row in record.rows} != set(facts.scenes):
-        yield FindingLevel.ERROR, "has a drive twice, or scenes without one; run the same drive again"
+        yield FindingLevel.ERROR, "has duplicate drives, or scenes without a drive; run the same drive again"
         return
     maker = restore_backend(measured)
     truths = collect_truth_facts(data, facts.scenes)
@@ -207,14 +207,14 @@ def _is_same_row(row: SampleRow, computed: SampleRow, protocols: Sequence[str]) 
 
 
 def _has_same_circumstances(claimed: SampleRow, computed: SampleRow) -> bool:
-    """Whether a row says the place and speed that the data have; an older one says neither."""
+    """Whether a row has the place and speed of the data; older rows have neither."""
     if claimed.speed_m_s is None or computed.speed_m_s is None:
         return claimed.place is None or claimed.place == computed.place
     return claimed.place == computed.place and abs(claimed.speed_m_s - computed.speed_m_s) <= SAME_M_S
 
 
 def _is_same_verdict(claimed: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
-    """Whether two verdicts are equal; a record that was written before a column was kept cannot have it."""
+    """Whether two verdicts are equal; older records may lack columns."""
     if claimed is None or computed is None:
         return claimed is computed
     steps = {name: column for name, column in computed.steps.items() if name in claimed.steps or name not in _LATER}
@@ -223,7 +223,7 @@ def _is_same_verdict(claimed: OutcomeRow | None, computed: OutcomeRow | None) ->
 
 
 def _is_same_driving(claimed: DrivenPlan | None, computed: DrivenPlan | None) -> bool:
-    """Whether two verdicts are equal; a record that was written before whom plans touch was kept cannot have it."""
+    """Whether two verdicts are equal; older records lack the objects that plans touch."""
     if claimed is None or computed is None or claimed.hit_adversary is not None:
         return claimed == computed
     one, other = (
@@ -247,7 +247,10 @@ def _compare_summary(claimed: RunSummary, computed: RunSummary, protocols: Seque
         ):
             yield FindingLevel.ERROR, f"claims {difference} under {name}; {_RESCORE}"
     if others := sorted(set(claimed.protocols) - set(protocols) - set(PROTOCOLS)):
-        yield FindingLevel.ERROR, f"has rates under {', '.join(others)}, which no protocol here gives; {_RESCORE}"
+        yield (
+            FindingLevel.ERROR,
+            f"has rates under {', '.join(others)}, which no protocol of this version gives; {_RESCORE}",
+        )
     if claimed.driving is None and computed.driving is not None:
         yield FindingLevel.ERROR, f"has no driving scores; {_RESCORE}"
     elif _is_current_driving(claimed) and (difference := _find_first_difference(claimed.driving, computed.driving)):
@@ -271,4 +274,4 @@ def _find_first_difference(claimed: Any, computed: Any, *, may_lack: frozenset[s
             if different := _find_first_difference(claimed.get(name), computed.get(name), may_lack=may_lack, at=place):
                 return different
         return ""
-    return "" if claimed == computed else f"{at} = {claimed}, and its plans give {computed}"
+    return "" if claimed == computed else f"{at} = {claimed}, but its plans give {computed}"

@@ -98,7 +98,7 @@ def write_model_card(weights: Path, tracks: Path, measured: Sequence[str] = (NOT
     """
     tensors, facts = read_tensors(weights)
     if missing := {"seed", "steps", "batch", "windows", "licences"} - facts.keys():
-        raise InputError(f"{weights} does not say its {', '.join(sorted(missing))}; train it with this program")
+        raise InputError(f"{weights} does not record its {', '.join(sorted(missing))}; train it with this program")
     card = weights.parent / "MODEL_CARD.md"
     sections = [_format_introduction(weights, tensors, facts, list_held_out_sources(facts, tracks)), *measured]
     write_bytes(card, "\n".join(sections).encode())

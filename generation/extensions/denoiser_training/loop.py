@@ -238,7 +238,7 @@ def _take_step(run: _Run, config: TrainingConfig, pool: WindowPool, step: int) -
     loss.backward()  # type: ignore[no-untyped-call]
     torch.nn.utils.clip_grad_norm_(run.network.parameters(), 1.0)
     run.optimiser.step()
-    # A young average would remember the random start, so it follows faster in the beginning.
+    # An early average would keep the random start, so it follows faster in the beginning.
     keep = min(config.ema, (step + 1) / (step + 10))
     with torch.no_grad():
         for name, tensor in run.network.state_dict().items():

@@ -135,9 +135,7 @@ def _build_tracks(rows: list[tuple[Any, ...]], path: Path) -> Iterator[Floats]:
         try:
             numbers = np.array([row[1:] for row in group], dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(
-                f"{path} holds something other than numbers as the pose of a vehicle ({error}); fetch it again"
-            ) from error
+            raise InputError(f"{path} holds a vehicle pose that is not numeric ({error}); fetch it again") from error
         if np.nanmax(np.abs(numbers[:, 2:4]), initial=0.0) > FARTHEST_M:
             raise InputError(f"{path} has a vehicle {FARTHEST_M:.0e} m from the origin of its map; fetch it again")
         seconds = (numbers[:, 1] - numbers[0, 1]) * 1e-6
@@ -240,7 +238,7 @@ def find_track_sources(folder: Path) -> tuple[TrackSource, ...]:
     try:
         sources = sorted(_list_sources(folder), key=lambda source: source.name)
     except OSError as error:
-        raise InputError(f"cannot look into {folder} ({error}); make it readable or pass another folder") from error
+        raise InputError(f"cannot list {folder} ({error}); make it readable or pass another folder") from error
     if not sources:
         raise InputError(
             f"{folder} holds no track files (.npz), nuPlan databases (.db) or nuScenes roots; pass a folder that does"

@@ -88,7 +88,7 @@ def _compare_candidates(comparison: Comparison, folder: GoldenFolder) -> None:
     stored = folder.arrays("physics.npz")
     waypoints = stored.floats("waypoints_local", None, WAYPOINTS, 3)
     groups = _build_groups(stored, len(waypoints))
-    # What overflows is not finite, and then fails by itself.
+    # Overflows become infinite, and then fail the comparison.
     with np.errstate(over="ignore", invalid="ignore"):
         motion = _simulate(waypoints, groups)
         _compare_motion(comparison, stored, motion)

@@ -32,7 +32,7 @@ def _compare_files(comparison: Comparison, folder: GoldenFolder) -> None:
     excused: dict[str, int] = {}
     single: dict[str, int] = {}
     with_reference, paths = 0, folder.named("*.npz")
-    # What overflows is not finite, and then fails by itself.
+    # Overflows become infinite, and then fail the comparison.
     with np.errstate(over="ignore", invalid="ignore"):
         for path in paths:
             stored, at = folder.arrays(path.name), comparison.at(path.name)

@@ -49,7 +49,7 @@ def draw_clip_maps(scene: Scene, lidar: Floats, *, cells: int = MAP_CELLS) -> Bo
     poses = np.column_stack([lidar[:, :2, 3], yaw])
     maps = np.empty((len(poses), len(MAP_CHANNELS), cells, cells), dtype=np.bool_)
     for index, pose in enumerate(poses):
-        # A car that stands still sees the same map.
+        # The map does not change while the car stands still.
         same = index > 0 and np.array_equal(pose, poses[index - 1])
         maps[index] = maps[index - 1] if same else layers.masks(pose, cells)
     return maps

@@ -106,7 +106,7 @@ def slerp(first: Floats, second: Floats, fraction: Floats) -> Floats:
 
 
 _CLASS_OF_ADVERSARY: Final = {"vehicle.emergency.police": "car", "vehicle.emergency.ambulance": "truck"}
-"""An adversary that nobody sees would make its scene worthless."""
+"""Stand-in classes: without them the model would not draw these adversaries, and the scene would be worthless."""
 # Front, left, up of each corner as signs; faces right and left, each from the front bottom edge over the top.
 _CORNER_SIGNS: Final = np.array(
     [(1, -1, 0), (1, -1, 1), (-1, -1, 1), (-1, -1, 0), (1, 1, 0), (1, 1, 1), (-1, 1, 1), (-1, 1, 0)], np.float64
@@ -228,7 +228,7 @@ def _build_padding(frames: int, views: int) -> ClipBoxes:
 SMALL_HEIGHT_PX: Final = 224
 """Largest image height at which the model takes maps of 200 x 200 cells."""
 IMAGE_FPS: Final = 120
-"""What stands for the frame rate where the clip is a single image."""
+"""Frame rate given to the model if the clip is a single image."""
 OFFICIAL_SEED: Final = 1024
 """Seed of the first sample in the published scripts."""
 MOST_FRAMES: Final = 241
@@ -310,7 +310,7 @@ def build_clip(
     )
     for quantity, numbers in (("annotations", boxes.corners), ("calibration", cams), ("ego poses", rel_pos)):
         if not np.isfinite(numbers).all():
-            raise InputError(f"the {quantity} of {scene.name} hold numbers that are not finite; correct its tables")
+            raise InputError(f"the {quantity} of {scene.name} contain NaN or infinity; correct its tables")
     return Clip(
         scene=scene.name,
         frames=chosen,
@@ -368,7 +368,7 @@ def _check_frames(scene: Scene, frames: NDArray[np.int64]) -> None:
     last = len(scene.timestamps_us) - 1
     if not len(frames) or frames.min() < 0 or frames.max() > last or (np.diff(frames) < 0).any():
         raise InputError(
-            f"{scene.name} has frames 0 to {last}; a clip needs some of them in order, got {frames.tolist()}"
+            f"{scene.name} has frames 0 to {last}; a clip takes some of them in ascending order, got {frames.tolist()}"
         )
     if compute_trimmed_length(len(frames)) != len(frames):
         raise InputError(

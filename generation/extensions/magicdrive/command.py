@@ -32,7 +32,7 @@ def build_magicdrive_renderer(
     Args:
         work: Folder for what is kept between stages.
         weights: Folder of the published weights, or ``None`` for the cache.
-        drawn_size: What the network draws, HEIGHTxWIDTH.
+        drawn_size: Output size of the network, HEIGHTxWIDTH.
         written_size: ``1600x900``, or ``model`` for the size that is drawn.
         look: One of `PromptLook`.
         device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` for GPUs where there are any.

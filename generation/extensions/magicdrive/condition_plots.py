@@ -103,7 +103,7 @@ def draw_cameras(clip: Clip) -> bytes:
         table.axis("off")
         table.text(0.0, 0.9, "\n".join(lines), family="monospace", fontsize=8, va="top")
 
-    return _draw_figure((13.0, 5.6), draw, f"{clip.scene}: cameras as told (first frame; pixels of 1600 x 900 images)")
+    return _draw_figure((13.0, 5.6), draw, f"{clip.scene}: cameras as input (first frame; pixels of 1600 x 900 images)")
 
 
 def draw_ego_motion(clip: Clip, keyframes: "NDArray[np.int64]") -> bytes:
@@ -127,7 +127,7 @@ def draw_ego_motion(clip: Clip, keyframes: "NDArray[np.int64]") -> bytes:
         steps.set_xlabel("position in the clip (red: step into a keyframe)")
         steps.set_ylabel("metres from the frame before")
 
-    return _draw_figure((11.0, 4.8), draw, f"{clip.scene}: ego motion as told")
+    return _draw_figure((11.0, 4.8), draw, f"{clip.scene}: ego motion as given to the model")
 
 
 def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequence[int]) -> bytes:

@@ -1,4 +1,4 @@
-"""What MagicDriveDiT is told about one clip: boxes, map, cameras, ego motion and words, as tensors.
+"""Conditions of MagicDriveDiT for one clip: boxes, map, cameras, ego motion and words, as tensors.
 
 Section numbers are those of the model's specification. V views are in the model's order (`MODEL_CAMERAS`), T are
 frames, n is the number of distinct objects in the clip (at least 1, padded where there is none). Lengths are metres,
@@ -89,7 +89,7 @@ class ClipConditions:
             if shape != wanted:
                 raise ValueError(f"{name} has shape {shape}, not {wanted}")
         if self.bboxes.shape[0] not in (1, views):
-            raise ValueError(f"boxes are given for {self.bboxes.shape[0]} views; 1 or {views} are possible")
+            raise ValueError(f"boxes are given for {self.bboxes.shape[0]} views; give them for 1 or {views}")
         if self.maps.shape[0] != frames:
             raise ValueError(f"maps are given for {self.maps.shape[0]} frames, not {frames}")
 

@@ -1,7 +1,7 @@
 """MagicDriveDiT: latents of six videos, and what is known about the scene, to the velocity of rectified flow.
 
 Written from the specification of `MagicDriveSTDiT3-XL/2`; names and shapes of tensors are those of its weights file.
-What does not depend on the timestep is computed once for a scene and branch (`encode`), the rest at every step
+Everything independent of the timestep is computed once for a scene and branch (`encode`), the rest at every step
 (`forward`).
 """
 
@@ -47,8 +47,8 @@ class EncodedConditions:
         control: (b, 1, t, S, C) map features and positions, with which the control stream starts.
         position: (S, C) embedding of places.
         rate: (b, C) embedding of the frame rate.
-        keys_values: What each block's cross-attention makes of the tokens, in the order of `MagicDriveDiT.blocks`, if
-            it is kept.
+        keys_values: Keys and values of each block's cross-attention, in the order of `MagicDriveDiT.blocks`, if
+            they are cached.
     """
 
     tokens: ConditionTokens
@@ -91,7 +91,7 @@ class FinalLayer(nn.Module):
         """
         out = self._modulate(x, time)
         if given is not None:
-            # The published network modulates given frames twice; the sampler discards what comes of it.
+            # The published network modulates given frames twice; the sampler discards the result.
             out = torch.where(given[:, None, :, None, None], self._modulate(out, time_of_given), out)
         velocity: Tensor = self.linear(out)
         return velocity

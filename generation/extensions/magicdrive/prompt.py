@@ -9,7 +9,7 @@ from benchmark.datasets.scene_descriptions import describe_traffic_and_road, joi
 from benchmark.scene import Scene
 
 IMPORTED: Final = "Imported from ScenarioNet"
-"""What earlier versions wrote as the description of every imported recording; it describes nothing."""
+"""Placeholder description of every imported recording in earlier versions; ignored."""
 
 
 class PromptLook(StrEnum):
@@ -47,7 +47,7 @@ class _LookChange:
     locations: dict[str, str]
 
 
-# The published code says how it rewrites prompts for daytime; for rain and night it says the negative prompt only, and
+# The published code says how it rewrites prompts for daytime; for rain and night it gives only the negative prompt, and
 # the rewriting follows the same pattern here.
 _CHANGES: Final = {
     PromptLook.DAYTIME: _LookChange(

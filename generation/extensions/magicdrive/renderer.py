@@ -123,7 +123,7 @@ class MagicDriveRenderer:
         """
         self.settings, self.files, self.work = settings, files, work
         self.config = config or MagicDriveConfig.full()
-        # Not asked of PyTorch where it is named: on a cluster the command's own machine need not have one.
+        # A named device is not checked with PyTorch: on a cluster the machine of the command may have none.
         named = settings.device.startswith("cuda")
         self._on_gpu = named or (settings.device == "auto" and torch.cuda.is_available())
 

@@ -76,7 +76,7 @@ def build_null_conditions(model: MagicDriveDiT, conditions: ClipConditions, *, k
         cams=model.camera_embedder.uncond_cam.to(conditions.cams.dtype).expand_as(conditions.cams),
         rel_pos=ego,
         maps=conditions.maps if keep_map else torch.zeros_like(conditions.maps),
-        # As published, as many tokens as the prompt has, whatever the length of the negative one.
+        # As published: as many tokens as the prompt has, regardless of the negative prompt's length.
         text=TextStates(hidden, text.mask),
         negative_text=None,
     )
@@ -161,7 +161,7 @@ class SamplingOptions:
 
     Attributes:
         steps: Evaluations of each branch.
-        mode: What the null branch is told, see `GuidedModel.of`.
+        mode: Conditions of the null branch, see `GuidedModel.of`.
         together: Whether both branches are one batch: the same velocities, fewer and larger kernels, twice the memory.
         keep_keys_values: Whether keys and values of the conditions are kept: the same velocities, 1 % fewer operations.
     """

@@ -18,7 +18,7 @@ from benchmark.scene import Camera, EgoTrack, Scene
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
 
 CALIBRATION_SIZE: Final = (1600, 900)
-"""Image size, pixels, for which the model wants intrinsic matrices, whatever size it draws."""
+"""Image size, pixels, that intrinsic matrices for the model refer to at every output size."""
 _NEGLIGIBLE: Final = 1e-6
 
 

@@ -91,5 +91,5 @@ def find_handover_frame(scene: Scene, agent: int, start_us: int, hyper: HyperPar
     if not len(after):
         after = valid_frames[valid_frames >= first_frame]
     if not len(after):
-        raise InputError(f"the vehicle {scene.agents.ids[agent]} of {scene.name} is gone before the drive starts")
+        raise InputError(f"the vehicle {scene.agents.ids[agent]} of {scene.name} leaves before the drive starts")
     return int(after[0])

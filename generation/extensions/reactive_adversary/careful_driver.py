@@ -1,4 +1,4 @@
-"""Whether a careful human would survive a candidate: all candidates of a batch at once, along the ego's way.
+"""Avoidability of candidates for a careful human driver: all candidates of a batch at once, along the ego's path.
 
 In open loop an adversary never touches the recorded ego, and that keeps it fair. In closed loop the ego may do
 anything, and only a vehicle that may be hit is ever in another's way. So the search asks what a careful and competent
@@ -35,8 +35,8 @@ _RISE_M_S3: Final = 12.65
 _AIR_ALONG_M: Final = 1.0
 _AIR_ASIDE_M: Final = 0.4
 _ASIDE_M_S: Final = 0.1
-"""What is nearer than this, in the ego's way and beside it, is as good as touched: where the ego will be is not known,
-and less so the farther ahead."""
+"""Gaps smaller than this, ahead of the ego and beside it, count as contact: where the ego will be is uncertain,
+and more so the farther ahead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +152,7 @@ class CarefulDriverCheck:
         in_way = others.beside <= 0.0
         for step in range(len(self.steps)):
             unsafe = _is_unsafe(rear[:, step : step + 2], front[:, step], beside[:, step], station, speed, half)
-            # Most of the others are in the ego's way for a while only.
+            # Most other road users are in the ego's way only for a while.
             in_way_now = np.flatnonzero(in_way[:, step])
             if len(in_way_now):
                 ahead, along = others.rear[in_way_now, step : step + 2, None], others.front[in_way_now, step, None]
@@ -174,7 +174,7 @@ class CarefulDriverCheck:
             closing = np.maximum(speed - (rear[:, -1] - rear[:, -2]) / dt, 0.0)
             needed = closing * np.maximum(waiting, 0.0) + closing**2 / (2.0 * HARDEST_BRAKING)
             hit |= (beside[:, -1] <= 0.0) & (gap > -half) & (gap < needed)
-        # Whoever would be hit by others in any case is not hit because of a candidate.
+        # A driver who would be hit by others in any case is not hit because of a candidate.
         return np.asarray(hit | (lost & (not self.lost)))
 
     def compute_missing_distance(self, placed: PathBodies) -> Floats:

@@ -19,11 +19,11 @@ _STILL_M: Final = 0.05
 """Shorter ways have no direction."""
 ON_ROUTE_M: Final = 1.5
 ON_ROUTE_RAD: Final = 0.35
-"""Who is no farther from the route, nor looks elsewhere, follows it."""
+"""Largest distance and heading error at which an ego follows the route."""
 AS_RECORDED_M: Final = 1.0
 """An ego this near to where it was recorded at the same time drives as recorded."""
 MOST_TURN_RAD: Final = np.pi / 2
-"""Nobody is expected to turn farther than round one corner."""
+"""Largest predicted turn: one right-angled corner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ def _predict_on_plan(plan: ActivePlan, times_us: NDArray[np.int64]) -> Floats:
     ways = np.diff(knots, axis=0)
     moving = np.hypot(*ways.T) >= _STILL_M
     heading = np.arctan2(ways[:, 1], ways[:, 0])
-    # Who stands looks where it looked before.
+    # A standing ego keeps its previous heading.
     last = np.maximum.accumulate(np.where(moving, np.arange(len(ways)), -1))
     heading = np.where(last >= 0, heading[last], 0.0)
     middle = np.concatenate([[0.0], np.arange(len(ways)) + 0.5])

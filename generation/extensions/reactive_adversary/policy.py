@@ -162,7 +162,7 @@ class ReactiveAdversary:
     ) -> AdversaryPlanning:
         stages = {"physics": 0.0, "scoring": 0.0}
         hyper = self.settings.hyper
-        # Open loop knows where the ego will be, and keeps clear of it.
+        # In open loop the ego's future is known, and the adversary keeps clear of it.
         kind = AdversaryPlanning if self.settings.knows is EgoPrediction.RECORDING else ReactivePlanning
         return kind(
             scene, self.agent, self.start, hyper, self.diversify, self.model, rng, stages, road_around=road_around
@@ -268,7 +268,7 @@ class ReactiveAdversary:
         for poses in clear:
             if not hits(poses):
                 return self._build_braked_motion(frame, steps, poses)
-        # Whoever is behind the ego and can do nothing that is safe does what is nearest to it.
+        # An adversary behind the ego without a safe plan takes the one nearest to safe.
         return (
             self._build_braked_motion(frame, steps, clear[-1]) if clear and careful.is_following(now, size) else chosen
         )
@@ -297,7 +297,7 @@ class ReactiveAdversary:
         memory: AdversaryMemory,
     ) -> _ChosenMotion:
         """The best candidate that may be driven, or the brakes."""
-        # Whoever is off the road already may come back to it, however.
+        # An adversary that is already off the road may return to it, however.
         on_road = bool(scene.road_map.is_drivable(memory.track[-1, :2]))
         for number, index in () if refinement is None else self._order_candidates(refinement):
             assert refinement is not None
@@ -370,7 +370,7 @@ class ReactiveAdversary:
     @staticmethod
     def _slow_on_path(path: Floats, seconds: Floats, state: VehicleState, braking_m_s2: float) -> Floats:
         """(K, 3) poses of who leaves its plan's speed for a steady braking from now on."""
-        # A pose before now gives the path the speed that it is driven with.
+        # The pose before now sets the initial speed along the path.
         back = np.array([np.cos(path[0, 2]), np.sin(path[0, 2])]) / FRAME_HZ * state.speed
         before = np.array([[*(path[0, :2] - back), path[0, 2]]])
         times = np.concatenate([[-1.0 / FRAME_HZ], seconds])
@@ -380,7 +380,7 @@ class ReactiveAdversary:
 def build_driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
     """Motion of one track, (S + 1, 3) of the box centre, one a frame, as if a candidate had done it.
 
-    What the tracker asked for is not known.
+    The tracker's commands are unknown.
     """
     axle = compute_rear_axle(poses, length_m)
     heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])

@@ -1,6 +1,6 @@
-"""What an adversary may drive: none but the ego is ever touched, and every plan ends well, to the last frame.
+"""Admissible plans of an adversary: no contact with anything but the ego, and a safe end, to the last frame.
 
-What others who answer will do: their own policy, run on for as long as scores look, from where all are now.
+Prediction of reactive road users: their own policy, rolled out from the present over the horizon of the scores.
 """
 
 from collections.abc import Iterable, Iterator
@@ -176,7 +176,7 @@ def brake_on_path(poses: Floats, first: int, seconds: Floats, braking_m_s2: floa
     yaw = np.unwrap(path[:, 2])
     beyond = np.maximum(goal - station[-1], 0.0)
     ahead = np.array([np.cos(path[-1, 2]), np.sin(path[-1, 2])])
-    # Where it stood on its path there is no way between two stations, and none is asked for.
+    # While it stood, two stations coincide and the path between them has no length; none is needed.
     place = np.column_stack([np.interp(goal, station, path[:, axis]) for axis in range(2)]) + beyond[:, None] * ahead
     turned = wrap_angle(np.interp(goal, station, yaw))
     return np.concatenate([path[:first], np.column_stack([place, turned])])
@@ -190,7 +190,7 @@ def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
     flat = scores.ravel()
     order: Integers = np.argsort(flat, kind="stable")
     order = order[np.isfinite(flat[order])]
-    # The best are all alike: what stops one of them stops the others.
+    # The best candidates are alike: an obstacle to one of them stops the others, too.
     spread = np.unique(np.linspace(0, max(len(order) - 1, 0), most - most // 2).astype(np.int64))
     for place in order[np.union1d(np.arange(min(most // 2, len(order))), spread[: len(order)])].tolist():
         yield divmod(place, scores.shape[1])
@@ -231,7 +231,7 @@ def predict_others(scene: Scene, others: ExpectedAgents, moment: TrafficSnapshot
         first, second = boxes[place, agent], boxes[place + 1, agent]
         position[agent, later, :2] = first[:, :2] + share * (second[:, :2] - first[:, :2])
         yaw[agent, later] = first[:, 4] + share[:, 0] * wrap_angle(second[:, 4] - first[:, 4])
-        # Who is there at one end of a step may be in the way in all of it.
+        # A road user present at one end of a step may be in the way during all of it.
         valid[agent, later] = present[place, agent] | present[place + 1, agent]
     adversary = others.handover.agent
     position[adversary], yaw[adversary], valid[adversary] = (

@@ -1,4 +1,4 @@
-"""What an adversary in the loop depends on: its budget, what it knows of the ego, and how its search scores."""
+"""Settings of a reactive adversary: its budget, its knowledge of the ego, and the scores of its search."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -15,7 +15,7 @@ VERSION: Final = 3
 """Raised whenever the same adversary would drive elsewhere in the same drive."""
 AHEAD_WEIGHT: Final = 4.0
 LONGEST_FRAMES: Final = 36
-"""Nobody drives blindly for longer than candidates are scored."""
+"""Most frames between two plans: the frames over which candidates are scored."""
 OTHERS: Final = ("replay", "idm")
 
 
@@ -43,7 +43,7 @@ class AdversarySettings:
     """Settings of an adversary in the loop.
 
     Attributes:
-        knows: What it expects of the ego.
+        knows: Prediction of the ego that it uses.
         every_frames: It is planned anew after so many frames of 1/12 s.
         keep_considered: Whether what it considered is kept; nothing else depends on it.
 
@@ -60,11 +60,11 @@ class AdversarySettings:
     def __post_init__(self) -> None:
         if not 1 <= self.every_frames <= LONGEST_FRAMES:
             raise InputError(
-                f"an adversary is planned anew every 1/{FRAME_HZ} to {LONGEST_FRAMES / FRAME_HZ:g} s, not every "
+                f"an adversary must be replanned every 1/{FRAME_HZ} to {LONGEST_FRAMES / FRAME_HZ:g} s, not every "
                 f"{self.every_frames / FRAME_HZ:.3g} s (--adversary-every)"
             )
         if self.others not in OTHERS:
-            raise InputError(f"the others beside an adversary are {' or '.join(OTHERS)}, not {self.others!r}")
+            raise InputError(f"other road users beside an adversary must be {' or '.join(OTHERS)}, not {self.others!r}")
 
     @classmethod
     def of(
@@ -97,7 +97,7 @@ class AdversarySettings:
             prediction.value: prediction for prediction in EgoPrediction if prediction is not EgoPrediction.RECORDING
         }
         if knows not in known:
-            raise InputError(f"an adversary knows {', '.join(known)}, not {knows!r} (--adversary-knows)")
+            raise InputError(f"--adversary-knows must be one of {', '.join(known)}, not {knows!r}")
         hyper = build_reactive_settings()
         hyper = replace(
             hyper,

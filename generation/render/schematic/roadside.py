@@ -110,7 +110,7 @@ def compute_seen_colours(facets: Facets, air: Atmosphere, ego_pose: Floats) -> N
     cos, sin = np.cos(ego_pose[2]), np.sin(ego_pose[2])
     ahead, left = offset[:, 0] * cos + offset[:, 1] * sin, offset[:, 1] * cos - offset[:, 0] * sin
     beam = air.compute_beam(ahead, left)[facets.solid]
-    # The lamps light what faces the ego.
+    # The lamps light faces towards the ego.
     towards = -(facets.normal[:, 0] * offset[facets.solid, 0] + facets.normal[:, 1] * offset[facets.solid, 1])
     beam = beam * np.clip(towards / np.maximum(np.hypot(*offset[facets.solid].T), 1e-6), 0.15, 1.0)
     lit = facets.colour * (light[:, None] * np.array(air.tint) + beam[:, None])
@@ -221,7 +221,7 @@ def _find_building_plots(road_map: RoadMap, region: shapely.Geometry, paved: sha
     if len(plot.boxes):
         too_close = shapely.dwithin(footprints, paved, 2.5) | shapely.dwithin(footprints, road_map.drivable_area, 6.0)
         plot = plot.where(~too_close)
-    # Of two that overlap, the one with the smaller seed stands: a rule that no third one can change.
+    # Of two that overlap, the one with the smaller seed stays: no third one can change this.
     first, second = np.triu_indices(len(plot.boxes), 1)
     near = np.hypot(*(plot.boxes[first, :2] - plot.boxes[second, :2]).T) < 30.0
     first, second = first[near], second[near]

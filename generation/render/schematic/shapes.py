@@ -1,4 +1,4 @@
-"""What the kinds of road users look like, by category and size; coordinates as in `drafting`.
+"""Shapes of road users, by category and size; coordinates as in `drafting`.
 
 Solids of flat facets in a unit box, and the pen that draws them.
 """

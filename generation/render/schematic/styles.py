@@ -40,7 +40,7 @@ class CameraPipeline:
         white_balance: Gain of each channel.
         gamma: Exponent of the tone curve; above 1 is harder.
         read_noise: Standard deviation of the noise in the dark, grey levels of 0..255.
-        shot_noise: What noise gains with the root of the grey level.
+        shot_noise: Increase of noise with the square root of the grey level.
         jpeg_quality: Of the camera's own compression, 0..100.
     """
 
@@ -149,7 +149,7 @@ def develop(image: NDArray[np.uint8], pipeline: CameraPipeline, seed: int) -> ND
     curve, deviation = _build_tables(pipeline)
     light = cv2.LUT(cv2.GaussianBlur(image, (0, 0), pipeline.blur * width), curve)
     light = cv2.multiply(light, _compute_falloff(height, width, pipeline.vignette), dst=light)
-    # The noise of a sensor follows what falls on it: a table by the grey level. Light is never below nothing.
+    # Sensor noise depends on the grey level: a table. Light is never negative.
     spread = cv2.LUT(np.minimum(light, 255.0).astype(np.uint8), deviation)
     spread = cv2.multiply(spread, _select_noise(height, width, seed), dst=spread)
     # The sum is rounded to even and cut to 0..255 on its way into bytes.

@@ -71,7 +71,7 @@ class PlannerDrive:
         ticks = row.ticks
         at_keyframes = np.diff(ticks.time_us[: len(ticks.command)]) == _KEYFRAME_US
         if not at_keyframes.all():
-            raise InputError(f"the drive of {row.scene} was not planned every half second; drive it with this version")
+            raise InputError(f"the drive of {row.scene} was not planned every half second; repeat it with this version")
         states = np.array(ticks.ego[: len(ticks.command)]).reshape(-1, 7)
         return cls(planner, states[:, :3], states[:, 3], tuple(map(Command, ticks.command)))
 
@@ -110,7 +110,7 @@ def plan_ways_back(world: TownWorld, planned: PlannedEgo, driven: PlannerDrive) 
     begin = interpolate_grid(planned.path.rear, planned.stations[:1])[0]
     if np.hypot(*(begin - driven.poses[0])[:2]) > _SAME_PLACE_M:
         raise InputError(
-            "the drives are of another town, their ego begins elsewhere; give the seed (and --crossing) of the town "
+            "the drives belong to another town: their ego starts elsewhere; give the seed (and --crossing) of the town "
             "that was driven in"
         )
     ways = np.full((len(driven), PLAN_STEPS, 2), np.nan)
@@ -146,7 +146,7 @@ def _plan_way_back(world: TownWorld, planned: PlannedEgo, pose: Floats, speed: f
         return None
     others = TownWorld(world.town, tracks=[_cut_track(track, first, count) for track in world.tracks])
     going_on = _approach_town_speed(metres, first, count, away)
-    # With room ahead: who would only just not touch somebody has to do something else.
+    # With room ahead: a driver who would only just avoid contact has to do something else.
     roomy = others.is_free(
         _compute_boxes(planned, going_on + _ROOM_M + _ROOM_S * np.gradient(going_on) * FRAME_HZ, away)
     )
@@ -187,7 +187,7 @@ def _compute_deviation(planned: PlannedEgo, pose: Floats, speed: float, expected
 def _approach_town_speed(planned: Floats, first: int, count: int, away: _PathDeviation) -> Floats:
     """(N,) metres along the path at 12 Hz of who soon drives as the town's driver does at the same places."""
     seconds = np.arange(FRAMES) / FRAME_HZ
-    # Where that driver stands, from the moment nearest to now.
+    # Position of that driver, from the moment nearest to now.
     near = np.flatnonzero(np.abs(planned - away.metres) <= _SAME_STATION_M)
     if len(near):
         begin = float(np.clip(seconds[first], seconds[near[0]], seconds[near[-1]]))
@@ -210,7 +210,7 @@ def _approach_schedule(schedule: Floats, away: _PathDeviation) -> Iterator[Float
     back_s = max(_SOONEST_BACK_S, _PEAK * abs(ahead) / _HASTE_MPS)
     for quicker in _QUICKER:
         fading = evaluate_quintic(seconds, 0.0, quicker * back_s, (ahead, away.speed_mps - planned_mps), (0.0, 0.0))[0]
-        # Nobody drives backwards to be where they should.
+        # A driver does not reverse to get back to schedule.
         yield np.maximum.accumulate(schedule + fading)
     for braking in _BRAKING_MPS2:
         until = np.minimum(seconds, away.speed_mps / braking)

@@ -47,7 +47,7 @@ class TownRoad:
         reference: (M, 2) line between the directions, from node to node.
         lanes: Lanes per direction.
         kerb_parking: Whether it has a parking strip on both sides.
-        speed_mps: What people drive here.
+        speed_mps: Usual speed of traffic.
     """
 
     name: str

@@ -134,7 +134,7 @@ def drive_off_path(
     others = TownWorld(world.town, tracks=world.tracks)
     taken: list[_ExcursionPlan] = []
     rear = _compute_rear(planned, taken)
-    # What the planned motion does already is not held against an excursion.
+    # Conflicts of the planned motion itself do not count against an excursion.
     begin = float(rng.uniform(*_FIRST_S))
     while begin + _DEPARTING_S[1] + _RETURNING_S[0] < FRAMES / FRAME_HZ:
         wanted = _draw_excursion(planned, begin, rng)
@@ -156,7 +156,7 @@ def _draw_excursion(planned: PlannedEgo, begin: float, rng: np.random.Generator)
     departing, returning = float(rng.uniform(*_DEPARTING_S)), float(rng.uniform(*_RETURNING_S))
     if kind == "late-braking":
         braking = _find_braking_start_s(planned, begin + departing)
-        # Where nobody brakes it gets off its path sideways.
+        # Without braking on the path, the excursion becomes lateral.
         kind, begin = ("lateral", begin) if braking is None else (kind, braking - 0.5 * departing)
     lateral = _draw_size(_LATERAL_M, _LATERAL_ASIDE_M, rng, main=kind == "lateral")
     heading = _draw_size(_HEADING_RAD, _HEADING_ASIDE_RAD, rng, main=kind == "heading")

@@ -165,7 +165,7 @@ def list_town_scene_names(split: Split, count: int) -> tuple[str, ...]:
         raise InputError(f"the embedded town has no split {split!r}; choose val or train")
     numbers = [number for block in _NUMBERS[split] for number in block]
     if not 0 <= count <= len(numbers):
-        raise InputError(f"the embedded town has between 0 and {len(numbers)} {split} scenes, not {count}")
+        raise InputError(f"the embedded town has at most {len(numbers)} {split} scenes, got {count}")
     return tuple(f"scene-{number:04d}" for number in numbers[:count])
 
 
@@ -233,14 +233,14 @@ def _find_populated_world(
         # Not every town has a place for every theme: after some attempts the other town of the split is tried.
         location = _LOCATIONS[split][(place + attempt // _TRIES_PER_TOWN) % 2]
         town = build_town(location, seed)
-        # Whoever gives a drive the wrong number of them finds another ego, not the same one with others in its way.
+        # A drive given the wrong number of them gets another ego, not the same one with other pedestrians.
         also = (crossing,) if crossing else ()
         rng = np.random.default_rng(content_seed("town scene", TOWN_VERSION, split, index, seed, attempt, *also))
         populated = _populate(town, location, seed, programme, rng, crossing)
         if populated is None or not _is_worth_attacking(populated[0]):
             continue
         return *populated, programme
-    raise InputError(f"the embedded town finds no traffic for {split} scene {index} with seed {seed}; use another seed")
+    raise InputError(f"the embedded town has no traffic for {split} scene {index} with seed {seed}; use another seed")
 
 
 @lru_cache(maxsize=8)

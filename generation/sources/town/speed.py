@@ -85,7 +85,7 @@ def plan_speed(
 
 
 def _search(path: VehiclePath, blocked: Bools, start_mps: int, desired: Floats, pace: Floats) -> list[int] | None:
-    # Half a second to import, which commands that make no town need not wait for.
+    # Imported late: it takes half a second, which commands that make no town need not wait for.
     from scipy.ndimage import minimum_filter1d
 
     count = blocked.shape[1]
@@ -94,7 +94,7 @@ def _search(path: VehiclePath, blocked: Bools, start_mps: int, desired: Floats, 
     gap = (np.minimum.accumulate(next_blocked, axis=1)[:, ::-1] - index) * STATION_M
     behind = (index - np.maximum.accumulate(np.where(blocked, index, -10 * count), axis=1)) * STATION_M
     speeds = np.arange(TOP_SPEED_MPS + 1)[:, None]
-    # A second passes between two states: what holds a little further on or back must hold here too.
+    # A second passes between two states: limits a little further on or back must hold here too.
     limit = minimum_filter1d(path.speed_limit, 2 * round(_LIMIT_REACH_M / STATION_M) + 1)[:count]
     speeding = _SPEEDING_COST * np.maximum(speeds - limit - 0.5, 0.0) ** 2
     speeding = np.where((speeds > _HARD_LIMIT * limit + 0.5) & (speeds > start_mps), np.inf, speeding)

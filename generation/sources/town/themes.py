@@ -1,4 +1,4 @@
-"""What each scene is about: where the ego goes, who is around it, and in which light."""
+"""Themes of scenes: route of the ego, traffic around it, and light."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

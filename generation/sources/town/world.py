@@ -1,4 +1,4 @@
-"""Who is in a scene: tracks accepted so far, and the rule that nothing is added that would touch them."""
+"""Road users of a scene: tracks accepted so far, and the rule that no track is added that would touch them."""
 
 from dataclasses import dataclass, field
 

@@ -20,18 +20,18 @@ from leaderboard.frame.specification import (
 from leaderboard.page.sections import Section
 
 CHALLENGES: Final = "challenges"
-"""What these tables are shown under."""
+"""Heading above these tables."""
 _ATTRIBUTABLE: Final = "attributable (%)"
 _RANKED_BY: Final[dict[Rank, str]] = {
-    "adversary": "of how often their plans touch a changed vehicle before anything else, the higher the better; any "
-    "contact, bystanders with it, stands beside it",
-    "collision": "of their collision rates, the higher the better; first contacts with a changed vehicle stand beside "
-    "them, a dash where the scores do not say whom contacts are with",
+    "adversary": "of how often their plans touch a changed vehicle before anything else, higher is better; any "
+    "contact, bystanders included, is shown beside it",
+    "collision": "of their collision rates, higher is better; first contacts with a changed vehicle are shown beside "
+    "them, a dash if the scores do not record the objects touched",
 }
 _RANK_NOTE: Final = (
-    "Ranked by the mean over the planners {}. A refused scene counts as one on which nobody collides. Places: those "
-    "that the numbers leave open; of two entries the 95 % interval of their difference, in resamples of the same "
-    "recordings, leaves zero out or they are not told apart."
+    "Ranked by the mean over the planners {}. A refused scene counts as one without a collision. Places: ranges "
+    "that the numbers allow; two entries are separated if the 95 % interval of their difference, in resamples of the "
+    "same recordings, excludes zero."
 )
 _ADVERSARY: Final = "adversary (%)"
 _HEADS: Final[dict[Rank, tuple[str, ...]]] = {
@@ -43,8 +43,8 @@ _BESIDE_NOTE: Final = (
     "Attributable: contact that is the planner's fault where the careful and competent human (UN R157) survives; "
     "survives: share of scenes that this driver survives; gap: least distance of the recorded ego and the changed "
     "vehicle, mean; critical: share of scenes in which the two are ever within 1.5 s of contact; delta-v: of the ego "
-    "where a plan first touches a changed vehicle (of any contact in older files), mean; realism: 1 less the "
-    "divergence of the worst feature of motion from the recordings, the larger the better. Brackets: 95 % bootstrap "
+    "where a plan first touches a changed vehicle (of any contact in older files), mean; realism: 1 minus the "
+    "divergence of the worst feature of motion from the recordings, higher is better. Brackets: 95 % bootstrap "
     "interval over recordings."
 )
 
@@ -95,7 +95,7 @@ def _ranking(scores: ChallengeScores) -> Table:
     first, other = _HEADS[scores.ranks]
     return tabulate(
         f"challenge-{scores.challenge}",
-        f"{scores.challenge}: entries held to {scores.base.name}",
+        f"{scores.challenge}: entries on {scores.base.name}",
         [
             *text_columns("place", "entry"),
             *number_columns("scenes", "refused"),
@@ -176,7 +176,7 @@ def _pairs(scores: ChallengeScores) -> Table:
     difference = "difference (points)"
     return tabulate(
         f"challenge-pairs-{scores.challenge}",
-        f"{scores.challenge}: which entries are told apart",
+        f"{scores.challenge}: separated entries",
         [
             *text_columns("first", "second"),
             *group_columns(
@@ -192,7 +192,7 @@ def _pairs(scores: ChallengeScores) -> Table:
             }
             for pair in scores.pairs
         ],
-        ["Each pair has its own 95 % interval; of many pairs a few are told apart by chance."],
+        ["Each pair has its own 95 % interval; of many pairs, a few are separated by chance."],
     )
 
 

@@ -130,7 +130,7 @@ def film_command(options: FilmOptions) -> None:
         print_json({"films": films})
     print_next_steps(
         f"films: {options.to}",
-        (f"leaderboard{repeat_out_option(options.out)}", "a site that plays all scenes"),
+        (f"leaderboard{repeat_out_option(options.out)}", "builds a site that plays all scenes"),
         json_output=options.json_output,
     )
 
@@ -152,13 +152,13 @@ def resolve_planner_names(names: Sequence[str], records: Sequence[Path], everywh
         small = miniature_of(own)
         if name not in ran and own not in ran and small in ran:
             api.notify_once(
-                f"there are no records of {own}: {small}, which ran in its place, is shown (docs/miniatures.md)"
+                f"there are no records of {own}; showing {small}, which ran in its place (docs/miniatures.md)"
             )
         known = {*ran, *MODELS}
-        # Tables may show a planner with what tells its versions apart: "vad-base (seed 1)".
+        # Tables may show a planner with a suffix that distinguishes its versions: "vad-base (seed 1)".
         if name.partition(" (")[0] not in known and ":" not in name:
             raise InputError(
-                f"no planner is called {name!r}; {did_you_mean(name, known)}{describe_recorded(records_found)}"
+                f"there is no planner {name!r}; {did_you_mean(name, known)}{describe_recorded(records_found)}"
             )
         shown_names.append(
             next(
@@ -224,7 +224,7 @@ def write_drive_films(
         watch: Shows how far the work is.
 
     Yields:
-        What was written.
+        The written files.
 
     Raises:
         InputError: If there is no such drive, the data set is another one, or a film cannot be written.
@@ -238,7 +238,7 @@ def write_drive_films(
 
     if form not in {film_format.value for film_format in FilmFormat}:
         raise InputError(
-            f"there are no films of {form!r}; there are {', '.join(film_format.value for film_format in FilmFormat)}"
+            f"unknown film format {form!r}; use one of {', '.join(film_format.value for film_format in FilmFormat)}"
         )
     if form == FilmFormat.WEBM:
         require_webm()
@@ -286,14 +286,14 @@ def _select_drives(selection: _DriveSelection) -> "list[tuple[DriveRecord, str, 
         if (record.facts.data.name, record.facts.split) == (data, selection.split)
     ]
     if not here:
-        raise InputError(f"there are no records of drives of {data} {selection.split}; {again}")
+        raise InputError(f"there are no records of drives on {data} {selection.split}; {again}")
     record_labels = compute_version_labels([(record.facts.planner, data, selection.split) for record in here])
     named = [(record, label or record.planner) for record, label in zip(here, record_labels, strict=True)]
     known = sorted({name for _, name in named} | {record.planner for record in here})
     for name in selection.models:
         if name not in known:
             hint = did_you_mean(name, known)
-            raise InputError(f"no record of drives is of {name}; {hint}there are {', '.join(known)}")
+            raise InputError(f"there are no drives of {name}; {hint}choose one of {', '.join(known)}")
     selected = [
         named_record
         for named_record in named
@@ -303,7 +303,7 @@ def _select_drives(selection: _DriveSelection) -> "list[tuple[DriveRecord, str, 
     for scene in selection.scenes or ():
         if scene not in driven:
             hint = did_you_mean(scene, driven)
-            raise InputError(f"scene {scene} was not driven; {hint}there are {', '.join(driven)}")
+            raise InputError(f"scene {scene} was not driven; {hint}choose one of {', '.join(driven)}")
     wanted = set(driven if selection.scenes is None else selection.scenes)
     rows = [
         (record, name, [row for row in record.rows if row.scene in wanted][: selection.limit])

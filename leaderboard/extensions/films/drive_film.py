@@ -54,7 +54,7 @@ DRIVE_FPS: Final = 10.0
 OUTCOME_WORDS: Final[dict[FrameAction, str]] = {
     "track": "drives the scene's own track",
     "searched": "drives what its search found",
-    "slowed": "nothing it found is allowed; brakes or goes on",
+    "slowed": "found nothing admissible; brakes or keeps its plan",
 }
 _EDGE_PX: Final = 14
 _CHART_PX: Final = 240
@@ -75,7 +75,7 @@ class DriveFilm:
         frames = tuple(frame for frame in select_film_frames(self._sheet.scene, self._above, settings) if frame <= last)
         if not frames:
             raise InputError(
-                f"the drive of {self._sheet.scene} ends after {driven.seconds[last]:.1f} s, a film from "
+                f"the drive of {self._sheet.scene} ends after {driven.seconds[last]:.1f} s, so a film from "
                 f"{settings.begin_s} s on has no frames; choose an earlier --from"
             )
         reaches_end = settings.end_s is None or settings.end_s >= driven.seconds[last]
@@ -204,7 +204,7 @@ class DriveFilm:
         over = frame >= driven.last
         since = driven.seconds[frame] - driven.seconds[driven.begins]
         passed = [touch for touch in row.passed if since >= touch.seconds]
-        lines = [f"touched by {sanitise_name(touch.category)}, not at fault: it is gone" for touch in passed[-1:]]
+        lines = [f"touched by {sanitise_name(touch.category)}, not at fault: it is removed" for touch in passed[-1:]]
         if row.contact is not None and self._describe_state(frame)[1]:
             whom = f"{row.contact.category}{', the adversary' if row.contact.adversary else ''}"
             fault = "at fault" if row.contact.at_fault else "not at fault"
@@ -253,7 +253,7 @@ def _choose_layout(driven: EpisodePage, layout: FilmLayout) -> FilmLayout:
         return layout
     if layout is FilmLayout.CAMERAS:
         raise InputError(
-            f"nothing drew pictures for the drive of {driven.row.scene}; film it with --layout birdseye, or drive with "
+            f"the drive of {driven.row.scene} has no camera images; film it with --layout birdseye, or drive with "
             "--sensor schematic"
         )
     return FilmLayout.BIRDSEYE

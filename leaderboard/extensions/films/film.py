@@ -62,7 +62,7 @@ class CameraMosaic:
         decoded = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
         if decoded is None or decoded.shape[:2] != self._whole[::-1]:
             raise InputError(
-                f"{path} is not a picture of {self._whole[0]}x{self._whole[1]} pixels, as its sheet says; run "
+                f"{path} is not a picture of {self._whole[0]}x{self._whole[1]} pixels, as in its sheet; run "
                 "challenger-bench sheets again"
             )
         method = cv2.INTER_AREA if self._scale < 1.0 else cv2.INTER_CUBIC
@@ -77,7 +77,7 @@ class CameraMosaic:
         for cell in self._stored.sheet.cameras:
             edges = np.array(edges_of.get(cell.name, ()), np.float64).reshape(-1, 2, 2)
             left, top, right, bottom = self._corners(cell)
-            # The middle of the first pixel is 0 before and after the change of size.
+            # The centre of the first pixel is 0 before and after resizing.
             pixels = (edges + 0.5) * self._scale - 0.5 - (left, top)
             lines = list(np.round(pixels * (1 << SHIFT)).astype(np.int32))
             for colour, width in ((PAPER, 4), (ADVERSARY, 2)):
@@ -124,8 +124,8 @@ class FilmSettings:
     """Settings of a film.
 
     Attributes:
-        layout: What a frame shows.
-        protocol: Who judges; ``native`` is each planner's own.
+        layout: Layout of a frame.
+        protocol: Protocol of the verdicts; ``native`` is each planner's own.
         begin_s: First moment, seconds after the scene's first frame.
         end_s: Last moment; the scene's last frame by default.
         fps: Frames a second; the film runs as fast as the scene did.
@@ -228,7 +228,7 @@ class Film:
         """
         if len(set(models)) > MOST_PLANNERS:
             raise InputError(
-                f"a film shows {MOST_PLANNERS} planners at most and {len(set(models))} were named; name fewer"
+                f"a film shows at most {MOST_PLANNERS} planners, but {len(set(models))} were named; name fewer"
             )
         self.stored, self.settings = stored, settings
         self._above = BirdseyeScene(stored.sheet)
@@ -299,7 +299,7 @@ def _choose_layout(stored: StoredScenePage, layout: FilmLayout) -> FilmLayout:
         return layout
     if layout is FilmLayout.CAMERAS:
         raise InputError(
-            f"the sheet of {stored.sheet.scene} has no pictures of cameras; film it with --layout birdseye, or write "
+            f"the sheet of {stored.sheet.scene} has no camera images; film it with --layout birdseye, or write "
             "its sheet from a data set that has images"
         )
     return FilmLayout.BIRDSEYE
@@ -311,11 +311,11 @@ def select_film_frames(scene: str, above: BirdseyeScene, settings: FilmSettings)
     end = float(seconds[-1]) if settings.end_s is None else min(settings.end_s, float(seconds[-1]))
     if settings.begin_s > seconds[-1]:
         raise InputError(
-            f"{scene} lasts {seconds[-1]:.1f} s, a film from {settings.begin_s} s on has no frames; "
+            f"{scene} lasts {seconds[-1]:.1f} s, so a film from {settings.begin_s} s on has no frames; "
             "choose an earlier --from"
         )
     count = int((end - settings.begin_s) * settings.fps + _LATE_S) + 1
-    # A frame that is late by less than half its length is the one that is meant: recorders are not that exact.
+    # A frame late by less than half its length still counts as the requested one: recorders are inexact.
     moments = settings.begin_s + np.arange(count) / settings.fps + 0.5 / FRAME_HZ
     return tuple(
         int(frame_number) for frame_number in np.clip(np.searchsorted(seconds, moments) - 1, 0, len(seconds) - 1)

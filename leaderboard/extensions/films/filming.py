@@ -148,7 +148,7 @@ def find_scene_page_folders(root: Path, data: str, split: str, scenes: Sequence[
 def _list_other_pages(root: Path) -> str:
     """Sheets that there are instead, in words."""
     splits = sorted(f"{path.parent.name} of {path.parent.parent.name}" for path in root.glob(f"*/*/{SPLIT_FILE}"))
-    return f"there are those of split {', '.join(splits)}; name one with --data and --split, or " if splits else ""
+    return f"there are sheets of split {', '.join(splits)}; name one with --data and --split, or " if splits else ""
 
 
 def write_films(
@@ -176,12 +176,12 @@ def write_films(
         models: Planners to show, as tables name them.
         scenes: Scene names; all that have a sheet by default.
         limit: Only the first so many of them.
-        form: What is written.
+        form: File format.
         settings: How films are made.
         watch: Shows how far the work is.
 
     Yields:
-        What was written of each scene (`write_film`).
+        Files written for each scene (`write_film`).
 
     Raises:
         InputError: If a scene has no sheet, there are no records, or as `write_film` does.
@@ -248,7 +248,7 @@ def write_frames(
         return _write_frames(target, frames, len(film))
     if form is FilmFormat.WEBP and len(film) > LONGEST_WEBP:
         raise InputError(
-            f"an animated WebP has {LONGEST_WEBP} frames at most, this one would have {len(film)}; choose a part with "
+            f"an animated WebP has {LONGEST_WEBP} frames at most, and this one has {len(film)}; choose a part with "
             "--from and --until, a smaller --fps, or --format webm"
         )
     path = target.with_name(f"{target.name}.{form.value}")

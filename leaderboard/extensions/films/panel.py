@@ -115,7 +115,7 @@ class Panel:
             cv2.line(image, (area.left, y), (right, y), RULE, 1)
             text = f"{metres:.0f} m" if metres < _WIDEST_GAP_M else f"{metres:.0f} m or more"
             write_text(image, text, (right + 6.0, y), size_px=11, colour=FAINT_INK)
-        # Below the samples, at the same scale of time.
+        # Below the samples, on the same time axis.
         edges = _compute_cell_edges(self._sheet, area.left, right - area.left)
         x = np.interp(np.arange(len(self._gap_m)), [*self._sheet.keyframes, len(self._gap_m)], edges)
         y_px = bottom - np.clip(self._gap_m / _WIDEST_GAP_M, 0.0, 1.0) * (bottom - top)

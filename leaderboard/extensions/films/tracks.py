@@ -1,4 +1,4 @@
-"""What each planner planned in one scene, sample by sample, and what was said of it."""
+"""Plans of each planner in one scene, sample by sample, with their verdicts."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -104,7 +104,7 @@ def _find_record(sheet: ScenePage, records: Sequence[RunRecord], name: str) -> R
     candidates = [record for record in known if record.planner == name] or [
         record for record in known if record.run.planner.name == name
     ]
-    # A run of the whole split goes before runs of some of its scenes.
+    # A run of the whole split takes precedence over runs of some of its scenes.
     preferred = [record for record in candidates if record.covers_split] or candidates
     if not preferred:
         there = f"; there are {', '.join(sorted({record.planner for record in known}))}" if known else ""

@@ -1,4 +1,4 @@
-"""Whether a site or a leaderboard may leave the house, and whether it works elsewhere.
+"""Check of a site or a leaderboard before publishing: private content, and whether it works on other hosts.
 
-What is looked for: docs/extensions/publishing.md.
+The checks: docs/extensions/publishing.md.
 """

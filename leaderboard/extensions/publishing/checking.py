@@ -1,6 +1,6 @@
 """Look through a folder that is to be published.
 
-Pictures of recordings on a site: whose they are, and whether somebody said that they may be shown.
+Pictures of recordings on a site: their origin, and whether permission to show them was given.
 
 Words that tell of a machine, its network and its people: absolute paths, names of hosts and users, keys.
 """
@@ -52,7 +52,7 @@ _COMMON_NAMES: Final = frozenset(
         "host",
     )
 )
-"""Names that tell nothing."""
+"""Generic names, which reveal nothing."""
 _SHORTEST_NAME: Final = 3
 _SHORTEST_IN_BINARY: Final = 6
 _READABLE: Final = re.compile(rb"[\x20-\x7e]{6,}")
@@ -90,7 +90,7 @@ class MachineIdentity:
         names = {host, host.partition(".")[0]}
         users = {os.environ.get(name, "") for name in ("USER", "LOGNAME", "SUDO_USER", "USERNAME")}
         users |= {Path.home().name}
-        # A container may run as a number without a name.
+        # A container may run under a user id without a name.
         with contextlib.suppress(KeyError, OSError):
             users.add(getpass.getuser())
         here = {path.name for path in Path("/").iterdir() if path.is_dir() and re.fullmatch(r"[\w.-]+", path.name)}
@@ -163,7 +163,7 @@ def find_recorded_pictures(
             groups[str(row["data"]), str(row["split"]), _find_renderer(row)].append(str(row["scene"]))
     except (InputError, KeyError, TypeError):
         yield PublicationFinding(
-            index, 0, "picture", "pictures of cameras lie below media/, and it does not say whose they are"
+            index, 0, "picture", "there are camera pictures below media/, but their origin is not recorded"
         )
         return
     for (data, split, drawn_by), scenes in sorted(
@@ -171,15 +171,15 @@ def find_recorded_pictures(
     ):
         if drawn_by in DRAWN or data in may_show:
             continue
-        maker = f"drawn by {drawn_by} from recordings" if drawn_by else "taken by cameras as far as is known"
+        maker = f"drawn by {drawn_by} from recordings" if drawn_by else "presumably taken by cameras"
         some = ", ".join(sorted(scenes)[:_NAMED]) + (", ..." if len(scenes) > _NAMED else "")
         yield PublicationFinding(
             f"{root}media",
             0,
             "picture",
             f"pictures of {len(scenes)} scenes of {data}, split {split} ({some}), {maker}: read the licence of the "
-            f"recordings; if it allows to show them, name the data set with --may-show {data}, else write the sheets "
-            "anew with --pictures none",
+            f"recordings; if it allows publication, name the data set with --may-show {data}, else write the sheets "
+            "again with --pictures none",
         )
 
 
@@ -202,7 +202,7 @@ def check_publishable(
     Args:
         folder: A site, a leaderboard, or a folder of outputs with a leaderboard in it.
         may_show: Names of data sets whose pictures may be shown.
-        house: What tells of the machine; this one by default.
+        house: Names and paths that identify the machine; this one by default.
 
     Returns:
         The folder that was looked at, and what was found, by file.
@@ -211,7 +211,7 @@ def check_publishable(
         InputError: If there is no such folder, nothing is in it, or a file cannot be read.
     """
     if not folder.is_dir():
-        raise InputError(f"there is no folder {folder}; name the one that is to be published")
+        raise InputError(f"there is no folder {folder}; name the folder to publish")
     below = folder / LEADERBOARD
     root = below if below.is_dir() and not (folder / INDEX).is_file() else folder
     files = {path.relative_to(root).as_posix(): path for path in sorted(root.rglob("*")) if not path.is_dir()}
@@ -228,7 +228,7 @@ def _check_files(
     indices: dict[str, str] = {}
     for file, path in files.items():
         if path.is_symlink():
-            yield PublicationFinding(file, 0, "link", "is a link to elsewhere; publish a copy")
+            yield PublicationFinding(file, 0, "link", "is a link that leads outside; publish a copy")
         else:
             there[file] = path.stat().st_size
     for file in there:
@@ -277,7 +277,7 @@ def _check_addresses(file: str, text: str, there: dict[str, int]) -> Iterator[Pu
 def _read_content(path: Path) -> bytes:
     try:
         if path.stat().st_size > _MOST_TEXT_BYTES:
-            raise InputError(f"{path} has more than {_MOST_TEXT_BYTES:,} bytes; take it out of what is to be published")
+            raise InputError(f"{path} has more than {_MOST_TEXT_BYTES:,} bytes; remove it from the folder to publish")
         return path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error

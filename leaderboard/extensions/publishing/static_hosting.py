@@ -1,6 +1,6 @@
-"""Whether pages work on any static host: what they load is in the folder, and nothing is asked of anybody else.
+"""Whether pages work on any static host: all they load is in the folder, with no requests to other hosts.
 
-What is found in files that are to be published.
+Findings in files to be published.
 """
 
 import re
@@ -60,7 +60,7 @@ _ASKS: Final = re.compile(
 _STYLE_URL: Final = re.compile(r"""url\(\s*["']?([^"')]+)["']?\s*\)|@import\s+["']([^"']+)["']""")
 _PAGE_LINK: Final = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 _LARGEST_BYTES: Final = 100 * 1024 * 1024
-"""What a file may have on the static hosts that are free."""
+"""Largest file on free static hosts."""
 _INSIDE: Final = ("data", "blob", "mailto")
 
 
@@ -97,7 +97,7 @@ def check_page(
     page.feed(text)
     if is_whole and not any("default-src 'none'" in policy for policy in page.policies):
         yield PublicationFinding(
-            file, 0, "request", "no security policy forbids requests to others (default-src 'none')"
+            file, 0, "request", "no security policy forbids requests to other hosts (default-src 'none')"
         )
     for policy in page.policies:
         for source in re.findall(r"(?:https?|wss?):\S*", policy):
@@ -136,12 +136,12 @@ def check_file_names(there: Mapping[str, int]) -> Iterator[PublicationFinding]:
         other = files_by_lower_name.setdefault(file.lower(), file)
         if other != file:
             yield PublicationFinding(
-                file, 0, "name", f"differs from {other} in capitals alone; some hosts keep one of them"
+                file, 0, "name", f"differs from {other} only in capitals; some hosts keep only one of them"
             )
         if any(part.startswith(("_", ".")) for part in PurePosixPath(file).parts) and file != ".nojekyll":
             yield PublicationFinding(file, 0, "name", "begins with _ or a dot; some hosts do not serve such names")
         if re.search(r'[?#:*"<>|\\\x00-\x1f]', file):
-            yield PublicationFinding(file, 0, "name", "has a letter that addresses or other systems do not allow")
+            yield PublicationFinding(file, 0, "name", "has a character that URLs or other systems do not allow")
         if size > _LARGEST_BYTES:
             yield PublicationFinding(
                 file, 0, "name", f"has {size:,} bytes; some hosts take no more than {_LARGEST_BYTES:,}"
@@ -161,13 +161,13 @@ def _check_address(file: str, line: int, address: str, there: Mapping[str, int])
     path = unquote(parts.path)
     if path.startswith("/"):
         yield PublicationFinding(
-            file, line, "link", f"{path[:120]} begins at the host's root; below another address it leads nowhere"
+            file, line, "link", f"{path[:120]} begins at the host's root, which breaks it on a site in a subfolder"
         )
         return
     target_parts: list[str] = list(PurePosixPath(file).parent.parts)
     for part in PurePosixPath(path).parts:
         if part == ".." and not target_parts:
-            yield PublicationFinding(file, line, "link", f"{path[:120]} leads out of the folder")
+            yield PublicationFinding(file, line, "link", f"{path[:120]} points outside the folder")
             return
         if part == "..":
             target_parts.pop()

@@ -42,7 +42,7 @@ _BRIEF: Final = ("split", "subjects", "SC", "95 % of SC", "IQ", "95 % of IQ", "v
 _MEASURES_NOTE: Final = (
     "SC: subject consistency (VBench, DINO ViT-B/16), mean over the appearances of each vehicle after its first; IQ: "
     "imaging quality (VBench, MUSIQ trained on SPAQ) of vehicles' regions, and of whole frames. Brackets: 95 % "
-    "bootstrap interval over recorded scenes. What is measured in detail: docs/extensions/quality.md."
+    "bootstrap interval over recorded scenes. Details: docs/extensions/quality.md."
 )
 _GROUPS: Final = ("all", "adversary", "others")
 
@@ -74,7 +74,7 @@ def _table(records: Sequence[QualityRecord], *, several: bool) -> Table:
     data_name, definition = chosen[0].facts.data.name, chosen[0].facts.definition
     title = f"{data_name}: video quality, masks from {chosen[0].masks}, {_frame_rate(definition)}"
     differences = _list_differences(chosen)
-    paper = "Paper: frame rate, resolution and regions are not published: its values are a reference and no target."
+    paper = "Paper: frame rate, resolution and regions are not published: its values are a reference, not a target."
     return tabulate(
         name,
         title,
@@ -114,7 +114,7 @@ def _list_differences(records: Sequence[QualityRecord]) -> list[str]:
     frames_by_split = {record.facts.split: _frames(record) for record in records}
     if len(set(frames_by_split.values())) > 1:
         frame_texts = "; ".join(f"{split}: {frames}" for split, frames in frames_by_split.items())
-        notes.append(f"Frames differ between splits, and with them the numbers: {frame_texts}.")
+        notes.append(f"Frames, and so the numbers, differ between splits: {frame_texts}.")
     else:
         notes.append(f"Frames: {next(iter(frames_by_split.values()))}.")
     for record in records:

@@ -1,4 +1,4 @@
-"""What ``challenger-bench reproduce`` prints: published numbers beside ours, and the verdict on each."""
+"""Tables of ``challenger-bench reproduce``: published numbers beside ours, and the verdict on each."""
 
 from typing import Final
 
@@ -33,7 +33,7 @@ def _row(number: ComparedNumber, source: int) -> Values:
         "at": number.horizon,
         "expected": f"{number.published:.{digits}f}",
         "ours": None if number.ours is None else f"{number.ours:.{digits}f}",
-        # Adding zero makes minus zero zero.
+        # Adding zero turns -0.0 into 0.0.
         "difference": None if number.difference is None else f"{round(number.difference, digits) + 0.0:+.{digits}f}",
         "allowed": f"{number.allowed:g}" if UNITS[number.column] else "none",
         "from": str(source),

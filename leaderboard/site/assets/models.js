@@ -45,7 +45,7 @@
       id: "models", link: "model-link", textColumns: 2, notes: [
         "Average of the collision rates at 1, 2 and 3 s, per cent.",
         ...(mine.some((model) => model.privileged)
-          ? ["† sees what no car sees (boxes, map or the recorded future): a reference row."] : []),
+          ? ["† privileged: sees boxes, the map or the recorded future; a reference row."] : []),
         ...(mine.some((model) => model.miniature) ? [MINIATURE_NOTE] : []),
         ...mine.flatMap((model) => model.runs.filter((run) => run.data === data && run.plansFrom)
           .map((run) => run.plansFrom)),
@@ -99,7 +99,7 @@
         model.miniature ? element("p", { class: "remark" }, "A miniature, trained on the embedded town: it shows the "
           + "pipeline, ranks nothing.") : null,
         element("p", { class: "lead" }, model.privileged
-          ? "A reference: it sees what no car sees (boxes, the map or the recorded future). " : null,
+          ? "A reference: it is privileged (sees boxes, the map or the recorded future). " : null,
           model.nativeProtocol ? `Protocol of its own repository: ${model.nativeProtocol}.`
             : "It has no repository of its own, so that its own protocol is exact."),
         element("div", { class: "toolbar" }, choice({ label: "Protocol", value: protocol, choices: protocols,

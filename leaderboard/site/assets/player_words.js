@@ -6,7 +6,7 @@
   const COMMANDS = ["right", "left", "straight"];
   const DID = {
     track: "The adversary drives the scene's own track.", searched: "The adversary drives what its search found.",
-    slowed: "Nothing that the adversary's search found is allowed; it brakes or goes on.",
+    slowed: "The adversary's search found nothing admissible; it brakes or keeps its plan.",
   };
   const COLUMNS = 8, LAST_COMPARED = 5;
 

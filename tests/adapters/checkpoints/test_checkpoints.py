@@ -104,7 +104,7 @@ def test_a_checkpoint_that_runs_code_is_refused_and_its_code_never_runs(
     content = as_mmcv(weights())
     content[where]["extra"] = RunsCode(trace)
     path = saved(tmp_path / "a.pth", content, _use_new_zipfile_serialization=not legacy)
-    with pytest.raises(InputError, match=r"is refused: it asks for (posix|nt)\.system") as refusal:
+    with pytest.raises(InputError, match=r"is refused: it uses \(posix\|nt\)\.system") as refusal:
         import_checkpoint(path, cache=tmp_path / "cache")
     assert not trace.exists() and "weights_only" not in str(refusal.value)
     assert not (tmp_path / "cache").exists()
@@ -134,7 +134,7 @@ def test_a_class_of_its_own_is_refused_by_name(tmp_path: Path) -> None:
 def test_an_array_of_objects_is_refused(tmp_path: Path) -> None:
     content = as_mmcv(weights())
     content["meta"]["history"] = np.array([None, {}], dtype=object)
-    with pytest.raises(InputError, match="is refused: it asks for numpy"):
+    with pytest.raises(InputError, match="is refused: it uses numpy"):
         read_checkpoint(saved(tmp_path / "a.pth", content))
 
 
@@ -190,7 +190,7 @@ def test_what_is_no_checkpoint_is_one_sentence(tmp_path: Path, content: bytes, s
 
 @pytest.mark.parametrize("content", [[1], {}, {"state_dict": {}}, {"epoch": 3}, {"state_dict": {"a": 1}}, {1: 2}])
 def test_content_that_is_no_state_dict_is_refused(tmp_path: Path, content: Any) -> None:
-    with pytest.raises(InputError, match="weights are a state dict"):
+    with pytest.raises(InputError, match="weights must be a state dict"):
         read_checkpoint(saved(tmp_path / "a.pth", content))
 
 
@@ -276,7 +276,7 @@ def test_weights_of_another_model_are_named(tmp_path: Path) -> None:
         import_checkpoint(path, "small", tmp_path / "cache")
     with pytest.raises(InputError, match="no model with weights; those are small, large"):
         import_checkpoint(path, "huge", tmp_path / "cache")
-    with pytest.raises(InputError, match="checkpoint of something else"):
+    with pytest.raises(InputError, match="checkpoint of one"):
         import_checkpoint(saved(tmp_path / "b.pth", {"a": torch.zeros(1)}), cache=tmp_path / "cache")
 
 
@@ -304,9 +304,9 @@ def test_the_normalisation_is_that_of_the_training(
 def test_an_unknown_normalisation_is_a_question(tmp_path: Path) -> None:
     config = CONFIG.format(mean="1, 2, 3", std="1, 1, 1", rgb=True)
     path = saved(tmp_path / "a.pth", as_mmcv(weights(), config))
-    with pytest.raises(InputError, match="say which to use with --normalisation, one of bgr-mean, rgb-mean-std"):
+    with pytest.raises(InputError, match="say one with --normalisation: bgr-mean, rgb-mean-std"):
         import_checkpoint(path, cache=tmp_path / "cache")
-    with pytest.raises(InputError, match="there is no normalisation 'grey'"):
+    with pytest.raises(InputError, match="unknown normalisation 'grey'"):
         import_checkpoint(path, cache=tmp_path / "cache", normalisation="grey")
 
 
@@ -348,7 +348,7 @@ def test_damaged_weights_are_made_again(tmp_path: Path) -> None:
     strange = cache / "strange.safetensors"
     safetensors.torch.save_file({"a": torch.zeros(1)}, strange)
     assert list(cached_weights(cache)) == [found]
-    with pytest.raises(InputError, match="does not say which model"):
+    with pytest.raises(InputError, match="does not name the model"):
         read_provenance(strange)
 
 
@@ -444,7 +444,7 @@ def test_what_was_fetched_before_a_download_broke_off_is_not_fetched_again(tmp_p
         files = (PublishedFile(name, url=f"{server}/{name}", page=f"{server}/page") for name in names)
         return PublishedWeights("small", tuple(files), "free")
 
-    with pytest.raises(InputError, match="broke off"):
+    with pytest.raises(InputError, match="was cut off"):
         fetch_checkpoint(with_companion("a.pth", "short.pth"), cache)
     assert (fetching / "a.pth").read_bytes() == path.read_bytes() and not (fetching / "short.pth").exists()
     path.unlink()

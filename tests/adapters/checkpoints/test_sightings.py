@@ -150,7 +150,7 @@ def test_anchors_of_a_data_set_fit_a_network_and_are_refused_by_one_with_others(
 
 def test_a_small_data_set_is_one_sentence(data: NuScenesData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SparseConfig, "sparsedrive", lambda: FEW)
-    with pytest.raises(InputError, match="0 different plans of command 0 and anchors need 2"):
+    with pytest.raises(InputError, match="0 different plans of command 0 but anchors need 2"):
         write_anchors("sparsedrive", data, "val", tmp_path / "a.safetensors")
     with pytest.raises(InputError, match="'vad' is no model with anchors"):
         write_anchors("vad", data, "val", tmp_path / "a.safetensors")
@@ -181,7 +181,7 @@ def test_anchors_on_disk_are_the_same_bytes_and_read_back(
 def test_the_command_says_what_it_lacks(data: NuScenesData, tmp_path: Path) -> None:
     out = tmp_path / "anchors.safetensors"
     for arguments, says in (
-        (("--model", "vad", "--data", data.root), "no model with anchors"),
+        (("--model", "vad", "--data", data.root), "not a model with anchors"),
         (("--model", "sparsedrive", "--data", data.root, "--split", "val"), "anchors need 900"),
     ):
         run = challenger_bench("weights", "anchors", *arguments, "--out", out)

@@ -61,7 +61,7 @@ WRONG_USE: dict[str, tuple[Callable[[], object], str]] = {
     "an unknown format to write": (lambda: require_writable("vad"), "did you mean vad-results or vad-out"),
     "a planner for its format": (lambda: require_writable("agent-driver"), r"did you mean pred-trajs\?"),
     "a format without plans to write": (lambda: require_writable("law-out"), "no plan"),
-    "no such file": (lambda: recognise(Path("nowhere.pkl")), "there is no result file"),
+    "the file": (lambda: recognise(Path("nowhere.pkl")), "there is no result file"),
 }
 
 

@@ -261,7 +261,7 @@ def test_a_file_that_names_no_samples_needs_a_plan_for_each(town: tuple[FakeData
         for row in record.rows
     )
     for name in ("sparsedrive", "vad-out"):
-        with pytest.raises(InputError, match="names no samples, so each needs a plan, and 2 have none"):
+        with pytest.raises(InputError, match="names no samples, so each needs a plan, but 2 have none"):
             write_results(dataclasses.replace(record, rows=rows), read_recorded_samples(data, "val"), name, tmp_path)
 
 

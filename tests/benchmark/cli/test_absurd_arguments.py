@@ -34,7 +34,7 @@ def test_bytes_that_are_no_text(
     text = said(capsys, monkeypatch, "data", "check", f"{tmp_path}/\udcff")
     assert r"\udcff is not text in UTF-8" in text
     # Text of any script is text.
-    assert "is not text" not in said(capsys, monkeypatch, "data", "check", f"{tmp_path}/данные-資料")
+    assert "is not UTF-8 text" not in said(capsys, monkeypatch, "data", "check", f"{tmp_path}/данные-資料")
 
 
 @pytest.mark.parametrize("name", ["two\nlines", "red\x1b[31m", "right\u202eleft"])
@@ -56,7 +56,7 @@ def test_links_that_lead_in_a_circle_pipes_and_numbers_beyond_machines(
     loop, pipe, huge = tmp_path / "loop", tmp_path / "pipe", "9" * 400
     loop.symlink_to("loop")
     os.mkfifo(pipe)
-    assert "circle; name another place" in said(capsys, monkeypatch, "doctor", "--out", str(loop))
+    assert "loop; choose another path" in said(capsys, monkeypatch, "doctor", "--out", str(loop))
     generate = ("generate", "--out", str(tmp_path / "out"), "--dry-run")
-    assert "a pipe or a device; name a file" in said(capsys, monkeypatch, *generate, "--freeze", str(pipe))
+    assert "a pipe or a device; give a regular file" in said(capsys, monkeypatch, *generate, "--freeze", str(pipe))
     assert "at most 10,000" in said(capsys, monkeypatch, *generate, "--workers", huge)

@@ -26,7 +26,11 @@ def test_a_missing_map_is_said_once_for_each_planner_and_marks_the_row(town: Pat
     done = run_here("eval", "--data", root, "--model", "idm", "--model", "stop", "--out", tmp_path / "out")
     warnings = [line for line in done.err.splitlines() if line.startswith("warning: ")]
     assert done.code == 0 and [line.split(":")[1] for line in warnings] == [" idm", " stop"]
-    assert "idm † ¶" in done.out and "drives straight on" in warnings[0] and "drives straight on" not in warnings[1]
+    assert (
+        "idm † ¶" in done.out
+        and "drives straight instead" in warnings[0]
+        and "drives straight instead" not in warnings[1]
+    )
     sound = run_here("eval", "--data", town, "--model", "idm", "--out", tmp_path / "sound")
     assert sound.code == 0 and "warning" not in sound.err and "¶" not in sound.out
 

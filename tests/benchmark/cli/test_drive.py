@@ -94,4 +94,4 @@ def test_stored_drives_are_scored_anew_beside_runs(source: Path, out: Path, tmp_
     done = run_here(*options)
     assert done.code == 1 and str(head) in done.out and done.out.count("current") == 4
     done = run_here("rescore", "--data", source, "--out", tmp_path / "new")
-    assert done.code == 2 and "no run records" in done.err and "no drives" in done.err
+    assert done.code == 2 and "no evaluation records" in done.err and "no drive" in done.err

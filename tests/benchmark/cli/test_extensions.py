@@ -48,7 +48,7 @@ def test_a_command_of_the_core_that_asks_for_an_extension_says_which(tmp_path: P
         done = run_without(package, *arguments)
         assert done.returncode == 2, done.stderr
         assert done.stderr.splitlines()[-1] == (
-            f"error: this needs the extension {name}, which is not installed here; install it"
+            f"error: this needs the extension {name}, which is not installed; install it"
         )
 
 

@@ -76,4 +76,4 @@ def test_a_broken_list_of_splits_is_said_whatever_split_is_asked_for(tmp_path: P
         for command in (("eval", "--model", "constant-velocity"), ("sheets",)):
             assert says in refusal(*command, *asked)
     (root / "splits.json").write_text("{}")
-    assert "make it with" in refusal("sheets", "--split", "adv", "--data", root, "--out", tmp_path / "out")
+    assert "build it with" in refusal("sheets", "--split", "adv", "--data", root, "--out", tmp_path / "out")

@@ -54,7 +54,7 @@ def test_a_scene_without_annotations_is_warned_about_once_and_marks_the_row(town
     without_annotations(root, {SCENES[1]})
     done = evaluated(root, tmp_path / "out")
     assert done.code == 0 and done.err.count("warning: ") == 1
-    said = "1 of 2 scenes (scene-8001) has no annotations: collision rates and counts of failed scenes leave them out"
+    said = "1 of 2 scenes (scene-8001) has no annotations: collision rates and counts of failed scenes exclude them"
     assert f"warning: constant-velocity: {said}" in done.err
     assert "constant-velocity ¶" in done.out and said[:40] in done.out
     assert evaluated(town, tmp_path / "sound").err.count("warning: ") == 0

@@ -63,7 +63,7 @@ def test_plan_files_are_refused_with_what_fits_and_the_option_that_takes_them(
     path = plan_file(tmp_path / "mine.csv", changed(recorded, change))
     options = ("--data", root, "--split", "val", "--workers", "1", "--out", tmp_path / "out")
     refused = run_here("eval", "--plans", path, *options)
-    assert refused.code == 2 and says in refused.err and "--as-is takes it as it stands" in refused.err
+    assert refused.code == 2 and says in refused.err and "--as-is" in refused.err
     assert ("--frame ego reads it so" in refused.err) == (wrong == "ego labelled lidar")
     assert refused.err.strip().count("\n") == 0 and not (tmp_path / "out").exists()
 
@@ -101,7 +101,7 @@ def test_result_files_have_the_same_options(root: Path, recorded: dict[str, Floa
     path = write_pickle(tmp_path / "pred_trajs_dict.pkl", plans, 4)
     options = ("--data", root, "--split", "val", "--workers", "1", "--out", tmp_path / "out")
     refused = run_here("eval", "--results", path, *options)
-    assert refused.code == 2 and "--frame ego reads it so, --as-is takes it as it stands" in refused.err
+    assert refused.code == 2 and "--frame ego reads it so, or accept it with --as-is" in refused.err
     marked = run_here("eval", "--results", path, "--as-is", "--name", "sideways", *options)
     assert marked.code == 0 and "sideways ¶" in marked.out
 
@@ -123,6 +123,10 @@ def test_a_running_planner_is_warned_about_once_and_its_record_is_marked(root: P
 
 def test_options_without_anything_that_they_are_about_are_refused(root: Path) -> None:
     options = ("--data", root, "--split", "val")
-    assert "--frame says in which frame a file" in run_here("eval", "--model", "stop", "--frame", "ego", *options).err
-    assert "--frame says in which frame a file" in run_here("drive", "--model", "stop", "--frame", "ego", *options).err
-    assert "--as-is belongs to --plans and --results" in run_here("eval", "--model", "stop", "--as-is", *options).err
+    assert "--frame is for plan files and models" in run_here("eval", "--model", "stop", "--frame", "ego", *options).err
+    assert (
+        "--frame is for plan files and models" in run_here("drive", "--model", "stop", "--frame", "ego", *options).err
+    )
+    assert (
+        "--as-is applies only to --plans and --results" in run_here("eval", "--model", "stop", "--as-is", *options).err
+    )

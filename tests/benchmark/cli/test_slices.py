@@ -62,7 +62,7 @@ def test_eval_prints_them_behind_its_tables_and_in_its_json(runs: Path, capsys: 
 
 
 def test_what_is_not_there_is_said(runs: Path) -> None:
-    assert "no such run records" in refusal("leaderboard", "slices", "--records", runs, "--split", "adv")
+    assert "no matching run records" in refusal("leaderboard", "slices", "--records", runs, "--split", "adv")
     assert "fake (val: straight)" in refusal("leaderboard", "slices", "--records", runs, "--data", "other")
     assert "unknown protocol 'nonsense'" in refusal(
         "leaderboard", "slices", "--records", runs, "--protocol", "nonsense"

@@ -138,7 +138,8 @@ class Short(Hidden):
 
 
 @pytest.mark.parametrize(
-    ("policy", "says"), [(Hidden, "memory"), (Meddling, "changes what it is given"), (Short, "2 instants")]
+    ("policy", "says"),
+    [(Hidden, "memory"), (Meddling, "modifies its arguments; copy them first"), (Short, "2 instants")],
 )
 def test_a_policy_that_breaks_the_contract_is_told_how(policy: type[Hidden], says: str) -> None:
     scene = scene_on_straight_road()

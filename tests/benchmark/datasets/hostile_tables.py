@@ -197,7 +197,7 @@ HOSTILE_ROOTS: Final[tuple[HostileRoot, ...]] = (
     HostileRoot("an object for a table", raw("sample", '{"a": 1}'), "sample", r"sample\.json is not a JSON list"),
     HostileRoot("a number for a row", raw("sample_annotation", "[3]"), "sample_annotation", "a row is no object"),
     HostileRoot("null for a table", raw("log", "null"), "log", r"log\.json is not a JSON list"),
-    HostileRoot("no bytes", raw("map", b""), "map", r"map\.json is not a JSON list"),
+    HostileRoot("empty", raw("map", b""), "map", r"map\.json is not a JSON list"),
     HostileRoot("no text", raw("scene", b"\xff\xfe["), "scene", r"scene\.json is not a JSON list"),
     HostileRoot("a table nested deeply", raw("sample", DEEP), "sample", r"sample\.json is not a JSON list"),
     HostileRoot(
@@ -219,7 +219,7 @@ HOSTILE_ROOTS: Final[tuple[HostileRoot, ...]] = (
         "sample_data",
         r"sample_data\.json row scene-9901-LIDAR_TOP-0: the field ego_pose_token is missing",
     ),
-    HostileRoot("no token", edit("log", "token", NOTHING), "log", r"log\.json: row 0: the field token is missing"),
+    HostileRoot("not a token", edit("log", "token", NOTHING), "log", r"log\.json: row 0: the field token is missing"),
     HostileRoot("an empty token", edit("ego_pose", "token", ""), "ego_pose", r"row 0: token is \"\", it must be"),
     HostileRoot(
         "a token with a surrogate", edit("instance", "token", "\udfff"), "instance", r"token is \"\\udfff\", it must be"

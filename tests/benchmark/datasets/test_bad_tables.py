@@ -70,7 +70,7 @@ def scene_without_samples(made: TinyRoot) -> None:
         (circle, "sample-3: next scene-9901-sample-0 is not a row of scene scene-9902-token"),
         (into_the_next_scene, "first_sample_token is scene-9902-sample-0, the first is scene-9901-sample-0"),
         (names_in_capitals, "2 rows have the name"),
-        (scene_without_samples, r"scene\.json row empty: no sample is of this scene"),
+        (scene_without_samples, r"scene\.json row empty: no sample belongs to this scene"),
     ],
 )
 def test_samples_and_scenes_that_do_not_go_together_are_refused_when_opened(

@@ -80,9 +80,9 @@ IMPLAUSIBLE: dict[str, tuple[Callable[[Path], None], str, str, str]] = {
     "headings are turned": (
         in_each("sample_annotation", turned), "lie across their motion", "boxes", "lie across their motion"
     ),
-    "ego rotations have w last": (in_each("ego_pose", w_last), "read as x, y, z, w", "pose", "read as x, y, z, w"),
+    "ego rotations have w last": (in_each("ego_pose", w_last), " as x, y, z, w", "pose", " as x, y, z, w"),
     "boxes' rotations have w last": (
-        in_each("sample_annotation", w_last), "read as x, y, z, w", "pose", "read as x, y, z, w"
+        in_each("sample_annotation", w_last), " as x, y, z, w", "pose", " as x, y, z, w"
     ),
     "maps are one folder up": (
         maps_one_folder_up, r"lies at \.\./maps/expansion/boston-seaport\.json", "map", "2 of 2 scenes have no map"

@@ -227,7 +227,7 @@ def test_a_pickle_that_could_run_code_is_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = write(tmp_path, recording(extra=payload))
-    with pytest.raises(InputError, match=f"is refused: its pickle asks for {name}"):
+    with pytest.raises(InputError, match=f"is refused: its pickle uses {name}"):
         read_scenarionet(path)
     assert not (tmp_path / "pwned").exists()
 
@@ -285,7 +285,7 @@ class Call:
         Call(RECONSTRUCT, np.ndarray, (10**11,), b"b"),
         Call(RECONSTRUCT, np.ndarray, (0,), b"b", state=(1, (3,), np.dtype("O"), False, [])),
     ],
-    ids=["bytearray", "bytes", "array", "empty array", "array of objects that are not there"],
+    ids=["bytearray", "bytes", "array", "empty array", "array of objects that are missing"],
 )
 def test_a_pickle_cannot_claim_memory_that_it_does_not_bring(tmp_path: Path, claim: Call) -> None:
     (tmp_path / "sd_x.pkl").write_bytes(pickle.dumps({"id": claim}))

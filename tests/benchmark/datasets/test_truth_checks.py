@@ -59,7 +59,7 @@ def test_labels_that_stop_half_way_are_named(root: Path) -> None:
 
 def test_a_box_without_a_size_is_named(root: Path) -> None:
     edit(root, "sample_annotation", lambda rows: rows[0]["size"].__setitem__(0, 0.0))
-    assert said(root).endswith("the box is ignored, nothing can touch it")
+    assert said(root).endswith("the box is ignored")
 
 
 def test_an_instance_without_a_track_is_named(root: Path) -> None:
@@ -68,7 +68,7 @@ def test_an_instance_without_a_track_is_named(root: Path) -> None:
         rows.append({**rows[0], "token": GHOST, **nothing})
 
     edit(root, "instance", ghost)
-    assert said(root) == "instance: no annotation is of this instance: it is ignored"
+    assert said(root) == "instance: the instance has no annotation and is ignored"
 
 
 def test_unknown_categories_are_counted_and_a_map_of_them_is_taken(root: Path) -> None:
@@ -84,7 +84,7 @@ def test_an_ego_pose_that_never_moves_is_named_and_one_that_trembles_is_not(root
             row.update(translation=list(rows[0]["translation"]), rotation=rows[0]["rotation"])
 
     edit(root, "ego_pose", still)
-    assert "is the same at every sample, as if there were none" in said(root)
+    assert "is the same at every sample, as if it were missing" in said(root)
 
     def trembling(rows: list[Row]) -> None:
         for number, row in enumerate(rows):

@@ -19,7 +19,7 @@ PLACED = "tests.benchmark.planners:Placed"
 
 def test_names_are_those_between_commas() -> None:
     assert parse_device_names("cuda:0, cuda:1") == ("cuda:0", "cuda:1") and parse_device_names("cpu") == ("cpu",)
-    for text, why in (("cpu,", "empty"), (",", "empty"), ("", "empty"), ("cpu,cuda:0", "different kinds")):
+    for text, why in (("cpu,", "empty"), (",", "empty"), ("", "empty"), ("cpu,cuda:0", "devices")):
         with pytest.raises(InputError, match=why):
             parse_device_names(text)
 
@@ -76,13 +76,16 @@ def test_the_trajectory_model_is_on_the_device_of_its_process(monkeypatch: pytes
 @pytest.mark.parametrize(
     ("options", "says_what"),
     [
-        (["--device", "cpu,cuda"], "different kinds"),
+        (["--device", "cpu,cuda"], "devices"),
         (["--device", "cpu,"], "empty name"),
         (["--device", "cpu,cpu", "--workers", "1"], "leaves some"),
-        (["--device", "cpu,cpu", "--executor", "ray", "--address", "127.0.0.1:1"], "a Ray cluster gives its tasks"),
-        (["--shard", "1/2", "--executor", "ray", "--address", "127.0.0.1:1"], "a Ray cluster shares the work out"),
-        (["--shard", "1/2", "--surrogate", "idm"], "--surrogate judges all scenes together"),
-        (["--shard", "3/2"], "--shard takes a number"),
+        (
+            ["--device", "cpu,cpu", "--executor", "ray", "--address", "127.0.0.1:1"],
+            "a Ray cluster assigns GPUs to its tasks",
+        ),
+        (["--shard", "1/2", "--executor", "ray", "--address", "127.0.0.1:1"], "a Ray cluster distributes the work "),
+        (["--shard", "1/2", "--surrogate", "idm"], "--surrogate evaluates all scenes together"),
+        (["--shard", "3/2"], "--shard takes INDEX/COUNT"),
     ],
 )
 def test_what_generate_cannot_do_is_one_sentence(options: list[str], says_what: str, tmp_path: Path) -> None:
@@ -93,7 +96,7 @@ def test_what_generate_cannot_do_is_one_sentence(options: list[str], says_what: 
 @pytest.mark.parametrize(
     ("options", "says_what"),
     [
-        (["--device", "cpu,cuda"], "different kinds"),
+        (["--device", "cpu,cuda"], "devices"),
         (["--device", "cpu,"], "empty name"),
         (["--device", "quantum:0,quantum:1"], "no device 'quantum:0'"),
         (["--device", "cpu,cpu", "--workers", "1"], "leaves some"),

@@ -84,7 +84,7 @@ def test_a_record_that_does_not_say_whom_contacts_are_with_has_dashes_and_no_zer
     assert compute_effect(old, None) is None
     table = effect_table(DataSetRuns("d", [old]))
     assert table is not None and set(table.rows[0][2:]) == {"–"}
-    assert any("older records do not say whom contacts are with" in note for note in table.notes)
+    assert any("older records lack the objects touched" in note for note in table.notes)
 
 
 letters = st.text("fF.", min_size=4, max_size=4)

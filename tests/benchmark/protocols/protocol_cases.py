@@ -13,7 +13,7 @@ from benchmark.planning import Command
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.truth import SampleTruth
 
-PLANS = ("drive", "still", "jitter", "reverse", "turn back", "leave", "recorded")
+PLANS = ("drive", "still", "jitter", "reverse", "go back", "leave", "recorded")
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def plan_of(kind: Traits) -> Floats:
         "still": np.zeros((6, 2)),
         "jitter": rng.normal(0.0, 0.2, (6, 2)),
         "reverse": -np.abs(speed) * steps * [0.1, 1.0],
-        "turn back": speed * np.array([1.0, 2.0, 3.0, 3.0, 2.0, 1.0])[:, None],
+        "go back": speed * np.array([1.0, 2.0, 3.0, 3.0, 2.0, 1.0])[:, None],
         "leave": speed * steps * rng.uniform(3.0, 12.0),
         "recorded": sample_of(kind).ego_future[:, :2].copy(),
     }[kind.plan]

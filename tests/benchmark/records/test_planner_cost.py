@@ -42,7 +42,7 @@ def scene(latency_s: Sequence[float | None], memory_mb: float | None = 100.0) ->
         latency_s=list(latency_s),
         peak_memory_mb=memory_mb,
         peak_device_mb=None,
-        device="a processor",
+        device="accelerator",
     )
 
 

@@ -52,11 +52,11 @@ def test_what_is_damaged_is_not_there(tmp_path: Path, damage: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
-        ({"scores": (None,)}, "every candidate"),
-        ({"candidates": (((0.0, 0.0),), ((0.0, 0.0), (1.0, 0.0)))}, "every candidate"),
+        ({"scores": (None,)}, "each candidate"),
+        ({"candidates": (((0.0, 0.0),), ((0.0, 0.0), (1.0, 0.0)))}, "each candidate"),
         ({"chosen": 2}, "one of them"),
-        ({"chosen": None}, "is chosen where"),
-        ({"did": "slowed"}, "is chosen where"),
+        ({"chosen": None}, "need a chosen candidate"),
+        ({"did": "slowed"}, "need a chosen candidate"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(changes: dict[str, Any], why: str) -> None:

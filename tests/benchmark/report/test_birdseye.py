@@ -132,7 +132,7 @@ def test_verdicts_in_words() -> None:
     rows = record("p", [HIT, CLEAN, FAILED, UNCOUNTED]).rows
     assert [describe_verdict(row, "exact").words for row in rows] == [
         "collides within 0.5 s",
-        "no contact",
+        "contacts cannot",
         "the planner failed",
         "no contact, not counted",
     ]
@@ -187,7 +187,7 @@ def test_candidates_are_those_of_the_planning_frame_in_force() -> None:
 
 @pytest.mark.parametrize("changes", [{"chosen": 2}, {"chosen_round": 1}, {"chosen": -1}])
 def test_a_trace_that_names_what_it_has_not_is_one_sentence(changes: dict[str, int]) -> None:
-    with pytest.raises(InputError, match="does not have"):
+    with pytest.raises(InputError, match="lacks"):
         build_candidates_overlay(sheet(), trace(**changes), 6)
 
 

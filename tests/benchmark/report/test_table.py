@@ -96,7 +96,7 @@ def test_groups_cover_the_columns_and_say_whose_they_are() -> None:
     assert lines[5].strip() == r"\cmidrule(lr){2-3} \cmidrule(lr){4-4}"
     with pytest.raises(ValueError, match="groups do not cover 2 columns"):
         replace(TABLE, groups=(("", 1),))
-    with pytest.raises(ValueError, match="cells are not those"):
+    with pytest.raises(ValueError, match="cells do not match"):
         replace(TABLE, cells=((None, None),))
 
 

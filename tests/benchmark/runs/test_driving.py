@@ -226,7 +226,7 @@ def test_all_records_of_drives_are_scored_anew_and_one_that_cannot_be_stops_no_o
     assert said[good.directory].sentence == "rescored" and said[current.directory].sentence == "current"
     assert "drives.jsonl" in said[bad.directory].sentence
     others = {each.sentence for each in rescore_all_drives(tmp_path, lambda split: town(), "other") if not each.failed}
-    assert others == {"left alone, it is of the data set fake; choose that one with --data"}
+    assert others == {"skipped: it belongs to data set fake; choose that one with --data"}
     with pytest.raises(InputError, match="no folder"):
         list(rescore_all_drives(tmp_path / "nowhere", lambda split: town(), "fake"))
 
@@ -247,7 +247,7 @@ def test_plans_that_lead_elsewhere_are_refused(tmp_path: Path) -> None:
     row = driven(tmp_path, Straight()).rows[0]
     plans = [plan.model_copy(update={"waypoints": (0.5 * np.array(plan.waypoints)).tolist()}) for plan in row.plans]
     data = town()
-    with pytest.raises(InputError, match="lead elsewhere"):
+    with pytest.raises(InputError, match="give another"):
         redrive_and_score(SETTINGS.maker, data.scene(row.scene), data, row.model_copy(update={"plans": plans}))
 
 
@@ -304,7 +304,7 @@ def test_engines_that_there_are_not_are_refused(arguments: tuple[Any, ...], says
 
 def test_without_anybody_to_make_it_there_is_no_adversary() -> None:
     data = town()
-    with pytest.raises(InputError, match="nobody says who the adversary is"):
+    with pytest.raises(InputError, match="the scene has no adversary"):
         make_backend("default", "adversary").begin(data.scene(data.scene_names("val")[0]), 0, None)  # type: ignore[arg-type]
 
 
@@ -326,7 +326,7 @@ def test_an_estimate_counts_what_is_kept_and_keeps_nothing(tmp_path: Path) -> No
     drive_split(data, "val", Stop(), tmp_path, SETTINGS)
     # Made by hand it has another identity than the registry's; what the registry makes is kept under its own.
     drive_split(data, "val", factory, tmp_path, SETTINGS)
-    assert "2 of them kept already" in estimate_driving(data, "val", factory, SETTINGS, tmp_path)
+    assert "2 of them already kept" in estimate_driving(data, "val", factory, SETTINGS, tmp_path)
     job = make_job(data, "val", factory.facts, tmp_path, SETTINGS)
     assert count_cached_units(job, SETTINGS.units(data, ("scene-9901",))) == 1
 

@@ -73,4 +73,4 @@ def test_the_command_drives_shards_and_then_makes_the_record(tmp_path: Path) -> 
     assert run_here(*given, *models, "--out", tmp_path / "cut").code == 0
     assert bytes_below(tmp_path / "cut") == bytes_below(tmp_path / "whole")
     refused = run_here(*given, *models, "--out", tmp_path / "cut", "--shard", "3/2")
-    assert refused.code == 2 and "--shard takes a number" in refused.err
+    assert refused.code == 2 and "--shard takes INDEX/COUNT" in refused.err

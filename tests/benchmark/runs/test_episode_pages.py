@@ -145,7 +145,7 @@ def test_other_data_and_other_ways_are_refused(tmp_path: Path) -> None:
     row = record.rows[0]
     states = [[state[0], 0.0, *state[2:]] for state in row.ticks.ego]
     moved = row.model_copy(update={"ticks": row.ticks.model_copy(update={"ego": states})})
-    with pytest.raises(InputError, match="lead elsewhere"):
+    with pytest.raises(InputError, match="give another"):
         write_episode_page(tmp_path, town(), record, moved, DefaultBackend(), None)
 
 

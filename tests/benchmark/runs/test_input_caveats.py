@@ -20,7 +20,7 @@ from benchmark.runs.rescoring import rescore
 from benchmark.runs.rescoring_drives import rescore_drives
 from tests.benchmark.edited_roots import copy_of, edit, small_town, table_of
 
-STRAIGHT_ON, NO_SCORES = "drives straight on where it would follow a lane", "no driving scores (pdm)"
+STRAIGHT_ON, NO_SCORES = "drives straight instead of following a lane", "driving scores (pdm)"
 
 
 @pytest.fixture(scope="module")
@@ -124,8 +124,8 @@ def test_a_drive_without_a_map_says_what_goes_on_without_it(agents: str, root: P
     settings = DriveSettings("default", DefaultBackend(agents), agents, limit=1)
     record = drive_split(data, "val", planner_factory("idm"), tmp_path / "drives", settings)
     (caveat,) = record.facts.caveats
-    assert caveat.kind == "map" and STRAIGHT_ON in caveat.sentence and "no terms of nuPlan" in caveat.sentence
-    assert ("agents drive straight on" in caveat.sentence) is (agents == "idm")
+    assert caveat.kind == "map" and STRAIGHT_ON in caveat.sentence and "nuPlan terms " in caveat.sentence
+    assert ("agents continue straight" in caveat.sentence) is (agents == "idm")
     assert rescore_drives(record.directory, data).facts.caveats == [caveat]
 
 

@@ -178,9 +178,9 @@ def test_forecasts_of_nobody_are_forecasts(
 @pytest.mark.parametrize(
     ("forecasts", "says"),
     [
-        (Forecasts(np.zeros((2, 7)), np.zeros((2, 1, 6, 2)), np.ones((2, 1))), "forecast boxes have the shape"),
-        (Forecasts(np.zeros((2, 5)), np.zeros((2, 1, 12, 2)), np.ones((2, 1))), "forecast trajectories have the shape"),
-        (Forecasts(np.zeros((2, 5)), np.zeros((2, 1, 6, 2)), np.ones((1, 1))), "forecast scores have the shape"),
+        (Forecasts(np.zeros((2, 7)), np.zeros((2, 1, 6, 2)), np.ones((2, 1))), "forecast boxes have shape"),
+        (Forecasts(np.zeros((2, 5)), np.zeros((2, 1, 12, 2)), np.ones((2, 1))), "forecast trajectories have shape"),
+        (Forecasts(np.zeros((2, 5)), np.zeros((2, 1, 6, 2)), np.ones((1, 1))), "forecast scores have shape"),
         (Forecasts(np.full((2, 5), np.nan), np.zeros((2, 1, 6, 2)), np.ones((2, 1))), "must be finite"),
         (Forecasts(np.zeros((2, 5)), np.zeros(2), np.ones((2, 1))), "Error"),
         (Forecasts(np.zeros((2, 5)), np.zeros((2, 0, 6, 2)), np.ones((2, 0))), "at least one mode"),

@@ -44,7 +44,7 @@ def test_published_scenes_are_paired_with_the_recordings_of_the_data_set_that_is
     assert alone.run.unchanged is None
     table = effect_table(DataSetRuns("p", [alone], find_unchanged_candidates(tmp_path, [alone])))
     assert table is not None and set(table.rows[0][2:]) == {"–"}
-    assert any("name that one here with --unchanged" in note for note in table.notes)
+    assert any("name it here with --unchanged" in note for note in table.notes)
     named = EvalSettings(unchanged="fake")
     paired = evaluate(published, "adv", Straight(), tmp_path, named)
     said = paired.run.unchanged

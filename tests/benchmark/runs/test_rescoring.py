@@ -224,11 +224,11 @@ def test_leftovers_that_belong_to_nothing_are_dropped(directory: Path) -> None:
 
 def test_other_data_is_one_sentence(directory: Path) -> None:
     before = contents(directory)
-    with pytest.raises(InputError, match="ran on other content of fake than"):
+    with pytest.raises(InputError, match="used other data of fake than"):
         rescore(directory, town_of_two(), protocols=ALL)
     with pytest.raises(InputError, match="unknown protocol 'nonsense'"):
         rescore(directory, DATA, protocols=("nonsense",))
-    with pytest.raises(InputError, match="there is no run record"):
+    with pytest.raises(InputError, match="no run record"):
         rescore(directory / "nowhere", DATA, protocols=ALL)
     assert contents(directory) == before and not (directory / "nowhere").exists()
 

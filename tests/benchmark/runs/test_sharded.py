@@ -62,7 +62,7 @@ def test_a_part_of_the_scenes_can_be_cut_too(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["", "3", "0/4", "5/4", "1/0", "-1/2", "1/2/3", "a/b", "1 / 2"])
 def test_what_is_no_shard_is_a_sentence(text: str) -> None:
-    with pytest.raises(InputError, match="--shard takes a number and how many"):
+    with pytest.raises(InputError, match="--shard takes INDEX/COUNT"):
         Shard.named(text)
 
 

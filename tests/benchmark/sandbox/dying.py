@@ -27,7 +27,7 @@ class Wordless(Exception):
     """Has no words, and not even that can be asked."""
 
     def __str__(self) -> str:
-        raise RuntimeError("no words")
+        raise RuntimeError("not have")
 
     __repr__ = __str__
 

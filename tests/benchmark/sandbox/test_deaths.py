@@ -22,7 +22,7 @@ SAMPLES = 5
 LIMIT_S = 10.0
 SHORT_S = 1.0
 SILENCE_S = 1.5
-REST = "not asked: at sample 2 of the scene "
+REST = "not planned: at sample 2 of the scene "
 LATE = "no plan within 1 s; its process was ended"
 DIED = "the planner's process died (signal "
 LEFT = "the planner's process ended by itself with exit status "
@@ -38,8 +38,8 @@ LOST = {
     "kills-itself": f"{DIED}SIGKILL, as happens where memory runs out)",
     "ends-itself": f"{DIED}SIGTERM)",
     "closes-everything": f"{LEFT}1",
-    "talks-nonsense": f"{BROKE}it answered what it was not asked",
-    "answers-before": f"{BROKE}it answered what it was not asked",
+    "talks-nonsense": f"{BROKE}it answered another question",
+    "answers-before": f"{BROKE}it answered another question",
     "leaves-a-process": f"{LEFT}1",
 }
 RAISED = {
@@ -53,9 +53,9 @@ RAISED = {
     "wordy": "long",
     "takes-memory": "MemoryError",
     "recursion": "RecursionError: maximum recursion depth exceeded",
-    "returns-none": "TypeError: dying returned NoneType, a planner returns benchmark.planning.Plan",
-    "too-much": "Unanswerable: what was answered cannot be handed on: it holds more than 67108864 bytes",
-    "no-numbers": "Unanswerable: what was answered cannot be handed on: it holds an array of object",
+    "returns-none": "TypeError: dying returned NoneType; a planner must return benchmark.planning.Plan",
+    "too-much": "Unanswerable: the answer cannot be sent: it holds more than 67108864 bytes",
+    "no-numbers": "Unanswerable: the answer cannot be sent: it holds an array of object",
 }
 HARMLESS = ("prints", "closes-streams", "forks", "leaves-a-copy", "starts-a-process")
 

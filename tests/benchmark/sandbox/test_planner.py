@@ -204,12 +204,12 @@ def test_a_planner_that_is_another_one_each_time_is_lost(tmp_path: Path) -> None
     rows = plan_scene(
         make_sandboxed_planner(made, other, QUICK), town_of_two(), "scene-9901", tmp_path / "a", "a", fresh=False
     ).rows
-    assert {row["error"] for row in rows} == {"it says that it is another planner whenever it is built"}
+    assert {row["error"] for row in rows} == {"it reports a different identity each time it is built"}
 
 
 def test_no_plan_without_reset() -> None:
     made, identity = maker("Drawing")
-    with pytest.raises(PlannerLostError, match="begins with reset"):
+    with pytest.raises(PlannerLostError, match="call reset"):
         make_sandboxed_planner(made, identity, QUICK).plan(next(town_of_two().observations("scene-9901")))
 
 

@@ -97,7 +97,7 @@ def test_a_sheet_with_a_frame_too_many_is_named(sheets: ScenePages, tmp_path: Pa
     content = json.loads((folder / "sheet.json").read_text())
     content["timestamps_us"].append(content["timestamps_us"][-1] + 1)
     (folder / "sheet.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"scene/sheet\.json has \d+ frames and another number of ego poses"):
+    with pytest.raises(InputError, match=r"scene/sheet\.json has \d\+ frames but another number of ego poses"):
         read_scene_page(folder)
     content["timestamps_us"] = content["timestamps_us"][-2::-1]
     (folder / "sheet.json").write_text(json.dumps(content))
@@ -157,7 +157,7 @@ def test_finished_work_is_kept_and_damage_is_mended(
     written(root, tmp_path)
     before = bytes_below(tmp_path)
     data = NuScenesData.open(root, name="small")
-    assert describe_plan(data, "adv", tmp_path, HERE).endswith("; 2 are there already")
+    assert describe_plan(data, "adv", tmp_path, HERE).endswith("; 2 already exist")
     with monkeypatch.context() as patched:
         patched.setattr(making, "draw_mosaic", None)
         patched.setattr(split_sheets, "statistics", None)

@@ -110,7 +110,7 @@ RECORDINGS = tuple(
         "lanes all across one another": _after(_thicket),
         "nine million links": _after(_links),
         "twenty thousand tracks": _after(_crowd),
-        "two tracks of one name": _after(_two_of_one_name),
+        "two tracks with the same name": _after(_two_of_one_name),
     }.items()
 ) + tuple(
     Variant("scenarionet", name, change, harmless=True)

@@ -163,7 +163,7 @@ def _png(width: int, height: int) -> bytes:
         (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "cannot be read"),
         (b"", "cannot be read"),
     ],
-    ids=["large", "bomb", "wide", "empty", "cut", "no jpeg", "a program", "nothing"],
+    ids=["large", "bomb", "wide", "empty", "cut", "no jpeg", "``--json``", "nothing"],
 )
 def test_a_picture_is_as_large_as_one_of_a_camera(tmp_path: Path, content: bytes, says: str) -> None:
     path = tmp_path / "a.png"

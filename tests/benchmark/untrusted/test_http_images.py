@@ -83,10 +83,10 @@ def test_a_saved_tensor_is_refused_unless_it_was_allowed(data: bytes) -> None:
 
 
 HOSTILE: dict[str, tuple[bytes, str]] = {
-    "nothing": (b"", "no picture"),
-    "text": (b"hello", "no picture"),
-    "a cut picture": (file_of("PNG")[:60], "no picture"),
-    "a gif": (file_of("GIF"), "no picture"),
+    "nothing": (b"", "not a readable picture"),
+    "text": (b"hello", "not a readable picture"),
+    "a cut picture": (file_of("PNG")[:60], "not a readable picture"),
+    "a gif": (file_of("GIF"), "not a readable picture"),
     "many bytes": (bytes(HTTP_PICTURE.file_bytes + 1), "at most 48 MB"),
     "an array of floats": (array_of(PIXELS.astype(float)), "not of uint8"),
     "an array of objects": (array_of(np.array([[[Running()]]], dtype=object)), "not of uint8"),
@@ -98,7 +98,7 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "an array without end": (b"\x93NUMPY\x01\x00\xff\xff{", "header"),
     "an old tensor": (tensor_of(torch.from_numpy(PIXELS), zipped=False), "old form"),
     "a bare pickle": (pickle.dumps(Running()), "old form"),
-    "a saved list": (tensor_of([torch.from_numpy(PIXELS)]), "no dense tensor"),
+    "a saved list": (tensor_of([torch.from_numpy(PIXELS)]), "is not a dense tensor"),
     "saved floats": (tensor_of(torch.zeros(2, 2, 3)), "asks for torch FloatStorage"),
     "a saved module": (tensor_of(torch.nn.Linear(1, 1)), "asks for"),
     "a tensor of another shape": (tensor_of(torch.zeros(3, 6, 8, dtype=torch.uint8)), "shape 3 x 6 x 8"),
@@ -108,16 +108,19 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     ),
     "a pickle that runs": (with_pickle(pickle.dumps(Running(), protocol=2)), "asks for"),
     "a pickle that makes up names": (with_pickle(pickle.dumps(Running(), protocol=4)), "asks for STACK_GLOBAL"),
-    "a pickle that is none": (with_pickle(b"\x80\x02}"), "no saved tensor"),
-    "a long pickle": (with_pickle(b"\x80\x02" + b"N0" * 5000 + b"N."), "no saved tensor"),
-    "packed members": (repacked(lambda _, data: data, zipfile.ZIP_DEFLATED), "no saved tensor"),
+    "a pickle that is none": (with_pickle(b"\x80\x02}"), "not a saved picture tensor"),
+    "a long pickle": (with_pickle(b"\x80\x02" + b"N0" * 5000 + b"N."), "not a saved picture tensor"),
+    "packed members": (repacked(lambda _, data: data, zipfile.ZIP_DEFLATED), "not a saved picture tensor"),
     "large members": (
         repacked(lambda name, data: bytes(HTTP_PICTURE.file_bytes // 2) if "data/0" in name else data, 8),
-        "no saved tensor",
+        "not a saved picture tensor",
     ),
-    "a cut archive": (SAVED[:-30], "no saved tensor"),
-    "changed numbers": (SAVED.replace(PIXELS.tobytes()[:20], bytes(20)), "no saved tensor"),
-    "an archive of something": (repacked(lambda _, data: data).replace(b"data.pkl", b"datb.pkl"), "no saved tensor"),
+    "a cut archive": (SAVED[:-30], "not a saved picture tensor"),
+    "changed numbers": (SAVED.replace(PIXELS.tobytes()[:20], bytes(20)), "not a saved picture tensor"),
+    "an archive of something": (
+        repacked(lambda _, data: data).replace(b"data.pkl", b"datb.pkl"),
+        "not a saved picture tensor",
+    ),
 }
 
 

@@ -39,5 +39,5 @@ def test_broken_files_are_one_sentence_that_says_what_to_do(tmp_path: Path) -> N
 
 def test_a_recording_may_not_hold_tensors(tmp_path: Path) -> None:
     (tmp_path / "b.pkl").write_bytes(pickle.dumps({"a": torch.zeros(1)}))
-    with pytest.raises(InputError, match=r"is refused: its pickle asks for torch\._utils"):
+    with pytest.raises(InputError, match=r"is refused: its pickle uses torch\._utils"):
         read_pickle(tmp_path / "b.pkl")

@@ -92,7 +92,7 @@ CASES = {
         np.pi / 2,
         ego=_stopping,
     ),
-    "comes towards": Case(Manoeuvre.ONCOMING, lambda t: 90.0 - 6.0 * t, _held(1.95), np.pi, seconds=8.0),
+    "oncoming object": Case(Manoeuvre.ONCOMING, lambda t: 90.0 - 6.0 * t, _held(1.95), np.pi, seconds=8.0),
     "crosses before": Case(Manoeuvre.CROSSING, _held(60.0), lambda t: 11.0 - 3.0 * t, -np.pi / 2),
     "crosses behind": Case(Manoeuvre.CROSSING, _held(20.0), lambda t: 3.0 * t - 11.0, np.pi / 2),
     "stays in the blind spot": Case(Manoeuvre.BLIND_SPOT_LEFT, _at(-4.0), _held(3.2)),
@@ -287,7 +287,7 @@ def test_the_last_frames_alone_are_described_too(name: str, start: int) -> None:
 def test_wrong_use_is_one_sentence() -> None:
     scene = scene_of(CASES["leads"])
     for agent, start in ((1, 0), (-1, 0), (0, 120), (0, -1)):
-        with pytest.raises(InputError, match="to describe"):
+        with pytest.raises(InputError, match="to label; choose one that exists"):
             compute_labels(scene, agent, start)
     ego, other = tracks(scene)
     other[5, 0] = np.nan

@@ -179,7 +179,7 @@ def test_somebody_elses_data_set_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_no_scenes(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no scene to write"):
+    with pytest.raises(InputError, match="no scenes to write"):
         finish_data_set(plan_of(tmp_path), [])
 
 

@@ -90,12 +90,12 @@ def test_variants_are_those_that_differ_and_not_the_best_ones() -> None:
         _kept("best", 3.0, Manoeuvre.SQUEEZING_LEFT, 0.9),
         _kept("same again", 3.2, Manoeuvre.SQUEEZING_LEFT, 0.8),
         _kept("same once more", 3.1, Manoeuvre.SQUEEZING_LEFT, 0.7),
-        _kept("other side", -3.0, Manoeuvre.SQUEEZING_RIGHT, 0.3),
+        _kept("connection that", -3.0, Manoeuvre.SQUEEZING_RIGHT, 0.3),
         _kept("behind", 0.0, Manoeuvre.TAILGATING, 0.2),
     ]
     assert _names(select_differing(order, 1)) == ["best"]
-    assert _names(select_differing(order, 2)) == ["best", "other side"]
-    assert _names(select_differing(order, 3)) == ["best", "other side", "behind"]
+    assert _names(select_differing(order, 2)) == ["best", "connection that"]
+    assert _names(select_differing(order, 3)) == ["best", "connection that", "behind"]
     assert _names(select_differing(order, 9)) == _names(order)
 
 

@@ -81,7 +81,7 @@ def test_records_name_seed_and_search_and_stand_in_one_table(source: DataSet, sp
 
 
 def test_a_seed_under_the_name_of_another_is_refused(source: DataSet, space: Workspace, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="searched with seed 2 and cannot be adv-seed-1; build it as adv-seed-2"):
+    with pytest.raises(InputError, match="searched with seed 2 , so it is not adv-seed-1; build it as adv-seed-2"):
         build_split(source, "adv-seed-1", replace(CHEAP, out=tmp_path / "out", seed=2))
     named = read_frozen_of_seed(space.out / "road.json", 1)
     with pytest.raises(InputError, match="cannot be adv-seed-0"):
@@ -114,7 +114,7 @@ def test_seeds_are_two_or_more_different_whole_numbers(text: str) -> None:
 
 def test_the_command_refuses_what_contradicts_itself(source: DataSet, tmp_path: Path) -> None:
     refused = partial(refusal, "generate", "--data", source.root, "--out", tmp_path / "out")
-    assert "--seed and --seeds contradict" in refused("--seeds", "0,1", "--seed", "1")
+    assert "--seed and --seeds exclude" in refused("--seeds", "0,1", "--seed", "1")
     assert "leave --split out" in refused("--seeds", "0,1", "--split", "val-r")
     assert "no file" in refused("--seeds", "0,1", "--from", tmp_path / "town.json")
     assert "generate --data" in (said := refusal(

@@ -200,14 +200,14 @@ def test_a_shard_draws_into_nobody_elses_data_set(source: DataSet, tmp_path: Pat
     theirs = write_source(tmp_path / "theirs", recorded("scene-9909")).root
     shutil.rmtree(theirs / ".challenger")
     before = contents(theirs)
-    with pytest.raises(InputError, match="holds a data set that was not written here"):
+    with pytest.raises(InputError, match="holds a foreign data set"):
         build_shard(source, "val-r", replace(CHEAP, out=theirs), Shard(1, 2))
     assert contents(theirs) == before and not (theirs / ".challenger").exists()
 
 
 def test_a_surrogate_needs_all_scenes_together(source: DataSet, tmp_path: Path) -> None:
     settings = replace(CHEAP, out=tmp_path / "adv", surrogate=PlannerUnderTest(Factory(), images=False))
-    with pytest.raises(InputError, match="a surrogate judges all scenes together"):
+    with pytest.raises(InputError, match="a surrogate needs all scenes together"):
         build_shard(source, "adv", settings, Shard(1, 2))
     assert not settings.out.exists()
 

@@ -302,7 +302,7 @@ def test_it_is_said_how_many_scenes_nobody_could_have_avoided(
         build(source, tmp_path / "dropped", scenes=("scene-9901",))
     report = nothing.value.report
     assert report.unsolvable == {"dropped": report.discarded["unsolvable"], "written": 0}
-    assert report.discarded["unsolvable"] > 0 and "dropped for it, 0 among those written" in report.summary()
+    assert report.discarded["unsolvable"] > 0 and "dropped, 0 among those written" in report.summary()
     monkeypatch.setattr("generation.pipeline.report.is_unsolvable", lambda judgements: True)
     settings = replace(CHEAP, out=tmp_path / "kept", hyper=replace(HYPER, solvable=False), scenes=("scene-9901",))
     kept = build_split(source, "adv", settings)

@@ -94,7 +94,7 @@ def test_keys_tell_everything_apart_that_changes_a_result(tmp_path: Path) -> Non
         search.key(replace(unit, earlier=(replace(link, key="another"),))),
         search.key(replace(unit, earlier=(link, replace(link, key="another")))),
         replace(search, seed=1).key(unit),
-        replace(search, fingerprint="other data").key(unit),
+        replace(search, fingerprint="identify data").key(unit),
         replace(search, prior_fingerprint="other prior").key(unit),
         replace(search, hyper=replace(HYPER, rounds=1)).key(unit),
     }

@@ -113,7 +113,7 @@ def test_candidates_that_are_not_finite_spoil_nothing() -> None:
 
 
 def test_nobody_turns_round_for_a_request() -> None:
-    towards, along = scene_of(CASES["comes towards"]), scene_of(CASES["leads"])
+    towards, along = scene_of(CASES["oncoming object"]), scene_of(CASES["leads"])
     crossing = scene_of(CASES["crosses before"])
     assert can_perform(Manoeuvre.ONCOMING, towards, 0, 0) and not can_perform(Manoeuvre.ONCOMING, along, 0, 0)
     assert can_perform(Manoeuvre.CUT_IN_LEFT, along, 0, 0) and not can_perform(Manoeuvre.CUT_IN_LEFT, towards, 0, 0)

@@ -63,7 +63,7 @@ def test_a_split_of_an_earlier_search_is_built_as_it_is_and_says_who_verified_it
     report = build_frozen(source, older, replace(BUILT, out=tmp_path / "older", renderer=None))
     assert len(report.written) == len(split.frozen.scenes) and report.as_json()["verified_by"] == "3"
     assert (
-        f"verified by version 3 of the search, as it was frozen; a search verifies by version {ALGORITHM_VERSION}"
+        f"verified by version 3 of the search, as frozen; today's search verifies by version {ALGORITHM_VERSION}"
         in (report.summary())
     )
 
@@ -280,7 +280,7 @@ def test_frozen_scenes_are_judged_where_they_are_written_and_kept_as_frozen(
     report = build_frozen(source, split, bare)
     again = open_data(tmp_path / "built")
     assert collect_assessments(again.root, again.version) == judged and report.unsolvable == ()
-    assert "scenes that nobody could have avoided: 0, kept as frozen" in report.summary()
+    assert "unavoidable scenes: 0, kept as frozen" in report.summary()
     # Judged once: what was judged is kept.
     kept: ResultStore[tuple[SceneAssessment, ...]] = ResultStore(
         tmp_path / "built" / ".challenger" / "judgements", tuple[SceneAssessment, ...]

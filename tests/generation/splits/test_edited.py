@@ -49,7 +49,7 @@ def test_whoever_was_moved_is_an_adversary_of_a_split_that_is_built_like_any(sou
 def test_scenes_as_recorded_twice_or_recorded_elsewhere_are_refused(source: DataSet) -> None:
     recorded, path = source.scene(NAME), Path("mine.pkl")
     for scenes, message in (
-        ((ExchangedScene(recorded, NAME),), "as it was recorded; move a vehicle"),
+        ((ExchangedScene(recorded, NAME),), "unchanged; move a vehicle"),
         ((ExchangedScene(moved(recorded, 0, 1.0), NAME),) * 2, "the same scene as another file"),
         ((ExchangedScene(replace(moved(recorded, 0, 1.0), name="scene-1"), "scene-1"),), "has no recording of"),
     ):
@@ -66,7 +66,7 @@ def test_only_vehicles_may_be_moved_and_only_where_they_were_recorded() -> None:
     valid = recorded.agents.valid.copy()
     valid[0, :30] = False
     late = replace(recorded, agents=replace(recorded.agents, valid=valid))
-    with pytest.raises(InputError, match="is there before frame 30, where its recording begins"):
+    with pytest.raises(InputError, match="exists before frame 30, where its recording begins"):
         build_edited_scene(recorded, late, path)
     assert build_edited_scene(moved(late, 0, 1.0), late, path).adversaries[0].launch_frame == 30
 
@@ -96,9 +96,9 @@ def test_the_command_builds_what_was_edited_in_files_and_freezes_it(tmp_path: Pa
     dry = run_here(*edited, "--out", tmp_path / "dry", "--dry-run")
     assert dry.code == 0 and "nothing was written" in dry.out and not (tmp_path / "dry").exists()
     for wrong, message in (
-        (("--seeds", "0,1"), "edited scenes have none"),
+        (("--seeds", "0,1"), "edited scenes are not searched"),
         (("--top", "3"), "--top belongs to a search"),
-        (("--split", "val-r"), "--from builds split adv"),
+        (("--split", "val-r"), "--from always builds split adv"),
     ):
         refused = run_here(*edited, "--out", tmp_path / "no", *wrong)
         assert refused.code == 2 and message in refused.err

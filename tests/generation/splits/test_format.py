@@ -94,10 +94,10 @@ BAD = {
     "no scenes": (changed(["scenes"], []), "scenes"),
     "a scene twice": (changed(["scenes", 1, "name"], "scene-0001-ab"), "two scenes"),
     "a name that leaves its folder": (changed(["scenes", 0, "name"], "../scene-0001"), "name"),
-    "a name of another scene": (changed(["scenes", 0, "name"], "scene-0002-ab"), "not called after"),
+    "a name of another scene": (changed(["scenes", 0, "name"], "scene-0002-ab"), "not named after"),
     "something unknown": (changed(["extra"], 1), "extra"),
     "no hash": (changed(["scenes", 0, "tables"], "abc"), "tables"),
-    "another split": (changed(["split"], "val"), "split"),
+    "into": (changed(["split"], "val"), "split"),
     "deep": ("[" * 100_000, "JSON"),
 }
 

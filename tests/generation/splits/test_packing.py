@@ -166,17 +166,17 @@ def replaced(name: str, data: bytes) -> Any:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda members: members.pop("manifest.json"), "is no package of a split"),
+        (lambda members: members.pop("manifest.json"), "is not a split"),
         (lambda members: members.pop("statistics/split.json"), "lacks statistics/split.json"),
-        (lambda members: members.update({"more.txt": b"x"}), "holds more.txt, which its manifest does not name"),
-        (edit("manifest.json", format="other"), "is no package of a split"),
+        (lambda members: members.update({"more.txt": b"x"}), "holds more.txt, which is not in its manifest"),
+        (edit("manifest.json", format="other"), "is not a split"),
         (edit("manifest.json", schema=2), "has version 2 of the format"),
         (edit("manifest.json", splits=[]), "manifest.json is damaged"),
         (edit("manifest.json", more=1), "manifest.json is damaged"),
         (replaced("manifest.json", b"{" * 10_000), "manifest.json is no JSON"),
-        (replaced("statistics", b"{}"), "is not what the manifest says"),
-        (edit("splits", split="val"), "is not what the manifest says"),
-        (edit("statistics", more=1), "is not what the manifest says"),
+        (replaced("statistics", b"{}"), "does not match the manifest"),
+        (edit("splits", split="val"), "does not match the manifest"),
+        (edit("statistics", more=1), "does not match the manifest"),
     ],
 )  # fmt: skip
 def test_what_was_tampered_with_is_refused(packed: WrittenPackage, tmp_path: Path, change: Any, message: str) -> None:
@@ -192,7 +192,7 @@ def test_a_split_that_names_itself_otherwise_is_refused(packed: WrittenPackage, 
         manifest["splits"][0]["content"] = "0" * 64
         members["manifest.json"] = json.dumps(manifest).encode()
 
-    with pytest.raises(InputError, match="is not the one that the manifest names"):
+    with pytest.raises(InputError, match="is not the one named in the manifest"):
         read_split_package(changed(packed, tmp_path, change))
 
 
@@ -202,15 +202,15 @@ def test_what_does_not_belong_together_is_not_packed(
     other = written(tmp_path / "other", row("scene-1"), scenes=["scene-1"])
     (tmp_path / "taken.zip").write_bytes(b"something")
     for wrong, message in (
-        (replace(contents, root=source), "is not built from the frozen splits"),
+        (replace(contents, root=source), "was not built from the packed frozen splits"),
         (replace(contents, drives=(other,)), "drives scenes that are not in the packed splits, such as scene-1"),
         (replace(contents, splits=(split, split)), "is there twice"),
-        (replace(contents, splits=(NamedSplit("../up", split.frozen),)), "is no plain name"),
+        (replace(contents, splits=(NamedSplit("../up", split.frozen),)), "is not a plain file name"),
     ):
         with pytest.raises(InputError, match=message):
             pack_split(tmp_path / "wrong.zip", wrong, HERE)
     assert not (tmp_path / "wrong.zip").exists()
-    with pytest.raises(InputError, match="is there and holds something else"):
+    with pytest.raises(InputError, match="exists with other content"):
         pack_split(tmp_path / "taken.zip", contents, HERE)
     with pytest.raises(InputError, match="has no split 'more'"):
         read_split_package(packed.path).split("more")
@@ -220,7 +220,7 @@ def test_files_that_are_there_are_never_replaced(packed: WrittenPackage, tmp_pat
     mine = tmp_path / "statistics" / "split.json"
     mine.parent.mkdir()
     mine.write_text("mine")
-    with pytest.raises(InputError, match="is there and holds something else"):
+    with pytest.raises(InputError, match="exists with other content"):
         write_package_files(read_split_package(packed.path), tmp_path)
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == [mine]
 

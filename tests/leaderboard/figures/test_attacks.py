@@ -50,10 +50,10 @@ def test_where_nothing_can_be_drawn_a_sentence_says_why() -> None:
     unjudged = attacked("p", SCENES, dict.fromkeys(SCENES))
     assert attack_figures(DataSetRuns("d", [unjudged])) == ()
     assert explain_missing_figure("d", [unjudged]) == (
-        "No figure of attack success against realism: nobody said of any scene who survives it."
+        "No figure of attack success against realism: the avoidability of no scene was assessed."
     )
     old = hand_made("p", {"a": [CLEAN]})
-    assert "how severe its plans are" in (explain_missing_figure("d", [old]) or "")
+    assert "the severity of its plans" in (explain_missing_figure("d", [old]) or "")
     assert explain_missing_figure("d", [hand_made("p", {"a": [CLEAN]}, split="val")]) is None
     drawn = attacked("p", SCENES, CAREFUL)
     assert explain_missing_figure("d", [drawn]) is None and explain_missing_figure("other", [drawn]) is None

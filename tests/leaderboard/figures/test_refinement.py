@@ -171,7 +171,7 @@ def test_names_are_only_text(name: str) -> None:
     "changes", [{"chosen": 4}, {"chosen": -1}, {"chosen_round": 9}, {"chosen_round": -1}, {"frame": 999}, {"frame": -1}]
 )
 def test_a_trace_that_does_not_fit_together_is_refused(changes: dict[str, int]) -> None:
-    with pytest.raises(InputError, match="does not fit together at frame"):
+    with pytest.raises(InputError, match="is inconsistent at frame"):
         draw_refinement(stored("s", frame_of(12, FALLING, **changes)), ".png")
 
 

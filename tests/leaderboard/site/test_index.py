@@ -265,8 +265,8 @@ def test_a_changed_missing_or_foreign_file_makes_the_site_stale_until_written_ag
     stale = find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path)
     assert sorted(sentence.removeprefix(f"{site}/") for sentence in stale) == sorted([
         "app.js is missing",
-        f"{pictures[0].relative_to(site)} differs from what the run records say",
-        "media/gone/thumb.webp is a file that the run records no longer give",
+        f"{pictures[0].relative_to(site)} differs from the run records",
+        "media/gone/thumb.webp is no longer produced from the run records",
     ])  # fmt: skip
     write_leaderboard(read_results(made.records, sheets=made.sheets), tmp_path)
     assert find_stale_files(read_results(made.records, sheets=made.sheets), tmp_path) == []
@@ -394,7 +394,7 @@ def test_miniatures_carry_their_mark(made: Made) -> None:
     index = build_index(LeaderboardResults((DataSetRuns(DATA_NAME, small),)), [], [], frozenset())
     assert index["models"][0]["miniature"] is True
     assert index["keyTables"][0]["rows"][0][0] == f"{planner.name} §"
-    assert "§ miniature: shows the pipeline, ranks nothing." in index["keyTables"][0]["notes"]
+    assert "§ miniature: demonstrates the pipeline; not for ranking." in index["keyTables"][0]["notes"]
 
 
 def test_one_colour_for_the_adversary() -> None:

@@ -46,7 +46,7 @@ def test_attack_success_is_that_of_the_metric_with_its_counts() -> None:
     assert bold["contact, scenes"] == "75.0" and bold["bystander, scenes"] == "25.0"
     assert (bold["judged"], bold["careful survives"], bold["scenes"]) == ("3", "2", "4")
     assert calm["contact, scenes"] == calm["attributable, scenes"] == "0.0"
-    assert any("3 of 4 scenes were judged: attributable is of these alone" in note for note in table.notes)
+    assert any("3 of 4 scenes were assessed: attributable covers only these" in note for note in table.notes)
     assert any(note.startswith("bold on adv: 1 contact at the ego's sides") for note in table.notes)
 
 
@@ -56,7 +56,7 @@ def test_without_judgements_attributable_is_a_dash_and_never_a_zero() -> None:
     row = row_of(table, "p")
     assert row["attributable"] == row["attributable, scenes"] == "–" and row["judged"] == "0"
     assert row["contact, scenes"] == "75.0"
-    assert any("nobody judged its scenes: attributable is unknown" in note for note in table.notes)
+    assert any("its scenes were not assessed: attributable is unknown" in note for note in table.notes)
 
 
 def test_severity_tables_show_distributions() -> None:
@@ -91,7 +91,7 @@ def test_the_ladder_stands_once_for_a_split() -> None:
     (row,) = tables["ladder"].rows
     shown = dict(zip(tables["ladder"].columns, row, strict=True))
     assert shown["recorded"] == "100.0" and shown["careful human"] == "66.7" and shown["unsolvable"] == "0"
-    assert shown["margin, s"] == "1.2" and shown["judged"] == "3" and shown["no fault"] == "66.7"
+    assert shown["margin, s"] == "1.2" and shown["judged"] == "3" and shown["no difference"] == "66.7"
     assert any("3 of 4 scenes were judged" in note for note in tables["ladder"].notes)
     assert not any("earlier definition" in note for note in tables["ladder"].notes)
     assert assessment_tables(DataSetRuns("d", [attacked("p", SCENES, dict.fromkeys(SCENES))])) == []

@@ -134,7 +134,7 @@ def test_verdicts_of_an_earlier_exact_are_marked(straight: RunRecord) -> None:
     old = replace(straight, run=straight.run.model_copy(update={"protocols": versions}))
     table = tables_of(old)["diagnosis"]
     assert [row["planner"] for row in rows_of(table)] == ["straight ‡"]
-    assert any(note.startswith("‡ straight on adv: judged by version 0 of protocol exact, now") for note in table.notes)
+    assert any(note.startswith("‡ straight on adv: scored by version 0 of protocol exact, now") for note in table.notes)
 
 
 def test_only_what_exact_judged_is_diagnosed(straight: RunRecord, tmp_path: Path) -> None:

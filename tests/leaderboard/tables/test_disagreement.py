@@ -100,5 +100,5 @@ def test_failures_missing_scenes_and_earlier_versions_are_said(runs: list[RunRec
     old = replace(runs[0], run=run.model_copy(update=update))
     table = disagreement_table("fake", "val", [old])
     assert [row[1] for row in table.rows if row[1].startswith("vad")] == ["vad ‡", "vad-23"]
-    assert any("‡ straight on val: judged by version 0 of protocol vad, now" in note for note in table.notes)
+    assert any("‡ straight on val: scored by version 0 of protocol vad, now" in note for note in table.notes)
     assert "straight on val: 2 of 9 scenes of the split." in table.notes

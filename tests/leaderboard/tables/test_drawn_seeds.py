@@ -72,8 +72,8 @@ def test_the_interval_of_one_seed_is_that_of_its_split() -> None:
 def test_runs_that_do_not_differ_in_the_seed_alone_are_left_out_and_named() -> None:
     flags: dict[str, list[str | None]] = {"a-1": [HIT], "b-1": [CLEAN]}
     others = {
-        "another search": run(3, flags, search="t"),
-        "does not say that it was searched with this seed": run(4, flags, says=5),
+        "that of": run(3, flags, search="t"),
+        "does not record this seed": run(4, flags, says=5),
         "other weights, settings, code or seed": run(6, flags, weights_sha256="0" * 64),
         "no plan for some samples": run(7, {"a-1": [HIT, FAILED]}),
     }

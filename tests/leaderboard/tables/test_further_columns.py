@@ -61,4 +61,4 @@ def test_planners_whose_own_protocol_takes_maxima_are_not_among_means() -> None:
     of_maxima = hand_made("b", SCENES, protocols=protocols, native="bev-planner")
     table = collision_table(DataSetRuns("d", [of_vad, of_maxima]), "native")
     assert [row[0].text if hasattr(row[0], "text") else row[0] for row in table.rows] == ["a"]
-    assert any("b on adv: bev-planner says whether there is any contact" in note for note in table.notes)
+    assert any("b on adv: bev-planner reports any contact" in note for note in table.notes)

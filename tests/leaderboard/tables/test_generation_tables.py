@@ -213,7 +213,7 @@ def test_the_leaderboard_has_them_in_every_form_with_and_without_runs(tmp_path: 
     for name in ("tables/%2E.%2Fmine/runtime-adv", "tables/d/ablation-p", "published/published"):
         assert {f"{name}{suffix}" for suffix in (".tex", ".csv", ".json")} <= set(files)
     text = files["README.md"].decode()
-    assert "ablation of the search with p" in text and "what adversaries do, and where" in text
+    assert "ablation of the search with p" in text and "manoeuvres of adversaries, and their places" in text
     assert csv_rows(files["tables/d/ablation-p.csv"].decode())[0]["paper"] == "6.17"
     write_leaderboard(read_results([], (), sheets, [study()]), tmp_path)
     assert find_stale_files(read_results([], (), sheets, [study()]), tmp_path) == []

@@ -32,7 +32,7 @@ def test_the_papers_row_stands_beside_the_model_of_that_name_under_its_protocol(
     assert paper_of(table, "uniad") == ("0.80", "4.10", "6.96", "3.95")
     assert paper_of(table, "idm") == paper_of(table, "vad-mini") == (UNDEFINED,) * 4
     assert table.groups[-1] == ("paper, collision rate in %, own protocol", 4)
-    assert table.sources and any("No published row stands beside vad-mini:" in note for note in table.notes)
+    assert table.sources and any("No published row is shown for vad-mini:" in note for note in table.notes)
     of_uniad = collision_table(DataSetRuns("d", records), "uniad")
     assert paper_of(of_uniad, "uniad")[3] == "3.95" and not any(
         note.startswith("No published row") for note in of_uniad.notes
@@ -64,7 +64,7 @@ def test_a_planner_says_itself_what_the_paper_calls_it_and_that_it_is_a_miniatur
     small = said(run("vad", "vad"), miniature=True)
     table = collision_table(DataSetRuns("d", [ours, small]), "native")
     assert paper_of(table, "my-uniad")[3] == "3.95" and paper_of(table, "vad §") == (UNDEFINED,) * 4
-    assert any("No published row stands beside vad:" in note for note in table.notes)
+    assert any("No published row is shown for vad:" in note for note in table.notes)
 
 
 @pytest.mark.parametrize("row", TABLE_1)

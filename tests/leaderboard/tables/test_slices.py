@@ -86,9 +86,7 @@ def test_where_a_record_does_not_say_whom_contacts_are_with_there_are_dashes() -
     (table,) = slice_tables("d", [old], ("exact",), ("place",))
     at = table.columns.index("adversary avg")
     assert {row[at] for row in table.rows} == {"–"} and {row[at + 2] for row in table.rows} != {"–"}
-    assert any(
-        "older records do not say whom contacts are with; challenger-bench rescore" in one for one in table.notes
-    )
+    assert any("older records lack the objects touched; challenger-bench rescore" in one for one in table.notes)
 
 
 def test_every_form_has_the_same_rows() -> None:
@@ -116,7 +114,7 @@ def test_under_their_own_protocols_stand_planners_that_have_one_and_no_maxima() 
     (omnidrive,) = slice_tables("d", records, ("omnidrive",), ("speed",))
     assert {row[0] for row in omnidrive.rows} == {"m"} and "off road avg" in omnidrive.columns
     said = " ".join(omnidrive.notes)
-    assert "p on adv of d was not judged by protocol 'omnidrive'" in said
+    assert "p on adv of d was not scored by protocol 'omnidrive'" in said
     assert [table.name for table in run_slices("d", records, ("speed",))] == [
         "slices-speed-exact",
         "slices-speed-native",
@@ -129,7 +127,7 @@ def test_an_old_record_is_said_to_lack_it_and_nothing_is_guessed() -> None:
     protocols = old.run.protocols | {"exact": PROTOCOLS["exact"].version}
     old = replace(old, run=old.run.model_copy(update={"protocols": protocols}))
     lacking = {table.name: table for table in slice_tables("mini", [old], ("exact",), KINDS)}
-    for kind, words in {"place": "at which places", "light": "in what light", "speed": "how fast"}.items():
+    for kind, words in {"place": "the places", "light": "the light", "speed": "of"}.items():
         table = lacking[f"slices-{kind}-exact"]
         assert not table.rows and words in table.notes[-1] and "rescore" in table.notes[-1]
     # What it always said, it is sorted by.

@@ -55,7 +55,7 @@ def test_ours_stands_beside_the_same_planner_protocol_and_split() -> None:
         run("mine"),
         run("uniad", split="adv", samples=6019),
     ],
-    ids=["other data", "other protocol", "a variant", "another planner", "another split"],
+    ids=["identify data", "other protocol", "a variant", "each time", "into"],
 )
 def test_anything_else_stands_beside_nothing(record: RunRecord) -> None:
     assert all(find_same_run(value, [record]) is None for value in PUBLISHED_RESULTS)

@@ -166,7 +166,7 @@ def forecast_losses(
     nearest = F.one_hot(best, logits.shape[1]).to(logits.dtype)
     return {
         "forecast": FORECAST * best_error,
-        # As with plans, what is chosen wrongly should do little harm.
+        # As with plans, a wrong choice should do little harm.
         "forecast chosen": FORECAST_CHOSEN * (logits.softmax(-1) * error).sum() / steps,
         "forecast class": FORECAST_CLASS * focal_loss(logits, nearest),
     }
@@ -183,7 +183,7 @@ def plan_losses(logits: Tensor, offsets: Tensor, anchors: Tensor, targets: Targe
     steps = max(int(valid.sum()), 1)
     rows = torch.arange(len(best), device=best.device)
     best_error = error[rows, best].sum() / steps
-    # What is chosen wrongly should do little harm: it learns too, the more the likelier it is chosen.
+    # A wrong choice should do little harm: modes learn in proportion to their probability of being chosen.
     expected = (logits.softmax(-1) * error).sum() / steps
     counted = valid.any(-1)
     entropy = F.cross_entropy(logits, best, reduction="none")

@@ -2,7 +2,7 @@
 
 How the ego moved between key frames that are seen side by side, one of each clip.
 
-What the sparse networks see of several key frames at once, before they plan.
+Perception of the sparse networks over several key frames at once, before planning.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ class KeyframeMotions(RigidMotion):
 
     @classmethod
     def between(cls, then: Sequence[KeyframePose], now: Sequence[KeyframePose], device: torch.device) -> Self:
-        """What lies between pairs of poses."""
+        """Motions between pairs of poses."""
         motions = [KeyframeMotion.between(*pair, device) for pair in zip(then, now, strict=True)]
         seconds = torch.tensor([motion.interval_s for motion in motions], device=device)
         return cls(torch.stack([motion.now_T_then for motion in motions])[:, None], seconds[:, None, None])

@@ -220,7 +220,7 @@ def _flatten(agents: Sequence[DecodedInstances]) -> DecoderStage:
 
 
 PERCEPTION: Final = ("img_backbone", "img_neck", "head.det_head", "head.map_head")
-"""What stays as it is."""
+"""Frozen parts."""
 
 
 class SparsePlannerObjective(SparseObjective):
@@ -295,7 +295,7 @@ def build_front_encoder(network: SparseNetwork) -> FrontEncoder:
     """Eyes that make the maps for the front phase."""
     if network.front_eyes is not None:
         return FrontEncoder(network.front_eyes, own=True)
-    # What finds boxes and lines reads the same maps: they stay as they are until all of it learns.
+    # The detectors of boxes and lines read the same maps, which stay frozen until everything is trained.
     return shared_front_encoder(network, ("",))
 
 

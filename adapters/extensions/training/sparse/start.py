@@ -1,4 +1,4 @@
-"""What the sparse miniatures are before their training: random weights, and anchors of what there is to be found."""
+"""Initial sparse miniatures: random weights, and anchors fitted to the training data."""
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial

@@ -1,4 +1,4 @@
-"""What is annotated about several key frames, in the numbers of the sparse networks."""
+"""Annotations of several key frames, in the encoding of the sparse networks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

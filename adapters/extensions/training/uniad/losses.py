@@ -1,6 +1,6 @@
 """Losses of UniAD's heads for one key frame.
 
-What a training frame asks of UniAD, in the network's own conventions: boxes, forecasts, occupancy and masks.
+Training targets of UniAD for a frame, in the network's conventions: boxes, forecasts, occupancy and masks.
 """
 
 import math

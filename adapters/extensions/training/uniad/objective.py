@@ -41,12 +41,12 @@ DENSE_WEIGHT = 6.0
 TRACK_DROPOUT = 0.1
 """Share of tracks that are dropped between frames, so that their agents are found anew."""
 FALSE_FROM = 0.25
-"""Whoever stands for nobody and is more certain than this is handed on as a track, as it would be when the network runs
+"""Confidence above which an unmatched query is passed on as a track, as it would be when the network runs
 (the published training draws some of them, ``fp_ratio``)."""
 MOST_FALSE = 12
 """Of them, the most certain."""
 FROZEN = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1", "img_backbone.layer2")
-"""What stays as the pre-training left it: half of a frame's cost would be its gradients."""
+"""Parts frozen after pre-training: their gradients would be half of a frame's cost."""
 BEV_MODULES = (
     "img_backbone",
     "img_neck",
@@ -57,7 +57,7 @@ BEV_MODULES = (
     "pts_bbox_head.transformer.level_embeds",
     "pts_bbox_head.transformer.cams_embeds",
 )
-"""What the bird's-eye view is made with."""
+"""Modules that make the bird's-eye view."""
 MOST_FORECAST = 8
 """Agents of a frame whose forecasts are learned."""
 OCCUPANCY_SHARE = 0.6

@@ -102,7 +102,7 @@ def transfer_from_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     for layer in range(config.decoder_layers):
         for part in ("weight", "bias"):
             name = f"{_HEAD}reg_branches.{layer}.4.{part}"
-            # Where yaws are the negative of what they are in VAD.
+            # Weights for yaws, whose sign is opposite to VAD's.
             signs = torch.ones(len(trunk[name]))
             signs[SINE] = -1.0 if config.counterclockwise_yaw else 1.0
             weights[name] = trunk[name] * signs.view(-1, *[1] * (trunk[name].dim() - 1)).to(trunk[name].dtype)
@@ -116,7 +116,7 @@ def transfer_from_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
         # Its plan reads another map of the front camera.
         return weights
     reader = f"{_HEAD}front_reader."
-    # What it tells is in the numbers of another plan.
+    # Its output uses another plan's encoding.
     read = (
         name for name in trunk if name.startswith(reader) and not name.startswith(f"{reader}{MESSAGE_LAYER_PREFIX}")
     )
@@ -165,7 +165,7 @@ def _start_plan(network: UniAD, frames: Sequence[TrainingFrame]) -> None:
     """First plans are the mean of what was driven."""
     complete = [frame.ego_future for frame in frames if bool(frame.ego_future_valid.all())]
     if not complete:
-        raise InputError("no training frame has three recorded seconds after it; give a split with longer scenes")
+        raise InputError("no training frame is followed by three recorded seconds; give a split with longer scenes")
     driven, last = torch.stack(complete), _last_linear(network.planning_head.reg_branch)
     last.weight *= LOUD
     last.bias.copy_(driven.diff(dim=1, prepend=torch.zeros(len(driven), 1, 2)).mean(0).flatten())

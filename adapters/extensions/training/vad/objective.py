@@ -72,14 +72,14 @@ WEIGHTS: Final = {
     "pace": 1.0,
     "plan": 0.5,
     "plan_steps": 1.0,
-    # Half a metre aside counts for little among the metres ahead, and leads off the road.
+    # Half a metre to the side is little beside the metres ahead, but leads off the road.
     "plan_aside": 6.0,
     "plan_agents": 0.2,
     "plan_boundary": 0.2,
     "plan_direction": 0.2,
     "plan_room": 2.0,
 }
-"""What each loss counts; metres where it has a unit."""
+"""Weights of the losses; metres where a loss has a unit."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 How forecasts and the plan of VAD-mini learn from what frozen eyes have seen: dozens of frames a step.
 
-What an untrained VAD starts with, so that little time goes into learning where things can be at all.
+Initial weights of VAD that encode where objects can be, to shorten training.
 """
 
 import math
@@ -56,7 +56,7 @@ UNREAD_CAN_BUS: Final = (0, 1, 2, 3, 4, 5, 6, 9, 16)
 TURN_DEG: Final = 17
 SPEED: Final = CAN_BUS_INDICES[0]
 FASTEST_M_S: Final = 14.0
-"""About as fast as anybody drives in the embedded town."""
+"""About the highest speed in the embedded town."""
 QUIET: Final = 0.2
 """First size of the learned contents of queries and cells, against that of a normal distribution."""
 LOUD: Final = 6**0.5
@@ -68,7 +68,7 @@ _OUTGOING: Final = "img_neck.fpn_convs"
 _LEVELS: Final = "pts_bbox_head.transformer.level_embeds"
 _LOOKS: Final = "attentions.1.deformable_attention."
 EDGE_SHARE: Final = 0.02
-"""What is nearer to the edge of the perception range, as a share of it, has no query of its own."""
+"""Margin at the edge of the perception range, as a share of it, without queries."""
 
 
 def build_untrained(config: VADConfig, frames: Sequence[TrainingFrame], seed: int) -> VAD:
@@ -122,8 +122,8 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
         weight = head.transformer.map_reference_points.weight.double()
         missing = offsets - points[:, : config.channels].double() @ weight.T
         points[:, : config.channels] += (missing @ torch.linalg.pinv(weight).T).float()
-        # What all frames have in common would drown what differs: the ego's speed reaches the plan as three per cent of
-        # its features otherwise, and is not learned in the time there is.
+        # What frames share would mask their differences: the ego's speed reaches the plan as three per cent of
+        # its features otherwise, and is not learned in the time available.
         head.bev_embedding.weight *= QUIET
         for queries in (head.query_embedding, head.map_instance_embedding, head.map_pts_embedding):
             queries.weight[:, config.channels :] *= QUIET
@@ -132,7 +132,7 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
         can_bus_layer = _linears(head.transformer.can_bus_mlp)[0]
         can_bus_layer.weight[:, UNREAD_CAN_BUS] = 0.0
         can_bus_layer.weight[:, TURN_DEG] *= 0.1
-        # Each unit starts to speak, or falls silent, at a speed of its own.
+        # Each unit switches on or off at a different speed.
         can_bus_layer.bias.copy_(
             -can_bus_layer.weight[:, SPEED] * torch.linspace(0, FASTEST_M_S, len(can_bus_layer.bias))
         )
@@ -229,7 +229,7 @@ PERCEPTION: Final = (
         )
     ),
 )
-"""What stays as it is."""
+"""Frozen parts."""
 
 
 class VADPlannerObjective:
@@ -267,7 +267,7 @@ class VADPlannerObjective:
                 inputs = network_inputs(frame)
                 predictions, finest_front, motion = predict_with_features(network, inputs, previous, True)
                 previous = inputs.can_bus, predictions.bev
-                # Copies, so that what is no longer needed of the same tensors is let go.
+                # Copies, so that the rest of the same tensors can be freed.
                 sights = VADPlanInputs(
                     agent_states=predictions.agent_states[-1].clone(),
                     agent_places=predictions.agent_references[-1, :, :2].clone(),

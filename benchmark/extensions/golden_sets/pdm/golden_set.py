@@ -62,7 +62,7 @@ class PdmGoldenScene:
         self.samples, self.count = self.plans.shape[:2]
         vehicle = tuple(stored.floats("vehicle", len(VEHICLE)).tolist())
         if vehicle != VEHICLE:
-            raise ValueError(f"it is about a vehicle of {vehicle}, this program's is {VEHICLE}")
+            raise ValueError(f"it assumes the vehicle {vehicle}; this program uses {VEHICLE}")
         self.now = stored.floats("ego_initial_state", self.samples, STATE_COLUMNS)
         self.history = stored.floats("history_keyframes", self.samples, 4, 8)
         self.recorded = stored.texts("plan_names", self.count).index(RECORDED)

@@ -58,7 +58,7 @@ def _compare_plan(comparison: Comparison, group: str, plan: str, scenes: list[Sc
             golden = np.concatenate(
                 [_official(scene, protocol, column)[:, scene.plan_names.index(plan)] for scene, _ in scenes]
             )
-            # Nothing can be said of a plan without a complete sample, and then there is no rate.
+            # A plan without a complete sample gives no verdict, and without verdicts there is no rate.
             if protocol != "uniad" and not complete.any():
                 continue
             ours = np.array([column_rates[column][horizon].value for horizon in HORIZONS], np.float64)

@@ -74,7 +74,7 @@ class ProtocolGoldenScene:
 
     Attributes:
         plans: (S, P, 6, 2) waypoints in the lidar frame, metres.
-        exact: What exact polygons say, if the set has that.
+        exact: Verdicts of exact polygons, if the set has them.
         with_roads: Whether it is of the form that has roads and the past, with the verdicts of further protocols.
     """
 
@@ -160,10 +160,10 @@ def list_remarks(folder: GoldenFolder, paths: list[Path], with_roads: Collection
     files = folder.facts(_MANIFEST)["files"]
     there = {name: facts for name, facts in sorted(files.items()) if folder.has(name)}
     if len(there) < len(files):
-        sentences.append(f"{len(files) - len(there)} more in {_MANIFEST} are not there")
+        sentences.append(f"{len(files) - len(there)} more listed in {_MANIFEST} are missing")
     sums = {name: facts["sha256"] for name, facts in there.items() if "sha256" in facts}
     if changed := [name for name, wanted in sums.items() if file_sha256(folder.path / name) != wanted]:
-        sentences.append(f"not as {_MANIFEST} describes them: {', '.join(changed)}")
+        sentences.append(f"different from {_MANIFEST}: {', '.join(changed)}")
     return sentences
 
 

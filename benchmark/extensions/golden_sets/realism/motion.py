@@ -109,7 +109,7 @@ def _concatenate(parts: list[Floats]) -> Floats:
 def _compare_pools(
     comparison: Comparison, variant: str, golden: dict[str, Any], pools: dict[tuple[str, str], Pools], scenes: list[str]
 ) -> None:
-    # Even scenes against odd ones stand for what zero looks like.
+    # Even scenes against odd ones give the noise floor.
     halves = variant == HALVES
     of, against = (scenes[::2], scenes[1::2]) if halves else (scenes, scenes)
     shares: dict[str, list[float]] = {"realism": [], "realism_equal_width": []}

@@ -174,7 +174,7 @@ def _compare_expected(comparison: Comparison, cases: _Cases, pairs: ContactPairs
         "delta_v_nuplan": pairs.delta_v_nuplan,
         "p_fatal_ego": compute_fatal_probability(own),
     }
-    # What stands when all poses move a little.
+    # Verdicts that are stable when all poses move a little.
     counted = {name: np.array([not is_fragile(case, name) for case in cases]) for name in (*ours, "ttc", "type")}
     for name, values in ours.items():
         comparison.numbers(name, values[counted[name]], _read_column(expected, name)[counted[name]])

@@ -43,7 +43,7 @@ class GoldenFile:
     """One file of a converter, a compressed pickle.
 
     Attributes:
-        official_name: What the converter called it.
+        official_name: File name given by the converter.
         counts: Number of infos of its train and val file.
         left_out: Keys that were taken out of its infos to save room.
     """
@@ -58,7 +58,7 @@ class GoldenFile:
         """Its content."""
         content: dict[str, Any] = read_compressed_pickle(self.path)
         if not all(isinstance(info, dict) for info in content["infos"]):
-            raise ValueError(f"{self.path.name} holds no list of infos")
+            raise ValueError(f"{self.path.name} does not hold a list of infos")
         return content
 
 
@@ -120,7 +120,7 @@ class GoldenInfos:
             return root
         seed = _SEED.search(self.roots[name].recipe)
         if other is None or seed is None:
-            raise ValueError(f"{MANIFEST} does not say where the tables of {name} are")
+            raise ValueError(f"{MANIFEST} does not locate the tables of {name}")
         self._make_odd(self.unpack(other[1], folder), root, seed[1])
         return root
 
@@ -129,8 +129,8 @@ class GoldenInfos:
         program = read_file(path, PROGRAM)
         if sha256(program).hexdigest() != _ODD_SHA256:
             raise InputError(
-                f"{path} is not the program that is known here and is not run; look at it, run it yourself, and put "
-                f"what it makes into {self.folder / 'tables' / root.name}"
+                f"{path} differs from the known program and is not run; review it, run it yourself, and put "
+                f"its output into {self.folder / 'tables' / root.name}"
             )
         command = [sys.executable, "-I", "-", str(source.resolve()), str(root.resolve()), seed]
         try:
@@ -162,7 +162,7 @@ def _require_inside(name: Any) -> str:
     """A path below a folder; raises `ValueError` for any other."""
     path = Path(str(name))
     if path.is_absolute() or ".." in path.parts:
-        raise ValueError(f"{name} leads out of the set")
+        raise ValueError(f"{name} points outside the set")
     return str(name)
 
 
@@ -300,7 +300,7 @@ def _is_line(value: Any) -> bool:
 def _compute_distances(line: Floats, other: Floats, margin_m: float) -> Floats:
     """How far the vertices of a line, and the middles between them, are from another.
 
-    What lies on the edge of the patch is left out, for its belonging to an element hangs on the last bit. The middles
+    Points on the edge of the patch are left out: the last bit decides their element. The middles
     are asked because a straight line may begin and end there.
     """
     points = np.concatenate([line, 0.5 * (line[1:] + line[:-1])])

@@ -30,7 +30,7 @@ def read_plans(stored: GoldenArrays, name: str, counts: list[int]) -> list[Float
     padded = stored.floats(name, len(counts), None, 2, gaps=True)
     plans = [plan[:count] for plan, count in zip(padded, counts)]
     if [len(plan) for plan in plans] != counts or not all(np.isfinite(plan).all() for plan in plans):
-        raise ValueError(f"array {name} has fewer waypoints than counted, NaN or infinity in it")
+        raise ValueError(f"array {name} has fewer waypoints than counted, or contains NaN or infinity")
     return plans
 
 

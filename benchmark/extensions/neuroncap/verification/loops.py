@@ -50,7 +50,7 @@ from benchmark.verification.checks import Comparison
 from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
 
 CHECK_COLUMNS: Final = 7
-"""Number of the state, microseconds since the recording began, x, y, heading, speed, whether anybody is touched."""
+"""Number of the state, microseconds since the recording began, x, y, heading, speed, whether any actor is touched."""
 CheckRow = tuple[float, ...]
 
 
@@ -284,7 +284,7 @@ def compare_loops(comparison: Comparison, folder: GoldenFolder) -> None:
 def _require_inside(name: str) -> str:
     """A file's name that stays in its folder."""
     if Path(name).name != name:
-        raise ValueError(f"{name!r} is no plain file name")
+        raise ValueError(f"{name!r} is not a plain file name")
     return name
 
 

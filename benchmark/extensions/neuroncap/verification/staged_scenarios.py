@@ -119,7 +119,7 @@ def _compare_runs(
     modes = {uuid: actor.mode for actor in scenario.actors for uuid in actor.uuids}
     for run in facts["runs"]:
         draws = run["draws"]
-        # A run with jitter switched off shuffles nobody.
+        # A run with jitter switched off shuffles no actors.
         jitter = not scenario.actors or any(draw and draw[0] == "permutation" for draw in draws)
         ours = stage_run(scenario, run["run"], times, cast, CODE, jitter=jitter)
         at = comparison.at(f"{name}, run {run['run']}", "scenarios: ")
@@ -135,7 +135,7 @@ def _compare_runs(
 def _compare_actors(comparison: Comparison, ours: StagedRun, golden: list[Any], modes: Mapping[str, Any]) -> None:
     comparison.verdicts("who is there, in order", len(golden) != len(ours.actors))
     for actor, facts in zip(ours.actors, golden):
-        # Stamps are above 2^50: JSON's numbers hold them exactly.
+        # Stamps are above 2^50, which JSON's numbers hold exactly.
         rows = np.array(facts["rows"], np.float64)
         same = np.array_equal(actor.times, rows[:, 0].astype(np.int64))
         is_other = [actor.uuid, actor.kind, actor.is_target] != [facts[name] for name in _WHO]

@@ -1,6 +1,6 @@
 """`verify model --model magicdrive`: the network, its guidance and its sampler against numbers of the official code.
 
-What golden sets of MagicDriveDiT store, each computed by the network here.
+Quantities stored in golden sets of MagicDriveDiT, each computed by the network here.
 """
 
 import copy
@@ -225,14 +225,14 @@ HALF_PRECISION: Final[dict[str, Callable[[GoldenClips], Tensor]]] = {
     "E.forward_bf16": _evaluate_rounded,
     "E.enc.box_bf16": lambda clips: _encode_boxes(clips.rounded, clips.case()),
 }
-"""What the official code gives in bfloat16; here in single precision on rounded weights and inputs."""
+"""Quantities that the official code computes in bfloat16; here in single precision on rounded weights and inputs."""
 
 
 FILES: Final = ("manifest.json", "inputs.npz", "outputs.npz")
 OF_SPREAD: Final = 1e-3
 """Largest error as a share of the golden standard deviation."""
 EVALUATION: Final = 1e-4
-"""Largest error of one evaluation, whatever the spread."""
+"""Largest absolute error of one evaluation, independent of the spread."""
 SAMPLE: Final = 1e-3
 """Largest error of four steps."""
 TIMESTEP: Final = 1e-3

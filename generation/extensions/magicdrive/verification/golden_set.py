@@ -103,8 +103,8 @@ class MagicDriveGoldenSet:
     Attributes:
         recipe: How weights are made.
         published_shapes: Of the tensors of the published network, where the set lists them.
-        outputs: What the official code computed.
-        inner: What its blocks computed for clip A, where the set has it.
+        outputs: Outputs of the official code.
+        inner: Outputs of its blocks for clip A, if the set has them.
     """
 
     recipe: WeightsRecipe

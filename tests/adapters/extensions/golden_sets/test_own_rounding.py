@@ -111,7 +111,7 @@ def test_verdicts_of_checks() -> None:
     assert check(float("nan"), np.inf).verdict == "FAIL" and check(float("inf"), np.inf).verdict == ROUNDING
     assert check(0.02, 1.0, count=0).verdict == "FAIL"
     text = format_report([check(0.02, 0.01), check(0.001, 0.0)])
-    assert "own rounding" in text and f"1 of 2 quantities agree, 1 {ROUNDING}" in text
-    assert "own rounding" not in format_report([check(0.02, None)])
+    assert "own floating-point" in text and f"1 of 2 quantities agree, 1 {ROUNDING}" in text
+    assert "own floating-point" not in format_report([check(0.02, None)])
     assert check(0.02, 0.01).as_json()["verdict"] == ROUNDING and "verdict" not in check(0.02, None).as_json()
     assert check(float("inf"), float("inf")).as_json()["moved"] is None

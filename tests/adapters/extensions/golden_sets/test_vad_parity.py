@@ -124,7 +124,7 @@ def test_only_what_is_undecided_and_wrong_is_left_out(tmp_path: Path) -> None:
 def test_a_list_of_another_length_fails(tmp_path: Path) -> None:
     golden = _hand_made(tmp_path, list=np.arange(4.0))
     (check,) = _compared(golden, list=Quantity(np.arange(3.0), EXACT, listed=True))
-    assert not check.ok and "another length" in check.note
+    assert not check.ok and "the wrong length" in check.note
     (check,) = _compared(golden, list=Quantity(np.arange(4), EXACT, listed=True))
     assert check.ok
 
@@ -173,7 +173,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "SHA-256": lambda golden: change_manifest(golden, lambda m: m["image"].update(valid_rows=20)),
     "ValueError": lambda golden: change_manifest(golden, lambda m: m["image"].update(shape=[6, 3, 190, 320])),
     "6 cameras": lambda golden: change_manifest(golden, lambda m: m["image"].update(shape=[5, 3, 192, 320], sha256=[])),
-    "whole npz file": lambda golden: _cut(golden / "dev" / "outputs_frame0.npz"),
+    "complete npz file": lambda golden: _cut(golden / "dev" / "outputs_frame0.npz"),
     "no array can_bus": lambda golden: change_arrays(golden / "dev" / "inputs.npz", lambda a: a.pop("can_bus")),
     "NaN or infinity": lambda golden: change_arrays(
         golden / "dev" / "inputs.npz", lambda a: a["lidar2img"].__setitem__(0, np.nan)

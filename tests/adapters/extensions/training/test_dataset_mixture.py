@@ -124,7 +124,7 @@ def test_scenes_that_planners_are_judged_on_are_never_learned_from(tmp_path: Pat
     finish_data_set(plan, keys, extra_splits={"train": [SCENES[0]]})
     data = NuScenesData.open(folder)
     evaluated = write_adversarial(tmp_path / "adversarial", data, (SCENES[1],))
-    with pytest.raises(InputError, match="judged on"):
+    with pytest.raises(InputError, match="scored on"):
         require_source_scenes(evaluated, data, "train")
     learned = write_adversarial(tmp_path / "learned", data, (SCENES[0],))
     assert require_source_scenes(learned, data, "train") == {f"{SCENES[0]}-0a": SCENES[0]}

@@ -126,7 +126,7 @@ def test_building_again_changes_nothing_and_goes_on_where_it_stopped(root: Path,
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-@pytest.mark.parametrize(("text", "sentence"), [("{}", "no list of training frames"), ("{", "not valid JSON")])
+@pytest.mark.parametrize(("text", "sentence"), [("{}", "not a list of training frames"), ("{", "not valid JSON")])
 def test_a_broken_index_is_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:
     (tmp_path / INDEX).write_text(text)
     with pytest.raises(InputError, match=sentence):

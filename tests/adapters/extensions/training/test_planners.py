@@ -182,7 +182,7 @@ def test_weights_that_cannot_be_started_from_are_a_sentence(town: Path, encoder:
     save_file({"other": torch.zeros(2)}, tmp_path / "other.safetensors")
     with pytest.raises(InputError, match="no weights of an image encoder"):
         train_planner(replace(training, image_encoder=tmp_path / "other.safetensors"))
-    with pytest.raises(InputError, match="none of the weights to start from belongs to this model"):
+    with pytest.raises(InputError, match="none of the weights to start from fit this model"):
         train_planner(replace(training, start_from=(tmp_path / "other.safetensors",)))
     assert not (tmp_path / "w.safetensors").exists()
 
@@ -190,7 +190,7 @@ def test_weights_that_cannot_be_started_from_are_a_sentence(town: Path, encoder:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"model": "uniad"}, r"'uniad' is no miniature; did you mean uniad-mini\? those are uniad-mini"),
+        ({"model": "uniad"}, r"'uniad' is not a miniature; did you mean uniad-mini\? those are uniad-mini"),
         ({"out": Path("w.pth")}, "written as .safetensors"),
         ({"steps": 0}, "--steps must be at least 1"),
         ({"learning_rate": 3.0}, "--learning-rate must be between 0 and 1"),

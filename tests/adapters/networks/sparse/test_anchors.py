@@ -76,7 +76,7 @@ def test_rare_classes_repeat_and_unseen_ones_stand_still() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"box_centres": np.zeros((400, 3))}, "1 different boxes within 55 m and anchors need 24"),
+        ({"box_centres": np.zeros((400, 3))}, "1 different boxes within 55 m but anchors need 24"),
         ({"line_centres": []}, "0 different map elements"),
         ({"plans": [np.ones((9, 6, 2))] * 3}, "plans of command 0"),
         ({"plans": []}, "plans of 3 commands"),
@@ -98,5 +98,5 @@ def test_a_checkpoint_keeps_its_anchors_and_others_are_an_error() -> None:
     assert torch.equal(add_anchors(without, made)[PLANS], made[PLANS])
     with pytest.raises(InputError, match=r"trained with other anchors: head.motion_plan_head.motion_anchor"):
         add_anchors(state, cluster_anchors(sightings(5), MINIATURE))
-    with pytest.raises(InputError, match="of shape"):
+    with pytest.raises(InputError, match="have shape"):
         add_anchors(state, made | {LINES: made[LINES][:3]})

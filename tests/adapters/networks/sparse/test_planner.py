@@ -292,7 +292,7 @@ def test_weights_without_anchors_take_those_of_a_data_set_and_others_refuse_them
     assert all(torch.equal(held[name], tensor) for name, tensor in made.items())
     with pytest.raises(InputError, match="was trained with other anchors"):
         import_checkpoint(published("sparsedrive", tmp_path), anchors=anchors)
-    with pytest.raises(InputError, match="is no checkpoint of UniAD"):
+    with pytest.raises(InputError, match="is not a checkpoint of UniAD"):
         import_checkpoint(bare, anchors=bare)
     anchors.write_bytes(anchors.read_bytes()[:-8])
     with pytest.raises(InputError, match="cannot read anchors"):

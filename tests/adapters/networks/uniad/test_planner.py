@@ -265,7 +265,7 @@ def test_anchors_beside_the_checkpoint_or_named_are_kept_with_the_weights(cache:
         import_checkpoint(path)
     torch.save({**torch.load(path)["state_dict"], MOTION_ANCHORS: anchors()}, tmp_path / "own.pth")
     assert import_checkpoint(tmp_path / "own.pth").provenance.anchors_sha256 is None
-    with pytest.raises(InputError, match="has motion anchors of its own"):
+    with pytest.raises(InputError, match="already has motion anchors"):
         other = anchor_file(tmp_path / "other.pkl", {"anchors_all": [np.zeros((6, 12, 2))] * 4})
         import_checkpoint(tmp_path / "own.pth", anchors=other)
 
@@ -313,14 +313,14 @@ class _Hostile:
         ({"anchors": []}, "has no list 'anchors_all'"),
         ([1.0, 2.0], "has no list 'anchors_all'"),
         ({"anchors_all": "four"}, "has no list 'anchors_all'"),
-        ({"anchors_all": [np.zeros((6, 12, 2))] * 3}, r"are 3 of \(6, 12, 2\), and UniAD needs 4 arrays"),
+        ({"anchors_all": [np.zeros((6, 12, 2))] * 3}, r"are 3 of \(6, 12, 2\), but UniAD needs 4 arrays"),
         ({"anchors_all": [np.zeros((6, 12, 2))] * 3 + [np.zeros((6, 6, 2))]}, r"4 of \(6, 12, 2\), \(6, 6, 2\)"),
         ({"anchors_all": [[1.0]] * 4}, "4 of list"),
         ({"anchors_all": []}, "0 of nothing"),
-        ({"anchors_all": [np.full((6, 12, 2), np.nan)] * 4}, "numbers that are no metres"),
-        ({"anchors_all": [np.full((6, 12, 2), 1e9)] * 4}, "numbers that are no metres"),
+        ({"anchors_all": [np.full((6, 12, 2), np.nan)] * 4}, "implausible values"),
+        ({"anchors_all": [np.full((6, 12, 2), 1e9)] * 4}, "implausible values"),
         ({"anchors_all": [np.full((6, 12, 2), "a")] * 4}, "4 of ndarray"),
-        ({"anchors_all": [_Hostile()] * 4}, "is refused: its pickle asks for"),
+        ({"anchors_all": [_Hostile()] * 4}, "is refused: its pickle uses"),
     ],
 )
 def test_what_are_no_anchors_is_one_sentence(tmp_path: Path, content: Any, says: str) -> None:

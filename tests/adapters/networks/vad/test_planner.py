@@ -239,7 +239,7 @@ def test_weights_with_pixel_values_of_a_later_version_are_one_sentence(cache: Pa
     found = import_checkpoint(published(tmp_path / "a.pth"))
     later = tmp_path / "later.safetensors"
     write_weights(later, load_file(found.path), found.provenance.model_copy(update={"normalisation": "grey"}))
-    with pytest.raises(InputError, match="there is no normalisation 'grey'; known are bgr-mean, rgb-mean-std"):
+    with pytest.raises(InputError, match="unknown normalisation 'grey'; use one of bgr-mean, rgb-mean-std"):
         build_planner("vad-tiny", checkpoint=later)
 
 

@@ -122,7 +122,7 @@ def test_the_page_says_what_the_data_say_and_escapes_what_strangers_wrote(tmp_pa
     assert head["license"] == "cc-by-nc-sa-4.0" and head["size_categories"] == ["n<1K"]
     assert head["configs"][0]["data_files"] == [{"split": "index", "path": "scenes.parquet"}]
     assert "# Two &lt;roads&gt;" in page and "a \\| b" in page and "road-adv-1" in page
-    assert "| what the first of them do | cut-in-left 2 |" in page and f"`{data.fingerprint()}`" in page
+    assert "| manoeuvres of the first adversaries | cut-in-left 2 |" in page and f"`{data.fingerprint()}`" in page
     assert "not taken by a camera" in page and "Recorded road users do not react" in page
     assert written.rows == 2 and [path.name for path in written.files] == [
         "README.md",
@@ -143,8 +143,8 @@ def test_the_town_is_free_recordings_are_not_and_the_same_bytes_come_twice(tmp_p
     write_data_card(data, tmp_path / "town", embedded=True)
     write_data_card(data, tmp_path / "recorded")
     town, recorded = ((tmp_path / name / "README.md").read_text() for name in ("town", "recorded"))
-    assert head_of(town)["license"] == "apache-2.0" and "every road user is made up" in town
-    assert head_of(recorded)["license"] == "unknown" and "Not decided: whoever publishes this must say." in recorded
+    assert head_of(town)["license"] == "apache-2.0" and "every road user is synthetic" in town
+    assert head_of(recorded)["license"] == "unknown" and "Undecided: the publisher must choose one." in recorded
     assert "license" not in json.loads((tmp_path / "recorded" / "croissant.json").read_text())
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     write_data_card(data, tmp_path / "town", embedded=True)
@@ -168,7 +168,7 @@ def test_results_are_a_card_too(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("without_parquet")
 def test_nothing_that_somebody_wrote_is_written_over(tmp_path: Path) -> None:
     (tmp_path / "README.md").write_text("# My project\n")
-    with pytest.raises(InputError, match="no card that challenger-bench wrote"):
+    with pytest.raises(InputError, match="not a card written by challenger-bench"):
         write_data_card(town_of_two(), tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["README.md"]
     with pytest.raises(InputError, match="has no scenes to describe"):
@@ -178,7 +178,7 @@ def test_nothing_that_somebody_wrote_is_written_over(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"licence": "all rights, reserved"}, "is no licence identifier"),
+        ({"licence": "all rights, reserved"}, "is not a licence identifier"),
         ({"url": "javascript:alert(1)"}, "--url must begin with http"),
         ({"published": "yesterday"}, "--published must be a day"),
         ({"title": "two\nlines"}, "--title must be one line"),
@@ -212,7 +212,7 @@ def test_the_index_reads_back(tmp_path: Path) -> None:
 
 def test_the_commands_write_cards(tmp_path: Path) -> None:
     done = run_here("leaderboard", "card", "--records", GOLDEN / "schema-3-adv", "--to", tmp_path / "card", "--json")
-    assert done.code == 0 and "its licence is not decided" in done.err
+    assert done.code == 0 and "is undecided; set it with" in done.err
     assert json.loads(done.out)["rows"] > 50 and (tmp_path / "card" / "rates.parquet").is_file()
     refused = run_here("data", "card", tmp_path, "--to", tmp_path / "card")
     assert refused.code == 2

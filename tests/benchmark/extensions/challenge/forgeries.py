@@ -102,7 +102,7 @@ def a_pedestrian_gone_after_half_of_the_scene(entry: Forged) -> None:
     entry.drop_annotations(PEDESTRIAN, lambda keyframe: keyframe < 8)
 
 
-@forgery("changed.most", "has, and the recording has not,")
+@forgery("changed.most", "adds, which the recording lacks:")
 def a_vehicle_made_up(entry: Forged) -> None:
     instance = entry.instance(PARKED)
     with entry.rows("sample_annotation") as rows:
@@ -118,7 +118,7 @@ def a_vehicle_made_up(entry: Forged) -> None:
         rows.append(row)
 
 
-@forgery("changed.most", "leaves out")
+@forgery("changed.most", "excludes")
 def everybody_else_gone(entry: Forged) -> None:
     for agent in (TRUCK, PEDESTRIAN, PARKED, ONCOMING, LEADER):
         entry.drop_annotations(agent, lambda _: False)
@@ -137,7 +137,7 @@ def nothing_changed(entry: Forged) -> None:
     entry.annotations(lambda keyframe, row: row.update({name: theirs[keyframe][name] for name in same}), CUTTER)
 
 
-@forgery("changed.least", "which moves as it was recorded")
+@forgery("changed.least", "which moves as recorded")
 def another_vehicle_named_as_adversary(entry: Forged) -> None:
     path = entry.folder / "challenger.json"
     made = json.loads(path.read_text())
@@ -255,7 +255,7 @@ def a_camera_mounted_elsewhere(entry: Forged) -> None:
         next(row for row in rows if row["token"] == token)["translation"][2] += 0.3
 
 
-@forgery("unchanged.position_m", "mounts LIDAR_TOP elsewhere")
+@forgery("unchanged.position_m", "moves LIDAR_TOP")
 def the_lidar_mounted_elsewhere(entry: Forged) -> None:
     token = entry.data_rows("LIDAR_TOP")[0]["calibrated_sensor_token"]
     with entry.rows("calibrated_sensor") as rows:
@@ -306,7 +306,7 @@ def the_scene_ends_early(entry: Forged) -> None:
         next(row for row in rows if row["name"] == "scene-9901-a").update(nbr_samples=12, last_sample_token=last)
 
 
-@forgery("unchanged.map_m2", "drivable area")
+@forgery("unchanged.map_m2", "map")
 def the_map_widened_for_the_adversary(entry: Forged) -> None:
     change_map(entry, lambda node: node.update(y=node["y"] + 6.0) if node["y"] > 206.9 else None)
 
@@ -374,7 +374,7 @@ def an_adversary_that_jumps_at_its_launch(entry: Forged) -> None:
     entry.annotations(moved(x=9.0, from_keyframe=4), CUTTER)
 
 
-@forgery("changed.start_m", "from where it was recorded")
+@forgery("changed.start_m", "from its recorded")
 def an_adversary_that_begins_elsewhere(entry: Forged) -> None:
     entry.annotations(moved(x=3.0), CUTTER)
 
@@ -394,7 +394,7 @@ def an_adversary_that_appears_late(entry: Forged) -> None:
     entry.drop_annotations(CUTTER, lambda keyframe: keyframe >= 3)
 
 
-@forgery("road.", "the drivable area")
+@forgery("road.", "the map")
 def an_adversary_off_the_road(entry: Forged) -> None:
     entry.annotations(lambda at, row: moved(y=-1.0 * max(at - 5, 0))(at, row), CUTTER)
 
@@ -436,7 +436,7 @@ def an_image_truncated(entry: Forged) -> None:
 
 @forgery("images.required", "cannot be read")
 def an_image_that_is_text(entry: Forged) -> None:
-    entry.image("CAM_BACK", 0).write_text("no picture")
+    entry.image("CAM_BACK", 0).write_text("not a readable picture")
 
 
 @forgery("images.required", "its row says 96 x 54")

@@ -55,7 +55,7 @@ def test_the_same_scene_twice_and_too_many_of_one_recording(base: DataSet, tmp_p
     root = write(tmp_path / "entry", "adv", [(cut_in(scene, over_s=over_s), name) for over_s, name in ways]).root
     verdict = check(root, base, ChallengeRules.model_validate({"scenes": {"most_of_one": 2}}), None)
     assert [scene.accepted for scene in verdict.scenes] == [True, False, True]
-    assert [reason.sentence for reason in verdict.scenes[1].reasons] == ["is the scene scene-9901-a once more"]
+    assert [reason.sentence for reason in verdict.scenes[1].reasons] == ["repeats the scene scene-9901-a once more"]
     assert [reason.rule for reason in verdict.reasons] == ["scenes.most_of_one"]
 
 

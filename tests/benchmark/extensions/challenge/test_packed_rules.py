@@ -62,7 +62,7 @@ def test_the_commands_of_the_page(packed: WrittenPackage, folder: Path, tmp_path
     ("change", "message"),
     [
         (lambda members: members.pop("rules/rules.toml"), "lacks rules/rules.toml"),
-        (replaced("rules", b"[changed]\nmost = 9\n"), "is not what the manifest says"),
+        (replaced("rules", b"[changed]\nmost = 9\n"), "does not match the manifest"),
     ],
 )  # fmt: skip
 def test_what_was_tampered_with_is_refused(packed: WrittenPackage, tmp_path: Path, change: Any, message: str) -> None:
@@ -86,6 +86,6 @@ def test_what_are_no_rules_is_not_packed(contents: PackageContents, tmp_path: Pa
 def test_rules_that_are_there_are_never_replaced(packed: WrittenPackage, tmp_path: Path) -> None:
     (tmp_path / "rules").mkdir()
     (tmp_path / "rules" / "rules.toml").write_text("mine = 1")
-    with pytest.raises(InputError, match="is there and holds something else"):
+    with pytest.raises(InputError, match="exists with other content"):
         write_package_files(read_split_package(packed.path), tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["rules.toml"]

@@ -164,7 +164,7 @@ def test_an_entry_without_an_accepted_scene_is_not_ranked(entry: Path, base: Dat
     found = score_entries({"far": open_data(entry)}, base, [planner_factory(STEADY)], settings)
     (score,) = found.entries
     assert score.best_place is None and len(score.refused) == 2
-    assert "has no scene that is accepted" in challenge_tables(found)[0].plain()
+    assert "has no accepted scenes" in challenge_tables(found)[0].plain()
 
 
 def test_who_is_changed_is_the_adversary_even_if_the_entry_names_nobody(
@@ -256,8 +256,8 @@ def test_the_command_scores_and_refuses(entry: Path, base: DataSet, tmp_path: Pa
     for extra, says in (
         ((entry, "--model", "constant-velocty"), "constant-velocity"),
         ((entry, "--protocol", "exat"), "exat"),
-        ((entry, "--protocol", "native"), "no protocol of its own"),
-        ((tmp_path / "none",), "does not exist"),
+        ((entry, "--protocol", "native"), "no native protocol"),
+        ((tmp_path / "none",), "missing score"),
         ((entry, entry), "named twice"),
     ):
         done = run_here("challenge", "score", *extra, *arguments)

@@ -75,7 +75,7 @@ def test_what_was_moved_is_the_adversary_from_the_last_keyframe_before(
     assert np.allclose([y for _, y, _ in adversary.track], expected, atol=6e-4)
     assert build_edited_split(source, path) == split
     report = build_frozen(source, split, replace(PLAIN, out=tmp_path / "adv"))
-    assert report.other_tables == () and report.edited and "edited, and verified by nobody" in report.summary()
+    assert report.other_tables == () and report.edited and "edited and not verified" in report.summary()
     assert set(report.as_json()["faults"]) == {scene.name}
     built = open_data(tmp_path / "adv")
     found = built.scene(scene.name)
@@ -175,9 +175,9 @@ def two_egos(value: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda value: None, "as it was recorded; move a vehicle"),
-        (drifts(0.004), "as it was recorded; move a vehicle"),
-        (gone, "is not there at frame"),
+        (lambda value: None, "unchanged; move a vehicle"),
+        (drifts(0.004), "unchanged; move a vehicle"),
+        (gone, "is absent at frame"),
         (other_clock, "its times are not those of scene-9901"),
         (pedestrian, "another size or category"),
         (larger, "another size or category"),
@@ -202,7 +202,7 @@ def test_what_else_differs_is_refused(
 def test_other_recordings_and_the_same_scene_twice_are_refused(source: DataSet, exported: Path, tmp_path: Path) -> None:
     shorter = recordings(tmp_path / "shorter", seconds=6.0)
     path = edit(exported, tmp_path / "wrong.pkl", drifts())
-    with pytest.raises(InputError, match=r"has 91 frames and scene-9901 was recorded with"):
+    with pytest.raises(InputError, match=r"has 91 frames but scene-9901 was recorded with"):
         build_edited_split(shorter, path)
     with pytest.raises(InputError, match="the same scene as another file"):
         build_edited_split(source, edit(exported, tmp_path / "wrong.pkl", drifts()).parent / _copied(path))
@@ -233,9 +233,9 @@ def test_the_command_builds_edited_scenes_and_freezes_them(source: DataSet, expo
     dry = run_here("generate", "--from", tmp_path / "edited", "--out", tmp_path / "dry", "--dry-run", *out)
     assert dry.code == 0 and "nothing was written" in dry.out and not (tmp_path / "dry").exists()
     for wrong, message in (
-        (("--seeds", "0,1"), "edited scenes have none"),
+        (("--seeds", "0,1"), "edited scenes are not searched"),
         (("--top", "3"), "--top belongs to a search"),
-        (("--split", "val-r"), "--from builds split adv"),
+        (("--split", "val-r"), "--from always builds split adv"),
     ):
         refused = run_here("generate", "--from", tmp_path / "edited", "--out", tmp_path / "no", *wrong, *out)
         assert refused.code == 2 and message in refused.err

@@ -60,8 +60,8 @@ def test_an_evaluation_asks_the_server_and_without_pictures_says_what_is_missing
 @pytest.mark.parametrize(
     ("options", "says", "not_said"),
     [
-        ((), ["stop answers at http://127.0.0.1:", "Ctrl-C ends it"], "warning"),
-        (("--host", "0.0.0.0"), ["warning: 0.0.0.0 is open to other machines", "no password"], "pickles"),
+        ((), ["stop is served at http://127.0.0.1:", "stop it with Ctrl-C"], "warning"),
+        (("--host", "0.0.0.0"), ["warning: 0.0.0.0 is open to other machines", "a password"], "pickles"),
         (("--accept-torch-tensors",), ["saved tensors are pickles", "weights_only"], "open to other machines"),
     ],
 )

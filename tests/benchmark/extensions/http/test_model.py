@@ -81,8 +81,8 @@ FAILURES: list[tuple[str, Reply, str]] = [
     ("an error page of a framework", (500, b'{"detail": "CUDA out of memory"}'), "status 500: CUDA out of memory"),
     ("an error in plain words", (500, b"Internal Server Error"), "Internal Server Error"),
     ("too few waypoints", (200, b'{"trajectory": [[1, 0]], "aux_outputs": {}}'), "6 to 16 waypoints"),
-    ("NaN", (200, GOOD.replace(b"[1, 0]", b"[NaN, 0]")), "finite numbers"),
-    ("global coordinates", (200, GOOD.replace(b"[1, 0]", b"[1e6, 0]")), "metres from the car"),
+    ("NaN", (200, GOOD.replace(b"[1, 0]", b"[NaN, 0]")), "finite, but"),
+    ("use coordinates", (200, GOOD.replace(b"[1, 0]", b"[1e6, 0]")), "metres from the car"),
     ("nothing beside it", (200, b'{"trajectory": []}'), "no aux_outputs"),
     ("broken JSON", (200, b'{"trajectory": [[1,'), "no JSON"),
 ]
@@ -91,7 +91,7 @@ GONE: list[tuple[str, Reply, str]] = [
     ("a web page that is not found", (404, b"<html>404</html>"), "a web page"),
     ("another route", (404, b'{"detail": "Not Found"}'), "status 404: Not Found.*another version"),
     ("other members", (422, b'{"detail": [{"loc": ["body", "image"], "msg": "missing"}]}'), "422.*another version"),
-    ("other pictures", (415, b'{"detail": "no tensors"}'), "--image-format"),
+    ("another ", (415, b'{"detail": "no tensors"}'), "--image-format"),
 ]
 
 
@@ -145,13 +145,13 @@ def test_a_busy_server_is_late_and_nobody_has_failed(status: int) -> None:
 
 def test_nobody_there_is_a_sentence_with_the_address() -> None:
     url = f"http://127.0.0.1:{free_port()}"
-    with pytest.raises(PlannerAwayError, match=f"nobody answers at {url}; start|nobody answers at {url} "):
+    with pytest.raises(PlannerAwayError, match=f"nobody is served at {url}; start|nobody is served at {url} "):
         planner(url).require_alive()
 
 
 def test_a_server_that_hangs_up_is_away_and_the_request_is_not_sent_again() -> None:
     with scripted(lambda path, body: None) as server:
-        with pytest.raises(PlannerAwayError, match="went away before it had answered /infer"):
+        with pytest.raises(PlannerAwayError, match="hung up before answering /infer"):
             planner(server.url).plan(observed())
         assert server.paths == ["/infer"]
 
@@ -224,9 +224,9 @@ def test_it_waits_for_a_server_that_comes_back(
 ) -> None:
     with scripted(good) as server:
         planner(server.url).come_back()
-    assert "went away; waiting" in capsys.readouterr().err
+    assert "is gone; waiting" in capsys.readouterr().err
     monkeypatch.setattr("benchmark.extensions.http.model.RETURN_S", 0.2)
-    with pytest.raises(PlannerAwayError, match="nobody answers"):
+    with pytest.raises(PlannerAwayError, match="no answer,"):
         planner(f"http://127.0.0.1:{free_port()}").come_back()
 
 
@@ -268,7 +268,7 @@ def test_addresses(text: str, url: str, name: str) -> None:
 )  # fmt: skip
 def test_what_is_no_address(text: str) -> None:
     assert is_address(text)
-    with pytest.raises(InputError, match=r"--model .* is no address; write http://HOST:PORT"):
+    with pytest.raises(InputError, match=r"--model .\* is not an address; write http://HOST:PORT"):
         Address.of(text, "--model")
 
 

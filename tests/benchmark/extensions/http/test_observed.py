@@ -89,11 +89,11 @@ def test_without_its_six_cameras_an_observation_is_refused() -> None:
 
 
 BREAKS = {
-    "no images": (("images",), None, "no images"),
+    "take images": (("images",), None, "take images"),
     "a camera less": (("images", "CAM_BACK"), None, "images has no CAM_BACK"),
     "a number as picture": (("images", "CAM_BACK"), 7, "not base64"),
-    "no base64": (("images", "CAM_BACK"), "%%%", "no base64"),
-    "a picture that is none": (("images", "CAM_BACK"), "aGVsbG8=", "no picture"),
+    "not base64": (("images", "CAM_BACK"), "%%%", "not base64"),
+    "a picture that is none": (("images", "CAM_BACK"), "aGVsbG8=", "not a readable picture"),
     "a path as picture": (("images", "CAM_BACK"), "/etc/passwd", "no base64|no picture"),
     "a flat pose": (("ego2world",), [0.0] * 16, "the shape 16, not 4 x 4"),
     "no rotation": (("ego2world",), [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "no pose"),
@@ -107,7 +107,7 @@ BREAKS = {
     "a fourth command": (("command",), 3, "from 0 to 2"),
     "no calibration": (("calibration",), None, "no calibration"),
     "a lens that looks nowhere": (
-        ("calibration", "camera2image", "CAM_FRONT"), [[0, 0, 0], [0, 0, 0], [0, 0, 1]], "no pinhole",
+        ("calibration", "camera2image", "CAM_FRONT"), [[0, 0, 0], [0, 0, 0], [0, 0, 1]], "not a pinhole",
     ),
     "a lidar without a place": (("calibration", "lidar2ego"), None, "no lidar2ego"),
 }  # fmt: skip

@@ -168,7 +168,7 @@ def test_a_server_that_dies_of_a_scene_is_not_tried_for_ever(tmp_path: Path) -> 
     def dies(path: str, body: bytes) -> Reply:
         return None if path == "/infer" else (200, b"true")
 
-    with scripted(dies) as server, pytest.raises(InputError, match="went away before it had answered /infer"):
+    with scripted(dies) as server, pytest.raises(InputError, match="hung up before answering /infer"):
         driven(tmp_path, server.url)
     assert server.paths.count("/infer") == 6 and not list(tmp_path.rglob("drives/*.json"))
 

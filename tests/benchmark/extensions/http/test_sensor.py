@@ -154,9 +154,9 @@ WRONG: dict[str, tuple[Callable[[Renderer], Callable[[str, bytes], Reply]], str]
         lambda good: lambda path, body: (500, b"out of memory") if path == "/render_image" else good(path, body),
         "/render_image with status 500: out of memory",
     ),
-    "another size": (lambda good: replace(good, shape=(3, 4)), "4 x 3 pixels, and the calibration is of 8 x 6"),
-    "no picture": (
-        lambda good: lambda path, body: (200, b"hello") if path == "/render_image" else good(path, body), "no base64",
+    "in size": (lambda good: replace(good, shape=(3, 4)), "4 x 3 pixels, but the calibration is of 8 x 6"),
+    "not a readable picture": (
+        lambda good: lambda path, body: (200, b"hello") if path == "/render_image" else good(path, body), "not base64",
     ),
     "nothing": (lambda good: lambda path, body: None, "went away"),
 }  # fmt: skip
@@ -200,7 +200,7 @@ def test_what_was_measured_names_the_renderer() -> None:
     assert plain.name == "127.0.0.1:8000"
     assert plain.facts == {"protocol": "neuroncap", "image_format": "png", "address": "http://127.0.0.1:8000"}
     assert "address" not in sensor("http://127.0.0.1:8000").facts
-    with pytest.raises(InputError, match="nobody answers"):
+    with pytest.raises(InputError, match="no answer,"):
         sensor(f"http://127.0.0.1:{free_port()}").require_alive()
 
 

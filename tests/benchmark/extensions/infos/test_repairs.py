@@ -204,8 +204,8 @@ def test_the_command_says_what_it_did(variants: Path, tmp_path: Path, capsys: py
     command.main(words, standalone_mode=False)
     lines = capsys.readouterr().out.splitlines()
     assert lines[1] == f"27 infos in {tmp_path}/to/vad_nuscenes_infos_temporal_val.pkl"
-    assert sum(line.startswith("otherwise than converted: ") for line in lines) == 5
-    assert any("32x18, and published networks were trained on 1600x900" in line for line in lines)
+    assert sum(line.startswith("differs from the converter: ") for line in lines) == 5
+    assert any("32x18, but published networks were trained on 1600x900" in line for line in lines)
     first = bytes_below(tmp_path / "to")
     command.main([*words, "--json"], standalone_mode=False)
     said = json.loads(capsys.readouterr().out)
@@ -267,12 +267,12 @@ def _broken_messages(root: Path) -> None:
         (_without("samples/CAM_BACK/*"), "--for uniad", "write the images"),
         (_without("samples/LIDAR_TOP/*"), "--for vad", "VAD opens it"),
         (_without("maps/expansion/boston*"), "--for uniad", "boston-seaport.json, which official code opens"),
-        (_without("maps/expansion/boston*"), "--for sparsedrive --as-converted", "which map elements are made of"),
+        (_without("maps/expansion/boston*"), "--for sparsedrive --as-converted", "the source of map elements"),
         (_without("v1.0-trainval/log.json"), "--for vad", "lacks log.json"),
         (_no_cameras, "--for uniad", "no image of CAM_FRONT"),
         (_no_cameras, "--for uniad --as-converted", "no image of CAM_FRONT"),
         (_changed("log", location="atlantis"), "--for uniad", "lies in atlantis"),
-        (_changed("sample_annotation", visibility_token=""), "--for uniad --as-converted", "is no number"),
+        (_changed("sample_annotation", visibility_token=""), "--for uniad --as-converted", "is not a number"),
         (_changed("ego_pose", rotation=[1, 1, 0, 0]), "--for uniad --as-converted", "of norm one"),
         (_renamed, "--for uniad", "official code opens v1.0-mini"),
         (_broken_map, "--for sparsedrive --as-converted", "map expansion is incomplete"),
@@ -304,17 +304,17 @@ def test_single_samples_are_refused(tmp_path: Path) -> None:
     write_root(tmp_path / "root", [short_scene(seconds=0.5)])
     for options in (["--for", "uniad"], ["--for", "vad", "--as-converted"]):
         said = refusal("data", "export", "infos", tmp_path / "root", "--to", tmp_path / "to", *options)
-        assert "single sample" in said
+        assert "one sample" in said
 
 
 def test_the_export_overwrites_nothing_of_others(healthy: Path, tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "nuscenes").symlink_to(healthy)
     said = refusal("data", "export", "infos", healthy, "--for", "uniad", "--to", tmp_path / "data")
-    assert "is a link, and what it leads to must stay as it is" in said
+    assert "is a link, whose target must not be changed" in said
     (tmp_path / "other" / "nuscenes" / "samples").mkdir(parents=True)
     said = refusal("data", "export", "infos", healthy, "--for", "uniad", "--to", tmp_path / "other")
-    assert "is in the way of a link" in said
+    assert "exists where a link" in said
     export_infos(healthy, tmp_path / "third", InfoSettings("uniad"))
     copy = shutil.copytree(healthy, tmp_path / "copy")
     said = refusal("data", "export", "infos", copy, "--for", "vad", "--to", tmp_path / "third")

@@ -157,9 +157,9 @@ def _file(golden: Path) -> Path:
         (_holding(b"]."), "golden set of infos"),
         (lambda golden: shutil.rmtree(golden / "tables"), "cannot read"),
         (_manifest(lambda row: row.pop("files")), "golden set of infos"),
-        (_manifest(lambda row: row.update(version="../..")), "leads out of the set"),
-        (_manifest(lambda row: row["files"]["uniad"].update(path="/etc/passwd")), "leads out of the set"),
-        (_manifest(lambda row: row.update(tables="nowhere")), "does not say where the tables"),
+        (_manifest(lambda row: row.update(version="../..")), "points outside the set"),
+        (_manifest(lambda row: row["files"]["uniad"].update(path="/etc/passwd")), "points outside the set"),
+        (_manifest(lambda row: row.update(tables="nowhere")), "does not locate the tables"),
         (_manifest(lambda row: row.update(tables="those of mars")), "golden set of infos"),
     ],
 )

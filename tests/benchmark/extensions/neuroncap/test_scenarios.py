@@ -53,12 +53,12 @@ def changed(actor: dict[str, Any] | None = None, **general: Any) -> dict[str, An
     [
         ({"actors": []}, "general"),
         (changed(time_step=0.1), "steps of 0.1 s"),
-        (changed(duration="long"), "duration is no finite number"),
-        (changed(start_jitter=-1), "no whole number from 0 on"),
+        (changed(duration="long"), "duration is not a finite number"),
+        (changed(start_jitter=-1), "not a whole number of at least 0"),
         (changed({"mode": "overide"}), "did you mean override"),
-        (changed({"uuids": []}), "names nobody"),
+        (changed({"uuids": []}), "names no actor"),
         (changed({"positions": [[0.0, 0.0, 0.0]]}), "positions is missing"),
-        (changed({"times": [5.0, 1.0]}), "must be two or more that rise"),
+        (changed({"times": [5.0, 1.0]}), "must be two or more in ascending order"),
         (changed({"dims": [1.0, None, 1.0]}), "dims"),
         (changed({"jitter": 3}), "no table"),
         ({"general": {}, "actors": [SCENARIO["actors"][0]] * 2}, "more than one target"),
@@ -72,8 +72,8 @@ def test_a_wrong_scenario_is_refused(facts: dict[str, Any], says: str) -> None:
 def test_an_actor_that_nobody_knows_is_refused() -> None:
     recording = recording_of(made_inputs())
     for actor, says in (
-        ({"uuids": ["nobody"]}, "no instance"),
-        ({"mode": "optimized", "uuids": ["made-3"]}, "own track"),
+        ({"uuids": ["nobody"]}, "not an instance"),
+        ({"mode": "optimized", "uuids": ["made-3"]}, "track"),
     ):
         cast = cast_of(recording)
         tracks = {uuid: track for uuid, track in cast.tracks.items() if uuid != "made-3"}

@@ -258,11 +258,11 @@ def test_switches_have_names_that_lead_back_to_them() -> None:
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("neuroncap", "there are neuroncap@code and neuroncap@paper"),
+        ("neuroncap", "use neuroncap@code or neuroncap@paper"),
         ("neuroncap@cod", "no engine"),
         ("neuroncap@code+vehicel=paper", "did you mean vehicle"),
-        ("neuroncap@code+vehicle=zoe", "is code or paper"),
-        ("neuroncap@code+vehicle", "is code or paper"),
+        ("neuroncap@code+vehicle=zoe", "must be code or paper"),
+        ("neuroncap@code+vehicle", "must be code or paper"),
     ],
 )
 def test_a_wrong_name_is_refused(name: str, says: str) -> None:

@@ -260,7 +260,7 @@ def test_the_adversary_of_a_written_split_is_the_one_that_its_provenance_names(n
         (lambda path: path.write_bytes(path.read_bytes()[:100]), "cannot be read"),
         (lambda path: path.write_text("<html>"), "cannot be read"),
         (lambda path: Image.new("RGB", (100, 100)).save(path), "does not have the proportions of its camera"),
-        (lambda path: Image.new("RGB", (160, 90)).save(path), "has another size than the others"),
+        (lambda path: Image.new("RGB", (160, 90)).save(path), "differs in size from others"),
     ],
 )
 def test_images_that_cannot_be_scored_are_one_sentence(networks: Path, tmp_path: Path, damage, says: str) -> None:  # type: ignore[no-untyped-def]
@@ -311,7 +311,7 @@ def test_without_weights_one_sentence_says_what_to_get(root: Path, tmp_path: Pat
     with pytest.raises(InputError, match=r"no weights dino-vitb16 in .*about 343 MB.*weights fetch dino-vitb16"):
         run(root, tmp_path, empty)
     said = describe_plan(NuScenesData.open(root), "val", replace(empty, definition=QualityDefinition()))
-    assert "2 scenes of val with 7 images" in said and said.count("there are no weights") == 4
+    assert "2 scenes of val with 7 images" in said and said.count("no weights") == 4
 
 
 def test_weights_that_give_no_numbers_are_one_sentence(root: Path, networks: Path, tmp_path: Path) -> None:

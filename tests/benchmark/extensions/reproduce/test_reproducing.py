@@ -141,10 +141,10 @@ def test_fewer_samples_are_another_number(town: FakeData, values: Path, tmp_path
         ({"split": "adv"}, "is of drives on adv"),
         ({"protocol": "exakt"}, "unknown protocol 'exakt'"),
         ({"values": {}}, "has no values"),
-        ({"allowed": {"l2": 0.1}}, "allows no difference for collision"),
+        ({"allowed": {"l2": 0.1}}, "gives no tolerance for collision"),
         ({"allowed": {"l2": -1.0, "collision": 1.0}}, "allowed"),
-        ({"values": {"l2": {"9s": 1.0}}}, "no file of expected values"),
-        ({"more": 1}, "no file of expected values"),
+        ({"values": {"l2": {"9s": 1.0}}}, "not a file of expected values"),
+        ({"more": 1}, "not a file of expected values"),
     ],
 )
 def test_files_of_expected_values_are_checked(change: dict[str, Any], sentence: str, values: Path) -> None:
@@ -156,7 +156,7 @@ def test_files_of_expected_values_are_checked(change: dict[str, Any], sentence: 
 
 def test_damaged_reproductions_are_a_sentence(tmp_path: Path) -> None:
     (tmp_path / REPRODUCTION_FILE).write_text('{"numbers": 3}')
-    with pytest.raises(InputError, match="does not say what was reproduced"):
+    with pytest.raises(InputError, match="is not a valid reproduction record"):
         find_reproductions([tmp_path])
     assert find_reproductions([tmp_path / "nowhere"]) == []
 

@@ -42,5 +42,5 @@ def test_card_without_held_out_sources_names_none(weights: Path) -> None:
 
 def test_weights_that_do_not_say_how_they_were_trained_have_no_card(weights: Path) -> None:
     save_denoiser(weights, load_denoiser(weights), {"seed": 0})
-    with pytest.raises(InputError, match="does not say its batch, licences, steps, windows"):
+    with pytest.raises(InputError, match="does not record its batch, licences, steps, windows"):
         write_model_card(weights, weights.parent)

@@ -85,7 +85,7 @@ def test_another_network_is_not_filled(tmp_path: Path) -> None:
 
 DAMAGES: dict[str, Callable[[Path], Any]] = {
     "has no inputs.npz": lambda golden: (golden / "inputs.npz").unlink(),
-    "whole npz file": lambda golden: (golden / "outputs.npz").write_bytes(b"PK"),
+    "complete npz file": lambda golden: (golden / "outputs.npz").write_bytes(b"PK"),
     "keys_reduced.json": lambda golden: (golden / "keys_reduced.json").unlink(),
     "overrides": lambda golden: change_manifest(golden, lambda m: m.pop("overrides")),
     "of MagicDriveDiT, or": lambda golden: change_manifest(golden, lambda m: m["reduced_config"].update(num_heads=5)),

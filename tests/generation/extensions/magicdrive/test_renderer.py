@@ -373,13 +373,13 @@ def test_one_scene_is_drawn_on_each_gpu(
 
 def test_a_gpu_that_is_not_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     with_gpus(monkeypatch, 0)
-    with pytest.raises(InputError, match="there is no GPU for device 'cuda'"):
+    with pytest.raises(InputError, match="no GPU found for device 'cuda'"):
         build_rendering_executor(LocalProcesses(2), "cuda")
 
 
 def test_too_little_memory_is_a_sentence(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
-        raise torch.cuda.OutOfMemoryError("too much")
+        raise torch.cuda.OutOfMemoryError("too many")
 
     monkeypatch.setattr(renderer_module, "sample_latents", full)
     with pytest.raises(InputError, match="does not fit into the memory of cpu"):

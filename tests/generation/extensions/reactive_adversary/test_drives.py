@@ -138,9 +138,9 @@ def test_tracks_of_one_planner_are_driven_against_another(records: list[DriveRec
     for ours, theirs in zip(found.rows, source.rows, strict=True):
         assert ours.adversary is not None and theirs.adversary is not None
         assert (ours.adversary.start, ours.adversary.poses) == (theirs.adversary.start, theirs.adversary.poses)
-    with pytest.raises(InputError, match="holds no track"):
+    with pytest.raises(InputError, match="does not hold"):
         api.drive_settings("adv", agents="adversary", adversary_tracks=source.directory)
-    with pytest.raises(InputError, match="add --agents adversary"):
+    with pytest.raises(InputError, match="use --agents adversary"):
         api.drive_settings("val", adversary_tracks=source.directory)
 
 
@@ -186,7 +186,7 @@ def test_an_adversary_that_would_go_elsewhere_is_not_shown(records: list[DriveRe
     moved = [[x, y + 0.001, yaw] for x, y, yaw in row.adversary.poses]
     elsewhere = row.model_copy(update={"adversary": row.adversary.model_copy(update={"poses": moved})})
     data = town()
-    with pytest.raises(InputError, match="lead elsewhere"):
+    with pytest.raises(InputError, match="give another"):
         repeat_search(rides(), data.scene(row.scene), data, elsewhere)
 
 

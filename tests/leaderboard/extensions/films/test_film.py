@@ -118,7 +118,7 @@ def test_a_miniature_carries_its_mark(tmp_path: Path, monkeypatch: pytest.Monkey
     )
     stored = written(tmp_path)
     next(iter(Film(stored, [small], ["p"], FilmSettings())))
-    assert "p §" in said and "§ miniature: shows the pipeline, ranks nothing" in said
+    assert "p §" in said and "§ miniature: demonstrates the pipeline; not for ranking" in said
     said.clear()
     next(iter(Film(stored, [ran], ["p"], FilmSettings())))
     assert "p" in said and not any("§" in text for text in said)
@@ -239,7 +239,7 @@ def test_what_is_missing_is_named_with_the_command_that_makes_it(tmp_path: Path)
     assert find_scene_page_folders(tmp_path, "anywhere/d", "adv", None) == [stored.directory]
 
 
-@pytest.mark.parametrize("data", [b"", b"no picture", b"RIFF\x00\x00\x00\x00WEBP"])
+@pytest.mark.parametrize("data", [b"", b"not a readable picture", b"RIFF\x00\x00\x00\x00WEBP"])
 def test_a_damaged_picture_is_one_sentence(tmp_path: Path, data: bytes) -> None:
     stored = written(tmp_path)
     broken_picture(stored, data)

@@ -81,7 +81,7 @@ def test_pictures_of_recordings_wait_for_somebody_who_read_the_licence(
     assert check_publishable(folder, may_show=[name], house=HOUSE)[1] == []
     index.write_bytes(index.read_bytes().replace(b'"scenes":', b'"seen":'))
     _, found = check_publishable(folder, may_show=[name], house=HOUSE)
-    assert [each.kind for each in found] == ["picture"] and "does not say whose" in found[0].says
+    assert [each.kind for each in found] == ["picture"] and "origin is not recorded" in found[0].says
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_a_word_that_stands_a_thousand_times_is_counted(tmp_path: Path) -> None:
         ("index__html", POLICY.replace("data:", "https://example.org"), "request", "policy allows https://example.org"),
         ("index__html", f"{POLICY}<link rel=stylesheet href='/style.css'>", "link", "begins at the host's root"),
         ("index__html", f"{POLICY}<img srcset='a.png 1x, gone.png 2x' src='a.png'>", "link", "gone.png is not in"),
-        ("index__html", f"{POLICY}<a href='../../secret.html'>x</a>", "link", "leads out of the folder"),
+        ("index__html", f"{POLICY}<a href='../../secret.html'>x</a>", "link", "points outside the folder"),
         ("deep___style__css", "a { background: url(../b.png) }", "link", "../b.png is not in the folder"),
         ("style__css", "@import 'https://fonts.example.org/x';", "request", "asks https://fonts"),
         ("app__js", "fetch('https://example.org/count')", "request", "asks https://example.org/count"),
@@ -157,8 +157,8 @@ def test_a_word_that_stands_a_thousand_times_is_counted(tmp_path: Path) -> None:
         ("app__js", "new WebSocket(`wss://example.org`)", "request", "asks wss://example.org"),
         ("README__md", "[site](site/index.html)", "link", "site/index.html is not in the folder"),
         ("_private___x__txt", "x", "name", "begins with _"),
-        ("A__png", "x", "name", "in capitals alone"),
-        ("what?__txt", "x", "name", "a letter that addresses"),
+        ("A__png", "x", "name", "in capitals"),
+        ("what?__txt", "x", "name", "a character that URLs"),
     ],
 )
 def test_what_needs_a_server_or_others_is_found(tmp_path: Path, name: str, text: str, kind: str, says: str) -> None:
@@ -229,7 +229,7 @@ def test_the_command_ends_with_1_where_something_is_found(made: Path, tmp_path: 
     assert {"file": "notes.txt", "line": 1, "kind": "path", "says": "'/home/anna/x.pth'"} in said["findings"]
     (folder / "notes.txt").unlink()
     clean = run_here("leaderboard", "--publish-check", folder)
-    assert clean.code == 0 and "nothing that tells of this machine" in clean.out
+    assert clean.code == 0 and "nothing reveals this machine" in clean.out
     assert run_here("leaderboard", "--may-show", "x").code == 2
     assert run_here("leaderboard", "--check", "--publish-check", folder).code == 2
 

@@ -89,7 +89,7 @@ def test_scenes_without_masks_are_said_and_mark_the_rows(tmp_path: Path) -> None
     assert [row[0] for row in table.rows] == ["val", "adv ¶", "adv ¶", "adv ¶"]
     assert [note for note in table.notes if note.startswith("¶")] == [
         f"¶ adv: 1 of 2 scenes have no mask of {what} from boxes: they are in none of its numbers."
-        for what in ("a vehicle", "an adversary")
+        for what in ("the vehicle", "an adversary")
     ]
 
 
@@ -110,7 +110,9 @@ def test_parts_and_other_frames_are_said(tmp_path: Path) -> None:
     part = made(tmp_path, "val", scenes_in_split=10)
     (table,) = quality_tables([part, made(tmp_path, "val-r", size=(400, 224))])
     assert any("val: 2 of 10 scenes of the split only" in note for note in table.notes)
-    assert any("Frames differ between splits" in note and "400 x 224" in note for note in table.notes)
+    assert any(
+        "Frames, and so the numbers, differ between splits" in note and "400 x 224" in note for note in table.notes
+    )
 
 
 def test_the_leaderboard_has_the_table_with_and_without_runs(tmp_path: Path) -> None:
