@@ -100,9 +100,7 @@ class PlanFile:
         present = set(self.keys)
         missing = [key for scene in scenes for key in sorted(samples[scene].keys() - present, key=str)]
         if missing and not (allow_partial and len(missing) < sum(len(samples[scene]) for scene in scenes)):
-            rule = (
-                "no sample has one" if allow_partial else "every sample needs a plan, unless --allow-partial is given"
-            )
+            rule = "no sample has one" if allow_partial else "every sample needs a plan, or give --allow-partial"
             raise InputError(f"{self.path} has no row for {_format_keys(missing)} of split {split!r}; {rule}")
         known = set().union(*samples.values())
         extra = [key for key in self.keys if key not in known]
@@ -153,7 +151,7 @@ class PlanFilePlanner:
         self._row_of = {key: row for row, key in enumerate(plans.keys)}
 
     def reset(self, scene: SceneInfo) -> None:
-        """Nothing is remembered."""
+        """Do nothing."""
 
     def plan(self, observation: Observation) -> Plan:
         """The plan of the sample; an `InputError` if the file has no row for it."""
@@ -169,7 +167,6 @@ class PlanFileFactory:
 
     Attributes:
         tokens: Sample tokens by the tokens of keyframe rows, where the file has those.
-        frame: Frame of all plans, if it is not that of the file.
         caveats: Notes in the record on plans that were taken unchanged.
         measured: Results of the tests of unit, frame, origin and time, or a note that they are not testable.
     """
@@ -223,9 +220,6 @@ def plan_file_factory(
         frame: Frame of all plans, ``lidar`` or ``ego``; overrides the file.
         as_is: Take plans unchanged, even if another unit, frame, origin or time fits better; the record notes it.
 
-    Returns:
-        A factory for `benchmark.evaluation.evaluate`.
-
     Raises:
         InputError: If the file is malformed, its rows do not match the samples, its plans fit far better otherwise
             (`benchmark.untrusted`), or the native protocol is unknown.
@@ -276,14 +270,10 @@ def _other_split_error(
     if not present.isdisjoint(set().union(*samples.values())):
         return None
     other_splits = (other for other in list_scenes_by_split(data)[0] if other != split)
-    own_split = next(
-        (
-            split_name
-            for split_name in other_splits
-            if not present.isdisjoint(set().union(*plans.samples_of(data, split_name).values()))
-        ),
-        None,
-    )
+    own_split = None
+    for name in other_splits:
+        if own_split is None and not present.isdisjoint(set().union(*plans.samples_of(data, name).values())):
+            own_split = name
     recorded_split = find_record_with_samples(
         records, [tuple(json.dumps(part) for part in key) for key in plans.keys[:_MOST_LISTED]]
     )
@@ -291,9 +281,8 @@ def _other_split_error(
     if own_split is not None:
         seems = f"they are samples of its split {own_split!r}; name that with --split"
     elif recorded_split is not None:
-        seems = (
-            f"they are samples of split {recorded_split.split!r} of {recorded_split.data}, of which there are records"
-        )
+        its = f"split {recorded_split.split!r} of {recorded_split.data}"
+        seems = f"they are samples of {its}, of which there are records"
     return InputError(
         f"{plans.path}: none of its {len(plans.keys)} rows belongs to split {split!r} of {data.name}; {seems}"
     )
@@ -314,11 +303,7 @@ def read_plan_file(path: Path, frame: FrameName | None = None) -> PlanFile:
     _require_unique(path, keys)
     waypoints = _numbers(path, table, keys)
     frames = tuple(str(frame_name) for frame_name in table["frame"])
-    wrong = [
-        f"{frame_name!r} ({_format_key(key)})"
-        for frame_name, key in zip(frames, keys)
-        if frame_name not in set(PlanFrame)
-    ]
+    wrong = [f"{name!r} ({_format_key(key)})" for name, key in zip(frames, keys) if name not in set(PlanFrame)]
     if wrong:
         raise InputError(f"{path} has the unknown frame {_summarise(wrong)}; use 'lidar' or 'ego'")
     read_as = tuple(PlanFrame(frame or frame_name) for frame_name in frames)
@@ -390,8 +375,7 @@ def _numbers(path: Path, table: Any, keys: tuple[tuple[Hashable, ...], ...]) -> 
     if len(far):
         raise InputError(
             f"{path} has waypoints farther than {FARTHEST_WAYPOINT_M:.0f} m for "
-            f"{_format_keys([keys[row] for row in far])}; "
-            "give metres from the car, not global coordinates"
+            f"{_format_keys([keys[row] for row in far])}; give metres from the car, not global coordinates"
         )
     return waypoints
 

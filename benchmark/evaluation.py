@@ -190,20 +190,9 @@ def plan_shard(
     out: Path,
     shard: Shard,
 ) -> list[ShardProgress]:
-    """Plan the scenes of one shard, in this process, and keep the plans; nothing is judged and no record is written.
+    """Plan the scenes of one shard, in this process, and store the plans; nothing is judged and no record is written.
 
-    Args:
-        data: The data set.
-        split: Which of its splits.
-        planners: Planners, or factories, each with its settings.
-        out: Folder of run directories.
-        shard: Which scenes.
-
-    Returns:
-        What was done, for each planner.
-
-    Raises:
-        InputError: As for `evaluate`, and for planners that remember across scenes.
+    Raises `InputError` as `evaluate` does, and for planners that keep state across scenes.
     """
     single_threaded()
     finished = []

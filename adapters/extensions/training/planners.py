@@ -70,16 +70,11 @@ class PlannerTraining:
 
     Attributes:
         model: A miniature, or `ENCODER_NAME`.
-        data_root: Data set in nuScenes format.
-        split: Of it.
         out: Weights file to write; log, progress, facts and card lie beside it.
         steps: Steps of all phases together, or ``None`` for the recipes' own.
-        seed: Of everything that is drawn.
         learning_rate: Peak, or ``None`` for the recipes' own.
-        image_encoder: Weights of the image encoder to start from, if any.
         start_from: Weights to start from wherever name and shape agree; of what several files have, the last counts.
         judged_on: Data set on whose split ``val`` the result is measured; on held-out scenes of the split if none.
-        device: Where to compute: cpu, cuda, auto.
         workers: Processes that gather the frames.
         adversarial: Roots of adversarial scenes made from scenes of the split, learned from as well.
         also: Roots of other data sets whose scenes of the split are learned from as well; none of these is held out.
@@ -123,12 +118,6 @@ class PlannerTraining:
 def train_planner(training: PlannerTraining) -> dict[str, Any]:
     """Train and write weights, facts (JSON) and model card; the same command resumes.
 
-    Args:
-        training: Model and recipe.
-
-    Returns:
-        The facts.
-
     Raises:
         InputError: If the data, the split or the weights to start from cannot be used, nothing is there to train on,
             the progress file belongs to another run, the losses are no longer finite, or a file cannot be written.
@@ -142,12 +131,10 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
     require_distinct_data(training.also, data)
     recorded = cached_frames_of(training.data_root, training.split, workers=training.workers)
     held_out = recorded.scenes[::HELD_OUT_EVERY] if len(recorded.scenes) > 1 else ()
-    more: list[Frames] = [
-        RecordedFutureFrames(
-            cached_frames_of(root, ADVERSARIAL_SPLIT, workers=training.workers), recorded, made_from_of
-        )
-        for root, made_from_of in sources.items()
-    ]
+    more: list[Frames] = []
+    for root, made_from_of in sources.items():
+        adversarial = cached_frames_of(root, ADVERSARIAL_SPLIT, workers=training.workers)
+        more.append(RecordedFutureFrames(adversarial, recorded, made_from_of))
     for place, root in enumerate(training.also, start=1):
         # By its place, not by the folder's name: the same data give the same weights wherever they lie.
         more.append(PrefixedScenes(cached_frames_of(root, training.split, workers=training.workers), f"also-{place}"))

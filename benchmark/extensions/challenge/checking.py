@@ -148,20 +148,14 @@ def check_entry(
     names: Sequence[str] | None = None,
     executor: Executor | None = None,
 ) -> EntryVerdict:
-    """Check an entry.
+    """Check an entry, a third-party data set made from the recordings of `base`.
 
     Args:
-        entry: The data set of a stranger.
-        base: The recordings that it was made from.
-        rules: Of the challenge.
         names: Scenes of the entry, all by default; then it need not have all that the rules require.
         executor: Where scenes are checked; this process by default. Nothing depends on it.
 
-    Returns:
-        The verdict.
-
     Raises:
-        InputError: If a scene is not of these recordings, is missing, or is broken; nothing can be said then.
+        InputError: If a scene is not of these recordings, is missing, or is broken.
     """
     sources = find_source_recordings(entry, base, names)
     if names is None:

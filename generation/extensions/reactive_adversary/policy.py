@@ -102,9 +102,7 @@ class _ChosenMotion:
 class ReactiveAdversary:
     """Policy of an adversary from frame ``start``, its hand-over, on; ``run`` is its seed.
 
-    Attributes:
-        others: Policy of all others.
-        draws: It draws from the content of the scene and its run, not from the engine's keys.
+    It draws from the content of the scene and its run, not from the engine's keys: so ``draws`` is false.
     """
 
     scene: Scene
@@ -269,9 +267,8 @@ class ReactiveAdversary:
             if not hits(poses):
                 return self._build_braked_motion(frame, steps, poses)
         # An adversary behind the ego without a safe plan takes the one nearest to safe.
-        return (
-            self._build_braked_motion(frame, steps, clear[-1]) if clear and careful.is_following(now, size) else chosen
-        )
+        behind = bool(clear) and careful.is_following(now, size)
+        return self._build_braked_motion(frame, steps, clear[-1]) if behind else chosen
 
     def _search(self, planning: AdversaryPlanning, frame: int, memory: AdversaryMemory) -> Refinement | None:
         """Result of the search; ``None`` where it has nothing to draw from."""
