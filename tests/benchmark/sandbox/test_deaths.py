@@ -54,8 +54,8 @@ RAISED = {
     "takes-memory": "MemoryError",
     "recursion": "RecursionError: maximum recursion depth exceeded",
     "returns-none": "TypeError: dying returned NoneType, a planner returns benchmark.planning.Plan",
-    "too-much": "Unanswerable: what was answered cannot be handed on: it holds more than 67108864 bytes",
-    "no-numbers": "Unanswerable: what was answered cannot be handed on: it holds an array of object",
+    "too-much": "UnencodableValueError: what was answered cannot be handed on: it holds more than 67108864 bytes",
+    "no-numbers": "UnencodableValueError: what was answered cannot be handed on: it holds an array of object",
 }
 HARMLESS = ("prints", "closes-streams", "forks", "leaves-a-copy", "starts-a-process")
 
