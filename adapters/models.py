@@ -39,7 +39,7 @@ class Network:
         anchors: Tensor of the network that official checkpoints lack, because it is published in a file of its own
             (`adapters.checkpoints.anchor_files`).
         clustered: Whether its queries start from cluster centres of a data set (`adapters.checkpoints.anchor_files`).
-        as_published: What it may do as in its published runs (`adapters.planner`), and what of the configuration
+        as_published: What it may do as in its published runs (`adapters.as_published`), and what of the configuration
             that each changes.
     """
 

@@ -1,53 +1,22 @@
-"""Base of all native networks as planners: device, precision, and the identity of a run.
-
-Options of native networks to behave as in the published runs of their repositories; all are off by default.
-"""
+"""Base of all native networks as planners: device, precision, and the identity of a run."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
 from torch import nn
 
+from adapters.as_published import CAN_AFTER, CROSS_SCENES
 from adapters.camera_inputs import NetworkImageFormat, PixelNormalisation
 from adapters.networks.layers.reporting import ReportingRules, find_distinct, limit_steering
 from adapters.networks.layers.resnet import fold_normalisation, use_channels_last
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
-from benchmark.errors import InputError, did_you_mean
 from benchmark.geometry import Floats
 from benchmark.machine.devices import Precision, require_precision, select_device, single_precision
 from benchmark.planning import Forecasts, Observation, Plan, SceneInfo
-
-MEMORY: Final = "memory"
-CAN_ONCE: Final = "can-once"
-CAN_AFTER: Final = "can-after"
-ALL: Final = "all"
-"""All options that a model has."""
-OPTIONS: Final = (MEMORY, CAN_ONCE, CAN_AFTER)
-CROSS_SCENES: Final = frozenset({MEMORY, CAN_ONCE})
-"""With these a split is one unit of work."""
-
-
-def select_options(name: str, known: Collection[str], asked: Sequence[str]) -> tuple[str, ...]:
-    """Options that a model has of those asked for (of `OPTIONS`, or `ALL`), in the order of `OPTIONS`.
-
-    `known` are those of `adapters.models.Network.as_published`; a model that does nothing of the kind is an
-    `InputError`.
-    """
-    for option in asked:
-        if option not in (*OPTIONS, ALL):
-            raise InputError(
-                f"unknown option {option!r} of --as-published; {did_you_mean(option, (*OPTIONS, ALL))}"
-                f"use {', '.join(OPTIONS)} or {ALL}"
-            )
-        if option not in known and not (option == ALL and known):
-            has = f"it has {', '.join(sorted(known))}" if known else "it has no published run to follow"
-            raise InputError(f"{name} does not support --as-published {option}: {has}; leave it out")
-    return tuple(option for option in OPTIONS if option in known and (option in asked or ALL in asked))
-
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -58,13 +27,13 @@ class NativePlanner(ABC, Generic[Network]):
     Args:
         network: The network, its weights loaded; its configuration says how images become those that it reads.
         name: Shown in tables.
-        normalisation: Normalisation that the weights were trained with.
+        normalisation: What the weights were trained with.
         weights_sha256: Of the weights file, if there is one.
-        settings: Further settings that identify the run.
+        settings: What else identifies the run.
         native_protocol: Protocol of the repository that it comes from.
         device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one.
         precision: ``bfloat16`` computes the matrix products in half the bytes.
-        as_published: What is done as in the published runs (`adapters.planner`); the network has to be built for
+        as_published: What is done as in the published runs (`adapters.as_published`); the network has to be built for
             it (`adapters.models.Model.build`).
 
     Attributes:

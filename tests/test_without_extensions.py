@@ -28,7 +28,7 @@ EACH = f"""{ABSENT}
 import traceback
 import click
 import typer
-from benchmark.machine.extension import OFFERS, extension_of
+from benchmark.machine.extension import OFFERS, parse_extension_name
 
 def helps(command, context):
     yield context.command_path, command.get_help(context)
@@ -43,7 +43,7 @@ def check(name):
     from benchmark.cli.app import app
     command = typer.main.get_command(app)
     said = dict(helps(command, command.make_context("cb", ["doctor"])))
-    gone = {{f"cb {{words}}" for words, of in OFFERS["command"].items() if extension_of(of) == name}}
+    gone = {{f"cb {{words}}" for words, of in OFFERS["command"].items() if parse_extension_name(of) == name}}
     assert {{words for words, text in said.items() if f"Not installed: extension {{name}}." in text}} >= gone, name
     assert len(said) > 40
 

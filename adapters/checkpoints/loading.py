@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from adapters.as_published import select_options
 from adapters.camera_inputs import find_normalisation
 from adapters.checkpoints.cache import load_weights, read_shapes, weights_folder
 from adapters.checkpoints.checkpoint_import import (
@@ -17,7 +18,7 @@ from adapters.checkpoints.checkpoint_import import (
     resolve_checkpoint,
 )
 from adapters.models import Model, resolve
-from adapters.planner import NativePlanner, select_options
+from adapters.planner import NativePlanner
 from benchmark.errors import InputError
 from benchmark.machine.devices import Precision
 from benchmark.machine.storage import file_sha256
@@ -95,7 +96,7 @@ def build_native_planner(
 
     Without a `checkpoint` (`resolve_checkpoint`) a miniature has the weights of this package, and the others what has
     been imported. `seed` is of the noise, where there is some; ``bfloat16`` computes the matrix products in half the
-    bytes; `as_published` as in `adapters.planner`.
+    bytes; `as_published` as in `adapters.as_published`.
     """
     options = select_options(model.name, model.net.as_published, as_published)
     if model.requires is not None:

@@ -35,7 +35,7 @@ def town(setting: Setting) -> Path:
 
 def prior_training(setting: Setting, out: Path) -> TrainingConfig:
     """Training of the published network."""
-    config = TrainingConfig(setting.tracks or town(setting), out, device=setting.device).for_architecture("published")
+    config = TrainingConfig(setting.tracks or town(setting), out, device=setting.device).of_architecture("published")
     if not setting.tiny:
         return replace(config, checkpoint_every=KEPT_EVERY)
     small = DenoiserConfig(feature_dim=16, heads=2, layers=1, feedforward_dim=16)

@@ -210,8 +210,8 @@ class PlannerSource:
         Raises:
             InputError: If a planner has no such behaviour.
         """
+        from adapters.as_published import CROSS_SCENES, select_options
         from adapters.models import MODELS
-        from adapters.planner import CROSS_SCENES, select_options
 
         if self.as_published and not self.names:
             raise InputError("--as-published applies only to networks named with --model; leave it out")

@@ -180,7 +180,7 @@ def _collect_sources() -> dict[str, Any]:
         "configurations": {
             name: content_key(asdict(miniature.configuration()))[:12] for name, miniature in miniatures().items()
         },
-        "town": TownSettings().content_name("mini"),
+        "town": TownSettings().drawn_name("mini"),
         "frozen split": [newest.name, newest.frozen.content_id],
         "search": [ALGORITHM_VERSION, build_hyper_parameters().fingerprint, FULL_DEMO_VEHICLES],
         "renderer": [renderer.name, renderer.version],

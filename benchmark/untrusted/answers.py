@@ -131,7 +131,7 @@ def write_answer(stream: BinaryIO, value: Any, limits: Limits) -> None:
         limits: How deep and large it may be.
 
     Raises:
-        Unanswerable: If it is more than that, or holds anything else, or text that is none.
+        UnencodableValueError: If it is more than that, or holds anything else, or text that is none.
     """
     writer = _AnswerEncoder(limits)
     try:

@@ -227,7 +227,7 @@ def read_legacy_storage(data: Any) -> LegacyStorage:
 
     Raises:
         Refused: If the stream asks for anything but storages.
-        Unanswerable: If it is damaged, or says of the numbers what is not so.
+        UnencodableValueError: If it is damaged, or says of the numbers what is not so.
         EOFError: If it ends too early; other errors of damaged pickles, too.
     """
     if not isinstance(data, bytes | bytearray):

@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from benchmark.cli.app import app
-from benchmark.cli.settings import rare_settings
+from benchmark.cli.settings import list_rare_settings
 
 PAGE = Path(__file__).resolve().parents[1] / "settings.md"
 MARK = "<!-- What follows is made by docs/making/settings.py. -->\n"
@@ -25,7 +25,7 @@ def with_tables(text: str) -> str:
 def _commands(command: Any = None, path: str = "") -> Iterator[tuple[str, Any]]:
     """Commands with rare settings, by the words that lead to them."""
     found = typer.main.get_command(app) if command is None else command
-    if rare_settings(getattr(found.callback, "settings", object)):
+    if list_rare_settings(getattr(found.callback, "settings", object)):
         yield path, found
     for name, inner in getattr(found, "commands", {}).items():
         yield from _commands(inner, f"{path} {name}".strip())

@@ -80,7 +80,7 @@ def _build_variant_settings(
     return replace(
         settings,
         out=settings.out / variant.name,
-        timings=settings.timings_folder / variant.name,
+        timings=settings.timing / variant.name,
         hyper=replace(settings.hyper, multi_round=variant.multi_round, scored=variant.scored),
         adversaries=1,
         surrogate=None,

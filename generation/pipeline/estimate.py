@@ -192,9 +192,7 @@ def measure_attempt_seconds(search: Search, scene: Scene, unit: SearchUnit) -> f
     if start is None:
         return 0.0
     rng, stages = np.random.default_rng(0), {"physics": 0.0, "scoring": 0.0}
-    planning = AdversaryPlanning(
-        scene, unit.agent, start, hyper, _keep_unchanged, hyper.build_motion_model(), rng, stages
-    )
+    planning = AdversaryPlanning(scene, unit.agent, start, hyper, _keep_unchanged, hyper.motion_model(), rng, stages)
     evaluation = planning.build_evaluation(start, planning.compute_first_state(), planning.find_first_pose()[None])
     waypoints = prior.answer([SamplingRequest(hyper.candidates, _PREVIOUS, rng)])[0]
 

@@ -41,7 +41,7 @@ def build_search(source: DataSet, names: Sequence[str], settings: BuildSettings)
         prior=settings.prior,
         prior_fingerprint=settings.prior().fingerprint,
         state=settings.out / STATE_FOLDER,
-        timings=settings.timings_folder,
+        timings=settings.timing,
         asked=settings.asked,
     )
 

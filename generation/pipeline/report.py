@@ -202,7 +202,7 @@ def estimate_build(source: DataSet, split: str, settings: BuildSettings) -> Buil
     if split != "val-r":
         search = build_search(source, names, settings)
         return replace(_estimate_search(source, search, names, settings), split=split)
-    scene_s, workers = _estimate_rendering_seconds(source, names, settings), count_workers(settings.rendering_executor)
+    scene_s, workers = _estimate_rendering_seconds(source, names, settings), count_workers(settings.where_rendered)
     about = WorkEstimate(0, 0.0, len(names), scene_s, workers, workers)
     skipped = list_unlabelled_scenes(source, settings)
     return BuildReport("val-r", len(names), estimate=about, dry_run=True, unlabelled=skipped)
@@ -221,7 +221,7 @@ def _estimate_search(source: DataSet, search: Search, names: Sequence[str], sett
     if settings.total is not None:
         expected = min(expected, settings.total)
     scene_s = _estimate_rendering_seconds(source, names, settings)
-    planners, renderers = count_workers(settings.executor), count_workers(settings.rendering_executor)
+    planners, renderers = count_workers(settings.executor), count_workers(settings.where_rendered)
     about = WorkEstimate(count, attempt_s, expected, scene_s, planners, renderers)
     return BuildReport(
         "adv",
@@ -237,5 +237,5 @@ def _estimate_search(source: DataSet, search: Search, names: Sequence[str], sett
 
 
 def _estimate_rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSettings) -> float:
-    timing = settings.timings_folder / "rendering"
+    timing = settings.timing / "rendering"
     return estimate_rendering(settings.renderer, source.scene(names[0]), settings.frames, timing)

@@ -148,8 +148,8 @@ def select_scenes(source: DataSet, plan: DataSetPlan, found: SearchResult, setti
         staging,
         jobs,
         source.scene,
-        settings.rendering_executor,
-        timing=settings.timings_folder / "rendering",
+        settings.where_rendered,
+        timing=settings.timing / "rendering",
         label="rendering for the surrogate",
     )
     runs = staging.root.parent / "runs"

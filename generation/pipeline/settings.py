@@ -84,11 +84,11 @@ class BuildSettings:
             raise InputError(f"--adversaries must be at most {MOST_ADVERSARIES:,}; no scene has so many vehicles")
 
     @property
-    def rendering_executor(self) -> Executor:
+    def where_rendered(self) -> Executor:
         """Executor of the rendering."""
         return self.rendering or self.executor
 
     @property
-    def timings_folder(self) -> Path:
+    def timing(self) -> Path:
         """Folder of notes on how long work took; no result depends on them, and no two builds have the same."""
         return self.timings or find_timings_folder(self.out)

@@ -24,7 +24,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class BuiltShard:
-    """Work of one shard of a build: ``run_search`` its recorded scenes, or ``drawn`` its scenes of the new data set."""
+    """Work of one shard of a build: ``searched`` its recorded scenes, or ``drawn`` its scenes of the new data set."""
 
     did: Literal["searched", "drawn"]
     finished: ShardProgress
@@ -82,7 +82,7 @@ def _draw_part(
     for variant in sorted({job.variant for job in mine}):
         require_own_root(plan, variant)
     mark_unfinished_if_changed(plan.root, files)
-    write_scenes(plan, mine, source.scene, settings.rendering_executor, timing=settings.timings_folder / "rendering")
+    write_scenes(plan, mine, source.scene, settings.where_rendered, timing=settings.timing / "rendering")
     return BuiltShard("drawn", ShardProgress(plan.root, len(mine), count))
 
 

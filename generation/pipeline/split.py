@@ -144,9 +144,7 @@ def _build_adversarial(
     notes = _write(source, plan, chosen.jobs, settings)
     if settings.freeze is not None:
         how = _build_choice(report, settings, plan.left_out)
-        write_frozen(
-            settings.freeze, freeze_split(source, plan, chosen.chains, search, how, settings.rendering_executor)
-        )
+        write_frozen(settings.freeze, freeze_split(source, plan, chosen.chains, search, how, settings.where_rendered))
     return replace(
         report, runtime=build_runtime_table([search.timing_path(attempted.unit) for attempted in result.tried], notes)
     )
@@ -229,8 +227,8 @@ def _build_plan(source: DataSet, split: str, settings: BuildSettings) -> DataSet
 
 def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], settings: BuildSettings) -> list[Path]:
     """Render, write and finish a data set; returns the notes on how long rendering took."""
-    timing = settings.timings_folder / "rendering"
-    keys = write_scenes(plan, jobs, source.scene, settings.rendering_executor, timing=timing)
+    timing = settings.timing / "rendering"
+    keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
     publish(WrittenScenes(plan, jobs, keys, source))
     return [timing / f"{key}.timing.json" for key in keys]
 

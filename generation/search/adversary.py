@@ -86,7 +86,7 @@ def search_vehicles(
         earlier: For each vehicle the launch frames of the adversaries that its scene has already, by identifier.
         asked: Manoeuvre requested from each vehicle, ``None`` for any, which is the default for all.
     """
-    model = model or hyper.build_motion_model()
+    model = model or hyper.motion_model()
     for scene, agent in vehicles:
         if not 0 <= agent < len(scene.agents):
             raise InputError(f"{scene.name} has {len(scene.agents)} agents, so there is no agent {agent}")

@@ -209,7 +209,7 @@ def _check_earlier_adversaries(result: SearchOutcome, unit: SearchUnit, hyper: H
     """The attempt, discarded if an earlier adversary would no longer pass verification beside it."""
     if hyper.discards is DiscardRules.REFERENCE:
         return result
-    limits = hyper.build_motion_model().limits
+    limits = hyper.motion_model().limits
     for link in unit.earlier:
         finding = None if result.scene is None else verify(result.scene, link.agent, link.start, hyper, limits)
         if finding is not None:

@@ -358,7 +358,7 @@ class HyperParameters(ThreatSettings):
         tail = range(last + self.lookahead_stride, last + self.lookahead_frames + 1)
         return (*range(step, last + 1, step), *tail[:: self.lookahead_stride])
 
-    def compute_safety_step_weights(self) -> Floats:
+    def safety_step_weights(self) -> Floats:
         """Step weights of drivable area compliance and collisions at ``scored_frames``.
 
         Appendix: "quadratically decreasing from 1.0 to 0.85" over the horizon; a constant over the tail.
@@ -367,13 +367,13 @@ class HyperParameters(ThreatSettings):
         tail = len(self.scored_frames) - self.horizon
         return np.concatenate([head, np.full(tail, self.lookahead_weight * self.lookahead_stride)])
 
-    def compute_challenge_step_weights(self) -> Floats:
+    def challenge_step_weights(self) -> Floats:
         """Step weights of the challenge at ``scored_frames``: "linearly increasing from 0.7 to 1.0", then the tail."""
         head = np.linspace(self.challenge_first_weight, 1.0, self.horizon)
         tail = len(self.scored_frames) - self.horizon
         return np.concatenate([head, np.full(tail, self.lookahead_challenge_weight * self.lookahead_stride)])
 
-    def build_motion_model(self) -> MotionModel:
+    def motion_model(self) -> MotionModel:
         """The physics that executes plans."""
         match self.motion:
             case ExecutionModel.DRIVER:

@@ -208,7 +208,7 @@ class AdversaryPlanning:
                 motion.center[:, offsets], size, reference_around, challenged=on
             )
         around = self.around(frames, raster)
-        hyper = self.hyper if self.asked is None else self.hyper.without_position_terms()
+        hyper = self.hyper if self.asked is None else self.hyper.where_asked()
         further = (
             build_threat_rating(self.scene, self.agent, frame, offsets, around, hyper) if hyper.threatens else None
         )

@@ -131,14 +131,14 @@ def compute_score_terms(
         finite &= np.isfinite(speed).all(axis=1)
     boxes = _arrange_by_step(center, size, finite)
     count = center.shape[1]
-    safety_weight = hyper.compute_safety_step_weights()[:count]
+    safety_weight = hyper.safety_step_weights()[:count]
     center_off = ~around.raster.look_up(boxes[..., :2])
     corner_off = _is_any_corner_off(boxes, around.raster)
     # Overflows are marked as not finite, because they would spoil the normalisation of the whole batch.
     with np.errstate(over="ignore"):
         offset = boxes[..., :2] - around.ego_center[:, None]
         distance = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
-        challenge = hyper.compute_challenge_step_weights()[:count] @ distance
+        challenge = hyper.challenge_step_weights()[:count] @ distance
     finite &= np.isfinite(challenge)
     boxes[..., 2:4] += 2.0 * hyper.clearance_m
     if speed is not None and hyper.headway_s > 0.0:

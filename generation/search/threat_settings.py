@@ -78,7 +78,7 @@ class ThreatSettings:
             self.against_weight, self.hover_weight, self.likelihood_weight, self.area_weight, self.ahead_weight,
         ))  # fmt: skip
 
-    def without_position_terms(self) -> Self:
+    def where_asked(self) -> Self:
         """Without the terms that say where to be: a manoeuvre that was asked for says that."""
         return replace(
             self,

@@ -66,7 +66,7 @@ class TownSettings:
     pictures: Literal["all", "keyframes"] = "all"
     crossing: int = 0
 
-    def content_name(self, name: str) -> str:
+    def drawn_name(self, name: str) -> str:
         """A name for what happens in the scenes and how they look: all that a measured number depends on."""
         return f"{name}-{content_key(*self._drawn())[:12]}"
 

@@ -163,10 +163,8 @@ def build_frozen(
     plan, chosen, report = require_rebuildable(source, split, settings, as_split)
     if settings.dry_run:
         recorded = min(frozen.source for frozen, _ in chosen)
-        scene_s = estimate_rendering(
-            plan.renderer, source.scene(recorded), plan.frames, settings.timings_folder / "rendering"
-        )
-        workers = count_workers(settings.rendering_executor)
+        scene_s = estimate_rendering(plan.renderer, source.scene(recorded), plan.frames, settings.timing / "rendering")
+        workers = count_workers(settings.where_rendered)
         return replace(report, estimate=WorkEstimate(0, 0.0, len(chosen), scene_s, workers, workers))
     # Everything is checked before anything is written.
     jobs, tables, masked = build_frozen_jobs(source, plan, chosen, split)
@@ -177,8 +175,8 @@ def build_frozen(
             plan,
             jobs,
             source.scene,
-            settings.rendering_executor,
-            timing=settings.timings_folder / "rendering",
+            settings.where_rendered,
+            timing=settings.timing / "rendering",
             label="rendering",
         )
         written = WrittenScenes(plan, jobs, keys, source)

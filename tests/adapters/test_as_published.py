@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adapters.as_published import ALL, CAN_AFTER, CAN_ONCE, MEMORY, select_options
 from adapters.camera_inputs import BGR_MEAN, RGB_MEAN_STD, can_bus_vector
 from adapters.models import MODELS
 from adapters.networks.sparse.planner import SparsePlanner
 from adapters.networks.uniad.planner import UniADPlanner
 from adapters.networks.vad.model import VAD
 from adapters.networks.vad.planner import VADPlanner
-from adapters.planner import ALL, CAN_AFTER, CAN_ONCE, MEMORY, NativePlanner, select_options
+from adapters.planner import NativePlanner
 from adapters.registry import build_planner, planner_factory
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError

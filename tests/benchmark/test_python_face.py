@@ -151,13 +151,13 @@ from functools import partial
 
 import generation.sources.mini as mini
 import generation.splits.cached as cached
-from generation.splits.packaged import NamedSplit, newest_split
+from generation.splits.packaged import NamedSplit, read_newest_split
 
 mini.TownSettings = partial(mini.TownSettings, val_scenes=2, width=96, height=54, frames="keyframes")
-whole = newest_split("mini")
+whole = read_newest_split("mini")
 of_each = {scene.source: scene for scene in whole.frozen.scenes if scene.source in ("scene-8000", "scene-8001")}
 few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": tuple(of_each.values())}))
-cached.newest_split = lambda *_: few
+cached.read_newest_split = lambda *_: few
 """
 
 

@@ -56,7 +56,7 @@ def drawn() -> None:
 
 def texts(records: Sequence[RunRecord]) -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("heat_maps", "lift_maps"):
+        for name in ("draw_heat_maps", "draw_lift_maps"):
             patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", lambda: b""))
         files = build_leaderboard_files(read_results(records)).items()
     return {name: content.decode() for name, content in files if not name.endswith(".png")}
@@ -233,7 +233,7 @@ def test_transfer_shows_counts_and_a_dash_where_the_surrogate_never_fails(
 def test_a_name_from_a_strangers_record_stays_inside_the_folder(
     runs: tuple[RunRecord, ...], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("heat_maps", "lift_maps"):
+    for name in ("draw_heat_maps", "draw_lift_maps"):
         monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", lambda: b""))
     folder = tmp_path / "board"
     for path in write_leaderboard(read_results([named(record, data=name) for record in runs]), folder):

@@ -46,7 +46,7 @@ def train_denoiser_command(options: TrainDenoiserOptions) -> None:
 
     default = TrainingConfig(
         tracks=options.tracks, out=options.out, seed=options.seed, device=options.device
-    ).for_architecture(options.architecture)
+    ).of_architecture(options.architecture)
     checking = default.held_out if options.held_out is None else parse_name_list(options.held_out) or ()
     weights = train_denoiser(replace(default, steps=options.steps or default.steps, held_out=checking))
     write_bank(weights, device=options.device)

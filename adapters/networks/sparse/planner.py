@@ -19,7 +19,7 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
 
     Every scene starts without a past, in every configuration: a plan must not depend on which scene
     a process happened to see before. The published evaluation lets memory outlive a change of scene, and so does this
-    where `adapters.planner` asks for it. Modes of the command that were refused because they hit a forecast have
+    where `adapters.as_published` asks for it. Modes of the command that were refused because they hit a forecast have
     the score 0.
     """
 

@@ -19,7 +19,7 @@ class UniADPlanner(NativePlanner[UniAD]):
 
     Every scene starts without a past, as the first one of a published run does: what a plan is must not depend on which
     scene a process happened to see before. The published evaluation goes on numbering tracks, and measures the ego's
-    motion into a new scene from where the old one ended; so does this where `adapters.planner` asks for it.
+    motion into a new scene from where the old one ended; so does this where `adapters.as_published` asks for it.
 
     A plan has two modes, before and after it is moved away from occupied cells; one where that is switched off.
 

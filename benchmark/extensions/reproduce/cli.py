@@ -106,8 +106,8 @@ def _find_planner(model: str, checkpoint: Path | None, data: str, expected: Path
 
 def _list_published_settings(name: str, *, plain: bool) -> tuple[str, ...]:
     """Everything that the model does as in its published run, unless that is not wanted or there is nothing."""
+    from adapters.as_published import ALL, select_options
     from adapters.models import MODELS
-    from adapters.planner import ALL, select_options
 
     network = MODELS[name].network if name in MODELS else None
     if plain or network is None or not network.as_published:

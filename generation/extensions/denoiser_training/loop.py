@@ -89,7 +89,7 @@ class TrainingConfig:
     device: str = "cpu"
     denoiser: DenoiserConfig = field(default=PACKAGED)
 
-    def for_architecture(self, architecture: Architecture) -> Self:
+    def of_architecture(self, architecture: Architecture) -> Self:
         """The same run with a network of another kind, and the learning rate and noise levels that suit it."""
         if architecture == "packaged":
             return replace(self, denoiser=PACKAGED)

@@ -120,7 +120,7 @@ class ReactiveAdversary:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "handover", Handover.of(self.scene, self.agent, self.start))
-        object.__setattr__(self, "model", self.settings.hyper.build_motion_model())
+        object.__setattr__(self, "model", self.settings.hyper.motion_model())
 
     def init(self, time_us: int, key: int) -> tuple[AdversaryMemory, AgentMotion]:
         """All where they are; nothing is planned yet."""

@@ -25,8 +25,8 @@ except SystemExit as end:
 """
 DRAWN = """
 import sys
-from benchmark.datasets.devkit_import import devkit_module
-devkit = devkit_module("nuscenes.nuscenes")
+from benchmark.datasets.devkit_import import import_devkit_module
+devkit = import_devkit_module("nuscenes.nuscenes")
 drawing = sys.modules["nuscenes.lidarseg.lidarseg_utils"]
 assert not {"sklearn", "matplotlib"} & set(sys.modules)
 assert devkit.sklearn.metrics.pairwise.euclidean_distances([[0.0, 1.0]], [[1.0, 1.0]]).tolist() == [[1.0]]

@@ -71,7 +71,7 @@ def test_drivable_cells_are_where_the_map_is(pose: np.ndarray[tuple[int], np.dty
     inside = roads.surfaces.road_map.is_drivable(there)
     assert (cells[row, column].astype(bool) == inside)[sure].all()
     clear = roads.surely_drivable(places, 2.5)
-    assert all(shapely.Point(place).buffer(2.4).is_within(area) for place in there[clear])
+    assert all(shapely.Point(place).buffer(2.4).within(area) for place in there[clear])
     far_inside = inside & (shapely.distance(shapely.points(there), area.boundary) > 2.6)
     assert clear[far_inside & (np.abs(places).max(axis=1) < 47.4)].all()
 

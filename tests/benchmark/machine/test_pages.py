@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parents[3]
 FAULTS = """
 import resource, sys
 import numpy as np
-from benchmark.machine.metering import keep_pages
-if sys.argv[1] == "keep" and not keep_pages():
+from benchmark.machine.metering import disable_malloc_trim
+if sys.argv[1] == "keep" and not disable_malloc_trim():
     sys.exit(3)
 np.ones(2**23)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

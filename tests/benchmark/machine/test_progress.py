@@ -176,7 +176,7 @@ if __name__ == "__main__":
     progress.QUIET_S = 0.0
     progress.LINE_EVERY_S = 0.2
     progress._REDRAWN_EVERY_S = 0.05
-    count = progress.Count("pause")
+    count = progress.CountedUnits("pause")
     results = LocalProcesses(int(sys.argv[1])).map(units_of_work.pause, range(8), total=8, label="pausing", count=count)
     print(json.dumps(list(results)))
 """

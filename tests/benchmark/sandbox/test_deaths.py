@@ -54,8 +54,8 @@ RAISED = {
     "takes-memory": "MemoryError",
     "recursion": "RecursionError: maximum recursion depth exceeded",
     "returns-none": "TypeError: dying returned NoneType; a planner must return benchmark.planning.Plan",
-    "too-much": "Unanswerable: the answer cannot be sent: it holds more than 67108864 bytes",
-    "no-numbers": "Unanswerable: the answer cannot be sent: it holds an array of object",
+    "too-much": "UnencodableValueError: the answer cannot be sent: it holds more than 67108864 bytes",
+    "no-numbers": "UnencodableValueError: the answer cannot be sent: it holds an array of object",
 }
 HARMLESS = ("prints", "closes-streams", "forks", "leaves-a-copy", "starts-a-process")
 

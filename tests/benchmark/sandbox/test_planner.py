@@ -398,11 +398,11 @@ KILLED = """
 import os, sys, time
 from pathlib import Path
 from benchmark.planning import SceneInfo
-from benchmark.sandbox.planner import supervised
+from benchmark.sandbox.planner import make_sandboxed_planner
 from tests.benchmark.sandbox.test_deaths import maker
-from benchmark.sandbox.limits import Supervision
+from benchmark.sandbox.limits import SandboxLimits
 made, identity = maker("Dying", notes=Path(sys.argv[1]))
-planner = supervised(made, identity, Supervision())
+planner = make_sandboxed_planner(made, identity, SandboxLimits())
 planner.reset(SceneInfo("a", "", ()))
 Path(sys.argv[1], f"asker-{os.getpid()}").touch()
 if sys.argv[2] == "leaves":

@@ -149,7 +149,7 @@ def test_a_shard_that_was_killed_goes_on(
     def killed(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    for step in ("searched", "write_scenes"):
+    for step in ("run_search", "write_scenes"):
         shards(source, settings, 2, numbers=[1])
         with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
             patched.setattr(sharded, step, killed)

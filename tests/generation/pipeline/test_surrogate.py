@@ -93,7 +93,7 @@ def test_workers_and_kills_do_not_change_the_bytes(
         raise KeyboardInterrupt
 
     for place in (
-        "generation.pipeline.selection.judge",
+        "generation.pipeline.selection.evaluate_surrogate",
         "generation.pipeline.split.publish_reports",
         "generation.pipeline.split.write_scenes",
     ):

@@ -49,7 +49,7 @@ def slow_score_terms(
         tests += count
         ego_x, ego_y = around.ego_center[step]
         distance[candidate, step] = math.hypot(x - ego_x, y - ego_y)
-    safety, challenge = hyper.compute_safety_step_weights(), hyper.compute_challenge_step_weights()
+    safety, challenge = hyper.safety_step_weights(), hyper.challenge_step_weights()
     dac, cr, ac = np.zeros(shape[0]), np.zeros(shape[0]), np.zeros(shape[0])
     for candidate, step in np.ndindex(*shape):
         violation = float(center_off[candidate, step]) + hyper.corner_weight * float(corner_off[candidate, step])

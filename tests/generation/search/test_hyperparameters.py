@@ -74,7 +74,7 @@ def test_the_paper_has_its_table_and_nothing_that_it_does_not_name() -> None:
     assert paper.executed_frames == 72
     assert (paper.clearance_m, paper.headway_s, paper.tries, paper.staying_preference) == (0.0, 0.0, 1, 0.0)
     assert (paper.varied, paper.best_of_all_rounds, paper.parked) == (False, False, True)
-    assert paper.build_motion_model().limits is None and paper.build_motion_model().dt == 1 / 12
+    assert paper.motion_model().limits is None and paper.motion_model().dt == 1 / 12
     table = (paper.dac_weight, paper.cr_weight, paper.ac_weight, paper.temperature, paper.rounds, paper.horizon)
     assert table == (5.0, 10.0, 1.0, 1.0, 5, 12)
 
@@ -83,7 +83,7 @@ def test_the_reference_scores_every_pose_and_counts_frames_as_seconds() -> None:
     reference = HyperParameters.reference()
     assert reference.scored_frames == tuple(range(81))
     assert reference.executed_frames == 12
-    assert reference.build_motion_model() == MotionModel.reference()
+    assert reference.motion_model() == MotionModel.reference()
     assert (reference.varied, reference.best_of_all_rounds, reference.stable_softmax) == (True, False, False)
 
 

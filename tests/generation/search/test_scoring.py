@@ -166,11 +166,11 @@ def test_corner_to_corner_touching_counts() -> None:
 
 
 def test_step_weights_are_the_papers() -> None:
-    weights = PAPER.compute_safety_step_weights()
+    weights = PAPER.safety_step_weights()
     assert weights[0] == 1.0
     assert weights[-1] == pytest.approx(0.85)
     np.testing.assert_allclose(np.diff(np.sqrt(weights), 2), 0.0, atol=1e-12)
-    np.testing.assert_allclose(np.diff(PAPER.compute_challenge_step_weights()), 0.3 / 11)
+    np.testing.assert_allclose(np.diff(PAPER.challenge_step_weights()), 0.3 / 11)
     assert HyperParameters().scored_frames[:12] == tuple(range(1, 13))
     assert HyperParameters().scored_frames[-1] == 36
 

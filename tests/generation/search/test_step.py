@@ -33,7 +33,7 @@ def test_a_planning_step_is_the_one_that_is_written_out(reference: bool) -> None
         settings=SamplerSettings(samples=CandidateSource.REFERENCE, conditioned=False, drivable=False)
     )
     spread = diversify if hyper.varied else unchanged
-    rng, model = np.random.default_rng(5), hyper.build_motion_model()
+    rng, model = np.random.default_rng(5), hyper.motion_model()
     planning = AdversaryPlanning(SCENE, 0, FRAME, hyper, spread, model, rng, {"physics": 0.0, "scoring": 0.0})
     step = planning.plan(FRAME, planning.compute_first_state(), planning.find_first_pose()[None])
     found = run_searches([step], prior)[0][0]

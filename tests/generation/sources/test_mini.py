@@ -29,10 +29,10 @@ def test_finished_work_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_a_town_of_before_gets_the_shared_tables_of_now(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now, drawn = ONE.folder_name("town"), ONE.content_name("town")
+    now, drawn = ONE.folder_name("town"), ONE.drawn_name("town")
     monkeypatch.setattr("generation.sources.mini.SHARED_TABLES_VERSION", 1)
     # What is measured depends on the scenes and not on what they share.
-    assert ONE.folder_name("town") != now and ONE.content_name("town") == drawn
+    assert ONE.folder_name("town") != now and ONE.drawn_name("town") == drawn
     build_town_data_set(tmp_path, ONE, workers=1)
     categories = tmp_path / "v1.0-mini" / "category.json"
     categories.write_text("[]")
@@ -61,7 +61,7 @@ def files_of(root: Path) -> dict[str, bytes]:
 def test_samples_are_drawn_first_and_the_rest_when_it_is_asked_for(tmp_path: Path) -> None:
     whole = replace(ONE, frames="all", width=32, height=18)
     first = replace(whole, pictures="keyframes")
-    assert first.folder_name("town") == whole.folder_name("town") and first.content_name("a") == whole.content_name("a")
+    assert first.folder_name("town") == whole.folder_name("town") and first.drawn_name("a") == whole.drawn_name("a")
     build_town_data_set(tmp_path / "at-once", whole, workers=1)
     at_once, root = files_of(tmp_path / "at-once"), tmp_path / "later"
     build_town_data_set(root, first, workers=1)

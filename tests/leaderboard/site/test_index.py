@@ -58,7 +58,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures have tests of their own and take most of the time."""
     monkeypatch.setattr("leaderboard.figures.contents.RUN_FIGURES", (lambda frame: (FIGURE,),))
-    for name in ("heat_maps", "lift_maps"):
+    for name in ("draw_heat_maps", "draw_lift_maps"):
         monkeypatch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
 
 
@@ -67,7 +67,7 @@ def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
     """A written leaderboard."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("leaderboard.figures.contents.RUN_FIGURES", (lambda frame: (FIGURE,),))
-        for name in ("heat_maps", "lift_maps"):
+        for name in ("draw_heat_maps", "draw_lift_maps"):
             patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"png", b"png", lambda: b"png"))
         found = tmp_path_factory.mktemp("board")
         write_leaderboard(read_results(made.records, sheets=made.sheets), found)

@@ -29,9 +29,9 @@ NEURONCAP = DriveSettings("neuroncap@paper", NeuroncapBackend(PAPER))
 
 def test_every_engine_has_rides() -> None:
     assert [type(make_backend(engine)).__name__ for engine in ENGINES] == [
-        "DefaultRides",
-        "NeuroncapRides",
-        "NeuroncapRides",
+        "DefaultBackend",
+        "NeuroncapBackend",
+        "NeuroncapBackend",
     ]
 
 

@@ -111,7 +111,7 @@ def test_the_state_that_is_best_on_held_out_windows_is_kept(tracks: Path, monkey
 
 
 def test_published_architecture_can_be_trained(tracks: Path) -> None:
-    asked = config(tracks, tracks.parent / "a.safetensors", batch=2, steps=1).for_architecture("published")
+    asked = config(tracks, tracks.parent / "a.safetensors", batch=2, steps=1).of_architecture("published")
     assert asked.denoiser == DenoiserConfig()
     assert asked.learning_rate < config(tracks, tracks).learning_rate
     learnt = load_denoiser(train_denoiser(asked))

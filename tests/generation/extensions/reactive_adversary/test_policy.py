@@ -35,7 +35,7 @@ def open_loop(scene: Scene, agent: int, start: int, run: int) -> Floats:
     content = (compute_scene_identity(scene), scene.agents.ids[agent], run, HYPER.fingerprint, DrivingPrior.fingerprint)
     rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, 0))
     stages = {"physics": 0.0, "scoring": 0.0}
-    planning = AdversaryPlanning(scene, agent, start, HYPER, unchanged, HYPER.build_motion_model(), rng, stages)
+    planning = AdversaryPlanning(scene, agent, start, HYPER, unchanged, HYPER.motion_model(), rng, stages)
     (driven,), _ = run_searches([planning.run()], DrivingPrior())
     return driven.poses
 

@@ -231,8 +231,8 @@ def test_another_process_makes_the_same_bytes() -> None:
     code = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
         "from tests.generation.sources.town.test_scenes import digest\n"
-        "from generation.sources.town import town_scene\n"
-        "print(digest(town_scene('val', 4)))"
+        "from generation.sources.town import build_town_scene\n"
+        "print(digest(build_town_scene('val', 4)))"
     )
     root = str(Path(__file__).resolve().parents[4])
     command = [sys.executable, "-c", code, root]

@@ -80,7 +80,7 @@ def floor_polygons(boxes: Floats) -> NDArray[np.int32]:
     [
         ("scene-crossing", uniad, "VEHICLES", uniad.VEHICLES - {"vehicle.bicycle"}, "uniad raster cells"),
         ("scene-crossing", uniad, "VEHICLES", uniad.VEHICLES | {"vehicle.emergency.police"}, "uniad raster cells"),
-        ("scene-crossing", uniad, "polygons", floor_polygons, "uniad obj_box_col"),
+        ("scene-crossing", uniad, "round_polygons", floor_polygons, "uniad obj_box_col"),
         ("scene-crossing", vad, "SIDE_M", 20.0, "vad raster cells"),
         ("scene-crossing", vad, "AHEAD_M", 60.0, "vad raster cells"),
         ("gtcol-ghost", raster, "EGO_BLOCK", raster.EGO_BLOCK + 1, "vad obj_box_col"),

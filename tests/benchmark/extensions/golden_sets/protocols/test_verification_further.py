@@ -69,14 +69,14 @@ def as_it_is(path: Floats) -> Floats:
         (bev_planner, "FIRST_CELL_M", -50.0, "bev-planner kerb rasters"),
         (fine_grid, "FOOTPRINT", fine_grid.FOOTPRINT + [0, 4], "omnidrive before the mask"),
         (omnidrive, "KERB_LENGTH_M", 4.9, "omnidrive off the road"),
-        (omnidrive, "written", as_it_is, "omnidrive plan as text"),
-        (safemvdrive, "_latched", None, "safemvdrive latched"),
+        (omnidrive, "round_to_text", as_it_is, "omnidrive plan as text"),
+        (safemvdrive, "_latch_outcomes", None, "safemvdrive latched"),
     ],
 )
 def test_a_changed_protocol_is_noticed(
     where: Any, name: str, value: Any, noticed: str, made: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if name == "_latched":
+    if name == "_latch_outcomes":
         kept = safemvdrive._latch_outcomes
 
         def forgetful(columns: Any, *others: Any) -> Any:
