@@ -28,7 +28,8 @@ from benchmark.machine.workers import single_threaded
 from benchmark.planning import Observation, Plan
 from benchmark.protocols import STANDARD
 from benchmark.runs.plan_rows import plan_scene
-from benchmark.runs.scene_work import EvaluationJob, SceneReading, judge_scene
+from benchmark.runs.scene_reading import SceneReading
+from benchmark.runs.scene_work import EvaluationJob, judge_scene
 
 MOST: Final = 0.05
 """What supervision may cost of the harness' own time."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from benchmark.api import DataSource, SourcePreview
-    from benchmark.cli.generate import GenerateOptions
+    from benchmark.cli.generate_options import GenerateOptions
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
     from benchmark.runs.units import Shard

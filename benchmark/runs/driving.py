@@ -41,7 +41,8 @@ from benchmark.runs.judging import JudgedScenes, describe_data
 from benchmark.runs.plan_rows import PlannerFactory, describe_sandbox_limits
 from benchmark.runs.planner_facts import build_planner_facts
 from benchmark.runs.run_directory import run_directory
-from benchmark.runs.scene_work import collect_truth_facts, make_reopener
+from benchmark.runs.scene_reading import collect_truth_facts
+from benchmark.runs.scene_work import make_reopener
 from benchmark.runs.units import Shard, ShardProgress, run_units
 from benchmark.untrusted.plan_plausibility import ComparedPlans
 

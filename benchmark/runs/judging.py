@@ -37,7 +37,7 @@ from benchmark.waypoints import waypoints_in_lidar
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
-    from benchmark.runs.scene_work import SceneReading
+    from benchmark.runs.scene_reading import SceneReading
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts, TruthF
 from benchmark.records.store import RUN_FILE, finish_replacement, pending_path, stored_schema
 from benchmark.runs.caveats import list_run_caveats
 from benchmark.runs.judging import judge_plans
-from benchmark.runs.scene_work import SceneReading
+from benchmark.runs.scene_reading import SceneReading
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

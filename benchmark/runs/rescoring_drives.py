@@ -23,7 +23,7 @@ from benchmark.runs.rescoring import (
     read_current_scene_facts,
     require_same_data,
 )
-from benchmark.runs.scene_work import collect_truth_facts
+from benchmark.runs.scene_reading import collect_truth_facts
 from benchmark.untrusted.plan_plausibility import ComparedPlans
 
 if TYPE_CHECKING:

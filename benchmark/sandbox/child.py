@@ -50,12 +50,9 @@ class PictureError(InputError):
 
 
 def main(channel: int, pictures: int, memory_bytes: int) -> None:
-    """Answer requests until the connection is closed.
+    """Answer requests until the connection is closed. Descriptors of the connection and of the shared memory.
 
-    Args:
-        channel: Descriptor of the connection to the parent.
-        pictures: Descriptor of the shared memory.
-        memory_bytes: Of data that this process may hold; 0 for as much as there is.
+    0 bytes: no limit.
     """
     _apply_memory_limit(memory_bytes)
     stream = socket.socket(fileno=channel)
@@ -76,13 +73,9 @@ def _apply_memory_limit(memory_bytes: int) -> None:
 
 @dataclass(slots=True)
 class PlannerRequestHandler:
-    """The planner of this process and the connection to its parent.
+    """Planner of this process and the connection to its parent.
 
-    Attributes:
-        stream: To the parent.
-        viewer: Of pictures.
-        planner: Once it is built.
-        number: Of the question that is being answered; 0 between questions.
+    ``number`` is that of the question being answered, or 0.
     """
 
     stream: socket.socket

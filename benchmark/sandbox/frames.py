@@ -76,11 +76,7 @@ def _receive_exactly(stream: socket.socket, count: int, begun: memoryview) -> by
 
 
 class QuestionChannel:
-    """The asking side of a connection.
-
-    Args:
-        stream: The connection.
-    """
+    """The asking side of a connection."""
 
     def __init__(self, stream: socket.socket) -> None:
         self._stream = stream
@@ -90,15 +86,9 @@ class QuestionChannel:
         self._ahead = bytearray()
 
     def send(self, message: bytes, deadline: float) -> None:
-        """Send a question.
+        """Send a question of `encode_question` before a deadline on the monotonic clock.
 
-        Args:
-            message: From `encode_question`.
-            deadline: On the monotonic clock.
-
-        Raises:
-            ClosedError: If the other side has closed the connection.
-            LateError: If the other side does not read in time.
+        Raises `ClosedError` if the other side has closed the connection, `LateError` if it does not read in time.
         """
         left = memoryview(message)
         while left:
@@ -120,19 +110,9 @@ class QuestionChannel:
         return ready
 
     def receive(self, number: int, deadline: float) -> Any:
-        """Read the answer that has begun to arrive.
+        """Read the answer that has begun to arrive, before a deadline on the monotonic clock.
 
-        Args:
-            number: Of the question.
-            deadline: On the monotonic clock.
-
-        Returns:
-            The value.
-
-        Raises:
-            ClosedError: If it ends half-way.
-            LateError: If it does not end.
-            MalformedError: If it is none, or one to another question.
+        Raises `ClosedError`, `LateError`, or `MalformedError` if it is none, or one to another question.
         """
         begun = self._begun(deadline)
         answered_number, length = _HEAD.unpack_from(begun)

@@ -88,13 +88,11 @@ MOST_MEMORY_GIB: Final = 65_536.0
 
 @dataclass(frozen=True, slots=True)
 class SandboxLimits:
-    """How a planner in a process of its own is watched over.
+    """Limits of a planner's process.
 
-    Attributes:
-        sample_s: How long ``reset``, ``reveal`` and a plan may take each; reading pictures for it does not count.
-        memory_bytes: Of data that the process may hold, or ``None``.
-        loading_s: How long importing and building it may take; by default `LOADING_S`, or ten samples if that is more.
-        silence_s: So long may it give no sign of life.
+    ``sample_s`` is for ``reset``, ``reveal`` and each plan, without the reading of its pictures; ``memory_bytes`` is
+    data that the process may hold; ``loading_s`` is for import and construction, by default `LOADING_S` or ten samples
+    if that is more; after ``silence_s`` without a sign of life the process is ended.
     """
 
     sample_s: float = SAMPLE_S
@@ -104,18 +102,7 @@ class SandboxLimits:
 
     @classmethod
     def of(cls, sample_limit: float | None, memory_limit: float | None) -> "SandboxLimits":
-        """The limits that options name.
-
-        Args:
-            sample_limit: ``--sample-limit``, seconds.
-            memory_limit: ``--memory-limit``, GiB.
-
-        Returns:
-            They.
-
-        Raises:
-            InputError: If one is no such number.
-        """
+        """Limits of the options ``--sample-limit`` (seconds) and ``--memory-limit`` (GiB)."""
         sample_s = SAMPLE_S if sample_limit is None else sample_limit
         if not 0.0 < sample_s <= LONGEST_S:
             raise InputError(f"--sample-limit must be more than 0 and at most {LONGEST_S:g} seconds, got {sample_s:g}")

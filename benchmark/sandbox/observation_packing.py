@@ -55,15 +55,7 @@ class ObservationUnpacker:
         self._folders: dict[str, Path] = {}
 
     def unpack(self, packed: Sequence[Any], load: Callable[[str], NDArray[np.uint8]]) -> Observation:
-        """The observation.
-
-        Args:
-            packed: What `ObservationPacker.packed` gave.
-            load: Reads the picture of a camera.
-
-        Returns:
-            It, equal in every number and type.
-        """
+        """The observation, equal in every number and type; `load` reads the picture of a camera."""
         values, motion, views, layout, data = packed
         if layout is not None:
             self._places = _compute_offsets(layout)

@@ -69,18 +69,7 @@ class PlannerIdentity:
 
 
 def find_identity(maker: PlannerSpec, supervision: SandboxLimits) -> PlannerIdentity:
-    """Build a planner in a process of its own, ask who it is, and end it.
-
-    Args:
-        maker: How it is made.
-        supervision: Its limits.
-
-    Returns:
-        Who it is.
-
-    Raises:
-        InputError: If it cannot be built, or its process does not survive that.
-    """
+    """Build a planner in its process, ask for its identity, and end it."""
     process = PlannerProcess(supervision)
     try:
         return _build_planner(process, maker, supervision)
@@ -93,16 +82,7 @@ def find_identity(maker: PlannerSpec, supervision: SandboxLimits) -> PlannerIden
 def make_sandboxed_planner(
     maker: PlannerSpec, identity: PlannerIdentity, supervision: SandboxLimits
 ) -> "SandboxedPlanner":
-    """A planner in a process of its own, which is started when a scene begins.
-
-    Args:
-        maker: How it is made.
-        identity: Who it is.
-        supervision: Its limits.
-
-    Returns:
-        It; it has those methods beside `plan` and `reset` that the planner has.
-    """
+    """A planner in its process, started when a scene begins; it has the optional methods that the planner has."""
     return _choose_class(identity.reveal, identity.follow, identity.begin_run)(maker, identity, supervision)
 
 
@@ -138,28 +118,14 @@ class SandboxedPlanner:
         self._seed = seed
 
     def reset(self, scene: SceneInfo) -> None:
-        """Begin a scene, in a new process where the last one is gone.
-
-        Raises:
-            PlannerFailedError: If the planner raises.
-            PlannerLostError: If it is lost.
-        """
+        """Begin a scene, in a new process if the last one is gone."""
         seed, self._seed = self._seed, None
         self._asked("reset", seed, scene, doing="reset did not return")
 
     def plan(self, observation: Observation) -> Plan:
-        """Ask for a plan.
+        """Ask for a plan; pictures are read when the planner looks at them.
 
-        Args:
-            observation: The next sample; pictures are read where the planner looks at them.
-
-        Returns:
-            The plan. What the planner returns instead is something of a type that is called like what it returned.
-
-        Raises:
-            PlannerFailedError: If the planner raises.
-            PlannerLostError: If it is lost.
-            InputError: If a picture that it looks at cannot be read.
+        A return value of another type becomes a value of a type with the same name.
         """
         if self._process is None:
             raise PlannerLostError("the process of this planner is not running; call reset first")

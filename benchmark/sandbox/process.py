@@ -39,18 +39,10 @@ _STDERR: Final = 2
 
 
 class PlannerProcess:
-    """The process of one planner.
-
-    Args:
-        supervision: Its limits.
-    """
+    """The process of one planner."""
 
     def __init__(self, supervision: SandboxLimits) -> None:
-        """Start the process; nothing of the planner is there yet.
-
-        Raises:
-            InputError: If the machine refuses.
-        """
+        """Start the process; the planner is not loaded yet."""
         self._supervision = supervision
         self._number = 0
         self._shelf = SharedImagePool()
@@ -87,22 +79,15 @@ class PlannerProcess:
         picture: Callable[[str], NDArray[np.uint8]] | None = None,
         ahead: Sequence[str] = (),
     ) -> list[Any]:
-        """Ask, and wait for the answer.
+        """Ask, and wait for the answer: a word, and what belongs to it.
 
         Args:
             kind: What `benchmark.sandbox.child` knows.
             parts: Of the question.
             doing: What the planner does then, in words that end "... within 10 s".
-            limit_s: How long it may take; reading pictures for it does not count.
+            limit_s: How long it may take, without the reading of pictures.
             picture: Reads a picture that is asked for meanwhile.
-            ahead: Pictures that will be asked for, probably; they are sent with the question, where they can be read.
-
-        Returns:
-            The answer: a word, and what belongs to it.
-
-        Raises:
-            PlannerLostError: If there is none; the process is gone then.
-            InputError: If a picture cannot be read, and that is what the planner fails of.
+            ahead: Pictures that will probably be asked for; those that can be read are sent with the question.
         """
         self._number += 1
         broken: list[InputError] = []

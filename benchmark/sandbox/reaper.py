@@ -26,13 +26,9 @@ _PAUSE_S: Final = 0.005
 
 
 def run_under_reaper(channel: int, lifeline: int, pictures: int, memory_bytes: int) -> None:
-    """Live as a guardian and as the planner's process that it guards; the one main function of both.
+    """Run as the reaper and as the planner's process that it watches; the main function of both.
 
-    Args:
-        channel: Descriptor of the planner's connection to who asks.
-        lifeline: Descriptor of the guardian's.
-        pictures: Descriptor of the shared memory.
-        memory_bytes: Of data that the planner's process may hold; 0 for as much as there is.
+    Descriptors of the planner's connection, of the reaper's, and of the shared memory; 0 bytes: no limit.
     """
     for descriptor in (channel, lifeline, pictures):
         os.set_inheritable(descriptor, False)
@@ -44,11 +40,7 @@ def run_under_reaper(channel: int, lifeline: int, pictures: int, memory_bytes: i
 
 
 def _fork_under_reaper(lifeline: socket.socket) -> None:
-    """Go on in a child process; this one guards it and does not return.
-
-    Args:
-        lifeline: To who asks; closed in the child.
-    """
+    """Continue in a child process; this one watches it and does not return."""
     _control(_ADOPT_ORPHANS, 1)
     guardian = os.getpid()
     woken, wake = os.pipe()

@@ -37,11 +37,7 @@ def _file() -> int:
 
 
 class SharedImagePool:
-    """The side that writes pictures, and sees the heart beat.
-
-    Attributes:
-        file: Descriptor of the shared memory.
-    """
+    """The side that writes pictures and reads the heartbeat; ``file`` is the descriptor of the shared memory."""
 
     def __init__(self) -> None:
         self.file = _file()
@@ -58,17 +54,7 @@ class SharedImagePool:
         return int(count)
 
     def put(self, picture: NDArray[np.uint8]) -> int:
-        """Write a picture into a block.
-
-        Args:
-            picture: Any shape.
-
-        Returns:
-            Where the block begins.
-
-        Raises:
-            TooManyPicturesError: If the planner has kept too many.
-        """
+        """Write a picture into a block; its place."""
         size = -(-max(picture.nbytes, 1) // _PAGE) * _PAGE
         place = self._free[size].pop() if self._free[size] else self._new(size)
         self._taken.add(place)
@@ -98,11 +84,7 @@ class SharedImagePool:
 
 
 class SharedImageReader:
-    """The planner's side.
-
-    Args:
-        file: Descriptor of the shared memory.
-    """
+    """The planner's side of the shared memory."""
 
     def __init__(self, file: int) -> None:
         self._file = file
@@ -117,16 +99,7 @@ class SharedImageReader:
         _BEAT.pack_into(self._pulse, 0, self._beats)
 
     def look(self, place: int, shape: tuple[int, ...], *, writable: bool) -> NDArray[np.uint8]:
-        """The picture of a block.
-
-        Args:
-            place: Where the block begins.
-            shape: Of the picture.
-            writable: Whether it may be written to, as a private copy.
-
-        Returns:
-            It.
-        """
+        """Picture of a block; a writable one is a private copy."""
         count = math.prod(shape)
         pages = self._pages(place, max(count, 1), writable=writable)
         picture = np.frombuffer(pages, np.uint8, count)

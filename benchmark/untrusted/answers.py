@@ -123,15 +123,9 @@ _WRITERS: Final[dict[type, Callable[[_AnswerEncoder, Any, int], Any]]] = {
 
 
 def write_answer(stream: BinaryIO, value: Any, limits: Limits) -> None:
-    """Write a value of plain containers and arrays.
+    """Write a value of plain containers and arrays, which `read_answer` gives back.
 
-    Args:
-        stream: Gets the answer.
-        value: What `read_answer` shall give.
-        limits: How deep and large it may be.
-
-    Raises:
-        UnencodableValueError: If it is more than that, or holds anything else, or text that is none.
+    Raises `UnencodableValueError` if it exceeds the limits or holds anything else.
     """
     writer = _AnswerEncoder(limits)
     try:
@@ -147,17 +141,7 @@ def write_answer(stream: BinaryIO, value: Any, limits: Limits) -> None:
 
 
 def read_answer(data: bytearray) -> Any:
-    """The value that was written; arrays are views of ``data``.
-
-    Args:
-        data: What `write_answer` wrote.
-
-    Returns:
-        The value.
-
-    Raises:
-        ValueError: If it was something else; other errors of values that are not what they say, too.
-    """
+    """The value that `write_answer` wrote; arrays are views of ``data``. Any error is one of malformed data."""
     length = int.from_bytes(data[:8], "little")
     if not data or length > len(data) - 8:
         raise ValueError("a short answer")

@@ -32,16 +32,10 @@ _FARTHEST: Final = 1 << 40
 
 
 def require_sound_header(path: Path, limits: Limits = SAFETENSORS) -> None:
-    """Look at the header of a safetensors file.
+    """Check the header of a safetensors file before it is mapped.
 
-    Args:
-        path: The file.
-        limits: How large the file and its header may be, how many tensors there may be, and how long their names.
-
-    Raises:
-        OSError: If the file cannot be read.
-        InputError: If it is longer than any file of its kind.
-        ValueError: If the header is longer than the file, not JSON, or says of a tensor what cannot be true.
+    Raises `InputError` if the file is too long, `ValueError` if the header is longer than the file, not JSON, or
+    impossible, `OSError` if it cannot be read.
     """
     if not path.exists():
         raise FileNotFoundError(f"No such file or directory: {path}")
@@ -86,19 +80,10 @@ _LONGEST_COMMENT: Final = 1 << 16
 
 
 def read_npz(path: Path, limits: Limits = NPZ) -> dict[str, NDArray[Any]]:
-    """Read the arrays of an npz file; nothing in it is unpickled.
+    """Arrays of an npz file by name, in the file's order; nothing is unpickled.
 
-    Args:
-        path: The file.
-        limits: How large it may be, what it may unpack to, and how many arrays it may have.
-
-    Returns:
-        By name, in the file's order.
-
-    Raises:
-        InputError: If it cannot be opened or is longer than any file of its kind.
-        OSError: If it cannot be read.
-        ValueError: If it is damaged, holds pickled objects, or unpacks to more than it may.
+    Raises `InputError` if it cannot be opened or is too long, `OSError` if it cannot be read, `ValueError` if it is
+    damaged, holds pickled objects or unpacks to more than the limits allow.
     """
     if not path.exists():
         raise FileNotFoundError("the file does not exist")

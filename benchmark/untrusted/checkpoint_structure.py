@@ -187,11 +187,7 @@ class _StructureUnpickler(AllowListUnpickler):
 
 
 def read_checkpoint_structure(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
-    """Take a checkpoint apart.
-
-    Args:
-        stream: The file: a zip archive, or the form of PyTorch before 1.6.
-        limits: How many tensors there may be, and how long their names.
+    """Structure of a checkpoint: a zip archive, or the form of PyTorch before 1.6.
 
     Returns:
         ``tensors``: rows of name, type, storage, first element, shape and strides, where the type is empty for what is

@@ -21,15 +21,7 @@ _CHECKED_AT_ONCE: Final = MIB
 
 @dataclass(frozen=True, slots=True)
 class TensorLocation:
-    """Where a tensor lies.
-
-    Attributes:
-        number_type: PyTorch's name of it, for example ``bfloat16``.
-        storage: Number of its storage.
-        offset: First element in it.
-        shape: Length of each axis.
-        strides: Elements between neighbours along each axis.
-    """
+    """Place of a tensor: PyTorch's name of its type, its storage and first element there, shape and strides."""
 
     number_type: str
     storage: int
@@ -42,11 +34,8 @@ class TensorLocation:
 class StoredCheckpoint:
     """Content of a PyTorch file.
 
-    Attributes:
-        tensors: By name, in the file's order; each lies inside its storage.
-        storages: Bytes of each, mapped from the file; what is written to them never reaches it.
-        big_endian: Whether their numbers have the other order of bytes.
-        configuration: The training configuration that mmcv puts into its checkpoints, or an empty text.
+    Tensors by name in the file's order, each inside its storage; storages are mapped bytes, and writing to them never
+    reaches the file; ``configuration`` is the training configuration that mmcv stores, or empty.
     """
 
     tensors: dict[str, TensorLocation]
@@ -58,17 +47,8 @@ class StoredCheckpoint:
 def read_stored(path: Path, limits: Limits = CHECKPOINT, *, checksums: bool = True) -> StoredCheckpoint:
     """Find the tensors of a checkpoint without trusting it.
 
-    Args:
-        path: An mmcv checkpoint (``{meta, state_dict, optimizer}``) or a bare state dict, of any PyTorch version.
-        limits: How large it may be, and what taking it apart may cost.
-        checksums: Whether to compare the checksums of an archive, for which all of it is read.
-
-    Returns:
-        Its tensors.
-
-    Raises:
-        InputError: If the file is absent, truncated, no checkpoint, would run code, or holds something other than
-            dense tensors of numbers, or says of them what cannot be true.
+    Takes an mmcv checkpoint (``{meta, state_dict, optimizer}``) or a bare state dict, of any PyTorch version; for the
+    checksums of an archive all of it is read. Raises `InputError` if it would run code or is not what it claims.
     """
     _require_bytes(path, limits)
     structure = _structure(path, read_in_child(path, "checkpoint", limits))

@@ -24,15 +24,7 @@ from benchmark.untrusted.result_values import read_result_value
 
 
 def read_parquet_columns(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
-    """Numbers as arrays and texts as lists, by column.
-
-    Args:
-        stream: The file.
-        limits: How many rows there may be, and how many bytes they may unpack to.
-
-    Returns:
-        As pandas would have them: missing numbers are NaN.
-    """
+    """Numbers as arrays and texts as lists, by column, as pandas has them: missing numbers are NaN."""
     from pyarrow import parquet
 
     file = parquet.ParquetFile(stream)
@@ -69,12 +61,7 @@ KINDS: Final[dict[str, tuple[Callable[[BinaryIO, Limits], Any], Limits]]] = {
 
 
 def apply_limits(limits: Limits, parent: int) -> None:
-    """Give this process its limits; it cannot raise them again.
-
-    Args:
-        limits: What it may cost.
-        parent: Process that waits for it, and whose end is its own.
-    """
+    """Limit this process for good; it ends with the process `parent` that waits for it."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
     if os.getppid() != parent:
@@ -93,12 +80,7 @@ def apply_limits(limits: Limits, parent: int) -> None:
 
 
 def read_request(kind: str, limits: Limits, stream: BinaryIO) -> tuple[Any, ...]:
-    """Read the file.
-
-    Args:
-        kind: One of `KINDS`.
-        limits: Of this file.
-        stream: The file.
+    """Read the file as one of `KINDS`.
 
     Returns:
         ``("value", V)``, or what was wrong: ``("refused", NAME)``, ``("unanswerable", WHY)``, ``("memory",)``,

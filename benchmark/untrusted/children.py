@@ -37,19 +37,9 @@ class ChildAnswer:
 
 
 def read_in_child(path: Path, kind: str, limits: Limits) -> ChildAnswer:
-    """Have a child process read a foreign file.
+    """Read an untrusted file as ``pickle``, ``checkpoint`` or ``parquet`` in a child process.
 
-    Args:
-        path: The file.
-        kind: What the child shall read: ``pickle``, ``checkpoint`` or ``parquet``.
-        limits: How large the file may be, and what reading it may cost.
-
-    Returns:
-        Its answer.
-
-    Raises:
-        InputError: If the file cannot be opened or is too large, or the child runs out of memory or time, dies, or
-            finds more values, or deeper ones, than there may be.
+    Raises `InputError` if the file cannot be opened or is too large, or the child exceeds its limits or dies.
     """
     with open_file(path, limits) as stream, tempfile.TemporaryFile() as answer:
         code = _run(path, kind, limits, stream.fileno(), answer.fileno())
@@ -114,16 +104,8 @@ def _death(path: Path, number: int, limits: Limits) -> str:
 def read_pickle(path: Path, limits: Limits = PICKLE) -> Any:
     """Read a pickle of arrays and plain containers without trusting it.
 
-    Args:
-        path: The file.
-        limits: How large and deep it may be, and what reading it may cost.
-
-    Returns:
-        Its value.
-
-    Raises:
-        InputError: If the file is absent or broken, asks for anything that is not on the allow-list (the message names
-            what it asked for), or is more than the limits allow.
+    Raises `InputError` if it is absent, broken, over the limits, or asks for anything outside the allow-list, which the
+    message names.
     """
     answer = read_in_child(path, "pickle", limits)
     if answer.kind == "value":

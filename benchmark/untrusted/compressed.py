@@ -33,14 +33,7 @@ _EARLIEST: Final = (1980, 1, 1, 0, 0, 0)
 
 
 def encode_package(members: dict[str, bytes]) -> bytes:
-    """A package: the same bytes for the same members.
-
-    Args:
-        members: Content by name, such as ``splits/mini-adv-3.json``; the first stays the first.
-
-    Returns:
-        A zip file without compression, whose bytes would depend on the library.
-    """
+    """A package: a zip file without compression, the same bytes for the same members; the first stays the first."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, data in members.items():
@@ -51,18 +44,11 @@ def encode_package(members: dict[str, bytes]) -> bytes:
 
 
 def read_package(path: Path, limits: Limits = PACKAGE) -> dict[str, bytes]:
-    """Read a package without trusting it.
+    """Members of a package by name, read without trusting it.
 
-    Args:
-        path: The file.
-        limits: How large it may be, and how many members it may have.
-
-    Returns:
-        Content by name.
-
-    Raises:
-        InputError: If it is absent, damaged or too large; if a member is compressed, encrypted, a link, twice there, or
-            has a name that leads out of a folder; or if members claim more than the file has.
+    Raises `InputError` if it is absent, damaged or too large; if a member is compressed, encrypted, a link, repeated,
+    or
+    has a name that leads out of a folder; or if members claim more than the file has.
     """
     with open_file(path, limits) as stream:
         try:
@@ -115,18 +101,7 @@ _DECODER_BYTES: Final = 256 * MIB
 
 
 def read_compressed_pickle(path: Path, limits: Limits = COMPRESSED_PICKLE) -> Any:
-    """Read a pickle of arrays and plain containers out of an xz file (see `benchmark.untrusted.children.read_pickle`).
-
-    Args:
-        path: The file.
-        limits: How large it may be, and what it may unpack to.
-
-    Returns:
-        The value of the pickle.
-
-    Raises:
-        InputError: If the file is absent, damaged or too large, or its pickle is refused.
-    """
+    """Read a pickle out of an xz file, as `benchmark.untrusted.children.read_pickle` does."""
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder) / path.stem
         with plain.open("wb") as stream:
@@ -138,15 +113,9 @@ def read_compressed_pickle(path: Path, limits: Limits = COMPRESSED_PICKLE) -> An
 
 
 def unpack_archive(path: Path, folder: Path, limits: Limits = ARCHIVE) -> None:
-    """Unpack the plain files of a tar archive that is compressed with xz.
+    """Unpack the plain files of an xz-compressed tar archive into a folder.
 
-    Args:
-        path: The archive.
-        folder: Where to.
-        limits: How large it may be, what it may unpack to, and how many files it may have.
-
-    Raises:
-        InputError: If it is absent, damaged or too large, or holds links, devices, or names that lead out of it.
+    Raises `InputError` if it is absent, damaged or too large, or holds links, devices, or names that lead out of it.
     """
     with tempfile.TemporaryFile() as plain:
         _unpack(path, plain, limits)

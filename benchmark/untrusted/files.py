@@ -23,12 +23,7 @@ CATEGORIES: Final[tuple[Category, ...]] = get_args(Category)
 
 
 class RefusedFileError(InputError):
-    """A file of results that is refused.
-
-    Args:
-        category: Why, in one word.
-        sentence: What is wrong, where, and what to do.
-    """
+    """Refusal of a result file, with its category in one word."""
 
     def __init__(self, category: Category, sentence: str) -> None:
         super().__init__(sentence)
@@ -137,15 +132,7 @@ _MOST_MORE_BYTES: Final = 16 * GIB
 
 
 def scale_limits(limits: Limits, size: int) -> Limits:
-    """Limits of a file whose reading costs in proportion to its size, so that a small one can never cost much.
-
-    Args:
-        limits: Of the kind, for the smallest.
-        size: Bytes of the file.
-
-    Returns:
-        They, with memory and time for the file.
-    """
+    """Limits in proportion to a file of `size` bytes, so that reading a small one never costs much."""
     more_s = size // (8 * MIB)
     return replace(
         limits,
@@ -164,17 +151,9 @@ def format_bytes(count: int) -> str:
 
 
 def open_file(path: Path, limits: Limits) -> BufferedReader:
-    """Open a file that a stranger made.
+    """Open an untrusted file at its beginning.
 
-    Args:
-        path: The file.
-        limits: Of its kind.
-
-    Returns:
-        A stream of its bytes, at the beginning.
-
-    Raises:
-        InputError: If it is absent, no ordinary file, named in bytes that are no text, or longer than its kind may be.
+    Raises `InputError` if it is absent, no ordinary file, named in bytes that are no text, or too long for its kind.
     """
     require_name(path)
     try:
@@ -217,15 +196,7 @@ def require_name(path: Path) -> None:
 
 
 def to_one_line(text: object, longest: int = 160) -> str:
-    """Text of an untrusted file or its reader, fit for a message: one line, printable, short.
-
-    Args:
-        text: Anything that can be turned into text.
-        longest: Characters.
-
-    Returns:
-        The text.
-    """
+    """Text of an untrusted file or its reader, fit for a message: one line, printable, at most `longest` characters."""
     first = (str(text).splitlines() or [""])[0]
     printable = "".join(letter if letter.isprintable() else "?" for letter in first[: longest + 1])
     return printable if len(printable) <= longest else f"{printable[:longest]}..."

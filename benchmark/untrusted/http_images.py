@@ -24,18 +24,7 @@ _FORMATS = ("JPEG", "PNG", "WEBP")
 
 
 def read_picture(path: Path, limits: Limits = PICTURE) -> NDArray[np.uint8]:
-    """Read an image file.
-
-    Args:
-        path: JPEG, PNG or WebP file.
-        limits: Its bytes, and as values its pixels.
-
-    Returns:
-        (height, width, 3) RGB.
-
-    Raises:
-        InputError: If it is missing, truncated, no image, or has more pixels than any camera gives.
-    """
+    """(height, width, 3) RGB of a JPEG, PNG or WebP file; limits are its bytes, and as values its pixels."""
     if not path.exists():
         raise InputError(f"image {path} is missing; complete the data set or leave its scene out")
     with open_file(path, limits) as stream:
@@ -46,18 +35,7 @@ def read_picture(path: Path, limits: Limits = PICTURE) -> NDArray[np.uint8]:
 
 
 def decode_picture(stream: BinaryIO, limits: Limits) -> NDArray[np.uint8]:
-    """Decode a picture.
-
-    Args:
-        stream: Bytes of a JPEG, PNG or WebP file.
-        limits: As values its pixels.
-
-    Returns:
-        (height, width, 3) RGB.
-
-    Raises:
-        ValueError: If it is none, truncated, or has more pixels.
-    """
+    """(height, width, 3) RGB of JPEG, PNG or WebP bytes; a `ValueError` if they are none, truncated, or too large."""
     from PIL import Image
 
     # Decoders raise many kinds of exceptions, from SyntaxError to IndexError on a damaged table.
@@ -87,19 +65,10 @@ class TensorRefusedError(ValueError):
 
 
 def decode_image(data: bytes, *, tensors: bool, limits: Limits = HTTP_PICTURE) -> NDArray[np.uint8]:
-    """A picture.
+    """(height, width, 3) RGB of a PNG, JPEG or WebP file, an array of numpy, or a saved tensor.
 
-    Args:
-        data: Bytes of a PNG, JPEG or WebP file, of an array of numpy, or of a saved tensor.
-        tensors: Whether saved tensors are read.
-        limits: Its bytes, and as values its pixels.
-
-    Returns:
-        (height, width, 3) RGB.
-
-    Raises:
-        TensorRefused: If it is a saved tensor and those are not read.
-        ValueError: If it is anything else, damaged, or larger; says which, fit behind "the picture".
+    Raises `TensorRefused` for a saved tensor unless `tensors` is set, `ValueError` for anything else that is no such
+    picture, in words that fit behind "the picture".
     """
     if len(data) > limits.file_bytes:
         raise ValueError(f"has {format_bytes(len(data))}, but a picture has at most {format_bytes(limits.file_bytes)}")

@@ -146,11 +146,7 @@ _COUNT_BYTES: Final = 8
 
 
 class LegacyStorage:
-    """Stored numbers of a tensor.
-
-    Attributes:
-        values: (N,) the numbers.
-    """
+    """Stored (N,) numbers of a tensor."""
 
     __slots__ = ("values",)
 
@@ -217,18 +213,9 @@ class _StorageUnpickler(_PlainUnpickler):
 
 
 def read_legacy_storage(data: Any) -> LegacyStorage:
-    """The numbers of a storage.
+    """Numbers of a storage that `torch.save` wrote in its old form.
 
-    Args:
-        data: What `torch.save` writes of one storage in its old form.
-
-    Returns:
-        They.
-
-    Raises:
-        Refused: If the stream asks for anything but storages.
-        UnencodableValueError: If it is damaged, or says of the numbers what is not so.
-        EOFError: If it ends too early; other errors of damaged pickles, too.
+    Raises `Refused` if the stream asks for anything but storages; any other error is one of a damaged pickle.
     """
     if not isinstance(data, bytes | bytearray):
         raise DisallowedNameError("torch.storage._load_from_bytes of something other than bytes")

@@ -31,15 +31,7 @@ class ComparedPlans:
 
     @classmethod
     def of(cls, plan: Floats, recorded: Floats) -> Self:
-        """Plans of any samples.
-
-        Args:
-            plan: (S, K, 2) planned positions; 6 steps at least.
-            recorded: (S, 6, 2) recorded positions, NaN where the recording has ended.
-
-        Returns:
-            Those whose recording goes on for 3 s.
-        """
+        """Those of (S, K, 2) plans whose (S, 6, 2) recording goes on for 3 s; it is NaN past its end."""
         complete = np.isfinite(recorded).all(axis=(1, 2))
         return cls(plan[complete, :PLAN_STEPS], recorded[complete])
 
@@ -122,14 +114,7 @@ TestFinding = str | Misreading
 
 
 def measure_plausibility(compared: ComparedPlans) -> Plausibility:
-    """Measure plans against what was recorded.
-
-    Args:
-        compared: Plans and recordings.
-
-    Returns:
-        What each test measured.
-    """
+    """Measure plans against the recording."""
     # Plans may be as large as numbers get: squares of those are infinite, and no reading of such plans fits.
     with np.errstate(over="ignore", invalid="ignore"):
         findings = {name: test(_PlanSteps.of(compared)) for name, test in TESTS.items()}
@@ -142,14 +127,10 @@ def measure_plausibility(compared: ComparedPlans) -> Plausibility:
 
 @dataclass(frozen=True, slots=True)
 class _PlanSteps:
-    """Plans with what every test asks of them.
+    """Plans (N, 6, 2) and recordings in metres, with what every test needs of them.
 
-    Attributes:
-        plan: (N, 6, 2) metres.
-        recorded: (N, 6, 2) metres.
-        size: (N, 6) distance of planned positions from the present one.
-        gone: (N, 6) the same of recorded ones.
-        moved: (N,) whether the recorded car moves more than 3 m in 3 s.
+    ``size`` and ``gone`` are (N, 6) distances of planned and recorded positions from the present one; ``moved``: (N,)
+    whether the recorded ego moves more than 3 m in 3 s.
     """
 
     plan: Floats

@@ -10,15 +10,7 @@ _RESTS = "all numbers use the plans as read"
 
 
 def format_refusal(path: Path, misreading: Misreading) -> str:
-    """The sentence that refuses a file.
-
-    Args:
-        path: The file.
-        misreading: What fits far better.
-
-    Returns:
-        What was measured, what would fit, and the options that accept the file.
-    """
+    """The sentence that refuses a file: what was measured, what would fit, and the options that accept the file."""
     remedy = (
         "check which script wrote the file" if misreading.frame is None else f"--frame {misreading.frame} reads it so"
     )
@@ -36,14 +28,7 @@ def make_as_is_caveat(misreading: Misreading) -> Caveat:
 
 
 def list_plan_caveats(compared: ComparedPlans) -> list[Caveat]:
-    """Caveats on the plans of a planner, running or from a file.
-
-    Args:
-        compared: Its plans beside what was recorded.
-
-    Returns:
-        A caveat where another reading fits far better.
-    """
+    """Caveats on the plans of a planner or file: one where another reading fits far better."""
     misreading = measure_plausibility(compared).misreading
     if misreading is None:
         return []

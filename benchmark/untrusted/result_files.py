@@ -32,35 +32,13 @@ _ADVICE: Final[dict[str, str]] = {
 
 
 def first_bytes(path: Path) -> bytes:
-    """How a file begins.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Up to 64 bytes.
-
-    Raises:
-        InputError: If it cannot be opened, or is longer than any result file.
-    """
+    """Up to 64 bytes of the beginning of a result file."""
     with open_file(path, RESULTS) as stream:
         return stream.read(_START_BYTES)
 
 
 def read_result_pickle(path: Path) -> Any:
-    """Read a pickle of a planner's repository without trusting it.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Dictionaries, lists, arrays, numbers and texts; what no plan is read from is ``None``.
-
-    Raises:
-        RefusedFile: If it is damaged, asks for anything that is not on the list (the message names it), or is more than
-            the limits allow.
-        InputError: If it cannot be opened.
-    """
+    """Dictionaries, lists, arrays, numbers and texts of an untrusted result pickle; what holds no plan is ``None``."""
     with open_file(path, RESULTS) as stream:
         limits = scale_limits(RESULTS, stream.seek(0, 2))
     try:
@@ -87,18 +65,9 @@ def read_result_text(path: Path, limits: Limits = JSON) -> bytes:
 
 
 def parse_result_json(data: bytes, where: str, limits: Limits = JSON) -> Any:
-    """The value of a JSON text that has no key twice in an object and no number that is not finite.
+    """Value of a JSON text without repeated keys and with finite numbers alone.
 
-    Args:
-        data: UTF-8 text.
-        where: File, and line where there are several, for the message.
-        limits: How many values it may have, and how deep they may lie.
-
-    Returns:
-        The value.
-
-    Raises:
-        RefusedFile: If it is anything else.
+    `where` (file, line) is for the message.
     """
     category: Category = "unknown"
     try:

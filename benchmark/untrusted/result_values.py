@@ -219,18 +219,7 @@ class _ResultUnpickler(pickle.Unpickler):
 
 
 def read_result_value(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
-    """The value of a result file, or why there is none.
-
-    Args:
-        stream: The file.
-        limits: How deep and large what is kept of it may be.
-
-    Returns:
-        ``{"value": V}``, or ``{"wrong": CATEGORY, "why": TEXT}``.
-
-    Raises:
-        MemoryError: If it takes too much.
-    """
+    """``{"value": V}`` of a result file, or ``{"wrong": CATEGORY, "why": TEXT}``."""
     try:
         value = _ResultUnpickler(stream).load()
         if stream.read(1):
@@ -261,10 +250,9 @@ class _NestingError(Exception):
 
 
 class _LimitedCopier:
-    """Copies what is kept of a value; what is named often is copied once and counted each time.
+    """Copies what is kept of a value, within limits.
 
-    Args:
-        limits: How deep and large it may be.
+    A value that is named often is copied once and counted each time.
     """
 
     def __init__(self, limits: Limits) -> None:

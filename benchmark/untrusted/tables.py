@@ -15,19 +15,11 @@ _TEXTS: Final = {"sample_token": str, "scene": str, "frame": str}
 
 
 def read_table(path: Path, limits: Limits = PLANS) -> "pandas.DataFrame":
-    """Read a table of plans.
+    """Unchecked columns of a ``.csv``, ``.json`` or ``.parquet`` table of plans.
 
-    Args:
-        path: A ``.csv``, ``.json`` or ``.parquet`` file.
-        limits: How large it may be, a line of it, and how many rows.
-
-    Returns:
-        Its columns, unchecked.
-
-    Raises:
-        InputError: If the file cannot be opened, or a Parquet file takes more than it may.
-        ValueError: If it is none of these or damaged, or has more rows, columns or characters in a line than a table of
-            plans; other errors of what pandas cannot read, too.
+    Raises `InputError` if it cannot be opened or a Parquet file exceeds its limits, `ValueError` if it is none of
+    these,
+    damaged, or has more rows, columns or characters in a line; other errors are pandas' own.
     """
     kind = path.suffix.lower()
     if kind == ".csv":

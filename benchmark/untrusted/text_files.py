@@ -18,18 +18,7 @@ from benchmark.untrusted.files import JSON, SETTINGS, Limits, format_bytes, open
 
 
 def read_yaml(path: Path, limits: Limits = SETTINGS) -> Any:
-    """Read a YAML file of plain values: no tags, and no aliases, of which a few lines can make billions of values.
-
-    Args:
-        path: The file.
-        limits: How large it may be, and how deep its containers may lie.
-
-    Returns:
-        Its value.
-
-    Raises:
-        InputError: If it is absent, unreadable, too large, nested too deeply or not such YAML.
-    """
+    """Read a YAML file of plain values: no tags, and no aliases, of which a few lines can make billions of values."""
     import yaml
 
     class PlainLoader(yaml.SafeLoader):  # type: ignore[misc]
@@ -57,34 +46,12 @@ def read_yaml(path: Path, limits: Limits = SETTINGS) -> Any:
 
 
 def read_toml(path: Path, limits: Limits = SETTINGS) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Args:
-        path: The file.
-        limits: How large it may be.
-
-    Returns:
-        Its tables.
-
-    Raises:
-        InputError: If it is absent, unreadable, too large or not TOML.
-    """
+    """Tables of a TOML file."""
     return parse_toml(read_file(path, limits), str(path))
 
 
 def parse_toml(data: bytes, where: str) -> dict[str, Any]:
-    """The tables of a TOML text.
-
-    Args:
-        data: UTF-8 text.
-        where: What it is called in the message.
-
-    Returns:
-        The tables.
-
-    Raises:
-        InputError: If it is not TOML.
-    """
+    """Tables of a TOML text in UTF-8; `where` names it in messages."""
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
@@ -111,17 +78,7 @@ class TooLargeError(ValueError):
 
 
 def require_utf8(start: bytes) -> int:
-    """Refuse JSON text in another encoding than UTF-8.
-
-    Args:
-        start: The first bytes of the text, four if there are so many.
-
-    Returns:
-        How many of them are the mark that some programs put before UTF-8; what follows is the text.
-
-    Raises:
-        ValueError: If it is UTF-16 or UTF-32; says which.
-    """
+    """Length of the byte order mark that JSON text may begin with; a `ValueError` names UTF-16 or UTF-32."""
     encoding = json.detect_encoding(start[:_BYTES_OF_ENCODING])
     # Zeros alone are a hole in a file, not text.
     if not encoding.startswith("utf-8") and start[:_BYTES_OF_ENCODING].strip(b"\0"):
@@ -130,17 +87,9 @@ def require_utf8(start: bytes) -> int:
 
 
 def parse_json(data: bytes, limits: Limits = JSON) -> Any:
-    """The value of a JSON text.
+    """Value of a JSON text in UTF-8; NaN and infinity are read, as Python writes them.
 
-    Args:
-        data: UTF-8 text, after a mark perhaps.
-        limits: How many values it may have, and how deep they may lie.
-
-    Returns:
-        The value; NaN and infinity are read, as Python writes them.
-
-    Raises:
-        ValueError: If it is not JSON, or more than the limits allow, or has text that is not Unicode; says which.
+    Raises `ValueError` if it is not JSON, over the limits, or has text that is not Unicode.
     """
     if data.count(b",") + data.count(b"[") + data.count(b"{") > limits.values:
         raise TooLargeError(f"it holds more than {limits.values} values")
@@ -177,18 +126,7 @@ def _is_deeper(data: bytes, depth: int) -> bool:
 
 
 def read_json(path: Path, limits: Limits = JSON) -> Any:
-    """Read a JSON file.
-
-    Args:
-        path: The file.
-        limits: How large and deep it may be.
-
-    Returns:
-        The value.
-
-    Raises:
-        InputError: If it is absent, unreadable, not JSON or more than the limits allow.
-    """
+    """Read a JSON file within limits."""
     try:
         return parse_json(_bytes(path, limits), limits)
     except ValueError as error:
@@ -198,34 +136,12 @@ def read_json(path: Path, limits: Limits = JSON) -> Any:
 
 
 def read_json_lines(path: Path, limits: Limits = JSON) -> list[Any]:
-    """Read one JSON value a line.
-
-    Args:
-        path: The file.
-        limits: How large it may be, a line of it, and how deep each value.
-
-    Returns:
-        The values.
-
-    Raises:
-        InputError: If it is absent, unreadable, a line is not JSON, or it is more than the limits allow.
-    """
+    """Read one JSON value a line, within limits of the file, a line and a value."""
     return [parse_line(path, number, line, limits) for number, line in read_lines(path, limits)]
 
 
 def read_lines(path: Path, limits: Limits = JSON) -> Iterator[tuple[int, str]]:
-    """Lines of a file of JSON lines, unread.
-
-    Args:
-        path: The file.
-        limits: How large it may be, and a line of it.
-
-    Yields:
-        Number, from 1, and text of each line.
-
-    Raises:
-        InputError: If it is absent, unreadable, not text, or more than the limits allow.
-    """
+    """Number, from 1, and unread text of each line of a file of JSON lines."""
     try:
         text = _bytes(path, limits).decode()
     except UnicodeDecodeError as error:
@@ -241,20 +157,7 @@ def read_lines(path: Path, limits: Limits = JSON) -> Iterator[tuple[int, str]]:
 
 
 def parse_line(path: Path, number: int, line: str, limits: Limits = JSON) -> Any:
-    """The value of one line of a file.
-
-    Args:
-        path: The file, for the message.
-        number: Of the line.
-        line: Its text.
-        limits: How many values it may have, and how deep.
-
-    Returns:
-        The value.
-
-    Raises:
-        InputError: If it is not JSON, or more than the limits allow.
-    """
+    """Value of one line of a file; path and number are for the message."""
     try:
         return parse_json(line.encode(), limits)
     except ValueError as error:
@@ -264,15 +167,7 @@ def parse_line(path: Path, number: int, line: str, limits: Limits = JSON) -> Any
 
 
 def is_plain(data: bytes, limits: Limits = JSON) -> bool:
-    """Whether a JSON text is surely within the limits and surely holds Unicode alone; a faster parser may have it then.
-
-    Args:
-        data: The text.
-        limits: How many values it may have, and how deep they may lie.
-
-    Returns:
-        ``False`` where `parse_json` has to look.
-    """
+    """Whether a JSON text surely is within the limits and Unicode, so that a faster parser may read it."""
     if data.count(b",") + data.count(b"[") + data.count(b"{") > limits.values:
         return False
     return not (_is_deeper(data, limits.depth) or b"\xed" in data or b"\\ud" in data or b"\\uD" in data)

@@ -29,7 +29,7 @@ from benchmark.report.words import pluralise
 from benchmark.runs.drive_rows import mark_labelled
 from benchmark.runs.redriving import redrive_and_score
 from benchmark.runs.rescoring import find_unjudged, rejudge_rows, require_same_data
-from benchmark.runs.scene_work import SceneReading, collect_truth_facts
+from benchmark.runs.scene_reading import SceneReading, collect_truth_facts
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

@@ -12,7 +12,7 @@ import typer
 from benchmark.cli.app import app
 from benchmark.cli.drive import DriveOptions
 from benchmark.cli.eval_options import EvalOptions
-from benchmark.cli.generate import GenerateOptions
+from benchmark.cli.generate_options import GenerateOptions
 from benchmark.cli.settings import Option, add_command, command, is_given, list_rare_settings
 from benchmark.errors import InputError
 from benchmark.machine.extension import OFFERS, parse_extension_name

@@ -15,7 +15,7 @@ from benchmark.protocols import PROTOCOLS
 from benchmark.records.row_schema import SampleRow
 from benchmark.runs.judging import judge_plans, parse_plan
 from benchmark.runs.plan_rows import plan_scene
-from benchmark.runs.scene_work import SceneReading
+from benchmark.runs.scene_reading import SceneReading
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from tests.benchmark.fake_data import FakeData, town_of_two
