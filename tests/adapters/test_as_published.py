@@ -62,7 +62,7 @@ def test_what_is_asked_for_and_what_a_model_does() -> None:
     assert select_options("uniad", MODELS["uniad"].net.as_published, [ALL]) == (CAN_ONCE, CAN_AFTER)
     assert select_options("vad", MODELS["vad"].net.as_published, [CAN_AFTER]) == (CAN_AFTER,)
     assert select_options("sparsedrive", MODELS["sparsedrive"].net.as_published, []) == ()
-    with pytest.raises(InputError, match="vad-tiny does nothing with --as-published memory; it has can-after"):
+    with pytest.raises(InputError, match="vad-tiny does not support --as-published memory: it has can-after"):
         select_options("vad-tiny", MODELS["vad-tiny"].net.as_published, [MEMORY])
     with pytest.raises(InputError, match="idm does nothing with --as-published all"):
         select_options("idm", {}, [ALL])
