@@ -50,7 +50,7 @@ def test_checkpoints_must_exist_and_be_wanted(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no checkpoint"):
         build_planner("ego-status", checkpoint=tmp_path / "none.safetensors")
     (tmp_path / "some").write_bytes(b"x")
-    with pytest.raises(InputError, match="takes no checkpoint"):
+    with pytest.raises(InputError, match="does not take --checkpoint"):
         build_planner("idm", checkpoint=tmp_path / "some")
     with pytest.raises(InputError, match="cannot read the weights of ego-status"):
         build_planner("ego-status", checkpoint=tmp_path / "some")
