@@ -62,13 +62,13 @@ def test_what_is_asked_for_and_what_a_model_does() -> None:
     assert select_options("uniad", MODELS["uniad"].net.as_published, [ALL]) == (CAN_ONCE, CAN_AFTER)
     assert select_options("vad", MODELS["vad"].net.as_published, [CAN_AFTER]) == (CAN_AFTER,)
     assert select_options("sparsedrive", MODELS["sparsedrive"].net.as_published, []) == ()
-    with pytest.raises(InputError, match="vad-tiny does nothing with --as-published memory; it has can-after"):
+    with pytest.raises(InputError, match="vad-tiny does not support --as-published memory: it has can-after"):
         select_options("vad-tiny", MODELS["vad-tiny"].net.as_published, [MEMORY])
-    with pytest.raises(InputError, match="idm does nothing with --as-published all"):
+    with pytest.raises(InputError, match="idm does not support --as-published all"):
         select_options("idm", {}, [ALL])
     with pytest.raises(InputError, match="did you mean memory"):
         select_options("uniad", {MEMORY}, ["memry"])
-    with pytest.raises(InputError, match="takes no as-published; leave --as-published out"):
+    with pytest.raises(InputError, match="does not take --as-published; leave it out"):
         build_planner("constant-velocity", as_published=[MEMORY])
 
 

@@ -224,7 +224,7 @@ def test_a_miniature_without_its_file_and_with_another_is_a_sentence(
     monkeypatch.undo()
     with pytest.raises(InputError, match=r"holds the weights of vad-mini, not of uniad-mini"):
         build_native_planner(miniature("uniad-mini"), miniature("vad-mini").packaged)
-    with pytest.raises(InputError, match="'nonsense' is not a miniature; those are uniad-mini"):
+    with pytest.raises(InputError, match="'nonsense' is not a miniature; use one of uniad-mini"):
         miniature("nonsense")
 
 
@@ -239,7 +239,7 @@ def test_the_command_says_once_which_model_runs(
     monkeypatch.setattr("benchmark.api.opening._notified", set())
     assert load_planner("vad", data=EMBEDDED).name == "vad-mini"
     said = capsys.readouterr()
-    assert said.out == "" and said.err.startswith("there are no weights for vad: vad-mini runs in its place")
+    assert said.out == "" and said.err.startswith("no weights found for vad: running vad-mini instead")
     for name in ("vad", "vad-mini"):
         assert load_planner(name, data=DEMONSTRATED).name == "vad-mini"
     assert capsys.readouterr().err == ""

@@ -79,7 +79,7 @@ def test_what_cannot_be_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main([*TRIAL, str(tmp_path), "--piece", "none"]) == 2
     assert "there is no piece 'none'; they are diffusiondrive-agreement" in capsys.readouterr().err
     assert main(["--folder", str(tmp_path), "--device", "cuda:77"]) == 2
-    assert "no GPU for device 'cuda:77'" in capsys.readouterr().err
+    assert "no GPU found for device 'cuda:77'" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -152,7 +152,7 @@ def test_a_small_data_set_is_one_sentence(data: NuScenesData, tmp_path: Path, mo
     monkeypatch.setattr(SparseConfig, "sparsedrive", lambda: FEW)
     with pytest.raises(InputError, match="0 different plans of command 0 but anchors need 2"):
         write_anchors("sparsedrive", data, "val", tmp_path / "a.safetensors")
-    with pytest.raises(InputError, match="'vad' is no model with anchors"):
+    with pytest.raises(InputError, match="'vad' is not a model with anchors"):
         write_anchors("vad", data, "val", tmp_path / "a.safetensors")
     assert not (tmp_path / "a.safetensors").exists()
 

@@ -90,7 +90,7 @@ def test_files_of_two_formats_or_without_tokens_are_not_judged_together(tmp_path
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("uniad", r"16 of its 16 samples, .* are samples of split 'train', not of split 'val' of fake; judge it with"),
+        ("uniad", r"16 of its 16 samples, .* are samples of split 'train', not of split 'val' of fake; score it with"),
         ("sparsedrive", r"16 entries without tokens, and split 'val' of fake has 10 samples; split 'train' has 16;"),
     ],
 )

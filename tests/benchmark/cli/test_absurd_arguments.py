@@ -24,7 +24,7 @@ def test_names_that_no_file_system_has(
     value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for given in (("data", "check", str(tmp_path / value)), ("transfer", "--out", str(tmp_path / value))):
-        assert "File name too long; name another place" in said(capsys, monkeypatch, *given)
+        assert "File name too long; choose another path" in said(capsys, monkeypatch, *given)
     assert not list(tmp_path.iterdir())
 
 
@@ -32,7 +32,7 @@ def test_bytes_that_are_no_text(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = said(capsys, monkeypatch, "data", "check", f"{tmp_path}/\udcff")
-    assert r"\udcff is not text in UTF-8" in text
+    assert r"\udcff is not UTF-8 text" in text
     # Text of any script is text.
     assert "is not UTF-8 text" not in said(capsys, monkeypatch, "data", "check", f"{tmp_path}/данные-資料")
 
@@ -58,5 +58,5 @@ def test_links_that_lead_in_a_circle_pipes_and_numbers_beyond_machines(
     os.mkfifo(pipe)
     assert "loop; choose another path" in said(capsys, monkeypatch, "doctor", "--out", str(loop))
     generate = ("generate", "--out", str(tmp_path / "out"), "--dry-run")
-    assert "a pipe or a device; give a regular file" in said(capsys, monkeypatch, *generate, "--freeze", str(pipe))
+    assert "a pipe or a device; name a file" in said(capsys, monkeypatch, *generate, "--freeze", str(pipe))
     assert "at most 10,000" in said(capsys, monkeypatch, *generate, "--workers", huge)

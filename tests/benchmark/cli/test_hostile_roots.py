@@ -69,7 +69,7 @@ def test_a_broken_list_of_splits_is_said_whatever_split_is_asked_for(tmp_path: P
     for names, says in (
         (["scene-9901"] * 2, "lists a scene twice"),
         (["scene-9902"], "no such scene"),
-        ([], "puts no scene"),
+        ([], "is empty"),
     ):
         (root / "splits.json").write_text(json.dumps({split: names}))
         asked = ("--split", split, "--data", root, "--out", tmp_path / "out")

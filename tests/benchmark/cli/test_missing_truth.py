@@ -64,9 +64,9 @@ def test_unknown_categories_are_dashes_unless_a_judge_that_goes_by_them_is_named
     done = evaluated(foreign, tmp_path / "out")
     assert done.code == 0 and "unknown categories ('vehicle_car', " in done.err
     named = evaluated(foreign, tmp_path / "out", "--protocol", "uniad")
-    assert named.code == 2 and "uniad, which goes by categories" in named.err
+    assert named.code == 2 and "uniad, which depends on categories" in named.err
     own = run_here("eval", "--model", "vad-mini", "--data", foreign, "--split", "val", "--out", tmp_path / "out")
-    assert own.code == 2 and "vad, which goes by categories" in own.err
+    assert own.code == 2 and "vad, which depends on categories" in own.err
     assert evaluated(foreign, tmp_path / "out", "--protocol", "exact").code == 0
     assert evaluated(foreign, tmp_path / "out", "--protocol", "all").code == 0
 

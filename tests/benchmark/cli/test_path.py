@@ -151,7 +151,7 @@ def test_transfer_under_any_protocol_and_its_heat_map(out: Path, tmp_path: Path)
     bare = challenger_bench(
         "transfer", "--out", out, "--protocol", "vad", "--figure", picture, "--figure-of", "adversary"
     )
-    assert bare.code == 2 and "say whom contacts are with" in bare.err
+    assert bare.code == 2 and "name the other party of each contact" in bare.err
     wrong = challenger_bench("transfer", "--out", out, "--figure", tmp_path / "transfer.docx")
     assert (wrong.code, wrong.err.count("\n")) == (2, 1)
 

@@ -89,7 +89,7 @@ def test_a_file_that_is_taken_as_it_stands_is_marked_and_stays_so(
     options = ("--data", root, "--split", "val", "--workers", "1", "--out", tmp_path / "out")
     taken = run_here("eval", "--plans", path, "--as-is", *options)
     assert taken.code == 0 and "mine ¶" in taken.out
-    assert taken.err.count("warning: mine: taken as the file stands (--as-is), though left and right") == 1
+    assert taken.err.count("warning: mine: accepted as is (--as-is), although left and right") == 1
     (caveat,) = record_below(tmp_path).run.caveats
     assert caveat.kind == "as-is" and "mirrored 0.00 m" in caveat.sentence
     assert run_here("rescore", "--data", root, "--out", tmp_path / "out").code == 0

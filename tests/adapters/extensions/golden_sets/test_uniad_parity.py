@@ -198,7 +198,7 @@ def test_a_set_of_another_network_stops_at_the_names(golden: Path) -> None:
 
 
 def test_absent_sets_are_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="not a golden set"):
+    with pytest.raises(InputError, match="no golden set"):
         verify_model("uniad", tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"no manifest\.json"):
         verify_model("uniad", tmp_path)

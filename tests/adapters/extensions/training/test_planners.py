@@ -190,7 +190,7 @@ def test_weights_that_cannot_be_started_from_are_a_sentence(town: Path, encoder:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"model": "uniad"}, r"'uniad' is not a miniature; did you mean uniad-mini\? those are uniad-mini"),
+        ({"model": "uniad"}, r"'uniad' is not a miniature; did you mean uniad-mini\? use one of uniad-mini"),
         ({"out": Path("w.pth")}, "written as .safetensors"),
         ({"steps": 0}, "--steps must be at least 1"),
         ({"learning_rate": 3.0}, "--learning-rate must be between 0 and 1"),

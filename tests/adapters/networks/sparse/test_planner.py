@@ -214,8 +214,8 @@ def test_a_scene_without_images_is_one_sentence(data: NuScenesData) -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"device": "abacus"}, "no device 'abacus'"),
-        ({"device": "cuda:97"}, "no GPU for device 'cuda:97'"),
+        ({"device": "abacus"}, "unknown device 'abacus'"),
+        ({"device": "cuda:97"}, "no GPU found for device 'cuda:97'"),
         ({"precision": "int4"}, "int4"),
     ],
 )

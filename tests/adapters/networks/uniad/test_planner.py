@@ -332,7 +332,7 @@ def test_what_are_no_anchors_is_one_sentence(tmp_path: Path, content: Any, says:
 def test_damaged_anchors_and_those_of_another_model_are_one_sentence(cache: Path, tmp_path: Path) -> None:
     path = anchor_file(tmp_path / "anchors.pkl")
     torch.save(small_vad().state_dict(), tmp_path / "vad.pth")
-    with pytest.raises(InputError, match=r"is no .safetensors file, .* is no checkpoint of UniAD"):
+    with pytest.raises(InputError, match=r"is not a \.safetensors file, .* is not a checkpoint of UniAD"):
         import_checkpoint(tmp_path / "vad.pth", anchors=path)
     path.write_bytes(path.read_bytes()[:-100])
     for broken in (path, tmp_path / "absent.pkl"):

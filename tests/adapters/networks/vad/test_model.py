@@ -81,7 +81,7 @@ def test_cameras_that_see_nothing_and_broken_ones() -> None:
     nowhere = frame.can_bus.clone()
     nowhere[1] = math.inf
     for bad in (replace(frame, lidar2img=broken), replace(frame, can_bus=nowhere)):
-        with pytest.raises(InputError, match="scene a have NaN or infinity"):
+        with pytest.raises(InputError, match="scene a contain NaN or infinity"):
             run(network, bad)
 
 

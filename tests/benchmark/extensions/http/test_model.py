@@ -282,7 +282,7 @@ def test_a_planner_here_and_one_over_the_wire_are_never_taken_for_one_another() 
 
     with pytest.raises(InputError, match="uniad is a planner of its own"):
         named("uniad=http://127.0.0.1:9000")
-    with pytest.raises(InputError, match="takes no checkpoint"):
+    with pytest.raises(InputError, match="does not take --checkpoint"):
         from pathlib import Path
 
         named("http://127.0.0.1:9000", checkpoint=Path(__file__))
