@@ -141,7 +141,7 @@ def wrong(change: Callable[[list[dict[str, Any]]], Any]) -> Callable[[Renderer],
 WRONG: dict[str, tuple[Callable[[Renderer], Callable[[str, bytes], Reply]], str]] = {
     "another scene": (wrong(lambda actors: actors[0].update(uuid="stranger")), "stranger.*--scenes"),
     "another time": (
-        wrong(lambda actors: actors[0].update(timestamps=[1] * len(actors[0]["timestamps"]))), "outside of scene",
+        wrong(lambda actors: actors[0].update(timestamps=[1] * len(actors[0]["timestamps"]))), "outside scene",
     ),
     "no list": (wrong(lambda actors: {"actors": actors}), "not a list"),
     "poses of another shape": (wrong(lambda actors: actors[0].update(poses=[[0.0] * 16])), "4 x 4"),
