@@ -280,7 +280,7 @@ def test_other_names_are_not_taken_for_addresses(text: str) -> None:
 def test_a_planner_here_and_one_over_the_wire_are_never_taken_for_one_another() -> None:
     from adapters.registry import build_planner as named
 
-    with pytest.raises(InputError, match="uniad is already the name of a planner"):
+    with pytest.raises(InputError, match="uniad is a planner of its own"):
         named("uniad=http://127.0.0.1:9000")
     with pytest.raises(InputError, match="takes no checkpoint"):
         from pathlib import Path
