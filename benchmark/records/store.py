@@ -83,7 +83,7 @@ def read_records(places: Iterable[Path], read: Callable[[Path], Record], *, inst
         try:
             records.append(read(place))
         except InputError as damage:
-            raise InputError(f"{damage}, or delete or move {place}{instead}") from damage
+            raise InputError(f"{damage}; you can also delete or move {place}{instead}") from damage
     return records
 
 

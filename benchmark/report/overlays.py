@@ -210,8 +210,8 @@ def build_candidates_overlay(sheet: ScenePage, trace: RefinementTrace, frame: in
     )
     if not is_complete:
         raise InputError(
-            f"the trace of {trace.scene} does not have what it names as chosen at frame {current.frame}, or lists of "
-            "different lengths; run challenger-bench sheets again"
+            f"the trace of {trace.scene} lacks the candidate that it names as chosen at frame {current.frame}, or its "
+            "lists differ in length; run challenger-bench sheets again"
         )
     chosen_round = current.rounds[current.chosen_round]
     paths = np.array(chosen_round.candidates, np.float64).reshape(len(chosen_round.candidates), -1, 2)

@@ -260,8 +260,7 @@ def _find_differences(planner: PlannerFacts, ours: PlannerFacts) -> Iterator[Gra
             yield (
                 FindingLevel.ERROR,
                 f"says {field.replace('_', ' ')}: {claimed}, and {ours.name}, whose code it has, is {known}; "
-                "submit what "
-                "record that eval wrote",
+                "submit the record that eval wrote",
             )
     if _OWN_WEIGHTS in planner.settings:
         yield FindingLevel.NOTE, f"ran {ours.name} with other weights, of which only the hash is known"

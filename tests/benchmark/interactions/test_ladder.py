@@ -144,7 +144,7 @@ def test_a_narrow_road_leaves_less_time_than_an_open_field() -> None:
 
 
 def test_a_base_must_be_recorded_or_constant() -> None:
-    with pytest.raises(ValueError, match="cc is no base"):
+    with pytest.raises(ValueError, match="cc cannot be a base"):
         BaselineEgo(DrivingSituation.of(CUT_IN_AHEAD), Driver.CC)
 
 

@@ -40,7 +40,7 @@ def test_a_cluster_that_is_no_more_is_a_sentence(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))
     monkeypatch.setattr("ray.is_initialized", lambda: False)
     monkeypatch.setattr(ray_cluster, "ANSWER_S", 5.0)
-    with pytest.raises(InputError, match=r"no Ray cluster is served at auto; start it with"):
+    with pytest.raises(InputError, match=r"no Ray cluster answers at auto; start it with"):
         list(RayCluster("auto").map(units_of_work.doubled, [1], total=1, label="doubling"))
 
 
@@ -83,5 +83,5 @@ def test_where_no_cluster_answers_a_sentence_comes_at_once(
         # The server may be waiting for one more connection.
         socket.create_connection(server.getsockname()).close()
         thread.join()
-    with pytest.raises(InputError, match=f"no Ray cluster is served at {address}"):
+    with pytest.raises(InputError, match=f"no Ray cluster answers at {address}"):
         ray_cluster.require_answer(address)

@@ -37,7 +37,7 @@ def test_there_is_a_process_for_each() -> None:
     with pytest.raises(InputError, match="leaves some"):
         count_workers(1, "cuda:0,cuda:1")
     require_one_device("cuda:1", "why")
-    with pytest.raises(InputError, match="why; name one device"):
+    with pytest.raises(InputError, match="why; use one device instead of --device cpu,cpu"):
         require_one_device("cpu,cpu", "why")
 
 
@@ -98,7 +98,7 @@ def test_what_generate_cannot_do_is_one_sentence(options: list[str], says_what: 
     [
         (["--device", "cpu,cuda"], "devices"),
         (["--device", "cpu,"], "empty name"),
-        (["--device", "quantum:0,quantum:1"], "no device 'quantum:0'"),
+        (["--device", "quantum:0,quantum:1"], "unknown device 'quantum:0'"),
         (["--device", "cpu,cpu", "--workers", "1"], "leaves some"),
         (["--device", "cpu,cpu", "--shard", "1/2"], "one process"),
     ],

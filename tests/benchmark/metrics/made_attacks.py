@@ -113,7 +113,7 @@ def with_realism(record: RunRecord, worst: float | None) -> RunRecord:
         ValidityRow(fault="teleport", count=0, of=0, unknown=("the generated 12 Hz track is not in the data set",)),
     )
     if worst is None:
-        said = SplitRealism(adversaries=count, validity=validity, not_compared="the recordings are our own ")
+        said = SplitRealism(adversaries=count, validity=validity, not_compared="the recordings are our own town")
     else:
         features = tuple(
             FeatureRealism(

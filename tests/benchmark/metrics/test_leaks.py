@@ -82,7 +82,7 @@ def test_the_future_with_noise_is_suspected_also_on_dangerous_samples_alone(
         for each in drives(300, rng)
     ]
     said = compute_leak_figures(leaks).suspicions
-    assert any("could not be foretold" in sentence for sentence in said)
+    assert any("unpredictable futures are matched" in sentence for sentence in said)
     assert any("dangerous" in sentence for sentence in said) or not hard_only
 
 

@@ -212,12 +212,12 @@ def test_native_compares_under_each_planners_own_protocol() -> None:
 def test_what_does_not_compare_is_refused() -> None:
     scenes: Scenes = {"s0": [CLEAN], "s1": [HIT]}
     val, adv = hand_made("p", scenes, split="val"), hand_made("p", scenes)
-    with pytest.raises(InputError, match=r"p on adv of d was scored by version 0 of protocol exact, now .\* rescore"):
+    with pytest.raises(InputError, match=r"p on adv of d was judged by version 0 of protocol exact, now .* rescore"):
         score_record(hand_made("p", scenes, versions={"exact": 0}))
-    with pytest.raises(InputError, match="was not scored by protocol 'vad'; run challenger-bench rescore"):
+    with pytest.raises(InputError, match="was not judged by protocol 'vad'; run challenger-bench rescore"):
         score_record(adv, protocol="vad")
     unknown = replace(adv, run=adv.run.model_copy(update={"protocols": {"gone": 1}}))
-    with pytest.raises(InputError, match="not known here"):
+    with pytest.raises(InputError, match="which is not installed"):
         score_record(unknown, protocol="gone")
     with pytest.raises(InputError, match="in planner"):
         splits(val, hand_made("q", scenes))

@@ -223,7 +223,7 @@ def test_verdicts_of_another_version_are_refused() -> None:
     stale = replace(record, run=record.run.model_copy(update={"protocols": {"exact": 0}}))
     with pytest.raises(InputError, match="version 0 of protocol exact"):
         compute_rates_by(stale, "place", "exact")
-    with pytest.raises(InputError, match="not scored by protocol 'vad'"):
+    with pytest.raises(InputError, match="not judged by protocol 'vad'"):
         compute_rates_by(stale, "place", "vad")
 
 

@@ -77,13 +77,13 @@ def test_order_of_records_only_orders_the_matrix() -> None:
 def test_records_of_other_scenes_are_refused() -> None:
     one = record("first", {"a": True})
     for other in (record("second", {"a": True}, fingerprint="g"), record("second", {"a": True}, split="val")):
-        with pytest.raises(InputError, match="failed scenes"):
+        with pytest.raises(InputError, match="same scenes"):
             transfer([one, other])
     with pytest.raises(InputError, match="more than one record of first"):
         transfer([one, one])
     with pytest.raises(InputError, match="but none"):
         transfer([])
-    with pytest.raises(InputError, match="not scored by protocol 'vad'"):
+    with pytest.raises(InputError, match="not judged by protocol 'vad'"):
         transfer([one], protocol="vad")
     with pytest.raises(InputError, match="unknown protocol 'bogus'"):
         transfer([one], protocol="bogus")
@@ -93,7 +93,7 @@ def test_records_of_other_scenes_are_refused() -> None:
     older = hand_made("second", {"a": [HIT]}, data="f", versions={"exact": 0})
     for records in ([one, older], [older]):
         with pytest.raises(
-            InputError, match=r"second on adv of f was scored by version 0 of .\* exact, now 2; .\* rescore"
+            InputError, match=r"second on adv of f was judged by version 0 of .* exact, now 2; .* rescore"
         ):
             transfer(records)
 
@@ -224,7 +224,7 @@ def test_native_takes_each_planners_own_verdicts_and_says_whose() -> None:
     matrix = transfer([first, second, third], protocol="native")
     assert matrix.judges == ("vad", "uniad", "exact") and matrix.protocol == "native"
     assert matrix.cells[0][1].value == 1.0 and matrix.cells[1][0].value == 0.5
-    with pytest.raises(InputError, match="not scored by protocol 'uniad'"):
+    with pytest.raises(InputError, match="not judged by protocol 'uniad'"):
         transfer([replace(second, run=second.run.model_copy(update={"protocols": {"exact": 1}}))], protocol="native")
 
 

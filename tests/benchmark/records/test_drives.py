@@ -190,7 +190,7 @@ def test_damage_is_one_sentence(tmp_path: Path) -> None:
     head = json.loads((tmp_path / "drive.json").read_text())
     for change, says in (
         ({"schema": SCHEMA + 1}, "upgrade"),
-        ({"files": None}, "there are no drives"),
+        ({"files": None}, "no record of drives"),
         ({"runs": 0, "files": hashes(tmp_path)}, "runs"),
     ):
         (tmp_path / "drive.json").write_text(json.dumps({**head, **change}))
@@ -216,7 +216,7 @@ def test_an_interrupted_replacement_leaves_a_whole_record(tmp_path: Path, monkey
 def test_nothing_is_written_without_drives(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no drive"):
         write_drives(tmp_path, facts(), [], seed=0)
-    with pytest.raises(InputError, match="there is no folder"):
+    with pytest.raises(InputError, match="nowhere does not exist"):
         find_drives(tmp_path / "nowhere")
 
 

@@ -153,7 +153,7 @@ def test_where_short_recordings_count_a_failure_on_them_leaves_the_scene_undecid
 
 
 def test_scenes_without_verdicts_of_a_protocol_are_one_sentence() -> None:
-    with pytest.raises(InputError, match="not scored by protocol 'uniad'; run challenger-bench rescore"):
+    with pytest.raises(InputError, match="not judged by protocol 'uniad'; run challenger-bench rescore"):
         find_scene_failures([row("a", 0)], "uniad")
     with pytest.raises(InputError, match="unknown protocol 'nonsense'"):
         find_scene_failures([row("a", 0)], "nonsense")
@@ -260,7 +260,7 @@ def test_a_schema_that_never_existed_is_refused(directory: Path, schema: int) ->
 
 def test_rows_that_are_no_text_are_refused(directory: Path) -> None:
     (directory / "samples.jsonl").write_bytes(b"\xd0\x00\xff")
-    with pytest.raises(InputError, match="is not UTF-8 text"):
+    with pytest.raises(InputError, match="is not text"):
         load_record(directory)
 
 
@@ -330,7 +330,7 @@ def test_a_record_without_hashes_is_refused(directory: Path) -> None:
 def test_records_are_found_by_path(directory: Path, tmp_path: Path) -> None:
     shutil.copytree(directory, tmp_path / "runs" / "another")
     assert [record.directory for record in find_records(tmp_path)] == sorted([directory, tmp_path / "runs" / "another"])
-    with pytest.raises(InputError, match="no folder"):
+    with pytest.raises(InputError, match="nowhere does not exist"):
         find_records(tmp_path / "nowhere")
 
 
@@ -338,11 +338,13 @@ def test_one_damaged_record_among_others_is_named_with_what_to_do(directory: Pat
     other = tmp_path / "runs" / "another"
     shutil.copytree(directory, other)
     change(other / "run.json", status="wonderful")
-    with pytest.raises(InputError, match=r"another/run\.json is not \.\*status\.\*, or delete or move \.\*/another to"):
+    with pytest.raises(
+        InputError, match=r"another/run\.json is not .*status.*; you can also delete or move .*/another to"
+    ):
         find_records(tmp_path)
     shutil.copyfile(directory / "run.json", other / "run.json")
     (other / "samples.jsonl").write_text("")
-    with pytest.raises(InputError, match=r"another/samples\.jsonl \.\*, or delete or move"):
+    with pytest.raises(InputError, match=r"another/samples\.jsonl .*; you can also delete or move"):
         find_records(tmp_path)
 
 

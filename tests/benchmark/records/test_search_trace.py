@@ -54,7 +54,7 @@ def test_what_is_damaged_is_not_there(tmp_path: Path, damage: str) -> None:
     [
         ({"scores": (None,)}, "each candidate"),
         ({"candidates": (((0.0, 0.0),), ((0.0, 0.0), (1.0, 0.0)))}, "each candidate"),
-        ({"chosen": 2}, "one of them"),
+        ({"chosen": 2}, "one of the candidates"),
         ({"chosen": None}, "need a chosen candidate"),
         ({"did": "slowed"}, "need a chosen candidate"),
     ],

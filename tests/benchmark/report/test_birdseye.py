@@ -132,7 +132,7 @@ def test_verdicts_in_words() -> None:
     rows = record("p", [HIT, CLEAN, FAILED, UNCOUNTED]).rows
     assert [describe_verdict(row, "exact").words for row in rows] == [
         "collides within 0.5 s",
-        "contacts cannot",
+        "no contact",
         "the planner failed",
         "no contact, not counted",
     ]

@@ -8,7 +8,7 @@ from benchmark.report.words import inflect_noun, pluralise
     [
         (0, "scene", "0 scenes"),
         (1, "scene", "1 scene"),
-        (2, "reference for", "2 recorded scenes"),
+        (2, "recorded scene", "2 recorded scenes"),
         (1204, "sample", "1,204 samples"),
         (1, "quantity", "1 quantity"),
         (3, "quantity", "3 quantities"),

@@ -208,7 +208,7 @@ def test_a_record_is_scored_anew_without_its_planner(settings: DriveSettings, tm
     assert {name for name in before if before[name] != after[name]} == {"drive.json"}
     rescore_drives(record.directory, town())
     assert bytes_below(record.directory) == after
-    with pytest.raises(InputError, match="other content"):
+    with pytest.raises(InputError, match="used other data of"):
         rescore_drives(record.directory, FakeData({"scene-9901": town().scenes["scene-9901"]}))
 
 
@@ -227,7 +227,7 @@ def test_all_records_of_drives_are_scored_anew_and_one_that_cannot_be_stops_no_o
     assert "drives.jsonl" in said[bad.directory].sentence
     others = {each.sentence for each in rescore_all_drives(tmp_path, lambda split: town(), "other") if not each.failed}
     assert others == {"skipped: it belongs to data set fake; choose that one with --data"}
-    with pytest.raises(InputError, match="no folder"):
+    with pytest.raises(InputError, match="nowhere does not exist"):
         list(rescore_all_drives(tmp_path / "nowhere", lambda split: town(), "fake"))
 
 
@@ -266,7 +266,7 @@ def test_planners_that_remember_across_scenes_are_refused(tmp_path: Path) -> Non
         def begin_run(self) -> None:
             pass
 
-    with pytest.raises(InputError, match="remembers across scenes"):
+    with pytest.raises(InputError, match="keeps state across scenes"):
         driven(tmp_path, Continuous())
 
 

@@ -140,7 +140,7 @@ def test_other_data_and_other_ways_are_refused(tmp_path: Path) -> None:
         record,
         facts=record.facts.model_copy(update={"data": record.facts.data.model_copy(update={"fingerprint": "e"})}),
     )
-    with pytest.raises(InputError, match="other content"):
+    with pytest.raises(InputError, match="used other data than"):
         shown(tmp_path, other, 0)
     row = record.rows[0]
     states = [[state[0], 0.0, *state[2:]] for state in row.ticks.ego]

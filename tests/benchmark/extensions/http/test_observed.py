@@ -89,15 +89,15 @@ def test_without_its_six_cameras_an_observation_is_refused() -> None:
 
 
 BREAKS = {
-    "take images": (("images",), None, "take images"),
+    "no images": (("images",), None, "no images"),
     "a camera less": (("images", "CAM_BACK"), None, "images has no CAM_BACK"),
     "a number as picture": (("images", "CAM_BACK"), 7, "not base64"),
     "not base64": (("images", "CAM_BACK"), "%%%", "not base64"),
     "a picture that is none": (("images", "CAM_BACK"), "aGVsbG8=", "not a readable picture"),
-    "a path as picture": (("images", "CAM_BACK"), "/etc/passwd", "no base64|no picture"),
+    "a path as picture": (("images", "CAM_BACK"), "/etc/passwd", "not base64|not a readable picture"),
     "a flat pose": (("ego2world",), [0.0] * 16, "the shape 16, not 4 x 4"),
-    "no rotation": (("ego2world",), [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "no pose"),
-    "a mirror": (("ego2world",), [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "no pose"),
+    "no rotation": (("ego2world",), [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "not a pose"),
+    "a mirror": (("ego2world",), [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "not a pose"),
     "nowhere": (("ego2world",), [[1, 0, 0, 1e300], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "m away"),
     "a short row": (("canbus",), [0.0] * 15, "the shape 15, not 16"),
     "NaN": (("canbus",), [float("nan")] * 16, "NaN"),

@@ -141,12 +141,12 @@ def wrong(change: Callable[[list[dict[str, Any]]], Any]) -> Callable[[Renderer],
 WRONG: dict[str, tuple[Callable[[Renderer], Callable[[str, bytes], Reply]], str]] = {
     "another scene": (wrong(lambda actors: actors[0].update(uuid="stranger")), "stranger.*--scenes"),
     "another time": (
-        wrong(lambda actors: actors[0].update(timestamps=[1] * len(actors[0]["timestamps"]))), "outside of scene",
+        wrong(lambda actors: actors[0].update(timestamps=[1] * len(actors[0]["timestamps"]))), "outside scene",
     ),
-    "no list": (wrong(lambda actors: {"actors": actors}), "no list"),
+    "no list": (wrong(lambda actors: {"actors": actors}), "not a list"),
     "poses of another shape": (wrong(lambda actors: actors[0].update(poses=[[0.0] * 16])), "4 x 4"),
     "NaN": (wrong(lambda actors: actors[0].update(dims=[float("nan"), 1, 1])), "NaN"),
-    "nobody of a name": (wrong(lambda actors: actors[0].update(uuid="")), "no text"),
+    "nobody of a name": (wrong(lambda actors: actors[0].update(uuid="")), "not a string"),
     "times with points": (wrong(lambda actors: actors[0].update(timestamps=[1.5])), "whole microseconds"),
     "a route less": (lambda good: lambda path, body: (404, b"Not Found"), "/get_actors with status 404"),
     "a web page": (lambda good: lambda path, body: (200, b"<html></html>"), "a web page"),
@@ -154,11 +154,11 @@ WRONG: dict[str, tuple[Callable[[Renderer], Callable[[str, bytes], Reply]], str]
         lambda good: lambda path, body: (500, b"out of memory") if path == "/render_image" else good(path, body),
         "/render_image with status 500: out of memory",
     ),
-    "in size": (lambda good: replace(good, shape=(3, 4)), "4 x 3 pixels, but the calibration is of 8 x 6"),
-    "not a readable picture": (
+    "another size": (lambda good: replace(good, shape=(3, 4)), "4 x 3 pixels, but the calibration is for 8 x 6"),
+    "no picture": (
         lambda good: lambda path, body: (200, b"hello") if path == "/render_image" else good(path, body), "not base64",
     ),
-    "nothing": (lambda good: lambda path, body: None, "went away"),
+    "nothing": (lambda good: lambda path, body: None, "hung up before answering"),
 }  # fmt: skip
 
 
@@ -200,7 +200,7 @@ def test_what_was_measured_names_the_renderer() -> None:
     assert plain.name == "127.0.0.1:8000"
     assert plain.facts == {"protocol": "neuroncap", "image_format": "png", "address": "http://127.0.0.1:8000"}
     assert "address" not in sensor("http://127.0.0.1:8000").facts
-    with pytest.raises(InputError, match="no answer,"):
+    with pytest.raises(InputError, match="nobody answers"):
         sensor(f"http://127.0.0.1:{free_port()}").require_alive()
 
 

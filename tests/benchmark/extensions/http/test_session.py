@@ -55,7 +55,7 @@ def test_saved_tensors_want_a_flag_and_the_refusal_names_it() -> None:
 
 
 def test_what_cannot_be_read_has_a_status_of_its_own() -> None:
-    with pytest.raises(PlanRequestError, match="no JSON") as refused:
+    with pytest.raises(PlanRequestError, match="not valid JSON") as refused:
         PlannerSession(Looking()).infer(b"{")
     assert refused.value.status == 422
 
@@ -123,7 +123,7 @@ def test_who_sees_more_than_the_wire_has_is_not_served() -> None:
     from adapters.registry import build_planner
 
     for name in ("idm", "log-replay", "constant-velocity-on-path"):
-        with pytest.raises(InputError, match="on the wire"):
+        with pytest.raises(InputError, match="which requests do not carry"):
             PlannerSession(build_planner(name))
 
     class Continuous(Looking):
@@ -132,7 +132,7 @@ def test_who_sees_more_than_the_wire_has_is_not_served() -> None:
         def begin_run(self) -> None:
             pass
 
-    with pytest.raises(InputError, match="remembers across scenes"):
+    with pytest.raises(InputError, match="keeps state across scenes"):
         PlannerSession(Continuous())
 
 

@@ -274,7 +274,7 @@ def _broken_messages(root: Path) -> None:
         (_changed("log", location="atlantis"), "--for uniad", "lies in atlantis"),
         (_changed("sample_annotation", visibility_token=""), "--for uniad --as-converted", "is not a number"),
         (_changed("ego_pose", rotation=[1, 1, 0, 0]), "--for uniad --as-converted", "of norm one"),
-        (_renamed, "--for uniad", "official code opens v1.0-mini"),
+        (_renamed, "--for uniad", "official code opens only v1.0-mini"),
         (_broken_map, "--for sparsedrive --as-converted", "map expansion is incomplete"),
         (_line_of_one_node, "--for sparsedrive --as-converted", "is not a well-formed map expansion"),
         (_broken_messages, "--for vad", "has no field"),

@@ -86,8 +86,8 @@ def test_a_scene_without_can_bus_is_refused(scene: Scene, root: Path) -> None:
     for message in ("zoe_veh_info", "pose"):
         path = root / "can_bus" / f"{scene.name}_{message}.json"
         path.write_text("[]")
-        with pytest.raises(InputError, match=f"{message}.jsonholds nothing; get the CAN bus"):
+        with pytest.raises(InputError, match=f"{message}.json holds nothing; get the CAN bus"):
             read_recording(scene, root, NeuroncapSwitches())
         path.unlink()
-        with pytest.raises(InputError, match=f"{message}.jsonholds nothing; get the CAN bus"):
+        with pytest.raises(InputError, match=f"{message}.json holds nothing; get the CAN bus"):
             read_recording(scene, root, NeuroncapSwitches())

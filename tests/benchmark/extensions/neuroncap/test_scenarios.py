@@ -60,7 +60,7 @@ def changed(actor: dict[str, Any] | None = None, **general: Any) -> dict[str, An
         (changed({"positions": [[0.0, 0.0, 0.0]]}), "positions is missing"),
         (changed({"times": [5.0, 1.0]}), "must be two or more in ascending order"),
         (changed({"dims": [1.0, None, 1.0]}), "dims"),
-        (changed({"jitter": 3}), "no table"),
+        (changed({"jitter": 3}), "not a table"),
         ({"general": {}, "actors": [SCENARIO["actors"][0]] * 2}, "more than one target"),
     ],
 )

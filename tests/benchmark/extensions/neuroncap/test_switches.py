@@ -259,7 +259,7 @@ def test_switches_have_names_that_lead_back_to_them() -> None:
     ("name", "says"),
     [
         ("neuroncap", "use neuroncap@code or neuroncap@paper"),
-        ("neuroncap@cod", "no engine"),
+        ("neuroncap@cod", "not an engine"),
         ("neuroncap@code+vehicel=paper", "did you mean vehicle"),
         ("neuroncap@code+vehicle=zoe", "must be code or paper"),
         ("neuroncap@code+vehicle", "must be code or paper"),

@@ -96,7 +96,7 @@ def test_masks_are_cut_to_their_rectangle() -> None:
 
 
 def test_crops_that_do_not_fit_and_folders_without_weights_are_one_sentence(networks: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be cut into the patches of 16"):
+    with pytest.raises(InputError, match="do not divide into the patches of 16"):
         SubjectFeatureExtractor(networks / DINO.name, CPU, 50, 4)
     with pytest.raises(InputError, match="does not hold a ViTModel"):
         SubjectFeatureExtractor(tmp_path, CPU, 64, 4)

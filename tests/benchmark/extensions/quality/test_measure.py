@@ -195,7 +195,7 @@ def test_damaged_records_are_refused(root: Path, networks: Path, tmp_path: Path)
     facts = found.directory / "quality.json"
     stored = json.loads(facts.read_text())
     for changes, says in (
-        ({"definition": {}}, r"damaged \(QualityFacts definition: .*does not say 'masks'"),
+        ({"definition": {}}, r"damaged \(QualityFacts definition: .*lacks 'masks'"),
         ({"files": {}}, r"is not the file that quality\.json was written with"),
         ({"summary": None}, r"damaged \(QualityFacts summary: "),
     ):
@@ -308,7 +308,7 @@ def test_the_other_sources_of_masks_run_from_disk_to_record(networks: Path, tmp_
 
 def test_without_weights_one_sentence_says_what_to_get(root: Path, tmp_path: Path) -> None:
     empty = QualitySettings(BOXES, tmp_path / "none", "cpu")
-    with pytest.raises(InputError, match=r"no weights dino-vitb16 in .*about 343 MB.*weights fetch dino-vitb16"):
+    with pytest.raises(InputError, match=r"no weights dino-vitb16 found in .*about 343 MB.*weights fetch dino-vitb16"):
         run(root, tmp_path, empty)
     said = describe_plan(NuScenesData.open(root), "val", replace(empty, definition=QualityDefinition()))
     assert "2 scenes of val with 7 images" in said and said.count("no weights") == 4
@@ -319,7 +319,7 @@ def test_weights_that_give_no_numbers_are_one_sentence(root: Path, networks: Pat
     broken = Musiq(SMALL_MUSIQ)
     torch.nn.init.constant_(broken.head.bias, float("nan"))
     save_musiq(tmp_path / "networks" / MUSIQ.name, broken)
-    with pytest.raises(InputError, match=r"musiq.* give scores that are no numbers"):
+    with pytest.raises(InputError, match=r"musiq.* give scores that are not finite"):
         run(root, tmp_path / "out", settings(tmp_path / "networks"))
 
 
@@ -330,7 +330,9 @@ def test_a_place_that_cannot_be_written_is_one_sentence(root: Path, networks: Pa
 
 
 def test_wrong_settings_are_one_sentence(root: Path, networks: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no source of masks 'magic'; use one of grounded-sam2, sam2-boxes, boxes"):
+    with pytest.raises(
+        InputError, match="unknown source of masks 'magic'; use one of grounded-sam2, sam2-boxes, boxes"
+    ):
         QualityDefinition(masks="magic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="detect_every of the definition must be at least 1"):
         QualityDefinition(detect_every=0)

@@ -122,7 +122,7 @@ def test_a_run_that_is_not_whole_says_nothing(town: FakeData, values: Path, tmp_
     with pytest.raises(InputError, match="failed on 2 of"):
         reproduce(town, "val", Fails(), tmp_path, expected_file(values, "drives", "val"))
     part = evaluate(town, "val", Drives(), tmp_path, EvalSettings(("vad",), limit=1))
-    with pytest.raises(InputError, match="holds a part of the split"):
+    with pytest.raises(InputError, match="covers part of the split"):
         compare_run(part, expected_file(values, "drives", "val"))
     assert not list(tmp_path.rglob(REPRODUCTION_FILE))
 
@@ -137,8 +137,8 @@ def test_fewer_samples_are_another_number(town: FakeData, values: Path, tmp_path
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"model": "other"}, "is of other on val, not of drives on val"),
-        ({"split": "adv"}, "is of drives on adv"),
+        ({"model": "other"}, "is for other on val, not for drives on val"),
+        ({"split": "adv"}, "is for drives on adv"),
         ({"protocol": "exakt"}, "unknown protocol 'exakt'"),
         ({"values": {}}, "has no values"),
         ({"allowed": {"l2": 0.1}}, "gives no tolerance for collision"),

@@ -103,7 +103,7 @@ def test_a_file_of_verdicts_is_recorded_whole_and_printed(data: DataSet, tmp_pat
     [
         ("v.csv", "scene,verdict\nscene-9901,rejected\n", "a rejected scene needs a reason"),
         ("v.csv", "scene,verdict\nscene-9901,perhaps\n", "accepted or rejected"),
-        ("v.csv", "scene,verdict\nscene-9999,accepted\n", "has no such scene"),
+        ("v.csv", "scene,verdict\nscene-9999,accepted\n", "names scene-9999, which is not a scene of"),
         ("v.csv", "name,verdict\nscene-9901,accepted\n", "must have the columns scene, verdict"),
         ("v.csv", "scene,verdict\nscene-9901,accepted\nscene-9901,accepted\n", "names a scene twice"),
         ("v.csv", "scene,verdict\nscene-9901,accepted,more,and,more,and more\n", "must have the columns"),

@@ -83,7 +83,7 @@ def test_a_record_from_before_verdicts_said_whom_they_are_about_is_fit_and_a_wro
 
     edited(folder, claim)
     assert {error.sentence.split(" = ")[0].split(" on ")[0] for error in checked(folder)[1]} == {
-        "claims other verdicts than its plans ",
+        "claims other verdicts than its plans",
         "claims mask_removed_for_adversary",
     }
 
@@ -104,7 +104,7 @@ def test_a_verdict_that_the_plan_does_not_have_is_found(folder: Path) -> None:
         row["outcomes"]["exact"]["collision"] = [False] * len(row["outcomes"]["exact"]["collision"])
 
     edited(folder, acquit)
-    assert "other verdicts than its plans have on 1 of" in checked(folder)[1][0].sentence
+    assert "claims other verdicts than its plans on 1 of" in checked(folder)[1][0].sentence
 
 
 def test_driving_scores_that_the_plans_do_not_have_are_found(folder: Path) -> None:
@@ -151,7 +151,7 @@ def test_left_out_samples_and_other_data_are_found(folder: Path, tmp_path: Path)
     edited(folder, lambda run, rows, summary: rows.pop())
     assert "does not hold the samples" in checked(folder)[1][0].sentence
     edited(folder, lambda run, rows, summary: run["data"].update(fingerprint="0" * 64))
-    assert "other content" in checked(folder)[1][0].sentence
+    assert "used other data of" in checked(folder)[1][0].sentence
     edited(folder, lambda run, rows, summary: run["data"].update(name="elsewhere"))
     assert "was run on the data set elsewhere" in checked(folder)[1][0].sentence
 
@@ -214,7 +214,7 @@ FORGERIES: dict[str, tuple[Forgery, str]] = {
         lambda run, rows, summary: summary["protocols"].update(kind=summary["protocols"]["exact"]),
         "has rates under kind",
     ),
-    "status": (lambda run, rows, summary: run.update(status="partial"), "says that it is partial"),
+    "status": (lambda run, rows, summary: run.update(status="partial"), "claims to be partial"),
     "scenes": (lambda run, rows, summary: run.update(scenes_in_split=7), "says that val has 7 scenes"),
     "a frozen split": (lambda run, rows, summary: run.update(frozen_split="mini-adv-1"), "frozen split"),
     "a search": (lambda run, rows, summary: run.update(generated={"seed": 3}), "search"),
@@ -224,7 +224,7 @@ FORGERIES: dict[str, tuple[Forgery, str]] = {
         lambda run, rows, summary: run["planner"].update(native_protocol="lenient"),
         "names the native protocol ",
     ),
-    "a failure hidden": (lambda run, rows, summary: rows[3].update(plan=None, error=None, outcomes={}), "says 'ok'"),
+    "a failure hidden": (lambda run, rows, summary: rows[3].update(plan=None, error=None, outcomes={}), "claims 'ok'"),
     "a plan of a failure": (lambda run, rows, summary: rows[3].update(status="failed"), "has no plan for 1 of"),
 }
 
@@ -246,7 +246,7 @@ def test_completeness_is_not_believed(tmp_path: Path) -> None:
 
     edited(tmp_path, claim)
     said = [error.sentence for error in checked(tmp_path)[1]]
-    assert any("has no plan for" in one for one in said) and any("says that it is complete" in one for one in said)
+    assert any("has no plan for" in one for one in said) and any("claims to be complete" in one for one in said)
 
 
 def test_what_our_planners_are_is_known_by_their_code(tmp_path: Path) -> None:
@@ -263,7 +263,9 @@ def test_what_our_planners_are_is_known_by_their_code(tmp_path: Path) -> None:
     edited(tmp_path, lambda run, rows, summary: run["planner"].update(code_sha256="0" * 64))
     assert said(FindingLevel.ERROR) == [] and any("declares privileged: no" in one for one in said(FindingLevel.NOTE))
     edited(tmp_path, lambda run, rows, summary: run["planner"].update(name="constant-velocity-on-path"))
-    assert any("is called constant-velocity-on-path and has not this" in one for one in said(FindingLevel.NOTE))
+    assert any(
+        "is called constant-velocity-on-path but lacks this version's code" in one for one in said(FindingLevel.NOTE)
+    )
 
 
 def test_plans_that_know_the_future_are_suspicious_unless_they_say_so(tmp_path: Path) -> None:
@@ -324,7 +326,7 @@ DRIVE_FORGERIES: dict[str, tuple[Forgery, str]] = {
     "a drive less": (lambda run, rows, summary: rows.pop(), "scenes without a drive"),
     "duplicate drives": (lambda run, rows, summary: rows.append(rows[0]), "has duplicate drives"),
     "another place": (lambda run, rows, summary: rows[0]["ticks"]["ego"][-1].__setitem__(0, 3.0), "give another"),
-    "global": (lambda run, rows, summary: run["data"].update(fingerprint="0"), "was driven on"),
+    "another world": (lambda run, rows, summary: run["data"].update(fingerprint="0"), "was driven on"),
 }
 
 
