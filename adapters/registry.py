@@ -294,7 +294,7 @@ def _build(maker: Any, name: str, offered: dict[str, Any]) -> Any:
     for option in ("checkpoint", "device", "precision", "as_published"):
         if offered.get(option) is not None and not takes_any and option not in taken:
             option_name = option.replace("_", "-")
-            raise InputError(f"model {name!r} does not take {option_name}; leave --{option_name} out")
+            raise InputError(f"model {name!r} does not take --{option_name}; leave it out")
     missing = [
         parameter.name
         for parameter in parameters

@@ -128,7 +128,7 @@ def train_judge_command(options: TrainJudgeOptions) -> None:
     from benchmark.datasets.statistics import list_scenes
     from benchmark.machine.path_checks import require_file
 
-    require_file(options.weights, "the weights")
+    require_file(options.weights, "the weights file")
     list_scenes(options.data, "val")
     from adapters.extensions.training.planners import judge_again
 
