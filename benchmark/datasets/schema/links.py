@@ -174,11 +174,12 @@ def _check_ends(
 ) -> None:
     """Note owners whose count, first or last member is not what their chain has."""
     count_field, first_field, last_field = fields
-    members_name = count_field.removeprefix("nbr_")
+    member_name = count_field.removeprefix("nbr_").removesuffix("s")
     for row in tables.having(table, *fields):
         members = chains.get(row["token"], [])
         if row[count_field] != len(members):
-            sentence = f"{count_field} is {row[count_field]}, but it has {len(members)} {members_name}"
+            held = pluralise(len(members), member_name)
+            sentence = f"{count_field} is {row[count_field]}, but the {table} has {held}"
             faults.add(f"wrong {count_field}", table, row["token"], sentence)
         ends = ((first_field, "prev", "first"), (last_field, "next", "last"))
         for field, link, place in ends:

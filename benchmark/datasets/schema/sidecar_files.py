@@ -65,7 +65,7 @@ def require_records(
 ) -> Sequence[Mapping[str, Any]]:
     """Refuse records of a file that lack a field or hold what they must not; ``what`` is the name of one of them."""
     if type(records) is not list or any(type(record) is not dict for record in records):
-        raise InputError(f"{path} must hold a list of {what} objects; fetch or make it again")
+        raise InputError(f"{path} must hold a list of objects, each a {what}; fetch or make it again")
     for name, kind in fields.items():
         if records and all(name in record for record in records) and kind.column([entry[name] for entry in records]):
             continue

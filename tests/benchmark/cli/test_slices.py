@@ -38,7 +38,7 @@ def test_all_kinds_are_printed_unless_some_are_asked_for(runs: Path, capsys: pyt
     ]
     by_speed = printed(capsys, "--records", runs, "--by", "speed", "--protocol", "pdm", "--protocol", "diagnosis")
     assert "5 to 10 m/s" in by_speed and "driving scores (%) by speed" in by_speed
-    assert "why plans collide" in by_speed and "by place" not in by_speed and "protocol vad" not in by_speed
+    assert "causes of collisions" in by_speed and "by place" not in by_speed and "protocol vad" not in by_speed
     assert max(map(len, by_speed.splitlines())) <= 80
 
 

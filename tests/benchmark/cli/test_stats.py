@@ -35,7 +35,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_scenes_with_adversaries_are_judged_and_recordings_when_asked(root: Path) -> None:
     said = run_here("data", "stats", root, "--workers", "1")
     assert said.code == 0 and "Reference drivers by scene" in said.out and "scene-0002" not in said.out
-    assert "Nobody could have avoided 1: scene-0001-aa." in said.out and "Realism: not compared" in said.out
+    assert "Unavoidable scenes (1): scene-0001-aa." in said.out and "Realism: not compared" in said.out
     everything = json.loads(run_here("data", "stats", root, "--judge", "--json", "--workers", "1").out)["judgement"]
     assert set(everything["scenes"]) == {"scene-0001-aa", "scene-0002"}
     assert {row["of"] for row in everything["ladder"]} == {2} and everything["unsolvable"] == ["scene-0001-aa"]

@@ -209,7 +209,7 @@ def test_a_course_without_time_is_refused() -> None:
     scene = scene_on_straight_road()
     with pytest.raises(InputError, match="ends when it starts"):
         build_simulation_config(scene, keyframe=len(scene.keyframes) - 1)
-    with pytest.raises(InputError, match="none of number 99"):
+    with pytest.raises(InputError, match="no keyframe number 99"):
         build_simulation_config(scene, keyframe=99)
 
 

@@ -294,7 +294,7 @@ HOSTILE_ROOTS: Final[tuple[HostileRoot, ...]] = (
         "is not later",
     ),
     HostileRoot(
-        "a wrong count of samples", edit("scene", "nbr_samples", 7), "scene", "nbr_samples is 7, but there are"
+        "a wrong count of samples", edit("scene", "nbr_samples", 7), "scene", "nbr_samples is 7, but the scene has"
     ),
     HostileRoot(
         "a camera without matrix",

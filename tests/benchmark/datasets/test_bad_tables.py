@@ -183,7 +183,7 @@ def test_split_rules() -> None:
     assert splits("adv", published) == ("scene-0003-a", "scene-0003-b")
     with pytest.raises(InputError, match="it has mini_train, mini_val, train, train_detect, val"):
         splits("adv", mini)
-    with pytest.raises(InputError, match="x into 'val'"):
+    with pytest.raises(InputError, match="lists x in 'val'"):
         splits("val", ["a"], {"val": ["x"]})
 
 

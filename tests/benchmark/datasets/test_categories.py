@@ -47,7 +47,11 @@ def test_a_file_of_names(tmp_path: Path) -> None:
     path = tmp_path / "names.json"
     path.write_text('{"Pkw": "vehicle.car"}')
     assert select_category_names(["Pkw", "Lkw"], read_categories(str(path))) == (("Pkw", "vehicle.car"),)
-    for content, word in (("[]", "is no object"), ("{}", "is no object"), ('{"Pkw": "car"}', "maps 'Pkw' to 'car'")):
+    for content, word in (
+        ("[]", "is not a JSON object"),
+        ("{}", "is not a JSON object"),
+        ('{"Pkw": "car"}', "maps 'Pkw' to 'car'"),
+    ):
         path.write_text(content)
         with pytest.raises(InputError, match=word):
             read_categories(str(path))

@@ -43,9 +43,7 @@ def test_splits_that_are_listed_can_be_evaluated_and_others_say_why_not(case: st
     for split, held in found["splits"].items():
         assert EvalSettings().chosen(open_data(root), split) == tuple(held["scenes"])
     assert {*found["splits"], *found["unusable_splits"]} == set(said or {"val": []})
-    assert all(
-        split in ("train", "val") and "splits.json puts" in why for split, why in found["unusable_splits"].items()
-    )
+    assert all(split in ("train", "val") and "splits.json" in why for split, why in found["unusable_splits"].items())
     text = format_contents(found, 300)
     assert all(f"{split} cannot be evaluated: " in text for split in found["unusable_splits"])
 

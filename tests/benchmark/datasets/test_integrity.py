@@ -233,7 +233,7 @@ PLANTED: list[tuple[str, Callable[[Path], None], str, str]] = [
     ("two chains", two_chains, "sample_data", "are reached from its first one"),
     ("into another scene", other_scenes_sample, "sample", "is not a row of scene"),
     ("back in time", back_in_time, "sample", "is not later"),
-    ("sample count", field("scene", "nbr_samples", 7), "scene", "nbr_samples is 7, but there are 3"),
+    ("sample count", field("scene", "nbr_samples", 7), "scene", "nbr_samples is 7, but the scene has 3 samples"),
     ("annotation count", field("instance", "nbr_annotations", 2), "instance", "nbr_annotations is 2"),
     ("first sample", wrong_first_sample, "scene", "the first is"),
     ("last annotation", wrong_last_annotation, "instance", "the last is"),
@@ -249,8 +249,8 @@ PLANTED: list[tuple[str, Callable[[Path], None], str, str]] = [
     ("same file", same_file, "sample_data", "also belongs to"),
     ("no image", lambda root: image(root).unlink(), "sample_data", "is missing"),
     ("empty image", image_with(b""), "sample_data", "is empty"),
-    ("truncated image", truncated_image, "sample_data", "not a whole JPEG"),
-    ("no image at all", image_with(b"<html></html>"), "sample_data", "not a whole JPEG"),
+    ("truncated image", truncated_image, "sample_data", "not a complete JPEG"),
+    ("no image at all", image_with(b"<html></html>"), "sample_data", "not a complete JPEG"),
     ("image size", field("sample_data", "width", 33, row=5), "sample_data", "32 x 18 pixels, the row says 33 x 18"),
     ("half a point", replace_file("samples/LIDAR_TOP/*", b"1234567"), "sample_data", "a whole number of points"),
     ("leaves the root", field("sample_data", "filename", "../../etc/passwd"), "sample_data", "inside it"),
@@ -378,7 +378,7 @@ def test_maps_may_list_logs_of_other_versions(root: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "expected", "limit"),
     [
-        ("lyft_v1.01_tables_mmdet3d_tests", "nbr_annotations is 103, but there are 1", 90),
+        ("lyft_v1.01_tables_mmdet3d_tests", "nbr_annotations is 103, but the instance has 1 annotation", 90),
         ("thirdparty_nuscenes_format_hudang", "rotation is [[1.0, 0.0, 0.0]", 70),
         ("scene0061_tables_v1.0-test", "instance.json is missing", 50),
     ],

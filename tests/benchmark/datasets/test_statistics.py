@@ -114,7 +114,7 @@ def test_a_row_that_stands_twice_is_refused(tmp_path: Path, table: str) -> None:
     made = tiny(tmp_path)
     made.tables[table].append(made.tables[table][-1])
     made.write()
-    with pytest.raises(InputError, match=rf"{table}\.json has two rows of one token"):
+    with pytest.raises(InputError, match=rf"{table}\.json has two rows with the same token"):
         statistics(tmp_path)
 
 

@@ -49,7 +49,7 @@ def test_the_town_lacks_nothing(town: Path) -> None:
 
 def test_a_scene_without_annotations_is_named(root: Path) -> None:
     without_annotations(root)
-    assert said(root).startswith(f"scene: {scene_of(root)} has no annotations: no contact there can be judged")
+    assert said(root).startswith(f"scene: {scene_of(root)} has no annotations: contacts cannot be detected")
 
 
 def test_labels_that_stop_half_way_are_named(root: Path) -> None:

@@ -118,7 +118,7 @@ def a_vehicle_made_up(entry: Forged) -> None:
         rows.append(row)
 
 
-@forgery("changed.most", "excludes")
+@forgery("changed.most", "leaves out")
 def everybody_else_gone(entry: Forged) -> None:
     for agent in (TRUCK, PEDESTRIAN, PARKED, ONCOMING, LEADER):
         entry.drop_annotations(agent, lambda _: False)
@@ -235,7 +235,7 @@ def speeds_on_the_can_bus_altered(entry: Forged) -> None:
     path.write_text(json.dumps(messages))
 
 
-@forgery("unchanged.motion", "of the ego")
+@forgery("unchanged.motion", "alters the ego's")
 def the_can_bus_removed(entry: Forged) -> None:
     for path in (entry.root / "can_bus").glob("scene-9901-a_*"):
         path.unlink()
@@ -389,12 +389,12 @@ def an_adversary_that_blinks(entry: Forged) -> None:
     entry.drop_annotations(CUTTER, lambda keyframe: keyframe != 9)
 
 
-@forgery("changed.start_m", "begin at keyframe 3")
+@forgery("changed.start_m", "at keyframe 3; the recording starts it at")
 def an_adversary_that_appears_late(entry: Forged) -> None:
     entry.drop_annotations(CUTTER, lambda keyframe: keyframe >= 3)
 
 
-@forgery("road.", "the map")
+@forgery("road.", "the drivable area")
 def an_adversary_off_the_road(entry: Forged) -> None:
     entry.annotations(lambda at, row: moved(y=-1.0 * max(at - 5, 0))(at, row), CUTTER)
 
@@ -439,7 +439,7 @@ def an_image_that_is_text(entry: Forged) -> None:
     entry.image("CAM_BACK", 0).write_text("not a readable picture")
 
 
-@forgery("images.required", "its row says 96 x 54")
+@forgery("images.required", "its row has 96 x 54")
 def an_image_of_another_size(entry: Forged) -> None:
     path = entry.image("CAM_FRONT_LEFT", 2)
     cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), (48, 27)))
@@ -464,7 +464,7 @@ def two_images_exchanged(entry: Forged) -> None:
     other.write_bytes(first)
 
 
-@forgery("images.of_their_time", "show what CAM_BACK saw")
+@forgery("images.of_their_time", "show the recorded view of CAM_BACK")
 def the_images_of_another_camera(entry: Forged) -> None:
     for at in range(LAST + 1):
         shutil.copy(entry.image("CAM_BACK", at), entry.image("CAM_FRONT", at))

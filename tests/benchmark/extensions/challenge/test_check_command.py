@@ -65,10 +65,10 @@ def test_an_entry_without_pictures_is_accepted_where_rules_ask_for_none(
 def test_bad_input_is_one_sentence_and_2(entry: Path, base: DataSet, tmp_path: Path) -> None:
     (tmp_path / "rules.toml").write_text("[changed]\nmots = 1")
     for arguments, says in (
-        ((tmp_path / "none", "--base", base.root), "missing score"),
+        ((tmp_path / "none", "--base", base.root), "does not exist"),
         ((entry, "--base", tmp_path / "none"), "no folder"),
         ((entry, "--base", base.root, "--rules", tmp_path / "rules.toml"), "changed.mots"),
-        ((entry, "--base", base.root, "--rules", tmp_path / "none.toml"), "missing score"),
+        ((entry, "--base", base.root, "--rules", tmp_path / "none.toml"), "does not exist"),
         ((entry, "--base", base.root, "--scenes", "scene-1"), "no scene 'scene-1'"),
         ((base.root, "--base", entry), "which"),
         ((entry, "--base", base.root, "--workers", "-1"), "--workers"),

@@ -55,13 +55,13 @@ def test_the_same_scene_twice_and_too_many_of_one_recording(base: DataSet, tmp_p
     root = write(tmp_path / "entry", "adv", [(cut_in(scene, over_s=over_s), name) for over_s, name in ways]).root
     verdict = check(root, base, ChallengeRules.model_validate({"scenes": {"most_of_one": 2}}), None)
     assert [scene.accepted for scene in verdict.scenes] == [True, False, True]
-    assert [reason.sentence for reason in verdict.scenes[1].reasons] == ["repeats the scene scene-9901-a once more"]
+    assert [reason.sentence for reason in verdict.scenes[1].reasons] == ["repeats the scene scene-9901-a"]
     assert [reason.rule for reason in verdict.reasons] == ["scenes.most_of_one"]
 
 
 def test_a_required_scene_that_is_missing_is_bad_input(entry: Path, base: DataSet) -> None:
     required = ChallengeRules.model_validate({"scenes": {"required": ["scene-9902", "scene-9903"]}})
-    with pytest.raises(InputError, match="no scene of scene-9903, 1 of 2 that the rules require"):
+    with pytest.raises(InputError, match="no scene made from scene-9903, 1 of 2 recordings that the rules require"):
         check(entry, base, required, None)
     assert check(entry, base, required, (NAME,)).accepted
 

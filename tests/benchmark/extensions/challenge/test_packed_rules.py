@@ -55,7 +55,7 @@ def test_the_commands_of_the_page(packed: WrittenPackage, folder: Path, tmp_path
     )  # fmt: skip
     assert done.code == 0 and packed.sha256 in done.out, done.err
     done = run_here("data", "unpack", tmp_path / "road.zip", "--to", tmp_path / "files")
-    assert done.code == 0 and "is whole: 3 files" in done.out, done.err
+    assert done.code == 0 and "is intact: 3 files" in done.out, done.err
 
 
 @pytest.mark.parametrize(

@@ -257,7 +257,7 @@ def test_the_command_scores_and_refuses(entry: Path, base: DataSet, tmp_path: Pa
         ((entry, "--model", "constant-velocty"), "constant-velocity"),
         ((entry, "--protocol", "exat"), "exat"),
         ((entry, "--protocol", "native"), "no native protocol"),
-        ((tmp_path / "none",), "missing score"),
+        ((tmp_path / "none",), "does not exist"),
         ((entry, entry), "named twice"),
     ):
         done = run_here("challenge", "score", *extra, *arguments)

@@ -129,7 +129,7 @@ def test_a_broken_scene_is_one_sentence(adversarial: DataSet, tmp_path: Path) ->
         (("nowhere", "--to", tmp_path / "a"), "there is no folder"),
         ((empty.root, "--to", tmp_path / "b", "--split", "adv"), "adv"),
         ((empty.root, "--to", tmp_path / "c", "--scenes", "scene-1"), "there is no scene scene-1"),
-        ((empty.root, "--to", empty.root / "v1.0-mini" / "scene.json"), "is no longer"),
+        ((empty.root, "--to", empty.root / "v1.0-mini" / "scene.json"), "is a file"),
     ):
         done = run_here("data", "export", "scenarionet", *arguments, "--workers", "1")
         assert done.code == 2 and message in done.err and len(done.err.splitlines()) == 1

@@ -183,8 +183,8 @@ def two_egos(value: dict[str, Any]) -> None:
         (larger, "another size or category"),
         (moved_ego, "the ego of scene-9901 is 0.050 m"),
         (removed, "lacks .* of scene-9901; vehicles may be moved"),
-        (added, "has more, which is new; vehicles may be moved"),
-        (renamed, "is of scene-0001, which .* has no recording of"),
+        (added, "adds more; vehicles may be moved, but not added"),
+        (renamed, "was made from scene-0001, which .* has no recording of"),
         (not_finite, "a pose that is not finite at step 50"),
         (two_egos, "metadata sdc_id must be a name"),
     ],
@@ -234,7 +234,7 @@ def test_the_command_builds_edited_scenes_and_freezes_them(source: DataSet, expo
     assert dry.code == 0 and "nothing was written" in dry.out and not (tmp_path / "dry").exists()
     for wrong, message in (
         (("--seeds", "0,1"), "edited scenes are not searched"),
-        (("--top", "3"), "--top belongs to a search"),
+        (("--top", "3"), "--top applies only to a search"),
         (("--split", "val-r"), "--from always builds split adv"),
     ):
         refused = run_here("generate", "--from", tmp_path / "edited", "--out", tmp_path / "no", *wrong, *out)

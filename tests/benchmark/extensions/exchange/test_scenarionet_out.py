@@ -205,7 +205,7 @@ def test_files_of_others_may_say_who_is_adversarial(tmp_path: Path) -> None:
     assert read_scenarionet(write(tmp_path, value)).adversaries == ("1",)
     for wrong, message in (
         ("1", "must be a list"),
-        (["9"], "names 9, and it has no such object"),
+        (["9"], "names 9, which is not an object"),
         ([None], "must be a name"),
     ):
         value["metadata"][ADVERSARIES] = wrong
@@ -226,7 +226,7 @@ def test_files_of_others_may_say_who_is_adversarial(tmp_path: Path) -> None:
         (("metadata", OWN, "report"), "{" * 100, "damaged"),
         (("metadata", OWN, "name"), 1.5, "must be a name"),
         (("metadata", OWN, "map"), {}, "its map is not in"),
-        (("metadata", OWN, "map", "canvas_m"), [np.nan, 1.0], "no metres"),
+        (("metadata", OWN, "map", "canvas_m"), [np.nan, 1.0], "not metres"),
         (("metadata", OWN, "sweeps"), {"lidar": 1, "cameras": 2}, "damaged"),
         (("map_features", "lane-1", "polyline"), np.zeros((600_000, 2)), "more than any road network"),
         (("map_features", "lane-1", OWN), 5, "its map is not in"),
@@ -262,7 +262,7 @@ def test_a_folder_with_other_scenes_is_refused(tmp_path: Path) -> None:
     data = town_of_two()
     export_scenarionet(data, ["scene-9901"], tmp_path, workers=1)
     export_scenarionet(data, ["scene-9901"], tmp_path, workers=1)
-    with pytest.raises(InputError, match=r"holds sd_.*scene-9901\.pkl, which is no scene of this export"):
+    with pytest.raises(InputError, match=r"holds sd_.*scene-9901\.pkl, which is not part of this export"):
         export_scenarionet(data, ["scene-9902"], tmp_path, workers=1)
     with pytest.raises(InputError, match="no scene to export"):
         export_scenarionet(data, [], tmp_path / "none", workers=1)

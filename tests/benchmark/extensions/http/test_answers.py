@@ -33,15 +33,15 @@ NOT_TAKEN: list[tuple[str, Any, str]] = [
     ("nothing beside it", {"trajectory": SIX}, "has no aux_outputs"),
     ("null beside it", {"trajectory": SIX, "aux_outputs": None}, "write {}"),
     ("ragged", {"trajectory": [[1.0, 0.0], [2.0]], "aux_outputs": {}}, "not a rectangular list"),
-    ("null in it", {"trajectory": [[1.0, None]] * 6, "aux_outputs": {}}, "no number"),
-    ("text in it", {"trajectory": [["1", "2"]] * 6, "aux_outputs": {}}, "no number"),
-    ("truth in it", {"trajectory": [[True, 0]] * 6, "aux_outputs": {}}, "no number"),
+    ("null in it", {"trajectory": [[1.0, None]] * 6, "aux_outputs": {}}, "not a number"),
+    ("text in it", {"trajectory": [["1", "2"]] * 6, "aux_outputs": {}}, "not a number"),
+    ("truth in it", {"trajectory": [[True, 0]] * 6, "aux_outputs": {}}, "not a number"),
     ("a number beyond numbers", {"trajectory": [[10**400, 0]] * 6, "aux_outputs": {}}, "not a rectangular list"),
     ("objects of four", {"trajectory": SIX, "aux_outputs": {"objects_in_bev": [[1, 2, 3, 4]]}}, "N x 5"),
     ("an empty list", {"trajectory": SIX, "aux_outputs": {"objects_in_bev": []}}, "or null"),
     ("classes that are none", {"trajectory": SIX, "aux_outputs": {"object_classes": [1]}}, "not a list of strings"),
-    ("a list", [SIX], "no object"),
-    ("a text", "plan", "no object"),
+    ("a list", [SIX], "not a JSON object"),
+    ("a text", "plan", "not a JSON object"),
 ]
 
 
@@ -62,7 +62,7 @@ def test_what_the_client_does_not_take(_: str, value: Any, says: str) -> None:
 
 @pytest.mark.parametrize("body", [b"", b"Internal Server Error", b"[" * 100_000, b'{"trajectory": ', b"\xff\xfe"])
 def test_what_is_no_json(body: bytes) -> None:
-    with pytest.raises(NeuroncapHttpError, match="no JSON"):
+    with pytest.raises(NeuroncapHttpError, match="not valid JSON"):
         ModelAnswer.read(body)
 
 

@@ -84,7 +84,7 @@ FAILURES: list[tuple[str, Reply, str]] = [
     ("NaN", (200, GOOD.replace(b"[1, 0]", b"[NaN, 0]")), "finite, but"),
     ("global coordinates", (200, GOOD.replace(b"[1, 0]", b"[1e6, 0]")), "metres from the car"),
     ("nothing beside it", (200, b'{"trajectory": []}'), "no aux_outputs"),
-    ("broken JSON", (200, b'{"trajectory": [[1,'), "no JSON"),
+    ("broken JSON", (200, b'{"trajectory": [[1,'), "not valid JSON"),
 ]
 GONE: list[tuple[str, Reply, str]] = [
     ("a web page", (200, b"<!DOCTYPE html><html>hello</html>"), "a web page"),
@@ -185,7 +185,7 @@ def test_who_does_not_speak_http_is_named() -> None:
 
 def test_an_answer_that_breaks_off_is_away() -> None:
     url, thread = speaking(b"HTTP/1.1 200 OK\r\ncontent-length: 100\r\n\r\n{}")
-    with pytest.raises(PlannerAwayError, match="went away"):
+    with pytest.raises(PlannerAwayError, match="hung up before answering /reset"):
         planner(url).reset(SCENE)
     thread.join()
 
@@ -280,7 +280,7 @@ def test_other_names_are_not_taken_for_addresses(text: str) -> None:
 def test_a_planner_here_and_one_over_the_wire_are_never_taken_for_one_another() -> None:
     from adapters.registry import build_planner as named
 
-    with pytest.raises(InputError, match="uniad is a planner of its own"):
+    with pytest.raises(InputError, match="uniad is already the name of a planner"):
         named("uniad=http://127.0.0.1:9000")
     with pytest.raises(InputError, match="does not take --checkpoint"):
         from pathlib import Path

@@ -163,7 +163,7 @@ def test_a_set_without_exact_verdicts_says_so(copied: Path) -> None:
 
 def test_the_manifest_tells_what_is_absent_and_what_changed(copied: Path) -> None:
     shutil.copy(BUILT_IN / "manifest.json", copied)
-    assert GOLDEN.verify(copied)[0].note == "1 file; 6 more in manifest.json are missing"
+    assert GOLDEN.verify(copied)[0].note == "1 file; 6 more listed in manifest.json are missing"
     change(copied / "gtcol-ghost.npz", keyframe=np.arange(11) + 1)
     note = GOLDEN.verify(copied)[0].note
-    assert note.endswith("not as manifest.json describes them: gtcol-ghost.npz")
+    assert note.endswith("different from manifest.json: gtcol-ghost.npz")
