@@ -146,7 +146,7 @@ def test_a_planner_names_its_native_protocol_itself() -> None:
     assert build_planner_facts(planner).native_protocol == "sparsedrive"
     for wrong in ("nuplan", 3, ["vad"]):
         planner.native_protocol = wrong  # type: ignore[attr-defined]
-        with pytest.raises(InputError, match=r"planner 'straight' has the unknown native protocol .*known are exact"):
+        with pytest.raises(InputError, match=r"planner 'straight' has the unknown native protocol .*choose from exact"):
             build_planner_facts(planner)
 
 
@@ -160,7 +160,7 @@ def test_plans_of_a_file_have_the_native_protocol_that_is_given(tmp_path: Path) 
     assert record.native_protocol == "uniad"
     plain = evaluate(data, "val", plan_file_factory(path, data, "val"), tmp_path / "out")
     assert plain.directory == record.directory and plain.native_protocol == "exact"
-    with pytest.raises(InputError, match=r"mine\.csv has the unknown native protocol 'UniAD'; use one of exact, uniad"):
+    with pytest.raises(InputError, match=r"mine\.csv .* unknown native protocol 'UniAD'; choose from exact, uniad"):
         plan_file_factory(path, data, "val", native="UniAD")
 
 

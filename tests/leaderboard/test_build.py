@@ -286,7 +286,7 @@ def test_drives_alone_make_a_leaderboard_and_go_stale(runs: tuple[RunRecord, ...
     assert find_stale_files(read_results((), drives=driven), folder) == []
     assert b'"closed loop"' in (folder / "site/data/index.js").read_bytes()
     fewer = find_stale_files(read_results(runs), folder)
-    assert any("drives-adv-default-replay.csv" in one and "no longer give" in one for one in fewer)
+    assert any("drives-adv-default-replay.csv" in one and "no longer produced" in one for one in fewer)
     scenes = driven[0].facts.scenes
     hits = [drive_row(scene, end="contact", contact=contact()) for scene in scenes]
     facts = {"data": driven[0].facts.data.model_dump(), "scenes": scenes, "scenes_in_split": len(scenes)}

@@ -121,7 +121,8 @@ def _format_absent_files(folder: GoldenFolder, paths: list[Path]) -> str:
     """Files that the index of the set names and the folder lacks, in words."""
     listed = folder.facts("index.json") if folder.has("index.json") else []
     missing = {Path(str(name)).name for name in listed} - {path.name for path in paths}
-    return f"; {len(missing)} more in index.json are not there" if missing else ""
+    verb = "is" if len(missing) == 1 else "are"
+    return f"; {len(missing)} more in index.json {verb} missing" if missing else ""
 
 
 GOLDEN: Final = GoldenSet(

@@ -165,7 +165,9 @@ def list_town_scene_names(split: Split, count: int) -> tuple[str, ...]:
         raise InputError(f"the embedded town has no split {split!r}; choose val or train")
     numbers = [number for block in _NUMBERS[split] for number in block]
     if not 0 <= count <= len(numbers):
-        raise InputError(f"the embedded town has at most {len(numbers)} {split} scenes, got {count}")
+        raise InputError(
+            f"the number of {split} scenes of the embedded town must be between 0 and {len(numbers)}, got {count}"
+        )
     return tuple(f"scene-{number:04d}" for number in numbers[:count])
 
 

@@ -166,7 +166,7 @@ def test_gaps_are_named_by_the_check(tmp_path: Path) -> None:
         assert all(fault.severity == "warning" for fault in faults)
         said[name] = [fault.sentence for fault in faults]
     assert len(said["gap"]) == 1 and said["gap"][0].startswith(
-        "keyframes 6 and 7 of scene-9901 are 1 s apart: what lies"
+        "keyframes 6 and 7 of scene-9901 are 1 s apart: exact and driving scores treat steps in"
     )
     assert [one.split(" are ")[1].split(":")[0] for one in said["short"]] == ["0.7 s apart", "0.3 s apart"]
     assert len(said["dense"]) == 1 and "are 0.0833 s apart (median)" in said["dense"][0]

@@ -250,7 +250,7 @@ def test_one_damaged_record_does_not_stop_the_others(directory: Path, tmp_path: 
     assert list(found) == ["current", "fake/val/failing", "foreign", "moved", "truncated"]
     assert [failed for _, failed in found.values()] == [False, False, False, True, True]
     assert found["current"][0] == "current" and found["fake/val/failing"][0] == "rescored"
-    assert "of the data set another" in found["foreign"][0] and "fingerprints differ" in found["moved"][0]
+    assert "it belongs to data set another" in found["foreign"][0] and "fingerprints differ" in found["moved"][0]
     assert load_record(root / "foreign").missing_protocols == STANDARD[1:]
     with pytest.raises(InputError, match="no folder"):
         all_of(root / "nowhere")

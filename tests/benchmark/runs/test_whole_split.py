@@ -106,7 +106,7 @@ def test_a_scene_that_is_not_kept_makes_the_whole_split_anew(tmp_path: Path) -> 
 def test_a_part_of_the_split_and_several_processes_are_refused(
     settings: EvalSettings, option: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=f"continuous remembers across scenes.*leave {option} out"):
+    with pytest.raises(InputError, match=f"continuous keeps state across scenes.*leave {option} out"):
         evaluate(town(), "val", Continuous(), tmp_path, settings)
     assert not list(tmp_path.iterdir())
 

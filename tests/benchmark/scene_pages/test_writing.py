@@ -97,7 +97,7 @@ def test_a_sheet_with_a_frame_too_many_is_named(sheets: ScenePages, tmp_path: Pa
     content = json.loads((folder / "sheet.json").read_text())
     content["timestamps_us"].append(content["timestamps_us"][-1] + 1)
     (folder / "sheet.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"scene/sheet\.json has \d\+ frames but another number of ego poses"):
+    with pytest.raises(InputError, match=r"scene/sheet\.json has \d+ frames but another number of ego poses"):
         read_scene_page(folder)
     content["timestamps_us"] = content["timestamps_us"][-2::-1]
     (folder / "sheet.json").write_text(json.dumps(content))

@@ -114,7 +114,7 @@ def test_files_of_20_gb_that_are_holes_are_refused_before_they_are_read(tmp_path
     path = write_sparse(tmp_path / "sparse", 20 << 30)
     before = time.monotonic()
     for read in (read_pickle, read_checkpoint, read_json, read_json_lines, read_npz):
-        with pytest.raises(InputError, match=r"sparse has 20 GB, and a .* has at most"):
+        with pytest.raises(InputError, match=r"sparse has 20 GB, but a .* has at most"):
             read(path)
     with pytest.raises(InputError, match="cannot read"):
         read_header(path, instead="get it again")
@@ -163,7 +163,7 @@ def _png(width: int, height: int) -> bytes:
         (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "cannot be read"),
         (b"", "cannot be read"),
     ],
-    ids=["large", "bomb", "wide", "empty", "cut", "no jpeg", "``--json``", "nothing"],
+    ids=["large", "bomb", "wide", "empty", "cut", "no jpeg", "a program", "nothing"],
 )
 def test_a_picture_is_as_large_as_one_of_a_camera(tmp_path: Path, content: bytes, says: str) -> None:
     path = tmp_path / "a.png"

@@ -97,7 +97,7 @@ def test_what_could_harm_is_one_sentence(tmp_path: Path, data: bytes, message: s
 
 @pytest.mark.filterwarnings("ignore:Duplicate name:UserWarning")
 def test_a_name_that_is_there_twice_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is there twice"):
+    with pytest.raises(InputError, match="occurs twice"):
         read_package(written(tmp_path, zipped(("a", b"1"), ("a", b"2"))))
 
 

@@ -43,7 +43,7 @@ def test_few_timesteps_are_even_in_the_logarithm_of_signal_over_noise() -> None:
 
 @pytest.mark.parametrize("calls", [1, 0, STEPS + 1])
 def test_impossible_numbers_of_calls_are_refused(calls: int) -> None:
-    with pytest.raises(InputError, match="2 to 100 times"):
+    with pytest.raises(InputError, match="2 to 100 network calls"):
         choose_solver_timesteps(calls)
 
 

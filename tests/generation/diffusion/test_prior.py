@@ -308,7 +308,7 @@ def test_wrong_use_is_refused(prior: TrajectoryPrior) -> None:
             prior.mutate(wrong, 5, CRUISING, rng())
     with pytest.raises(InputError, match="denoising step"):
         TrajectoryPrior.load(None, SamplerSettings(mutation_steps=0))
-    with pytest.raises(InputError, match="2 to 100 times"):
+    with pytest.raises(InputError, match="2 to 100 network calls"):
         TrajectoryPrior.load(None, SamplerSettings(solver_calls=1))
     for device in ("cuda:77", "toaster", "meta"):
         with pytest.raises(InputError, match="cannot compute on device"):

@@ -92,7 +92,7 @@ CASES = {
         np.pi / 2,
         ego=_stopping,
     ),
-    "oncoming object": Case(Manoeuvre.ONCOMING, lambda t: 90.0 - 6.0 * t, _held(1.95), np.pi, seconds=8.0),
+    "comes towards": Case(Manoeuvre.ONCOMING, lambda t: 90.0 - 6.0 * t, _held(1.95), np.pi, seconds=8.0),
     "crosses before": Case(Manoeuvre.CROSSING, _held(60.0), lambda t: 11.0 - 3.0 * t, -np.pi / 2),
     "crosses behind": Case(Manoeuvre.CROSSING, _held(20.0), lambda t: 3.0 * t - 11.0, np.pi / 2),
     "stays in the blind spot": Case(Manoeuvre.BLIND_SPOT_LEFT, _at(-4.0), _held(3.2)),
@@ -294,7 +294,7 @@ def test_wrong_use_is_one_sentence() -> None:
     with pytest.raises(InputError, match="not finite"):
         compute_labels(placed(scene, ego, other), 0, 0)
     gone = replace(scene, agents=replace(scene.agents, valid=np.zeros_like(scene.agents.valid)))
-    with pytest.raises(InputError, match="not there"):
+    with pytest.raises(InputError, match="is absent"):
         compute_labels(gone, 0, 0)
 
 

@@ -173,7 +173,7 @@ def test_somebody_elses_data_set_is_left_alone(tmp_path: Path) -> None:
     write_root(tmp_path, [brief_scene()])
     shutil.rmtree(tmp_path / ".challenger")
     before = contents(tmp_path)
-    with pytest.raises(InputError, match="not written here"):
+    with pytest.raises(InputError, match="holds a foreign data set"):
         write_one(plan_of(tmp_path), NAMES[1])
     assert contents(tmp_path) == before
 

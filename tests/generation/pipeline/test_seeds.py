@@ -81,7 +81,7 @@ def test_records_name_seed_and_search_and_stand_in_one_table(source: DataSet, sp
 
 
 def test_a_seed_under_the_name_of_another_is_refused(source: DataSet, space: Workspace, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="searched with seed 2 , so it is not adv-seed-1; build it as adv-seed-2"):
+    with pytest.raises(InputError, match="searched with seed 2, so it is not adv-seed-1; build it as adv-seed-2"):
         build_split(source, "adv-seed-1", replace(CHEAP, out=tmp_path / "out", seed=2))
     named = read_frozen_of_seed(space.out / "road.json", 1)
     with pytest.raises(InputError, match="cannot be adv-seed-0"):

@@ -89,7 +89,7 @@ def test_the_strip_looks_through_the_camera_that_sees_the_adversary() -> None:
     assert find_best_camera(scene, [0], RENDERER) == "CAM_FRONT"
 
 
-@pytest.mark.parametrize(("frames", "says"), [([], "at least one frame"), ([96], "no frame 96")])
+@pytest.mark.parametrize(("frames", "says"), [([], "at least one frame"), ([96], "frames 0 to 95, not 96")])
 def test_a_strip_of_nothing_is_refused(frames: list[int], says: str) -> None:
     with pytest.raises(InputError, match=says):
         draw_scene_strip(attacked(), frames, RENDERER)

@@ -56,7 +56,7 @@ def test_kept_scenes_of_mini_lose_no_step_to_their_adversary(town: DataSet, tmp_
         assert attempt.masked_steps == count_masked_steps(data.scene(name))
     assert set(report.masked_steps) == set(find_masking_protocols())
     assert all(report.masked_steps[name]["adversary"] == 0 for name in NATIVE_PROTOCOLS)
-    assert "for adversaries / for others: uniad 0 / " in report.summary()
+    assert "because of adversaries / of others: uniad 0 / " in report.summary()
 
 
 @pytest.mark.parametrize(

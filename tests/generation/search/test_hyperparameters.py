@@ -45,7 +45,7 @@ def test_settings_change_by_text() -> None:
         ("rounds=2.5", "rounds must be a number"),
         ("clearance_m=wide", "clearance_m must be a number"),
         ("clearance_m=nan", "must be finite"),
-        ("parked=yes", "booleans"),
+        ("parked=yes", "true or false"),
         ("collision_reading=exact", "one of geometry, literal, half"),
         ("candidates=0", "at least 1"),
         ("candidates=1000000000", "at most 65536"),

@@ -113,7 +113,7 @@ def test_candidates_that_are_not_finite_spoil_nothing() -> None:
 
 
 def test_nobody_turns_round_for_a_request() -> None:
-    towards, along = scene_of(CASES["oncoming object"]), scene_of(CASES["leads"])
+    towards, along = scene_of(CASES["comes towards"]), scene_of(CASES["leads"])
     crossing = scene_of(CASES["crosses before"])
     assert can_perform(Manoeuvre.ONCOMING, towards, 0, 0) and not can_perform(Manoeuvre.ONCOMING, along, 0, 0)
     assert can_perform(Manoeuvre.CUT_IN_LEFT, along, 0, 0) and not can_perform(Manoeuvre.CUT_IN_LEFT, towards, 0, 0)
@@ -122,7 +122,11 @@ def test_nobody_turns_round_for_a_request() -> None:
 
 @pytest.mark.parametrize(
     ("name", "says"),
-    [("cut-in", "did you mean cut-in-left or cut-in-right"), ("distant", "what is left"), ("x\ny", "there is no")],
+    [
+        ("cut-in", "did you mean cut-in-left or cut-in-right"),
+        ("distant", "no other kind"),
+        ("x\ny", "unknown manoeuvre"),
+    ],
 )
 def test_a_kind_that_cannot_be_asked_for_is_one_sentence(name: str, says: str) -> None:
     with pytest.raises(InputError, match=says):

@@ -182,7 +182,7 @@ def test_damaged_rounds_are_named(source: DataSet, copied: Path) -> None:
 
 def test_a_root_without_rounds_names_the_option(built: Path, source: DataSet, copied: Path, tmp_path: Path) -> None:
     shutil.rmtree(copied / "rounds")
-    with pytest.raises(InputError, match="generate --keep-rounds"):
+    with pytest.raises(InputError, match="generate --split adv --keep-rounds"):
         shown(copied, tmp_path / "sheets")
     assert not (tmp_path / "sheets").exists()
     data = open_data(copied, name="small")

@@ -149,9 +149,8 @@ def test_it_says_when_the_images_are_others(source: DataSet, split: NamedSplit, 
     )
     report = build_frozen(source, NamedSplit("other", other), replace(BUILT, out=tmp_path / "out"))
     assert report.other_images == (split.frozen.scenes[0].name,) and report.other_tables == ()
-    assert (
-        f"images: differ in 1 of {len(other.scenes)} scenes, because the renderer rounds otherwise" in report.summary()
-    )
+    said = f"images: differ in 1 of {len(other.scenes)} scenes, because the renderer rounds differently here"
+    assert said in report.summary()
 
 
 def test_any_layout_renderer_and_frames(source: DataSet, split: NamedSplit, tmp_path: Path) -> None:
@@ -201,7 +200,7 @@ def refused(source: DataSet, split: NamedSplit, settings: BuildSettings) -> str:
 def test_other_recordings_are_refused_before_anything_is_written(split: NamedSplit, tmp_path: Path) -> None:
     settings = replace(BUILT, out=tmp_path / "out", renderer=None)
     moved = recordings(tmp_path / "moved", moved_m=0.02)
-    assert "0.020 m from where" in refused(moved, split, settings)
+    assert "0.020 m from its position in the frozen split" in refused(moved, split, settings)
     named = replace(split, path=tmp_path / "named.json")
     assert f"frozen split {named.path}: {split.frozen.scenes[0].source} has 103 frames" in refused(
         recordings(tmp_path / "longer", seconds=9.0), named, settings
@@ -250,7 +249,7 @@ def test_what_cannot_be_frozen_is_said_before_the_search(source: DataSet, tmp_pa
     other = tmp_path / "notes.json"
     other.write_text(json.dumps({"mine": 1}))
     for split, file, word in (
-        ("adv", other, "no frozen split"),
+        ("adv", other, "is not a frozen split"),
         ("adv", tmp_path / "nowhere" / "a.json", "there is no folder"),
         ("val-r", tmp_path / "a.json", "only adv can be frozen"),
     ):

@@ -61,7 +61,7 @@ def test_only_vehicles_may_be_moved_and_only_where_they_were_recorded() -> None:
     recorded = scene_on_straight_road((Car(80.0, 198.25, 8.0), Car(60.0, 208.0, 1.0, 0.0, "human.pedestrian.adult")))
     path = Path("mine.pkl")
     assert build_edited_scene(moved(recorded, 0, 1.0), recorded, path).adversaries[0].launch_frame == 0
-    with pytest.raises(InputError, match=r"\(human.pedestrian.adult\) is not where it was recorded; only vehicles"):
+    with pytest.raises(InputError, match=r"\(human.pedestrian.adult\) was moved; only vehicles"):
         build_edited_scene(moved(recorded, 1, 1.0), recorded, path)
     valid = recorded.agents.valid.copy()
     valid[0, :30] = False
@@ -97,7 +97,7 @@ def test_the_command_builds_what_was_edited_in_files_and_freezes_it(tmp_path: Pa
     assert dry.code == 0 and "nothing was written" in dry.out and not (tmp_path / "dry").exists()
     for wrong, message in (
         (("--seeds", "0,1"), "edited scenes are not searched"),
-        (("--top", "3"), "--top belongs to a search"),
+        (("--top", "3"), "--top applies only to a search"),
         (("--split", "val-r"), "--from always builds split adv"),
     ):
         refused = run_here(*edited, "--out", tmp_path / "no", *wrong)

@@ -73,8 +73,8 @@ TRACK: list[str | int] = ["scenes", 0, "adversaries", 0, "track"]
 BAD = {
     "truncated": (split().text()[:-200], "not valid JSON"),
     "empty": ("", "not valid JSON"),
-    "a list": ("[]", "no frozen split"),
-    "something else": ('{"scenes": []}', "no frozen split"),
+    "a list": ("[]", "is not a frozen split"),
+    "something else": ('{"scenes": []}', "is not a frozen split"),
     "a newer version": (changed(["schema"], 2), "upgrade"),
     "no version": (changed(["schema"], None), "upgrade"),
     "true as version": (changed(["schema"], True), "upgrade"),
@@ -97,7 +97,7 @@ BAD = {
     "a name of another scene": (changed(["scenes", 0, "name"], "scene-0002-ab"), "not named after"),
     "something unknown": (changed(["extra"], 1), "extra"),
     "no hash": (changed(["scenes", 0, "tables"], "abc"), "tables"),
-    "into": (changed(["split"], "val"), "split"),
+    "another split": (changed(["split"], "val"), "split"),
     "deep": ("[" * 100_000, "JSON"),
 }
 

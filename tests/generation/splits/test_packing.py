@@ -125,7 +125,7 @@ def test_the_commands_of_the_page(
     )  # fmt: skip
     assert done.code == 0 and packed.sha256 in done.out and "settings of 1 drive record" in done.out, done.err
     done = run_here("data", "unpack", tmp_path / "road.zip", "--to", tmp_path / "files")
-    assert done.code == 0 and "is whole: 4 files" in done.out and "generate --from" in done.out, done.err
+    assert done.code == 0 and "is intact: 4 files" in done.out and "generate --from" in done.out, done.err
     done = run_here(
         "data", "unpack", tmp_path / "road.zip", "--to", tmp_path / "files", "--data", source.root, "--out",
         tmp_path / "out", "--renderer", "none", "--frames", "keyframes", "--workers", "1", "--json",
@@ -173,7 +173,7 @@ def replaced(name: str, data: bytes) -> Any:
         (edit("manifest.json", schema=2), "has version 2 of the format"),
         (edit("manifest.json", splits=[]), "manifest.json is damaged"),
         (edit("manifest.json", more=1), "manifest.json is damaged"),
-        (replaced("manifest.json", b"{" * 10_000), "manifest.json is no JSON"),
+        (replaced("manifest.json", b"{" * 10_000), "manifest.json is not JSON"),
         (replaced("statistics", b"{}"), "does not match the manifest"),
         (edit("splits", split="val"), "does not match the manifest"),
         (edit("statistics", more=1), "does not match the manifest"),
@@ -204,7 +204,7 @@ def test_what_does_not_belong_together_is_not_packed(
     for wrong, message in (
         (replace(contents, root=source), "was not built from the packed frozen splits"),
         (replace(contents, drives=(other,)), "drives scenes that are not in the packed splits, such as scene-1"),
-        (replace(contents, splits=(split, split)), "is there twice"),
+        (replace(contents, splits=(split, split)), "is listed twice"),
         (replace(contents, splits=(NamedSplit("../up", split.frozen),)), "is not a plain file name"),
     ):
         with pytest.raises(InputError, match=message):

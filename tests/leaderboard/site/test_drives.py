@@ -124,7 +124,7 @@ def test_the_page_plays_a_drive(site: Site, browser: Browser, tmp_path: Path) ->
     index = (folder / "site" / "index.html").as_uri()
     keys = {one["everybody"]: one["key"] for one in build_drive_index(driven, site.sheets)}
     text = opened(browser, index, f"#/drive/{keys[True]}?t=2")
-    assert "contact after 1.3 s" in text and "follow the recording" in text and "ego, as driven" in text
+    assert "contact after 1.3 s" in text and "where the recording has them" in text and "ego, as driven" in text
     assert "not judged" not in text and "Sample 5" in text
     assert "Only the ego is shown as driven" in opened(browser, index, f"#/drive/{keys[False]}")
     scene = scene_key((sheet.data.name, sheet.split, sheet.scene))

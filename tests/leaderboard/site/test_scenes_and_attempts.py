@@ -128,7 +128,7 @@ def test_cards_say_who_survives_and_the_most_severe_come_first(browser: Browser,
     assert shown_scenes(browser) == [key_of(scene, "adv") for scene in order]
     words = [card.text for card in browser.all("judged")]
     for scene, text in zip(order, words, strict=True):
-        assert ("careful human driver survives" in text) is said[scene].survives["cc"]
+        assert ("careful human survives" in text) is said[scene].survives["cc"]
         assert ("off road" in text) is ("off_road" in said[scene].faults)
     browser.open("#/scenes?sort=severe&split=adv")
     shown = browser.js(

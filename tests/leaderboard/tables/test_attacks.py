@@ -91,8 +91,8 @@ def test_the_ladder_stands_once_for_a_split() -> None:
     (row,) = tables["ladder"].rows
     shown = dict(zip(tables["ladder"].columns, row, strict=True))
     assert shown["recorded"] == "100.0" and shown["careful human"] == "66.7" and shown["unsolvable"] == "0"
-    assert shown["margin, s"] == "1.2" and shown["judged"] == "3" and shown["no difference"] == "66.7"
-    assert any("3 of 4 scenes were judged" in note for note in tables["ladder"].notes)
+    assert shown["margin, s"] == "1.2" and shown["judged"] == "3" and shown["no fault"] == "66.7"
+    assert any("3 of 4 scenes were assessed" in note for note in tables["ladder"].notes)
     assert not any("earlier definition" in note for note in tables["ladder"].notes)
     assert assessment_tables(DataSetRuns("d", [attacked("p", SCENES, dict.fromkeys(SCENES))])) == []
 
@@ -107,7 +107,7 @@ def test_the_ladder_says_which_scenes_were_judged_from_their_first_frame() -> No
     }
     old = replace(record, run=record.run.model_copy(update={"scene_facts": facts}))
     notes = named(assessment_tables(DataSetRuns("d", [old])))["ladder"].notes
-    assert any("3 scenes judged by an earlier definition" in note for note in notes)
+    assert any("3 scenes assessed by an earlier definition" in note for note in notes)
 
 
 def test_realism_is_shown_by_its_worst_feature_and_beside_the_halves() -> None:
@@ -127,9 +127,8 @@ def test_our_own_town_has_validity_alone_and_says_why() -> None:
     assert list(tables) == ["ladder", "validity"]
     off_road, teleport = tables["validity"].rows
     assert off_road[1:] == ("off road", "1", "4", "25.0") and teleport[3:] == ("0", "–")
-    assert any(
-        "not compared with recordings: the recordings are our own town." in note for note in tables["validity"].notes
-    )
+    said = "not compared with recordings: the recordings are our own simulated town"
+    assert any(said in note for note in tables["validity"].notes)
     assert any("adv: teleport: the generated 12 Hz track" in note for note in tables["validity"].notes)
 
 
@@ -147,4 +146,5 @@ def test_a_leaderboard_has_the_tables_and_the_figure() -> None:
     assert "figures/d/attack-realism.png" in files and "attack success" in files["README.md"].decode()
     unjudged = build_leaderboard_files(read_results([attacked("p", SCENES, dict.fromkeys(SCENES))]))
     assert "figures/d/attack-realism.png" not in unjudged
-    assert "No figure of attack success against realism: nobody said" in unjudged["README.md"].decode()
+    said = "No figure of attack success against realism: the avoidability of no scene was assessed"
+    assert said in unjudged["README.md"].decode()

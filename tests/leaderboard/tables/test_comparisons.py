@@ -105,7 +105,7 @@ def test_numbers_of_an_earlier_version_are_marked() -> None:
     assert any("‡ p on val: scored by version 0 of protocol exact, now" in note for note in table.notes)
     changes = split_table(DataSetRuns("d", [old, hand_made("p", ADV)]), "exact")
     assert changes is not None and changes.rows == ()
-    assert any("Left out: p on val of d was scored by version 0" in note for note in changes.notes)
+    assert any("Left out: p on val of d was judged by version 0" in note for note in changes.notes)
 
 
 def test_records_that_lack_a_protocol_are_named_and_in_no_matrix() -> None:
@@ -116,7 +116,7 @@ def test_records_that_lack_a_protocol_are_named_and_in_no_matrix() -> None:
     by_name = {table.name: table for table in found.tables}
     assert "c" in by_name["transfer-adv-exact"].columns and "c" not in by_name["transfer-adv-vad"].columns
     assert any(
-        "Left out: c on adv of d was not scored by protocol 'vad'" in n for n in by_name["transfer-adv-vad"].notes
+        "Left out: c on adv of d was not judged by protocol 'vad'" in n for n in by_name["transfer-adv-vad"].notes
     )
 
 

@@ -78,7 +78,7 @@ def test_runs_that_are_not_whole_are_named_and_left_out() -> None:
     assert table is not None and sum(note.startswith("Left out: noisy (seed ") for note in table.notes) == 2
     other = seed_spread_table(DataSetRuns("d", RUNS), "vad")
     assert other is not None and other.rows[0][3:5] == ("0", UNDEFINED)
-    assert all("was not scored by protocol 'vad'" in note for note in other.notes[1:])
+    assert all("was not judged by protocol 'vad'" in note for note in other.notes[1:])
 
 
 def test_the_tables_of_a_data_set_have_it_where_there_are_seeds() -> None:

@@ -114,7 +114,7 @@ def test_under_their_own_protocols_stand_planners_that_have_one_and_no_maxima() 
     (omnidrive,) = slice_tables("d", records, ("omnidrive",), ("speed",))
     assert {row[0] for row in omnidrive.rows} == {"m"} and "off road avg" in omnidrive.columns
     said = " ".join(omnidrive.notes)
-    assert "p on adv of d was not scored by protocol 'omnidrive'" in said
+    assert "p on adv of d was not judged by protocol 'omnidrive'" in said
     assert [table.name for table in run_slices("d", records, ("speed",))] == [
         "slices-speed-exact",
         "slices-speed-native",
@@ -127,7 +127,7 @@ def test_an_old_record_is_said_to_lack_it_and_nothing_is_guessed() -> None:
     protocols = old.run.protocols | {"exact": PROTOCOLS["exact"].version}
     old = replace(old, run=old.run.model_copy(update={"protocols": protocols}))
     lacking = {table.name: table for table in slice_tables("mini", [old], ("exact",), KINDS)}
-    for kind, words in {"place": "the places", "light": "the light", "speed": "of"}.items():
+    for kind, words in {"place": "the places", "light": "the light", "speed": "the speed"}.items():
         table = lacking[f"slices-{kind}-exact"]
         assert not table.rows and words in table.notes[-1] and "rescore" in table.notes[-1]
     # What it always said, it is sorted by.

@@ -146,7 +146,7 @@ def test_every_number_that_rests_on_verdicts_names_the_protocol(tables: list[Tab
             continue
         assert None not in whose, table.name
         for label, _ in table.groups:
-            assert not label or any(name in label for name in (*PROTOCOLS, "native protocol")), (table.name, label)
+            assert not label or any(name in label for name in (*PROTOCOLS, "own protocol")), (table.name, label)
 
 
 def test_every_number_is_in_one_group_and_heads_differ(tables: list[Table]) -> None:

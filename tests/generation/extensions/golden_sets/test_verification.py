@@ -196,7 +196,7 @@ def test_one_file_of_an_indexed_set_is_enough(tmp_path: Path) -> None:
     (folder / "index.json").write_text(json.dumps({"dev/standing.npz": {}, "dev/crossing.npz": {}}))
     checks = SCORING.verify(folder)
     assert not failures(checks)
-    assert checks[0].note == "2 files; 1 more in index.json are missing"
+    assert checks[0].note == "2 files; 1 more in index.json is missing"
 
 
 def test_a_kernel_that_misses_collisions_fails(monkeypatch: pytest.MonkeyPatch) -> None:

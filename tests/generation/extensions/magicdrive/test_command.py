@@ -13,4 +13,4 @@ def test_photorealistic_rendering_says_what_it_costs_and_what_is_missing(tmp_pat
     said = challenger_bench("generate", *common, *on_gpu, cache=tmp_path)
     assert said.code == 0 and "a GPU at 400 TFLOP/s" in said.err and "transformer" in said.err
     missing = challenger_bench("generate", *common, cache=tmp_path)
-    assert missing.code == 2 and "there are no weights magicdrive-dit" in missing.err and missing.err.count("\n") == 1
+    assert missing.code == 2 and "no weights magicdrive-dit found" in missing.err and missing.err.count("\n") == 1

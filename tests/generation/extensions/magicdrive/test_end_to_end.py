@@ -201,6 +201,6 @@ def test_the_command_says_what_to_get_and_what_it_would_cost(source: DataSet, tm
     extra = ("--dry-run", "--json", "--render-device", "cuda", "--executor", "ray", "--tflops", "400")
     run = challenger_bench(*arguments, *out[:2], *extra, "--render-size", "424x800", cache=tmp_path / "cache")
     assert run.code == 0
-    assert "a scene of 13 frames but six views at 424x800: about" in run.err and "GiB" in run.err
+    assert "a scene of 13 frames and six views at 424x800: about" in run.err and "GiB" in run.err
     assert run.json["estimate"]["scenes"] == 2 and run.json["estimate"]["scene_s"] > 1
     assert not (tmp_path / "out").exists() and not (tmp_path / "cache").exists()

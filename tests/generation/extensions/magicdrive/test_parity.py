@@ -88,11 +88,11 @@ DAMAGES: dict[str, Callable[[Path], Any]] = {
     "complete npz file": lambda golden: (golden / "outputs.npz").write_bytes(b"PK"),
     "keys_reduced.json": lambda golden: (golden / "keys_reduced.json").unlink(),
     "overrides": lambda golden: change_manifest(golden, lambda m: m.pop("overrides")),
-    "of MagicDriveDiT, or": lambda golden: change_manifest(golden, lambda m: m["reduced_config"].update(num_heads=5)),
+    "of MagicDriveDiT or": lambda golden: change_manifest(golden, lambda m: m["reduced_config"].update(num_heads=5)),
     "less than or equal": lambda golden: change_manifest(golden, lambda m: m["reduced_config"].update(depth=10**6)),
     "Schedule": lambda golden: (golden / "timesteps_30.json").write_text("[{}]"),
     "no array A.in.y": lambda golden: change_arrays(golden / "inputs.npz", lambda a: a.pop("A.in.y")),
-    "the shape": lambda golden: change_arrays(golden / "inputs.npz", lambda a: a.update({"A.in.cams": a["A.in.z"]})),
+    "wrong type": lambda golden: change_arrays(golden / "inputs.npz", lambda a: a.update({"A.in.cams": a["A.in.z"]})),
     "NaN or infinity": lambda golden: change_arrays(golden / "inputs.npz", lambda a: a["A.in.z"].fill(np.nan)),
     "stores no quantity": lambda golden: np.savez(golden / "outputs.npz", other=np.zeros(2)),
 }

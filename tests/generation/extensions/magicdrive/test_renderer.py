@@ -189,7 +189,7 @@ def test_some_frames_are_those_of_the_whole_video(weights: Path, drawn: list[Ima
     found = list(small_renderer(weights, tmp_path).render(brief_scene(), chosen))
     assert_same_pictures(found, [drawn[frame] for frame in chosen])
     assert list(small_renderer(weights, tmp_path).render(brief_scene(), [])) == []
-    with pytest.raises(InputError, match="frames 0 to 6, there is no frame 7"):
+    with pytest.raises(InputError, match="frames 0 to 6, so frame 7 cannot be rendered"):
         list(small_renderer(weights, tmp_path).render(brief_scene(), [7]))
 
 
@@ -379,7 +379,7 @@ def test_a_gpu_that_is_not_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) 
 
 def test_too_little_memory_is_a_sentence(weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
-        raise torch.cuda.OutOfMemoryError("too many")
+        raise torch.cuda.OutOfMemoryError("too much")
 
     monkeypatch.setattr(renderer_module, "sample_latents", full)
     with pytest.raises(InputError, match="does not fit into the memory of cpu"):

@@ -140,7 +140,7 @@ def test_tracks_of_one_planner_are_driven_against_another(records: list[DriveRec
         assert (ours.adversary.start, ours.adversary.poses) == (theirs.adversary.start, theirs.adversary.poses)
     with pytest.raises(InputError, match="does not hold"):
         api.drive_settings("adv", agents="adversary", adversary_tracks=source.directory)
-    with pytest.raises(InputError, match="use --agents adversary"):
+    with pytest.raises(InputError, match="add --agents adversary"):
         api.drive_settings("val", adversary_tracks=source.directory)
 
 

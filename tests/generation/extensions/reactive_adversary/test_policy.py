@@ -181,7 +181,7 @@ def test_bad_settings_are_sentences_and_names_tell_them_apart() -> None:
     for wrong in wrongs:
         with pytest.raises(InputError, match=r"--adversary-(every|knows)"):
             AdversarySettings.of(**wrong)
-    with pytest.raises(InputError, match="others"):
+    with pytest.raises(InputError, match="other road users"):
         AdversarySettings.of(others="adversary")
     different: tuple[dict[str, Any], ...] = (
         {}, {"knows": "plan"}, {"every_s": 0.5}, {"others": "idm"}, {"rounds": 1}, {"candidates": 9},

@@ -189,6 +189,6 @@ def test_what_is_not_there_is_one_sentence(asked: tuple[str | Path, ...], tmp_pa
     assert "challenger-bench drive --data mini --split adv" in refusal(*asked)
     data = {"name": "mini", "version": "v1", "fingerprint": "f" * 64}
     written_drives(tmp_path / "drives" / "a", data=data)
-    assert "no record of drives is of vad; use one of made" in refusal(*asked, "--model", "vad")
+    assert "there are no drives of vad; choose one of made" in refusal(*asked, "--model", "vad")
     assert "scene scene-9 was not driven" in refusal(*asked, "--scenes", "scene-9")
     assert "there are no records of drives on mini val" in refusal(*asked, "--split", "val")

@@ -35,7 +35,7 @@ def test_a_full_model_is_shown_as_the_miniature_that_ran(
 
 def test_records_of_other_data_are_named(tmp_path: Path) -> None:
     record(tmp_path, "idm", data="demo")
-    with pytest.raises(InputError, match=r"no run records at \.\*; use one of records of demo \(adv: idm\)"):
+    with pytest.raises(InputError, match=r"no run records at .*; found records of demo \(adv: idm\)"):
         resolve_planner_names(["idm"], [tmp_path / "mini" / "adv"], tmp_path)
     with pytest.raises(InputError, match="did you mean idm"):
         resolve_planner_names(["idn"], [tmp_path / "demo" / "adv"], tmp_path)
