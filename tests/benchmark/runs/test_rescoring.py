@@ -252,7 +252,7 @@ def test_one_damaged_record_does_not_stop_the_others(directory: Path, tmp_path: 
     assert found["current"][0] == "current" and found["fake/val/failing"][0] == "rescored"
     assert "it belongs to data set another" in found["foreign"][0] and "fingerprints differ" in found["moved"][0]
     assert load_record(root / "foreign").missing_protocols == STANDARD[1:]
-    with pytest.raises(InputError, match="no folder"):
+    with pytest.raises(InputError, match="nowhere does not exist"):
         all_of(root / "nowhere")
 
 

@@ -159,7 +159,7 @@ def test_folders_are_imported_checked_and_replace_older_ones(tmp_path: Path) -> 
         (entry(files=(PublishedFile("more"),)), source, "lacks more of small"),
         (entry(files=(PublishedFile("config.json", 99),)), source, "has 2 bytes instead of 99"),
         (entry(files=(PublishedFile("config.json", sha256="ab"),)), source, "its SHA-256 differs"),
-        (entry(), folder, "already kept"),
+        (entry(), folder, "already the stored copy"),
     ):
         with pytest.raises(InputError, match=says):
             import_folder(weights, path, cache)

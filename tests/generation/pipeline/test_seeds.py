@@ -84,7 +84,7 @@ def test_a_seed_under_the_name_of_another_is_refused(source: DataSet, space: Wor
     with pytest.raises(InputError, match="searched with seed 2, so it is not adv-seed-1; build it as adv-seed-2"):
         build_split(source, "adv-seed-1", replace(CHEAP, out=tmp_path / "out", seed=2))
     named = read_frozen_of_seed(space.out / "road.json", 1)
-    with pytest.raises(InputError, match="cannot be adv-seed-0"):
+    with pytest.raises(InputError, match="so it is not adv-seed-0"):
         build_frozen(source, named, replace(CHEAP, out=tmp_path / "out"), as_split="adv-seed-0")
     (tmp_path / "wrong-seed-0.json").write_bytes(format_seed_path(space.out / "road.json", 1).read_bytes())
     with pytest.raises(InputError, match="was searched with seed 1"):

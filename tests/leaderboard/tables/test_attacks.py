@@ -127,7 +127,7 @@ def test_our_own_town_has_validity_alone_and_says_why() -> None:
     assert list(tables) == ["ladder", "validity"]
     off_road, teleport = tables["validity"].rows
     assert off_road[1:] == ("off road", "1", "4", "25.0") and teleport[3:] == ("0", "–")
-    said = "not compared with recordings: the recordings are our own simulated town"
+    said = "not compared with recordings: the recordings are our own town"
     assert any(said in note for note in tables["validity"].notes)
     assert any("adv: teleport: the generated 12 Hz track" in note for note in tables["validity"].notes)
 
