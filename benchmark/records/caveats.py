@@ -32,8 +32,7 @@ OF_THE_DOOR: Final[frozenset[CaveatKind]] = frozenset({"as-is"})
 class Caveat(Stored):
     """A thing that a number needed and did not get.
 
-    Attributes:
-        sentence: What was missing and what that does to the numbers; no full stop at its end.
+    ``sentence`` says what was missing and what that does to the numbers; no full stop at its end.
     """
 
     kind: CaveatKind
