@@ -46,11 +46,8 @@ _SAYS_NOTHING: Final = frozenset({"ctx", "kind", "type_comment", "type_ignores"}
 def code_sha256(made: type, *, made_by: str | None = None, parts: frozenset[type] = frozenset()) -> str | None:
     """Hash of the code that the actions of a planner (or an engine) depend on, 64 hexadecimal digits.
 
-    ``None`` if the class has no source file, as in a notebook.
-
-    Args:
-        made_by: The function or class that made it, as ``package.module:name``.
-        parts: Classes of what it was given, such as its network.
+    ``None`` if the class has no source file, as in a notebook. ``made_by`` is ``package.module:name``; ``parts`` are
+    classes of what it was given, such as its network.
     """
     return _identity(made, made_by, parts)
 
@@ -112,8 +109,7 @@ def is_current(loaded: Mapping[str, str]) -> bool:
 def hash_modules(start: Iterable[str], made: type | None = None) -> dict[str, str]:
     """Hashes by name of modules and of all that they import, directly and through others, and that counts.
 
-    Args:
-        made: A class whose top-level package counts wherever it is installed.
+    The top-level package of the class ``made`` counts wherever it is installed.
     """
     top_package = "" if made is None else made.__module__.partition(".")[0]
     hashes: dict[str, str] = {}
@@ -221,7 +217,6 @@ def _with_parents(module: str) -> list[str]:
 
 
 def _own_file(module: str) -> Path | None:
-    """The file of a module that is neither Python's nor an installed library's."""
     top = module.partition(".")[0]
     if top in sys.stdlib_module_names or top in _LIBRARIES:
         return None
@@ -230,7 +225,6 @@ def _own_file(module: str) -> Path | None:
 
 
 def _is_in_project_hash(file: Path) -> bool:
-    """Whether a file is this project's, and no extension's."""
     root = Path(__file__).parents[2]
     parts = file.relative_to(root).parts if file.is_relative_to(root) else ("",)
     return parts[0] in OURS and "extensions" not in parts
