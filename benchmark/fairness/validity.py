@@ -44,8 +44,8 @@ def find_track_defects(
         tracks: All agents, 12 Hz, as generated: what a reader of a data set gets is linear between 2 Hz keyframes, and
             its corners there break every limit.
         frames: Its adversarial stretch; frames at which it is not there do not count.
-        at_keyframes: Whether the frames are keyframes, between which nothing is known: then limits and jumps are not
-            asked, and of the others only what the keyframes show is found.
+        at_keyframes: Whether nothing is known between the frames: then limits and jumps are not asked, and of the
+            others only what the keyframes show is found.
         rounded_m: How far each position may be from where it was generated (`find_broken_limit`).
     """
     there = np.arange(len(tracks.seconds))[frames]
@@ -100,7 +100,6 @@ def _find_near(boxes: Floats, others: Floats, present: Bools) -> tuple[Bools, Bo
 
 
 def _lasts_longer_than(flags: Bools, seconds: Floats, longer_than: float) -> bool:
-    """Whether any row of (M, F) flags stays up for longer than so many seconds."""
     for row in flags[flags.any(axis=1)]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8))).reshape(-1, 2)
         if (seconds[edges[:, 1] - 1] - seconds[edges[:, 0]] > longer_than).any():
