@@ -1,9 +1,7 @@
 """The bytes of a tensor's storage in PyTorch's old form: five short pickles behind each other, then raw numbers.
 
 Runs in the child process. The pickles of this second stream may name storages and nothing else, so that what is hidden
-in the bytes of a tensor is refused like anything in the open.
-
-Allow-list of untrusted pickles with stand-ins for each name: the first line of defence.
+in the bytes of a tensor is refused like anything in the open. The allow-list of untrusted pickles is here, too.
 """
 
 import codecs
