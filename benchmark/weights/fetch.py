@@ -18,10 +18,7 @@ _RANGE_NOT_SATISFIABLE: Final = 416
 
 
 def fetch_files(weights: PublishedWeights, folder: Path) -> None:
-    """Fetch the files of published weights that a folder lacks, each whole or not at all.
-
-    The same call goes on where it broke off.
-    """
+    """Fetch the files that a folder lacks, each whole or not at all; the same call goes on where it broke off."""
     if any(file.url is None for file in weights.files):
         _fetch_from_hub(weights, folder)
         return
@@ -74,7 +71,6 @@ def _fetch_from_hub(weights: PublishedWeights, folder: Path) -> None:
 
 
 def _format_advice(weights: PublishedWeights, file: PublishedFile | None = None) -> str:
-    """Advice where there is no way to the internet."""
     named, page = (weights.names, weights.address) if file is None or file.page is None else (file.name, file.page)
     return f"get {named} from {page} with a browser, then run: {weights.how_to_import}"
 
