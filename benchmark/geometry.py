@@ -80,11 +80,8 @@ def axes_overlap(
 ) -> Bools:
     """The test of `boxes_overlap` for callers that test each box many times and know its direction already.
 
-    Args:
-        dx: (...) from the centre of the first box to that of the second.
-        dy: (...) the same.
-        cos: (...) of the angle between their headings; of either sign, of any turn.
-        sin: (...) the same.
+    ``dx`` and ``dy`` go from the centre of the first box to that of the second; ``cos`` and ``sin`` are of the angle
+    between their headings, of either sign and of any turn.
     """
     cos, sin = np.abs(cos), np.abs(sin)
     overlap: Bools | None = None
@@ -132,10 +129,7 @@ def to_global(points: Floats, pose: Floats) -> Floats:
 
 
 def poses_between(first: Floats, second: Floats, fraction: Floats) -> Floats:
-    """(..., 3) poses between two, 0 at the first and 1 at the second: linear position, shortest-arc heading.
-
-    The yaw is not wrapped.
-    """
+    """(..., 3) poses between two, 0 at the first and 1 at the second: linear, along the shorter arc, yaw not wrapped."""
     first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
     step = second - first
     step[..., 2] = wrap_angle(step[..., 2])
