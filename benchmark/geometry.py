@@ -129,7 +129,7 @@ def to_global(points: Floats, pose: Floats) -> Floats:
 
 
 def poses_between(first: Floats, second: Floats, fraction: Floats) -> Floats:
-    """(..., 3) poses between two, 0 at the first and 1 at the second: linear, along the shorter arc, yaw not wrapped."""
+    """(..., 3) poses between two, 0 at the first and 1 at the second: linear, along the shorter arc, not wrapped."""
     first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
     step = second - first
     step[..., 2] = wrap_angle(step[..., 2])
