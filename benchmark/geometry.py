@@ -171,19 +171,13 @@ def directions_of(vectors: Floats) -> Floats:
 
 
 def yaw_of_quaternion(quaternion: Floats) -> Floats:
-    """Heading of the rotated x axis, seen from above, in radians, [-pi, pi].
-
-    Quaternions are (..., 4) w, x, y, z and need not be normalised.
-    """
+    """Heading of the rotated x axis from above, radians in [-pi, pi]; (..., 4) w, x, y, z need not be normalised."""
     w, x, y, z = np.moveaxis(np.asarray(quaternion, np.float64), -1, 0)
     return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 def rotation_matrix(quaternion: Floats) -> Floats:
-    """(..., 3, 3) matrices of quaternions (..., 4) w, x, y, z, normalised here.
-
-    They turn local vectors into the parent frame.
-    """
+    """(..., 3, 3) matrices of quaternions (..., 4) w, x, y, z, normalised here, that turn local vectors into the parent."""
     quaternion = np.asarray(quaternion, np.float64)
     w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
     rows = [

@@ -306,10 +306,7 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
 def command(
     settings: type[S], app: typer.Typer | None = None, name: str = ""
 ) -> Callable[[Callable[[S], None]], Callable[..., None]]:
-    """Decorator that makes a command of a function of its settings, as `command_function`.
-
-    It is added to ``app``, or later by `add_command`.
-    """
+    """Decorator that makes a command of a function, as `command_function`, in ``app`` or later (`add_command`)."""
 
     def made(run: Callable[[S], None]) -> Callable[..., None]:
         function = command_function(settings, run)

@@ -101,10 +101,7 @@ class FeatureRun:
 
 @dataclass(frozen=True, slots=True)
 class SplinedMotion:
-    """Smoothed motion of one agent at S samples: (S, 5) boxes and (S, 2) m/s.
-
-    ``values`` are the features that need no other agent, by name.
-    """
+    """Smoothed motion of one agent: (S, 5) boxes, (S, 2) m/s, and ``values`` of features that need no other agent."""
 
     boxes: Floats
     velocity: Floats

@@ -204,5 +204,4 @@ def _count_slots(ray: Any, address: str | None, gpus: int) -> int:
 
 
 def _first_line(error: BaseException) -> str:
-    """First line of an error of Ray, without its long explanation."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".;")

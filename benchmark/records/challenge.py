@@ -67,10 +67,7 @@ class ComparedData(Stored):
 
 
 class EntryVerdict(Stored):
-    """Verdict on an entry; ``reasons`` refuse it as a whole.
-
-    ``rules`` is the fingerprint of the rules: verdicts by others are not comparable.
-    """
+    """Verdict on an entry, refused as a whole for ``reasons``; ``rules`` is the fingerprint of comparable verdicts."""
 
     format: Literal["challenger-bench challenge verdict"] = VERDICT_FORMAT
     schema_version: Literal[1] = Field(default=1, alias="schema")

@@ -122,7 +122,6 @@ def _join_bytes(arrays: Sequence[NDArray[Any] | None]) -> bytearray:
 
 
 def _compute_offsets(layout: Layout) -> list[tuple[tuple[int, ...], np.dtype[Any], int] | None]:
-    """Shape, type and first byte of each array."""
     places: list[tuple[tuple[int, ...], np.dtype[Any], int] | None] = []
     place = 0
     for entry in layout:

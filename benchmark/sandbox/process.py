@@ -139,7 +139,6 @@ class PlannerProcess:
         self._end()
 
     def _listen(self, deadline: float) -> None:
-        """Wait until an answer begins to arrive."""
         beats, heard = self._shelf.beats(), time.monotonic()
         while not self._asker.wait(select.POLLIN, min(deadline - time.monotonic(), _LOOK_S)):
             now = time.monotonic()

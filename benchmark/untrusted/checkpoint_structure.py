@@ -294,7 +294,6 @@ def _table(loaded: Any, places: dict[str, tuple[int, int]], limits: Limits) -> d
 
 
 def _describe_tensor(tensor: _TensorStandIn, numbers: dict[str, int]) -> tuple[Any, ...]:
-    """Type, storage, first element, shape and strides, as said."""
     storage, item = tensor.storage, ITEM_BYTES.get(tensor.name)
     if storage is None or item is None or not storage.name:
         return "", 0, 0, [], []

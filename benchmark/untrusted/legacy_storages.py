@@ -80,7 +80,6 @@ def _array_from_buffer(buffer: bytes, kind: NumberType, shape: tuple[int, ...], 
 
 
 def _scalar(kind: NumberType, data: bytes) -> Any:
-    """Stand-in that rebuilds a number in pickles."""
     return np.frombuffer(data, kind.dtype, count=1)[0]
 
 
@@ -156,8 +155,6 @@ class LegacyStorage:
 
 
 class _StorageClass:
-    """Stands for a class of storages."""
-
     __slots__ = ("name",)
 
     def __init__(self, name: str) -> None:
@@ -168,8 +165,6 @@ class _StorageClass:
 
 
 class _StorageId:
-    """A storage as declared by a persistent id."""
-
     __slots__ = ("count", "key", "kind")
 
     def __init__(self, kind: str, key: str, count: int) -> None:

@@ -116,8 +116,6 @@ def _measure_difference(sizes: list[NDArray[Any]], others: list[NDArray[Any]]) -
 
 @dataclass(slots=True)
 class _Tally:
-    """Known facts about one quantity so far."""
-
     tolerance: float
     error: float = 0.0
     count: int = 0
@@ -225,7 +223,6 @@ class Comparison:
         return results
 
     def _kept(self, quantity: str, sizes: NDArray[Any], tolerance: float | None) -> _Tally:
-        """Tally of a quantity of which some more is compared now."""
         quantity = self._before + quantity
         if self.remembers:
             self._sizes.setdefault(quantity, []).append(np.array(sizes))

@@ -119,5 +119,4 @@ def make_synthetic_tensor(
 
 
 def _find_matching(rules: Mapping[str, _Value], name: str) -> _Value | None:
-    """Value of the first rule whose expression is found in the name."""
     return next((value for expression, value in rules.items() if re.search(expression, name)), None)

@@ -56,7 +56,6 @@ def read_checkpoint(path: Path) -> UntrustedCheckpoint:
 
 
 def _numbers(data: NDArray[np.uint8], number_type: str, *, swapped: bool) -> "Tensor":
-    """The whole of a storage as numbers of one type."""
     # Reading untrusted files needs no PyTorch.
     import torch
 
