@@ -177,7 +177,7 @@ def yaw_of_quaternion(quaternion: Floats) -> Floats:
 
 
 def rotation_matrix(quaternion: Floats) -> Floats:
-    """(..., 3, 3) matrices of quaternions (..., 4) w, x, y, z, normalised here, that turn local vectors into the parent."""
+    """(..., 3, 3) matrices of quaternions (..., 4) w, x, y, z, normalised here: local to parent frame."""
     quaternion = np.asarray(quaternion, np.float64)
     w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
     rows = [

@@ -44,14 +44,10 @@ class Divider:
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """One lane or lane connector; identifiers are unique in its map.
+    """One lane or lane connector: its centre line is (M, 2) metres in driving direction, M >= 2.
 
-    Attributes:
-        centerline: (M, 2) metres in driving direction, M >= 2.
-        polygon: Surface, or ``None`` where the source has none (nuScenes lane connectors).
-        successors: Identifiers of the lanes that continue it.
-        predecessors: Identifiers of the lanes that lead into it.
-        is_connector: True inside junctions (nuScenes ``lane_connector``).
+    ``polygon`` is ``None`` where the source has none (nuScenes lane connectors). Successors continue the lane,
+    predecessors lead into it, by identifier. ``is_connector`` is True inside junctions (nuScenes ``lane_connector``).
     """
 
     identifier: str

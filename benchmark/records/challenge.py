@@ -127,12 +127,10 @@ class ScoredQuantity(Stored):
 class PlannerEntryScore(Stored):
     """One planner on one entry; refused scenes count as scenes on which it collides nowhere.
 
-    Attributes:
-        adversary: Share of samples with a first contact with a changed vehicle, under ``exact``; no number in older
-            files, and where a record does not say whom contacts are with.
-        collision: Share of samples with a collision under the protocol, with any vehicle or person.
-        attributable: Share with a contact that is its fault, where the careful human survives the scene.
-        failed: Samples without a plan; they are in no rate.
+    ``adversary`` is the share of samples with a first contact with a changed vehicle, under ``exact``; no number in
+    older files, and where a record does not say whom contacts are with. ``collision`` is the share with a contact with
+    anything under the protocol, ``attributable`` with one that is its fault, where the careful human survives the
+    scene. ``failed`` samples have no plan and are in no rate.
     """
 
     adversary: ScoredQuantity = ScoredQuantity()

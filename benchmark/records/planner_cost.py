@@ -27,16 +27,12 @@ _Positive = Annotated[float, Field(ge=0.0)]
 
 
 class SceneCost(Stored):
-    """Time and memory that planning one scene took.
+    """Time and memory that planning one scene took, while ``workers`` processes planned at the same time on the machine.
 
-    Attributes:
-        planning_s: By the clock, with reading images and writing plans down.
-        latency_s: From asking to the plan for each sample in time order, after the device is done; null for samples on
-            which the planner failed.
-        peak_memory_mb: Resident memory of the process, the harness included; null where the system does not tell, and
-            where the planner runs elsewhere.
-        peak_device_mb: Memory allocated on the GPU; null without one.
-        workers: How many processes planned at the same time on the machine.
+    ``planning_s`` is by the clock, with reading images and writing plans down. ``latency_s`` is from asking to the plan
+    for each sample in time order, after the device is done; null where the planner failed. Peaks are of the process,
+    the harness included (null where the system does not tell or the planner runs elsewhere), and on the GPU (null
+    without one).
     """
 
     planning_s: _Positive

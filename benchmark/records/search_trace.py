@@ -22,12 +22,10 @@ FrameAction = Literal["track", "searched", "slowed"]
 class SearchTraceFrame(Stored):
     """Candidates and choice of an adversary in one planning frame.
 
-    Attributes:
-        did: The track that the scene was made with went on, a candidate of the search was driven, or none was allowed
-            and it went on or braked on the path that was meant.
-        candidates: (B, M) global x, y, half a second apart; none where it did not search.
-        scores: (B,) lower is better; null where infinite.
-        chosen: Which was driven; null where none was.
+    The track that the scene was made with went on, a candidate of the search was driven, or none was allowed and it
+    went on or braked on the path that was meant (``did``). ``candidates`` (B, M) are global x, y, half a second apart,
+    none where it did not search; of their ``scores`` lower is better, null is infinite. ``chosen`` is null where none
+    was driven.
     """
 
     frame: int

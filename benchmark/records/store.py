@@ -109,7 +109,7 @@ def replace_files(
 
 
 def finish_replacement(directory: Path, names: RecordFileNames = RUN_FILES) -> None:
-    """Finish a replacement that was decided when its command was killed, or drop it; no other process may write there."""
+    """Finish a replacement that was decided when its command died, else drop it; no other process may write there."""
     if _is_decided(directory, names):
         _rename(directory, names)
     with writing_to(directory):

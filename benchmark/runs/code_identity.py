@@ -1,12 +1,11 @@
 """Identity of planner code: a hash by which a cached plan is recognised as stale.
 
-Of this project all of `benchmark` and `adapters` counts, but for what no plan depends on (`APART`) and for extensions
-that the planner does not use. Of other code those modules count that the planner's module imports, directly and through
-others, also inside functions: all that is neither Python's nor an installed library's, and its own package wherever it
-is installed. A module counts as its syntax tree without docstrings, comments and the form of its lines.
-
-What a planner loads under names that it makes up while it plans is known afterwards alone (`hash_loaded_code`, in the
-process that it has); it is kept with the plans, which are stale when any of it has changed (`is_current`).
+All of `benchmark` and `adapters` counts, but for what no plan depends on (`APART`) and for extensions that the planner
+does not use; of other code the planner's own package, and modules that its module imports, directly, through others or
+inside functions, unless they are Python's or an installed library's. A module counts as its syntax tree without
+docstrings, comments and the form of its lines. What a planner loads under names that it makes up while it plans is
+known afterwards alone (`hash_loaded_code`); it is kept with the plans, which are stale when any of it changed
+(`is_current`).
 """
 
 import ast
