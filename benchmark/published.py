@@ -116,7 +116,7 @@ nuScenes-val-R is not published."""
 
 @dataclass(frozen=True, slots=True)
 class PublishedResult:
-    """A planning result in print, by any publication, at 1 s, 2 s, 3 s and their average; empty where it is not printed.
+    """A planning result in print, at 1 s, 2 s, 3 s and their average; values are empty where it is not printed.
 
     ``ours`` names the planner here, empty where it is not known which of them it is. ``protocol`` is the one here that
     it was computed by, or None; ``by`` has it in words. ``column`` is ``collision`` in per cent or ``l2`` in metres.

@@ -48,7 +48,7 @@ class BuildOutcome:
 
 
 def list_splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[SplitToBuild, ...]:
-    """Splits that a command builds, one without ``--seeds``; only edited scenes are compared with the recordings."""
+    """Splits that a command builds, one without ``--seeds``; recordings are opened only to compare edited scenes."""
     from generation.splits.format import require_freezable
     from generation.splits.packaged import format_seed_path, parse_seeds, read_frozen_of_seed, read_frozen_split
 

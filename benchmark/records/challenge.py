@@ -67,7 +67,7 @@ class ComparedData(Stored):
 
 
 class EntryVerdict(Stored):
-    """Verdict on an entry, refused as a whole for ``reasons``; ``rules`` is the fingerprint of comparable verdicts."""
+    """Verdict on an entry, refused as a whole for ``reasons``; verdicts by other ``rules`` are not comparable."""
 
     format: Literal["challenger-bench challenge verdict"] = VERDICT_FORMAT
     schema_version: Literal[1] = Field(default=1, alias="schema")

@@ -27,7 +27,7 @@ _Positive = Annotated[float, Field(ge=0.0)]
 
 
 class SceneCost(Stored):
-    """Time and memory that planning one scene took, while ``workers`` processes planned at the same time on the machine.
+    """Time and memory that planning one scene took, while ``workers`` processes planned on the machine.
 
     ``planning_s`` is by the clock, with reading images and writing plans down. ``latency_s`` is from asking to the plan
     for each sample in time order, after the device is done; null where the planner failed. Peaks are of the process,

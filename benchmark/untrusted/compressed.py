@@ -1,4 +1,4 @@
-"""Foreign archives: xz-compressed pickles and files, counted as they unpack, and zip files that store as is."""
+"""Foreign archives: xz-compressed pickles and files, counted as they unpack, and zip files of uncompressed members."""
 
 import io
 import lzma

@@ -1,4 +1,4 @@
-"""Foreign JSON, TOML and YAML, with limits on bytes, values and nesting; all text can be written again."""
+"""Foreign JSON, TOML and YAML, with limits on bytes, values and nesting, and no text that cannot be written again."""
 
 import codecs
 import json

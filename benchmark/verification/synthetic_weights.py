@@ -32,9 +32,9 @@ Expression = Annotated[str, AfterValidator(_expression)]
 class WeightsRecipe(BaseModel):
     """How the weights of a golden set are made; its ``manifest.json`` may hold more than this.
 
-    ``salt`` tells one set from another, ``std_rules`` are those of `make_synthetic_tensor`, and ``shift_rules`` add a number
-    or a list to synthetic entries. ``constant_overrides`` are one number throughout. ``kept_buffers`` keep their real values:
-    by name, or names alone where the values lie in another file.
+    ``salt`` tells one set from another, ``std_rules`` are those of `make_synthetic_tensor`, and ``shift_rules`` add a
+    number or a list to synthetic entries. ``constant_overrides`` are one number throughout. ``kept_buffers`` keep their
+    real values, given by name; names alone where the values lie in another file.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
