@@ -100,6 +100,7 @@ def _find_near(boxes: Floats, others: Floats, present: Bools) -> tuple[Bools, Bo
 
 
 def _lasts_longer_than(flags: Bools, seconds: Floats, longer_than: float) -> bool:
+    """Whether any row of (M, F) flags stays up for longer than so many seconds."""
     for row in flags[flags.any(axis=1)]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8))).reshape(-1, 2)
         if (seconds[edges[:, 1] - 1] - seconds[edges[:, 0]] > longer_than).any():

@@ -23,7 +23,7 @@ def disable_malloc_trim_for(*weights_sha256: str | None) -> None:
 
 
 def disable_malloc_trim() -> bool:
-    """Let this process keep what it frees, to use it again; False where the C library is not glibc, which has the switch."""
+    """Let this process keep what it frees, to use it again; False where the C library is not glibc."""
     if not sys.platform.startswith("linux"):
         return False
     try:

@@ -67,6 +67,7 @@ class AblationRow(Stored):
     @model_validator(mode="before")
     @classmethod
     def _without_the_papers_number(cls, value: Any) -> Any:
+        """Earlier records quote the paper in each row."""
         return (
             {name: member for name, member in value.items() if name != "paper_rate"}
             if isinstance(value, dict)

@@ -63,6 +63,7 @@ class ClosedLoopDefinition(Stored):
 
 
 def _without_empty(written: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Without fields that say nothing: they are younger than records that must stay the same bytes."""
     return {name: value for name, value in written.items() if name not in names or value}
 
 

@@ -354,6 +354,7 @@ def _format_damage(path: Path, where: str, why: str) -> str:
 
 
 def _named_rows(directory: Path) -> tuple[Path, str] | None:
+    """Path of a record's rows and the hash that it names, if its schema is the present one."""
     with contextlib.suppress(InputError):
         head = stored_head(directory)
         if head["schema"] == SCHEMA:

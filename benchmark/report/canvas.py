@@ -263,6 +263,7 @@ def split_into_dashes(line: Floats, pattern: Dash) -> list[Floats]:
 
 
 def _split(view: GroundView, lines: Sequence[Floats]) -> list[NDArray[np.int32]]:
+    """Lines in fixed point, by one product."""
     fixed = view.fixed(np.concatenate(lines))
     ends = np.cumsum([len(line) for line in lines]).tolist()
     return [fixed[begin:end] for begin, end in zip([0, *ends], ends)]

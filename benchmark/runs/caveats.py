@@ -127,6 +127,7 @@ def collect_inputs(scenes: Mapping[str, SceneFacts]) -> dict[str, InputFacts]:
 
 
 def _format_scenes(names: Sequence[str], scenes: Mapping[str, object]) -> str:
+    """Scenes in words; one is named, several are counted."""
     return names[0] if len(names) == 1 else f"{len(names)} of {pluralise(len(scenes), 'scene')}"
 
 

@@ -216,6 +216,7 @@ def _with_parents(module: str) -> list[str]:
 
 
 def _own_file(module: str) -> Path | None:
+    """The file of a module that is neither Python's nor an installed library's."""
     top = module.partition(".")[0]
     if top in sys.stdlib_module_names or top in _LIBRARIES:
         return None
@@ -224,6 +225,7 @@ def _own_file(module: str) -> Path | None:
 
 
 def _is_in_project_hash(file: Path) -> bool:
+    """Whether a file is this project's, and no extension's."""
     root = Path(__file__).parents[2]
     parts = file.relative_to(root).parts if file.is_relative_to(root) else ("",)
     return parts[0] in OURS and "extensions" not in parts

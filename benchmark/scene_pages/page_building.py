@@ -258,6 +258,7 @@ def _compute_key(job: PageJob, scene: str, keyframes: Videos, sweeps: Videos) ->
 
 
 def _find_cached_page(job: PageJob, scene: str, key: str) -> ScenePage | None:
+    """The sheet that is there, if it is what would be written, whole."""
     folder = job.folder(scene)
     if open_page_store(folder).get(key, KEY) is None:
         return None

@@ -1,4 +1,4 @@
-"""Foreign archives: xz-compressed pickles and files, counted as they unpack, and zip files of uncompressed members."""
+"""Foreign archives: xz pickles and files, counted as they unpack, and zip files stored as is, so that none grows."""
 
 import io
 import lzma

@@ -71,6 +71,7 @@ def _fetch_from_hub(weights: PublishedWeights, folder: Path) -> None:
 
 
 def _format_advice(weights: PublishedWeights, file: PublishedFile | None = None) -> str:
+    """Advice where there is no way to the internet."""
     named, page = (weights.names, weights.address) if file is None or file.page is None else (file.name, file.page)
     return f"get {named} from {page} with a browser, then run: {weights.how_to_import}"
 
