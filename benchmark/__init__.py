@@ -1,8 +1,7 @@
 """The harness, and the Python face of all four packages: every command has its function here (docs/python.md).
 
-Which names there are, and where each is defined, is declared in ``__init__.pyi``, which type checkers read too. Names
-are looked up when they are asked for, so that ``import benchmark`` answers at once and a missing extra breaks only what
-needs it.
+``__init__.pyi`` declares the names and where each is defined, for type checkers too. They are looked up when they are
+asked for, so that ``import benchmark`` answers at once and a missing extra breaks only what needs it.
 """
 
 import ast

@@ -14,12 +14,9 @@ BOX_EDGES: Final = tuple((a, b) for a in range(8) for b in range(a + 1, 8) if bi
 
 
 def interpolate_agents(scene: Scene, timestamp_us: int) -> tuple[Floats, Floats, Bools]:
-    """The N agents at a time in microseconds, between frames interpolated.
+    """(N, 3) box centres, (N,) headings and (N,) presence of the agents at a time in microseconds, interpolated.
 
     Outside the scene as in its first or last frame.
-
-    Returns:
-        (N, 3) box centres, (N,) headings, (N,) whether each is there.
     """
     times = scene.timestamps_us
     after = int(np.clip(np.searchsorted(times, timestamp_us), 1, max(len(times) - 1, 1))) if len(times) > 1 else 0
@@ -41,10 +38,7 @@ def compute_box_corners(position: Floats, yaw: float, size: Floats) -> Floats:
 
 
 def to_camera(points: Floats, global_T_ego: Floats, camera: Camera) -> Floats:
-    """Global (P, 3) points in camera axes, x right, y down, z forward.
-
-    The ego's (4, 4) pose is that at the exposure.
-    """
+    """Global (P, 3) points in camera axes, x right, y down, z forward, by the ego's (4, 4) pose at the exposure."""
     in_ego = (points - global_T_ego[:3, 3]) @ global_T_ego[:3, :3]
     return np.asarray((in_ego - camera.translation) @ rotation_matrix(camera.rotation))
 

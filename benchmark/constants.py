@@ -1,7 +1,4 @@
-"""Every number that more than one module must agree on.
-
-Lengths are metres, times seconds, frequencies hertz.
-"""
+"""Every number that more than one module must agree on: lengths in metres, times in seconds, frequencies in hertz."""
 
 from typing import Final
 

@@ -13,10 +13,7 @@ class InputError(Exception):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Question of a message whose name is nearly a known one: ``did you mean uniad or uniad-mini? ``.
-
-    It names the closest three at most, and is empty where none is close.
-    """
+    """Question on the closest three names at most, ``did you mean uniad or uniad-mini? ``; empty if none is close."""
     close = difflib.get_close_matches(name, sorted(set(known)))
     *others, last = close or [""]
     return f"did you mean {', '.join(others)}{' or ' if others else ''}{last}? " if last else ""

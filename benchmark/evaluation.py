@@ -1,10 +1,9 @@
 """The main path of an evaluation: plan every sample, judge every plan, write the record.
 
-Read from the top: `evaluate` chooses scenes, hands each to `benchmark.runs.scene_work`, and writes what comes back. One
-scene is one unit of work, because planners have memory; of planners whose memory outlives a change of scene the whole
-split is (`benchmark.runs.scene_work`). What the planner said about a scene is kept under a content key
-(`benchmark.runs.plan_rows`), so the same command goes on where it stopped; verdicts are computed anew each time, so a
-changed protocol never needs the planner.
+`evaluate` chooses scenes, hands each to `benchmark.runs.scene_work`, and writes the record. One scene is one unit of
+work, because planners have memory; of planners whose memory outlives a change of scene the whole split is. Plans of a
+scene are kept under a content key (`benchmark.runs.plan_rows`), so the same command goes on where it stopped; verdicts
+are computed anew each time, so a changed protocol never needs the planner.
 """
 
 import time
@@ -116,7 +115,7 @@ def _describe_all_rejected(data: "DataSet", split: str) -> str:
 def require_whole_split(planner: str, scenes: object, limit: int | None, workers: int) -> None:
     """Refuse a part of a split, or several processes, for a planner whose memory outlives a change of scene.
 
-    The arguments are those of ``--scenes``, ``--limit`` and ``--workers``; the default of the latter means one process.
+    The default number of workers means one process.
     """
     given = {"--scenes": scenes is not None, "--limit": limit is not None, f"--workers {workers}": workers > 1}
     wrong = next((option for option, is_given in given.items() if is_given), None)
@@ -165,10 +164,7 @@ def evaluate_together(
     *,
     reopen: Callable[[], "DataSet"] | None = None,
 ) -> list[RunRecord]:
-    """`evaluate` for several planners, each with its settings; those that need no network read each scene together.
-
-    The records are the same as one by one.
-    """
+    """`evaluate` for several planners, with the same records; those that need no network read each scene together."""
     records: dict[int, RunRecord] = {}
     waiting: dict[int, _PreparedRun] = {}
     # Networks last, in any order of names: planners without one then run together, and a network is loaded in
@@ -218,8 +214,6 @@ def plan_shard(
 
 @dataclass(frozen=True, slots=True)
 class _PreparedRun:
-    """A run that is about to begin."""
-
     run: EvaluationJob
     ready: Planner
     factory: PlannerFactory | None
@@ -279,7 +273,6 @@ def _evaluate_runs(
     out: Path,
     reopen: Callable[[], "DataSet"] | None,
 ) -> list[RunRecord]:
-    """Records of runs that go together, or of a single one."""
     if not planned:
         return []
     runs, workers, scenes = [prepared.run for prepared in planned], planned[0].settings.workers, planned[0].scenes
@@ -329,7 +322,6 @@ def _write_run(
     out: Path,
     categories: CategoryNames,
 ) -> RunRecord:
-    """Write the record of one run."""
     facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
     run_facts = {
         **shared,
@@ -378,10 +370,7 @@ def _iterate_results(
     *,
     sure: bool,
 ) -> Iterator[list[SceneResult]]:
-    """Results in the order of the scenes.
-
-    The first scene is done here and tells whether more processes pay, unless that is ``sure``.
-    """
+    """Results in order of scenes; the first is done here and tells whether more processes pay, unless ``sure``."""
     if elsewhere is not None and sure:
         yield from map_ordered(elsewhere, scenes, workers=workers, label=label)
         return

@@ -80,11 +80,8 @@ def axes_overlap(
 ) -> Bools:
     """The test of `boxes_overlap` for callers that test each box many times and know its direction already.
 
-    Args:
-        dx: (...) from the centre of the first box to that of the second.
-        dy: (...) the same.
-        cos: (...) of the angle between their headings; of either sign, of any turn.
-        sin: (...) the same.
+    ``dx`` and ``dy`` go from the centre of the first box to that of the second; ``cos`` and ``sin`` are of the angle
+    between their headings, of either sign and of any turn.
     """
     cos, sin = np.abs(cos), np.abs(sin)
     overlap: Bools | None = None
@@ -132,10 +129,7 @@ def to_global(points: Floats, pose: Floats) -> Floats:
 
 
 def poses_between(first: Floats, second: Floats, fraction: Floats) -> Floats:
-    """(..., 3) poses between two, 0 at the first and 1 at the second: linear position, shortest-arc heading.
-
-    The yaw is not wrapped.
-    """
+    """(..., 3) poses between two, 0 at the first and 1 at the second: linear, along the shorter arc, not wrapped."""
     first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
     step = second - first
     step[..., 2] = wrap_angle(step[..., 2])
@@ -177,19 +171,13 @@ def directions_of(vectors: Floats) -> Floats:
 
 
 def yaw_of_quaternion(quaternion: Floats) -> Floats:
-    """Heading of the rotated x axis, seen from above, in radians, [-pi, pi].
-
-    Quaternions are (..., 4) w, x, y, z and need not be normalised.
-    """
+    """Heading of the rotated x axis from above, radians in [-pi, pi]; (..., 4) w, x, y, z need not be normalised."""
     w, x, y, z = np.moveaxis(np.asarray(quaternion, np.float64), -1, 0)
     return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 def rotation_matrix(quaternion: Floats) -> Floats:
-    """(..., 3, 3) matrices of quaternions (..., 4) w, x, y, z, normalised here.
-
-    They turn local vectors into the parent frame.
-    """
+    """(..., 3, 3) matrices of quaternions (..., 4) w, x, y, z, normalised here: local to parent frame."""
     quaternion = np.asarray(quaternion, np.float64)
     w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
     rows = [

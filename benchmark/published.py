@@ -45,11 +45,9 @@ TABLE_1_SOURCE: Final = f"{PAPER}, Table 1"
 
 @dataclass(frozen=True, slots=True)
 class PublishedRate:
-    """One row of the paper's Table 1.
+    """One row of the paper's Table 1, under the protocol of the model's own repository, which it quotes.
 
-    Attributes:
-        protocol: Protocol of the model's own repository, which the row quotes.
-        percent: Collision rate at 1 s, 2 s, 3 s and their average, per cent, as printed.
+    ``percent`` is the collision rate at 1 s, 2 s, 3 s and their average, as printed.
     """
 
     model: str
@@ -118,14 +116,10 @@ nuScenes-val-R is not published."""
 
 @dataclass(frozen=True, slots=True)
 class PublishedResult:
-    """A planning result in print, by any publication.
+    """A planning result in print, at 1 s, 2 s, 3 s and their average; values are empty where it is not printed.
 
-    Attributes:
-        ours: Names of the planner here; empty where it is not known which of them it is.
-        protocol: Protocol here that it was computed by, or None.
-        by: The same in words.
-        column: ``collision`` in per cent or ``l2`` in metres.
-        values: At 1 s, 2 s, 3 s and their average as printed; empty where it is not printed.
+    ``ours`` names the planner here, empty where it is not known which of them it is. ``protocol`` is the one here that
+    it was computed by, or None; ``by`` has it in words. ``column`` is ``collision`` in per cent or ``l2`` in metres.
     """
 
     planner: str
@@ -198,9 +192,9 @@ PUBLISHED_RESULTS: Final[tuple[PublishedResult, ...]] = (
 
 
 def find_published_results(model: str, protocol: str) -> tuple[PublishedResult, ...]:
-    """Printed values of a published checkpoint on the nuScenes validation split, under one protocol.
+    """Printed values of a checkpoint that ``model``, ours, loads, on the nuScenes validation split, under one protocol.
 
-    A number that is printed twice was measured twice. ``model`` is our model that loads the checkpoint.
+    A number that is printed twice was measured twice.
     """
     return tuple(
         result
@@ -211,12 +205,10 @@ def find_published_results(model: str, protocol: str) -> tuple[PublishedResult, 
 
 @dataclass(frozen=True, slots=True)
 class PublishedNeuroncapResult:
-    """A result in NeuroNCAP's closed loop.
+    """A result in NeuroNCAP's closed loop; texts are empty where it is not printed.
 
-    Attributes:
-        scores: NeuroNCAP score of all, stationary, frontal and side encounters; empty where it is not printed.
-        collision: Collision rate of all encounters, per cent; empty where it is not printed.
-        renderer: Which NeuRAD drew the images: it is part of what was measured.
+    ``scores`` are of all, stationary, frontal and side encounters, ``collision`` is the rate of all in per cent. The
+    renderer is the NeuRAD that drew the images: it is part of what was measured.
     """
 
     planner: str

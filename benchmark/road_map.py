@@ -31,13 +31,9 @@ class DividerKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Divider:
-    """A painted or unpainted line between lanes (``lane_divider``) or directions (``road_divider``).
+    """A painted or unpainted line between lanes or directions: (M, 2) metres, M >= 2.
 
-    Attributes:
-        identifier: Unique in its map.
-        line: (M, 2) metres, M >= 2.
-        kind: Paint.
-        between_directions: True for a nuScenes ``road_divider``, False for a ``lane_divider``.
+    ``between_directions`` is True for a nuScenes ``road_divider``, False for a ``lane_divider``.
     """
 
     identifier: str
@@ -48,15 +44,10 @@ class Divider:
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """One lane or lane connector.
+    """One lane or lane connector: its centre line is (M, 2) metres in driving direction, M >= 2.
 
-    Attributes:
-        identifier: Unique in its map.
-        centerline: (M, 2) metres in driving direction, M >= 2.
-        polygon: Surface, or ``None`` where the source has none (nuScenes lane connectors).
-        successors: Identifiers of the lanes that continue it.
-        predecessors: Identifiers of the lanes that lead into it.
-        is_connector: True inside junctions (nuScenes ``lane_connector``).
+    ``polygon`` is ``None`` where the source has none (nuScenes lane connectors). Successors continue the lane,
+    predecessors lead into it, by identifier. ``is_connector`` is True inside junctions (nuScenes ``lane_connector``).
     """
 
     identifier: str
@@ -69,20 +60,14 @@ class Lane:
 
 @dataclass(frozen=True, slots=True)
 class RoadMap:
-    """Vector layers of one place, planar, global frame, metres.
+    """Vector layers of one place, planar, global frame, metres; surfaces are by identifier.
 
     Attributes:
         location: nuScenes location name.
         drivable_area: Everything a car may drive on, one geometry with holes.
-        lanes: Lanes and connectors by identifier.
-        dividers: Lane and road dividers.
-        ped_crossings: Crossing surfaces by identifier.
-        walkways: Pavements by identifier.
-        road_segments: Road surfaces by identifier; ``intersections`` names those that are junctions.
-        intersections: Identifiers in ``road_segments``.
-        stop_lines: Stop areas by identifier.
-        carparks: Parking surfaces by identifier.
-        road_blocks: Road surfaces of one driving direction by identifier (nuScenes ``road_block``).
+        walkways: Pavements.
+        road_segments: ``intersections`` names those that are junctions.
+        road_blocks: Road surfaces of one driving direction (nuScenes ``road_block``).
         canvas_m: Width and height of the whole map.
     """
 
@@ -109,14 +94,7 @@ class RoadMap:
         return self._lane_bounds[0]
 
     def is_drivable(self, points: Floats) -> Bools:
-        """Exact point test against the drivable polygons; the border counts as drivable.
-
-        Args:
-            points: (..., 2) metres, global.
-
-        Returns:
-            (...) verdicts.
-        """
+        """(...) exact tests of (..., 2) global metres against the drivable polygons; the border counts as drivable."""
         points = np.asarray(points, np.float64)
         return np.asarray(shapely.intersects_xy(self.drivable_area, points[..., 0], points[..., 1]), dtype=np.bool_)
 
@@ -179,11 +157,7 @@ class DrivableRaster:
     def around(
         cls, road_map: RoadMap, pose: Floats, *, half_extent_m: float = 50.0, resolution_m: float = 0.5
     ) -> "DrivableRaster":
-        """Rasterise the map around a (3,) global pose; a cell is drivable when its centre node is.
-
-        Args:
-            half_extent_m: Half the side of the square.
-        """
+        """Rasterise a square of the map around a (3,) global pose; a cell is drivable when its centre node is."""
         count = round(2 * half_extent_m / resolution_m)
         steps = (np.arange(count) * resolution_m) - half_extent_m
         pose = np.asarray(pose, np.float64)

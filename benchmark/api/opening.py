@@ -1,7 +1,4 @@
-"""Data sets and their splits, opened, or made where the embedded ones are not there yet.
-
-How functions of the public face say something to the person who waits.
-"""
+"""Data sets and their splits, opened, or made where the embedded ones are not there yet, saying so to the user."""
 
 import sys
 from pathlib import Path

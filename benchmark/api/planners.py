@@ -123,11 +123,8 @@ def planner_under_test(
 class PlannerSource:
     """Planners by name that are checked before anything is built, and loaded when they are needed.
 
-    Attributes:
-        sample_limit: Seconds that a planner of another package may take for a plan.
-        memory_limit: GiB that one may hold.
-        frame: In which a model server, or a file, plans.
-        deadline_s: How long a model server may take; its own limit by default.
+    ``sample_limit`` (seconds for a plan) and ``memory_limit`` (GiB) are of planners of other packages. ``frame`` is the
+    one in which a model server, or a file, plans; a model server has a limit of its own beside ``deadline_s``.
     """
 
     names: "Sequence[str]"
@@ -147,20 +144,14 @@ class PlannerSource:
     def of(cls, options: Any, **others: Any) -> "PlannerSource":
         """Planners that options of a command name, not checked yet; ``others`` take the place of options.
 
-        Args:
-            options: Those of them that are called as the attributes here count; ``model`` is one name or several.
+        Options count that are called as the attributes here; ``model`` is one name or several.
         """
         named = getattr(options, "model", ())
         values = {**select_matching_options(cls, options), "names": (named,) if isinstance(named, str) else named}
         return cls(**{**values, "as_published": values.get("as_published") or (), **others})
 
     def require(self) -> "PlannerSource":
-        """Itself, once all planners are known, have weights, and can run so.
-
-        Raises:
-            InputError: If one is unknown, weights are absent, there is no such device or precision, or a limit is no
-                such number or has no planner that it is for.
-        """
+        """Itself, once all planners are known, have weights, and can run so; a limit needs a planner that it is for."""
         from adapters.models import MODELS
 
         for runs in self.runnable_names:
@@ -183,11 +174,7 @@ class PlannerSource:
             )
 
     def require_servers(self, sensor: str = "none", *, tensors: bool = False) -> None:
-        """Refuse servers that do not answer, and options that are about servers where none is named.
-
-        Raises:
-            InputError: If one is no address, does not answer, or a model behind HTTP would be sent no pictures.
-        """
+        """Refuse servers that do not answer or would get no pictures, and options of servers where none is named."""
         from benchmark.machine.address import Address, is_address
         from benchmark.machine.extension import import_from_extension, require_package
 
@@ -207,8 +194,7 @@ class PlannerSource:
     def remembers_across_scenes(self) -> bool:
         """Whether any planner repeats a behaviour of published runs that makes plans depend on the scenes before.
 
-        Raises:
-            InputError: If a planner has no such behaviour.
+        A planner without such a behaviour is refused where one is asked for.
         """
         from adapters.as_published import CROSS_SCENES, select_options
         from adapters.models import MODELS

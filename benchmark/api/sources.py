@@ -1,7 +1,4 @@
-"""Data sets by name: what is known of one before it is opened or built, and the data set itself when it is needed.
-
-Options of commands as what they become.
-"""
+"""Data sets by name: what is known of one before it is opened or built, and the data set itself when it is needed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -48,12 +45,10 @@ class SourcePreview:
 
 @dataclass(frozen=True, slots=True)
 class DataSource:
-    """A data set that is checked at once and opened, or built, when it is needed.
+    """A data set (``mini``, ``demo`` or a root) that is checked at once and opened, or built, when it is needed.
 
-    Attributes:
-        data: ``mini``, ``demo`` or the root of a nuScenes-format data set.
-        workers: Processes that build what is absent; 0 takes all processors.
-        categories: What categories mean that are not nuScenes'.
+    ``workers`` processes build what is absent, 0 takes all processors. ``categories`` says what those mean that are not
+    nuScenes'.
     """
 
     data: str
@@ -109,14 +104,9 @@ class DataSource:
         return SourcePreview(_choose_scenes(of_split if scenes is None else self._listed(None), split, scenes, limit))
 
     def require_split(self, split: str, scenes: Sequence[str] | None = None, limit: int | None = None) -> SourcePreview:
-        """Scenes of a split that is there or will be built, and the builds.
+        """Scenes of a split that is there or will be built (generated ones of the embedded data), and the builds.
 
-        A missing data set, split or scene is refused.
-
-        Generated splits of the embedded data are built where they are absent.
-
-        Raises:
-            InputError: If there is no such data set, split or scene, or no room or right to build what is absent.
+        A missing data set, split or scene is refused, and a build without room or right.
         """
         from benchmark.datasets.split_names import NoSuchSplitError
         from benchmark.datasets.statistics import list_scenes
@@ -144,11 +134,7 @@ class DataSource:
         return SourcePreview(_choose_scenes(of_split, split, scenes, limit))
 
     def require_room_to_draw(self, split: str, *, scenes: int, size: tuple[int, int], frames: str) -> None:
-        """Refuse a split made from it that the disk has no room for, where none of it has been made yet.
-
-        Args:
-            scenes: How many there will be, at least.
-        """
+        """Refuse a split of ``scenes`` or more that the disk has no room for, where none of it has been made yet."""
         folder = workspace(self.out).split_root(Path(self.data).resolve().name, split)
         if not folder.exists():
             require_room(folder, estimate_town_bytes(scenes, size, frames), f"split {split}", "--out")

@@ -1,8 +1,6 @@
-"""The command line: which commands there are, and errors of the user as one sentence and exit code 2.
+"""The command line: our commands and those of extensions; errors of the user are one sentence and exit code 2.
 
-Text on terminals whose encoding lacks some of its characters: the closest ASCII stands for them.
-
-Commands of extensions: our own from the table of offers, those of other packages by an entry point.
+On terminals whose encoding lacks some characters, the closest ASCII stands for them.
 """
 
 import codecs

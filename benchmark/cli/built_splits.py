@@ -31,12 +31,7 @@ SEARCH_OPTIONS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class SplitToBuild:
-    """One split of a command.
-
-    Attributes:
-        freeze: File to freeze it to.
-        frozen: What it is built from, without a search.
-    """
+    """One split of a command: frozen to the file ``freeze``, or built from ``frozen`` without a search."""
 
     split: str
     seed: int
@@ -53,10 +48,7 @@ class BuildOutcome:
 
 
 def list_splits_to_build(options: "GenerateOptions", data: "DataSource") -> tuple[SplitToBuild, ...]:
-    """Splits that a command builds, one without ``--seeds``.
-
-    The recordings are opened only for edited scenes, which are compared with them.
-    """
+    """Splits that a command builds, one without ``--seeds``; recordings are opened only to compare edited scenes."""
     from generation.splits.format import require_freezable
     from generation.splits.packaged import format_seed_path, parse_seeds, read_frozen_of_seed, read_frozen_split
 
@@ -164,11 +156,7 @@ def build_shards(
     *,
     json_output: bool,
 ) -> None:
-    """Do one shard of each split and say what comes next.
-
-    Args:
-        again: Options that lead another command to the same place.
-    """
+    """Do one shard of each split and say what comes next; ``again`` leads another command to the same place."""
     from generation.pipeline.shards import build_shard, draw_frozen_shard
 
     finished_shards = []
@@ -208,11 +196,7 @@ def require_shardable(shard: "Shard | None", surrogate: str | None, executor: "E
 def print_built_splits(
     wanted: "Sequence[SplitToBuild]", settings: "Sequence[BuildSettings]", again: str, *, json_output: bool
 ) -> None:
-    """Say where the built splits are, and what comes next.
-
-    Args:
-        again: Options that lead another command to them.
-    """
+    """Say where the built splits are, and what comes next; ``again`` leads another command to them."""
     roots, files = (
         ", ".join(map(str, places))
         for places in zip(*((split_settings.out, split_settings.freeze) for split_settings in settings))

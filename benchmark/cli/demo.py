@@ -1,7 +1,4 @@
-"""``demo``: the whole story on the embedded data.
-
-The demo of all four packages, for the command line and Python (`benchmark.demo`, `benchmark.full_demo`).
-"""
+"""The demo of all four packages, for the command line and Python (`benchmark.demo`, `benchmark.full_demo`)."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -93,7 +90,6 @@ def demo(
 
 
 def _evaluate_built_in(dataset: "DataSet", split: str, out: Path, processes: int) -> "list[RunRecord]":
-    """Records of the baselines and of the miniatures."""
     from adapters.models import baselines, miniatures
     from adapters.registry import planner_factory
     from benchmark.evaluation import EvalSettings, evaluate_together

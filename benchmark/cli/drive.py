@@ -203,7 +203,6 @@ def drive_command(options: DriveOptions) -> None:
 
 
 def _settings(options: DriveOptions, scenes: tuple[str, ...] | None, place: "Executor") -> "DriveSettings":
-    """How planners are driven."""
     same = (
         *("engine", "agents", "adversary_knows", "adversary_others", "adversary_rounds", "adversary_candidates"),
         *("adversary_tracks", "keep_considered", "sensor", "accept_torch_tensors", "scenarios", "until", "runs"),

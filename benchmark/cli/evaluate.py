@@ -1,7 +1,4 @@
-"""Command that judges planners: ``eval``.
-
-Plans that others made, as ``eval`` reads and writes them: plan files, and result files of repositories.
-"""
+"""Command that judges planners, ``eval``, and plans that others made, as it reads and writes them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -37,10 +34,7 @@ if TYPE_CHECKING:
 
 
 def open_result_files(options: "EvalOptions") -> "list[RecognisedFile]":
-    """Result files of ``--results`` with their formats.
-
-    The file of ``--plans`` is checked too, before anything is built.
-    """
+    """Result files of ``--results`` with their formats; the file of ``--plans`` is checked too, before any build."""
     from adapters.plan_file import read_plan_file
     from adapters.result_files.recognition import AUTO, recognise, require_format
     from adapters.result_files.writing.formats import require_writable
@@ -265,10 +259,7 @@ def _with_native_protocol(settings: "EvalSettings", factory: "PlannerFactory") -
 
 
 def _protocols_to_show(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
-    """Protocols that ``--protocol`` asks for.
-
-    By default (``None``) exact, and the planners' own where they have one.
-    """
+    """Protocols that ``--protocol`` asks for; by default (``None``) exact, and the planners' own if they have one."""
     from benchmark.pdm.definition import PDM
     from benchmark.protocols import PROTOCOLS, find_protocol
     from benchmark.records.run import NATIVE

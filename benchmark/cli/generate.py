@@ -154,7 +154,6 @@ def generate_command(options: GenerateOptions) -> None:
 
 
 def _parse_manoeuvres(options: GenerateOptions) -> "tuple[Manoeuvre, ...]":
-    """The kinds of manoeuvre that are asked for; `InputError` for one that cannot be."""
     if not options.manoeuvres:
         return ()
     from generation.search.manoeuvre_requests import parse_manoeuvre
@@ -198,7 +197,6 @@ def _photorealistic(options: GenerateOptions) -> "Any | None":
 
 
 def _require_generated(split: str) -> None:
-    """Raise `InputError` for a split that cannot be generated."""
     from benchmark.machine.workspace import GENERATED_SPLITS
 
     if split not in GENERATED_SPLITS:

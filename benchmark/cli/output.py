@@ -50,11 +50,7 @@ def print_plan(sentences: Sequence[str], *, json_output: bool) -> None:
 
 
 def print_next_steps(where: str, *steps: tuple[str, str], json_output: bool) -> None:
-    """Print on stderr where results are and which commands come next; nothing with ``--json``.
-
-    Args:
-        steps: Commands without the program's name, and what each is for.
-    """
+    """Print on stderr where results are, and each command that comes next with its purpose; nothing with ``--json``."""
     if json_output:
         return
     typer.echo(where, err=True)
@@ -79,12 +75,7 @@ def repeat_out_option(out: Path) -> str:
 def print_shard_progress(
     shard: "Shard", found: "Sequence[ShardProgress]", did: str, step: tuple[str, str], *, json_output: bool
 ) -> None:
-    """Print what a shard did and what is left to do.
-
-    Args:
-        did: What it did with its scenes: ``driven``, ``scored``, ``searched``, ``drawn``.
-        step: The command that comes next, and what it is for.
-    """
+    """Print what a shard ``did`` (``driven``, ``scored``, ``searched``, ``drawn``), the rest, and the next command."""
     if json_output:
         print_json(
             [

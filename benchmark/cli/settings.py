@@ -2,10 +2,6 @@
 
 A field is ``Annotated[type, Option(...)]`` with a default, or without one where it has to be given. Values come from
 the command line, ``--set NAME=VALUE``, the file of ``--config`` and the defaults; the first that has one wins.
-
-Settings that stand for flags which are not given: of the file of ``--config``, and of ``--set NAME=VALUE``.
-
-Fields of settings: what the command line says of each, and as what typer takes it.
 """
 
 import dataclasses
@@ -33,10 +29,9 @@ SETTINGS_PAGE: Final = "docs/settings.md"
 class Option:
     """Presentation of a field on the command line.
 
-    Attributes:
-        names: ``--format`` or ``--site/--no-site``; the field's name by default, empty for an argument.
-        separated: Whether several values are one text, separated by commas; a file may give a list.
-        metavar: Shown for the value, if not its type.
+    ``names`` is ``--format`` or ``--site/--no-site``; the field's name by default, empty for an argument. If
+    ``separated``, several values are one text with commas; a file may give a list. ``metavar`` stands for the value in
+    place of its type.
     """
 
     help: str
@@ -173,7 +168,6 @@ def make_settings_callback(settings: type) -> Callable[..., Any]:
 
 
 def _defaults(context: typer.Context) -> MutableMapping[str, Any]:
-    """Values of options that are not given on the command line."""
     if context.default_map is None:
         context.default_map = {}
     return context.default_map
@@ -266,15 +260,12 @@ S = TypeVar("S")
 
 
 def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..., None]:
-    """A function that typer makes a command of.
+    """A function for typer, whose parameters are the fields, ``--config`` and, where fields are rare, ``--set``.
 
     Args:
         settings: Dataclass of the settings; ``RARE`` of it names those that help does not list,
             ``from_record(members)`` reads a record, and ``reserved()`` names what ``--set`` leaves to the command.
         run: Does the work; its docstring is the help.
-
-    Returns:
-        The function, whose parameters are the fields, ``--config`` and, where fields are rare, ``--set``.
     """
 
     def command(context: typer.Context, **values: Any) -> None:
@@ -315,16 +306,7 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
 def command(
     settings: type[S], app: typer.Typer | None = None, name: str = ""
 ) -> Callable[[Callable[[S], None]], Callable[..., None]]:
-    """Make a command of a function of its settings.
-
-    Args:
-        settings: As in `command_function`.
-        app: Application that gets it, if `add_command` does not add it later.
-        name: What it is called there.
-
-    Returns:
-        A decorator.
-    """
+    """Decorator that makes a command of a function, as `command_function`, in ``app`` or later (`add_command`)."""
 
     def made(run: Callable[[S], None]) -> Callable[..., None]:
         function = command_function(settings, run)

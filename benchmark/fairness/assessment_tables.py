@@ -20,10 +20,7 @@ _SHOWN: Final = DRIVER_NAMES[1:]
 
 
 def build_split_tables(judged: SplitAssessment) -> list[Table]:
-    """All tables of a split.
-
-    The ladder scene by scene and in sum, severity, validity and realism, as far as there are any.
-    """
+    """All tables of a split: the ladder by scene and in sum, severity, validity and realism, as far as there are."""
     tables = [_build_scene_table(judged), _build_reference_driver_table(judged)]
     if any(row.of for row in judged.severity):
         tables.append(_build_severity_table(judged))

@@ -15,10 +15,8 @@ READINGS: Final[tuple[Reading, ...]] = get_args(Reading)
 class Attack:
     """One run of one planner: a scene, or a plan in open loop.
 
-    Attributes:
-        contact: Whether the planner touches any object: the reading of the paper.
-        at_fault: Whether the first contact is its fault.
-        attributable: Whether, besides, the careful and competent human survives the same scene (CARS, 2026).
+    ``contact`` is with any object, the reading of the paper; ``at_fault`` asks about the first one. ``attributable`` is
+    whether, besides, the careful and competent human survives the same scene (CARS, 2026).
     """
 
     contact: bool
@@ -27,10 +25,9 @@ class Attack:
 
     @classmethod
     def of(cls, contact: bool, at_fault: bool | None, careful_survives: bool | None) -> "Attack":
-        """Read one run in three ways.
+        """Read one run in three ways; ``careful_survives`` is ``None`` where the scene was not judged.
 
-        Without a contact ``at_fault`` is not asked; ``None`` where it cannot be told. ``careful_survives`` is
-        ``None`` where the scene was not judged.
+        Without a contact ``at_fault`` is not asked; ``None`` where it cannot be told.
         """
         ego_at_fault = at_fault if contact else False
         return cls(
@@ -40,10 +37,7 @@ class Attack:
 
 @dataclass(frozen=True, slots=True)
 class AttackSuccess:
-    """Shares of runs with a contact, ``None`` of no scenes.
-
-    Contacts at fault and attributable ones are shares of those runs in which that is known.
-    """
+    """Shares of runs with a contact, ``None`` of no scenes; the others are of those runs in which that is known."""
 
     scenes: int
     contact: float | None

@@ -111,9 +111,9 @@ def compute_histograms(
 def compute_deviations(
     first: Histograms, second: Histograms, edges: Mapping[str, Floats] | None = None
 ) -> dict[str, float]:
-    """Earth mover's distances, by name, of histograms of generated scenes and recordings.
+    """Earth mover's distances, by name, of generated scenes and recordings, the quoted means among them.
 
-    The means that are quoted are among them; the edges are those of `compute_histograms`.
+    The edges are those of `compute_histograms`.
     """
     edges = bin_edges() if edges is None else edges
     distances = {}

@@ -1,9 +1,7 @@
-"""Judgements of the scenes of a data set: those that lie beside its tables, and those of the others, made when asked.
+"""Judgements of a data set's scenes, from beside its tables or made when asked, and facts of scenes with them.
 
-What is read of a data set is linear between 2 Hz keyframes, so that those that are made here know less than those of
-the generator of the scenes (`SceneAssessment.tracks`).
-
-Facts of scenes for records, with judgements of those without one: made once, then found.
+What is read of a data set is linear between 2 Hz keyframes, so that judgements that are made here know less than those
+of the generator of the scenes (`SceneAssessment.tracks`).
 """
 
 import functools
@@ -39,12 +37,9 @@ Launches = Mapping[str, int]
 def assess_data_set(
     data: DataSet, names: Sequence[str], executor: Executor, recordings: DataSet | None = None
 ) -> dict[str, tuple[SceneAssessment, ...]]:
-    """Judgements of scenes of a data set, by name and in the order of the names.
+    """Judgements of scenes of a data set, by name and in the order of the names; nothing depends on ``executor``.
 
-    Args:
-        executor: Where scenes without a judgement are judged; nothing depends on it.
-        recordings: The data set that its scenes were made from, where it is at hand: by it the adversaries of a data
-            set that does not name them are found.
+    ``recordings``, which its scenes were made from, tell the adversaries of a data set that does not name them.
     """
     stored = collect_assessments(data.root, data.version)
     missing = [name for name in names if name not in stored]
@@ -60,10 +55,7 @@ def assess_data_set(
 
 
 def read_adversarial_scene(data: DataSet, name: str, recordings: DataSet | None) -> Scene:
-    """Scene that says which agents are its adversaries, as far as they are known.
-
-    Where the data set does not name adversaries, they are those that no recording has.
-    """
+    """Scene with its adversaries: those that no recording has, where the data set does not name them."""
     scene = data.scene(name)
     source = data.scene_facts([name])[name].source
     if scene.adversaries or recordings is None or source not in recordings.scene_names(None):
@@ -85,10 +77,9 @@ def read_launches(data: DataSet, scene: Scene) -> dict[str, int]:
 
 
 def find_generated_agents(scene: Scene, recorded: Scene) -> tuple[int, ...]:
-    """Agents of a generated scene that move as none in the recording.
+    """Indices of vehicles of a generated scene that at some keyframe are further than 0.1 m from each recorded object.
 
-    Indices of vehicles that at some keyframe are further than 0.1 m from each recorded object; none if the two
-    scenes have no keyframe times in common.
+    None if the two scenes have no keyframe times in common.
     """
     mine, theirs = _compute_keyframe_times(scene), _compute_keyframe_times(recorded)
     _, here, there = np.intersect1d(mine, theirs, return_indices=True)
@@ -126,9 +117,7 @@ CACHE_FOLDER: Final = ".judgements"
 def collect_scene_facts(data: DataSet, names: Sequence[str], kept: Path, executor: Executor) -> dict[str, SceneFacts]:
     """Facts of scenes as records have them, by name; scenes with adversaries are judged, recordings without are not.
 
-    Args:
-        kept: Folder of runs, where judgements of data sets without their own are kept and found again.
-        executor: Where scenes without a judgement are judged; nothing depends on it.
+    Judgements of data sets without their own are kept in the folder of runs ``kept``; nothing depends on ``executor``.
     """
     facts = data.scene_facts(names)
     open_ = [name for name in names if facts[name].judgement is None and facts[name].adversaries != 0]

@@ -1,10 +1,8 @@
-"""Motion features of recorded and generated tracks, both through the same 2 Hz keyframes.
+"""Motion features of recorded and generated tracks through the same 2 Hz keyframes (``docs/realism.md``).
 
-``docs/realism.md``, "Tracks" and "Features". Recorded tracks are annotated at 2 Hz and linear between keyframes, so
-that differences at any higher rate are zero inside and spikes at the keyframes; a generated track is smooth. Both are
-therefore read at the keyframes, smoothed and splined alike.
-
-How far bodies reach over the edge of the road.
+Recorded tracks are annotated at 2 Hz and linear between keyframes, so that differences at any higher rate are zero
+inside and spikes at the keyframes; a generated track is smooth. Both are therefore read at the keyframes, smoothed and
+splined alike. `RoadEdge` measures how far bodies reach over the edge of the road.
 """
 
 from collections.abc import Collection, Iterator
@@ -41,10 +39,7 @@ class RoadEdge:
         self._end = np.concatenate([np.empty((0, 2)), *(points[1:] for points in rings)])
 
     def measure_overhang(self, boxes: Floats) -> Floats:
-        """(S,) metres by which the corner of each box that is furthest out is over the edge.
-
-        Positive outside, between -20 and 5.
-        """
+        """(S,) metres that the outermost corner of each box is over the edge: positive outside, between -20 and 5."""
         corners = box_corners(boxes).reshape(-1, 2)
         inside = shapely.contains_xy(self._drivable, corners[:, 0], corners[:, 1])
         signed = np.where(inside, -1.0, 1.0) * self._distance(corners)
@@ -106,10 +101,7 @@ class FeatureRun:
 
 @dataclass(frozen=True, slots=True)
 class SplinedMotion:
-    """Smoothed motion of one agent at S samples: (S, 5) boxes and (S, 2) m/s.
-
-    ``values`` are the features that need no other agent, by name.
-    """
+    """Smoothed motion of one agent: (S, 5) boxes, (S, 2) m/s, and ``values`` of features that need no other agent."""
 
     boxes: Floats
     velocity: Floats
@@ -124,13 +116,10 @@ def extract_runs(
     between: tuple[float, float] | None = None,
     road: RoadEdge | None = None,
 ) -> list[FeatureRun]:
-    """All runs of one agent that count, in order of time.
+    """All runs of one agent that count, in order of time; the ego is one of those that it keeps its distance to.
 
-    Args:
-        tracks: All agents; the ego is one of those that the agent keeps its distance to.
-        keyframes: (K,) indices of the annotated frames, rising.
-        between: Keyframes outside these times do not count; for the adversarial stretch of an adversary.
-        road: Where the road ends, for `ROAD_EDGE`.
+    ``keyframes`` (K,) are indices of the annotated frames, rising; those outside the times ``between`` do not count.
+    ``road`` is for `ROAD_EDGE`.
     """
     return list(_iterate_runs(NearbyRoadUsers.of(tracks), keyframes, agent, between, road))
 
@@ -145,12 +134,8 @@ def extract_recorded_runs(
 ) -> list[FeatureRun]:
     """All runs of all agents of a category, by agent and time: what a scene gives to the reference.
 
-    The ego is left out: another instrument measured it.
-
-    Args:
-        keyframes: (K,) indices of the annotated frames, rising.
-        without: Indices of agents that are not as recorded.
-        road: Where the road ends, for `ROAD_EDGE`.
+    The ego is left out: another instrument measured it. ``keyframes`` and ``road`` as of `extract_runs`; agents in
+    ``without`` are not as recorded.
     """
     around = NearbyRoadUsers.of(tracks)
     return [
@@ -210,10 +195,7 @@ class NearbyRoadUsers:
         return cls(everybody)
 
     def measure_nearness(self, agent: int, samples: Floats, motion: SplinedMotion) -> dict[str, Floats]:
-        """Distance and time to contact of an agent's smoothed motion to all others.
-
-        (S,) ``gap`` and ``ttc``, with their caps.
-        """
+        """(S,) ``gap`` and ``ttc`` of an agent's smoothed motion to all others, with their caps."""
         others, present = self.tracks.agents_at(samples)
         present[agent] = False
         away = np.hypot(others[..., 0] - motion.boxes[:, 0], others[..., 1] - motion.boxes[:, 1])

@@ -1,8 +1,6 @@
 """How near many pairs of short tracks come to a contact: `benchmark.fairness.severity_series` for all plans of a scene.
 
 The definitions are those of one encounter; `severity_of` is what the tests hold this to.
-
-The paths of many short tracks side by side, and who is in the way on them: `EgoPath` for the plans of a scene.
 """
 
 from dataclasses import dataclass
@@ -77,16 +75,9 @@ class PlanPaths:
         return np.asarray(chord / np.maximum(np.hypot(chord[:, 0], chord[:, 1]), 1e-12)[:, None])
 
     def project(self, path: Integers, points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-        """Nearest points of paths.
+        """(Q,) stations of nearest points of paths, the lowest on a tie, and signed distances, positive on the left.
 
-        Args:
-            path: (Q,) which path.
-            points: (Q, 2) metres.
-            low: (Q,) first station that counts.
-            high: (Q,) last station that counts.
-
-        Returns:
-            (Q,) stations, the lowest where several are as near, and (Q,) signed distances, positive on the left.
+        Of points (Q, 2) to the paths (Q,), in metres, between the stations ``low`` and ``high``.
         """
         base, length = self.station[path, :-1], self.length[path]
         low, high = (np.clip(end, base[:, 0], self.station[path, -1])[:, None] for end in (low, high))
@@ -192,10 +183,7 @@ class NearMissMeasures:
 
 
 def measure_near_misses(ego: Floats, other: Floats, present: Bools, velocity: Floats) -> NearMissMeasures:
-    """Measure pairs, (P, K, 5) boxes every 0.1 s; velocities are the other's, m/s.
-
-    The other is there at one instant at least.
-    """
+    """Measure pairs, (P, K, 5) boxes every 0.1 s; velocities are the other's, m/s, which is there at least once."""
     moving = compute_ego_velocities(ego)
     gap = np.where(present, box_gap(ego, other), np.inf)
     ttc = np.where(present, compute_time_to_contact(ego, moving, other, velocity), np.inf)
@@ -212,10 +200,7 @@ def measure_near_misses(ego: Floats, other: Floats, present: Bools, velocity: Fl
 
 
 def compute_ego_velocities(ego: Floats) -> Floats:
-    """(P, K, 2) velocities of tracks that begin at their first instant, m/s.
-
-    Over the last 0.2 s, forward at the first, of boxes every 0.1 s.
-    """
+    """(P, K, 2) velocities in m/s over the last 0.2 s, forward at the first instant, of boxes every 0.1 s."""
     centres = ego[..., :2]
     velocities = np.empty(centres.shape)
     velocities[:, _MEMORY_STEPS:] = (centres[:, _MEMORY_STEPS:] - centres[:, :-_MEMORY_STEPS]) / (

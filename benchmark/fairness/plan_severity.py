@@ -92,9 +92,8 @@ def measure_plan_severities(
 ) -> list[PlanSeverityRow]:
     """Measure S plans; of agents that are touched at the same instant the first by name counts, as in ``exact``.
 
-    Args:
-        plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-        lanes: The map; without it the blame for a lateral contact is unknown.
+    ``plans_lidar`` (S, 6, 2) are waypoints of the lidar origin, x right, y forward, metres. Without lanes the blame for
+    a lateral contact is unknown.
     """
     plans = np.asarray(plans_lidar, np.float64)
     starts = range(0, len(truths), _SAMPLES_AT_ONCE)

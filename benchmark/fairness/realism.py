@@ -24,10 +24,7 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Histograms:
-    """Counts of a sample and of the recordings in the same bins.
-
-    Edges are the inner ones, or the two ends of the range.
-    """
+    """Counts of a sample and of the recordings in the same bins; edges are the inner ones, or the range's two ends."""
 
     edges: Floats
     counts: Integers

@@ -1,8 +1,6 @@
-"""The judgement of a scene: one for each of its adversaries, from the tracks that are at hand.
+"""The judgement of a scene: one for each of its adversaries, from the tracks that are at hand, with fault and severity.
 
-Fault attribution of a contact: on a map, the ego is at fault in a lateral one in several lanes or off the road.
-
-How hard a contact is: what a row of a table says of the first contact of a scene.
+On a map, the ego is at fault in a lateral contact in several lanes or off the road.
 """
 
 from collections.abc import Mapping
@@ -118,11 +116,9 @@ Number = TypeVar("Number", float, None, float | None)
 class AdversaryProvenance:
     """Provenance of a scene's adversaries.
 
-    Attributes:
-        generated: Whether the scene has their 12 Hz tracks, and not what a reader interpolates between keyframes.
-        launches: First frame of the adversarial stretch by instance identifier; of others it is the whole scene, and
-            reference drivers drive all of it.
-        rounded_m: How far each position may be from where it was generated.
+    ``generated`` is whether it has their 12 Hz tracks, not what a reader interpolates between keyframes. ``launches``
+    are first frames of the adversarial stretch by instance; of others it is the whole scene, and reference drivers
+    drive all of it. Positions may be ``rounded_m`` from where they were generated.
     """
 
     generated: bool
@@ -131,11 +127,7 @@ class AdversaryProvenance:
 
 
 def assess_scene(scene: Scene, known: AdversaryProvenance) -> tuple[SceneAssessment, ...]:
-    """Judge a scene.
-
-    One judgement for each of its adversaries; one without an adversary where it names none that is in it; none for
-    a scene of a single frame.
-    """
+    """One judgement for each adversary of a scene; one where none is in it, none for a scene of a single frame."""
     if len(scene.timestamps_us) < FEWEST_FRAMES:
         return ()
     ids = scene.agents.ids

@@ -1,7 +1,4 @@
-"""A split judged: the ladder in sum, how severe its encounters are, how real its adversaries move.
-
-The realism of a split: its adversaries against the recordings that its scenes were made from.
-"""
+"""A split judged: the ladder in sum, how severe its encounters are, how real its adversaries move."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -49,11 +46,9 @@ RunsOfScenes = Mapping[str, Sequence[FeatureRun]]
 
 @dataclass(frozen=True, slots=True)
 class Realism:
-    """Realism of all features.
+    """Realism of all features, by the order of `FEATURES`, then `ROAD_EDGE` where all scenes have a map.
 
-    Attributes:
-        features: By the order of `FEATURES`, then `ROAD_EDGE` where all scenes have a map.
-        samples: Samples of adversaries, and of recordings.
+    ``samples`` counts those of adversaries, and of recordings.
     """
 
     features: tuple[FeatureRealism, ...]
@@ -159,10 +154,9 @@ def measure_split_realism(
     judgements: Mapping[str, Sequence[SceneAssessment]],
     recordings: DataSet | None = None,
 ) -> SplitRealism:
-    """Realism of the motion of adversaries in scenes of a data set.
+    """Realism of the motion of adversaries, compared with ``recordings`` that the scenes were made from, if at hand.
 
-    ``recordings`` is the data set that its scenes were made from, if at hand. Validity rates are there always, the
-    comparison where there is something to compare with.
+    Validity rates are there always, the comparison where there is something to compare with.
     """
     judged = [
         assessment for of_scene in judgements.values() for assessment in of_scene if assessment.adversary is not None
@@ -290,10 +284,7 @@ _ALWAYS: Final = {
 
 
 def find_adversarial_names(data: DataSet, names: Sequence[str]) -> tuple[str, ...]:
-    """Those scenes of a data set that are no recordings, as far as it says.
-
-    Scenes with adversaries, and those of which it is not said how many they have.
-    """
+    """Scenes of a data set with adversaries, and those of which it is not said how many they have."""
     facts = data.scene_facts(names)
     return tuple(name for name in names if facts[name].adversaries != 0)
 

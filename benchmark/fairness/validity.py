@@ -44,8 +44,8 @@ def find_track_defects(
         tracks: All agents, 12 Hz, as generated: what a reader of a data set gets is linear between 2 Hz keyframes, and
             its corners there break every limit.
         frames: Its adversarial stretch; frames at which it is not there do not count.
-        at_keyframes: Whether the frames are keyframes, between which nothing is known: then limits and jumps are not
-            asked, and of the others only what the keyframes show is found.
+        at_keyframes: Whether nothing is known between the frames: then limits and jumps are not asked, and of the
+            others only what the keyframes show is found.
         rounded_m: How far each position may be from where it was generated (`find_broken_limit`).
     """
     there = np.arange(len(tracks.seconds))[frames]

@@ -14,13 +14,10 @@ _LONGEST_NAME: Final = 60
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """A server's address.
+    """A server's address ``http://HOST:PORT`` with a name for tables: the user's, else host and port.
 
-    Attributes:
-        name: Shown in tables: what the user called it, else host and port.
-        url: ``http://HOST:PORT``.
-        named: Whether the user gave the name. The protocol says nothing of who answers, so that what is kept goes by
-            this name, wherever the server listens; without one it goes by the address.
+    The protocol says nothing of who answers, so that what is kept goes by a name that the user gave, wherever the
+    server listens; without one it goes by the address.
     """
 
     name: str
@@ -29,11 +26,7 @@ class Address:
 
     @classmethod
     def of(cls, text: str, option: str) -> Self:
-        """Read an address as the user gave it.
-
-        Raises:
-            InputError: If it is none, or has anything beside host and port.
-        """
+        """Read an address as the user gave it; anything beside name, host and port is refused."""
         name, equals, url = text.rpartition("=") if "=" in text.partition("://")[0] else ("", "", text)
         form = f"{option} {to_one_line(text, 80)!r} is not an address; write http://HOST:PORT or NAME=http://HOST:PORT"
         try:

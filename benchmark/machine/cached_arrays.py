@@ -1,8 +1,7 @@
 """Arrow batches in files of the user's cache: written whole, read as a part of memory that processes share.
 
-A line of JSON says what a batch was made of and the SHA-256 of all that follows: a file of Arrow IPC, which is read as
-one only if both fit. One that does not is as good as none. Numbers go in and out through buffers: ``pyarrow.array`` and
-``to_numpy`` would import pandas.
+A line of JSON says what a batch was made of and the SHA-256 of all that follows, a file of Arrow IPC; one that does not
+fit is not read. Numbers go in and out through buffers: ``pyarrow.array`` and ``to_numpy`` would import pandas.
 """
 
 import contextlib
@@ -28,10 +27,7 @@ _LONGEST_HEAD: Final = 1 << 20
 
 
 def find_cache_file(folder: str, source: Path) -> Path | None:
-    """File in which a batch that is made of a file or folder is kept; none where the user has no home.
-
-    ``folder`` is that of the user's cache for batches of one kind.
-    """
+    """File of the user's cache, below ``folder``, for a batch made of ``source``; none where the user has no home."""
     try:
         root = cache_root()
     except RuntimeError:
@@ -42,9 +38,9 @@ def find_cache_file(folder: str, source: Path) -> Path | None:
 def write_batch(path: Path, source: Path, made_of: str, batch: "pa.RecordBatch") -> bool:
     """Keep a batch, unless there is no room or right to. Of two who write at once one writes last, each a whole file.
 
-    What is kept of sources that are gone, and what lies beside it under its name, is removed. ``made_of`` is the
-    state of the source, and all else that the batch depends on. The folder of the file (`find_cache_file`) holds such
-    files alone.
+    What is kept of sources that are gone, and what lies beside it under its name, is removed, so that the folder
+    (`find_cache_file`) holds such files alone. ``made_of`` is the state of the source, and all else the batch depends
+    on.
     """
     import pyarrow as pa
 

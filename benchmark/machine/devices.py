@@ -26,10 +26,7 @@ def select_device(name: str) -> torch.device:
 
 
 def select_worker_device(name: str, number: int) -> torch.device:
-    """The device of one of several workers: a GPU is for one after the other where the name says no number.
-
-    Workers are numbered from 0; ``cuda`` stands for all GPUs of the machine.
-    """
+    """The device of a worker, numbered from 0: with ``cuda``, which has no number, one GPU after the other."""
     device = select_device(name)
     if device.type != "cuda" or device.index is not None:
         return device

@@ -30,10 +30,7 @@ _MIN_FREE_BYTES = 2 * 10**9
 
 @dataclass(frozen=True, slots=True)
 class MachineCheck:
-    """One finding of ``challenger-bench doctor``.
-
-    The sentence says what was found, and what to do if it is not fine.
-    """
+    """One finding of ``challenger-bench doctor``; the sentence says what to do if it is not fine."""
 
     name: str
     ok: bool
@@ -52,7 +49,6 @@ def read_package_versions() -> dict[str, str | None]:
 
 
 def _cpu_model() -> str:
-    """Name of the processor."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         for line in cpuinfo.read_text(encoding="utf-8").splitlines():

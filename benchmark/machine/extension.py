@@ -95,22 +95,12 @@ def make_absent_error(name: str) -> AbsentExtensionError:
 
 
 def import_from_extension(kind: str, name: str) -> Any:
-    """Import an object of a kind of `OFFERS` that an extension offers.
-
-    The table says what it is.
-
-    Raises:
-        AbsentExtensionError: If the extension is not installed.
-    """
+    """Import an object of a kind of `OFFERS` from its extension; `AbsentExtensionError` if that is not installed."""
     return import_reference(OFFERS[kind][name])
 
 
 def import_reference(reference: str) -> Any:
-    """Import what a reference, ``module:attribute``, leads to, in the core or an extension.
-
-    Raises:
-        AbsentExtensionError: If it is of an extension that is not installed.
-    """
+    """Import ``module:attribute`` of the core or an extension; `AbsentExtensionError` if that is not installed."""
     module, _, attribute = reference.partition(":")
     try:
         return getattr(importlib.import_module(module), attribute)

@@ -8,13 +8,9 @@ Made = TypeVar("Made")
 
 
 class IdentityCache(Generic[Source, Made]):
-    """Makes something of an object and of plain values, and remembers the last few.
+    """Makes something of an object and of plain values, and remembers the last ``kept`` results.
 
     Two objects are the same if they are one, even if others are equal. Neither they nor what was made may change.
-
-    Args:
-        make: Takes the object and the values.
-        kept: How many are remembered.
     """
 
     def __init__(self, make: Callable[..., Made], kept: int = 1) -> None:

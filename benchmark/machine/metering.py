@@ -1,4 +1,4 @@
-"""How long a call takes until the device is done, and how much memory a process needs meanwhile.
+"""How long a call takes until the device is done, and how much memory a process needs meanwhile, and keeps.
 
 Memory that a process gives back to the system comes again page by page, each cleared by the kernel.
 """
@@ -17,19 +17,13 @@ _NEVER: Final = 2**31 - 1
 
 
 def disable_malloc_trim_for(*weights_sha256: str | None) -> None:
-    """`disable_malloc_trim` of a process in which a planner with weights is going to run; without one nothing changes.
-
-    ``None`` stands for a planner that has none.
-    """
+    """`disable_malloc_trim` where a planner with weights is going to run; ``None`` stands for a planner without."""
     if any(sha256 is not None for sha256 in weights_sha256):
         disable_malloc_trim()
 
 
 def disable_malloc_trim() -> bool:
-    """Let this process keep what it frees, to use it again; what it computes does not change.
-
-    False where the C library has no such switch: glibc does, others manage without.
-    """
+    """Let this process keep what it frees, to use it again; False where the C library is not glibc."""
     if not sys.platform.startswith("linux"):
         return False
     try:
@@ -46,10 +40,7 @@ _MB: Final = 1e6
 
 
 class Meter:
-    """Meter of this process from when it is made.
-
-    ``latency_s`` are seconds of each call so far; ``None`` for calls that raised.
-    """
+    """Meter of this process from when it is made; ``latency_s`` of each call so far, ``None`` for calls that raised."""
 
     def __init__(self) -> None:
         """Begin."""
@@ -81,7 +72,7 @@ class Meter:
 
 
 def peak_memory_mb(pid: int | None = None) -> float | None:
-    """Greatest resident memory of a process of this machine, megabytes; ``None`` where the system does not tell.
+    """Greatest resident memory of a process, megabytes; ``None`` where the system does not tell.
 
     Of the process with the number since it began, or of this one since a `Meter` was made last.
     """

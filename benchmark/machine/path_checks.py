@@ -42,10 +42,7 @@ def require_place(path: Path, option: str) -> None:
 
 
 def require_output_file(path: Path | None, option: str, endings: Sequence[str] = ()) -> None:
-    """Refuse a file that could not be written, or would not end as it must; ``None`` is none, which is fine.
-
-    It is replaced if it is there.
-    """
+    """Refuse a file that could not be written or replaced, or would not end as it must; ``None`` is fine."""
     if path is None:
         return
     if endings and path.suffix.lower() not in endings:
@@ -58,13 +55,9 @@ def require_output_file(path: Path | None, option: str, endings: Sequence[str] =
 
 
 def require_room(folder: Path, needed: int, what: str, option: str) -> None:
-    """Refuse to begin what a disk has no room for.
+    """Refuse to begin what a disk has no room for, in bytes at least; ``folder`` need not exist.
 
-    Args:
-        folder: Where it would lie; it need not exist.
-        needed: Bytes, at least.
-        what: What it is, for the message.
-        option: What would name another place.
+    ``what`` is for the message, ``option`` what would name another place.
     """
     nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     free = shutil.disk_usage(nearest).free

@@ -42,9 +42,9 @@ class CountedUnits:
     """Things that are counted of some work.
 
     Attributes:
-        noun: Their name, in the singular.
+        noun: In the singular.
         before: How many were finished before the work began, by an earlier command.
-        total: How many there are in all; ``before`` and one for each unit of work by default.
+        total: ``before`` and one for each unit of work by default.
         each: How many a result stands for.
         kept: Whether a result was there before and only had to be found.
     """
@@ -77,8 +77,8 @@ class WorkProgress:
     def sentence(self, now_s: float, unit: "WorkProgress | None" = None) -> str:
         """How far it is: for example ``rendering: 3 of 10 scenes (9 of 40 frames), 0:30, about 1:04 left``.
 
-        Without the time left before anything was made. The time is on the clock of its watch; ``unit`` is the
-        work that one of its units consists of, if that is under way.
+        Without the time left before anything was made. ``now_s`` is on the clock of its watch; ``unit`` is the work
+        that one of its units consists of, if that is under way.
         """
         return f"{self.label}: {self.state(now_s, unit)}"
 
@@ -105,12 +105,9 @@ class WorkProgress:
 
 @dataclass(slots=True)
 class ProgressReporter:
-    """Watch that tells how far work is.
+    """Watch that tells how far work is, on stderr at the time of each line by default.
 
-    Attributes:
-        stream: Where; stderr at the time of each line by default.
-        clock: Seconds; any beginning.
-        beat: Whether a thread ticks; else the caller has to call `tick`.
+    ``clock`` gives seconds from any beginning. With ``beat`` a thread ticks; else the caller has to call `tick`.
     """
 
     stream: TextIO | None = None

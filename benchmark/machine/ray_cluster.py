@@ -67,9 +67,7 @@ class RayCluster:
     ) -> Iterator[Result]:
         """Apply a function to items and give the results in the order of the items.
 
-        Raises:
-            InputError: If Ray is not installed, the cluster cannot be joined, a node has other code, or units are lost
-                more often than they are tried again.
+        No Ray, a cluster that cannot be joined, a node with other code, or units lost too often raise `InputError`.
         """
         # Ray reports lost workers on stdout, where a command may print JSON.
         with (
@@ -193,7 +191,6 @@ def _is_healthy(address: str) -> bool:
 
 
 def _count_slots(ray: Any, address: str | None, gpus: int) -> int:
-    """How many units can work at the same time."""
     resources = ray.cluster_resources()
     for resource, needed, resource_name in (("CPU", 1, "processors"), ("GPU", gpus, "GPUs")):
         if resources.get(resource, 0) < needed:
@@ -207,5 +204,4 @@ def _count_slots(ray: Any, address: str | None, gpus: int) -> int:
 
 
 def _first_line(error: BaseException) -> str:
-    """First line of an error of Ray, without its long explanation."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".;")

@@ -7,9 +7,7 @@ from benchmark.machine.workers import worker_number
 def parse_device_names(text: str) -> tuple[str, ...]:
     """Devices by name, at least one, as ``--device`` takes them: for example ``cuda:0,cuda:1``.
 
-    Raises:
-        InputError: If one is empty, or they are of different kinds: a record names one kind, and another one rounds
-            differently.
+    All are of one kind: a record names one, and another one rounds differently.
     """
     names = tuple(name.strip() for name in text.split(","))
     if not all(names):
@@ -33,8 +31,7 @@ def find_device_in_turn(text: str) -> str:
 def count_workers(workers: int, device: str | None) -> int:
     """How many processes a command asks for: with several devices, one each unless ``--workers`` says how many.
 
-    Raises:
-        InputError: If there are fewer processes than devices, of which some would do nothing.
+    Fewer processes than devices, of which some would do nothing, are refused.
     """
     count = 1 if device is None else len(parse_device_names(device))
     if count == 1:
@@ -47,9 +44,6 @@ def count_workers(workers: int, device: str | None) -> int:
 
 
 def require_one_device(text: str | None, why: str) -> None:
-    """Refuse several devices where one process does all.
-
-    ``why`` names what needs one process, as the beginning of a sentence.
-    """
+    """Refuse several devices where one process does all; ``why`` begins the sentence with what needs one process."""
     if text is not None and len(parse_device_names(text)) > 1:
         raise InputError(f"{why}; use one device instead of --device {text}")

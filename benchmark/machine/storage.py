@@ -25,11 +25,7 @@ _PROC: Final = Path("/proc/self/fd")
 
 
 def canonical_json(value: Any, *, indent: int | None = None) -> str:
-    """JSON text with sorted keys that is the same for the same value.
-
-    Raises:
-        ValueError: If a number is not finite: NaN and infinity are not JSON.
-    """
+    """JSON text with sorted keys that is the same for the same value; NaN and infinity raise `ValueError`."""
     separators = (",", ":") if indent is None else (",", ": ")
     return json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, separators=separators)
 
@@ -66,11 +62,7 @@ def file_sha256(path: Path) -> str:
 
 @contextlib.contextmanager
 def writing_to(path: Path) -> Iterator[None]:
-    """Turn the operating system's refusal to write to a path into a sentence that names it.
-
-    Raises:
-        InputError: If the disk is full, read-only or not writable for this user.
-    """
+    """Turn the operating system's refusal to write to a path into an `InputError` that names it."""
     try:
         yield
     except OSError as error:
@@ -86,8 +78,7 @@ def writing_to(path: Path) -> Iterator[None]:
 def lock_folder(folder: Path) -> Iterator[None]:
     """Keep two commands from writing to one folder, which is made, at the same time; a killed command locks none out.
 
-    Raises:
-        InputError: If another command is writing to it, or it cannot be made.
+    `InputError` if another command is writing to it, or it cannot be made.
     """
     with writing_to(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -111,10 +102,8 @@ def lock_folder(folder: Path) -> Iterator[None]:
 def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
     """Write a file whole or not at all; its folder is made.
 
-    Args:
-        path: Target.
-        durable: Wait until the disk has it. Without, a power failure (not a killed process) may lose or empty the file:
-            for the many images of a scene, whose sizes are checked when work resumes.
+    With ``durable`` it waits until the disk has it. Without, a power failure (not a killed process) may lose or empty
+    the file: for the many images of a scene, whose sizes are checked when work resumes.
     """
     write_parts(path, (data,), durable=durable)
 

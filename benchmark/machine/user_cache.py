@@ -28,7 +28,7 @@ def make_stamp(status: os.stat_result) -> Stamp:
 
 
 def is_settled(stamp: Stamp, looked_ns: int) -> bool:
-    """Whether any later change of a file shows in its stamp: it was changed last long enough before that was taken.
+    """Whether any later change of a file shows in its stamp: it was last changed long enough before ``looked_ns``.
 
     ``looked_ns`` is when the stamp was taken (`time.time_ns`).
     """

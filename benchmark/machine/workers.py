@@ -2,8 +2,6 @@
 
 Results come in the order of the items for any number of workers; every process computes with one thread, so that
 one worker and many give the same bytes. Items are drawn only a little ahead of the results: they may be large.
-
-Reading many values without Python's collector passing over all of them again and again.
 """
 
 import functools
@@ -189,15 +187,9 @@ def report_when_done(future: "Future[Result]", work: WorkProgress) -> "Future[Re
 def results_in_order(
     submit: Callable[[Item], "Future[Result]"], items: Iterable[Item], workers: int
 ) -> Iterator[Result]:
-    """Keep workers busy and give their results in the order of the items.
+    """Keep workers busy and give their results in the order of the items; so is the first error.
 
-    Args:
-        submit: Hands one item to a worker.
-        items: Drawn only while few submitted units are unfinished, or wait for the result of an earlier one.
-        workers: How many work at the same time.
-
-    Raises:
-        Exception: The first error, in the order of the items.
+    Items are drawn only while few submitted units are unfinished, or wait for the result of an earlier one.
     """
     remaining = iter(items)
     ordered: deque[Future[Result]] = deque()

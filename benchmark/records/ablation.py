@@ -1,7 +1,4 @@
-"""Records of ablation studies: the search with and without multi-round refinement (MTR) and trajectory scoring (TS).
-
-`generation.pipeline.ablation` makes them; tables are made from them alone.
-"""
+"""Records of ablation studies: the search with and without multi-round refinement (MTR) and trajectory scoring (TS)."""
 
 import json
 from dataclasses import dataclass
@@ -51,12 +48,9 @@ VARIANTS: Final = (
 class AblationRow(Stored):
     """Results of one variant; the counts are of vehicles tried, and of their samples that count.
 
-    Attributes:
-        discarded: Attempts that did not pass verification, by reason.
-        colliding_samples: Samples of kept attempts in which the planner collides within three seconds.
-        rate_attempted: Colliding samples over ``samples_attempted``, with its interval over recorded scenes.
-        rate_kept: Colliding samples over ``samples_kept``.
-        mean_gap_m: Mean over kept attempts of the smallest gap between adversary and ego.
+    A colliding sample is one of a kept attempt in which the planner collides within three seconds. Intervals of rates
+    are over recorded scenes; ``mean_gap_m`` is the mean over kept attempts of the smallest gap between adversary and
+    ego.
     """
 
     name: str
@@ -84,8 +78,7 @@ class AblationRow(Stored):
 class AblationReport(Stored):
     """``ablation.json``; ``hyper`` are the settings of the full search, ``rows`` in the order of the paper's table.
 
-    Attributes:
-        seed: Of vehicles, search and intervals.
+    ``seed`` is that of vehicles, search and intervals.
     """
 
     schema_version: int = Field(alias="schema")
@@ -100,10 +93,7 @@ class AblationReport(Stored):
 
     @property
     def content_id(self) -> str:
-        """Twelve hexadecimal digits made of the study's content.
-
-        A study that is stored without the paper's numbers is still the same study.
-        """
+        """Twelve hexadecimal digits made of the study's content, less the paper's numbers that it may quote."""
         content = self.model_dump(mode="json", exclude={"planner": {"published_as", "miniature", "wants"}})
         for row in content["rows"]:
             row |= {"paper_rate": ABLATION[row["name"]]} if row["name"] in ABLATION else {}

@@ -1,7 +1,4 @@
-"""Stored attempts of the search for adversaries: ``attempts.jsonl`` and reports in ``challenger.json``.
-
-Splits that differ in the seed of the search alone: their names, and what made them.
-"""
+"""Stored attempts of the search for adversaries (``attempts.jsonl``, ``challenger.json``); names of seeded splits."""
 
 import re
 from collections.abc import Mapping
@@ -27,10 +24,9 @@ class _AttemptModel(BaseModel):
 
 
 class Approach(_AttemptModel):
-    """Closest approach of two bodies, when (seconds since the scene's first frame), and on which side of the ego.
+    """Closest approach of two bodies, in seconds since the scene's first frame, and the side of the ego.
 
-    Attributes:
-        side: Side of the ego (`generation.labels.labelling.Side`).
+    The side is a `generation.labels.labelling.Side`.
     """
 
     gap_m: float
@@ -45,13 +41,10 @@ class ClosestApproach(Approach):
 
 
 class ManoeuvreOccurrence(_AttemptModel):
-    """One kind of manoeuvre in a scene.
+    """One kind of manoeuvre (`generation.labels.manoeuvres.Manoeuvre`) in a scene.
 
-    Attributes:
-        kind: Which (`generation.labels.manoeuvres.Manoeuvre`).
-        first_s: When it began the first time, seconds since the scene's first frame.
-        duration_s: How long it lasted, all times together.
-        least_gap_m: Smallest gap between the bodies meanwhile.
+    ``first_s`` counts from the scene's first frame; ``duration_s`` is the sum of all its times, and ``least_gap_m`` the
+    smallest gap between the bodies in them.
     """
 
     kind: str
@@ -63,9 +56,8 @@ class ManoeuvreOccurrence(_AttemptModel):
 class Encroachment(_AttemptModel):
     """Closest succession of the two bodies on one and the same piece of the ego's path (post-encroachment time).
 
-    Attributes:
-        seconds: Time between them; 0 if both were there at once, as abreast in a bend.
-        time_s: When the other vehicle was there, seconds since the scene's first frame.
+    ``seconds`` is 0 if both were there at once, as abreast in a bend. The other vehicle was there at ``time_s`` since
+    the scene's first frame.
     """
 
     seconds: float
@@ -83,11 +75,9 @@ class TimeToCollision(_AttemptModel):
 class ManoeuvreLabels(_AttemptModel):
     """Manoeuvres of one adversary towards the ego, and their place; ``docs/manoeuvres.md`` defines every word.
 
-    Attributes:
-        occurred: Every kind that occurred, the primary one first.
-        time_to_collision: ``None`` if it was never within 5 s.
-        encroachment: Closest succession on the same piece of the ego's path, ``None`` if there was none.
-        place: Where the closest approach happened (`benchmark.metrics.places.PlaceKind`).
+    ``occurred`` has the primary kind first. ``time_to_collision`` is ``None`` if it was never within 5 s.
+    ``encroachment`` is ``None`` if there was none, and ``place`` the `benchmark.metrics.places.PlaceKind` of the
+    closest approach.
     """
 
     manoeuvre: str
@@ -101,11 +91,9 @@ class ManoeuvreLabels(_AttemptModel):
 class PlanningFrame(_AttemptModel):
     """Trace of one planning frame of the search.
 
-    Attributes:
-        round: Round of the executed candidate.
-        score: Its final score over all rounds, ``None`` if no candidate was finite.
-        best_scores: Best final score of each round, normalised within the round.
-        collision_free: Candidates without contact in each round.
+    ``round`` is that of the executed candidate, and ``score`` its final score over all rounds, ``None`` if no candidate
+    was finite. ``best_scores`` has the best of each round, normalised within it, ``collision_free`` its candidates
+    without contact.
     """
 
     frame: int
@@ -118,9 +106,7 @@ class PlanningFrame(_AttemptModel):
 class MaskedSteps(_AttemptModel):
     """Steps that the ground-truth check of a protocol takes from every planner, regardless of the plan.
 
-    Attributes:
-        adversary: The recorded ego touches an adversary there, as the protocol sees both.
-        others: It touches something else and no adversary.
+    The recorded ego touches an adversary there, as the protocol sees both, or ``others`` and no adversary.
     """
 
     adversary: int
@@ -131,12 +117,12 @@ class Attempt(_AttemptModel):
     """One vehicle of one recorded scene that was tried as an adversary.
 
     Attributes:
-        discard: Why not (`generation.search.verify.DiscardReason`).
+        discard: `generation.search.verify.DiscardReason`.
         because: Evidence of that (`generation.search.verify.VerificationFailure`).
         tries: Searches that were made; everything else is about the last one.
         challenge: Ranking score, see `generation.search.ranking.compute_challenge_score`; 0 where discarded.
-        closest_approach: Closest approach, where the track is complete.
-        least_time_to_collision_s: Smallest time to collision, ``None`` if never within 5 s.
+        closest_approach: ``None`` where the track is incomplete.
+        least_time_to_collision_s: ``None`` if never within 5 s.
         masked_steps: By protocol, if kept: steps of all samples that are masked for any plan.
         judgements: If verification passed: judgements of each adversary that the scene has by then, its own last; empty
             in older files.
@@ -190,9 +176,8 @@ def list_adversary_reports(report: Any) -> list[dict[str, Any]]:
 def list_stored_labels(report: Any) -> list[Any]:
     """Labels of each adversary that has any, as ``challenger.json`` has them, not checked (`ManoeuvreLabels`).
 
-    Args:
-        report: Report on a scene: on its adversary, or on each of several below ``adversaries``; any JSON value, as it
-            comes from a stranger's data set.
+    The report is on a scene's adversary, or on each of several below ``adversaries``, and any JSON value, as it comes
+    from a stranger's data set.
     """
     labels = (entry.get("labels") for entry in list_adversary_reports(report))
     return [stored for stored in labels if stored is not None]
@@ -220,11 +205,7 @@ def is_adversarial(split: str) -> bool:
 
 
 def read_generated_facts(made: Mapping[str, Any] | None) -> GeneratedFacts | None:
-    """Which search a data set's scenes come from; ``None`` where they say no seed, or several.
-
-    Args:
-        made: What ``challenger.json`` says of the data set, if there is one.
-    """
+    """Which search a data set's scenes come from, by ``challenger.json``; ``None`` if it names no seed, or several."""
     scenes = made.get("scenes") if isinstance(made, Mapping) else None
     seeds = set()
     for entry in scenes.values() if isinstance(scenes, dict) else ():

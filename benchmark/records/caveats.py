@@ -30,11 +30,7 @@ OF_THE_DOOR: Final[frozenset[CaveatKind]] = frozenset({"as-is"})
 
 
 class Caveat(Stored):
-    """A thing that a number needed and did not get.
-
-    Attributes:
-        sentence: What was missing and what that does to the numbers; no full stop at its end.
-    """
+    """A thing that a number needed and did not get, and what that does to it; the sentence has no full stop."""
 
     kind: CaveatKind
     sentence: Annotated[str, Field(max_length=1000)]

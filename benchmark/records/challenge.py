@@ -1,7 +1,4 @@
-"""Result of a challenge for one entry: the verdict of ``challenge check``, scene by scene, with reasons.
-
-How the entries of a challenge rank: what ``challenge score`` writes and the leaderboard shows.
-"""
+"""Records of a challenge: the verdict of ``challenge check`` on an entry, and the ranking of ``challenge score``."""
 
 from pathlib import Path
 from typing import Final, Literal
@@ -18,12 +15,7 @@ VERDICT_FORMAT: Final = "challenger-bench challenge verdict"
 
 
 class RefusalReason(Stored):
-    """Why a scene, or a whole entry, is refused.
-
-    Attributes:
-        rule: Of ``rules.toml``, as ``table.name``.
-        sentence: What was found, where, against what was allowed.
-    """
+    """Why a scene, or a whole entry, is refused: ``table.name`` of ``rules.toml``, and what was found against it."""
 
     rule: str
     sentence: str
@@ -32,12 +24,9 @@ class RefusalReason(Stored):
 class ChangedVehicle(Stored):
     """A vehicle that differs from the recording, from ``from_s`` on; times since the scene's first keyframe.
 
-    Attributes:
-        instance: Token in the entry.
-        recorded: Token in the recording.
-        farthest_m: Largest distance from where it was recorded.
-        least_gap_ego_m: Distance to the recorded ego, from there on; ``None`` where it was not measured.
-        least_gap_others_m: Distance to the nearest of all others; ``None`` where it was not measured or none is near.
+    ``instance`` and ``recorded`` are its tokens in the entry and in the recording, ``farthest_m`` its largest distance
+    from where it was recorded. Least gaps are those from ``from_s`` on, to the recorded ego and to the nearest other;
+    ``None`` where none was measured or none is near.
     """
 
     instance: str
@@ -53,10 +42,8 @@ class ChangedVehicle(Stored):
 class SceneVerdict(Stored):
     """Verdict on one scene of an entry; without ``reasons`` it is accepted.
 
-    Attributes:
-        notes: What could not be asked, and what else an organiser may want to know; no reason to refuse it.
-        changed: Vehicles that differ from the recording; those that are let be first.
-        images: Images that were looked at.
+    ``notes`` say what could not be asked and what else an organiser may want to know; they refuse nothing. Of the
+    ``changed`` vehicles, those that are let be come first. ``images`` is how many were looked at.
     """
 
     scene: str
@@ -80,12 +67,7 @@ class ComparedData(Stored):
 
 
 class EntryVerdict(Stored):
-    """Verdict on an entry.
-
-    Attributes:
-        rules: Fingerprint of its rules: verdicts by others are not comparable.
-        reasons: Why the entry as a whole is refused.
-    """
+    """Verdict on an entry, refused as a whole for ``reasons``; verdicts by other ``rules`` are not comparable."""
 
     format: Literal["challenger-bench challenge verdict"] = VERDICT_FORMAT
     schema_version: Literal[1] = Field(default=1, alias="schema")
@@ -131,12 +113,9 @@ Rank = Literal["adversary", "collision"]
 
 
 class ScoredQuantity(Stored):
-    """A number with its 95 % interval over recordings.
+    """A number with its 95 % interval over recordings; ``None`` where it does not exist.
 
-    Attributes:
-        value: ``None`` where it does not exist.
-        low: ``None`` where fewer than two recordings count.
-        denominator: How many samples, scenes or contacts it was counted over.
+    The interval needs two recordings. ``denominator`` is how many samples, scenes or contacts it was counted over.
     """
 
     value: float | None = None
@@ -148,12 +127,10 @@ class ScoredQuantity(Stored):
 class PlannerEntryScore(Stored):
     """One planner on one entry; refused scenes count as scenes on which it collides nowhere.
 
-    Attributes:
-        adversary: Share of samples with a first contact with a changed vehicle, under ``exact``; no number in older
-            files, and where a record does not say whom contacts are with.
-        collision: Share of samples with a collision under the protocol, with any vehicle or person.
-        attributable: Share with a contact that is its fault, where the careful human survives the scene.
-        failed: Samples without a plan; they are in no rate.
+    ``adversary`` is the share of samples with a first contact with a changed vehicle, under ``exact``; no number in
+    older files, and where a record does not say whom contacts are with. ``collision`` is the share with a contact with
+    anything under the protocol, ``attributable`` with one that is its fault, where the careful human survives the
+    scene. ``failed`` samples have no plan and are in no rate.
     """
 
     adversary: ScoredQuantity = ScoredQuantity()
@@ -201,11 +178,9 @@ class EntryScore(Stored):
 
 
 class EntryPair(Stored):
-    """Two ranked entries, the one with the higher score first.
+    """Two ranked entries, the one with the higher score first, and their difference.
 
-    Attributes:
-        difference: First less second, in resamples of the same recordings.
-        told_apart: Whether the interval leaves zero out.
+    ``difference`` is taken in resamples of the same recordings; they are told apart if its interval leaves zero out.
     """
 
     first: str
@@ -215,14 +190,10 @@ class EntryPair(Stored):
 
 
 class ChallengeScores(Stored):
-    """Entries of a challenge, best first, those that are not ranked last.
+    """Entries of a challenge, best first, those that are not ranked last; ``pairs`` are of ranked ones.
 
-    Attributes:
-        rules: Fingerprint of its rules.
-        horizon: ``1s``, ``2s``, ``3s`` or ``avg``.
-        ranks: Which of its rates an entry is ranked by; ``collision`` in older files and under another protocol than
-            ``exact``.
-        pairs: Of the ranked ones.
+    ``rules`` is the fingerprint of the rules, ``horizon`` ``1s``, ``2s``, ``3s`` or ``avg``. ``ranks`` is the rate that
+    an entry is ranked by: ``collision`` in older files and under another protocol than ``exact``.
     """
 
     format: Literal["challenger-bench challenge scores"] = SCORES_FORMAT

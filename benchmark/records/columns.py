@@ -56,11 +56,8 @@ _MAKES: Final[Mapping[str, Callable[[Any], Any]]] = {
 class RowColumns:
     """Columns of a record.
 
-    Args:
-        rows: One for each sample; they are asked again only for verdicts that do not go together in columns.
-
-    Attributes:
-        kept: What others made of the columns, under a key of theirs that says all that it depends on.
+    ``rows``, one for each sample, are asked again only for verdicts that do not go together in columns. ``kept`` holds
+    what others made of the columns, under a key that says all that it depends on.
     """
 
     def __init__(self, rows: Sequence[SampleRow], batch: pa.RecordBatch | None = None) -> None:
@@ -169,7 +166,6 @@ class RowColumns:
         return dict(zip(map(sys.intern, scenes), np.split(np.argsort(codes, kind="stable"), ends)))
 
     def _numbers(self, name: str, rows: Bools) -> NDArray[Any]:
-        """Numeric column of some rows."""
         column = self.batch.column(name)
         values = to_numpy_array(column.values).reshape(len(self), -1)
         values = values[:, 0] if column.type.list_size == 1 else values
@@ -179,7 +175,6 @@ class RowColumns:
         return values
 
     def _json(self, name: str, rows: Bools) -> tuple[Any, ...]:
-        """Column of JSON values of some rows."""
         different, codes = self._coded(name)
         return tuple(map(different.__getitem__, codes[rows].tolist()))
 
@@ -217,12 +212,10 @@ def _format_column_name(kind: str, protocol: str, part: str = "") -> str:
 
 
 def build_batch(rows: Iterable[SampleRow]) -> pa.RecordBatch | None:
-    """Columns of R rows, of which few are in memory at a time.
+    """Columns of R rows, of which few are in memory at a time; ``None`` where only all rows show what goes together.
 
-    Returns:
-        Every field of `BriefRow`, as JSON; plans and recorded motion as in `RowColumns`; driving scores, where a row
-        has some; what `ProtocolOutcomes` has of each protocol whose verdicts go together, under names as
-        `_format_column_name` makes them. ``None`` where only all rows together show what goes together.
+    They are every field of `BriefRow`, as JSON, plans and recorded motion as in `RowColumns`, driving scores where a
+    row has some, and of each protocol whose verdicts go together what `ProtocolOutcomes` has (`_format_column_name`).
     """
     waiting, pieces, unjudged = iter(rows), list[pa.Table](), 0
     while batch_rows := list(islice(waiting, _ROWS_AT_ONCE)):
@@ -318,7 +311,6 @@ def _scores(rows: Sequence[SampleRow]) -> dict[str, NDArray[Any]]:
 
 
 def _scatter_column(values: NDArray[Any] | tuple[Any, ...], there: Bools) -> pa.Array:
-    """Values of the rows that are there as a column of all rows."""
     if isinstance(values, tuple):
         waiting = iter(values)
         return _texts(next(waiting) if is_there else None for is_there in there.tolist())
@@ -328,7 +320,6 @@ def _scatter_column(values: NDArray[Any] | tuple[Any, ...], there: Bools) -> pa.
 
 
 def _texts(values: Iterable[Any]) -> pa.DictionaryArray:
-    """Values of JSON as a column."""
     return concatenate_bytes(pa.string(), list(map(_TO_JSON, values))).dictionary_encode()
 
 

@@ -70,9 +70,8 @@ def _without_empty(written: dict[str, Any], *names: str) -> dict[str, Any]:
 class DriveFacts(RecordFacts):
     """``drive.json``.
 
-    Attributes:
-        runs: Runs of each scene; 1 where nothing is drawn.
-        rescored: The environment of the last `challenger-bench rescore`, if the drives were scored anew since.
+    ``runs`` is the number of runs of each scene, 1 where nothing is drawn. ``rescored`` is the environment of the last
+    `challenger-bench rescore`, if the drives were scored anew since.
     """
 
     measured: ClosedLoopDefinition
@@ -99,12 +98,9 @@ class FailureRow(Stored):
 class ScoredContact:
     """Contact in numbers; kinds, blame and masses are in `benchmark.fairness.scene_assessment` and docs/severity.md.
 
-    Attributes:
-        seconds: Since the drive's first driven instant.
-        agent: Instance identifier of the touched agent.
-        adversary: Whether it was made to be an adversary.
-        impact_speed: Size of the difference of velocities, m/s.
-        delta_v_ego: Change of the ego's velocity in a plastic impact, m/s.
+    ``seconds`` counts from the drive's first driven instant, ``agent`` is the touched instance, and ``adversary``
+    whether it was made to be one. Speeds are in m/s: ``impact_speed`` is the size of the difference of velocities,
+    ``delta_v_ego`` the ego's change of velocity in a plastic impact.
     """
 
     seconds: float
@@ -148,10 +144,9 @@ class NuplanTerms:
 
 @dataclass(frozen=True, slots=True)
 class HdScore:
-    """HD-Score's formula with our terms, of one drive: a product.
+    """HD-Score's formula with our terms, of one drive: a product of two shares.
 
-    ``plans`` is the mean over planning instants of NC DAC (5 TTC + 2 C) / 7, ``completed`` the share of the route,
-    0 to 1.
+    ``plans`` is the mean over planning instants of NC DAC (5 TTC + 2 C) / 7, ``completed`` the share of the route.
     """
 
     score: Share
@@ -161,10 +156,7 @@ class HdScore:
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapScore:
-    """Score of a run by NeuroNCAP's engine, 0 to 5; ``None`` where it does not exist (nothing of nothing).
-
-    Speeds are in m/s.
-    """
+    """Score of a run by NeuroNCAP's engine, 0 to 5; ``None`` where it is nothing of nothing. Speeds are in m/s."""
 
     score: Annotated[float, Field(ge=0.0, le=5.0)] | None
     impact_speed: float
@@ -174,12 +166,9 @@ class NeuroncapScore:
 class ScoreRow(Stored):
     """Scores of a drive that did not fail.
 
-    Attributes:
-        progress_m: Along the route while it was driven.
-        recorded_progress_m: The recorded ego's in the same time.
-        route_share: Share of the recorded way to its end; ``None`` where the recorded car hardly moves.
-        comfortable: Within nuPlan's bounds; ``None`` of less than 1.5 s.
-        nuplan: Of the default engine on a map with lanes, as is ``hd``; ``neuroncap`` is of NeuroNCAP's engine.
+    ``recorded_progress_m`` is the recorded ego's in the same time. ``route_share`` is of the recorded way to its end,
+    ``None`` where the recorded car hardly moves; ``comfortable`` is within nuPlan's bounds, ``None`` of less than 1.5
+    s. ``nuplan`` and ``hd`` are of the default engine on a map with lanes, ``neuroncap`` is of NeuroNCAP's engine.
     """
 
     progress_m: float
@@ -194,10 +183,8 @@ class ScoreRow(Stored):
 class TickRows(Stored):
     """The planning instants, column by column.
 
-    Attributes:
-        ego: x, y, yaw, speed, acceleration, yaw rate, angle of the road wheels.
-        command: 0 right, 1 left, 2 straight; one for each instant that was planned from.
-        station: Metres along the route; likewise.
+    ``ego`` has x, y, yaw, speed, acceleration, yaw rate and angle of the road wheels. ``command`` (0 right, 1 left,
+    2 straight) and ``station`` (metres along the route) have one value for each instant that was planned from.
     """
 
     time_us: list[int]
@@ -209,11 +196,9 @@ class TickRows(Stored):
 class AdversaryRow(Stored):
     """Track of an adversary (`benchmark.closed_loop.adversary.AdversaryTrack`).
 
-    Attributes:
-        start: Frame of the scene at which it left its recording.
-        poses: x, y, yaw of its box centre at the frames from there on, as far as it was planned.
-        replanned: Frames at which it was planned anew; none of a track that was given.
-        scores: Of what was chosen there; null where it braked because no candidate was allowed.
+    ``poses`` are x, y, yaw of its box centre from frame ``start`` on, where it left its recording. ``replanned`` are
+    frames, none of a track that was given; ``scores`` are of what was chosen there, null where it braked because no
+    candidate was allowed.
     """
 
     agent: Annotated[int, Field(ge=0)]
@@ -226,12 +211,10 @@ class AdversaryRow(Stored):
 
 @dataclass(frozen=True, slots=True)
 class LadderOutcome:
-    """Outcome of a reference driver in the same encounter.
+    """Outcome of a reference driver in the same encounter; it survives if it touches nothing.
 
-    Attributes:
-        survives: Whether nothing was touched.
-        seconds: From the start of the drive until its first contact; ``agent`` is the instance identifier.
-        at_fault: By nuPlan's rules, as if the driver kept to one lane.
+    ``seconds`` is from the start of the drive to its first contact, ``agent`` the touched instance, and ``at_fault`` by
+    nuPlan's rules, as if the driver kept to one lane.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = Stored.model_config
@@ -255,11 +238,10 @@ class EpisodeRow(Stored):
         status: ``failed`` where the planner failed; such a drive has no scores and is never a zero.
         primed: Planning instants at which the ego was the recorded one.
         plans: One for each instant that has one.
-        adversary: Where an adversary that answers went; not written where there was none.
-        ladder: What came of reference drivers in the same encounter; not written where none drove.
-        passed: Contacts before `contact` that did not end it, none of them the ego's fault; not written where there
-            were none.
-        unlabelled: Whether the scene has no annotations, or in a part only: the drive says nothing of contacts then.
+        adversary: Track of an adversary that answers; not written where there was none.
+        ladder: Outcomes of reference drivers, by driver; not written where none drove.
+        passed: Contacts before `contact` that did not end it, none of them the ego's fault; not written if none.
+        unlabelled: Whether annotations are missing, or in a part of the scene: the drive says nothing of contacts then.
             Not written where it is labelled throughout.
     """
 
@@ -326,12 +308,10 @@ class PublishedTable(Stored):
 class DriveSummary(Stored):
     """``summary.json``: derived from the rows alone.
 
-    Attributes:
-        failed: Drives in which the planner failed, ``reasons`` how often for which reason, ``coverage`` the share of
-            the others.
-        columns: Means and rates over drives that did not fail, with intervals over recorded scenes, by column.
-        published: Of scenarios in ``neuroncap@code``: averaged and rounded as NeuroNCAP's published code does it; null
-            of everything else, and in older records.
+    ``reasons`` says how often the planner failed for which reason; ``coverage`` is the share of drives that did not
+    fail. ``columns`` are means and rates over those, with intervals over recorded scenes. ``published`` is of scenarios
+    in ``neuroncap@code``, averaged and rounded as NeuroNCAP's published code does it; null of all else and in older
+    records.
     """
 
     schema_version: int = Field(alias="schema")

@@ -1,10 +1,8 @@
-"""Labels of an ego that a planner drove: the path of a good driver from there, frame by frame.
+"""Reports of generation on a scene: for an ego that a planner drove, the path of a good driver from there.
 
 A planner that learned from good drivers alone never saw the places that its own driving leads it to. In scenes of
 ``data build --driven`` the ego goes where a record of drives says that it went. Its own future is nothing to learn
 from; the way back to what the town's driver would have done is (Ross et al. 2011, DAgger).
-
-Generation reports of scenes in a data set.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,11 +18,7 @@ from benchmark.planning import Command
 
 
 def read_scene_report(provenance: Mapping[str, Any] | None, scene: str, name: str, otherwise: object = None) -> object:
-    """One part of the report of a scene in ``challenger.json``, unchecked.
-
-    Args:
-        otherwise: Value where nothing is said.
-    """
+    """One part of the report of a scene in ``challenger.json``, unchecked; ``otherwise`` where nothing is said."""
     scene_entry = (provenance or {}).get("scenes", {}).get(scene, {})
     report = scene_entry.get("report") if isinstance(scene_entry, Mapping) else None
     return report.get(name, otherwise) if isinstance(report, Mapping) else otherwise
@@ -40,8 +34,8 @@ _AGAIN: Final = "build the data again"
 class DrivenEgoTargets:
     """Targets for learning from a scene that a planner drove.
 
-    Attributes:
-        wanted: (K, 6, 2) global positions of the lidar origin at the plan's steps from each; NaN where there is none.
+    ``wanted`` are (K, 6, 2) global positions of the lidar origin at the plan's steps from each; NaN where there is
+    none.
     """
 
     planner: str
@@ -96,10 +90,6 @@ def _is_place(value: object) -> bool:
 
 
 def read_driven_ego_targets(provenance: Mapping[str, Any] | None, scene: str) -> DrivenEgoTargets | None:
-    """Targets for learning from a scene; ``None`` where the ego was not driven by a planner.
-
-    Args:
-        provenance: What a data set says of how it was made (``challenger.json``), if it does.
-    """
+    """Targets for learning from a scene, by ``challenger.json``; ``None`` where the ego was not driven by a planner."""
     stored = read_scene_report(provenance, scene, DRIVEN)
     return None if stored is None else DrivenEgoTargets.from_json(stored)

@@ -1,9 +1,7 @@
-"""Records of drives, beside run records: one directory for one planner, one split and what was measured.
+"""Records of drives: one directory for one planner, one split and what was measured, NeuroNCAP's table included.
 
 ``drive.json`` says what ran, ``drives.jsonl`` holds one row a drive, ``summary.json`` what the rows say together. They
 are replaced together (`benchmark.records.store`); everything is the same bytes on every run.
-
-NeuroNCAP's table as its published code makes it, of drives in its engine with scenarios.
 """
 
 from collections import Counter
@@ -42,10 +40,7 @@ _SCORE, _COLLISION = "ncap_score", "any_collide@0.0s"
 
 
 def compute_published_table(engine: str, rows: Sequence[EpisodeRow]) -> PublishedTable | None:
-    """NeuroNCAP's published table of a record, from its drives.
-
-    ``None`` of another engine, and of scenes that were driven as they are: the published table is of scenarios.
-    """
+    """NeuroNCAP's published table of drives in its engine; ``None`` of other engines and without scenarios."""
     if engine != ENGINE or not rows or not all(row.family for row in rows):
         return None
     runs: dict[str, dict[str, dict[str, Metrics | None]]] = {}
@@ -148,8 +143,7 @@ _WITHOUT_OTHERS: Final = ("route", "progress_m", "comfortable", "off_road", "nup
 def compute_column_values(row: EpisodeRow) -> dict[str, float | None]:
     """Values that a drive that did not fail adds to each column; ``None`` where it says nothing there.
 
-    Columns of NeuroNCAP's engine and of the default one have different names and are never both there. Of a scene that
-    is not labelled throughout nothing is said that depends on others.
+    Columns of the two engines have different names. A scene that is not labelled throughout says nothing of others.
     """
     values = _compute_values(row)
     if not row.unlabelled:
@@ -203,9 +197,8 @@ def summarise_episodes(
 ) -> DriveSummary:
     """Summary of drives; failed ones are counted and in no column.
 
-    Args:
-        scene_facts: What each scene was made from: intervals draw recorded scenes with all that was made from them.
-        engine: NeuroNCAP's has a table of its own.
+    Intervals draw recorded scenes with all that was made from them, by ``scene_facts``. NeuroNCAP's engine has a table
+    of its own.
     """
     driven = [row for row in rows if row.status == "ok"]
     columns: dict[str, Rate] = {}
@@ -243,11 +236,9 @@ def compute_columns(record: DriveRecord) -> Mapping[str, Rate]:
 
 
 def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[EpisodeRow], *, seed: int) -> DriveRecord:
-    """Write a record in place of the one that is there, if any, and read it back.
+    """Write a record in place of the one that is there and read it back; ``facts`` lack schema, status, seed and files.
 
-    Args:
-        directory: Its directory; no other process may write to it (`benchmark.machine.storage.lock_folder`).
-        facts: `DriveFacts` less schema, status, seed and files.
+    No other process may write to the directory (`benchmark.machine.storage.lock_folder`).
     """
     if not rows:
         raise InputError(f"no drives to write to {directory}: no scene was selected; select at least one")

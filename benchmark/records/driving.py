@@ -36,13 +36,10 @@ COLUMNS: Final = (
 
 
 def summarise_driving_scores(rows: Sequence[SampleRow], scenes: Sequence[str], *, seed: int) -> DrivingSummary | None:
-    """Means and shares over the samples that have driving scores.
+    """Means and shares over the samples that have driving scores; ``scenes`` are recorded ones that are drawn together.
 
     A sample without a predecessor has no EC and no ``score``, one without a history no HC; both are in
     ``score_without_ec``, where HC counts as 1 without a history, as officially.
-
-    Args:
-        scenes: S names of the recorded scenes that are drawn together.
     """
     counted = [(row.driving, scene) for row, scene in zip(rows, scenes, strict=True) if row.driving is not None]
     if not counted:
@@ -55,11 +52,9 @@ def summarise_driving_scores(rows: Sequence[SampleRow], scenes: Sequence[str], *
 def summarise_score_columns(
     scores: tuple[Floats, Bools], scenes: Sequence[str], planned: int, *, seed: int
 ) -> DrivingSummary:
-    """Means and shares from the columns of `read_sample_scores`.
+    """Means and shares from the columns of `read_sample_scores`; ``planned`` is how many samples have a plan.
 
-    Args:
-        scenes: S names of the recorded scenes that are drawn together.
-        planned: How many samples have a plan.
+    ``scenes`` are S names of the recorded scenes that are drawn together.
     """
     values, known = scores
     weights = np.concatenate([known, known], axis=1).astype(np.float64)

@@ -1,6 +1,6 @@
 """From runs to NeuroNCAP's table: mean over runs, then sequences, then types; so types weigh alike, not runs.
 
-Where NeuroNCAP's published code parts from its paper, its own comments or sense: one switch each.
+`NeuroncapSwitches` has one switch for each place where its published code parts from its paper, comments or sense.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -80,11 +80,7 @@ class NeuroncapSwitches:
 
     @classmethod
     def named(cls, name: str) -> Self:
-        """Switches by ``neuroncap@code`` or ``neuroncap@paper``, with departures as `name` writes them.
-
-        Raises:
-            InputError: If there is no such preset or switch.
-        """
+        """Switches by ``neuroncap@code`` or ``neuroncap@paper``, with departures as `name` writes them."""
         preset, *departures = name.removeprefix(_ENGINE).split("+")
         if not name.startswith(_ENGINE) or preset not in ("code", "paper"):
             raise InputError(f"{name!r} is not an engine of NeuroNCAP; use neuroncap@code or neuroncap@paper")
@@ -99,10 +95,7 @@ class NeuroncapSwitches:
 
     @property
     def name(self) -> str:
-        """Name of the measurement with them: a preset, and the switches that depart from it by name.
-
-        The nearer preset is named, ``code`` where both are as near.
-        """
+        """Name of the measurement: the nearer preset (``code`` on a tie), and the switches that depart from it."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         preset = "code" if 2 * list(values.values()).count("code") >= len(values) else "paper"
         departures = [f"+{switch}={value}" for switch, value in values.items() if value != preset]
@@ -135,10 +128,7 @@ def aggregate_runs(runs: Runs, switches: NeuroncapSwitches) -> NeuroncapAggregat
     """Average runs; ``switches`` say whether every level is rounded.
 
     A run without metrics is left out, and a sequence without runs is NaN. A NaN in a run makes its sequence NaN, and
-    such a sequence does not count for its type.
-
-    Raises:
-        InputError: If a run lacks a metric that the first run has.
+    such a sequence does not count for its type. A run that lacks a metric of the first run is refused.
     """
     digits = _DIGITS if switches.rounding == "code" else None
     metrics_of_runs = (

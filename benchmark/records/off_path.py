@@ -22,14 +22,9 @@ OFF_PATH: Final = "off_path"
 class Excursion:
     """One departure from the path and the way back; times in seconds from the start of the scene.
 
-    Attributes:
-        kind: What was wrong at its worst: ``lateral``, ``heading``, ``fast``, ``slow`` or ``late-braking``.
-        begin_s: When the ego begins to depart.
-        worst_s: When it is furthest off and begins to come back.
-        lateral_m: Offset at its worst, to the left of the path.
-        heading_rad: Heading at its worst, against the path, counter-clockwise.
-        ahead_m: How far it is ahead of where it would be, at its worst.
-        faster_mps: How much faster than it would be, at its worst.
+    ``kind`` is what was wrong at ``worst_s``, when the ego begins to come back: ``lateral``, ``heading``, ``fast``,
+    ``slow`` or ``late-braking``. Deviations are those at that time, against the undisturbed drive: offset to the left,
+    heading counter-clockwise.
     """
 
     kind: str
@@ -64,11 +59,7 @@ class Excursion:
 
 
 def read_excursions(provenance: Mapping[str, Any] | None, scene: str) -> tuple[Excursion, ...]:
-    """Excursions of the ego of a scene in order of time; none where it was not driven off its path.
-
-    Args:
-        provenance: What a data set says of how it was made (``challenger.json``), if it does.
-    """
+    """Excursions of a scene's ego in order of time, by ``challenger.json``; none where it kept to its path."""
     entries = read_scene_report(provenance, scene, OFF_PATH, [])
     if not isinstance(entries, list):
         raise InputError(f"{OFF_PATH} of scene {scene} must be a list of excursions; build the data again")
@@ -76,14 +67,9 @@ def read_excursions(provenance: Mapping[str, Any] | None, scene: str) -> tuple[E
 
 
 def find_followable_positions(excursions: Sequence[Excursion], now_s: Floats, later_s: Floats) -> Bools:
-    """Which recorded positions show what a driver should do: none of those that departing led to.
+    """(...) False where the ego departs from its path between two times: positions there are nothing to learn from.
 
-    Args:
-        now_s: (...) seconds from the start of the scene at which a plan is made.
-        later_s: (...) seconds at which the ego is where it is to learn to go; not before ``now_s``.
-
-    Returns:
-        (...) False where the ego departs from its path at some time between the two.
+    Seconds from the start of the scene: ``now_s`` of the plan, and ``later_s`` of the position, not before it.
     """
     now, later = np.broadcast_arrays(now_s, later_s)
     good = np.ones(now.shape, dtype=np.bool_)

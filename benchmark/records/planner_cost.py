@@ -27,16 +27,12 @@ _Positive = Annotated[float, Field(ge=0.0)]
 
 
 class SceneCost(Stored):
-    """Time and memory that planning one scene took.
+    """Time and memory that planning one scene took, while ``workers`` processes planned on the machine.
 
-    Attributes:
-        planning_s: By the clock, with reading images and writing plans down.
-        latency_s: From asking to the plan for each sample in time order, after the device is done; null for samples on
-            which the planner failed.
-        peak_memory_mb: Greatest resident memory of the process meanwhile, the harness included; null where the system
-            does not tell, and where the planner runs elsewhere.
-        peak_device_mb: Greatest memory allocated on the GPU meanwhile; null without one.
-        workers: How many processes planned at the same time on the machine.
+    ``planning_s`` is by the clock, with reading images and writing plans down. ``latency_s`` is from asking to the plan
+    for each sample in time order, after the device is done; null where the planner failed. Peaks are of the process,
+    the harness included (null where the system does not tell or the planner runs elsewhere), and on the GPU (null
+    without one).
     """
 
     planning_s: _Positive
@@ -50,8 +46,7 @@ class SceneCost(Stored):
 class PlannerCost(Stored):
     """Time and memory that a planner took on a split, by scene; those of scenes planned before stay.
 
-    Attributes:
-        planner: Content key of who planned: costs of another version are of another planner.
+    ``planner`` is a content key: costs of another version are of another planner.
     """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
@@ -70,9 +65,7 @@ class PlannerCost(Stored):
 class CostSummary:
     """Numbers of a planner's cost; ``None`` where no latency counts, or no scene has the memory.
 
-    Attributes:
-        samples: How many latencies count.
-        workers: Most processes at a time.
+    ``samples`` is how many latencies count, ``workers`` the most processes at a time.
     """
 
     samples: int
@@ -103,21 +96,13 @@ def _greatest(values: Sequence[float | None]) -> float | None:
 
 
 def cost_path(timings: Path, out: Path, directory: Path) -> Path:
-    """File of the cost of a run: below a folder of their own, since it is part of no record.
-
-    Args:
-        timings: Folder of all of them.
-        out: Folder of run directories.
-    """
+    """File of the cost of a run: below ``timings``, since it is part of no record; run directories are in ``out``."""
     relative = directory.relative_to(out)
     return timings / relative.parent / f"{relative.name}.timing.json"
 
 
 def shard_cost_path(whole: Path, number: int, of: int) -> Path:
-    """File of the cost of one shard of a run, counted from 1; ``whole`` is from `cost_path`.
-
-    No other process writes it.
-    """
+    """File of the cost of one shard, counted from 1; no other process writes it. ``whole`` is from `cost_path`."""
     return whole.with_name(f"{whole.name.removesuffix('.timing.json')}.shard-{number}-of-{of}.timing.json")
 
 
@@ -141,11 +126,7 @@ def gather_costs(whole: Path, facts: PlannerFacts) -> None:
 
 
 def note_cost(path: Path, facts: PlannerFacts, scenes: Mapping[str, SceneCost | None]) -> None:
-    """Note what a planner took in a file from `cost_path`.
-
-    Args:
-        scenes: By scene, of those that were planned now, else ``None``: the notes of those stay.
-    """
+    """Note what a planner took in a file from `cost_path`; notes of scenes that are ``None`` stay."""
     who = _identify_version(facts)
     try:
         known = read_cost(path)

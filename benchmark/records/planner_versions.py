@@ -1,7 +1,4 @@
-"""Names that tell apart several versions of one planner: two checkpoints, two seeds, two settings.
-
-Notes of tables on runs whose plans come from the result files of a repository.
-"""
+"""Names that tell apart several versions of one planner: two checkpoints, two seeds, two settings, two plan files."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -50,14 +47,7 @@ def label_versions(records: Sequence[RunRecord]) -> list[RunRecord]:
 
 
 def compute_version_labels(ran: Sequence[PlannerOnSplit]) -> list[str | None]:
-    """Names that tell versions of planners apart, as `label_versions`, of planners that ran anywhere.
-
-    Args:
-        ran: Planner, name of the data set, split.
-
-    Returns:
-        The name of each that tells its version from the others, or ``None`` where there are no others.
-    """
+    """Names as of `label_versions` for planners on (data set, split); ``None`` for a planner in one version only."""
     versions_by_name: dict[str, list[PlannerOnSplit]] = {}
     for version in ran:
         versions_by_name.setdefault(version[0].name, []).append(version)
@@ -66,7 +56,6 @@ def compute_version_labels(ran: Sequence[PlannerOnSplit]) -> list[str | None]:
 
 
 def _find_distinguishing_facts(ran: Sequence[PlannerOnSplit]) -> list[str]:
-    """Names of the facts that tell versions of one planner apart."""
     versions = [describe_version(planner) for planner, _, _ in ran]
     names = sorted({name for version in versions for name in version})
     return [name for name in names if _differs(name, ran, [version.get(name) for version in versions])]

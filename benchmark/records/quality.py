@@ -1,9 +1,7 @@
-"""Quality records: one directory for one split under one definition, and the one way to add rows up.
+"""Quality records: one directory for one split under one definition, checked as they are read, and their summary.
 
 ``subjects.jsonl`` and ``videos.jsonl`` hold the rows, ``quality.json`` says what was measured, names the hashes of the
 other two and is written last. ``scenes/`` beside them is what a repeated command goes on from.
-
-The files of a quality record, checked at the edge.
 """
 
 import math
@@ -43,12 +41,9 @@ class ExactSum(Stored):
 class SubjectRow(Stored):
     """One vehicle in one camera of one scene: a line of ``subjects.jsonl``.
 
-    Attributes:
-        adversary: Whether the scene was generated around it.
-        appearances: Frames with a mask.
-        returns: How often it came back after frames without one.
-        consistency: VBench's values of the appearances after the first.
-        imaging: MUSIQ's scores of the appearances, 0 to 1.
+    ``adversary`` is whether the scene was generated around it, ``appearances`` its frames with a mask, ``returns`` how
+    often it came back after frames without one. ``consistency`` sums VBench's values of the appearances after the
+    first, ``imaging`` MUSIQ's scores, 0 to 1.
     """
 
     scene: str
@@ -68,10 +63,8 @@ class SubjectRow(Stored):
 class VideoRow(Stored):
     """One camera of one scene: a line of ``videos.jsonl``.
 
-    Attributes:
-        width: Of the frames as they were scored, pixels, as ``height``.
-        formats: Frames by file format.
-        imaging: MUSIQ's scores of whole frames, 0 to 1.
+    ``width`` and ``height`` are in pixels, of the frames as they were scored; ``formats`` counts frames by file format.
+    ``imaging`` sums MUSIQ's scores of whole frames, 0 to 1.
     """
 
     scene: str
@@ -92,11 +85,7 @@ class SceneQualityRows(Stored):
 
 
 class WeightsFacts(Stored):
-    """Weights that were used, by repository and revision.
-
-    Attributes:
-        content: Hash of the files that were used (`benchmark.weights.folders.compute_content_hash`).
-    """
+    """Weights that were used, with the hash of their files (`benchmark.weights.folders.compute_content_hash`)."""
 
     repository: str
     revision: str
@@ -104,12 +93,7 @@ class WeightsFacts(Stored):
 
 
 class GroupSummary(Stored):
-    """Numbers of a group of subjects.
-
-    Attributes:
-        subjects: How many, each camera for itself.
-        imaging: Imaging quality of their regions.
-    """
+    """Numbers of a group of subjects, each camera for itself; ``imaging`` is the quality of their regions."""
 
     subjects: int
     appearances: int
@@ -126,12 +110,7 @@ class SceneSummary(Stored):
 
 
 class QualitySummary(Stored):
-    """Quality of a split.
-
-    Attributes:
-        groups: ``all`` subjects; ``adversary`` and ``others`` where scenes have an adversary.
-        frames_imaging: Imaging quality of whole frames.
-    """
+    """Quality of a split: of ``all`` subjects, ``adversary`` and ``others`` where there is one, and whole frames."""
 
     groups: dict[str, GroupSummary]
     frames: int
@@ -142,11 +121,8 @@ class QualitySummary(Stored):
 class QualityFacts(Stored):
     """``quality.json``; rows are in the files whose SHA-256 it has, and the summary is derived from them alone.
 
-    Attributes:
-        definition: Every choice that changes a number (`benchmark.extensions.quality.definition`).
-        weights: By name.
-        device: ``cpu`` or ``cuda``.
-        review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
+    ``definition`` has every choice that changes a number (`benchmark.extensions.quality.definition`), ``device`` is
+    ``cpu`` or ``cuda``, and ``review`` null where no verdict of an inspector stands, and in older records.
     """
 
     schema_version: int = Field(alias="schema")
@@ -265,11 +241,9 @@ def summarise_quality(scenes: Sequence[SceneQualityRows], facts: Mapping[str, Sc
 
 
 def write_quality(directory: Path, described: Mapping[str, Any], scenes: Sequence[SceneQualityRows]) -> QualityRecord:
-    """Write a quality record.
+    """Write a quality record; no other process may write to its directory.
 
-    Args:
-        directory: Its directory; no other process may write to it.
-        described: Everything of `QualityFacts` but schema, files and summary.
+    ``described`` is everything of `QualityFacts` but schema, files and summary.
     """
     ordered = sorted(scenes, key=lambda rows: rows.scene)
     subjects = tuple(row for rows in ordered for row in rows.subjects)

@@ -11,11 +11,9 @@ from benchmark.records.run_schema import PlannerFacts
 
 
 def with_cost(record: RunRecord, roots: Sequence[Path], timings_of: Callable[[Path], Path]) -> RunRecord:
-    """A record, from below one of the folders, that knows what planning took, if that was noted.
+    """The record with what planning took, if that was noted; ``roots`` are folders of run directories.
 
-    Args:
-        roots: Folders of run directories.
-        timings_of: Where notes on what was made in a folder lie (`benchmark.machine.workspace.Workspace.timings_of`).
+    ``timings_of`` says where notes on a folder lie (`benchmark.machine.workspace.Workspace.timings_of`).
     """
     cost = _find_noted_cost(record.directory, record.run.planner, roots, timings_of)
     return record if cost is None else replace(record, cost=cost)
@@ -30,6 +28,5 @@ def with_drive_cost(record: DriveRecord, roots: Sequence[Path], timings_of: Call
 def _find_noted_cost(
     directory: Path, planner: PlannerFacts, roots: Sequence[Path], timings_of: Callable[[Path], Path]
 ) -> PlannerCost | None:
-    """Measured cost of the planner of a record below one of the folders."""
     root = next((root for root in roots if directory.is_relative_to(root)), None)
     return None if root is None else read_matching_cost(cost_path(timings_of(root), root, directory), planner)

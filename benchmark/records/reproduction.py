@@ -24,14 +24,11 @@ _NO_OPTIONS: Final = frozenset({"checkpoint"})
 
 
 class ComparedNumber(Stored):
-    """One published number and ours.
+    """One published number and ours; ``source`` is where the published one stands.
 
-    Attributes:
-        column: ``collision`` in per cent, ``l2`` in metres, or ``samples``, how many were counted.
-        horizon: ``1s``, ``2s``, ``3s``, ``avg``; empty for ``samples``.
-        published: The published value; of several the one that is nearest to ours.
-        ours: Ours; null where the run has none.
-        source: Where the published value stands.
+    ``column`` is ``collision`` in per cent, ``l2`` in metres, or ``samples``, how many were counted; ``horizon`` is
+    ``1s``, ``2s``, ``3s``, ``avg``, empty for ``samples``. Of several published values it is the nearest to ours, which
+    is null where the run has none.
     """
 
     column: Literal["collision", "l2", "samples"]
@@ -54,12 +51,7 @@ class ComparedNumber(Stored):
 
 
 class Reproduction(Stored):
-    """Outcome of one attempt to reproduce published numbers.
-
-    Attributes:
-        record: Content id of the run record.
-        of: Whose numbers they are, in words.
-    """
+    """Outcome of one attempt to reproduce published numbers, of ``of`` in words; ``record`` is the run's content id."""
 
     planner: PlannerFacts
     data: DataFacts

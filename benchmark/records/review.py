@@ -72,12 +72,9 @@ class ReviewFile(Stored):
 
 @dataclass(frozen=True, slots=True, order=True)
 class StandingVerdict:
-    """A verdict that stands.
+    """A verdict that stands, on the scene whose row has the token.
 
-    Attributes:
-        token: Of the scene's row.
-        verdict: `ACCEPTED` or `REJECTED`.
-        left_out: Whether a build did not write the scene for it, so that it is not there.
+    ``left_out`` is whether a build did not write the scene for it, so that it is not there.
     """
 
     name: str
@@ -89,12 +86,9 @@ class StandingVerdict:
 
 @dataclass(frozen=True, slots=True)
 class SplitReview:
-    """Verdicts of inspectors on the scenes of a split.
+    """Verdicts of inspectors on the scenes of a split, by name, those on scenes that a build left out included.
 
-    Attributes:
-        judged: Verdicts that stand, by name of the scene; those on scenes that a build left out for them among them.
-        waiting: Scenes without a verdict.
-        outdated: Scenes whose verdict was on another scene of the same name.
+    ``waiting`` scenes have no verdict, ``outdated`` ones a verdict on another scene of the same name.
     """
 
     judged: tuple[StandingVerdict, ...] = ()
@@ -162,12 +156,7 @@ def describe_review(facts: ReviewFacts | None) -> str:
 
 
 def require_not_rejected(names: Sequence[str], rejected: Mapping[str, str], where: str) -> None:
-    """Refuse scenes that were asked for by name and that an inspector rejected.
-
-    Args:
-        rejected: Reasons by name.
-        where: The data set, for the message.
-    """
+    """Refuse scenes that were asked for by name and that an inspector rejected, with the reasons in ``rejected``."""
     for name in names:
         if name in rejected:
             raise InputError(
@@ -216,13 +205,7 @@ def check_verdict(stored: Any, what: str) -> Verdict:
 def resolve_verdicts(
     verdicts: Mapping[str, Verdict], tokens: Mapping[str, str], left_out: Mapping[str, StandingVerdict] | None = None
 ) -> SplitReview:
-    """Verdicts that stand, and scenes that have none.
-
-    Args:
-        verdicts: By name of the scene.
-        tokens: Of the rows of the split's scenes, by name.
-        left_out: Scenes that a build left out because they were rejected, by name.
-    """
+    """Verdicts that stand, and scenes that have none; all by scene name, ``tokens`` from the rows of scenes."""
     judged = dict(left_out or {})
     waiting, outdated = [], []
     for name, token in tokens.items():

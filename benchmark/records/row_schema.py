@@ -36,11 +36,9 @@ class PlanRow(Stored):
 class OutcomeRow(Stored):
     """The verdict of one protocol on one sample (`benchmark.protocols.Outcomes`).
 
-    Attributes:
-        collision: At each step; null where the data do not say whom a plan could touch. What ``steps`` has of contacts
-            is no verdict then.
-        l2: Metres, null past the end of the scene.
-        counted: Whether the protocol lets the sample into its denominators.
+    ``collision`` is null where the data do not say whom a plan could touch; what ``steps`` has of contacts is no
+    verdict then. ``l2`` is in metres, null past the end of the scene; ``counted`` is whether the sample is in
+    denominators.
     """
 
     collision: list[bool] | None
@@ -70,9 +68,7 @@ NOT_NEAR: Final = "no forecast near"
 class DiagnosisRow(Stored):
     """Why a colliding plan collides (`benchmark.metrics.diagnosis`).
 
-    Attributes:
-        reason: Which of the rule's cases it is.
-        hit: Instance that is touched first.
+    ``reason`` is the case of the rule, ``hit`` the instance that is touched first.
     """
 
     cause: Cause
@@ -94,9 +90,8 @@ class DiagnosisRow(Stored):
 class LongerPlanRow(Stored):
     """Verdict of ``exact`` on a plan that goes on beyond 3 s: all its steps up to 6 s, judged as one plan.
 
-    Attributes:
-        collision: Contact at each step; null where the data do not say whom a plan could touch.
-        l2: Displacement from the recorded ego, metres; null past the end of the scene.
+    ``collision`` is null where the data do not say whom a plan could touch; ``l2`` is in metres from the recorded ego,
+    null past the end of the scene.
     """
 
     collision: list[bool] | None
@@ -104,11 +99,7 @@ class LongerPlanRow(Stored):
 
 
 class PlanCollision(CollisionSeverity):
-    """The first contact of a plan in open loop (`benchmark.fairness.plan_severity`); its time is since the sample.
-
-    Attributes:
-        adversary: Whether it was made to be an adversary.
-    """
+    """The first contact of a plan in open loop (`benchmark.fairness.plan_severity`); its time is since the sample."""
 
     agent: Text
     adversary: bool
@@ -117,12 +108,9 @@ class PlanCollision(CollisionSeverity):
 class PlanNearRow(Stored):
     """Nearness of a plan without contact to the adversaries; of several, each number is that of the worst.
 
-    Attributes:
-        least_ttc_s: Least time to contact; null where they never head for one another.
-        tet_s: How long the time to contact is below 1.5 s.
-        tit_s2: By how much it is below, summed over time.
-        pet_s: Post-encroachment time; null where the ways do not meet within the plan's 3 s.
-        max_btn: Largest braking threat number.
+    ``least_ttc_s`` is null where they never head for one another. ``tet_s`` is how long the time to contact is below
+    1.5 s, ``tit_s2`` by how much, summed over time. ``pet_s`` is the post-encroachment time, null where the ways do not
+    meet within the plan's 3 s, and ``max_btn`` the largest braking threat number.
     """
 
     least_gap_m: NotNegative
@@ -134,11 +122,9 @@ class PlanNearRow(Stored):
 
 
 class PlanSeverityRow(Stored):
-    """Severity of a plan in open loop.
+    """Severity of a plan in open loop: its first contact with anything, or how ``near`` it comes to the adversaries.
 
-    Attributes:
-        contact: The first contact with anything.
-        near: How near it comes to the adversaries; null with a contact, and where no adversary is there.
+    ``near`` is null with a contact, and where no adversary is there.
     """
 
     contact: PlanCollision | None = None
@@ -192,8 +178,7 @@ class SampleRow(Stored):
 class BriefRow:
     """A `SampleRow` less plan, recorded motion and verdicts; ``judged`` are the protocols that have one.
 
-    Attributes:
-        recorded: Whether the recording goes on for a step at least.
+    ``recorded`` is whether the recording goes on for a step at least.
     """
 
     scene: str

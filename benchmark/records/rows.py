@@ -1,11 +1,8 @@
-"""Rows of a record as they are kept in memory: compressed JSON lines, and columns of what tables read.
+"""Rows of a record in memory: compressed JSON lines, columns of what tables read, and the scenes that a planner fails.
 
-A parsed row takes 20 to 30 kB, its line 3 to 4 kB, and compressed, scene by scene, 0.4 kB. Rows are parsed again on
-iteration, a scene at a time. Lines and columns of large records are kept in the user's cache, so that
-a record is parsed and checked once. They count for rows with one SHA-256, that of ``samples.jsonl``, and for the code
-that made them; a cache file that does not match is ignored.
-
-Scenes that a planner fails, from the columns of a record.
+A parsed row takes 20 to 30 kB, its line 3 to 4 kB, and compressed, scene by scene, 0.4 kB; iteration parses a scene at
+a time. Lines and columns of large records are kept in the user's cache, for the SHA-256 of ``samples.jsonl`` and the
+code that made them; a cache file that does not match is ignored.
 """
 
 import contextlib
@@ -56,8 +53,7 @@ _QUICK: Final = 1
 class SampleRows(Sequence[SampleRow]):
     """Rows in compressed form; every access makes new `SampleRow` objects, which are equal.
 
-    Args:
-        blocks: For each scene its name, how many rows it has, and their lines, compressed.
+    ``blocks`` are, for each scene, its name, how many rows it has, and their lines, compressed.
     """
 
     def __init__(self, blocks: Iterable[tuple[str, int, bytes | memoryview]] = ()) -> None:
@@ -82,11 +78,7 @@ class SampleRows(Sequence[SampleRow]):
 
     @classmethod
     def read(cls, path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]) -> "SampleRows":
-        """Read a file of rows, with their columns.
-
-        Args:
-            parse: Checks some lines, each given with its number.
-        """
+        """Read a file of rows, with their columns; ``parse`` checks some lines, each given with its number."""
         from benchmark.records.columns import RowColumns, build_batch
 
         compressed, waiting = cls(), read_lines(path, RECORD)
@@ -231,11 +223,9 @@ def cache_rows(path: Path, sha256: str, rows: SampleRows) -> SampleRows:
 
 
 def cache_in_parallel(files: Mapping[Path, str], read: Callable[[Path], object]) -> None:
-    """Let workers read files of which nothing is kept, so that all of them are, where that takes less time.
+    """Let workers read files (with SHA-256) that are not kept yet, where that takes less time.
 
-    Args:
-        files: SHA-256 of each.
-        read: Importable; reads the record in a folder and keeps its rows.
+    ``read`` is importable, reads the record in a folder and keeps its rows.
     """
     new = {path: sha256 for path, sha256 in files.items() if path.is_file() and not _is_cached((path, sha256))}
     sizes = [path.stat().st_size for path in new]
@@ -279,11 +269,10 @@ _FAILURES: Final = "failures of scenes"
 
 
 def find_scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str) -> dict[str, bool | None]:
-    """Which scenes a planner fails: those with a counted sample that collides at any step.
+    """Which scenes a planner fails, by name: those with a counted sample that collides at any step.
 
-    Returns:
-        Scene name to verdict, by name; ``None`` where no verdict is possible: no counted sample whose collisions are
-        known, or no contact but the planner raised on a sample that could have shown one.
+    ``None`` where no verdict is possible: no counted sample whose collisions are known, or no contact but the planner
+    raised on a sample that could have shown one.
     """
     definition_of(protocol)
     columns = get_columns(rows)
@@ -300,11 +289,9 @@ def find_scene_failures(rows: "Sequence[SampleRow] | RowColumns", protocol: str)
 
 
 def find_scenes_with(columns: "RowColumns", protocol: str, hits: Bools) -> dict[str, bool | None]:
-    """Which scenes have one of some colliding samples; verdicts as of `find_scene_failures`.
+    """Which scenes have one of the (R,) colliding samples ``hits``, which count; verdicts as of `find_scene_failures`.
 
-    Args:
-        columns: Of R rows, all of them judged by the protocol.
-        hits: (R,) the samples, of those that count and collide.
+    All R rows of ``columns`` are judged by the protocol.
     """
     counted, unknown = columns.counted(protocol), _unknown(columns, protocol)
     return {

@@ -194,12 +194,10 @@ def summarise_rows(
     seed: int,
     scene_facts: Mapping[str, SceneFacts] | None = None,
 ) -> RunSummary:
-    """Rates of every protocol from the rows.
+    """Rates of every protocol from the rows; ``versions`` of the protocols are those that judged them.
 
-    Args:
-        versions: Protocols to summarise with the version that judged the rows.
-        scene_facts: What each scene was made from: intervals draw recorded scenes with all that was made from them,
-            because ten variants of one recording are not ten recordings. Scenes without facts stand for themselves.
+    Intervals draw recorded scenes with all that was made from them (``scene_facts``), because ten variants of one
+    recording are not ten recordings. Scenes without facts stand for themselves.
     """
     columns = get_columns(rows)
     planned, known = columns.planned_scenes, scene_facts or {}
@@ -255,9 +253,8 @@ def write_record(
 ) -> RunRecord:
     """Write a record in place of the one that is there, if any, and read it back.
 
-    Args:
-        directory: Run directory; no other process may write to it (`benchmark.machine.storage.lock_folder`).
-        facts: `RunFacts` less status, protocols, seed and files.
+    No other process may write to the run directory (`benchmark.machine.storage.lock_folder`). ``facts`` are `RunFacts`
+    less status, protocols, seed and files.
     """
     if not rows:
         raise InputError(f"no samples to write to {directory}: the selected scenes have none; choose other scenes")

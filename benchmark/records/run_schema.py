@@ -142,12 +142,9 @@ class DataFacts(Stored):
 
 
 class ReviewFacts(Stored):
-    """Verdicts of inspectors on the scenes of a split (`benchmark.records.review`).
+    """Verdicts of inspectors on the scenes of a split (`benchmark.records.review`); ``content`` is their hash.
 
-    Attributes:
-        content: Hash of the verdicts: which scene, which content of it, accepted or rejected.
-        rejected: Scenes that were rejected; none of them is judged.
-        not_reviewed: Scenes without a verdict; they are judged.
+    Rejected scenes are not judged; scenes without a verdict are.
     """
 
     content: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -157,10 +154,9 @@ class ReviewFacts(Stored):
 
 
 class GeneratedFacts(Stored):
-    """Which search the scenes of a generated split come from.
+    """Which search the scenes of a generated split come from: its seed, and the hash of what else decided it.
 
-    Attributes:
-        search: Hash of what else decided it; null where the data set does not say (`benchmark.records.attempts`).
+    ``search`` is null where the data set does not say (`benchmark.records.attempts`).
     """
 
     seed: Seed
@@ -204,9 +200,9 @@ class RecordFacts(Stored):
     """Facts in the first file of a record, of planning and of driving alike.
 
     Attributes:
-        scenes_in_split: How many scenes the split has; more than ``scenes`` means that a part was asked for.
+        scenes_in_split: More than ``scenes`` means that a part was asked for.
         scene_facts: Empty in run records of schema 1.
-        frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
+        frozen_split: Frozen split that the data were built from, if they were; null in older records.
         review: Null where no verdict stands, and in older records.
         generated: Which search the scenes come from; null of recordings and in older records.
         caveats: Empty in older records.
@@ -249,8 +245,7 @@ class RecordFacts(Stored):
 class UnchangedFacts(Stored):
     """The record of the same planner on the unchanged recordings of an adversarial split (docs/metrics.md).
 
-    Attributes:
-        samples: SHA-256 of its rows.
+    ``samples`` is the SHA-256 of its rows.
     """
 
     data: DataFacts
@@ -261,13 +256,10 @@ class UnchangedFacts(Stored):
 class RunFacts(RecordFacts):
     """``run.json``.
 
-    Attributes:
-        unchanged: The record that the effect of adversaries was taken against when this one was written; null where
-            there was none, of recordings, and in older records.
-        realism: How real the split's adversaries move; null where it was not measured, and in older records.
-        plans_from: Where the plans come from, if from the result files of a repository; null in older records. The
-            environment is then that of the import.
-        rescored: The environment of the last `challenger-bench rescore`, if the plans were judged anew since.
+    ``unchanged`` is the record that the effect of adversaries was taken against, null where there was none and of
+    recordings; ``realism`` is null where it was not measured. ``plans_from`` says which result files the plans come
+    from, if any; the environment is then that of the import. All three are null in older records. ``rescored`` is the
+    environment of the last `challenger-bench rescore`.
     """
 
     unchanged: UnchangedFacts | None = None
@@ -313,10 +305,8 @@ class ProtocolSummary(Stored):
 class DrivingSummary(Stored):
     """Summary of a run under ``nuscenes-pdm`` (`benchmark.records.driving`).
 
-    Attributes:
-        columns: Column name (``score``, ``nc``, ``filtered_score``, ...) to its ``mean`` and to the share of plans that
-            have ``ones`` there.
-        incomplete: Samples that were planned but have no sub-scores.
+    ``columns`` are by name (``score``, ``nc``, ``filtered_score``, ...), each with its ``mean`` and the share of plans
+    that have ``ones`` there. Samples that were planned but have no sub-scores are ``incomplete``.
     """
 
     version: int
@@ -328,9 +318,8 @@ class DrivingSummary(Stored):
 class RunSummary(Stored):
     """``summary.json``: derived from the rows alone.
 
-    Attributes:
-        failed: Samples on which the planner raised; ``coverage`` is the share of the others.
-        driving: Null where no sample has driving scores.
+    The planner raised on ``failed`` samples; ``coverage`` is the share of the others. ``driving`` is null where no
+    sample has driving scores.
     """
 
     schema_version: int = Field(alias="schema")

@@ -31,11 +31,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class ReferenceDriverCollision(Stored):
-    """First contact of a reference driver.
-
-    Attributes:
-        impact_speed_m_s: Size of the difference of the velocities.
-    """
+    """First contact of a reference driver; the impact speed is the size of the difference of the velocities."""
 
     time_s: float
     party: Party
@@ -48,13 +44,10 @@ class ReferenceDriverCollision(Stored):
 
 
 class ReferenceDriverRun(Stored):
-    """Fate of one reference driver.
+    """Fate of one reference driver; it survives if it hits nothing.
 
-    Attributes:
-        survives: Whether it hits nothing.
-        reacted_s: When it first finds something unsafe; null where it never does, or is no driver that reacts.
-        reacted_to: Party that made it react first.
-        beyond_end: Whether it leaves the recorded path, where no road is known.
+    ``reacted_s`` is when it first finds something unsafe, ``reacted_to`` the party; null where it never does, or is no
+    driver that reacts. ``beyond_end`` is whether it leaves the recorded path, where no road is known.
     """
 
     survives: bool
@@ -78,10 +71,9 @@ class ReferenceDriverRun(Stored):
 class CollisionSeverity(Stored):
     """A contact in numbers (`benchmark.fairness.scene_assessment`).
 
-    Attributes:
-        at_fault: Whether the ego is to blame; null where only a map could tell and there is none.
-        impact_speed_m_s: Size of the difference of the velocities.
-        fatal_probability: Of those in the ego.
+    ``at_fault`` is whether the ego is to blame, null where only a map could tell and there is none.
+    ``impact_speed_m_s`` is the size of the difference of the velocities, ``fatal_probability`` that of those in the
+    ego.
     """
 
     time_s: float
@@ -97,7 +89,7 @@ class InteractionSeverity(Stored):
     """Nearness of the recorded ego, or one that follows plans, and one other to a contact.
 
     Attributes:
-        least_gap_m: Smallest distance of the bodies; null where they are never there together.
+        least_gap_m: Null where they are never there together.
         least_ttc_s: Least time to contact before a contact; null where they never head for one another.
         tet_s: How long the time to contact is below 1.5 s.
         tit_s2: By how much it is below, summed over time.
@@ -203,12 +195,9 @@ class SceneAssessment(Stored):
 class AssessmentSummary(Stored):
     """Part of a scene's judgements for tables, cards and filters; of several adversaries the most severe values.
 
-    Attributes:
-        unsolvable: Whether no driver could have avoided it (`is_unsolvable`); null where no adversary is known, as are
-            the numbers after it.
-        margin_s: Least time from 0.75 s after an adversary is first visible to the last chance.
-        contact: The recorded ego's first contact with an adversary, if it has one.
-        unknown_faults: Faults that could not be told of some track.
+    ``unsolvable`` (`is_unsolvable`) and the numbers after it are null where no adversary is known. ``margin_s`` is the
+    least time from 0.75 s after an adversary is first visible to the last chance, ``contact`` the recorded ego's first
+    contact with an adversary. ``unknown_faults`` could not be told of some track.
     """
 
     definition: Annotated[int, Field(ge=1)] = DEFINITION
@@ -293,11 +282,8 @@ class FeatureRealism:
 class CtgRow(Stored):
     """``ctg-realism@code``, which is quoted and never ranked by.
 
-    Attributes:
-        normalisation: How scenes are put together.
-        mask: Which agents count.
-        mean_real_dev: Mean over the agents' histograms.
-        mean_real_dev_int: Mean over the relative ones; null where the code gives none.
+    ``normalisation`` is how scenes are put together, ``mask`` which agents count. The means are over the agents'
+    histograms and over the relative ones, null where the code gives none.
     """
 
     version: Text
@@ -319,11 +305,9 @@ class ValidityRow(Stored):
 class SplitRealism(Stored):
     """Realism of the motion of a split's adversaries.
 
-    Attributes:
-        reference: Which recordings they are compared with; null where they are not, and ``not_compared`` says why.
-        samples: Samples of adversaries, and of recordings.
-        worst: Name of the worst feature, which is the headline.
-        ctg: For comparison with the literature.
+    ``reference`` are the recordings they are compared with, null where they are not and ``not_compared`` says why.
+    ``samples`` counts those of adversaries, then of recordings. ``worst`` names the worst feature, which is the
+    headline; ``ctg`` is for comparison with the literature.
     """
 
     adversaries: Annotated[int, Field(ge=0)]

@@ -1,4 +1,4 @@
-"""Scene sheets on disk: their schema, and how they are read. Everything that is shown of a scene comes from here.
+"""Scene sheets on disk: their schema, and how they are read.
 
 ``<sheets>/<data set>/<split>/split.json`` is a `SplitPage`; ``.../<split>/scenes/<scene>/`` holds ``sheet.json`` (a
 `ScenePage`), pictures below ``cameras/`` and, where the search kept its rounds, ``rounds.json`` (a `RefinementTrace`).
@@ -41,8 +41,7 @@ Segment = tuple[float, float, float, float]
 class PageEgo(Stored):
     """Recorded motion of the ego's rear axle, one value a frame, relative to the sheet's origin.
 
-    Attributes:
-        centre_ahead_m: Centre of the body ahead of the rear axle.
+    ``centre_ahead_m`` is the centre of the body ahead of the rear axle.
     """
 
     x_m: tuple[float, ...]
@@ -56,10 +55,7 @@ class PageEgo(Stored):
 class PageAgent(Stored):
     """One annotated object: its box centres relative to the sheet's origin, and headings.
 
-    Attributes:
-        size_m: Length, width, height.
-        adversary: Whether it was generated.
-        first: Frame of the first of the values; they are null where it is not there.
+    ``size_m`` is length, width, height. The values begin at frame ``first`` and are null where it is not there.
     """
 
     id: str
@@ -113,8 +109,7 @@ class ScenePage(Stored):
         adversary_edges: For such a frame (as text) and each camera that sees an adversary: edges of its 3-D box as
             (x1, y1, x2, y2) in pixels of the picture, cut at the cell's borders.
         files: SHA-256 of each picture by its path below the sheet's folder.
-        drawn_by: Renderer that drew the images that the pictures are made of; null where the data set does not say, as
-            of recordings, and in older sheets.
+        drawn_by: Renderer of the images; null where the data set does not say, as of recordings, and in older sheets.
     """
 
     schema_version: int = Field(alias="schema")
@@ -145,12 +140,9 @@ class ScenePage(Stored):
 
 
 class TraceRound(Stored):
-    """One round of refinement.
+    """One round of refinement: (B, M) simulated points (x, y) relative to the sheet's origin, half a second apart.
 
-    Attributes:
-        candidates: (B, M) points (x, y) relative to the sheet's origin, half a second apart, as simulated.
-        scores: (B,) final scores, lower is better; null where infinite.
-        collision_free: How many candidates touch nothing.
+    ``scores`` are (B,), lower is better, null where infinite; ``collision_free`` is how many candidates touch nothing.
     """
 
     candidates: tuple[Ring, ...]
@@ -168,11 +160,7 @@ class TraceFrame(Stored):
 
 
 class RefinementTrace(Stored):
-    """``rounds.json``: the search for one adversary.
-
-    Attributes:
-        search: Version and fingerprint of the search and of its trajectory model.
-    """
+    """``rounds.json``: the search for one adversary, with version and fingerprint of it and its trajectory model."""
 
     schema_version: int = Field(alias="schema")
     scene: str
@@ -183,12 +171,7 @@ class RefinementTrace(Stored):
 
 
 class AttemptFacts(Stored):
-    """One vehicle that the search tried.
-
-    Attributes:
-        scene: Name of the scene that it became; null if it did not.
-        discarded: Why not; null if it was kept.
-    """
+    """One vehicle that the search tried, with the scene that it became or the reason why not; the other is null."""
 
     source: str
     agent: str
@@ -211,11 +194,9 @@ class AttemptFacts(Stored):
 class SplitPage(Stored):
     """Content of the page of one split.
 
-    Attributes:
-        attempts: Vehicles that the search tried, for generated splits.
-        runtime: Seconds of each stage of generation, if this machine measured them.
-        review: Verdicts of inspectors; null where none stands.
-        hyper: Settings of the search that its scenes come from; empty where they are not known.
+    ``attempts`` are of generated splits, ``runtime`` is there if this machine measured the seconds of each stage.
+    ``review`` is null where no verdict stands, and ``hyper``, the settings of the search, empty where they are not
+    known.
     """
 
     schema_version: int = Field(alias="schema")
@@ -277,11 +258,7 @@ def kept_rounds_path(root: Path, scene: str) -> Path:
 
 
 def find_scene_pages(root: Path) -> ScenePages:
-    """Read all sheets below a folder, which need not exist.
-
-    Raises:
-        InputError: If one is damaged, of another version, or a picture is missing or not the one that was written.
-    """
+    """Read all sheets below a folder, which need not exist; damaged ones and changed pictures are refused."""
     splits = [_read(path, SplitPage) for path in sorted(root.glob(f"*/*/{SPLIT_FILE}"))]
     paths = sorted(root.glob(f"*/*/{SCENES_FOLDER}/*/{SHEET_FILE}"))
     scenes = sorted((read_scene_page(path.parent) for path in paths), key=lambda found: found.sheet.scene)
@@ -292,11 +269,7 @@ def find_scene_pages(root: Path) -> ScenePages:
 
 
 def read_scene_page(directory: Path) -> StoredScenePage:
-    """Read one scene's sheet.
-
-    Raises:
-        InputError: If it is missing, damaged, of another version, or a picture is not the one that was written.
-    """
+    """Read one scene's sheet; a damaged one or a changed picture is refused."""
     sheet = _read(directory / SHEET_FILE, ScenePage)
     count = len(sheet.timestamps_us)
     if not count or {len(sheet.ego.x_m), len(sheet.ego.y_m), len(sheet.ego.yaw_rad)} != {count}:

@@ -1,7 +1,6 @@
 """Search trace of a reactive adversary at each of its planning frames: one file per drive, beside its record.
 
-The files are written on request (`drive --keep-considered`) and are no part of the record: with and without them its
-bytes are the same.
+The files are written on request (`drive --keep-considered`) and do not change the record's bytes.
 """
 
 from pathlib import Path
@@ -23,12 +22,10 @@ FrameAction = Literal["track", "searched", "slowed"]
 class SearchTraceFrame(Stored):
     """Candidates and choice of an adversary in one planning frame.
 
-    Attributes:
-        did: What was done: the track that the scene was made with went on, a candidate of the search was driven, or
-            none was allowed and it went on or braked on the path that was meant.
-        candidates: (B, M) global x, y of the search's candidates, half a second apart; none where it did not search.
-        scores: (B,) lower is better; null where infinite.
-        chosen: Which was driven; null where none was.
+    The track that the scene was made with went on, a candidate of the search was driven, or none was allowed and it
+    went on or braked on the path that was meant (``did``). ``candidates`` (B, M) are global x, y, half a second apart,
+    none where it did not search; of their ``scores`` lower is better, null is infinite. ``chosen`` is null where none
+    was driven.
     """
 
     frame: int

@@ -1,7 +1,4 @@
-"""Splits in numbers, as ``split.json`` stores them: rows of tables, what adversaries do, seconds of generation.
-
-Assessment of all scenes of a split, as ``data stats`` prints it.
-"""
+"""Splits in numbers: what ``split.json`` stores, and the assessment of all scenes that ``data stats`` prints."""
 
 from typing import Annotated, Any, Final
 
@@ -22,9 +19,7 @@ class _StatisticsModel(BaseModel):
 class TableCounts(_StatisticsModel):
     """Numbers of table rows that belong to some scenes: the paper's table "Overview of the Adv-nuSc Dataset".
 
-    Attributes:
-        instances: Rows of ``instance`` with an annotation in the scenes.
-        ego_poses: Rows of ``ego_pose`` that sensor data of the scenes name.
+    ``instances`` have an annotation in the scenes, ``ego_poses`` are those that sensor data of the scenes name.
     """
 
     instances: int
@@ -46,13 +41,9 @@ class Quantiles(_StatisticsModel):
 
 
 class ManoeuvreRow(_StatisticsModel):
-    """One kind of manoeuvre in a data set.
+    """One kind of manoeuvre in a data set: adversaries whose primary kind it is, and those that did it at all.
 
-    Attributes:
-        primary: Adversaries whose primary kind it is; ``places`` and ``median_gap_m`` are of these.
-        occurred: Adversaries that did it at some time.
-        places: How many happened where.
-        median_gap_m: Median smallest gap, ``None`` if there are none.
+    ``places`` and ``median_gap_m`` (the median smallest gap, ``None`` if there are none) are of the primary ones.
     """
 
     manoeuvre: str
@@ -63,10 +54,9 @@ class ManoeuvreRow(_StatisticsModel):
 
 
 class SplitStatistics(_StatisticsModel):
-    """A split, or a whole data set, in numbers.
+    """A split, or a whole data set (``split`` is ``None``), in numbers.
 
     Attributes:
-        split: ``None`` for the whole data set.
         adversaries_per_scene: Number of scenes by number of adversaries; empty for recordings.
         labelled: Adversaries with labels.
         manoeuvres: Rows by falling number; empty without labels.
@@ -116,10 +106,8 @@ Count = Annotated[int, Field(ge=0)]
 class ReferenceDriverSurvival(Stored):
     """One rung of the ladder: how many of the scenes one reference driver survives.
 
-    Attributes:
-        hit_adversary: Scenes in which it touches an adversary first.
-        hit_from_behind: Scenes in which another runs into it: agents replay their tracks and do not brake for it.
-        beyond_end: Scenes in which it leaves the recorded path.
+    ``hit_adversary`` scenes are those in which it touches an adversary first, ``beyond_end`` those in which it leaves
+    the recorded path. In ``hit_from_behind`` another runs into it: agents replay their tracks and do not brake for it.
     """
 
     driver: DriverName
@@ -146,12 +134,10 @@ class SeverityRow(Stored):
 class SplitAssessment(Stored):
     """Judgements of a split's scenes, by name, and their summary.
 
-    Attributes:
-        ladder_of_recordings: The same of the recordings that the scenes were made from; empty where they are not at
-            hand. Agents replay their tracks there, too: what a driver does not survive there no adversary did.
-        unsolvable: Scenes that could not have been avoided by any driver.
-        severity: Of the recorded ego's encounters with adversaries; times to contact only of those without contact.
-        contacts: Encounters in which the recorded ego touches an adversary.
+    ``ladder_of_recordings`` is of the recordings that the scenes were made from, empty where they are not at hand.
+    Agents replay their tracks there, too: what a driver does not survive there no adversary did. ``unsolvable`` scenes
+    could not have been avoided by any driver. ``severity`` is of the recorded ego's encounters with adversaries, times
+    to contact only of those without one; in ``contacts`` it touches an adversary.
     """
 
     scenes: dict[str, tuple[SceneAssessment, ...]]

@@ -1,10 +1,8 @@
-"""How records are read, and the three files of a run record: replaced together or not at all, read in any schema.
+"""How records are found and read, in any schema, and how their three files are replaced: together or not at all.
 
 New files are first written under pending names, ``run.json`` last; from then on the record is decided and the three are
 renamed, ``run.json`` last again. A command that is killed before leaves the old record as it was; one that is killed
 between the renames leaves a pending ``run.json``, and `finish_replacement` finishes the renames.
-
-Which run records there are, from their ``run.json`` alone: for sentences that say what there is instead.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -56,11 +54,9 @@ Record = TypeVar("Record")
 
 
 def validate_stored(validate: Callable[[Any], Value], stored: Any, sentence: Callable[[str, str], str]) -> Value:
-    """Check a value read from a file, at the edge.
+    """Check a value read from a file, for example with the ``model_validate`` of a model.
 
-    Args:
-        validate: Checks it, for example the ``model_validate`` of a model.
-        sentence: Makes the message for the user, from the place of the first fault (empty for the whole) and its cause.
+    ``sentence`` makes the message from the place of the first fault (empty for the whole) and its cause.
     """
     try:
         return validate(stored)
@@ -73,11 +69,7 @@ def validate_stored(validate: Callable[[Any], Value], stored: Any, sentence: Cal
 
 
 def read_records(places: Iterable[Path], read: Callable[[Path], Record], *, instead: str = "") -> list[Record]:
-    """Read every record that was found, in the order of the places.
-
-    Args:
-        instead: What a user gets by taking a damaged one away.
-    """
+    """Read every record that was found, in order; ``instead`` is what a user gets by taking a damaged one away."""
     records = []
     for place in places:
         try:
@@ -101,11 +93,8 @@ def replace_files(
 ) -> dict[str, str]:
     """Write the files of a record in place of those that are there, and return their SHA-256 by name.
 
-    No other process may write to the directory (`benchmark.machine.storage.lock_folder`).
-
-    Args:
-        run: Contents of ``run.json``, given the SHA-256 of the other files by name.
-        rows: Contents of ``samples.jsonl``, as values or as they are written.
+    No other process may write to the directory (`benchmark.machine.storage.lock_folder`). ``run`` makes ``run.json``
+    from the SHA-256 of the other files; ``rows`` are values, or bytes as they are written.
     """
     finish_replacement(directory, names)
     if isinstance(rows, bytes):
@@ -120,11 +109,7 @@ def replace_files(
 
 
 def finish_replacement(directory: Path, names: RecordFileNames = RUN_FILES) -> None:
-    """Finish a replacement that was decided when its command was killed, and drop one that was not.
-
-    Args:
-        directory: Run directory; no other process may write to it.
-    """
+    """Finish a replacement that was decided when its command died, else drop it; no other process may write there."""
     if _is_decided(directory, names):
         _rename(directory, names)
     with writing_to(directory):
@@ -153,24 +138,16 @@ def _rename(directory: Path, names: RecordFileNames) -> None:
 
 
 def stored_schema(directory: Path) -> int:
-    """Number of the schema in which a record is stored.
-
-    Raises:
-        InputError: If ``run.json`` is absent or damaged, or its schema is newer than this version or never existed.
-    """
+    """Number of the schema in which a record is stored; a newer one, or one that never existed, is refused."""
     return int(stored_head(directory)["schema"])
 
 
 def read_rows_and_summary(
     directory: Path, head: dict[str, Any], names: RecordFileNames, again: str
 ) -> tuple[list[Any], Any]:
-    """Read the rows and the summary that the head of a record names.
+    """Read the rows and the summary that the head of a record names; only hashes and the form of JSON are checked.
 
-    Nothing but the hashes and the form of JSON is checked.
-
-    Args:
-        head: Contents of its first file, with the SHA-256 of the other two.
-        again: The command that makes such records.
+    ``head`` is its first file, ``again`` the command that makes such records.
     """
     rows, summary = read_json_lines(directory / names.rows, RECORD), read_json(directory / names.summary, RECORD)
     require_matching_hashes(directory, head, names, again)
@@ -186,9 +163,7 @@ def require_matching_hashes(
 ) -> None:
     """Refuse rows and a summary that are not those that the head of a record names.
 
-    Args:
-        again: The command that makes such records.
-        known: Names of files of which that is known already.
+    ``again`` is the command that makes such records; files in ``known`` are sound already.
     """
     for name in (names.rows, names.summary):
         if name not in known and file_sha256(directory / name) != head["files"].get(name):
@@ -196,10 +171,7 @@ def require_matching_hashes(
 
 
 def read_files(directory: Path) -> RecordFiles:
-    """Read the files of a record and bring them to the present schema.
-
-    Nothing but the schema, the hashes and the form of JSON is checked.
-    """
+    """Read the files of a record in the present schema; only schema, hashes and the form of JSON are checked."""
     run = stored_head(directory)
     rows, summary = read_rows_and_summary(directory, run, RUN_FILES, "eval")
     for schema in range(run["schema"], SCHEMA):
@@ -208,10 +180,7 @@ def read_files(directory: Path) -> RecordFiles:
 
 
 def stored_head(directory: Path) -> dict[str, Any]:
-    """Contents of ``run.json``, of any schema that this version reads.
-
-    Nothing but the schema and the hashes' presence is checked.
-    """
+    """Contents of ``run.json``, of any schema that this version reads; checked for schema and hashes' presence."""
     run = read_json(directory / RUN_FILE, RECORD)
     if not isinstance(run, dict) or type(run.get("schema")) is not int or not isinstance(run.get("files"), dict):
         raise InputError(f"{directory / RUN_FILE} is not a run record: it has no schema number or no hashes of files")
@@ -299,11 +268,7 @@ def list_recorded(folders: Iterable[Path]) -> tuple[RecordIdentity, ...]:
 
 
 def find_record_with_samples(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -> RecordIdentity | None:
-    """The first record that has some samples: what a plan file of other data seems to be for.
-
-    Args:
-        samples: Names of each sample in the rows of records: its token, or its scene and time.
-    """
+    """The first record that has some samples (token, or scene and time), which a plan file seems to be for."""
     for folder in folders:
         for path in sorted(folder.rglob(ROWS_FILE)):
             with path.open(encoding="utf-8", errors="replace") as lines:

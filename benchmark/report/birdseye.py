@@ -1,7 +1,4 @@
-"""A scene from above: the road, who is where, where they come from and go to, and what planners planned.
-
-Plans, what planners expect, candidates and contacts on a picture from above.
-"""
+"""A scene from above: the road, agents and their ways, plans, forecasts, candidates and contacts."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -186,8 +183,7 @@ class BirdseyeScene:
     def __init__(self, sheet: ScenePage, colours: GroundColours = ON_LIGHT) -> None:
         """Make the map ready; a sheet without frames, or without an ego pose for each, is refused.
 
-        Args:
-            colours: Of everything but ego, adversary and plans; plans are drawn for `ON_LIGHT`.
+        ``colours`` are of everything but ego, adversary and plans; plans are drawn for `ON_LIGHT`.
         """
         count = len(sheet.timestamps_us)
         if not count or {len(sheet.ego.x_m), len(sheet.ego.y_m), len(sheet.ego.yaw_rad)} != {count}:
@@ -212,15 +208,10 @@ class BirdseyeScene:
         heading_up: bool = True,
         middle: float = 0.5,
     ) -> tuple[Picture, GroundView]:
-        """Draw one frame without captions.
+        """Draw one frame without captions: (height_px, width_px, 3) RGB, and where metres fall on it.
 
-        Args:
-            extent_m: Half of what the shorter side shows.
-            heading_up: Whether the ego's heading points up; else north does.
-            middle: How far down the picture the ego is, as a share of its height.
-
-        Returns:
-            (height_px, width_px, 3) RGB, and where metres fall on it.
+        The shorter side shows twice ``extent_m``; the ego is at the share ``middle`` of the height, from above. Its
+        heading or else north points up.
         """
         sheet = self.sheet
         if not 0 <= frame < len(self.seconds):
@@ -303,15 +294,9 @@ def draw_birdseye(
     heading_up: bool = True,
     captions: bool = False,
 ) -> NDArray[np.uint8]:
-    """Draw the surroundings of the ego from above.
+    """Draw the surroundings of the ego from above: (size_px, size_px, 3) RGB, a square of twice ``extent_m``.
 
-    Args:
-        extent_m: Half the side of the square that it shows.
-        heading_up: Whether the ego's heading points up; else north does.
-        captions: Whether to write the time, a scale bar, the legend, and the verdicts on the plans.
-
-    Returns:
-        (size_px, size_px, 3) RGB.
+    The heading or else north points up; captions are the time, a scale bar, the legend, and the verdicts on the plans.
     """
     drawer = BirdseyeScene(sheet)
     image, view = drawer.draw(

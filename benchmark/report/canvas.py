@@ -1,7 +1,4 @@
-"""A picture of the ground from above: where metres fall on pixels, and what is drawn in metres.
-
-Text on pictures: any name, anti-aliased, the same pixels everywhere.
-"""
+"""A picture of the ground from above: where metres fall on pixels, and lines, shapes and text, the same everywhere."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -38,10 +35,8 @@ def write_text(
 ) -> None:
     """Write one line; what is outside the picture is cut off.
 
-    Args:
-        at: Pixels; x of its left end, middle or right end, y of the middle of its small letters' line.
-        anchor: Point of the text that ``at`` is.
-        plate: Colour of a plate behind it, to be read on anything.
+    ``at`` is in pixels: x of its left end, middle or right end (``anchor``), y of the middle of its small letters'
+    line. A ``plate`` is a colour behind it, to be read on anything.
     """
     mask = _mask(text, size_px, bold)
     height, width = mask.shape
@@ -113,11 +108,7 @@ _FARTHEST_PX = 30_000.0
 
 @dataclass(frozen=True, slots=True)
 class GroundView:
-    """Map from metres on the ground to pixels.
-
-    Attributes:
-        matrix: (2, 3) affine map from x, y in metres to column and row.
-    """
+    """Map from metres on the ground to pixels: ``matrix`` (2, 3) takes x, y in metres to column and row."""
 
     matrix: Floats
     scale_px_m: float
@@ -157,13 +148,9 @@ def make_view(
     heading_up: bool = True,
     middle: float = 0.5,
 ) -> GroundView:
-    """A view with a pose in it.
+    """A view with a pose (x, y, yaw in metres and radians) in it, at the share ``middle`` of its height from above.
 
-    Args:
-        pose: (3,) x, y, yaw in metres and radians.
-        extent_m: Half of what the shorter side shows.
-        heading_up: Whether the heading points up; else +y does, which is north in the global frame.
-        middle: How far down the picture the pose is, as a share of its height.
+    The shorter side shows twice ``extent_m``. The heading points up, or else +y, which is north in the global frame.
     """
     scale = min(width_px, height_px) / (2.0 * extent_m)
     yaw = float(pose[2]) if heading_up else np.pi / 2
@@ -174,11 +161,7 @@ def make_view(
 
 
 def fill_rings(image: Picture, view: GroundView, rings: Sequence[Floats], colour: Rgb) -> None:
-    """Fill an area of the picture in place; a point inside an even number of rings is outside it.
-
-    Args:
-        rings: Each (M, 2) metres.
-    """
+    """Fill rings, each (M, 2) metres, in place; a point inside an even number of rings is outside the area."""
     if rings and view.sees(np.concatenate(rings)):
         cv2.fillPoly(image, _split(view, rings), colour, cv2.LINE_AA, SHIFT)
 
@@ -193,12 +176,7 @@ def stroke(
     dash: Dash = (),
     closed: bool = False,
 ) -> None:
-    """Draw a line through (M, 2) metres on the picture in place.
-
-    Args:
-        dash: Its pattern in pixels.
-        closed: Whether it returns to its start.
-    """
+    """Draw a line through (M, 2) metres on the picture in place; the pattern of ``dash`` is in pixels."""
     if len(points) < 2 or not view.sees(points):
         return
     pixels = view.pixels(np.concatenate([points, points[:1]]) if closed else points)
@@ -226,13 +204,7 @@ def outline_box(image: Picture, view: GroundView, box: Floats, colour: Rgb, widt
 
 
 def mark_at(image: Picture, pixel: Floats, shape: str, radius_px: float, colour: Rgb, edge: Rgb | None = None) -> None:
-    """Draw a small filled shape on the picture in place.
-
-    Args:
-        pixel: (2,) its centre, pixels.
-        shape: ``circle``, ``square``, ``triangle`` or ``diamond``.
-        edge: Of a line around it.
-    """
+    """Draw a filled ``circle``, ``square``, ``triangle`` or ``diamond`` around a (2,) pixel in place."""
     if shape == "circle":
         centre = tuple(int(value) for value in np.round(pixel * (1 << SHIFT)))
         cv2.circle(image, centre, round(radius_px * (1 << SHIFT)), colour, -1, cv2.LINE_AA, SHIFT)
@@ -248,12 +220,7 @@ def mark_at(image: Picture, pixel: Floats, shape: str, radius_px: float, colour:
 def draw_translucent(
     image: Picture, view: GroundView, points: Floats, opacity: float, draw: Callable[[], None]
 ) -> None:
-    """Draw something that can be seen through.
-
-    Args:
-        points: (M, 2) metres; everything is drawn in the rectangle around them, or a few pixels outside it.
-        opacity: 0 to 1.
-    """
+    """Draw with an opacity of 0 to 1, in the rectangle around (M, 2) metres or a few pixels outside it."""
     if opacity <= 0.0 or not view.sees(points):
         return
     pixels = view.pixels(points)
@@ -274,12 +241,7 @@ def encode_png(image: Picture) -> bytes:
 
 
 def split_into_dashes(line: Floats, pattern: Dash) -> list[Floats]:
-    """Strokes of a dashed line, each (K, 2).
-
-    Args:
-        line: (M, 2) points, in any unit.
-        pattern: Lengths of strokes and gaps, alternating, in the same unit.
-    """
+    """Strokes (K, 2) of a dashed line (M, 2); ``pattern`` alternates lengths of strokes and gaps, in its unit."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     total = float(along[-1])
     if not total > 0.0:

@@ -39,11 +39,7 @@ _SCALES_M: Final = (1, 2, 5, 10, 20, 50, 100)
 
 @dataclass(frozen=True, slots=True)
 class LegendEntry:
-    """One line of the legend.
-
-    Attributes:
-        kind: ``box``, ``way``, ``path``, ``forecast`` or ``candidates``.
-    """
+    """One line of the legend; ``kind`` is ``box``, ``way``, ``path``, ``forecast`` or ``candidates``."""
 
     kind: str
     colour: Rgb
@@ -72,11 +68,7 @@ def build_legend(sheet: ScenePage, overlays: Sequence[Overlay]) -> list[LegendEn
 
 
 def draw_entry(image: Picture, entry: LegendEntry, at: tuple[float, float], *, size_px: int = 12) -> int:
-    """Draw one entry of the legend on the picture in place, and return its width in pixels.
-
-    Args:
-        at: Its left end and the middle of its line, pixels.
-    """
+    """Draw an entry of the legend in place; returns its width in pixels. ``at`` is its left end, mid-height."""
     x, y = at
     left, right, row = round(x), round(x) + 20, round(y)
     if entry.kind == "box":

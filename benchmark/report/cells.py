@@ -42,11 +42,7 @@ class AnyRate(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TableCell:
-    """One cell of a table, with the facts behind a number.
-
-    Attributes:
-        miniature: Whether it names a planner that shows the pipeline and ranks nothing (docs/miniatures.md).
-    """
+    """One cell of a table, with the facts behind a number; ``miniature`` marks a planner that ranks nothing."""
 
     text: str
     cell: "CellSource | None" = None
@@ -60,8 +56,7 @@ class CellSource:
     Attributes:
         value: In its unit, or ``None`` where it does not exist.
         unit: For example ``%``, ``m``, ``points`` (of per cent), ``x`` (times), or what a count counts.
-        n: How many it was counted over; ``None`` where that is not known (quoted numbers).
-        of: What ``n`` counts.
+        n: How many of ``of`` it was counted over; ``None`` where that is not known (quoted numbers).
         low: Lower end of the 95 % interval in the same unit, or ``None`` where there is none.
         high: Upper end; may be infinite.
         protocol: Protocol of the verdicts behind it, or ``None`` where it rests on none.
@@ -80,13 +75,7 @@ class CellSource:
     source: str | None = None
 
     def shown(self, digits: int = 0, *, signed: bool = False, after: str = "") -> TableCell:
-        """The number as it is shown, or a dash.
-
-        Args:
-            digits: Decimals.
-            signed: Whether positive numbers have a sign.
-            after: Text behind a number that exists.
-        """
+        """The number with ``digits`` decimals, or a dash; ``after`` is text behind a number that exists."""
         text = format_number(self.value, digits, signed=signed)
         return TableCell(text if self.value is None else f"{text}{after}", self)
 
@@ -109,13 +98,7 @@ _FACTS: Final = tuple(each.name for each in fields(CellSource))
 
 @dataclass(frozen=True, slots=True)
 class ValueSource:
-    """Origin of numbers; makes their cells.
-
-    Attributes:
-        protocol: Protocol of the verdicts behind them, or ``None`` where they rest on none.
-        record: Content id, planner and split of the records behind them.
-        source: Where they are quoted from, if they are not ours.
-    """
+    """Origin of numbers, fields as of `CellSource`; makes their cells."""
 
     protocol: str | None = None
     record: str | None = None
@@ -132,13 +115,9 @@ class ValueSource:
         high: float | None = None,
         scale: float = 1.0,
     ) -> CellSource:
-        """A number from here.
+        """A number from here, counted over ``n`` of ``of``.
 
-        Args:
-            unit: Of the number times ``scale``.
-            n: What it was counted over.
-            of: What ``n`` counts.
-            scale: What number and ends are multiplied with, for example 100 for a percentage.
+        Number and ends are multiplied by ``scale`` (100 for a percentage), which gives the unit.
         """
         scaled = [None if number is None else scale * number for number in (value, low, high)]
         return CellSource(scaled[0], unit, n, of, scaled[1], scaled[2], self.protocol, self.record, self.source)
@@ -152,11 +131,7 @@ class ValueSource:
         return self.cell(rate.value, unit, rate.denominator, of, low=rate.low, high=rate.high)
 
     def count(self, count: int | None, of: str, among: int | None = None) -> CellSource:
-        """Cell of a count.
-
-        Args:
-            among: Among how many; the count itself where it is all there are.
-        """
+        """Cell of a count among so many; ``None`` where it is all there are."""
         return self.cell(count, of, count if among is None else among, of)
 
 
@@ -188,10 +163,9 @@ def format_number(value: float | None, digits: int = 2, *, signed: bool = False)
 
 
 def format_interval(low: float | None, high: float | None, *, digits: int = 1) -> str:
-    """An interval as ``[low, high]``, or a dash where there is none to speak of; ``high`` may be infinite.
+    """An interval as ``[low, high]``, ``high`` perhaps infinite, or a dash where there is none to speak of.
 
-    An interval without width is a dash too: where all scenes agree there is nothing to draw, and "[0.0, 0.0]" would
-    look like certainty.
+    An interval without width is a dash too: where all scenes agree, "[0.0, 0.0]" would look like certainty.
     """
     if low is None or high is None or low == high:
         return UNDEFINED

@@ -36,8 +36,8 @@ class EpisodePage:
         recorded_speed: (T,) its speed, m/s.
         recorded_seconds: (T,) times of both after the sheet's first frame.
         speed: (F,) of the driven ego at the sheet's frames, m/s.
-        contact: The first contact, in the sheet's metres, its seconds after the sheet's first frame.
-        considered: What an adversary considered at its planning frames, where that was kept.
+        contact: The first, in the sheet's metres and seconds after the sheet's first frame.
+        considered: What an adversary considered, where that was kept.
     """
 
     stored: StoredScenePage

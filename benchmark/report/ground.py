@@ -24,12 +24,7 @@ Area = tuple[Floats, ...]
 
 @dataclass(frozen=True, slots=True)
 class GroundLayer:
-    """Areas or lines of one colour.
-
-    Attributes:
-        centres: (N, 2) of the circle around each.
-        reaches_m: (N,) its radius.
-    """
+    """Areas or lines of one colour, each within a circle: ``centres`` (N, 2), ``reaches_m`` (N,)."""
 
     areas: tuple[Area, ...]
     centres: Floats
@@ -52,14 +47,7 @@ class GroundLayer:
 
 @dataclass(frozen=True, slots=True)
 class PageGround:
-    """The map of one sheet.
-
-    Attributes:
-        below: Pavements.
-        above: Car parks and crossings.
-        stripes: Of the crossings.
-        paint: Strokes of painted lines.
-    """
+    """The map of one sheet: pavements below, car parks and crossings above, the crossings' stripes, painted lines."""
 
     below: GroundLayer
     drivable: GroundLayer

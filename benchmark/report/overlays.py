@@ -32,13 +32,10 @@ CANDIDATES_SHOWN: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class CollisionMark:
-    """Place and time at which a plan, or a drive, first touches something.
+    """Place and time (since the sample) at which a plan, or a drive, first touches something.
 
-    Attributes:
-        seconds: After the sample.
-        ego: (5,) the ego's footprint then.
-        other: (5,) what it touches, or ``None`` where the protocol does not say.
-        point: (2,) in the middle of what they share.
+    ``ego`` and ``other`` are (5,) footprints then, the latter ``None`` where the protocol does not say. ``point`` (2,)
+    is in the middle of what they share.
     """
 
     seconds: float
@@ -60,10 +57,7 @@ class CollisionParty(Enum):
 class PlanVerdict:
     """Verdict of one protocol on one sample, in words and in few words.
 
-    Attributes:
-        collides: Whether the plan touches anything; ``None`` where it cannot be said.
-        counted: Whether it enters the rates.
-        whom: With whom the contact is, if it collides.
+    ``collides`` is ``None`` where it cannot be said; ``counted`` is whether it enters the rates.
     """
 
     collides: bool | None
@@ -80,13 +74,7 @@ class PlanVerdict:
 
 @dataclass(frozen=True, slots=True)
 class PlanOverlay:
-    """One planner's last plan.
-
-    Attributes:
-        plan: ``None`` where the planner failed.
-        age_s: Since it was made.
-        details: Whether to draw other modes and forecasts.
-    """
+    """One planner's last plan, ``None`` where it failed; ``details`` draws its other modes and forecasts."""
 
     name: str
     style: PlannerStyle
@@ -106,10 +94,8 @@ class PlanOverlay:
 class CandidatesOverlay:
     """Candidates that the search chose from.
 
-    Attributes:
-        paths: (B, M, 2) worst first, each from where the adversary was.
-        shares: (B,) 0 for the best score, 1 for the worst or infinite ones.
-        chosen: (M, 2) the one that was executed; ``None`` where none was.
+    ``paths`` (B, M, 2) are worst first, each from where the adversary was. ``shares`` (B,) are 0 for the best score, 1
+    for the worst or infinite ones. ``chosen`` (M, 2) was executed; ``None`` where none was.
     """
 
     paths: Floats
@@ -178,11 +164,7 @@ def _find_collision_time(row: SampleRow, protocol: str) -> float | None:
 def build_plan_overlay(
     sheet: ScenePage, keyframe: int, row: SampleRow, protocol: str, name: str, style: PlannerStyle
 ) -> PlanOverlay:
-    """A stored plan with its verdict, as it is at the sample.
-
-    Args:
-        keyframe: Frame of the sample.
-    """
+    """A stored plan with its verdict, as it is at the sample, which is at frame ``keyframe``."""
     verdict = describe_verdict(row, protocol, adversaries=any(agent.adversary for agent in sheet.agents))
     plan = place_plan(row, ego_pose(sheet, keyframe))
     contact = None
@@ -195,11 +177,7 @@ def build_plan_overlay(
 
 
 def build_candidates_overlay(sheet: ScenePage, trace: RefinementTrace, frame: int) -> CandidatesOverlay | None:
-    """The candidates of the planning frame in force, of the round that the executed one is from.
-
-    Returns:
-        What to draw, or ``None`` before the search begins and when its last planning frame is no longer in force.
-    """
+    """Candidates of the round of the executed one in the planning frame in force; ``None`` where none is in force."""
     seconds = frame_seconds(sheet)
     past = [trace_frame for trace_frame in trace.frames if trace_frame.frame <= frame]
     if not past or seconds[frame] - seconds[past[-1].frame] > PLANNING_S + 1e-6:
@@ -219,13 +197,7 @@ def build_candidates_overlay(sheet: ScenePage, trace: RefinementTrace, frame: in
 
 
 def rank_candidates(paths: Floats, scores: Sequence[float | None], chosen: int | None) -> CandidatesOverlay:
-    """The best `CANDIDATES_SHOWN` candidates in the order in which they are drawn.
-
-    Args:
-        paths: (B, M, 2) of all of them.
-        scores: (B,) lower is better, ``None`` where infinite.
-        chosen: Which was executed, if one was.
-    """
+    """The best `CANDIDATES_SHOWN` of (B, M, 2) in drawing order; lower scores are better, ``None`` is infinite."""
     known = np.array([np.inf if score is None else score for score in scores])
     order = np.argsort(known, kind="stable")[:CANDIDATES_SHOWN][::-1]
     finite = known[np.isfinite(known)]

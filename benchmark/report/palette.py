@@ -29,16 +29,8 @@ BYSTANDER: Final[Rgb] = (84, 92, 112)
 class GroundColours:
     """Colours of everything but ego, adversary and plans, on a light or a dark page.
 
-    Attributes:
-        land: Where there is no road, pavement or car park.
-        kerb: Edge of the road.
-        stripe: Of crossings.
-        paint: Of lines, by the name of their colour.
-        cycle: Two-wheelers.
-        person: People and animals.
-        thing: Everything else.
-        ink: Edges.
-        paper: Edges of small things.
+    ``land`` is where there is no road, pavement or car park, ``kerb`` the road's edge. ``cycle`` has two-wheelers,
+    ``person`` animals too, ``thing`` all else; ``ink`` is for edges, ``paper`` for those of small things.
     """
 
     land: Rgb
@@ -100,12 +92,7 @@ Dash = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class PlannerStyle:
-    """Style of one planner.
-
-    Attributes:
-        dash: Pattern of its plan's line.
-        mark: Shape at each waypoint: ``circle``, ``square``, ``triangle`` or ``diamond``.
-    """
+    """Style of one planner; ``mark`` is a ``circle``, ``square``, ``triangle`` or ``diamond`` at each waypoint."""
 
     colour: Rgb
     dash: Dash

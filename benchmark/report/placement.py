@@ -15,12 +15,7 @@ from benchmark.waypoints import points_in_lidar, waypoints_in_lidar
 
 @dataclass(frozen=True, slots=True)
 class PlacedForecasts:
-    """Motion that a planner expects of others.
-
-    Attributes:
-        boxes: (A, 5) present boxes.
-        paths: (A, 6, 2) centres over the plan's steps in the most likely mode.
-    """
+    """Motion that a planner expects of others: (A, 5) present boxes, (A, 6, 2) centres in the most likely mode."""
 
     boxes: Floats
     paths: Floats
@@ -28,13 +23,10 @@ class PlacedForecasts:
 
 @dataclass(frozen=True, slots=True)
 class PlacedPlan:
-    """A plan.
+    """A plan: (6, 2) waypoints of the lidar origin, and (M, 6, 2) other modes, those that are the plan itself left out.
 
-    Attributes:
-        waypoints: (6, 2) positions of the lidar origin.
-        footprints: (30, 5) the ego's rectangle at 0.1, 0.2, ... 3.0 s, as ``exact`` compares it.
-        start: (5,) the same at the sample.
-        modes: (M, 6, 2) other modes, as the waypoints; those that are the plan itself are left out.
+    ``footprints`` (30, 5) are the ego's rectangle at 0.1, 0.2, ... 3.0 s, as ``exact`` compares it, ``start`` (5,) that
+    at the sample.
     """
 
     waypoints: Floats
@@ -73,11 +65,7 @@ def agent_box(agent: PageAgent, frame: int) -> Floats | None:
 
 
 def agent_box_at(sheet: ScenePage, agent: PageAgent, seconds: float) -> Floats | None:
-    """(5,) box of an object between frames, ``None`` where it is not there at the frames before and after.
-
-    Args:
-        seconds: Since the first frame.
-    """
+    """(5,) box of an object in seconds since the first frame, ``None`` if missing at the frame before or after."""
     times = frame_seconds(sheet)
     if not times[0] <= seconds <= times[-1] + 1e-6:
         return None
@@ -98,11 +86,7 @@ def frame_seconds(sheet: ScenePage) -> Floats:
 
 
 def place_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
-    """Put a stored plan where it was planned, ``None`` where the planner failed.
-
-    Args:
-        axle: (3,) pose of the rear axle at the sample.
-    """
+    """Put a stored plan at the (3,) pose of the rear axle at its sample, ``None`` where the planner failed."""
     if row.plan is None:
         return None
     plan, ahead = row.plan, row.lidar_ahead_m
@@ -129,13 +113,10 @@ def place_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
 
 
 def place_waypoints(waypoints: Floats, frame: str, ahead_m: float, axle: Floats) -> PlacedPlan | None:
-    """Put waypoints where they were planned, to 3 s, without modes and forecasts; ``None`` where they are shorter.
+    """Put (N, 2) waypoints of frame ``lidar`` or ``ego`` where they were planned, to 3 s, without modes and forecasts.
 
-    Args:
-        waypoints: (N, 2) metres.
-        frame: ``lidar`` or ``ego``.
-        ahead_m: Lidar origin ahead of the rear axle.
-        axle: (3,) pose of the rear axle.
+    ``None`` where they are shorter. ``axle`` is the (3,) pose of the rear axle, ``ahead_m`` the lidar origin ahead of
+    it.
     """
     if len(waypoints) < PLAN_STEPS:
         return None

@@ -33,14 +33,8 @@ _PAGE_DPI = 96
 class PlotTheme:
     """Colours of a plot on a light or a dark page.
 
-    Attributes:
-        faint: Letters that matter less.
-        rule: Lines of a grid.
-        empty: Cells without a number.
-        good: What did not collide.
-        contact: What collided.
-        planners: Of planners by their place; they repeat.
-        dark: Whether what is brighter stands out more.
+    ``faint`` letters matter less, ``rule`` lines are of a grid, ``empty`` cells have no number. Planners have colours
+    by their place, which repeat. With ``dark``, what is brighter stands out more.
     """
 
     paper: str

@@ -56,12 +56,8 @@ _LATEX_LETTERS = "äöüßÄÖÜáàâãåçéèêëíìîïñóòôõøúùûæ
 class LatexForm:
     """Layout of a table in LaTeX, if not as all others.
 
-    Attributes:
-        alignment: Of the columns, with rules between them.
-        rules_after: Numbers of rows below which a rule goes.
-        bold_rows: Rows that stand out.
-        once: Columns that say the same in all rows between two rules, and are shown in the middle one alone.
-        fit: Whether it is made as wide as the text.
+    ``alignment`` is of the columns, with rules between them. Columns in ``once`` say the same in all rows between two
+    rules, and are shown in the middle one alone. With ``fit`` it is made as wide as the text.
     """
 
     alignment: str
@@ -73,12 +69,7 @@ class LatexForm:
 
 @dataclass(frozen=True, slots=True)
 class TableExcerpt:
-    """Part of a table that a terminal shows unless all of it is asked for.
-
-    Attributes:
-        columns: Places of the columns, in their order, those of text first.
-        text_columns: How many of them are text.
-    """
+    """Part of a table that a terminal shows unless all is asked for; its columns by place, those of text first."""
 
     title: str
     columns: tuple[int, ...]
@@ -152,11 +143,8 @@ class Table:
     ) -> str:
         """The table as aligned text for a terminal, with its title, if it has one, and notes.
 
-        Args:
-            wide: Whether to show every column, as wide as they are; notes are wrapped all the same.
-            width: Columns of the terminal, if it is not to be asked.
-            indent: Before each line but the title.
-            least: Characters that each column has at least.
+        ``wide`` shows every column, as wide as they are; notes are wrapped all the same. The terminal's ``width`` is
+        asked for by default, ``indent`` is not before the title, and each column has at least ``least`` characters.
         """
         width, brief = width or find_terminal_width(), None if wide else self.brief
         places = range(len(self.columns)) if brief is None else brief.columns
@@ -244,12 +232,7 @@ def build_table(
     brief: TableExcerpt | None = None,
     latex_form: LatexForm | None = None,
 ) -> Table:
-    """A table of texts and of numbers that bring their facts.
-
-    Args:
-        rows: Text, or a number as its cell shows it.
-        groups: Labels over columns; those over none are left out.
-    """
+    """A table of texts and of numbers that bring their facts; ``groups`` over no columns are left out."""
     cells = [[TableCell(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
     miniatures = tuple(any(cell.miniature for cell in row) for row in cells)
     return Table(
@@ -310,7 +293,6 @@ def _latex_row(cells: Sequence[str], *, bold: bool = False) -> str:
 
 
 def _latex_groups(groups: Groups) -> Iterator[str]:
-    """A row of labels over their columns, and the rules below them."""
     if not any(label for label, _ in groups):
         return
     cells, rules, first = [], [], 1

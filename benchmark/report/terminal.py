@@ -1,7 +1,4 @@
-"""How tables and sentences look in a terminal: as wide as it is and no wider, 80 columns where there is none.
-
-Notebook display of a record or a scene: a table, in place of all its fields.
-"""
+"""How tables, sentences and records look in a terminal (80 columns where there is none) or a notebook."""
 
 import re
 import shutil
@@ -45,13 +42,10 @@ def find_terminal_width() -> int:
 def wrap_text(
     text: str, width: int | None = None, *, indent: str = "", hanging: str = "", whole_words: bool = True
 ) -> list[str]:
-    """A sentence as lines, at least one.
+    """A sentence as lines, at least one, as wide as the terminal by default.
 
-    Args:
-        width: Columns; those of the terminal by default.
-        indent: Before each line.
-        hanging: Before each line but the first, after the indent.
-        whole_words: Whether words that are longer than a line (paths) stay whole, so that they can be copied.
+    ``hanging`` comes after the indent of each line but the first. With ``whole_words`` words that are longer than a
+    line (paths) stay whole, so that they can be copied.
     """
     return textwrap.wrap(
         text,
@@ -71,15 +65,11 @@ def align_columns(
     width: int | None,
     least: Sequence[int] = (),
 ) -> list[str]:
-    """Lines of a table.
+    """Lines of a table; the first ``text_columns`` are text (left-aligned), the others numbers.
 
-    Where the table is too wide, heads break between words, then cells of text break wherever they must, then columns of
-    numbers go on below, with the columns of text again before them.
-
-    Args:
-        text_columns: How many leading columns are text (left-aligned); the others are numbers.
-        width: Columns at most; ``None`` for as many as it takes.
-        least: Characters that each column has at least.
+    Where it is wider than ``width``, heads break between words, then cells of text break wherever they must, then
+    columns of numbers go on below, with the columns of text again before them. Each column has at least ``least``
+    characters.
     """
     heads, rows = [_bound(head) for head in heads], [[_bound(cell) for cell in row] for row in rows]
     least = least or (0,) * len(heads)

@@ -4,8 +4,7 @@
 def pluralise(count: int, one: str, many: str | None = None) -> str:
     """A number with its noun, singular where it is one: ``1 scene``, ``3 scenes`` or ``1,204 samples``.
 
-    Args:
-        many: The same for several; by default with an s, or ``ies`` for a ``y`` after a consonant.
+    ``many`` is by default with an s, or ``ies`` for a ``y`` after a consonant.
     """
     return f"{count:,} {inflect_noun(count, one, many)}"
 
@@ -20,10 +19,7 @@ def inflect_noun(count: int, one: str, many: str | None = None) -> str:
 
 
 def format_split(split: str, data_name: str) -> str:
-    """A split and its data set in a sentence, as ``split adv of mini``.
-
-    A data set that is called like its split is named once.
-    """
+    """A split and its data set, as ``split adv of mini``; a data set that is called like its split is named once."""
     return f"split {split}" if data_name == split else f"split {split} of {data_name}"
 
 

@@ -1,11 +1,4 @@
-"""The caveats of a run record, put together in one place; each kind is decided in the room that knows of it.
-
-Caveats on runs whose key frames are not half a second apart.
-
-Caveats on missing ground truth of a data set: labels, sizes, categories, complete samples, poses.
-
-Caveats on inputs that planners, engines and driving scores lack, and on impossible values of a data set.
-"""
+"""The caveats of a record: key frames at other times, missing truth, and missing or impossible input."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
@@ -67,11 +60,7 @@ def list_data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
 
 
 def list_map_caveats(scenes: Mapping[str, SceneFacts], goes_without: Sequence[str]) -> Iterator[Caveat]:
-    """Caveat about scenes that have no map with lanes, one at most.
-
-    Args:
-        goes_without: What happens without lanes, in words; nothing is said if nothing does.
-    """
+    """Caveat about scenes that have no map with lanes, one at most; ``goes_without`` words what happens then."""
     facts = collect_inputs(scenes)
     without = [name for name, inputs in facts.items() if not inputs.lanes]
     if without and goes_without:
@@ -239,10 +228,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def list_time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
-    """Caveats about times: one of scenes at another rate, one of gaps in scenes at 2 Hz.
-
-    None where key frames are steps.
-    """
+    """Caveats about times: of scenes at another rate, and of gaps at 2 Hz; none where key frames are steps."""
     truths = [facts.truth for facts in scenes.values() if facts.truth is not None]
     sentences = []
     rates_s = sorted({truth.interval_s for truth in truths if truth.interval_s is not None})
@@ -287,10 +273,8 @@ def list_run_caveats(
 ) -> list[Caveat]:
     """Caveats of a run, in order: inputs that its numbers needed and did not get.
 
-    Args:
-        scenes: Facts of the scenes that ran, with what the data set holds of their truth.
-        known: What the command that took the plans in knows, or what a stored record says: only what cannot be found
-            out again is taken from it.
+    Of ``known``, from the command that took the plans in or a stored record, only what cannot be found out again is
+    taken.
     """
     columns = rows.columns
     compared = ComparedPlans.of(columns.in_lidar, columns.recorded)
@@ -306,11 +290,7 @@ def list_drive_caveats(
     compared: ComparedPlans,
     known: Sequence[Caveat] = (),
 ) -> list[Caveat]:
-    """`list_run_caveats` of a record of drives.
-
-    Args:
-        compared: Its plans of the instants at which the ego was still where it was recorded.
-    """
+    """`list_run_caveats` of a record of drives; ``compared`` are plans made where the ego was as recorded."""
     input_caveats = (find(planner, scenes, measured) for find in _OF_DRIVES)
     return sort_caveats(chain(_select_file_caveats(known), *input_caveats, _of_plans(compared, known)))
 

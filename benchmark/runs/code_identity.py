@@ -1,12 +1,11 @@
 """Identity of planner code: a hash by which a cached plan is recognised as stale.
 
-Of this project all of `benchmark` and `adapters` counts, but for what no plan depends on (`APART`) and for extensions
-that the planner does not use. Of other code those modules count that the planner's module imports, directly and through
-others, also inside functions: all that is neither Python's nor an installed library's, and its own package wherever it
-is installed. A module counts as its syntax tree without docstrings, comments and the form of its lines.
-
-What a planner loads under names that it makes up while it plans is known afterwards alone (`hash_loaded_code`, in the
-process that it has); it is kept with the plans, which are stale when any of it has changed (`is_current`).
+All of `benchmark` and `adapters` counts, but for what no plan depends on (`APART`) and for extensions that the planner
+does not use; of other code the planner's own package, and modules that its module imports, directly, through others or
+inside functions, unless they are Python's or an installed library's. A module counts as its syntax tree without
+docstrings, comments and the form of its lines. What a planner loads under names that it makes up while it plans is
+known afterwards alone (`hash_loaded_code`); it is kept with the plans, which are stale when any of it changed
+(`is_current`).
 """
 
 import ast
@@ -46,11 +45,8 @@ _SAYS_NOTHING: Final = frozenset({"ctx", "kind", "type_comment", "type_ignores"}
 def code_sha256(made: type, *, made_by: str | None = None, parts: frozenset[type] = frozenset()) -> str | None:
     """Hash of the code that the actions of a planner (or an engine) depend on, 64 hexadecimal digits.
 
-    ``None`` if the class has no source file, as in a notebook.
-
-    Args:
-        made_by: The function or class that made it, as ``package.module:name``.
-        parts: Classes of what it was given, such as its network.
+    ``None`` if the class has no source file, as in a notebook. ``made_by`` is ``package.module:name``; ``parts`` are
+    classes of what it was given, such as its network.
     """
     return _identity(made, made_by, parts)
 
@@ -112,8 +108,7 @@ def is_current(loaded: Mapping[str, str]) -> bool:
 def hash_modules(start: Iterable[str], made: type | None = None) -> dict[str, str]:
     """Hashes by name of modules and of all that they import, directly and through others, and that counts.
 
-    Args:
-        made: A class whose top-level package counts wherever it is installed.
+    The top-level package of the class ``made`` counts wherever it is installed.
     """
     top_package = "" if made is None else made.__module__.partition(".")[0]
     hashes: dict[str, str] = {}

@@ -23,10 +23,7 @@ _SCORING_S: Final = 0.5
 
 
 def estimate_driving(data: "DataSet", split: str, planner: PlannerFactory, settings: DriveSettings, out: Path) -> str:
-    """Sentence on how much there is to drive, and about how long it takes.
-
-    It takes so long at most, since drives that end in a contact take less.
-    """
+    """Sentence on how much there is to drive, and how long it takes at most: drives that end in a contact take less."""
     scenes = settings.chosen(data, split)
     units = settings.units(data, scenes)
     job = make_job(data, split, planner.facts, out, settings)

@@ -1,7 +1,4 @@
-"""A drive as a row of its record.
-
-Plans of drives beside what was recorded, at the instants where both speak of the same motion.
-"""
+"""A drive as a row of its record, and its plans beside what was recorded, where both speak of the same motion."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -30,10 +27,7 @@ _STEPS_US: Final = np.arange(PLAN_STEPS + 1, dtype=np.int64) * round(PLAN_STEP_S
 
 
 def compare_drive(scene: Scene, row: EpisodeRow) -> ComparedPlans:
-    """Plans of a drive that were made where the recorded car was, as fast as it was, with 3 s of recording ahead.
-
-    The planner sees nothing of this: it is done with rows that are finished.
-    """
+    """Plans of a drive that were made where the recorded car was, as fast as it was, with 3 s of recording ahead."""
     count = len(row.plans)
     if not count:
         return ComparedPlans.joined([])

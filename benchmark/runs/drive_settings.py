@@ -1,7 +1,4 @@
-"""How planners are driven in closed loop.
-
-Jobs of closed-loop runs: a job, its units, and where each is stored.
-"""
+"""Settings of closed-loop runs, and their jobs: units of work, and where each is stored."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -57,11 +54,8 @@ Paths = list[list[list[float]]]
 class CachedEpisode:
     """Stored result of a unit.
 
-    Attributes:
-        scoring: Version of its scores: drives that were scored by earlier definitions are scored again.
-        plan: Its plans of the instants at which the ego was still where it was recorded.
-        recorded: What was recorded there.
-        loaded: Code that its planner had loaded (`benchmark.runs.code_identity.hash_loaded_code`).
+    Drives of an earlier version of ``scoring`` are scored again. ``plan`` and ``recorded`` are of the instants at which
+    the ego was still where it was recorded. ``loaded`` is the code that the planner had loaded (`hash_loaded_code`).
     """
 
     row: EpisodeRow
@@ -75,11 +69,9 @@ class CachedEpisode:
 class ClosedLoopJob:
     """Settings that every unit of work needs; picklable.
 
-    Attributes:
-        factory: Builds the planner; ``None`` where there is one object alone.
-        ladder: Reference drivers that drive the same encounters.
-        keep_considered: Whether what an adversary considered is kept beside the record.
-        costs: File of what its planner takes (`benchmark.records.planner_cost.cost_path`); ``None`` notes nothing.
+    ``factory`` is ``None`` where there is one planner object alone. ``ladder`` names the reference drivers of the same
+    encounters; ``keep_considered`` stores what an adversary considered beside the record. ``costs`` is from
+    `benchmark.records.planner_cost.cost_path`; ``None`` notes nothing.
     """
 
     directory: Path
@@ -218,11 +210,7 @@ class DriveSettings:
         return units
 
     def units(self, data: "DataSet", scenes: tuple[str, ...]) -> list[EpisodeUnit]:
-        """All units, scene after scene.
-
-        Raises:
-            InputError: If no scene has a scenario, or a number of runs is asked for that no record holds.
-        """
+        """All units, scene after scene; no scenario at all, or more runs than a record holds, is refused."""
         units = self.units_of(data, scenes)
         if not units and self.agents == ADVERSARY:
             raise InputError(

@@ -1,9 +1,8 @@
 """Units of driving, one scene and one run each: driven and scored, here or in another process, alone or side by side.
 
-What came of it is kept under a content key, in a file of its own that is written last: finished units are read. A kept
-drive that was scored by earlier definitions is driven again by its stored plans, without its planner.
-
-Reference drivers in the encounters of a record of drives: driven once for all planners, and kept beside them.
+Each is kept under a content key, in a file of its own that is written last: finished units are read. A kept drive that
+was scored by earlier definitions is driven again by its stored plans, without its planner. Reference drivers drive each
+encounter once for all planners, and are kept beside them.
 """
 
 import time
@@ -71,12 +70,9 @@ _TRIED_AGAIN: Final = (FailureReason.TIMEOUT.value, FailureReason.DIED.value)
 
 @dataclass(frozen=True, slots=True)
 class EpisodeResult:
-    """Result of a unit.
+    """Result of a unit; ``compared`` are its plans made where the ego was still where it was recorded.
 
-    Attributes:
-        seconds: How long it took with those beside it, or ``None`` where it was kept from before.
-        cost: What its planner took, likewise.
-        compared: Its plans of the instants at which the ego was still where it was recorded.
+    ``seconds`` is with the drives beside it. It and ``cost`` are ``None`` where the drive was kept from before.
     """
 
     unit: EpisodeUnit
@@ -92,13 +88,9 @@ class EpisodeResult:
 
 
 def drive_tasks(data: "DataSet", planners: "PlannerPool", tasks: Sequence[EpisodeTask]) -> list[EpisodeResult]:
-    """Drive units side by side, or take the drives that are kept.
+    """Drive units side by side (several only of planners that draw nothing), or take the drives that are kept.
 
-    Args:
-        tasks: What is driven; several only of planners that draw nothing.
-
-    Raises:
-        InputError: If the data is broken or a drive cannot be written; the other units are kept then.
+    Broken data and drives that cannot be written are raised when the other units are kept.
     """
     results_by_place: dict[int, EpisodeResult] = {}
     left: dict[int, str] = {}
@@ -149,9 +141,9 @@ def _cache_search_trace(data: "DataSet", job: ClosedLoopJob, row: EpisodeRow) ->
 
 
 def collect_costs(job: ClosedLoopJob, results: Sequence[EpisodeResult], workers: int) -> dict[str, SceneCost | None]:
-    """Cost of the planner in each drive of a job, by the name of the drive's file.
+    """Cost of the planner in each drive of a job, by the name of the drive's file; ``None`` of drives kept from before.
 
-    ``None`` for drives that were kept from before. ``workers`` processes drove at the same time.
+    ``workers`` processes drove at the same time.
     """
     common_fields = {"workers": workers}
     return {

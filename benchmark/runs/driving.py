@@ -1,10 +1,7 @@
 """The main path of closed loop: drive every scene and run of a split, write the record.
 
-Read from the top: `drive_planners` chooses scenes and runs, hands units to `benchmark.runs.drive_work`, and writes
-what comes back. Results of units are kept, so the same command resumes where it stopped; the record is the same bytes
-for any number of workers.
-
-The record of all drives of a planner: its fields, what its planner took, and what is kept no longer.
+`drive_planners` chooses scenes and runs, hands units to `benchmark.runs.drive_work`, and writes the records. Results of
+units are kept, so the same command resumes where it stopped; the record is the same bytes for any number of workers.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -52,18 +49,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ClosedLoopResults:
-    """All drives of a job.
-
-    Attributes:
-        data: The data set.
-        split: Which of its splits.
-        scenes: The scenes that were driven.
-        job: What was driven.
-        units: Its units.
-        results: Of the units, in their order.
-        settings: How they were driven.
-        truths: What the data set holds of each scene's truth.
-    """
+    """All drives of a job; results are in the order of the units."""
 
     data: "DataSet"
     split: str
@@ -266,7 +252,6 @@ def _records(
     planners: PlannerPool,
     elsewhere: Callable[[Sequence[EpisodeTask]], list[EpisodeResult]] | None,
 ) -> list[DriveRecord]:
-    """Drive all units of all jobs, scene by scene, and write their records."""
     scenes = settings.chosen(data, split)
     units = settings.units(data, scenes)
     scene_names = {unit.scene for unit in units}

@@ -51,12 +51,8 @@ def write_episode_page(
 ) -> EpisodePage:
     """Drive stored plans again and write their sheet, with pictures in a folder.
 
-    Args:
-        sensor: The sensor that drew for the planner; ``None`` where none did, or not the present one.
-
-    Raises:
-        InputError: If the data set is another one, the plans lead elsewhere than they did, or a picture cannot be
-            written.
+    ``sensor`` drew for the planner; ``None`` where none did, or not the present one. Another data set, or plans that
+    lead elsewhere than they did, are refused.
     """
     if data.fingerprint() != record.facts.data.fingerprint:
         raise InputError(

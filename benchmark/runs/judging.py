@@ -2,8 +2,6 @@
 
 `judge_plans` asks each judge of `ROW_JUDGES` about all plans of a scene; each fills one field of the rows. The verdict
 on a sample depends on that sample alone, so a scene judged today gives the bytes that it gave in the run.
-
-Data fields of a record: one table of the judges that fill them.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -44,9 +42,8 @@ if TYPE_CHECKING:
 class JudgedScenes:
     """Scenes of a data set that are judged.
 
-    Attributes:
-        kept: Folder of runs, where judgements of encounters are kept and found again; ``None`` asks for none.
-        executor: Where those are judged that are not kept; nothing depends on it.
+    Judgements of encounters are kept in the folder of runs ``kept`` and found again; ``None`` asks for none. Others are
+    judged by ``executor``, on which nothing depends.
     """
 
     data: "DataSet"
@@ -130,12 +127,10 @@ def judge_plans(
     protocols: Sequence[str],
     unjudged: Collection[str] = (),
 ) -> list[list[SampleRow]]:
-    """Put what really happened and the verdicts beside the plans of a scene.
+    """Put what really happened and the verdicts beside the plans of a scene; of each planner one row for each sample.
 
-    Returns:
-        Of each planner one row for each sample. A sample without a plan has no outcome, no diagnosis and no
-        disagreement. Nothing is diagnosed or compared without ``exact`` among the protocols. Where objects were not
-        labelled there is L2 alone.
+    A sample without a plan has no outcome, no diagnosis and no disagreement. Nothing is diagnosed or compared without
+    ``exact`` among the protocols. Where objects were not labelled there is L2 alone.
     """
     if len(rows_of) > PLANNERS_AT_ONCE:
         first, rest = rows_of[:PLANNERS_AT_ONCE], rows_of[PLANNERS_AT_ONCE:]
@@ -189,13 +184,11 @@ def _planned_samples(
 
 
 def _judge_collisions(samples: PlannedSamples) -> Sequence[Any]:
-    """Verdicts of each protocol."""
     verdicts = {name: outcome.as_rows() for name, outcome in samples.outcomes.items()}
     return [{name: of[place] for name, of in verdicts.items()} for place in range(len(samples.places))]
 
 
 def _judge_driving(samples: PlannedSamples) -> Sequence[Any]:
-    """Driving scores."""
     scene, count = samples.scene, len(samples.scene.truth)
     if scene.mapped is None or PDM in samples.unjudged:
         return [None] * len(samples.places)
@@ -208,21 +201,18 @@ def _judge_driving(samples: PlannedSamples) -> Sequence[Any]:
 
 
 def _diagnose_collisions(samples: PlannedSamples) -> Sequence[Any]:
-    """Why a plan collides, from the verdicts of ``exact``."""
     if EXACT not in samples.outcomes or not samples.truths:
         return [None] * len(samples.truths)
     return diagnose([truth.by_clock for truth in samples.truths], samples.plans, samples.outcomes[EXACT])
 
 
 def _find_disagreements(samples: PlannedSamples) -> Sequence[Any]:
-    """Where other protocols say something else than ``exact``, and why."""
     if EXACT not in samples.outcomes or not samples.truths:
         return [{} for _ in samples.truths]
     return explain_disagreements(samples.truths, samples.in_lidar, samples.outcomes)
 
 
 def _measure_severity(samples: PlannedSamples) -> Sequence[Any]:
-    """How hard and at whose fault plans hit, and how near they come."""
     recorded = samples.scene.recorded
     # With a map without roads or lanes the ego would be at fault in every lateral contact.
     known = recorded is not None and recorded.road.drivable and recorded.road.lanes
@@ -288,12 +278,8 @@ def judge_longer_plans(
 ) -> dict[int, dict[str, Any]]:
     """Verdicts of ``exact`` on plans that go on beyond 3 s, up to 6 s, by number of the sample.
 
-    Args:
-        longer: The truths of all samples with so many steps.
-
-    Returns:
-        For each plan that goes on, contact at each step of the whole plan, null where objects were not labelled, and
-        its displacement, null past the scene.
+    Contact and displacement are of each step of the whole plan, null where objects were not labelled and past the
+    scene. ``longer`` gives the truths of all samples with so many steps.
     """
     steps_of = {index: min(len(plan.waypoints), LONGEST_JUDGED) for index, plan in plans.items()}
     verdicts: dict[int, dict[str, Any]] = {}
@@ -346,7 +332,6 @@ def _forecasts(row: Mapping[str, Any]) -> Forecasts:
 
 
 def _list_recorded_members(truth: SampleTruth, at: SampleContext) -> dict[str, Any]:
-    """Members of a row about the recording."""
     ahead = truth.by_clock
     return {
         "command": int(truth.command),

@@ -12,9 +12,8 @@ from benchmark.records.store import ROWS_FILE
 def name_partner(record: RunRecord, out: Path, elsewhere: str | None = None) -> RunRecord:
     """Name in a record its partner: the record of the same planner on the unchanged recordings, if there is one.
 
-    Records of recordings and those without a partner stay as they are. The caller must be the only writer of the
-    record's directory (`benchmark.machine.storage.lock_folder`). ``elsewhere`` names the data set that has the
-    unchanged recordings, if it is another one.
+    Records of recordings stay as they are. ``elsewhere`` names the data set that has the unchanged recordings, if it is
+    another one. The caller must be the only writer of the directory (`benchmark.machine.storage.lock_folder`).
     """
     if not has_adversaries(record):
         return record

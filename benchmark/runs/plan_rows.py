@@ -1,7 +1,4 @@
-"""Plans of one scene as rows of JSON: the part of a run that needs the planner, done once and kept.
-
-A scene that is begun again because its planner, which runs elsewhere, went away half-way and came back.
-"""
+"""Plans of one scene as rows of JSON: the part of a run that needs the planner, done once and kept."""
 
 import contextlib
 import random
@@ -57,10 +54,7 @@ def run_with_restarts(work: Callable[[], Outcome], planner: Planner) -> Outcome:
     """Outcome of work that begins with `Planner.reset`, begun again each time the planner goes away half-way.
 
     Nothing is asked twice in between: what came before is forgotten on both sides. The work of a scene leaves nothing
-    behind where it raises.
-
-    Raises:
-        PlannerGoneError: If the planner does not come back, or goes away again and again.
+    behind where it raises. A planner that does not come back, or goes again and again, raises `PlannerGoneError`.
     """
     for _ in range(TIMES):
         try:
@@ -138,11 +132,7 @@ def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> 
 
 @dataclass(frozen=True, slots=True)
 class CachedScenePlans:
-    """Stored plans of a scene, a JSON object for each sample.
-
-    Attributes:
-        loaded: Code that had been loaded when they were made (`benchmark.runs.code_identity.hash_loaded_code`).
-    """
+    """Stored plans of a scene, a JSON object a sample, and the code that was loaded then (`hash_loaded_code`)."""
 
     rows: list[dict[str, Any]]
     loaded: dict[str, str]
@@ -167,18 +157,10 @@ def hash_sandboxed_code(planner: Planner) -> dict[str, str]:
 def plan_scene(
     planner: Planner, source: SceneSource, name: str, directory: Path, key: str, *, fresh: bool
 ) -> PlannedScene:
-    """Plan every sample of a scene, or take the rows that are there already.
+    """Plan every sample of a scene, or take the rows of the content key that are there already, unless ``fresh``.
 
-    Args:
-        key: Their content key; rows of another key are made again.
-        fresh: Make them again in any case.
-
-    Returns:
-        The rows. Those of a scene in which the planner's process was lost are not kept: whether it is, and when, may be
-        the machine's matter, so the same command asks again.
-
-    Raises:
-        InputError: If an image is broken, the rows cannot be written, or a planner elsewhere cannot be asked.
+    Rows of a scene in which the planner's process was lost are not kept: whether it is, and when, may be the machine's
+    matter, so the same command asks again.
     """
     cached_rows = None if fresh else read_cached_plan_rows(directory, name, key)
     if cached_rows is not None:
@@ -196,11 +178,7 @@ def plan_scene(
 
 
 def measure_cost(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
-    """Cost of a scene as of one process; of a planner elsewhere only the time is known.
-
-    Args:
-        meter: Made before, in this process.
-    """
+    """Cost of a scene as of one process, by a meter made before; of a planner elsewhere only the time is known."""
     elsewhere = isinstance(planner, RemotePlanner)
     pid = planner.pid if isinstance(planner, SupervisedPlanner) else None
     return SceneCost(

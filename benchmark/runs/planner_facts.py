@@ -24,10 +24,8 @@ _LENGTH: Final = 64
 def build_planner_facts(planner: Planner, made_by: str | None = None) -> PlannerFacts:
     """Identity of a planner, with the hash of the code that its plans depend on (`benchmark.runs.code_identity`).
 
-    Args:
-        planner: The planner; optional attributes ``weights_sha256``, ``settings``, ``seed`` and ``native_protocol`` are
-            taken over.
-        made_by: The function or class that made it, as ``package.module:name``, if it was not built by hand.
+    Its optional ``weights_sha256``, ``settings``, ``seed`` and ``native_protocol`` are taken over. ``made_by`` is the
+    function or class that made it, as ``package.module:name``, if it was not built by hand.
     """
     whose = f"planner {planner.name!r}"
     settings = _settings(_read_attribute(planner, "settings", {}), whose)
@@ -89,7 +87,6 @@ def _settings(value: Any, whose: str) -> dict[str, Any]:
 
 
 def _require_shallow(value: Any, depth: int) -> None:
-    """Raise `ValueError` for containers within containers within containers."""
     if not depth:
         raise ValueError(f"they are nested more than {_DEEPEST_SETTINGS} deep")
     if isinstance(value, dict | list | tuple):

@@ -30,12 +30,9 @@ def read_recorded_can(data: "DataSet", name: str) -> RecordedCan:
 
 
 def redrive_and_score(maker: SimulatorBackend, scene: Scene, data: "DataSet", row: EpisodeRow) -> EpisodeRow:
-    """Drive the stored plans of a drive and score it anew, without its planner.
+    """Drive the stored plans of a drive and score it anew, without its planner; a failed one has no scores and stays.
 
-    A failed one stays as it is: it has no scores.
-
-    Raises:
-        InputError: If the plans lead elsewhere than they did.
+    Plans that lead elsewhere than they did are refused.
     """
     if row.status == "failed":
         return row
@@ -71,22 +68,16 @@ def redrive_with_sensor(
 ) -> Episode:
     """A stored drive with all objects in it, from its plans; one in which the planner failed ends where it did.
 
-    Raises:
-        InputError: If the plans lead elsewhere than they did.
+    Plans that lead elsewhere than they did are refused.
     """
     return redrive(_make_episode_spec(maker, sensor, scene, data, row), row, plans)
 
 
 def repeat_search(maker: SimulatorBackend, scene: Scene, data: "DataSet", row: EpisodeRow) -> AdversaryTrack:
-    """The adversary's track of a stored drive, with its candidates, searched anew.
+    """The adversary's track of a stored drive, with its candidates, by the same search, which finds the same track.
 
-    The same search finds the same track.
-
-    Args:
-        maker: The engine that drove it, with an adversary that keeps what it considers.
-
-    Raises:
-        InputError: If the plans lead elsewhere than they did, or the adversary goes elsewhere.
+    ``maker`` drove it, with an adversary that keeps what it considers. Plans or an adversary that go elsewhere are
+    refused.
     """
     stage = EpisodeSpec(scene, read_recorded_can(data, row.scene), row.run, maker, NoSensor(), _LONG_S, row.family)
     track = redrive(stage, row, StoredPlans(row)).adversary

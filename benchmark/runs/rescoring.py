@@ -1,6 +1,6 @@
 """Judge the stored plans of run records anew: after a change of protocols, no planner has to run again.
 
-Which judges go by categories that a data set does not have: what they would say of it means nothing.
+Judges that go by categories which a data set does not have are told apart here: their verdicts would mean nothing.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -32,10 +32,7 @@ if TYPE_CHECKING:
 
 
 def find_unjudged(counts: AnnotationCount, protocols: Sequence[str]) -> tuple[str, ...]:
-    """Judges that cannot judge contacts here, since too many categories are unknown.
-
-    These are ``pdm`` and those of the protocols that go by categories; without unknown ones there are none.
-    """
+    """``pdm`` and protocols that go by categories, where too many are unknown to judge contacts; else none."""
     return (*find_category_protocols(protocols), PDM) if counts.is_mostly_unknown else ()
 
 
@@ -59,12 +56,7 @@ _OF_THE_VERDICTS = {"schema_version", "status", "protocols", "seed", "files"}
 
 @dataclass(frozen=True, slots=True)
 class RescoringResult:
-    """Result of rescoring one record.
-
-    Attributes:
-        sentence: ``rescored``, ``current``, that it was left alone, or why it could not be rescored.
-        failed: Whether it could not.
-    """
+    """Result of rescoring one record: ``rescored``, ``current``, that it was left alone, or why it failed."""
 
     directory: Path
     sentence: str
@@ -147,10 +139,7 @@ OpenedDataSets = dict[tuple[str, CategoryNames], "DataSet"]
 
 
 def open_as_recorded(facts: RecordFacts, opened: OpenedDataSets, open_split: Callable[[str], "DataSet"]) -> "DataSet":
-    """The data set that a record ran on, with the names of categories that were replaced then.
-
-    ``opened`` holds the data sets that are open, and gets those that are opened here.
-    """
+    """The data set that a record ran on, with the category names replaced then; ``opened`` has the open ones."""
     names = read_replaced_categories(facts)
     as_it_is = (facts.split, ())
     if as_it_is not in opened:
@@ -168,11 +157,7 @@ def read_replaced_categories(facts: RecordFacts) -> CategoryNames:
 
 @dataclass(slots=True)
 class _OpenedRecord:
-    """A record that is being judged anew.
-
-    Attributes:
-        silent: Those of them that say nothing of contacts here (`benchmark.runs.rescoring`).
-    """
+    """A record that is being judged anew; the protocols in ``silent`` say nothing of contacts here."""
 
     old: RunRecord
     data: "DataSet"
@@ -301,10 +286,9 @@ def read_current_scene_facts(facts: RecordFacts, data: "DataSet") -> dict[str, S
 
 
 def require_same_data(directory: Path, facts: RecordFacts, data: "DataSet", *, again: str = "eval") -> None:
-    """Refuse a data set whose content is not the one that a planner ran on, or of which inspectors said otherwise then.
+    """Refuse a data set of other content than a planner ran on, or of which inspectors said otherwise then.
 
-    Args:
-        again: The command that makes such records.
+    ``again`` is the command that makes such records.
     """
     if facts.data.fingerprint != data.fingerprint():
         raise InputError(
@@ -324,8 +308,7 @@ def rejudge_rows(
 ) -> list[SampleRow]:
     """Rows of one scene, a row for each sample, computed from the stored plans and the data set.
 
-    Args:
-        silent: Those of them that say nothing of contacts here (`benchmark.runs.rescoring`).
+    The protocols in ``silent`` say nothing of contacts here.
     """
     return judge_plans([read_stored_plans(record, reading)], reading, protocols, silent)[0]
 

@@ -1,7 +1,4 @@
-"""One unit of an evaluation: one scene, planned and judged, here or in another process.
-
-A split as one unit of work, for planners whose memory outlives a change of scene (docs/models.md).
-"""
+"""One unit of an evaluation, planned and judged: a scene, or a split for planners whose memory outlives a scene."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -29,10 +26,8 @@ if TYPE_CHECKING:
 class EvaluationJob:
     """Settings that every unit of work needs; picklable.
 
-    Attributes:
-        fresh: Plan again even where rows are kept.
-        unjudged: Those of them, and ``pdm``, that say nothing of contacts here because the categories are not
-            nuScenes' (`benchmark.runs.rescoring`).
+    The protocols in ``unjudged``, and perhaps ``pdm``, say nothing of contacts here because the categories are not
+    nuScenes' (`benchmark.runs.rescoring`). ``fresh`` plans again even where rows are kept.
     """
 
     directory: Path
@@ -138,8 +133,7 @@ def evaluate_split_in_order(
 ) -> Iterator[SceneResult]:
     """Plan and judge all scenes of a split in the published order, with the memory that the one before left.
 
-    Plans are taken from before where those of all scenes are kept; where any is not, all are made again, because it is
-    not known what was remembered.
+    Where plans of any scene are not kept, all are made again, because it is not known what was remembered.
     """
     order = sort_as_published(data, scenes)
     keys = {

@@ -1,11 +1,9 @@
-"""Finished work: one store of results under content keys, one way to run what is missing, shards of it.
+"""Finished work: one store of results under content keys, one way to run what is missing, shards, errors of planners.
 
-A command's work consists of units (a scene planned, a drive, an attempt of the search). What comes of a unit depends on
-nothing but what its content key is made of, and is kept in a file of its own, written whole: so the same command goes
-on where it stopped, one process, many and a cluster give the same bytes, and ``--shard 3/40`` does every 40th unit and
-leaves the rest, and the record, to the same command without it.
-
-Errors of a planner as a text file: beside a record, not part of it.
+A command's work consists of units (a scene planned, a drive, an attempt of the search). The result of a unit depends on
+nothing but its content key, and is kept in a file of its own, written whole: so the same command goes on where it
+stopped, one process, many and a cluster give the same bytes, and ``--shard 3/40`` does every 40th unit and leaves the
+rest, and the record, to the same command without it.
 """
 
 import functools
@@ -71,8 +69,7 @@ Part = TypeVar("Part")
 class ResultStore(Generic[Value]):
     """Results of units of one kind, a file each: its first line is the content key and the hash of the second.
 
-    Attributes:
-        form: What pydantic checks a result to be: a model, or a type of JSON values.
+    Pydantic checks a result to be of ``form``: a model, or a type of JSON values.
     """
 
     folder: Path
@@ -138,8 +135,7 @@ def run_units(
     Args:
         work: Does one, or several side by side, which it returns as a list; importable, as it is sent to workers.
             Results may say that they are ``kept``: there before, they make the rest look no quicker than it is.
-        units: What it is given; made lazily, a little ahead of the results.
-        label: What is done, for people.
+        units: Made lazily, a little ahead of the results.
         noun: What is counted of it.
         before: How many were found finished already and are not among the units.
         of: How many there are in all, where ``units`` are several each.
@@ -191,10 +187,7 @@ class Shard:
 
 @dataclass(frozen=True, slots=True)
 class ShardProgress:
-    """Number of scenes that a shard did or found done, and of all; where they are kept.
-
-    ``directory`` is the folder of the record, or the root of the data set.
-    """
+    """Number of scenes that a shard did or found done, and of all; kept in the record's or data set's folder."""
 
     directory: Path
     done: int

@@ -50,10 +50,7 @@ class PictureError(InputError):
 
 
 def main(channel: int, pictures: int, memory_bytes: int) -> None:
-    """Answer requests until the connection is closed. Descriptors of the connection and of the shared memory.
-
-    0 bytes: no limit.
-    """
+    """Answer requests until the connection closes; descriptors of it and of shared memory. 0 bytes: no limit."""
     _apply_memory_limit(memory_bytes)
     stream = socket.socket(fileno=channel)
     # A fork that the planner makes of this process must not answer for it.
@@ -73,10 +70,7 @@ def _apply_memory_limit(memory_bytes: int) -> None:
 
 @dataclass(slots=True)
 class PlannerRequestHandler:
-    """Planner of this process and the connection to its parent.
-
-    ``number`` is that of the question being answered, or 0.
-    """
+    """Planner of this process and its connection to the parent; ``number`` is that of the present question, or 0."""
 
     stream: socket.socket
     viewer: SharedImageReader
@@ -209,7 +203,6 @@ _KINDS: Final[dict[str, Callable[..., list[Any]]]] = {
 
 
 def _list_abilities(planner: Planner) -> dict[str, bool]:
-    """Optional abilities of a planner."""
     return {
         "reveal": isinstance(planner, PrivilegedPlanner),
         "follow": hasattr(planner, "follow"),

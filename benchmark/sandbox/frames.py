@@ -149,7 +149,6 @@ class QuestionChannel:
         return received
 
     def _receive_some(self, most: int, deadline: float) -> bytes:
-        """The next bytes, after waiting for at least one."""
         while True:
             try:
                 received = self._stream.recv(most)

@@ -1,7 +1,4 @@
-"""Limits of a planner in a subprocess: its memory, and timeouts.
-
-Libraries of a planner's process compute and draw as they do in the process of the command.
-"""
+"""Limits of a planner in a subprocess, whose libraries compute and draw as in the process of the command."""
 
 import importlib.util
 import math

@@ -1,7 +1,7 @@
 """Compact encoding of observations: the numbers of all arrays in one block, plain values beside it.
 
-Ready-made ways of handing values on look at every object by itself, which costs as much as all else that is done for a
-sample. Of pictures there are names here, calibration and poses (`pictures.py` has what is on them).
+Ready-made encodings look at every object by itself, which costs as much as all else that is done for a sample. Of
+pictures there are names here, calibration and poses (`pictures.py` has what is on them).
 """
 
 import math
@@ -122,7 +122,6 @@ def _join_bytes(arrays: Sequence[NDArray[Any] | None]) -> bytearray:
 
 
 def _compute_offsets(layout: Layout) -> list[tuple[tuple[int, ...], np.dtype[Any], int] | None]:
-    """Shape, type and first byte of each array."""
     places: list[tuple[tuple[int, ...], np.dtype[Any], int] | None] = []
     place = 0
     for entry in layout:

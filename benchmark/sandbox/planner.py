@@ -33,13 +33,10 @@ _LONGEST_TYPE_NAME: Final = 100
 
 @dataclass(frozen=True, slots=True)
 class PlannerSpec:
-    """How a planner is made in its process.
+    """How a planner is made in its process, with picklable arguments; messages name it as ``called``.
 
-    Attributes:
-        called: The planner, as messages name it.
-        reference: The function that makes it and says who it is, as ``package.module:name``; it returns the planner
-            and its `benchmark.records.run_schema.PlannerFacts`.
-        given: Its arguments; picklable.
+    ``reference`` is a function, ``package.module:name``, that returns the planner and its
+    `benchmark.records.run_schema.PlannerFacts`.
     """
 
     called: str
@@ -49,15 +46,11 @@ class PlannerSpec:
 
 @dataclass(frozen=True, slots=True)
 class PlannerIdentity:
-    """Identity that a planner reports.
+    """Identity that a planner reports: who it is and what it can do.
 
-    Attributes:
-        facts: Its identity.
-        reveal: Whether it is a privileged planner.
-        follow: Whether it gets the route of a drive.
-        begin_run: Whether it can reset all of its state.
-        memory_crosses_scenes: Whether `benchmark.planning.Planner.reset` leaves what it remembers.
-        reads_message_after: Whether it is given the CAN message after the sample.
+    ``reveal`` is of a privileged planner, ``follow`` gets the route of a drive, and ``begin_run`` resets all state.
+    ``memory_crosses_scenes`` is whether `benchmark.planning.Planner.reset` leaves what it remembers, and
+    ``reads_message_after`` whether it is given the CAN message after the sample.
     """
 
     facts: PlannerFacts
@@ -87,13 +80,7 @@ def make_sandboxed_planner(
 
 
 class SandboxedPlanner:
-    """A planner in a process of its own (`benchmark.planning.SupervisedPlanner`).
-
-    Attributes:
-        name: Shown in tables.
-        reads_message_after: See `PlannerIdentity`.
-        memory_crosses_scenes: See `PlannerIdentity`.
-    """
+    """A planner in a process of its own (`benchmark.planning.SupervisedPlanner`); attributes as `PlannerIdentity`."""
 
     def __init__(self, maker: PlannerSpec, identity: PlannerIdentity, supervision: SandboxLimits) -> None:
         """Nothing is started yet."""

@@ -1,7 +1,7 @@
 """A planner's process as seen by who asks: started, asked, watched, and ended with all that it started.
 
-What becomes of a question is one of a closed list, decided by facts that the planner cannot print: it was answered, it
-was late, its answer is none, or its process died. After any but the first the process is gone.
+A question ends in one of a closed list of ways, decided by facts that the planner cannot print: it was answered, it was
+late, its answer is none, or its process died. After any but the first the process is gone.
 """
 
 import contextlib
@@ -82,10 +82,9 @@ class PlannerProcess:
         """Ask, and wait for the answer: a word, and what belongs to it.
 
         Args:
-            kind: What `benchmark.sandbox.child` knows.
-            parts: Of the question.
+            kind: One that `benchmark.sandbox.child` knows.
             doing: What the planner does then, in words that end "... within 10 s".
-            limit_s: How long it may take, without the reading of pictures.
+            limit_s: Without the reading of pictures.
             picture: Reads a picture that is asked for meanwhile.
             ahead: Pictures that will probably be asked for; those that can be read are sent with the question.
         """
@@ -140,7 +139,6 @@ class PlannerProcess:
         self._end()
 
     def _listen(self, deadline: float) -> None:
-        """Wait until an answer begins to arrive."""
         beats, heard = self._shelf.beats(), time.monotonic()
         while not self._asker.wait(select.POLLIN, min(deadline - time.monotonic(), _LOOK_S)):
             now = time.monotonic()

@@ -1,7 +1,4 @@
-"""The sheet of one scene: what stands in it, its pictures, and whether it is there already.
-
-The road around the ego's way, as small as it can be and still look the same.
-"""
+"""The sheet of one scene: its content, its pictures, whether it is there already, and the road around the ego's way."""
 
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
@@ -60,13 +57,9 @@ _LEAST_AREA_M2: Final = 0.05
 
 
 def build_page_map(road_map: RoadMap, way: Floats, origin: Point) -> PageMap:
-    """Layers of a map within `AROUND_M` of the ego's way, simplified to 5 cm and rounded to centimetres.
+    """Layers of a map within `AROUND_M` of the ego's global (T, 2) way, simplified to 5 cm and rounded to centimetres.
 
-    Rings are closed: their last point is their first.
-
-    Args:
-        way: (T, 2) positions of the ego, global.
-        origin: What positions become relative to.
+    Positions become relative to ``origin``. Rings are closed: their last point is their first.
     """
     window = _build_corridor(way)
     near = road_map.near(shapely.bounds(window).tolist())
@@ -129,13 +122,7 @@ _PICTURES_FOLDER: Final = "cameras"
 
 @dataclass(frozen=True, slots=True)
 class WrittenPage:
-    """Outcome for one scene.
-
-    Attributes:
-        made: Whether there was something to do.
-        pictures: How many there are.
-        sheet_bytes: Size of ``sheet.json``.
-    """
+    """Outcome for one scene; ``made`` is whether there was something to do."""
 
     scene: str
     made: bool
@@ -153,10 +140,7 @@ class WrittenPage:
 class PageJob:
     """Facts that every unit of work needs; picklable.
 
-    Attributes:
-        root: Folder of all sheets.
-        pictures: Which frames have pictures: ``all``, ``keyframes`` or ``none``.
-        cell_width_px: Width of one camera in a picture.
+    ``pictures`` is ``all``, ``keyframes`` or ``none``; ``cell_width_px`` is the width of one camera in a picture.
     """
 
     root: Path
@@ -201,12 +185,9 @@ def build_page(data: "DataSet", split: str, name: str, facts: DataFacts) -> Scen
 
 
 def build_page_to_draw(scene: Scene) -> ScenePage:
-    """Sheet of a scene of any data set that is to be drawn and not stored.
+    """Sheet of a scene that is drawn and not stored: no data set, split, labels, sample tokens and pictures.
 
-    It has no data set, split, labels, sample tokens and pictures.
-
-    Raises:
-        ValidationError: If a number in it is not finite.
+    A number that is not finite raises `ValidationError`.
     """
     origin = find_origin(scene)
     return ScenePage(

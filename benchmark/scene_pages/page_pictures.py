@@ -33,10 +33,7 @@ class PicturedFrame:
 
 
 def keep_existing_images(scene: str, videos: Videos) -> Videos:
-    """Images that are there: all, or none where all files are missing, for the scene is one without images.
-
-    Where only some are missing the scene is refused.
-    """
+    """Images that are there: all, or none where all files are missing; a scene with some of its images is refused."""
     paths = [view.path for views in videos.values() for view in views]
     missing = [path for path in paths if not path.is_file()]
     if missing and len(missing) < len(paths):
@@ -55,15 +52,10 @@ def select_sweeps(keyframes: Videos, every: Videos) -> Videos:
 
 
 def select_pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> tuple[PicturedFrame, ...]:
-    """Which frames get a picture, of which images.
+    """Which frames get a picture, of which images: one a sample, and ``sweeps`` between them where they are wanted.
 
-    Args:
-        keyframes: One image a sample by camera name.
-        sweeps: The images between samples; none where they are not wanted.
-
-    Returns:
-        Every sample of which there is an image, each image at the sample that is nearest in time, and every other frame
-        at which each camera has an image within `FARTHEST_IN_TIME_S`, less what it is late at samples.
+    Every sample of which there is an image, each image at the sample that is nearest in time, and every other frame at
+    which each camera has an image within `FARTHEST_IN_TIME_S`, less what it is late at samples.
     """
     times_us, samples_us = scene.timestamps_us, scene.timestamps_us[scene.keyframes]
     views_of_frame: dict[int, dict[str, CameraView]] = {}
@@ -92,13 +84,9 @@ def select_pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> t
 
 
 def lay_out_cameras(cameras: Mapping[str, Camera], cell_width_px: int) -> tuple[PageCamera, ...]:
-    """Cells of the cameras: the rows of `CAMERA_GRID`, then rows of three of cameras that are not in it.
+    """Cells of the cameras: the rows of `CAMERA_GRID`, then rows of three of the others, without gaps in a row.
 
-    Args:
-        cell_width_px: Widest cell; narrower images are not enlarged.
-
-    Returns:
-        Cells without gaps between the cameras of a row.
+    ``cell_width_px`` is that of the widest cell; narrower images are not enlarged.
     """
     usual = {name for row in CAMERA_GRID for name in row}
     others = sorted(set(cameras) - usual)
@@ -122,11 +110,7 @@ def _build_cell(camera: Camera, left: int, top: int, cell_width_px: int) -> Page
 
 
 def draw_mosaic(cells: Sequence[PageCamera], views: Mapping[str, CameraView]) -> bytes:
-    """One picture of all cameras, as a WebP file.
-
-    Args:
-        views: Images by camera name; the cell of a camera that has none stays black.
-    """
+    """One picture of all cameras, as a WebP file; the cell of a camera without an image stays black."""
     width = max(cell.left + cell.width for cell in cells)
     height = max(cell.top + cell.height for cell in cells)
     canvas: NDArray[np.uint8] = np.zeros((height, width, 3), np.uint8)
@@ -150,9 +134,8 @@ def project_adversary_edges(
 ) -> dict[str, tuple[Segment, ...]]:
     """Edges of the adversaries' 3-D boxes in a picture, each camera by its own exposure and pose.
 
-    Returns:
-        For each camera that sees an adversary: segments in pixels of the picture, cut at the near plane and at the
-        cell's borders.
+    For each camera that sees an adversary: segments in pixels of the picture, cut at the near plane and the cell's
+    borders.
     """
     edges_of_camera = {}
     adversaries = [scene.agents.ids.index(name) for name in scene.adversaries]
@@ -193,9 +176,9 @@ def _project_edges(corners: Floats, camera: Camera, cell: PageCamera) -> list[Se
 
 
 def clip_segment(segment: Floats, width: int, height: int) -> Floats | None:
-    """Part of a (2, 2) segment inside a rectangle (Liang and Barsky), pixels.
+    """Part of a (2, 2) segment inside a rectangle with a corner at the origin (Liang and Barsky), pixels.
 
-    The rectangle has a corner at the origin. ``None`` where nothing that could be seen is inside.
+    ``None`` where nothing that could be seen is inside.
     """
     start, along = segment[0], segment[1] - segment[0]
     first, last = 0.0, 1.0

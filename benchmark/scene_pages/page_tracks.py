@@ -21,11 +21,7 @@ def find_origin(scene: Scene) -> Point:
 
 
 def build_ego_track(scene: Scene, origin: Point) -> PageEgo:
-    """Recorded motion of the ego, one pose a frame, rounded to centimetres and milliradians.
-
-    Args:
-        origin: (x, y) that positions are relative to, global frame.
-    """
+    """Recorded motion of the ego, one pose a frame, rounded to centimetres and milliradians, relative to ``origin``."""
     pose = scene.ego.pose
     return PageEgo(
         x_m=_round_values(pose[:, 0] - origin[0], 2),
@@ -38,14 +34,10 @@ def build_ego_track(scene: Scene, origin: Point) -> PageEgo:
 
 
 def build_agent_tracks(scene: Scene, origin: Point) -> tuple[PageAgent, ...]:
-    """Tracks of the agents that come near the ego, and of all adversaries.
+    """Tracks of the agents that come near the ego, and last of all adversaries, relative to ``origin``.
 
-    Args:
-        origin: (x, y) that positions are relative to, global frame.
-
-    Returns:
-        In the order of the scene, adversaries last. An agent's values go from the first frame in which it is near to
-        the last; an adversary's from the first in which it is there.
+    An agent's values go from the first frame in which it is near to the last; an adversary's from the first in which it
+    is there.
     """
     agents = scene.agents
     away_m = np.linalg.norm(agents.position[..., :2] - scene.ego.position[None, :, :2], axis=-1)

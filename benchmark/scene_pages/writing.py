@@ -1,7 +1,4 @@
-"""The main path of scene sheets: data set in, sheets and pictures out; finished work is found and kept.
-
-Sheets of a whole split: its scenes, its numbers, and the attempts of the search for adversaries.
-"""
+"""The main path of scene sheets: data set in, sheets and pictures out; finished work is found and kept."""
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping
@@ -63,11 +60,7 @@ def write_split_page(
     runtime: BuildRuntime | None,
     hyper: Mapping[str, Any] | None = None,
 ) -> SplitPage:
-    """Describe a split in ``split.json``.
-
-    Args:
-        hyper: Settings of the search, if they are known.
-    """
+    """Describe a split in ``split.json``; ``hyper`` are the settings of the search, if they are known."""
     review = data.review(split).facts
     reviewed = [] if review is None else [review.content]
     key = content_key("split sheet", [MAKING_VERSION, SCHEMA], facts.model_dump(mode="json"), split, *reviewed)
@@ -135,9 +128,7 @@ class SheetSettings:
 class WrittenPages:
     """Outcome for a split; ``directory`` holds its ``split.json``.
 
-    Attributes:
-        scenes: One for each scene that was asked for.
-        traced: How many of them show the rounds of refinement; ``None`` if that was not asked for.
+    Of the scenes that were asked for, ``traced`` show the rounds of refinement; ``None`` if that was not asked for.
     """
 
     directory: Path

@@ -1,7 +1,4 @@
-"""Foreign npz files: what every array says of its size is compared with what the archive holds before any is read.
-
-The header of a safetensors file, looked at before the library reads it: every number in it is a stranger's.
-"""
+"""Foreign npz and safetensors files: what every array says of its size is compared with the file before any is read."""
 
 import math
 import os

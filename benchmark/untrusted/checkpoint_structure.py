@@ -189,11 +189,10 @@ class _StructureUnpickler(AllowListUnpickler):
 def read_checkpoint_structure(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
     """Structure of a checkpoint: a zip archive, or the form of PyTorch before 1.6.
 
-    Returns:
-        ``tensors``: rows of name, type, storage, first element, shape and strides, where the type is empty for what is
-        no tensor of dense real numbers; ``storages``: first byte and bytes of each; ``records``: first byte, bytes,
-        CRC-32 and name of everything that has a checksum; ``big_endian``; ``configuration``; or ``wrong``: words
-        about a content that is no state dict.
+    ``tensors`` are rows of name, type, storage, first element, shape and strides, where the type is empty for what is
+    no tensor of dense real numbers. ``storages`` have first byte and bytes of each, ``records`` first byte, bytes,
+    CRC-32 and name of everything that has a checksum. There are ``big_endian`` and ``configuration``, or ``wrong``,
+    words about a content that is no state dict.
     """
     if stream.read(2) == b"PK":
         stream.seek(0)
@@ -295,7 +294,6 @@ def _table(loaded: Any, places: dict[str, tuple[int, int]], limits: Limits) -> d
 
 
 def _describe_tensor(tensor: _TensorStandIn, numbers: dict[str, int]) -> tuple[Any, ...]:
-    """Type, storage, first element, shape and strides, as said."""
     storage, item = tensor.storage, ITEM_BYTES.get(tensor.name)
     if storage is None or item is None or not storage.name:
         return "", 0, 0, [], []

@@ -75,7 +75,6 @@ def read_stored(path: Path, limits: Limits = CHECKPOINT, *, checksums: bool = Tr
 
 
 def _require_bytes(path: Path, limits: Limits) -> None:
-    """Refuse what is obviously no checkpoint at all."""
     try:
         with open_file(path, limits) as stream:
             start = stream.read(512)

@@ -2,8 +2,6 @@
 
 It imports numpy and nothing heavier, reads the file from its standard input, writes the answer to its standard output,
 and ends with its parent. What it says when it fails becomes the parent's sentence (`children.py`).
-
-Columns of a Parquet file, read in the child process; what it declares is compared with its limits first.
 """
 
 import contextlib
@@ -80,11 +78,10 @@ def apply_limits(limits: Limits, parent: int) -> None:
 
 
 def read_request(kind: str, limits: Limits, stream: BinaryIO) -> tuple[Any, ...]:
-    """Read the file as one of `KINDS`.
+    """Read the file as one of `KINDS`: ``("value", V)``, or what was wrong.
 
-    Returns:
-        ``("value", V)``, or what was wrong: ``("refused", NAME)``, ``("unanswerable", WHY)``, ``("memory",)``,
-        ``("archive", WHY)`` or ``("broken", TYPE, MESSAGE)``.
+    That is ``("refused", NAME)``, ``("unanswerable", WHY)``, ``("memory",)``, ``("archive", WHY)`` or
+    ``("broken", TYPE, MESSAGE)``.
     """
     try:
         return "value", KINDS[kind][0](stream, limits)

@@ -1,7 +1,4 @@
-"""Starting the child process that reads an untrusted file, and one sentence for each way it can fail.
-
-Pickles of recordings and anchors: arrays, numbers and plain containers, unpickled in a child process.
-"""
+"""Starting the child process that reads an untrusted file, and one sentence for each way it can fail."""
 
 import os
 import signal
@@ -24,12 +21,10 @@ _UNTRUSTED: Final = "it is damaged or malicious, get it from a source that you t
 
 @dataclass(frozen=True, slots=True)
 class ChildAnswer:
-    """The child's result for a file that it handled within its limits.
+    """The child's result for a file that it handled within its limits, of one of four kinds.
 
-    Attributes:
-        kind: ``value``, ``refused`` (asks for something that is not on the allow-list), ``archive`` (a damaged zip
-            archive) or ``broken``.
-        parts: The value; or the name asked for; or what is wrong, in words.
+    ``value`` has the value, ``refused`` the name asked for that is not on the allow-list, ``archive`` (a damaged zip
+    archive) and ``broken`` what is wrong, in words.
     """
 
     kind: str

@@ -1,7 +1,4 @@
-"""Foreign files compressed with xz: pickles, and archives of plain files. What they unpack to is counted on the way.
-
-Foreign archives of small text files: zip files whose members are stored as they are, so that none grows.
-"""
+"""Foreign archives: xz pickles and files, counted as they unpack, and zip files stored as is, so that none grows."""
 
 import io
 import lzma
@@ -47,8 +44,7 @@ def read_package(path: Path, limits: Limits = PACKAGE) -> dict[str, bytes]:
     """Members of a package by name, read without trusting it.
 
     Raises `InputError` if it is absent, damaged or too large; if a member is compressed, encrypted, a link, repeated,
-    or
-    has a name that leads out of a folder; or if members claim more than the file has.
+    or has a name that leads out of a folder; or if members claim more than the file has.
     """
     with open_file(path, limits) as stream:
         try:

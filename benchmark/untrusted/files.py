@@ -1,9 +1,4 @@
-"""A foreign file before it is read: it is there, is a file, has a name that is text, and is not too long.
-
-How much a foreign file of each kind may be and may cost: the one table.
-
-Refusals that say of which kind they are, beside the sentence: what a golden set of broken files is compared by.
-"""
+"""A foreign file before it is read, what one of each kind may be and may cost, and kinds of refusals."""
 
 import os
 import stat
@@ -40,15 +35,11 @@ class Limits:
 
     Attributes:
         what: The kind, in words that fit after "a".
-        file_bytes: Size of the file.
         depth: Containers within containers.
         values: Values, entries or rows, each counted as often as it is named.
-        name_characters: Characters of a name.
         line_bytes: Bytes of one line, where there are lines.
         content_bytes: What it unpacks to.
-        memory_bytes: Memory of the child process that takes it apart.
-        cpu_s: Its processor time.
-        clock_s: Its time on the wall.
+        memory_bytes: Of the child process that takes it apart, as are ``cpu_s`` and ``clock_s``.
     """
 
     what: str

@@ -1,10 +1,8 @@
-"""Pictures that came over a wire: told by their first bytes, bounded before they are decoded, never a file name.
+"""Foreign pictures, also those that came over a wire: told by their first bytes, bounded before they are decoded.
 
 PNG and JPEG are decoded as everywhere; an array of numpy (``.npy``, ``uint8``) is nothing but numbers behind a short
 header. A saved tensor of PyTorch is a zip archive with a pickle in it. It is read only where that was allowed, after
 the archive and every name in the pickle were looked at, and then with ``weights_only=True``.
-
-Foreign pictures: the size that a header declares is looked at before anything is decoded.
 """
 
 import io

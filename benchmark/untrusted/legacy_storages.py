@@ -1,9 +1,7 @@
 """The bytes of a tensor's storage in PyTorch's old form: five short pickles behind each other, then raw numbers.
 
 Runs in the child process. The pickles of this second stream may name storages and nothing else, so that what is hidden
-in the bytes of a tensor is refused like anything in the open.
-
-Allow-list of untrusted pickles with stand-ins for each name: the first line of defence.
+in the bytes of a tensor is refused like anything in the open. The allow-list of untrusted pickles is here, too.
 """
 
 import codecs
@@ -82,7 +80,6 @@ def _array_from_buffer(buffer: bytes, kind: NumberType, shape: tuple[int, ...], 
 
 
 def _scalar(kind: NumberType, data: bytes) -> Any:
-    """Stand-in that rebuilds a number in pickles."""
     return np.frombuffer(data, kind.dtype, count=1)[0]
 
 
@@ -158,8 +155,6 @@ class LegacyStorage:
 
 
 class _StorageClass:
-    """Stands for a class of storages."""
-
     __slots__ = ("name",)
 
     def __init__(self, name: str) -> None:
@@ -170,8 +165,6 @@ class _StorageClass:
 
 
 class _StorageId:
-    """A storage as declared by a persistent id."""
-
     __slots__ = ("count", "key", "kind")
 
     def __init__(self, kind: str, key: str, count: int) -> None:

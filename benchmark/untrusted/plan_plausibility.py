@@ -2,8 +2,6 @@
 
 Plans are suspected only where another reading fits far better, for any planner: one that stands still, brakes or drives
 straight through every bend passes. A test with too few samples says "not testable", which is not that plans fit.
-
-Plans beside what was recorded: what the tests of this folder measure on.
 """
 
 from collections.abc import Callable, Iterable
@@ -19,12 +17,7 @@ from benchmark.untrusted.files import Category
 
 @dataclass(frozen=True, slots=True)
 class ComparedPlans:
-    """Plans of N samples whose recording goes on for 3 s.
-
-    Attributes:
-        plan: (N, 6, 2) planned positions of the lidar as they are read, x right, y forward, metres.
-        recorded: (N, 6, 2) recorded positions of the lidar, likewise.
-    """
+    """Plans and recordings of N samples with 3 s ahead: (N, 6, 2) metres of the lidar, x right, y forward."""
 
     plan: Floats
     recorded: Floats
@@ -83,12 +76,9 @@ FrameName = Literal["lidar", "ego"]
 
 @dataclass(frozen=True, slots=True)
 class Misreading:
-    """Another reading that fits plans far better.
+    """Another reading that fits plans far better; ``sentence`` has no full stop at its end.
 
-    Attributes:
-        category: Of which kind it is.
-        sentence: What was measured, what would fit, and how much better; no full stop at its end.
-        frame: Frame of plans in which the file or planner is read right, where that is all that is wrong.
+    ``frame`` is the one in which the file or planner is read right, where that is all that is wrong.
     """
 
     category: Category
@@ -98,12 +88,7 @@ class Misreading:
 
 @dataclass(frozen=True, slots=True)
 class Plausibility:
-    """Results of the tests.
-
-    Attributes:
-        measured: By the name of the test: what was measured on how many samples, or that it is not testable.
-        misreading: What fits far better, by the first test that says so; ``None`` where none does.
-    """
+    """What each test measured on how many samples, or that it is not testable, and the first misreading, if any."""
 
     measured: dict[str, str]
     misreading: Misreading | None

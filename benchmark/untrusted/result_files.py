@@ -65,10 +65,7 @@ def read_result_text(path: Path, limits: Limits = JSON) -> bytes:
 
 
 def parse_result_json(data: bytes, where: str, limits: Limits = JSON) -> Any:
-    """Value of a JSON text without repeated keys and with finite numbers alone.
-
-    `where` (file, line) is for the message.
-    """
+    """Value of a JSON text with no key twice and finite numbers alone; `where` (file, line) is for the message."""
     category: Category = "unknown"
     try:
         parse_json(data, limits)

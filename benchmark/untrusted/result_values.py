@@ -250,10 +250,7 @@ class _NestingError(Exception):
 
 
 class _LimitedCopier:
-    """Copies what is kept of a value, within limits.
-
-    A value that is named often is copied once and counted each time.
-    """
+    """Copies what is kept of a value, within limits; one that is named often is copied once and counted each time."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits

@@ -18,8 +18,7 @@ def read_table(path: Path, limits: Limits = PLANS) -> "pandas.DataFrame":
     """Unchecked columns of a ``.csv``, ``.json`` or ``.parquet`` table of plans.
 
     Raises `InputError` if it cannot be opened or a Parquet file exceeds its limits, `ValueError` if it is none of
-    these,
-    damaged, or has more rows, columns or characters in a line; other errors are pandas' own.
+    these, damaged, or has more rows, columns or characters in a line; other errors are pandas' own.
     """
     kind = path.suffix.lower()
     if kind == ".csv":

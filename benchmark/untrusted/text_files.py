@@ -1,9 +1,4 @@
-"""Foreign JSON: so many bytes, values and containers within containers, and no text that cannot be written again.
-
-Foreign TOML: small files that people write by hand.
-
-Foreign YAML: small files of settings that people write by hand.
-"""
+"""Foreign JSON, TOML and YAML, with limits on bytes, values and nesting, and no text that cannot be written again."""
 
 import codecs
 import json

@@ -16,19 +16,11 @@ _SAID: Final = {"accept": "accepted", "reject": "rejected"}
 
 
 def read_verdicts(path: Path, limits: Limits = VERDICTS) -> dict[str, dict[str, Any]]:
-    """Read inspectors' verdicts on scenes.
+    """Read inspectors' verdicts on scenes: members by name, texts of verdicts in full, the rest unchecked.
 
-    Args:
-        path: A ``.csv`` file whose first line names the columns (`COLUMNS`, of which ``scene`` and ``verdict`` must be
-            there), or a ``.json`` file: an object of objects by name of the scene, with the other columns as members,
-            alone or as ``verdicts`` of a ``review.json``.
-        limits: How large it may be.
-
-    Returns:
-        Members by name of the scene; texts of verdicts in full, the rest unchecked.
-
-    Raises:
-        InputError: If it cannot be read, is none of these, or has a scene twice.
+    A ``.csv`` file names its columns in the first line (`COLUMNS`, of which ``scene`` and ``verdict`` must be there). A
+    ``.json`` file is an object of objects by name of the scene, with the other columns as members, alone or as
+    ``verdicts`` of a ``review.json``. A scene that is named twice is refused.
     """
     kind = path.suffix.lower()
     if kind not in (".csv", ".json"):

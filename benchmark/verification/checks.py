@@ -22,11 +22,9 @@ AS_FAR: Final = 3.0
 class Check:
     """One quantity compared with its golden values.
 
-    Attributes:
-        error: Largest difference; for verdicts, the number of wrong ones.
-        tolerance: Largest difference that is allowed.
-        note: What else a reader should know, for example what was left out and why.
-        moved: By how much our own rounding moves it, where that was measured (`Comparison.moved_by`).
+    ``error`` is the largest difference; for verdicts, the number of wrong ones. ``note`` has what else a reader should
+    know, for example what was left out and why; ``moved`` is by how much our own rounding moves it
+    (`Comparison.moved_by`).
     """
 
     quantity: str
@@ -118,8 +116,6 @@ def _measure_difference(sizes: list[NDArray[Any]], others: list[NDArray[Any]]) -
 
 @dataclass(slots=True)
 class _Tally:
-    """Known facts about one quantity so far."""
-
     tolerance: float
     error: float = 0.0
     count: int = 0
@@ -130,8 +126,7 @@ class _Tally:
 class Comparison:
     """Gathers the errors of quantities over files and batches into one `Check` each, in order of first mention.
 
-    Args:
-        tolerances: Largest error by quantity; a name may be a pattern, of which the first that fits counts.
+    Names in ``tolerances`` may be patterns, of which the first that fits counts.
     """
 
     def __init__(self, tolerances: Mapping[str, float] | None = None) -> None:
@@ -143,11 +138,9 @@ class Comparison:
         """Whether sizes of errors are kept, for `moved_by`."""
 
     def at(self, where: str, before: str = "") -> "Comparison":
-        """This comparison, for one file or batch.
+        """This comparison, for one file or batch, whose quantities have names that begin with ``before``.
 
-        Args:
-            where: Its name, told in the note of a quantity that has its largest error there.
-            before: What the names of quantities begin with.
+        ``where`` is told in the note of a quantity that has its largest error there.
         """
         here = copy(self)
         here.where, here._before = where, self._before + before
@@ -163,11 +156,9 @@ class Comparison:
         angle: bool = False,
         where: str = "",
     ) -> None:
-        """Compare numbers of one shape.
+        """Compare numbers of one shape; ``tolerance`` is asked where the table does not have the quantity.
 
-        Args:
-            tolerance: Largest difference that is allowed, where the table does not have the quantity.
-            angle: Whether they are radians and a full turn makes no difference.
+        With ``angle`` they are radians, and a full turn makes no difference.
         """
         if np.shape(ours) != np.shape(golden):
             raise ValueError(f"{quantity}: shapes {np.shape(ours)} and {np.shape(golden)}")
@@ -205,15 +196,11 @@ class Comparison:
         tally.worst_in = (where or self.where) if count else tally.worst_in
 
     def moved_by(self, other: "Comparison") -> dict[str, float]:
-        """How far apart two comparisons of the same network are that differ by rounding alone.
+        """By quantity how far two errors differ at most (of verdicts, how many) where networks differ by rounding.
 
         An error of one and the error of the other differ by no more than the two values do, and sorting keeps that, so
         this is never more than how far rounding really moves a quantity. Both must be of the same golden numbers in the
-        same order.
-
-        Returns:
-            By quantity the largest difference of two errors; of verdicts, how many differ. It is infinite where another
-            number of values was compared.
+        same order. It is infinite where another number of values was compared.
         """
         moved = {}
         for quantity, sizes in self._sizes.items():
@@ -236,7 +223,6 @@ class Comparison:
         return results
 
     def _kept(self, quantity: str, sizes: NDArray[Any], tolerance: float | None) -> _Tally:
-        """Tally of a quantity of which some more is compared now."""
         quantity = self._before + quantity
         if self.remembers:
             self._sizes.setdefault(quantity, []).append(np.array(sizes))

@@ -20,12 +20,9 @@ def have_same_names_and_shapes(
     quantity: str = NAMES,
     said: str = "{elements:,} numbers, {order}",
 ) -> bool:
-    """Whether a strict load of the official checkpoint's list of tensors would work.
+    """Whether a strict load of the official checkpoint's tensors would work; the comparison gets the differences.
 
-    The comparison gets the differences.
-
-    Args:
-        said: Note where nothing differs; ``elements`` and ``order`` are filled in.
+    ``said`` is the note where nothing differs, in which ``elements`` and ``order`` are filled in.
     """
     own = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     names = sorted(own.keys() | shapes.keys())
@@ -46,9 +43,8 @@ def fill_network(
 ) -> None:
     """Give a network the weights that a golden set describes.
 
-    Args:
-        comparison: Gets whether they are the ones that the set was made with, where it says.
-        recorded: SHA-256 of names and bytes of all weights, where the set says.
+    Where the set has ``recorded``, the SHA-256 of names and bytes of all weights, the comparison gets whether they are
+    these.
     """
     digest = hashlib.sha256()
     tensors = {}

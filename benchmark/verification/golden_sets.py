@@ -44,9 +44,7 @@ class GoldenArrays:
     def floats(self, name: str, *shape: int | None, gaps: bool = False) -> Floats:
         """Numbers in double precision, of which verdicts are 0 and 1.
 
-        Args:
-            shape: Length of each axis, ``None`` for any.
-            gaps: Whether NaN and infinity may be among them.
+        ``None`` in ``shape`` is any length; with ``gaps``, NaN and infinity may be among them.
         """
         array = np.asarray(self._taken(name, "fiub", shape), np.float64)
         if not gaps and not np.isfinite(array).all():
@@ -171,10 +169,7 @@ def raise_input_error(path: Path, kind: str) -> Iterator[None]:
 
 
 def find_golden_directory(golden: Path, kind: str, *names: str) -> Path:
-    """Directory that holds all files of these names or patterns.
-
-    ``kind`` is also the usual name of such a directory.
-    """
+    """Directory that holds all files of these names or patterns; ``kind`` is also its usual name."""
     if not golden.is_dir():
         raise InputError(f"no golden set at {golden}: it is not a directory; give one that holds {', '.join(names)}")
     for name in names:

@@ -32,12 +32,9 @@ Expression = Annotated[str, AfterValidator(_expression)]
 class WeightsRecipe(BaseModel):
     """How the weights of a golden set are made; its ``manifest.json`` may hold more than this.
 
-    Attributes:
-        salt: Tells one set of weights from another.
-        std_rules: Standard deviations, see `make_synthetic_tensor`.
-        constant_overrides: Entries that are one number throughout.
-        shift_rules: A number or a list that is added to the synthetic entries it is for.
-        kept_buffers: Entries that keep their real values: values by name, or names whose values lie in another file.
+    ``salt`` tells one set from another, ``std_rules`` are those of `make_synthetic_tensor`, and ``shift_rules`` add a
+    number or a list to synthetic entries. ``constant_overrides`` are one number throughout. ``kept_buffers`` keep their
+    real values, given by name; names alone where the values lie in another file.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
@@ -51,13 +48,9 @@ class WeightsRecipe(BaseModel):
     def state(
         self, shapes: Mapping[str, Sequence[int]], kept: Mapping[str, ArrayLike] | None = None
     ) -> dict[str, NDArray[Any]]:
-        """All entries of a state dict.
+        """All entries of a state dict, by name: kept, else constant, else synthetic and then shifted.
 
-        Args:
-            kept: Values of the kept buffers, where the recipe has their names only.
-
-        Returns:
-            Values by name: kept, else constant, else synthetic and then shifted.
+        ``kept`` has values of the kept buffers, where the recipe has their names only.
         """
         inline = self.kept_buffers if isinstance(self.kept_buffers, dict) else {}
         buffers = {**inline, **(kept or {})}
@@ -87,8 +80,7 @@ def read_shapes(stored: Any) -> dict[str, tuple[int, ...]]:
 def draw_seeded_normal(name: str, shape: Sequence[int], salt: str) -> NDArray[np.float64]:
     """Standard normal numbers that depend on nothing but the arguments.
 
-    Returns:
-        Numbers of a Philox stream whose key is the first eight bytes, little-endian, of SHA-256 of ``salt:name``.
+    They are of a Philox stream whose key is the first eight bytes, little-endian, of SHA-256 of ``salt:name``.
     """
     digest = hashlib.sha256(f"{salt}:{name}".encode()).digest()
     stream = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:8], "little")))
@@ -98,17 +90,11 @@ def draw_seeded_normal(name: str, shape: Sequence[int], salt: str) -> NDArray[np
 def make_synthetic_tensor(
     name: str, shape: Sequence[int], salt: str, std_rules: Mapping[str, float] | None = None
 ) -> NDArray[Any]:
-    """The value of one entry of a state dict.
+    """float32 value of a state dict's entry, by the last part of its name; int64 zero for ``num_batches_tracked``.
 
-    Args:
-        name: Its name; the last part says what it is.
-        std_rules: Regular expression, searched for in the name, to a standard deviation that wins over the scaling by
-            fan-in and over what vectors get; the first that is found counts.
-
-    Returns:
-        float32, or an int64 zero for ``num_batches_tracked``. With z from `draw_seeded_normal`, running means are 0.1
-        z and running variances 1 + 0.1 |z|; where no rule is found, tensors of two or more axes are z / sqrt(product
-        of all but the first), vectors named ``weight`` are 1 + 0.1 z and all others 0.02 z.
+    With z from `draw_seeded_normal`, running means are 0.1 z and running variances 1 + 0.1 |z|. Else the first of
+    ``std_rules`` whose expression is found in the name gives the standard deviation. Without one, tensors of two or
+    more axes are z / sqrt(product of all but the first), vectors named ``weight`` are 1 + 0.1 z and all others 0.02 z.
     """
     kind = name.rpartition(".")[2]
     if kind == "num_batches_tracked":
@@ -130,5 +116,4 @@ def make_synthetic_tensor(
 
 
 def _find_matching(rules: Mapping[str, _Value], name: str) -> _Value | None:
-    """Value of the first rule whose expression is found in the name."""
     return next((value for expression, value in rules.items() if re.search(expression, name)), None)

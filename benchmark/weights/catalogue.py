@@ -19,11 +19,9 @@ HUB: Final = "https://huggingface.co"
 class PublishedFile:
     """One file. ``None`` means that its authors do not say and it has not been measured here.
 
-    Attributes:
-        name: Path in the repository and in the folder, with ``/``.
-        sha256: Its hash, or the first digits that its authors put into its name.
-        url: Where the bytes are, if not in the repository on the hub.
-        page: Where a person gets it with a browser, if not where all files are.
+    ``name`` is its path in repository and folder, with ``/``; ``sha256`` may be the first digits alone, as authors put
+    them into a name. ``url`` is where the bytes are, if not on the hub, ``page`` where a browser gets it, if not where
+    all are.
     """
 
     name: str
@@ -38,12 +36,12 @@ class PublishedWeights:
     """Weights as they are published.
 
     Attributes:
-        name: How they are called here: the model that a checkpoint is for, or the folder in the cache.
-        files: What is needed of it; of a checkpoint the file itself, and what it is of no use without.
+        name: The model that a checkpoint is for, or the folder in the cache.
+        files: Of a checkpoint the file itself, and what it is of no use without.
         repository: Of a folder: ``owner/name`` on the hub (or on GitHub, where files have addresses of their own).
         revision: Of a folder: commit, branch or release tag.
         used_by: Of a folder: which command needs it for what.
-        about_megabytes: How much there is to fetch, roughly, where sizes are not known to the byte.
+        about_megabytes: Where sizes are not known to the byte.
         page: Where a person gets them, if not on the hub.
     """
 

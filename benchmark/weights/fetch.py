@@ -18,10 +18,7 @@ _RANGE_NOT_SATISFIABLE: Final = 416
 
 
 def fetch_files(weights: PublishedWeights, folder: Path) -> None:
-    """Fetch the files of published weights that a folder lacks, each whole or not at all.
-
-    The same call goes on where it broke off.
-    """
+    """Fetch the files that a folder lacks, each whole or not at all; the same call goes on where it broke off."""
     if any(file.url is None for file in weights.files):
         _fetch_from_hub(weights, folder)
         return

@@ -1,10 +1,8 @@
-"""Weights that are kept as they come: folders of published files, fetched, imported or given by the user.
+"""Weights that are kept as they come: folders of published files, and foreign checkpoints as mapped tensors.
 
 Models that other libraries load (transformers, diffusers) want a folder with a configuration beside the tensors. It
 lies in the cache under ``weights/hub/NAME``, or wherever the user says. Nothing in such a folder is a pickle unless
 its entry names one, and who reads that reads it without running anything in it.
-
-Foreign checkpoints as tensors of PyTorch: found by the door (`untrusted.checkpoints`), mapped from the file.
 """
 
 import hashlib
@@ -31,30 +29,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class UntrustedCheckpoint:
-    """Content of a checkpoint file.
-
-    Attributes:
-        tensors: By name, in the file's order, as stored.
-        configuration: The training configuration that mmcv puts into its checkpoints, or an empty text.
-    """
+    """Content of a checkpoint: tensors in the file's order, and mmcv's training configuration, or an empty text."""
 
     tensors: "dict[str, Tensor]"
     configuration: str
 
 
 def read_checkpoint(path: Path) -> UntrustedCheckpoint:
-    """Read a checkpoint without trusting it.
+    """Read, untrusted, an mmcv checkpoint (``{meta, state_dict, optimizer}``) or a bare state dict of any PyTorch.
 
-    Args:
-        path: An mmcv checkpoint (``{meta, state_dict, optimizer}``) or a bare state dict, of any PyTorch version.
-
-    Returns:
-        Its tensors, mapped from the file, so that an optimizer's two thirds of it are never in memory; a ``module.``
-        that data-parallel training puts before all names is taken off.
-
-    Raises:
-        InputError: If the file is absent, truncated, no checkpoint, would run code, or holds something other than
-            dense tensors of numbers.
+    Tensors are mapped from the file, so that an optimizer's two thirds of it are never in memory; a ``module.`` that
+    data-parallel training puts before all names is taken off. Refused is what is truncated, would run code, or holds
+    something other than dense tensors of numbers.
     """
     stored = read_stored(path)
     wrapped = all(name.startswith("module.") for name in stored.tensors)
@@ -70,7 +56,6 @@ def read_checkpoint(path: Path) -> UntrustedCheckpoint:
 
 
 def _numbers(data: NDArray[np.uint8], number_type: str, *, swapped: bool) -> "Tensor":
-    """The whole of a storage as numbers of one type."""
     # Reading untrusted files needs no PyTorch.
     import torch
 
@@ -111,13 +96,9 @@ def find_cached_folder(weights: PublishedWeights, cache: Path | None = None) -> 
 
 
 def require_folder_of(weights: PublishedWeights, given: Path | None, cache: Path | None = None) -> Path:
-    """Folder in which weights lie, with every file that is needed.
+    """Folder in which weights lie, with every file that is needed; else a sentence on what to get, where and how.
 
-    Args:
-        given: The user's folder, or one that holds it under its name here or in the hub; ``None`` for the cache.
-
-    Raises:
-        InputError: If there is none: what to get, where, how big, and with which command.
+    ``given`` may hold it under its name here or in the hub; ``None`` for the cache.
     """
     places = [find_hub_folder(cache) / weights.name]
     if given is not None:
@@ -136,10 +117,7 @@ def require_folder_of(weights: PublishedWeights, given: Path | None, cache: Path
 
 
 def fetch_folder(weights: PublishedWeights, cache: Path | None = None) -> Path:
-    """Fetch weights from the internet into the cache; their folder is there whole or not at all.
-
-    The same command goes on where it broke off.
-    """
+    """Fetch weights into the cache, their folder whole or not at all; the same command goes on where it broke off."""
     target = find_hub_folder(cache) / weights.name
     if not list_missing_files(target, weights):
         return target
@@ -153,8 +131,7 @@ def fetch_folder(weights: PublishedWeights, cache: Path | None = None) -> Path:
 def import_folder(weights: PublishedWeights, path: Path, cache: Path | None = None) -> Path:
     """Copy weights that the user has into the cache, checked as far as anything is known of them.
 
-    Args:
-        path: Their folder; where they are one file, that file is enough.
+    The path is their folder; where they are one file, that file is enough.
     """
     source = path.parent if path.is_file() and [path.name] == [file.name for file in weights.files] else path
     if not source.is_dir():
@@ -181,12 +158,8 @@ def recognise_weights(
 ) -> PublishedWeights | None:
     """Weights that a user means, or ``None`` if these are others than folders of published files.
 
-    Args:
-        path: A folder, or the one file of weights that are one file.
-        name: What the user calls them, or ``None`` to go by names of folder and files.
-
-    Raises:
-        InputError: If the path is a folder and does not tell which weights it holds.
+    The path is a folder, or the one file of some weights; without a name, names of folder and files tell. A folder that
+    does not tell which weights it holds is refused.
     """
     if name is not None:
         return next((entry for entry in entries if entry.name == name), None)
@@ -202,11 +175,10 @@ def recognise_weights(
 
 
 def compute_content_hash(weights: PublishedWeights, folder: Path) -> str:
-    """A hash for records that tells weights apart without reading gigabytes.
+    """A hash for records that tells weights apart without reading gigabytes, 64 hexadecimal digits.
 
-    Returns:
-        64 hexadecimal digits: of names, sizes, small files whole, and of large ones sixteen blocks of 256 KiB spread
-        evenly from the first byte to the last.
+    It is of names, sizes, small files whole, and of large ones sixteen blocks of 256 KiB spread evenly from the first
+    byte to the last.
     """
     digest = hashlib.sha256()
     for file in sorted(weights.files, key=lambda file: file.name):

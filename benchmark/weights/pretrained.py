@@ -23,12 +23,9 @@ class OptionalLibrary:
     needed_by: str
 
     def load(self, kind: str, folder: Path, **settings: Any) -> Any:
-        """An object of a class of the library with the files of a folder.
+        """An object of a class of the library with the files of a folder, by ``from_pretrained`` with the settings.
 
-        A network is in evaluation mode on the processor.
-
-        Args:
-            settings: Arguments of ``from_pretrained``; a network is loaded in single precision if they say nothing.
+        A network is in evaluation mode on the processor, in single precision if they say nothing.
         """
         loader = getattr(self.imported(), kind)
         # What `torch.device` concerns is listed once, at its first use. Transformers replaces one of these functions

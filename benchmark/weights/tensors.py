@@ -1,7 +1,4 @@
-"""Tensors with facts about them: one safetensors file, whose header holds the facts as JSON.
-
-An unfinished training run of a network, in memory and on disk.
-"""
+"""Tensors with facts about them as JSON in the header of one safetensors file; training runs stored likewise."""
 
 import hashlib
 from collections.abc import Mapping
@@ -28,9 +25,7 @@ _BROKEN: Final = (OSError, ValueError, safetensors.SafetensorError)
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: Any, *, entry: str = FACTS) -> None:
     """Write tensors and facts, whole or not at all; the same content gives the same bytes.
 
-    Args:
-        facts: JSON values; one entry of the header, because the order of several is not fixed.
-        entry: Its name, which tells kinds of files apart.
+    Facts are one entry of the header, because the order of several is not fixed; its name tells kinds of files apart.
     """
     # Copied one by one: safetensors refuses tensors that share memory, as slices of one storage do.
     contiguous = {
@@ -42,13 +37,9 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: Any, *, entr
 def read_tensors(
     path: Path, *, entry: str = FACTS, what: str = "weights from ", instead: str = "fetch or make the file again"
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors by name and facts that `write_tensors` wrote, or those of any other safetensors file.
+    """Tensors by name and facts, empty where there is no such entry, of `write_tensors` or any other safetensors file.
 
-    Facts are empty where there is no such entry.
-
-    Args:
-        what: What the file would hold, for the message.
-        instead: What to do if it is broken, for the message.
+    ``what`` (what it would hold) and ``instead`` (what to do if it is broken) are for the message.
     """
     try:
         require_sound_header(path)
@@ -99,11 +90,9 @@ def hash_tensors(tensors: Mapping[str, Tensor]) -> str:
 
 
 def write_run(run: TrainingRun[Any], path: Path, identity: str, *, entry: str = FACTS) -> None:
-    """Write a run, whole or not at all, as a .safetensors file.
+    """Write a run, whole or not at all, as a .safetensors file; ``identity`` is the key of what it depends on.
 
-    Args:
-        identity: Key of what it depends on.
-        entry: Of the header: what the run says of itself.
+    ``entry`` of the header has what the run says of itself.
     """
     tensors = {f"weights.{name}": tensor for name, tensor in run.network.state_dict().items()}
     tensors |= {f"average.{name}": tensor for name, tensor in run.average.items()}
@@ -113,11 +102,9 @@ def write_run(run: TrainingRun[Any], path: Path, identity: str, *, entry: str = 
 
 
 def read_run(run: TrainingRun[Any], path: Path, identity: str, differs: str, *, entry: str = FACTS) -> None:
-    """Bring a fresh run to where a file left it.
+    """Bring a fresh run to where a file left it; ``identity`` is the key of what the run depends on.
 
-    Args:
-        identity: Key of what the run depends on.
-        differs: What may be different in a file of another run, for the message.
+    ``differs`` is what may be different in a file of another run, for the message.
     """
     tensors, facts = read_tensors(path, entry=entry, what="", instead="remove it to train from the beginning")
     if not facts:
