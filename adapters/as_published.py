@@ -26,8 +26,7 @@ CROSS_SCENES: Final = frozenset({MEMORY, CAN_ONCE})
 def select_options(name: str, known: Collection[str], asked: Sequence[str]) -> tuple[str, ...]:
     """Options that a model has of those asked for (of `OPTIONS`, or `ALL`), in the order of `OPTIONS`.
 
-    `known` are those of `adapters.models.Network.as_published`; a model that does nothing of the kind is an
-    `InputError`.
+    A model without any published-run option is an `InputError`.
     """
     for option in asked:
         if option not in (*OPTIONS, ALL):
