@@ -50,9 +50,9 @@ REDRAWN_NOTE = (
 
 
 def split_table(frame: DataSetRuns, protocol: str) -> Table | None:
-    """Losses of planners from one split to another: a row for each planner and pair of splits.
+    """Losses of planners from one split to another, a row for each planner and pair; ``None`` if none ran on two.
 
-    ``native`` stands for each planner's own protocol. ``None`` if no planner ran on two splits.
+    ``native`` stands for each planner's own protocol.
     """
     runs = {(run.planner, run.run.split): run for run in frame.given if run.covers_split}
     pairs = [
@@ -195,7 +195,7 @@ def _points_cell(origin: ValueSource, estimate: Estimate, n: int, of: str = "rec
 
 
 def _list_unpaired_scenes(comparisons: Sequence[SplitComparison]) -> list[str]:
-    """Names the scenes that are in no paired difference, once for all planners that leave out the same."""
+    """Names of the scenes in no paired difference, once for all planners that leave out the same."""
     notes = []
     for comparison in comparisons:
         pair = f"{comparison.baseline_split} → {comparison.split}"
