@@ -24,10 +24,7 @@ CROSS_SCENES: Final = frozenset({MEMORY, CAN_ONCE})
 
 
 def select_options(name: str, known: Collection[str], asked: Sequence[str]) -> tuple[str, ...]:
-    """Options that a model has of those asked for (of `OPTIONS`, or `ALL`), in the order of `OPTIONS`.
-
-    A model without any published-run option is an `InputError`.
-    """
+    """Options of a model among those asked for, in the order of `OPTIONS`; others are an `InputError`."""
     for option in asked:
         if option not in (*OPTIONS, ALL):
             raise InputError(

@@ -55,10 +55,7 @@ _MOST_LISTED = 3
 
 @dataclass(frozen=True, slots=True)
 class RecordedFuture:
-    """Recorded future of the ego after a sample: (6, 2) of the lidar, x right, y forward, metres; NaN past the end.
-
-    `lidar_ahead_m` is from the rear axle.
-    """
+    """Recorded (6, 2) lidar positions, x right, y forward, metres, NaN past the end; the lidar is ahead of the axle."""
 
     lidar_ahead_m: float
     positions: Floats

@@ -131,10 +131,7 @@ def collect_anchor_samples(data: DataSet, split: str | None, config: SparseConfi
 
 
 def box_centres(scene: Scene, classes: Sequence[int]) -> Floats:
-    """Centres of annotated boxes at all key frames, (N, 3) metres, lidar frame of the key frame.
-
-    `classes` are by agent, negative where it is not detected.
-    """
+    """Centres of annotated boxes in the key frame's lidar frame, (N, 3) metres, without agents of negative class."""
     known, detected = scene.annotations, np.asarray(classes, np.int64) >= 0
     ego_T_lidar = transform_matrix(scene.lidar.rotation, scene.lidar.translation)
     parts = [np.zeros((0, 3))]
@@ -178,10 +175,7 @@ def map_lines(road_map: RoadMap, pose: Floats, points_per_line: int) -> tuple[Fl
 
 
 def agent_futures(scene: Scene, agent: int, steps: int) -> Floats:
-    """Recorded futures from each key frame that `steps` others follow without a gap.
-
-    (N, steps, 2) metres in the agent's frame at the start, x forward.
-    """
+    """Recorded futures without gaps, (N, steps, 2) metres in the agent's frame at their start, x forward."""
     known = scene.annotations
     yaw = yaw_of_quaternion(known.rotation[agent])
     futures = [np.zeros((0, steps, 2))]

@@ -94,10 +94,7 @@ class TensorMatch:
 
 
 def expected_tensors(model: Model, shapes: Mapping[str, Sequence[int]]) -> dict[str, Tensor]:
-    """Names, shapes and types of all tensors of a model, in the network's order and without their memory.
-
-    `shapes` are those of the checkpoint's tensors by name.
-    """
+    """Names, shapes and types of a model's tensors, without their memory; `shapes` are those of the checkpoint."""
     return dict(model.build(shapes, device="meta").state_dict())
 
 
@@ -233,10 +230,7 @@ def import_checkpoint(
 
 
 def fetch_checkpoint(weights: PublishedWeights, cache: Path, *, normalisation: str | None = None) -> ImportedWeights:
-    """Fetch an official checkpoint and what it needs, check and import them; the fetched files themselves are not kept.
-
-    An interrupted download continues.
-    """
+    """Fetch and import an official checkpoint and what it needs, resuming if interrupted; no fetched file is kept."""
     folder = cache / f".fetching-{weights.name}"
     with lock_folder(folder):
         fetch_files(weights, folder)

@@ -77,10 +77,7 @@ def obstacles_along(
 
 
 def expected_centres(path: LanePath, boxes: Floats, velocity: Floats, seconds: Floats, *, foresight_s: float) -> Floats:
-    """Expected centres of others, (A, K, 2) global metres, by the rules of `obstacles_along`.
-
-    Beyond its ends the path goes straight on.
-    """
+    """Expected centres, (A, K, 2) global metres, as in `obstacles_along`; beyond its ends the path goes straight on."""
     now_and_then = np.concatenate([[0.0], seconds])
     expected = _expect_places(path, boxes, velocity, now_and_then, foresight_s)
     beside = _to_points(path, expected.along, expected.left)

@@ -1,7 +1,4 @@
-"""``log-replay``: the recorded future as the plan; the floor of the collision columns.
-
-In closed loop it wants to be where the recorded car was at each time, wherever it is itself.
-"""
+"""``log-replay``: where the recorded car was at each time, in closed loop too; the floor of the collision columns."""
 
 import numpy as np
 

@@ -28,10 +28,7 @@ def lidar_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
 
 
 def ego_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
-    """Positions of the rear axle over the first 3 s, (N, 6, 2) x forward, y left, metres.
-
-    The lidar's, less its place in the car, turned with the car.
-    """
+    """Rear-axle positions over the first 3 s, (N, 6, 2) x forward, y left, metres, from those of the lidar."""
     if found.frame is FileFrame.EGO:
         return found.waypoints[:, :PLAN_STEPS]
     mount = samples.lidar_in_ego[found.rows]

@@ -22,10 +22,7 @@ _NOTHING_RAD = 1e-12
 
 
 def rotate(points: Floats, angle_rad: ArrayLike) -> Floats:
-    """Points, (..., 2), turned counter-clockwise about the origin by (...) angles, less any axes.
-
-    A zero angle, up to rounding, leaves its points as they are.
-    """
+    """Points, (..., 2), turned counter-clockwise by (...) angles; one of zero up to rounding changes nothing."""
     angle = np.asarray(angle_rad, np.float64)
     angle = np.where(np.abs(angle) < _NOTHING_RAD, 0.0, angle)
     cosine, sine = np.cos(angle), np.sin(angle)

@@ -157,10 +157,7 @@ class Attention(nn.Module):
         values: Tensor | None = None,
         allowed: Tensor | None = None,
     ) -> Tensor:
-        """Tokens, (..., Q, C), that have looked at other ones, (..., K, C), or, without `keys`, at each other.
-
-        `positions` of the tokens broadcast; they are already added to `keys`.
-        """
+        """Tokens, (..., Q, C), after attention to (..., K, C) others (`keys` include positions) or to each other."""
         query = tokens + positions
         attended: Tensor = self.attn(
             query, query if keys is None else keys, tokens if values is None else values, allowed

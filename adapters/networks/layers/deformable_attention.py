@@ -167,10 +167,7 @@ class DeformableAttention(SamplingPattern):
     def forward(
         self, tokens: Tensor, positions: Tensor, references: Tensor, features: Tensor, shapes: Shapes
     ) -> Tensor:
-        """Tokens, (Q, C), that have looked at (S, C) cells of all maps around (Q, 2) x, y, 0 to 1 over every map.
-
-        `positions` are added for the sampling pattern only.
-        """
+        """Attention of (Q, C) tokens to (S, C) cells around (Q, 2) x, y, 0 to 1; `positions` steer the pattern only."""
         query = tokens + positions
         sampled = deformable_sampling(
             self.values(features)[None],

@@ -32,10 +32,7 @@ def box_codes(centres: Tensor, corrections: Tensor) -> Tensor:
 
 
 def decode_boxes(codes: Tensor) -> Tensor:
-    """Boxes from (..., 10) `box_codes`: (..., 9) centre x, y, z, width, length, height, yaw, velocity x, y.
-
-    Sine and cosine need not be of one circle.
-    """
+    """Boxes, (..., 9) centre, width, length, height, yaw, velocity, from `box_codes`; sine and cosine at any scale."""
     x_y, z = codes[..., 0:2], codes[..., 4:5]
     sizes = torch.cat([codes[..., 2:4], codes[..., 5:6]], -1).exp()
     yaw = torch.atan2(codes[..., 6:7], codes[..., 7:8])
@@ -43,10 +40,7 @@ def decode_boxes(codes: Tensor) -> Tensor:
 
 
 def select_strongest(logits: Tensor, limit: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Falling scores, classes and queries of the most certain pairs in (Q, classes) logits.
-
-    A query may appear with several classes.
-    """
+    """Falling scores, classes and queries of the best pairs in (Q, classes) logits; a query may recur."""
     scores, pairs = logits.float().sigmoid().flatten().topk(min(limit, logits.numel()))
     classes = logits.shape[-1]
     return scores, pairs % classes, pairs // classes

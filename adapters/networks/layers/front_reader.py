@@ -95,9 +95,6 @@ class FrontBackbone(nn.Module):
 
 
 def compute_front_maps(eyes: FrontBackbone | None, finest: Tensor, images: Tensor, cameras: int) -> Tensor:
-    """Maps of the front cameras that plans look at, (B, C, h, w).
-
-    From (B * cameras, C, h, w) finest feature maps, and normalised (B * cameras, 3, H, W) images.
-    """
+    """Front maps for plans, (B, C, h, w), of (B * cameras, C, h, w) finest maps and (B * cameras, 3, H, W) images."""
     every = slice(FRONT, None, cameras)
     return finest[every] if eyes is None else eyes(images[every])

@@ -35,10 +35,7 @@ STANDING_M: Final = 1.0
 
 
 def find_distinct(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float) -> Tensor:
-    """Mask of N centres that non-maximum suppression keeps; `centres` are (N, 2) and `lengths` (N,) metres.
-
-    Of equal certainty the first counts.
-    """
+    """Mask of N centres that non-maximum suppression keeps, (N, 2) metres; of equal certainty the first counts."""
     if apart <= 0:
         return torch.ones(len(centres), dtype=torch.bool, device=centres.device)
     offset = centres[:, None] - centres

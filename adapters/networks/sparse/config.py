@@ -102,10 +102,7 @@ class SparseConfig:
 
     @property
     def image_format(self) -> NetworkImageFormat:
-        """Format of a network's images: 1600 x 900 scaled to its width and cut off at the top (`SPARSE_DRIVE_IMAGE`).
-
-        The miniatures see the whole images, resized.
-        """
+        """Input format: 1600 x 900 scaled and cut off at the top; the miniatures see the whole images, resized."""
         if self.image_resize == "linear":
             return NetworkImageFormat(self.image_width_px, self.image_height_px)
         width, height = NUSCENES_IMAGE

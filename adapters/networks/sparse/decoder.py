@@ -202,10 +202,7 @@ class InstanceBank(nn.Module):
 
 
 class SparseDecoder(nn.Module, ABC):
-    """Instances look at the past, at each other and at images, and are refined, stage after stage.
-
-    With B key frames side by side, all tensors have a leading B.
-    """
+    """Refinement of instances by the past, each other and images; B key frames give all tensors a leading B."""
 
     instance_bank: InstanceBank
     anchor_encoder: nn.Module

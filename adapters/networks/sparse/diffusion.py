@@ -241,10 +241,7 @@ class DiffusionPlanner(MotionPlanner):
     def clean(
         self, block: int, tokens: Tensor, offsets: Tensor, time: Tensor, context: PlanContext
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Tokens (..., M, C), logits and offsets (..., M, steps, 2), metres from step to step, after one block.
-
-        `time` is an embedding, (C,).
-        """
+        """Tokens (..., M, C), logits and (..., M, steps, 2) metres per step after one block; `time` is (C,)."""
         first = block * LAYERS_OF_A_BLOCK
         path, each_other, norm, agents, agents_norm, anchors, anchors_norm, feed, feed_norm, modulate, refine = list(
             self.diff_layers

@@ -120,10 +120,7 @@ def interaction_layers(config: SparseConfig, plans: bool) -> nn.ModuleList:
 
 
 class MotionPlanner(nn.Module):
-    """Base of both planners.
-
-    `layers` are lists under their published names, which differ between the planners, `interaction_layers` first.
-    """
+    """Base of both planners; `layers` are lists under published names, which differ, `interaction_layers` first."""
 
     def __init__(self, config: SparseConfig, layers: Mapping[str, nn.ModuleList]) -> None:
         super().__init__()
@@ -215,10 +212,7 @@ class MotionPlanner(nn.Module):
         return decoupled_attention(layer, self.fc_before, self.fc_after, query, key, allowed)
 
     def forecast(self, agents: DecodedInstances, tokens: Tensor) -> tuple[Tensor, Tensor]:
-        """Forecasts of N agents: (N, modes) logits and (N, modes, steps, 2) metres from step to step, lidar frame.
-
-        `tokens` are (N, C) features and embeddings added.
-        """
+        """Forecast logits, (N, modes), and (N, modes, steps, 2) metres per step, lidar frame, from (N, C) tokens."""
         ends = self.rotate_anchors(agents)[:, :, -1]
         queries = self.motion_anchor_encoder(sine_of_points(ends, self.config.channels)) + tokens[:, None]
         logits = self.refinement.motion_cls_branch(queries)[..., 0].float()

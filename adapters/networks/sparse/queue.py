@@ -98,10 +98,7 @@ class InstanceQueue(nn.Module):
         ids: Tensor,
         front: Tensor,
     ) -> Queue:
-        """Agents and the ego over the last frames, this one included.
-
-        `ids` are (N,) numbers of the agents, `front` the (1, C, h, w) coarsest feature map of the front camera.
-        """
+        """Agents and the ego over the last frames and this one; `ids` (N,), `front` the (1, C, h, w) coarsest map."""
         feature = self.ego_feature_encoder(front).flatten(1)[None]
         box = self.ego_anchor.float()[None]
         features, boxes = agents.features[None], agents.anchors[None]

@@ -121,10 +121,7 @@ class MaskDecoder(nn.Module):
         self.attnen = MaskLogits(channels, heads)
 
     def forward(self, tokens: Tensor, positions: Tensor | None, cells: Tensor) -> Tensor:
-        """Masks, (M, cells) at least 0, from (M, C) tokens and (cells, C).
-
-        `positions` are added before every block and at the end.
-        """
+        """Masks, (M, cells) at least 0, of (M, C) tokens over (cells, C); `positions` join every block and the end."""
         for block in self.blocks:
             tokens = block(tokens if positions is None else tokens + positions, cells)
         result: Tensor = self.attnen(tokens if positions is None else tokens + positions, cells)

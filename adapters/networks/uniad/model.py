@@ -108,10 +108,7 @@ class UniAD(nn.Module):
         self._next_id = torch.zeros((), dtype=torch.int64)
 
     def forward(self, inputs: UniADInputs) -> UniADOutputs:
-        """Outputs for one key frame; frames of a scene come in the order of time.
-
-        Absent motion anchors, or absent casadi that is asked for, are an `InputError`.
-        """
+        """Outputs for a scene's next key frame; absent anchors, or casadi asked for but absent, are an `InputError`."""
         predictions = self.predict(inputs)
         tracks, unoptimised = predictions.tracks, predictions.plan.positions_m
         moved, plan, road = None, unoptimised, None

@@ -67,10 +67,7 @@ class DetectionHead(nn.Module):
         )
 
     def detect(self, bev: Tensor, queries: Tensor, reference_logits: Tensor) -> Detections:
-        """Boxes of (Q, 2 C) queries, positions and then contents, in a bird's-eye view of (cells, C), after each layer.
-
-        `reference_logits` are (Q, 3) of where they look first.
-        """
+        """Boxes by layer from (Q, 2 C) queries (positions, contents), (cells, C) view and (Q, 3) reference logits."""
         positions, contents = queries.chunk(2, -1)
         references, shapes = reference_logits.float().sigmoid(), (self.config.grid.shape,)
         decoded = self.transformer.decoder(contents, positions, references, bev, shapes, self.reg_branches, (0, 1, 4))
