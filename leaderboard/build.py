@@ -119,11 +119,7 @@ def _build_contents(results: LeaderboardResults, *, site: bool = False) -> _Lead
 def write_leaderboard(results: LeaderboardResults, folder: Path, *, site: bool = True) -> list[Path]:
     """Write the leaderboard, and the site if asked; what an earlier one had and the records no longer give is removed.
 
-    Returns:
-        The files written.
-
-    Raises:
-        InputError: If a file cannot be written, or the site's folder holds something else.
+    An unwritable file, or foreign content in the site's folder, is an `InputError`.
     """
     files = _all_files(results, site=site)
     if site:

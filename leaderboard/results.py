@@ -118,10 +118,7 @@ def write_results(
     made_from: Mapping[str, Any],
     folder: Path,
 ) -> list[Path]:
-    """Write the page and its numbers, from records of all planners on ``val``, ``val-r`` and ``adv``.
-
-    `made_from` are all versions and hashes that the numbers depend on, as JSON.
-    """
+    """Write the page and its numbers, from records on ``val``, ``val-r`` and ``adv``; `made_from` are its inputs."""
     tables = [*_results_tables(data_name, records), *ablation_tables(ablations).get(data_name, ())]
     page = "\n".join([_HEAD, *(table.markdown() for table in tables)]).encode()
     numbers = {

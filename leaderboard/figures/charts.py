@@ -62,10 +62,7 @@ def rates_over_horizon(frame: DataSetRuns, protocol: str) -> Sketch | None:
 
 
 def disagreement_figure(frame: DataSetRuns, split: str) -> Sketch | None:
-    """Share of what ``exact`` sees that each protocol misses, and of its reports that are false.
-
-    ``None`` where no record of the split was judged by ``exact`` and another protocol.
-    """
+    """Share of what ``exact`` sees that each protocol misses, and of its reports that are false, if both judged."""
     runs = [run for run in frame.runs if run.run.split == split and EXACT in run.run.protocols]
     compared_runs = [(run, compare_protocols(run)) for run in runs]
     if not any(compared for _, compared in compared_runs):

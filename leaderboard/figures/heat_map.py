@@ -61,10 +61,7 @@ def write_lift_map(matrix: TransferMatrix, path: Path) -> None:
 
 
 def draw_heat_map(matrix: TransferMatrix, suffix: str, theme: PlotTheme = LIGHT) -> bytes:
-    """Picture of shares and counts, the victims' failure rates below; the same matrix gives the same bytes.
-
-    Cells without a number, and the diagonal, are hatched.
-    """
+    """Picture of shares, counts and failure rates, deterministic to the byte; cells without a number are hatched."""
     return render_figure(partial(_draw_shares, matrix), suffix, theme)
 
 

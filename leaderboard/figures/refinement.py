@@ -83,10 +83,7 @@ def _build_sketch(stored: StoredScenePage, frame: int | None = None) -> Sketch |
 
 
 def find_most_improved_frame(rounds: RefinementTrace) -> TraceFrame | None:
-    """The planning frame whose best score falls most from the first round to the last, the first of equals.
-
-    ``None`` where no frame has candidates with scores in both.
-    """
+    """The frame whose best score falls most from first to last round, the first of equals, if any has scores."""
     best: tuple[float, TraceFrame] | None = None
     for frame in rounds.frames:
         ends = [_find_best_score(entry) for entry in frame.rounds[:1] + frame.rounds[-1:]]

@@ -104,10 +104,7 @@ class ComparableDrives:
 
 
 def group_comparable_drives(records: Sequence[DriveRecord]) -> list[ComparableDrives]:
-    """Measured worlds, each with the records that may stand beside each other; NeuroNCAP's engines last.
-
-    Planners without camera inputs stand beside those of every sensor.
-    """
+    """Measured worlds, NeuroNCAP's engines last; planners without cameras stand beside those of every sensor."""
     kinds: dict[str, list[DriveRecord]] = {}
     for record in records:
         facts = record.facts

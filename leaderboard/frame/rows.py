@@ -152,10 +152,7 @@ def count_recordings(record: RunRecord) -> int:
 
 
 def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
-    """Notes on the runs behind a table, in its order.
-
-    They are of marks, missing inputs, few recorded scenes, verdicts of inspectors, those in ``told``, and partial runs.
-    """
+    """Notes behind a table, in its order: marks, missing inputs, few scenes, verdicts, ``told``, partial runs."""
     few = [FEW_NOTE] if any(count_recordings(record) < FEW_SCENES for record in records) else []
     lacking = caveat_notes(record.run for record in records)
     return [*list_run_marks(records), *lacking, *few, *review_notes(records), *told, *completeness_notes(records)]

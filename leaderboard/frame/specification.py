@@ -104,10 +104,7 @@ def tabulate(
     sources: Sequence[str] = (),
     latex_form: LatexForm | None = None,
 ) -> Table:
-    """Table of a specification; the terminal shows the columns `brief`, its own title and notes, if they differ.
-
-    `sources` say where quoted numbers come from.
-    """
+    """Table of a specification, with its `brief` form for the terminal and the `sources` of quoted numbers."""
     groups = [(label, len(list(same))) for label, same in itertools.groupby(columns, lambda column: column.group)]
     brief_form = None
     if brief is not None:

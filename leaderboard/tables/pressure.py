@@ -76,10 +76,7 @@ class DrivePressure:
 
 
 def group_by_pressure(records: Sequence[DriveRecord]) -> list[tuple[str, list[DrivePressure]]]:
-    """Drives against an adversary by everything that was measured but its budget; only with several budgets.
-
-    Titles with planners and budgets, the weakest budget first.
-    """
+    """Drives that differ in the adversary's budget alone, by title, weakest first, where there are several."""
     kinds: dict[str, list[DrivePressure]] = {}
     titles: dict[str, str] = {}
     for world in group_comparable_drives([drive for drive in records if _find_budget(drive) is not None]):
@@ -121,10 +118,7 @@ def _values(pressure: DrivePressure) -> Values:
 
 
 def transfer_tables(records: Sequence[DriveRecord]) -> list[Table]:
-    """Transfer of adversarial tracks between planners, one table for each data set and split.
-
-    Only where a planner drove against tracks of a record that is among these.
-    """
+    """Transfer of adversarial tracks, a table for each data set and split, where the source's record is given."""
     sources = {record.content_id: record for record in records if _find_budget(record) is not None}
     kinds: dict[str, list[tuple[DriveRecord, DriveRecord]]] = {}
     for record in records:

@@ -74,10 +74,7 @@ def transfer_matrices(
 
 
 def build_both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferMatrix]:
-    """The paper's matrix and, under ``exact``, that of contacts with the adversary alone.
-
-    The second is of the planners whose records say whom contacts are with, if two do.
-    """
+    """The paper's matrix and, under ``exact``, that of contacts with the adversary, if two records name contacts."""
     matrices = [transfer(records, protocol=protocol)]
     telling = [record for record in records if knows_contact_partners(record)]
     if protocol == EXACT and len(telling) > 1 and any(map(has_adversaries, telling)):
