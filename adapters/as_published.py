@@ -24,11 +24,7 @@ CROSS_SCENES: Final = frozenset({MEMORY, CAN_ONCE})
 
 
 def select_options(name: str, known: Collection[str], asked: Sequence[str]) -> tuple[str, ...]:
-    """Options that a model has of those asked for (of `OPTIONS`, or `ALL`), in the order of `OPTIONS`.
-
-    `known` are those of `adapters.models.Network.as_published`; a model that does nothing of the kind is an
-    `InputError`.
-    """
+    """Options of a model among those asked for, in the order of `OPTIONS`; others are an `InputError`."""
     for option in asked:
         if option not in (*OPTIONS, ALL):
             raise InputError(

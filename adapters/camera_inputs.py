@@ -1,9 +1,7 @@
 """From an `Observation` to what camera networks read: images, camera matrices and the ego motion vector.
 
-What is common to VAD, UniAD, SparseDrive and DiffusionDrive; a model says which `NetworkImageFormat` and
-`PixelNormalisation` it was trained with. All of them were trained on nuScenes images of 1600 x 900. Images of another
-size are brought to the size that the network expects, and the camera matrices with them, so that the geometry stays
-exact.
+All networks were trained on nuScenes images of 1600 x 900. Images of another size are resized to what the network
+expects, and the camera matrices with them, so that the geometry stays exact.
 """
 
 from dataclasses import dataclass
@@ -54,14 +52,10 @@ def find_normalisation(name: str) -> PixelNormalisation:
 
 @dataclass(frozen=True, slots=True)
 class NetworkImageFormat:
-    """The image that a network expects.
+    """Image size that a network expects.
 
-    Attributes:
-        width: Pixels after resizing.
-        height: Pixels after resizing, before cropping.
-        crop_top: Rows that are cut off at the top.
-        divisor: Zeros are added at the right and at the bottom until both sides are multiples of it.
-        resize: ``linear``: floating-point pixels, bilinear (mmcv). ``bicubic``: bytes, with antialiasing (Pillow).
+    `height` is before `crop_top` rows are cut off; zeros are added at the right and at the bottom up to multiples of
+    `divisor`. ``linear`` resizes floating-point pixels bilinearly (mmcv), ``bicubic`` bytes with antialiasing (Pillow).
     """
 
     width: int
@@ -72,10 +66,7 @@ class NetworkImageFormat:
 
     @classmethod
     def scaled(cls, scale: float) -> Self:
-        """Images of 1600 x 900 made smaller by a factor, as VAD (0.4, 0.8) and UniAD (1.0) read them.
-
-        Sides are cut to whole pixels.
-        """
+        """Images of 1600 x 900 reduced by a factor to whole pixels: VAD 0.4 and 0.8, UniAD 1.0."""
         width, height = NUSCENES_IMAGE
         return cls(int(width * scale), int(height * scale))
 
@@ -95,10 +86,9 @@ MINIATURE_IMAGE: Final = NetworkImageFormat(224, 128)
 def camera_images(
     observation: Observation, image_format: NetworkImageFormat, normalisation: PixelNormalisation
 ) -> Pixels:
-    """Images of the six cameras at a sample as a network reads them.
+    """Network images of the six cameras, (6, 3, H, W) in the order of `CAMERA_NAMES`, padded with 0.
 
-    (6, 3, H, W) in the order of `CAMERA_NAMES`; the padding is 0. One that is missing, broken, or not of the size that
-    the data set's tables say is an `InputError`.
+    One that is missing, broken, or not of the size that the data set's tables say is an `InputError`.
     """
     images = np.zeros((len(CAMERA_NAMES), 3, *image_format.padded), np.float32)
     rows = image_format.height - image_format.crop_top
@@ -144,15 +134,10 @@ def lidar_pose(observation: Observation) -> Floats:
 def can_bus_vector(ego: EgoState, *, repeat_w: bool = True, after: bool = False) -> Floats:
     """The 18 numbers that VAD and UniAD call ``can_bus``, as their data-set code gives them.
 
-    Args:
-        repeat_w: Put the scalar part of the rotation into all four places of the quaternion. The published code does so
-            by a mistake, and the published weights have never seen anything else.
-        after: Take the message after the sample instead of the last one before it, as the published code does by a
-            slip.
-
-    Returns:
-        (18,) position; quaternion; acceleration, rotation rate and velocity of the last CAN message, zeros where
-        there is none; heading in radians and in degrees, from 0 to a full turn.
+    Position; quaternion; acceleration, rotation rate and velocity of the last CAN message, zeros where there is none;
+    heading in radians and in degrees, from 0 to a full turn. `repeat_w` puts the scalar part of the rotation into all
+    four places of the quaternion: a mistake of the published code, and all that the published weights have seen.
+    `after` takes the message after the sample instead of the one before it, a slip of the published code.
     """
     vector = np.zeros(18)
     vector[0:3] = ego.position
@@ -193,7 +178,7 @@ def _write_network_image(
 ) -> None:
     """Fill ``image`` (3, rows, width), cropped and not padded.
 
-    Resizing is linear in the pixels, so normalising afterwards gives the same as before and touches fewer of them.
+    Resizing is linear in the pixels, so normalising afterwards gives the same and touches fewer of them.
     """
     size = (image_format.width, image_format.height)
     if image_format.resize == "bicubic":

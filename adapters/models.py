@@ -1,6 +1,5 @@
-"""The table of planners: what each built-in one is, where it is defined, and what its weights and its paper are called.
+"""Table of planners: definition, weights and paper name of each built-in one.
 
-One entry a planner; evaluation, training, verification, imports of checkpoints and the speed figures all go through it.
 Everything is named as ``module:attribute`` and imported when it is asked for (`resolve`), so that reading the table
 imports no network. A new model of a known family is one entry; a new family is a folder in `adapters.networks` and an
 entry.
@@ -27,20 +26,15 @@ class Network:
     """A network and what is known of its official code; variants of a family replace a few of these.
 
     Attributes:
-        config: Makes the configuration.
         example: Makes inputs of one key frame of a configuration, the same every time, on the processor.
-        published_normalisation: Normalisation of the official weights (`adapters.camera_inputs.NORMALISATIONS`).
-        settings: Further arguments of `build`.
+        published_normalisation: Of the official weights (`adapters.camera_inputs.NORMALISATIONS`).
         fitted: Whether `config` is given the shapes of a checkpoint's tensors by name, where official files differ.
-        seeded: Whether `build` is given the seed of the run.
         verify: Compares it with numbers of its official code (`adapters.extensions.golden_sets.models`).
         renamed: Patterns and replacements for tensor names that official files have under an older name.
         ignored: Patterns of tensor names that official files may have and the network does not need.
-        anchors: Tensor of the network that official checkpoints lack, because it is published in a file of its own
-            (`adapters.checkpoints.anchor_files`).
+        anchors: Tensor of the network that official checkpoints lack, because it is published in a file of its own.
         clustered: Whether its queries start from cluster centres of a data set (`adapters.checkpoints.anchor_files`).
-        as_published: What it may do as in its published runs (`adapters.as_published`), and what of the configuration
-            that each changes.
+        as_published: Changes of the configuration by option of `adapters.as_published`.
     """
 
     build: str
@@ -62,11 +56,9 @@ class Network:
 class Miniature:
     """Miniature: the full models for which a small network with packaged weights stands, and its training.
 
-    Attributes:
-        stands_for: Full models in whose place it runs on the embedded data set where their weights are absent.
-        untrained: Makes the network as training starts, of a configuration, frames of the training data and a seed.
-        phases: Makes the parts of its training, one after the other.
-        renamed: Brings weights that its training may start from under its own names.
+    It replaces them on the embedded data set where their weights are absent. `untrained` makes the network from a
+    configuration, frames of the training data and a seed; `renamed` brings weights that training may start from under
+    its own names.
     """
 
     stands_for: tuple[str, ...]
@@ -81,15 +73,10 @@ class Model:
 
     Attributes:
         planner: Its class; that of a network is given the network and where its weights come from.
-        network: The network, if it is implemented natively here.
         weights: Published weights that it has (`benchmark.weights.catalogue`); variants share those of another.
-        miniature: Set where it is a small network whose weights come with this package.
         published_as: Name in the paper; the paper does not state which VAD it ran, usually the larger one.
-        native_protocol: Protocol of the repository that it comes from.
         wants: Inputs of its plans that a data set may lack.
-        sees: Its inputs, if not images.
         requires: Raises `InputError` where a package is absent that it needs.
-        extra: Extra of this package that brings what it needs.
         extra_package: Import name of the package that the extra installs.
     """
 
@@ -141,10 +128,9 @@ class Model:
         device: str = "cpu",
         as_published: Sequence[str] = (),
     ) -> Any:
-        """Its network, a `torch.nn.Module` as it is evaluated, with random weights.
+        """Its network, a `torch.nn.Module` in evaluation mode, with random weights.
 
-        `shapes` are those of the tensors that it is for, by name, where it depends on them; the device ``meta`` needs
-        no memory; `as_published` is of what the entry knows.
+        `shapes` are those of the checkpoint's tensors by name (`Network.fitted`); the device ``meta`` needs no memory.
         """
         # Read before the device is set: constants of modules need memory even on the meta device.
         make, config = resolve(self.net.build), self.configuration(shapes)

@@ -55,10 +55,7 @@ _MOST_LISTED = 3
 
 @dataclass(frozen=True, slots=True)
 class RecordedFuture:
-    """Recorded future of the ego after a sample: (6, 2) of the lidar, x right, y forward, metres; NaN past the end.
-
-    `lidar_ahead_m` is the lidar origin ahead of the rear axle.
-    """
+    """Recorded (6, 2) lidar positions, x right, y forward, metres, NaN past the end; the lidar is ahead of the axle."""
 
     lidar_ahead_m: float
     positions: Floats
@@ -92,10 +89,10 @@ class PlanFile:
         *,
         allow_partial: bool = False,
     ) -> None:
-        """Check that there is one row for every sample, and none for anything else.
+        """Check that there is one row for every sample of the split, and none for anything else.
 
         `scenes` are those that will be evaluated; rows of the split's other scenes may stay. With `allow_partial` a
-        sample may have no row, and has failed then; one at least needs one.
+        sample without a row has failed; one row at least is needed.
         """
         present = set(self.keys)
         missing = [key for scene in scenes for key in sorted(samples[scene].keys() - present, key=str)]
@@ -117,10 +114,7 @@ class PlanFile:
         }
 
     def by_samples(self, tokens: Mapping[str, str]) -> "PlanFile":
-        """The same file with names of samples; `tokens` are by what rows may have in their place.
-
-        Two rows of one sample are an `InputError`.
-        """
+        """Rename rows to samples by `tokens`; two rows of one sample are an `InputError`."""
         keys = tuple((tokens.get(str(key[0]), key[0]),) for key in self.keys)
         _require_unique(self.path, keys)
         return replace(self, keys=keys)
@@ -165,10 +159,8 @@ class PlanFilePlanner:
 class PlanFileFactory:
     """Builds the planner of a plan file in any process.
 
-    Attributes:
-        tokens: Sample tokens by the tokens of keyframe rows, where the file has those.
-        caveats: Notes in the record on plans that were taken unchanged.
-        measured: Results of the tests of unit, frame, origin and time, or a note that they are not testable.
+    `tokens` are sample tokens by those of keyframe rows, where the file has these. `measured` holds results of the
+    tests of unit, frame, origin and time, or a note that they are not testable.
     """
 
     path: Path
@@ -250,7 +242,7 @@ def plan_file_factory(
 
 
 def _tokens_of_keyframes(plans: PlanFile, data: "DataSet", samples: "SplitSamples") -> dict[str, str]:
-    """Sample tokens by those of keyframe rows that the file has in their place; empty where it has none."""
+    """Sample tokens by those of the file's keyframe rows; empty where it has none."""
     named = {str(key[0]) for key in plans.keys} if plans.by_token else set()
     if named <= {str(key[0]) for keys in samples.values() for key in keys}:
         return {}
@@ -265,7 +257,7 @@ def _other_split_error(
     samples: "SplitSamples",
     records: Sequence[Path],
 ) -> InputError | None:
-    """Error of a file of which no row belongs to the split; ``None`` if some do."""
+    """Error of a file without a row of the split."""
     present = set(plans.keys)
     if not present.isdisjoint(set().union(*samples.values())):
         return None
@@ -291,7 +283,7 @@ def _other_split_error(
 def read_plan_file(path: Path, frame: FrameName | None = None) -> PlanFile:
     """Rows of a ``.csv``, ``.parquet`` or ``.json`` plan file, checked, in the order of the file.
 
-    `frame` is that of all plans and overrides the file. An `InputError` names the first few offenders.
+    `frame` overrides that of the file. An `InputError` names the first few offenders.
     """
     table = _read_table(path)
     columns = [str(column) for column in table.columns]

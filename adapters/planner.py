@@ -116,7 +116,7 @@ class NativePlanner(ABC, Generic[Network]):
         return replace(plan, waypoints=limit_steering(plan.waypoints, least_m), modes=modes)
 
     def _own_settings(self) -> dict[str, Any]:
-        """Settings of the network that identify a run, beside those that all of them have."""
+        """Settings that identify a run, beside those that all networks have."""
         return {}
 
     @abstractmethod
@@ -138,11 +138,10 @@ def select_forecasts(
 ) -> Forecasts:
     """Forecasts of the boxes that count, in their order.
 
-    A box that is none (a number that is not finite, a side that is not above zero, a place 10 km away) is left out
-    like a box with a low score: it means nothing, and would make the whole plan unusable.
-
-    `boxes` are (N, 7 or more) centre x, y, z, width, length, height, yaw; `scores` (N,) 0 to 1; `trajectories` (N,
-    modes, steps, 2) centres, at least as many steps as a plan has; `shares` (N, modes) probabilities.
+    A box with a number that is not finite, a side that is not above zero, or a place 10 km away is left out like one
+    with a low score: it would make the whole plan unusable. `boxes` are (N, 7 or more) centre x, y, z, width, length,
+    height, yaw; `trajectories` (N, modes, steps, 2) centres, at least as many steps as a plan has; `shares` (N, modes)
+    probabilities.
     """
     rows = (scores >= reporting.least_score).nonzero()[:, 0]
     rows = rows[find_distinct(boxes[rows][:, :2], boxes[rows][:, 4], scores[rows], reporting.apart)]

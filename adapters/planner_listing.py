@@ -25,15 +25,7 @@ _PACKAGED_ALWAYS: Final = ("ego-status",)
 
 @dataclass(frozen=True, slots=True)
 class PlannerListing:
-    """One planner.
-
-    Attributes:
-        sees: Its inputs.
-        gpu: Need of a GPU.
-        extra: Extra of this package that it needs, if any.
-        here: Whether everything that it needs is here.
-        comes_from: The published weights' name, or the package of an installed planner.
-    """
+    """One planner; `comes_from` is the published weights' name, or the package of an installed planner."""
 
     name: str
     sees: str
@@ -71,10 +63,9 @@ def known_planners(
 
 
 def find_own_planner(planner: PlannerFacts) -> PlannerFacts | None:
-    """This program's planner that a record describes.
+    """This program's planner that a record describes: the one with the same code, else the one with the same name.
 
-    The one with the same code under any name; else the one with the same name; else ``None``. Networks are
-    looked at only if they are named and their weights come with this package.
+    Networks are looked at only if they are named and their weights come with this package.
     """
     model = MODELS.get(planner.name)
     called = None

@@ -1,6 +1,6 @@
 """Planners by name: of the table (`adapters.models`), of installed packages, ``module:Class``, ``http://HOST:PORT``.
 
-Planners of other packages are built in a process of their own (`benchmark.sandbox`), here never.
+Planners of other packages are only built in a process of their own (`benchmark.sandbox`).
 """
 
 import contextlib
@@ -39,10 +39,8 @@ _BUILT_FROM = "adapters.registry:build_planner_with_facts"
 class NamedPlanner:
     """Builds a planner by name in any process (`benchmark.runs.plan_rows.PlannerFactory`).
 
-    Attributes:
-        over_http: Passed to planners behind HTTP: ``image_format``, ``deadline_s``, ``frame``.
-        supervision: Limits of a process of its own; ``None`` of planners that run in this one.
-        identity: Identity that it declares, if it runs in a subprocess.
+    `over_http` holds ``image_format``, ``deadline_s``, ``frame``; `supervision` limits of a process of its own, `None`
+    for planners of this one; `identity` what a planner in a subprocess declares.
     """
 
     name: str
@@ -92,11 +90,9 @@ def planner_factory(
 ) -> NamedPlanner:
     """A planner that several processes can build; it is built once here, so that mistakes show at once.
 
-    A planner of another package is built in a process of its own each time.
-
-    Args:
-        data: The data set, for planners of this process; what needs the data set itself cannot be rebuilt elsewhere.
-        device: cpu, cuda, cuda:1; several with commas between them (`benchmark.machine.several_devices`).
+    A planner of another package is built in a process of its own each time. `data` is for planners of this process;
+    what needs the data set itself cannot be rebuilt elsewhere. `device` may name several, separated by commas
+    (`benchmark.machine.several_devices`).
     """
     published = tuple(as_published)
     identity, limits = None, None
@@ -168,24 +164,10 @@ def build_planner(
     as_published: Sequence[str] = (),
     over_http: Mapping[str, Any] | None = None,
 ) -> Planner:
-    """Build a planner.
+    """Build a planner that is built in, in the group ``challenger_bench.adapters``, ``package.module:Class`` or a URL.
 
-    Args:
-        name: Built in, from the entry-point group ``challenger_bench.adapters``, ``package.module:Class``, or the
-            address of a model server.
-        checkpoint: Weights file for planners that take ``checkpoint``.
-        data: The data set, for planners that take ``data``.
-        seed: For planners that take ``seed``.
-        device: For planners that take ``device``: cpu, cuda, cuda:1.
-        precision: For planners that take ``precision``: float32, bfloat16.
-        as_published: For planners that take ``as_published``.
-        over_http: For planners behind HTTP (`benchmark.extensions.http.model.http_planner`).
-
-    Returns:
-        The planner.
-
-    Raises:
-        InputError: If the name is unknown, or the class cannot be imported, is no planner, or takes no checkpoint.
+    Each option is given to planners that take an argument of its name, `over_http` to those behind HTTP. An unknown
+    name, or a class that cannot be imported, is no planner, or takes no checkpoint, is an `InputError`.
     """
     require_known(name)
     installed = installed_planners()
@@ -241,7 +223,7 @@ def installed_planners() -> dict[str, EntryPoint]:
 
 
 def _add_current_folder() -> None:
-    """Find modules in the current folder as ``python -m`` does; an installed command does not look there by itself."""
+    """Find modules in the current folder as ``python -m`` does; an installed command does not look there."""
     folder = str(Path.cwd())
     if not {"", folder} & set(sys.path):
         sys.path.insert(0, folder)
@@ -282,7 +264,7 @@ def _load(point: EntryPoint) -> Any:
 
 
 def _build(maker: Any, name: str, offered: dict[str, Any]) -> Any:
-    """Call a class or function with those of our arguments that it takes."""
+    """Call a class or function with those of `offered` that it takes."""
     if not callable(maker):
         raise InputError(f"model {name!r} is a {type(maker).__name__}, not a class or a function that makes a planner")
     try:
@@ -327,7 +309,6 @@ def _planner_error(name: str, doing: str, error: BaseException) -> InputError:
 
 
 def _check_contract(built: Any, name: str) -> Planner:
-    """Whether a third-party class keeps the contract of `benchmark.planning.Planner`."""
     missing = [method for method in _CONTRACT if not callable(getattr(built, method, None))]
     if missing:
         raise InputError(
@@ -344,7 +325,6 @@ def _check_contract(built: Any, name: str) -> Planner:
 
 
 def _require_name(called: Any, name: str) -> None:
-    """Whether tables can show the name."""
     if not isinstance(called, str) or not called:
         raise InputError(f"model {name!r} has no name; set the attribute name, a string that tables show")
     if not called.isprintable() or len(called) > _LONGEST_NAME:

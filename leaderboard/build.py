@@ -40,19 +40,18 @@ def build_leaderboard_tables(records: Sequence[RunRecord]) -> list[DataSetTables
 def build_leaderboard_files(results: LeaderboardResults) -> Files:
     """The leaderboard's files without the site.
 
-    ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX, CSV and
-    JSON, and per other protocol a page, below ``tables/<data set>/``; heat maps and the other figures (PNG and SVG)
-    below ``figures/<data set>/``; the published numbers apart from ours below ``published/``.
+    ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX, CSV and JSON,
+    and per other protocol a page, below ``tables/<data set>/``; figures (PNG and SVG) below ``figures/<data set>/``;
+    the published numbers apart from ours below ``published/``.
     """
     return _build_contents(results).files
 
 
 @dataclass(slots=True)
 class _LeaderboardContents:
-    """The leaderboard's files, and the tables and figures that the site shows of them.
+    """The leaderboard's files, and the tables, in reading order, and figures that the site shows of them.
 
-    Tables are in the order in which they are read; `of_site` draws the files that only the site has; `page` are the
-    lines of ``README.md``.
+    `of_site` draws files that only the site has; `page` are the lines of ``README.md``.
     """
 
     files: Files = field(default_factory=dict)
@@ -120,11 +119,7 @@ def _build_contents(results: LeaderboardResults, *, site: bool = False) -> _Lead
 def write_leaderboard(results: LeaderboardResults, folder: Path, *, site: bool = True) -> list[Path]:
     """Write the leaderboard, and the site if asked; what an earlier one had and the records no longer give is removed.
 
-    Returns:
-        The files written.
-
-    Raises:
-        InputError: If a file cannot be written, or the site's folder holds something else.
+    An unwritable file, or foreign content in the site's folder, is an `InputError`.
     """
     files = _all_files(results, site=site)
     if site:

@@ -1,7 +1,4 @@
-"""The measured results that the documentation shows: one page and its numbers, and whether they are still current.
-
-Which run records may stand in tables together.
-"""
+"""Records that may stand in tables together, the documentation's page of measured results, and its staleness."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -27,13 +24,11 @@ from leaderboard.tables.transfer import build_both_matrices, lift_table, transfe
 
 
 def select_runs(records: Sequence[RunRecord]) -> list[RunRecord]:
-    """The record that stands for each version of a planner on each split of each data set.
+    """The record that stands for each version of a planner on each split of each data set, in whatever order they come.
 
     Versions are told apart by `benchmark.records.planner_versions`. A run of the whole split goes before runs of some
-    of its scenes; of those the one with most scenes is taken. The order does not depend on the input's.
-
-    An `InputError` says that two records cover the same split with the same planner, that runs on one split of one
-    data set saw different content, or that adversarial scenes were recorded under the name of another split.
+    of its scenes; of those the one with most scenes is taken. Two records of the same split and planner, runs of one
+    split on different content, or adversarial scenes under the name of another split are an `InputError`.
     """
     chosen: dict[tuple[str, str, str], RunRecord] = {}
     for record in sorted(label_versions(records), key=_preference_key):
@@ -123,10 +118,7 @@ def write_results(
     made_from: Mapping[str, Any],
     folder: Path,
 ) -> list[Path]:
-    """Write the page and its numbers, from records of all planners on ``val``, ``val-r`` and ``adv``.
-
-    `made_from` is everything that the numbers depend on, as JSON: versions and hashes.
-    """
+    """Write the page and its numbers, from records on ``val``, ``val-r`` and ``adv``; `made_from` are its inputs."""
     tables = [*_results_tables(data_name, records), *ablation_tables(ablations).get(data_name, ())]
     page = "\n".join([_HEAD, *(table.markdown() for table in tables)]).encode()
     numbers = {
@@ -158,10 +150,7 @@ def _results_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]
 
 
 def find_stale_results(folder: Path, made_from: Mapping[str, Any]) -> list[str]:
-    """One sentence for each reason why results are not what would be measured now; nothing is measured for that.
-
-    `made_from` is what they would be made from now.
-    """
+    """One sentence for each reason why results do not follow from `made_from`, the present inputs."""
     numbers = read_cached_json(folder / NUMBERS)
     if not isinstance(numbers, dict) or not isinstance(numbers.get("made_from"), dict):
         return [f"there are no results in {folder}"]

@@ -1,9 +1,4 @@
-"""Anchors of a data set on disk: what ``challenger-bench weights anchors`` writes.
-
-Samples of a data set for fitting anchors: boxes, map elements, futures and plans.
-
-UniAD's motion anchors: typical forecasts, published as a pickle beside the checkpoint and not in it.
-"""
+"""Anchors of a data set: samples to fit them, what ``weights anchors`` writes, UniAD's published pickle."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -40,7 +35,7 @@ _NETWORK: Final = MOTION_ANCHORS.partition(".")[0] + "."
 
 
 def read_motion_anchors(path: Path) -> Tensor:
-    """Read the anchors without trusting the file: arrays and plain containers, no code.
+    """Read UniAD's anchors without trusting the pickle: arrays and plain containers, no code.
 
     (4 groups of kinds of agents, 6 modes, 12 steps, 2) float32 metres in the frames of agents.
     """
@@ -94,7 +89,7 @@ def _is_uniad(tensors: Mapping[str, Tensor]) -> bool:
 
 
 def _shape(group: Any) -> tuple[int, ...] | str:
-    """Shape of an array of numbers, or what there is instead."""
+    """Shape of an array of numbers, or a description of another object."""
     if isinstance(group, np.ndarray) and group.dtype.kind in "fiu":
         return group.shape
     return type(group).__name__
@@ -106,10 +101,9 @@ MAP_AHEAD_M: Final = 30.0
 
 
 def collect_anchor_samples(data: DataSet, split: str | None, config: SparseConfig) -> AnchorSamples:
-    """Sightings of all key frames of a split, in the order of scenes and time.
+    """Sightings of all key frames of a split by scene and time, without futures that the recording cuts off.
 
-    Futures and plans that the recording cuts off are left out. A network that plans other steps than a data set has is
-    an `InputError`.
+    A network that plans other steps than a data set has is an `InputError`.
     """
     if config.steps != PLAN_STEPS:
         raise InputError(f"a data set has plans of {PLAN_STEPS} steps, but the network needs {config.steps}")
@@ -137,10 +131,7 @@ def collect_anchor_samples(data: DataSet, split: str | None, config: SparseConfi
 
 
 def box_centres(scene: Scene, classes: Sequence[int]) -> Floats:
-    """Centres of annotated boxes at all key frames, (N, 3) metres, lidar frame of the key frame.
-
-    `classes` are those of each agent, negative where it is not detected.
-    """
+    """Centres of annotated boxes in the key frame's lidar frame, (N, 3) metres, without agents of negative class."""
     known, detected = scene.annotations, np.asarray(classes, np.int64) >= 0
     ego_T_lidar = transform_matrix(scene.lidar.rotation, scene.lidar.translation)
     parts = [np.zeros((0, 3))]
@@ -184,10 +175,7 @@ def map_lines(road_map: RoadMap, pose: Floats, points_per_line: int) -> tuple[Fl
 
 
 def agent_futures(scene: Scene, agent: int, steps: int) -> Floats:
-    """Recorded futures of an agent from each of its key frames that `steps` others follow without a gap.
-
-    (N, steps, 2) metres in the agent's frame at the start, x forward.
-    """
+    """Recorded futures without gaps, (N, steps, 2) metres in the agent's frame at their start, x forward."""
     known = scene.annotations
     yaw = yaw_of_quaternion(known.rotation[agent])
     futures = [np.zeros((0, steps, 2))]
@@ -215,11 +203,7 @@ _NAMES: Final = {BOXES, LINES, FORECASTS, PLANS}
 
 @dataclass(frozen=True, slots=True)
 class AnchorFile:
-    """Anchors that were written.
-
-    `sightings` says how many boxes, map elements, futures and plans the anchors are the centres of; `data` name and
-    fingerprint of the data set.
-    """
+    """Anchors that were written; `sightings` counts boxes, map elements, futures and plans that they are centres of."""
 
     path: Path
     sha256: str

@@ -1,7 +1,4 @@
-"""Imported weights on disk: one safetensors file a checkpoint, which says where it comes from.
-
-Output of ``challenger-bench weights list``: known published weights, and those imported here.
-"""
+"""Imported weights on disk, one safetensors file a checkpoint, and the listing of published and imported weights."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -85,10 +82,7 @@ def load_weights(network: nn.Module, path: Path) -> Provenance:
 
 
 def cached_weights(folder: Path, model: str | None = None) -> dict[Path, Provenance]:
-    """Provenance of imported weights by file, in order of names; of one model only where `model` is given.
-
-    A damaged file counts as absent; importing makes it again.
-    """
+    """Provenance of imported weights by file, in order of names; a damaged file counts as absent."""
     weights = {}
     for path in sorted(folder.glob("*.safetensors")):
         try:

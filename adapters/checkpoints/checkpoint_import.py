@@ -1,7 +1,4 @@
-"""A foreign checkpoint becomes weights of ours, once; ``--checkpoint`` of either form becomes a weights file.
-
-Matching of tensors with the weights of known models.
-"""
+"""Import of foreign checkpoints, matched with the tensors of known models, as weights files."""
 
 import re
 import shutil
@@ -44,12 +41,10 @@ from benchmark.weights.folders import read_checkpoint
 
 @dataclass(frozen=True, slots=True)
 class TensorMatch:
-    """Tensors against those that a model needs; all in the order of the model or of the file.
+    """Tensors against those that a model needs, in the order of the model or of the file.
 
-    Attributes:
-        agreeing: How many have the right name and shape.
-        misshapen: Name, shape in the file, shape in the model.
-        mistyped: Names of whole numbers where the model has fractions, or the other way round.
+    `misshapen` are name, shape in the file, shape in the model; `mistyped` whole numbers where the model has fractions,
+    or the other way round.
     """
 
     model: Model
@@ -99,10 +94,7 @@ class TensorMatch:
 
 
 def expected_tensors(model: Model, shapes: Mapping[str, Sequence[int]]) -> dict[str, Tensor]:
-    """Names, shapes and types of all tensors of a model, in the network's order and without their memory.
-
-    `shapes` are those of the tensors that the network is for, by name.
-    """
+    """Names, shapes and types of a model's tensors, without their memory; `shapes` are those of the checkpoint."""
     return dict(model.build(shapes, device="meta").state_dict())
 
 
@@ -200,17 +192,14 @@ def import_checkpoint(
     normalisation: str | None = None,
     anchors: Path | None = None,
 ) -> ImportedWeights:
-    """Check an official checkpoint and keep its weights as safetensors.
+    """Check an official checkpoint and keep its weights as safetensors; the same checkpoint gives the same file.
 
     Args:
         model: The model that it must be for, or ``None`` to find out.
         normalisation: Name of the pixel normalisation that the weights want, or ``None``: what the training
             configuration in the file says, else what the published files want.
-        anchors: Anchors for weights that come without them: of ``weights anchors``, or UniAD's published pickle. Where
-            that lies beside a checkpoint of UniAD, it need not be named.
-
-    Returns:
-        The weights file, which is the same for the same checkpoint.
+        anchors: For weights without them: of ``weights anchors``, or UniAD's published pickle, which is found by itself
+            beside a checkpoint of UniAD.
 
     Raises:
         InputError: If the file is refused (`read_checkpoint`), fits no model or not the one asked for, was trained with
@@ -241,10 +230,7 @@ def import_checkpoint(
 
 
 def fetch_checkpoint(weights: PublishedWeights, cache: Path, *, normalisation: str | None = None) -> ImportedWeights:
-    """Fetch an official checkpoint and what it needs, check and import them; the fetched files themselves are not kept.
-
-    The same command goes on where a download broke off. `weights` is of `benchmark.weights.catalogue.find_checkpoint`.
-    """
+    """Fetch and import an official checkpoint and what it needs, resuming if interrupted; no fetched file is kept."""
     folder = cache / f".fetching-{weights.name}"
     with lock_folder(folder):
         fetch_files(weights, folder)
@@ -255,10 +241,9 @@ def fetch_checkpoint(weights: PublishedWeights, cache: Path, *, normalisation: s
 
 
 def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None = None) -> Path:
-    """The weights file for a model, from what ``--checkpoint`` says or from what has been imported.
+    """The weights file for a model: of ``--checkpoint`` (a ``.pth`` file is imported once), or imported before.
 
-    `checkpoint` is a ``.pth`` file (imported on the way, once), a ``.safetensors`` file of ours, or ``None``. An
-    `InputError` says that there are no weights (what to get and where), several to choose from, or that they are for
+    An `InputError` says that there are no weights (what to get and where), several to choose from, or that they are for
     another model.
     """
     folder = cache or weights_folder()
@@ -308,7 +293,7 @@ def _require_one(model: str, known: Mapping[Path, Provenance]) -> Path:
 
 
 def _find_normalisation(path: Path, configuration: str, model: Model, requested: str | None) -> tuple[str, str]:
-    """Normalisation of the pixels that the weights want, and who says so."""
+    """Normalisation of the pixels that the weights want, and its source (`Provenance.normalisation_from`)."""
     if requested is not None:
         return find_normalisation(requested).name, "user"
     match = _NORM.search(configuration)

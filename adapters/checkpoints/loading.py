@@ -1,7 +1,4 @@
-"""Planners of the table with their weights: the network is built, filled, and put under test.
-
-Published weights of both kinds come in: checkpoints are converted, folders are kept as they are.
-"""
+"""Planners of the table with their weights; published checkpoints are converted, folders are kept as they are."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -95,8 +92,7 @@ def build_native_planner(
     """A network under test.
 
     Without a `checkpoint` (`resolve_checkpoint`) a miniature has the weights of this package, and the others what has
-    been imported. `seed` is of the noise, where there is some; ``bfloat16`` computes the matrix products in half the
-    bytes; `as_published` as in `adapters.as_published`.
+    been imported. `seed` is of the noise, where there is some; ``bfloat16`` is of the matrix products.
     """
     options = select_options(model.name, model.net.as_published, as_published)
     if model.requires is not None:

@@ -25,10 +25,7 @@ def example_images(image_format: NetworkImageFormat) -> Pixels:
 
 
 def example_projections(image_format: NetworkImageFormat) -> Floats:
-    """Projections, (6, 4, 4), of a rig like that of nuScenes, all lenses below the lidar.
-
-    Lidar frame to pixels of the network's images, as `adapters.camera_inputs.lidar_to_image` has them.
-    """
+    """Projections, (6, 4, 4) from lidar frame to pixels, of a rig like that of nuScenes, all lenses below the lidar."""
     width, height = NUSCENES_IMAGE
     matrices = []
     for heading_rad, focal_px in zip(np.radians(_HEADINGS_DEG), _FOCAL_PX, strict=True):

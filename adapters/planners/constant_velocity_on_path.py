@@ -1,7 +1,7 @@
-"""``constant-velocity-on-path``: along the recorded path at the present speed. A baseline that knows only the path.
+"""``constant-velocity-on-path``: along the recorded path at the present speed.
 
-Privileged: sees where the recorded car drove, before and after. It sees neither the times nor other road users,
-so it never brakes. In closed loop it continues from the point of the path that is nearest to the car.
+Privileged: sees where the recorded car drove, but neither the times nor other road users, so it never brakes. In closed
+loop it continues from the nearest point of the path.
 """
 
 import numpy as np
@@ -40,10 +40,7 @@ class ConstantVelocityOnPath:
         self._route = route
 
     def plan(self, observation: Observation) -> Plan:
-        """Waypoints of the rear axle along the path, ego frame.
-
-        The observation's index says where on the path the car is, its velocity how fast.
-        """
+        """Waypoints of the rear axle along the path from the place of the observation's index, ego frame."""
         if self._route is None and not len(self._path):
             raise RuntimeError(f"{self.name} plans only after reveal(scene)")
         # As for constant-velocity: velocity across the heading is noise, and paths are not driven backwards.
@@ -62,7 +59,7 @@ class ConstantVelocityOnPath:
         self._route, self._station = None, None
 
     def _at(self, driven: Floats) -> Floats:
-        """(N, 2) points of the path after so many metres."""
+        """(N, 2) points of the path at arc lengths in metres."""
         on_path = np.column_stack([np.interp(driven, self._driven, self._path[:, axis]) for axis in range(2)])
         past = np.maximum(driven - self._driven[-1], 0.0)
         return np.asarray(on_path + past[:, None] * self._beyond)

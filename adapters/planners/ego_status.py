@@ -1,7 +1,6 @@
 """``ego-status``: a small network that sees only how the ego moved and the driving command.
 
-It looks at no image, no map and no other car, and yet its L2 is close to that of large models: the field's own warning
-about open-loop numbers (AD-MLP, BEV-Planner). A planner that is not well ahead of this row has shown little.
+Its L2 is close to that of large models: the field's own warning about open-loop numbers (AD-MLP, BEV-Planner).
 """
 
 from dataclasses import dataclass
@@ -31,13 +30,8 @@ _WEIGHTS = "ego_status.safetensors"
 class EgoStatusInputs:
     """Motion of the ego now and before, for B samples, in the ego frame of each.
 
-    Attributes:
-        past: (B, 4, 3) x, y, yaw at 2.0, 1.5, 1.0, 0.5 s ago.
-        past_valid: (B, 4) whether those are known.
-        velocity: (B, 2) m/s.
-        acceleration: (B, 2) m/s^2.
-        yaw_rate: (B,) rad/s.
-        command: (B,) 0 right, 1 left, 2 straight.
+    `past` (B, 4, 3) is x, y, yaw at 2.0, 1.5, 1.0, 0.5 s ago, `past_valid` (B, 4); `velocity` (B, 2) m/s,
+    `acceleration` (B, 2) m/s^2, `yaw_rate` (B,) rad/s; `command` (B,) 0 right, 1 left, 2 straight.
     """
 
     past: Floats
@@ -87,11 +81,7 @@ class EgoStatusNetwork(torch.nn.Module):
 
 
 class EgoStatus:
-    """Ego motion and command to plan.
-
-    Args:
-        checkpoint: Weights made by ``challenger-bench train ego-status``; the packaged ones by default.
-    """
+    """Ego motion and command to plan; a `checkpoint` is of ``train ego-status``, by default the packaged one."""
 
     name = "ego-status"
 

@@ -1,12 +1,7 @@
-"""``idm``: follows its lane and keeps distance by the intelligent-driver model.
+"""``idm``: follows its lane and keeps distance by the intelligent-driver model (`benchmark.dynamics.idm`).
 
-Privileged: sees the map and all boxes, but not the future. Traffic lights and right of way are not seen. The law is
-that of `benchmark.dynamics.idm`.
-
-What it expects of the others (`adapters.planners.idm`) it gives as forecasts, one mode each, so that its
-collisions can be diagnosed. They include those behind, which it expects to drive on and does not plan for.
-
-Which others a lane-following driver will meet on its path, judged by where they are and how they move now.
+Privileged: sees the map and all boxes, but not the future, traffic lights or right of way. Its forecasts, one mode
+each, make its collisions diagnosable; they include those behind, which it expects to drive on and does not plan for.
 """
 
 from dataclasses import asdict, dataclass
@@ -32,12 +27,10 @@ _ONCOMING_RAD = np.deg2rad(135.0)
 
 @dataclass(frozen=True, slots=True)
 class Obstacles:
-    """Others along a path at each of K instants.
+    """Others along a path at each of K instants, all (A, K).
 
-    Attributes:
-        rear: (A, K) arc length where each begins, metres; infinite where it is not in the corridor.
-        front: (A, K) arc length where it ends.
-        speed: (A, K) speed along the path, m/s, negative when oncoming.
+    `rear` and `front` are arc lengths in metres, infinite outside the corridor; `speed` is along the path, m/s,
+    negative when oncoming.
     """
 
     rear: Floats
@@ -49,8 +42,8 @@ class Obstacles:
 class _ExpectedPlaces:
     """Places beside a path where A others are expected at K instants.
 
-    `crossing` and `ahead` (whether it can be met at all) are (A,), as is the heading of the path beside it now;
-    `along`, arc length, and `left`, metres to the left of the path, are (A, K).
+    `crossing`, `ahead` (whether it can be met at all) and `heading` of the path beside it now are (A,); `along`, arc
+    length, and `left` of the path in metres are (A, K).
     """
 
     crossing: Bools
@@ -63,14 +56,11 @@ class _ExpectedPlaces:
 def obstacles_along(
     path: LanePath, boxes: Floats, velocity: Floats, seconds: Floats, *, side_margin_m: float, foresight_s: float
 ) -> Obstacles:
-    """Others that will be in the corridor.
+    """Others that will be in the corridor, `side_margin_m` wider than the car on each side.
 
-    Objects along the path keep their velocity relative to it, sideways only for a while (`foresight_s`), so that the
-    cars of the next lane stay there in a bend. An oncoming object keeps to its side. A crossing one goes
-    straight on.
-
-    `boxes` are (A, 5) present ones and `velocity` (A, 2) m/s, global; `seconds` (K,) instants from now;
-    `side_margin_m` is room beside the car that counts as its corridor.
+    Objects along the path keep their velocity relative to it, sideways only for `foresight_s`, so that the cars of the
+    next lane stay there in a bend. An oncoming object keeps to its side. A crossing one goes straight on. `boxes` are
+    (A, 5) present ones and `velocity` (A, 2) m/s, global; `seconds` (K,) instants from now.
     """
     expected = _expect_places(path, boxes, velocity, seconds, foresight_s)
     # A box is turned to the path as now, unless it goes straight on where the path does not.
@@ -87,10 +77,7 @@ def obstacles_along(
 
 
 def expected_centres(path: LanePath, boxes: Floats, velocity: Floats, seconds: Floats, *, foresight_s: float) -> Floats:
-    """Centres where others are expected, (A, K, 2) global metres, by the rules and arguments of `obstacles_along`.
-
-    In the plane instead of along the path; beyond its ends the path goes straight on.
-    """
+    """Expected centres, (A, K, 2) global metres, as in `obstacles_along`; beyond its ends the path goes straight on."""
     now_and_then = np.concatenate([[0.0], seconds])
     expected = _expect_places(path, boxes, velocity, now_and_then, foresight_s)
     beside = _to_points(path, expected.along, expected.left)
@@ -134,7 +121,6 @@ def _to_points(path: LanePath, along: Floats, left: Floats) -> Floats:
 
 
 def _along_and_left(velocity: Floats, heading: Floats) -> tuple[Floats, Floats]:
-    """Components along and to the left of a heading."""
     cos, sin = np.cos(heading), np.sin(heading)
     return velocity[..., 0] * cos + velocity[..., 1] * sin, velocity[..., 1] * cos - velocity[..., 0] * sin
 
@@ -199,10 +185,7 @@ class IntelligentDriver:
 
 
 def simulate_motion(path: LanePath, speed: float, obstacles: Obstacles, driver: DriverParameters) -> Floats:
-    """Distances travelled, (6,) metres at the plan's steps, in intelligent-driver motion along a path.
-
-    `speed` is that of now, m/s.
-    """
+    """Distances travelled, (6,) metres at the plan's steps, by the intelligent-driver model from a speed in m/s."""
     desired_speed = max(speed, driver.speed_limit)
     allowed = np.minimum(np.sqrt(driver.lateral_acceleration / np.maximum(path.curvature, 1e-4)), desired_speed)
     travelled, distances = 0.0, []
@@ -219,7 +202,7 @@ def simulate_motion(path: LanePath, speed: float, obstacles: Obstacles, driver: 
 
 
 def _speed_for_bends(path: LanePath, allowed: Floats, travelled: float, driver: DriverParameters) -> float:
-    """Highest speed now from which each bend ahead can be reached at its own speed by comfortable braking."""
+    """Highest speed now from which comfortable braking reaches each bend ahead at its own speed."""
     ahead = path.arc_length - travelled
     reachable = np.sqrt(allowed**2 + 2 * driver.comfortable_braking * np.maximum(ahead, 0.0))
     return float(np.where(ahead >= -1.0, reachable, np.inf).min(initial=allowed.max()))

@@ -1,7 +1,4 @@
-"""``log-replay``: the recorded future as the plan. The floor: what the collision columns say of a human driver.
-
-In closed loop it is the recorded ego: it wants to be where the recorded car was at each time, wherever it is itself.
-"""
+"""``log-replay``: where the recorded car was at each time, in closed loop too; the floor of the collision columns."""
 
 import numpy as np
 
@@ -45,10 +42,7 @@ class LogReplay:
         self._lidar_path = np.concatenate([keyframes, _extrapolate(beyond, seconds, lidar, velocity)])
 
     def plan(self, observation: Observation) -> Plan:
-        """The recorded future: waypoints of the lidar origin, lidar frame; in closed loop of the rear axle, ego frame.
-
-        The observation's index says where in the recording we are.
-        """
+        """The recorded future: waypoints of the lidar, lidar frame; in closed loop of the rear axle, ego frame."""
         if self._route is not None:
             seconds = self._route.seconds_of(observation.timestamp_us) + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
             return Plan(to_local(self._route.recorded_at(seconds), observation.ego.pose), PlanFrame.EGO)
@@ -59,6 +53,6 @@ class LogReplay:
 
 
 def _extrapolate(when: Floats, seconds: Floats, path: Floats, velocity: Floats) -> Floats:
-    """Positions at times after the last keyframe: recorded frames where there are any, then the last velocity."""
+    """Positions after the last keyframe: recorded frames where there are any, then the last velocity."""
     inside = np.column_stack([np.interp(when, seconds, path[:, axis]) for axis in range(2)])
     return np.asarray(inside + np.maximum(when - seconds[-1], 0.0)[:, None] * velocity)

@@ -1,7 +1,7 @@
-"""``stop``: stands still from now on. What a score says of a car that never drives.
+"""``stop``: stands still from now on; the plan is six times the present position.
 
-The plan is six times the present position, which is what the field calls stopping. It is no braking: protocols put the
-ego where the plan says, however fast it drives now. `nuscenes-pdm` lets a car follow the plan: it brakes and rolls on.
+It is no braking: protocols put the ego where the plan says, however fast it drives now. `nuscenes-pdm` lets a car
+follow the plan: it brakes and rolls on.
 """
 
 import numpy as np

@@ -24,7 +24,7 @@ _ADVICE: Final = "plans of another split or shifted ones cannot be scored; make 
 
 
 def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of ``--out``; padding at the end of a run on several GPUs is left out.
+    """Plans of ``--out``, without the padding at the end of a run on several GPUs.
 
     Refused if an entry is broken, one sample has two plans, or poses or recorded displacements are those of other
     samples.
@@ -53,10 +53,9 @@ def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
 
 
 def read_json(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
-    """Plans of ``results_nusc_planning.json``: global ways that begin at the ego pose.
+    """Plans of ``results_nusc_planning.json``: global paths from the ego pose, turned into displacements in its axes.
 
-    They become displacements in the axes of the ego pose; one that begins elsewhere than at its sample's ego pose is
-    refused.
+    A path that begins elsewhere than at its sample's ego pose is refused.
     """
     if not isinstance(content["trajs"], dict):
         refuse(path, "shape", "its trajs are not an object", "make the file again with the official script")

@@ -43,13 +43,10 @@ class FilePlans:
     """Plans of one file.
 
     Attributes:
-        frame: Frame of the waypoints.
         rows: (N,) sample of each plan, in the order of the file.
         waypoints: (N, K, 2) positions, metres; K is 6, or 12 of planners that plan 6 s.
-        order: How the samples are known.
         shown_by: Evidence of the order, in words that fit behind "the order is proven: ".
         skipped: Samples without a readable plan, and why, by token.
-        duplicates: Entries that repeat another one.
         repaired: Plans that the repository itself completes because the answer was too short or too long.
         mirrored: Whether x of the file is mirrored, where a file may be either.
     """
@@ -67,15 +64,10 @@ class FilePlans:
 
 @dataclass(frozen=True, slots=True)
 class ResultFormat:
-    """One format.
+    """One format, named as ``--format`` takes it.
 
-    Attributes:
-        name: As ``--format`` takes it.
-        repositories: Repositories that write the format.
-        native: Protocol of these repositories, if it is known here.
-        read: Finds plans and samples in the content of a file; raises `RefusedFileError`.
-        lacks: Facts that the record therefore lacks, in words that fit behind "the record has no ".
-        by_place: Whether samples are known by their place in the list alone.
+    `read` raises `RefusedFileError`. `lacks` are facts that the record lacks, in words that fit behind "the record has
+    no ". `by_place`: samples are known by their place in the list alone.
     """
 
     name: str
@@ -128,10 +120,7 @@ def refuse_duplicates(path: Path, rows: Rows, samples: RecordedSamples) -> None:
 
 
 def read_numbers(path: Path, value: Any, where: str, *shapes: tuple[int | None, ...]) -> Floats:
-    """Foreign numbers of one of some shapes (``None`` for any length), finite, in double precision.
-
-    `where` says what they are, for messages.
-    """
+    """Foreign numbers of one of some shapes (``None``: any length), finite, in double precision."""
     expected = " or ".join(" x ".join("any" if length is None else str(length) for length in shape) for shape in shapes)
     try:
         array = np.asarray(value)

@@ -28,10 +28,7 @@ def lidar_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
 
 
 def ego_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
-    """Positions of the rear axle over the first 3 s: the lidar's, less its place in the car, turned with the car.
-
-    (N, 6, 2) x forward, y left, metres.
-    """
+    """Rear-axle positions over the first 3 s, (N, 6, 2) x forward, y left, metres, from those of the lidar."""
     if found.frame is FileFrame.EGO:
         return found.waypoints[:, :PLAN_STEPS]
     mount = samples.lidar_in_ego[found.rows]
@@ -51,10 +48,7 @@ def plans_of(found: FilePlans, samples: RecordedSamples) -> list[Plan]:
 
 
 def file_waypoints(plan: Plan, frame: FileFrame, mount: Floats) -> Floats:
-    """A plan in the frame of a file, (K, 2) metres: the way back.
-
-    `mount` is (3,) x, y of the lidar in the ego frame, and yaw of its axes.
-    """
+    """A plan in the frame of a file, (K, 2) metres; `mount` is (3,) x, y and yaw of the lidar in the ego frame."""
     at, yaw = mount[:2], float(mount[2])
     if frame is FileFrame.EGO and plan.frame is PlanFrame.EGO:
         return plan.waypoints

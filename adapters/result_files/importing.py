@@ -1,7 +1,4 @@
-"""The main path of an import: recognise, read, match with samples, check, convert.
-
-Plausibility of plans in result files under their format (`benchmark.untrusted`).
-"""
+"""Import of result files: recognise, read, match with samples, check plausibility (`benchmark.untrusted`), convert."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -31,9 +28,8 @@ def require_plausible(
 ) -> Plausibility:
     """Refuse plans that fit far better in another unit, frame or origin; give what was measured.
 
-    `plans` are (N, K, 2) positions of the lidar, x right, y forward, as the format says, `rows` (N,) their samples.
-    `as_is` takes plans unchanged, even if another fits better, but not impossible ones. The refusal has the category
-    of the first test that fails, and what would fit.
+    `plans` are (N, K, 2) positions of the lidar, x right, y forward. `as_is` lets all but impossible ones pass. The
+    refusal has the category of the first test that fails, and what would fit.
     """
     complete = samples.complete[rows]
     plausibility = measure_plausibility(ComparedPlans(plans[complete, :PLAN_STEPS], samples.future[rows][complete]))
@@ -53,10 +49,7 @@ EVIDENCE_ORDER: Final[tuple[SampleOrder, ...]] = ("assumed", "consistent", "prov
 
 @dataclass(frozen=True, slots=True)
 class ImportedPlans:
-    """Plans of one or several result files: `found` in the frame of the files, `plans` by token as protocols take them.
-
-    `plausibility` is what tests of unit, frame, origin and time measured.
-    """
+    """Plans of result files: `found` in the frame of the files, `plans` by token as protocols take them."""
 
     paths: tuple[Path, ...]
     format: ResultFormat
@@ -75,10 +68,9 @@ def import_results(
 ) -> ImportedPlans:
     """Plans of the result files of one run.
 
-    Where only some `scenes` are evaluated, a file without tokens may be of them alone. `frame` is that of the
-    waypoints, if it is not that of the format; `as_is` takes plans unchanged, even if another fits better. Files of
-    different formats are an `InputError`; a damaged or hostile file, or plans of other samples or such as cannot be, a
-    `RefusedFileError`.
+    Where only some `scenes` are evaluated, a file without tokens may be of them alone. `frame` overrides the format's;
+    `as_is` takes plans unchanged. Files of different formats are an `InputError`; a damaged or hostile file, or plans
+    that are impossible or of other samples, a `RefusedFileError`.
     """
     first = opened[0]
     for other in opened[1:]:

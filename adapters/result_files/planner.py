@@ -30,10 +30,7 @@ _MAKER = "adapters.result_files.importing:import_results"
 
 
 class ResultFilePlanner:
-    """Planner that gives the plans of result files, by sample token.
-
-    `skipped` says why the plan of a sample cannot be read.
-    """
+    """Planner that gives the plans of result files by sample token, or the reason in `skipped`."""
 
     def __init__(self, name: str, plans: Mapping[str, Plan], skipped: Mapping[str, str]) -> None:
         self.name = name
@@ -53,13 +50,7 @@ class ResultFilePlanner:
 
 @dataclass(frozen=True, slots=True)
 class ResultFileFactory:
-    """Builds the planner of result files in any process.
-
-    Attributes:
-        facts: Its identity: name and hash of the files.
-        plans_from: Facts read from the files, for the record.
-        caveats: Notes in the record on plans that were taken unchanged.
-    """
+    """Builds the planner of result files in any process."""
 
     facts: PlannerFacts
     plans_from: PlanFileFacts

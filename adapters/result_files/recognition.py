@@ -64,11 +64,7 @@ def require_format(name: str) -> None:
 
 
 def unknown_format_error(name: str, known: Collection[str]) -> InputError:
-    """Refusal of a name that no format has.
-
-    The name may be a planner's, for many know a file by who wrote it: the error suggests formats of that name's
-    planners, else names that are nearly the same.
-    """
+    """Refusal of an unknown name, suggesting formats of the planner of that name, else similar names."""
     of_planner = [result_format.name for result_format in FORMATS.values() if name.lower() in result_format.planners]
     suggested = f"did you mean {' or '.join(of_planner)}? " if of_planner else did_you_mean(name, known)
     return InputError(f"no format {name!r}; {suggested}use one of {', '.join(known)}")

@@ -1,7 +1,4 @@
-"""Facts of samples that importers need: tokens, poses, recorded lidar futures, orders.
-
-Turning points in the plane.
-"""
+"""Facts of samples that importers need: tokens, poses, recorded lidar futures, orders. Turning points in the plane."""
 
 from collections.abc import Callable, Collection, Set
 from dataclasses import dataclass, replace
@@ -25,10 +22,7 @@ _NOTHING_RAD = 1e-12
 
 
 def rotate(points: Floats, angle_rad: ArrayLike) -> Floats:
-    """Points, (..., 2), turned counter-clockwise about the origin.
-
-    `angle_rad` is (...), less any axes; an angle that is none but for rounding leaves its points as they are.
-    """
+    """Points, (..., 2), turned counter-clockwise by (...) angles; one of zero up to rounding changes nothing."""
     angle = np.asarray(angle_rad, np.float64)
     angle = np.where(np.abs(angle) < _NOTHING_RAD, 0.0, angle)
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -62,10 +56,6 @@ class RecordedSamples:
     """S samples.
 
     Attributes:
-        name: Name of their source, for messages.
-        tokens: S sample tokens.
-        scenes: S scene names.
-        timestamps_us: (S,) keyframe times.
         ego_pose: (S, 3) planar x, y, heading of the rear axle, global.
         lidar_in_ego: (S, 3) x, y of the lidar in the ego frame, and yaw of its axes.
         future: (S, 6, 2) recorded positions of the lidar, in its own frame at the sample (x right, y forward); 0 where
@@ -73,7 +63,6 @@ class RecordedSamples:
         valid: (S, 6) whether the keyframe exists.
         by_time: Rows in the order of info files that are sorted by time.
         by_table: Rows in the order of info files that are not sorted: scene by scene.
-        others: The other splits of the data set, if they are known.
     """
 
     name: str
@@ -122,9 +111,9 @@ class RecordedSamples:
     def possible_orders(self) -> tuple["RecordedSamples", ...]:
         """Samples in every order of info files that are sorted by time, the likelier one first.
 
-        Where scenes overlap in time, as all variants of one recording do, a converter mixes them, and the info files
-        that are exported here keep them apart (`benchmark.datasets.split_names`). No planner with memory
-        runs on variants that are mixed; recordings of two cars at the same time have official info files.
+        Where scenes overlap in time, as variants of one recording do, a converter mixes them, but info files exported
+        here keep them apart (`benchmark.datasets.split_names`). No planner with memory runs on mixed variants;
+        recordings of two cars at the same time have official info files.
         """
         exported = sort_as_exported(self.scenes, self.timestamps_us)
         if np.array_equal(exported, self.by_time):

@@ -62,10 +62,7 @@ def rates_over_horizon(frame: DataSetRuns, protocol: str) -> Sketch | None:
 
 
 def disagreement_figure(frame: DataSetRuns, split: str) -> Sketch | None:
-    """Share of what ``exact`` sees that each protocol misses, and of what it reports that is false.
-
-    ``None`` where no record of the split was judged by ``exact`` and another protocol.
-    """
+    """Share of what ``exact`` sees that each protocol misses, and of its reports that are false, if both judged."""
     runs = [run for run in frame.runs if run.run.split == split and EXACT in run.run.protocols]
     compared_runs = [(run, compare_protocols(run)) for run in runs]
     if not any(compared for _, compared in compared_runs):
@@ -74,10 +71,10 @@ def disagreement_figure(frame: DataSetRuns, split: str) -> Sketch | None:
 
 
 def manoeuvre_figure(frame: DataSetRuns, protocol: str) -> Sketch | None:
-    """Number of adversarial scenes of each manoeuvre, and of those in which each planner hits the adversary first.
+    """Adversarial scenes of each manoeuvre, and those in which each planner hits the adversary first.
 
-    Where records do not say whom contacts are with: how many it fails. ``None`` where no record of split ``adv`` says
-    what the adversaries do.
+    Where records do not say whom contacts are with: how many it fails. ``None`` where no record of split ``adv`` has
+    manoeuvres.
     """
     runs = [
         run

@@ -1,7 +1,4 @@
-"""Which figures there are, and in which order they are looked at.
-
-Attack success against how real the adversaries move, a point a generator setting and planner.
-"""
+"""Figures in reading order, and attack success against the realism of adversaries by generator setting and planner."""
 
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -47,8 +44,8 @@ _APART: Final = 0.013
 class GeneratorSetting:
     """One setting of a generator: the adversarial scenes of one split of one data set.
 
-    `worst` is the worst feature, ``None`` where there was no comparison with recordings; `without_fault` the share of
-    the scenes whose adversaries have no fault; `success` the attributable attack success on each planner, of scenes.
+    `worst` is the worst feature, ``None`` without a comparison with recordings; `without_fault` the share of scenes
+    whose adversaries have no fault; `success` the attributable attack success on each planner, of scenes.
     """
 
     data_name: str
@@ -78,10 +75,7 @@ def list_generator_settings(records: Sequence[RunRecord]) -> list[GeneratorSetti
 
 
 def attack_figures(frame: DataSetRuns) -> tuple[NamedFigure, ...]:
-    """The figure of a data set, or none where none of its own settings can be drawn (`explain_missing_figure`).
-
-    Settings of a generator are compared with one another, those of other data sets too; its own stand out.
-    """
+    """The figure of a data set, beside settings of others, or none if none of its own can be drawn."""
     settings = list_generator_settings(frame.against or frame.given)
     if not any(setting.data_name == frame.data_name for setting in settings):
         return ()
@@ -150,8 +144,6 @@ def _write_caption(figure: Figure, heading: str, words: Sequence[str], theme: Pl
 
 @dataclass(frozen=True, slots=True)
 class _AxisPoint:
-    """Place of a setting on an axis, and its interval."""
-
     at: float
     low: float | None
     high: float | None
@@ -165,7 +157,7 @@ def _place_by_realism(setting: GeneratorSetting) -> _AxisPoint | None:
 
 
 def _place_by_validity(setting: GeneratorSetting) -> _AxisPoint | None:
-    """Only where there is no realism: the two axes are not comparable."""
+    """Place by validity, only where there is no realism: the two axes are not comparable."""
     rate = setting.without_fault
     if setting.worst is not None or rate.value is None:
         return None
@@ -208,7 +200,7 @@ def _draw_setting(
 
 
 def _describe_settings(settings: Sequence[GeneratorSetting]) -> list[str]:
-    """Sentences on which number is which setting, and on the axes."""
+    """Sentences on the numbers of settings and on the axes."""
     sentences = []
     for number, setting in enumerate(settings, 1):
         name = sanitise_name(format_split(setting.split, setting.data_name))
@@ -233,8 +225,8 @@ RUN_FIGURES: Final[tuple[Callable[[DataSetRuns], Iterable[NamedFigure]], ...]] =
 def matrix_figures(frame: DataSetRuns) -> list[NamedFigure]:
     """Pictures of the matrices of transfer among the first tables, each with the name of its table.
 
-    Where it is known who is an adversary, contacts with bystanders say nothing of attacks: of lift and φ under
-    ``exact`` one picture a split.
+    Where it is known who is an adversary, contacts with bystanders say nothing of attacks: under ``exact`` there is one
+    picture of lift and φ a split.
     """
     name = frame.data_name
     judge_matrices = [(judge, _build_matrices(frame, judge, split)) for split in frame.splits for judge in frame.judges]

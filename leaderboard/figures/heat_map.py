@@ -1,7 +1,4 @@
-"""Transfer between planners as pictures: who else fails (column) the scenes that a planner fails (row).
-
-`draw_heat_map` has the shares of one matrix; `draw_lift_map` how far two planners fail the same scenes beyond chance.
-"""
+"""Transfer between planners as pictures: who else fails (column) the scenes that a planner fails (row)."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -64,11 +61,7 @@ def write_lift_map(matrix: TransferMatrix, path: Path) -> None:
 
 
 def draw_heat_map(matrix: TransferMatrix, suffix: str, theme: PlotTheme = LIGHT) -> bytes:
-    """Bytes of the picture: the same matrix, the same bytes.
-
-    Every cell has share and counts, and the victims' failure rates over all scenes are below; cells without a number,
-    and the diagonal, are hatched.
-    """
+    """Picture of shares, counts and failure rates, deterministic to the byte; cells without a number are hatched."""
     return render_figure(partial(_draw_shares, matrix), suffix, theme)
 
 
@@ -78,10 +71,7 @@ def draw_heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, Callable[[], b
 
 
 def draw_lift_map(matrix: TransferMatrix, suffix: str, theme: PlotTheme = LIGHT) -> bytes:
-    """Picture of how far two planners fail the same scenes beyond chance.
-
-    Lift is above the diagonal and φ below it, each with its interval; colours say how far it is from chance.
-    """
+    """Picture of lift (above the diagonal) and φ (below), with intervals; colours are the distance from chance."""
     return render_figure(partial(_draw_lift, matrix), suffix, theme)
 
 
@@ -152,7 +142,7 @@ def _build_chance_cell(estimate: Estimate, chance: float, form: str, shade: floa
 
 
 def _lift_colour(lift: float | None) -> float:
-    """-0.5..0.5: the logarithm, so that half and double are equally far from chance."""
+    """Colour from -0.5 to 0.5: the logarithm, so that half and double are equally far from chance."""
     if not lift:
         return -0.5
     return max(-0.5, min(0.5, 0.5 * math.log(lift) / math.log(_MOST_LIFT)))
@@ -224,7 +214,7 @@ def _create_canvas(columns: float, rows: float, *, longest_name: int, caption_li
 
 
 def _draw_cell(axes: Axes, column: float, row: float, square: HeatMapCell | None, theme: PlotTheme) -> None:
-    """One cell: a number with what stands below it, or hatched."""
+    """One cell, hatched where it has no number."""
     corner = (column - 0.5, row - 0.5)
     if square is None:
         axes.add_patch(Rectangle(corner, 1, 1, facecolor=theme.empty, edgecolor=_HATCH, hatch="///", linewidth=0))

@@ -1,7 +1,4 @@
-"""At which pressure a planner breaks: how often it fails, and how hard, over the budgets of an adversary that drives.
-
-The same numbers as in the tables of pressure (`leaderboard.tables.pressure`), a line a planner, with their intervals.
-"""
+"""Rate and severity of failures over the budgets of an adversary that drives, a line a planner, with intervals."""
 
 import textwrap
 from collections.abc import Sequence
@@ -86,7 +83,7 @@ def _style_axes(axes: Axes, axis_label: str, budgets: Sequence[Budget], theme: P
 
 
 def _draw_line(axes: Axes, rates: Sequence[Rate | None], beside: float, look: dict[str, Any], scale: float) -> None:
-    """A planner's numbers at all budgets, with their intervals; what is undefined leaves a gap."""
+    """A planner's numbers at all budgets, with their intervals; undefined ones leave a gap."""
     places = [place + beside for place in range(len(rates))]
     values = [float("nan") if rate is None or rate.value is None else scale * rate.value for rate in rates]
     for place, rate in zip(places, rates, strict=True):

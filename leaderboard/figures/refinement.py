@@ -65,8 +65,7 @@ def draw_refinement(
 ) -> bytes | None:
     """One planning frame of a scene: a panel a round on the map, and the scores of all rounds beside them.
 
-    ``None`` where the scene is not traced, or nothing was searched at that frame, by default
-    `find_most_improved_frame`.
+    ``None`` without a trace or a search at that frame, by default `find_most_improved_frame`.
     """
     sketch = _build_sketch(stored, frame)
     return None if sketch is None else render_figure(sketch, suffix, theme)
@@ -84,10 +83,7 @@ def _build_sketch(stored: StoredScenePage, frame: int | None = None) -> Sketch |
 
 
 def find_most_improved_frame(rounds: RefinementTrace) -> TraceFrame | None:
-    """The planning frame whose best score falls most from the first round to the last, the first of equals.
-
-    ``None`` where no frame has candidates with scores in its first and last round.
-    """
+    """The frame whose best score falls most from first to last round, the first of equals, if any has scores."""
     best: tuple[float, TraceFrame] | None = None
     for frame in rounds.frames:
         ends = [_find_best_score(entry) for entry in frame.rounds[:1] + frame.rounds[-1:]]
@@ -99,10 +95,10 @@ def find_most_improved_frame(rounds: RefinementTrace) -> TraceFrame | None:
 
 
 def quartiles(scores: Sequence[float], searched: int) -> tuple[float, float, float] | None:
-    """Quartiles of a round's scores, those that were left out counted by those that stand for them.
+    """Lower quartile, median and upper quartile of a round's scores, each one of them; `searched` is their number.
 
-    Of more than were kept, the better half of the kept are the best ones and the others a sample of the rest. Lower
-    quartile, median and upper quartile, each one of the scores; `searched` is how many there were.
+    Of more than were kept, the better half of the kept are the best ones and the others a sample of the rest, which
+    counts for those left out.
     """
     if not scores:
         return None
@@ -230,7 +226,7 @@ def _style_panel(axes: Axes, at: TraceFrame, number: int, view: MapView, searche
 def _draw_scores(
     axes: Axes, at: TraceFrame, scale: LogNorm, colours: Colormap, searched: int, theme: PlotTheme
 ) -> None:
-    """A strip a round; the places side by side follow from the order of the scores, not from chance."""
+    """A strip a round; places side by side follow from the order of the scores, not from chance."""
     for number, entry in enumerate(at.rounds):
         known = sorted(_clip_score(score) for score in entry.scores if score is not None)
         beside = number + _HALF_STRIP * (np.arange(len(known)) * 0.618034 % 1.0 * 2.0 - 1.0)

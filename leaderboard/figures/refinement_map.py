@@ -29,8 +29,7 @@ _NO_SCORE: Final = "#777777"
 class MapView:
     """View of the panels: the adversary drives to the right from (0, 0).
 
-    `pose` is (3,), its present one in the sheet's metres; the edges are metres in its frame, `left` the one behind it,
-    `right` ahead, `bottom` to its right and `top` to its left.
+    `pose` is (3,) in the sheet's metres; the edges are metres in its frame, `left` behind it, `bottom` to its right.
     """
 
     pose: Floats

@@ -29,10 +29,7 @@ NO_SENSOR: Final = "none"
 
 @dataclass(frozen=True)
 class DriveTableRow:
-    """A record of drives as a row of a table; its numbers are cells.
-
-    `name` is its planner, with what tells its version from others of its world.
-    """
+    """A record of drives as a row of a table; `name` is its planner, with its version if its world has several."""
 
     record: DriveRecord
     name: str
@@ -68,10 +65,7 @@ class DriveTableRow:
 
 @dataclass(frozen=True)
 class ComparableDrives:
-    """One thing that was measured, and its records: planners before privileged ones, by name.
-
-    `title` is in words, `name` a part of a file's name; `sensor` is what the cameras of those saw that look.
-    """
+    """Records of one measured setting: planners before privileged ones, by name; `name` is a part of a file's name."""
 
     title: str
     sensor: str
@@ -103,7 +97,6 @@ class ComparableDrives:
         return [*self._list_sensor_notes(), *([FEW_NOTE] if few else []), *marks, *lacking, *stale]
 
     def _list_sensor_notes(self) -> list[str]:
-        """Notes on what pictures depended on besides the sensor's name."""
         measured = [record.facts.measured for record in self.records if record.facts.measured.sensor == self.sensor]
         facts = measured[0].sensor_facts if measured else {}
         fact_texts = ", ".join(f"{name} {value}" for name, value in sorted(facts.items()))
@@ -111,10 +104,7 @@ class ComparableDrives:
 
 
 def group_comparable_drives(records: Sequence[DriveRecord]) -> list[ComparableDrives]:
-    """Worlds that were measured, each with the records that may stand beside each other; NeuroNCAP's engines last.
-
-    Planners that look at nothing stand beside those of every sensor: what cameras see is nothing to them.
-    """
+    """Measured worlds, NeuroNCAP's engines last; planners without cameras stand beside those of every sensor."""
     kinds: dict[str, list[DriveRecord]] = {}
     for record in records:
         facts = record.facts
@@ -158,7 +148,7 @@ def _sort_key(group: ComparableDrives) -> tuple[bool, str, str, str, list[str], 
 
 
 def _name_groups(groups: Sequence[ComparableDrives]) -> list[ComparableDrives]:
-    """With names that do not depend on what else was measured, but for what has the same words."""
+    """Groups with names that do not depend on what else was measured, unless titles are equal."""
     renamed, name_counts = [], Counter[tuple[str, str]]()
     for group in groups:
         facts, part = group.records[0].facts, not group.records[0].covers_split
@@ -189,7 +179,6 @@ def _require_one_each(group: ComparableDrives) -> None:
 
 
 def _sort_records(records: Sequence[DriveRecord]) -> tuple[DriveRecord, ...]:
-    """Planners before those that are privileged, by name."""
     return tuple(
         sorted(
             records, key=lambda record: (record.facts.planner.privileged, record.planner, record.facts.measured.sensor)

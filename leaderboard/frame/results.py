@@ -16,11 +16,7 @@ from leaderboard.results import select_runs
 
 @dataclass(frozen=True, slots=True)
 class LeaderboardResults:
-    """Results that a leaderboard is made from.
-
-    `frames` are runs of each data set that has any, at most one for each planner and split. Statistics, manoeuvres,
-    search and runtime are made from the scene sheets.
-    """
+    """Results that a leaderboard is made from; `frames` have at most one run for each planner and split."""
 
     frames: tuple[DataSetRuns, ...]
     drives: Sequence[DriveRecord] = ()
@@ -36,7 +32,7 @@ class LeaderboardResults:
 
 
 def build_frames(records: Sequence[RunRecord]) -> tuple[DataSetRuns, ...]:
-    """A frame of each data set, by its name, of records in any order; `select_runs` says which of them count.
+    """A frame of each data set, by its name, of the records that `select_runs` keeps.
 
     Two records of one planner and split that would share a row, or records of one split on different data, are an
     `InputError`.

@@ -85,10 +85,9 @@ def add_caveat_mark(cell: TableCell, facts: RecordFacts) -> TableCell:
 
 
 def caveat_notes(records: Iterable[RecordFacts]) -> list[str]:
-    """Notes on what the numbers of some runs or drives needed and did not get.
+    """Notes on unmet needs of the numbers of runs or drives, one for each caveat and split, with its planners.
 
-    One sentence for each caveat and split, with the planners that it concerns, and one for older records, of which it
-    is not known whether their scenes are annotated.
+    One more is for older records, of which it is not known whether their scenes are annotated.
     """
     planners: dict[tuple[str, str], list[str]] = {}
     older: list[str] = []
@@ -153,11 +152,7 @@ def count_recordings(record: RunRecord) -> int:
 
 
 def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
-    """Notes on the runs behind a table, in the table's order.
-
-    Notes on marks, missing inputs, few recorded scenes, verdicts of inspectors, and those in ``told`` on
-    single runs, and what is not whole.
-    """
+    """Notes behind a table, in its order: marks, missing inputs, few scenes, verdicts, ``told``, partial runs."""
     few = [FEW_NOTE] if any(count_recordings(record) < FEW_SCENES for record in records) else []
     lacking = caveat_notes(record.run for record in records)
     return [*list_run_marks(records), *lacking, *few, *review_notes(records), *told, *completeness_notes(records)]

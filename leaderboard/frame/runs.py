@@ -27,10 +27,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class RunRow(Generic[Measurement]):
-    """A run as a row of a table; its numbers are cells, which say of which protocol and record they are.
-
-    `judge` is the protocol or definition behind them; empty where they rest on none.
-    """
+    """A run as a row of a table; cells name record and `judge`: the protocol or definition, empty without one."""
 
     record: RunRecord
     judge: str
@@ -93,10 +90,9 @@ class RunRow(Generic[Measurement]):
 
 
 class DataSetRuns:
-    """The runs on one data set, and what was measured of them, each thing once.
+    """The runs on one data set in the order of tables, and what was measured of them, each thing once.
 
-    `given` are the records as they were given, `runs` the same in the order of tables; `against` further ones that
-    they may be compared with, the newest last.
+    `given` are the records as they were given, `against` further ones to compare with, the newest last.
     """
 
     def __init__(self, data_name: str, records: Iterable[RunRecord], against: Iterable[RunRecord] = ()) -> None:
@@ -134,10 +130,7 @@ class DataSetRuns:
         return result
 
     def rows(self, judge: str, measure: Callable[[RunRecord], Measurement | None]) -> list[RunRow[Measurement]]:
-        """A row, in the order of tables, for each run of which something is measured.
-
-        ``judge`` is the protocol or definition behind it; empty where there is none.
-        """
+        """A row, in the order of tables, for each run of which something is measured; `judge` as in `RunRow`."""
         measurements = [(record, measure(record)) for record in self.runs]
         return [RunRow(record, judge, measured) for record, measured in measurements if measured is not None]
 

@@ -1,7 +1,4 @@
-"""A table as a specification: columns, each with a head and a format, over rows of named values.
-
-Scene sheets: the splits of each data set, and the cells of their numbers.
-"""
+"""Specification of a table: columns with heads and formats over rows of named values; splits of scene sheets."""
 
 import itertools
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -107,11 +104,7 @@ def tabulate(
     sources: Sequence[str] = (),
     latex_form: LatexForm | None = None,
 ) -> Table:
-    """Table that a specification gives.
-
-    `brief` are keys of the columns that a terminal shows, if not all, `brief_title` and `brief_notes` what it says
-    above and below them, if not the same; `sources` say where quoted numbers come from.
-    """
+    """Table of a specification, with its `brief` form for the terminal and the `sources` of quoted numbers."""
     groups = [(label, len(list(same))) for label, same in itertools.groupby(columns, lambda column: column.group)]
     brief_form = None
     if brief is not None:

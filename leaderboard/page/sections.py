@@ -1,7 +1,4 @@
-"""Sections of a leaderboard: tables and figures under one heading; extensions make some of records of their own.
-
-Where files of tables lie, what is in them, and what is shown together.
-"""
+"""Sections of a leaderboard: tables and figures under one heading, and the places of their files."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -56,10 +53,7 @@ def format_table_files(folder: str, tables: Sequence[Table]) -> dict[str, bytes]
 
 @dataclass(frozen=True, slots=True)
 class NamedFigure:
-    """One picture: PNG for screens, SVG for print and light pages.
-
-    `dark` draws the SVG for dark pages, which sites alone have.
-    """
+    """One picture: PNG for screens, SVG for print and light pages; `dark` draws the SVG for sites' dark pages."""
 
     name: str
     title: str
@@ -73,13 +67,10 @@ SectionItem = str | Table | NamedFigure
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Contents under one heading.
+    """Contents under one heading, in Markdown; it is empty where it goes on under the one before.
 
-    Attributes:
-        data_name: The data set that it is of; empty for published numbers.
-        heading: Of the page, in Markdown; empty where it goes on under the one before.
-        tables: Tables that have files, by what the site shows them under.
-        files: Further files, by path below the leaderboard's folder.
+    `tables` have files, by their group on the site; `files` are further ones, by path below the leaderboard's folder;
+    `data_name` is empty for published numbers.
     """
 
     data_name: str

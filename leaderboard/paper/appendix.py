@@ -66,10 +66,7 @@ _SHOWN: Final[dict[str, tuple[str, Callable[[Any], str]]]] = {
 
 
 def hyper_parameter_tables(sheets: ScenePages, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
-    """The paper's table of hyper-parameters by name of the data set, with those of each search and study of ours.
-
-    Sheets count that know the settings of their search.
-    """
+    """The paper's hyper-parameters by data set, beside those of studies and of sheets that know their search."""
     searches_by_data_set: dict[str, dict[str, Mapping[str, Any]]] = {}
     for (data_name, split), sheet in sorted(sheets.splits.items()):
         if sheet.hyper:

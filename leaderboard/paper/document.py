@@ -1,7 +1,4 @@
-"""The paper's tables in its order, and one LaTeX document of them and the chart with booktabs and graphicx alone.
-
-The paper's Table 1 in its two-column form: two planners beside each other, a line for each data set.
-"""
+"""The paper's tables in its order and Table 1's form, as one LaTeX document with booktabs and graphicx alone."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -35,10 +32,10 @@ PlannerBlock = Mapping[str, RunRow[ProtocolSummary]]
 
 
 def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
-    """Table 1 as the paper lays it out, each planner under the protocol of its own repository.
+    """Table 1 as the paper lays it out, each planner under the protocol of its own repository; ``None`` without runs.
 
     Two planners a block, those of the paper first and in its order, on the paper's three splits; published averages and
-    increases have columns of their own. ``None`` without runs.
+    increases have columns of their own.
     """
     blocks = _build_blocks(DataSetRuns(data_name, records))
     if not blocks:
@@ -175,10 +172,7 @@ def format_paper_document(data_name: str, tables: Sequence[Table], charts: Seque
 def build_paper_tables(
     records: Mapping[str, Sequence[RunRecord]], sheets: ScenePages, ablations: Sequence[AblationReport]
 ) -> dict[str, tuple[Table, ...]]:
-    """Table 1, hyper-parameters, runtime, the data set in numbers, by name of the data set, in the order of the names.
-
-    Runs are by name of the data set, at most one for each planner and split.
-    """
+    """Table 1, hyper-parameters, runtime and statistics by data set, of at most one run a planner and split."""
     first = {name: paper_table_1(name, runs) for name, runs in records.items()}
     return merge_by_data_set(
         [

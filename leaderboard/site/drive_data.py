@@ -42,8 +42,6 @@ _NOWHERE: Final = np.empty((0, 1, 2))
 
 @dataclass(frozen=True, slots=True)
 class _NamedDrive:
-    """One drive with the name of its planner."""
-
     record: DriveRecord
     name: str
     row: EpisodeRow
@@ -78,10 +76,9 @@ def build_drive_files(drives: Sequence[DriveRecord], sheets: ScenePages) -> dict
 def build_drive_index(drives: Sequence[DriveRecord], sheets: ScenePages) -> list[dict[str, Any]]:
     """Entries of drives for pages.
 
-    Returns:
-        For each ``key`` (null without a sheet), ``scene`` (the scene's key), ``planner``, ``privileged``,
-        ``miniature``, ``world``, ``sensor``, ``family``, ``run``, ``runs``, ``end``, ``contact``, ``failure``,
-        ``everybody``, ``adversary`` (whether one that answers is shown where it went).
+    For each ``key`` (null without a sheet), ``scene`` (the scene's key), ``planner``, ``privileged``, ``miniature``,
+    ``world``, ``sensor``, ``family``, ``run``, ``runs``, ``end``, ``contact``, ``failure``, ``everybody``,
+    ``adversary`` (whether one that answers is shown where it went).
     """
     entries = []
     for named_drive in _list_drives(drives):
@@ -190,7 +187,6 @@ def _find_removal_times(row: EpisodeRow, ticks: Floats) -> dict[str, float]:
 
 
 def _cut_track(agent: PageAgent, seconds: Floats, removal_times: Mapping[str, float]) -> PageAgent:
-    """The agent's track for as long as it is there."""
     if agent.id not in removal_times:
         return agent
     frames = max(int(np.searchsorted(seconds, removal_times[agent.id] - _LATE_S)) - agent.first, 0)
@@ -199,10 +195,7 @@ def _cut_track(agent: PageAgent, seconds: Floats, removal_times: Mapping[str, fl
 
 
 def build_driven_adversary(sheet: ScenePage, row: EpisodeRow) -> PageAgent | None:
-    """An adversary that answers, as it drove: up to its hand-over it is where the recording has it.
-
-    ``None`` without one, and where the sheet does not know the vehicle.
-    """
+    """An adversary that answers, as it drove, and as recorded up to its hand-over; ``None`` if the sheet lacks it."""
     went = row.adversary
     agent = (
         None
@@ -221,7 +214,6 @@ def build_driven_adversary(sheet: ScenePage, row: EpisodeRow) -> PageAgent | Non
 
 
 def _build_plans(named_drive: _NamedDrive, seconds: Floats, ticks: Floats, states: Floats) -> dict[str, Any]:
-    """Planning instants of the drive and the plan of each."""
     row, planner = named_drive.row, named_drive.record.facts.planner
     samples: list[dict[str, Any]] = []
     plan_entries: list[dict[str, Any] | None] = []
@@ -289,10 +281,9 @@ def _build_contact(
 
 
 def interpolate_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
-    """Places of the ego between stored states: a cubic through places and speeds, headings by the shortest turn.
+    """Poses of the ego, (F, 3) x, y, yaw: a cubic through places and speeds, headings by the shortest turn.
 
-    (F, 3) x, y, yaw at (F,) times, which are held to the states; these are (K, 4 or more) x, y, yaw, speed along the
-    heading at (K,) ticks.
+    Times are held to the (K,) ticks of the states, which are (K, 4 or more) x, y, yaw, speed along the heading.
     """
     yaw = np.unwrap(states[:, _YAW])
     if len(ticks) == 1:

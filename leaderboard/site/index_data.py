@@ -1,7 +1,4 @@
-"""The site's index: everything that is shown without loading a scene.
-
-Planners in the site's index: their runs, rates under every protocol, and driving scores.
-"""
+"""The site's index: everything that is shown without loading a scene, with planners' runs, rates and scores."""
 
 import json
 import math
@@ -62,7 +59,7 @@ def build_model_index(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
 
 
 def _run_entry(record: RunRecord) -> dict[str, Any]:
-    """One run; code, commit and machine are of the run, because two runs of a planner may differ in them."""
+    """One run, with code, commit and machine: two runs of a planner may differ in them."""
     run, summary = record.run, record.summary
     environment = run.environment
     source = _to_texts(environment.get("source") or {})
@@ -96,7 +93,6 @@ def _run_entry(record: RunRecord) -> dict[str, Any]:
 
 
 def _driving_entry(summary: DrivingSummary) -> dict[str, Any]:
-    """Driving scores: the mean of each sub-score and of the totals."""
     return {
         "version": summary.version,
         "stale": summary.version != VERSION,
@@ -106,7 +102,7 @@ def _driving_entry(summary: DrivingSummary) -> dict[str, Any]:
 
 
 def _count_scenes_hit(record: RunRecord, protocol: str) -> list[int] | None:
-    """Numbers of scenes with a sample that touches the adversary first, and of scenes where that is said."""
+    """Numbers of scenes that touch the adversary first, and of scenes where that is said."""
     is_known = (
         attributes_contacts(record)
         and find_protocol_version(protocol) is not None
@@ -143,7 +139,7 @@ def _rate_entry(rate: Rate) -> dict[str, float | int | None]:
 
 
 def _to_texts(facts: Any) -> dict[str, str | None]:
-    """Facts of a stranger's record as text: they may hold anything that JSON can, NaN too."""
+    """Facts of a foreign record as text: they may hold anything that JSON can, NaN too."""
     if not isinstance(facts, Mapping):
         return {}
     return {str(name): _to_text(value) for name, value in facts.items()}
@@ -173,10 +169,7 @@ NOTES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class PlacedTable:
-    """A table and its place: `folder` is that of its files below the leaderboard's.
-
-    `data_name` is empty for what is of none; `group` is what it is shown together with, for example ``protocol vad``.
-    """
+    """A table and the `folder` of its files below the leaderboard's; `group` is for example ``protocol vad``."""
 
     table: Table
     data_name: str
@@ -186,12 +179,10 @@ class PlacedTable:
 
 @dataclass(frozen=True, slots=True)
 class PlacedFigure:
-    """A figure among the site's files.
+    """A figure among the site's files, by paths below its folder.
 
-    Attributes:
-        path: Its file below the site's folder.
-        size_px: (width, height) at which its letters are as large as the page's, so that a page leaves room before it
-            is loaded.
+    `size_px` is (width, height) at which its letters are as large as the page's; a page leaves that room before
+    loading.
     """
 
     data_name: str
@@ -204,10 +195,7 @@ class PlacedFigure:
 def build_index(
     results: LeaderboardResults, tables: Sequence[PlacedTable], figures: Sequence[PlacedFigure], written: frozenset[str]
 ) -> dict[str, Any]:
-    """The value of ``window.CHALLENGER``; lists are in the order in which pages show them.
-
-    ``written`` are paths of the site's other files.
-    """
+    """The value of ``window.CHALLENGER`` in the order of pages; ``written`` are paths of the site's other files."""
     protocols = {name for frame in results.frames for name in frame.protocols}
     ids, origins = _table_ids(tables), _OriginTable()
     return {
@@ -274,8 +262,8 @@ def _table_entry(placed: PlacedTable, name: str, origins: "_OriginTable", writte
 class _OriginTable:
     """Common parts of many cells, written once: cells name its place as ``record``.
 
-    `found` has for each origin the places of its unit, of what is counted, of its protocol, record and source among
-    the words; -1 where there is none.
+    `found` has for each origin the places of its unit, of what is counted, of its protocol, record and source among the
+    words; -1 where there is none.
     """
 
     def __init__(self) -> None:
@@ -314,7 +302,7 @@ def _round_significant(value: float) -> float | int | str:
 
 
 def _attempt_entries(sheets: ScenePages) -> list[dict[str, Any]]:
-    """Vehicles that the search tried; what is not there is left out, because there are many."""
+    """Vehicles that the search tried; empty members are left out, because there are many."""
     attempts = []
     for (data_name, split), sheet in sorted(sheets.splits.items()):
         for attempt in sheet.attempts:
@@ -376,7 +364,6 @@ def build_key_table(frame: DataSetRuns) -> Table | None:
 
 
 def _take_cell(table: Table, row: int | None, column: str) -> TableCell | None:
-    """A cell of another table."""
     if row is None or table.cells is None:
         return None
     place = table.columns.index(column)

@@ -1,7 +1,4 @@
-"""Numbers of a scene as short JSON: whole units, each as the step from the one before.
-
-Data as scripts: a page opened from disk may load scripts and may not fetch files.
-"""
+"""Numbers of a scene as short JSON, in scripts: a page opened from disk may load scripts and may not fetch files."""
 
 import re
 from collections.abc import Sequence
@@ -17,8 +14,8 @@ from benchmark.machine.storage import canonical_json, parse_json
 def encode_script(target: str, value: Any) -> bytes:
     """A script, in ASCII, that assigns a value to JavaScript of ours (no name from a record, unless written as JSON).
 
-    The value, without NaN and infinity, is parsed as JSON, not as JavaScript: faster for large values, and a name such
-    as ``__proto__`` stays a name.
+    The value, without NaN and infinity, is parsed as JSON: faster for large values, and a name such as ``__proto__``
+    stays a name.
     """
     text = canonical_json(value).replace("\\", "\\\\").replace("'", "\\'").replace("<", "\\x3c")
     return f"\"use strict\";\n{target} = JSON.parse('{text}');\n".encode("ascii")
@@ -46,10 +43,7 @@ PackedSeries = list[int | None]
 
 
 def pack_series(values: Sequence[float | None], unit: float) -> PackedSeries:
-    """A series as steps, as many as values, less the zeros at the end.
-
-    Rounding to the unit comes first, so that errors do not add up.
-    """
+    """A series as steps between values rounded to the unit first, so that errors do not add up; zeros at the end go."""
     steps: PackedSeries = []
     before = 0
     for value in values:

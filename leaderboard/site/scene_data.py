@@ -60,18 +60,17 @@ _QUALITY: Final = 80
 
 @dataclass(frozen=True, slots=True)
 class _PlannerRun:
-    """One planner in one scene: its record and its rows by sample token."""
+    """One planner in one scene; `rows` are by sample token."""
 
     record: RunRecord
     rows: Mapping[str, SampleRow]
 
 
 def build_scene_files(sheets: ScenePages, records: Sequence[RunRecord]) -> dict[str, bytes | Path]:
-    """Files of every scene that a record or a sheet names.
+    """Files of every scene that a record or a sheet names; a path as value means a copy of that file.
 
-    Returns:
-        ``data/scenes/<key>.js``, ``media/<key>/cameras/<frame>.webp``, ``media/<key>/thumb.webp`` and
-        ``media/<key>/thumb-dark.webp`` below the site's folder; a path as value means a copy of that file.
+    ``data/scenes/<key>.js``, ``media/<key>/cameras/<frame>.webp``, ``media/<key>/thumb.webp`` and
+    ``media/<key>/thumb-dark.webp`` below the site's folder.
     """
     ran = _group_by_scene(records)
     files: dict[str, bytes | Path] = {}

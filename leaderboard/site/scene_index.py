@@ -43,7 +43,6 @@ class _SceneSummary:
             that is unknown. Planners without any are left out.
         bystanders: The same of samples that touch another road user first.
         judgement: Drivers that survive it.
-        severity: How severe the planner's plans are.
     """
 
     source: str
@@ -69,7 +68,7 @@ def scene_key(name: SceneName) -> str:
 def build_scene_index(
     records: Sequence[RunRecord], sheets: ScenePages, quality: Sequence[QualityRecord], written: frozenset[str]
 ) -> list[dict[str, Any]]:
-    """One entry for each scene that a record or a sheet names, by data set, split (the paper's three first) and name.
+    """One entry for each scene of a record or sheet, by data set, split (the paper's three first) and name.
 
     ``written`` are paths of the site's files; they tell which scenes have a thumbnail.
     """
@@ -130,7 +129,6 @@ def _duration_s(sheet: ScenePage) -> float:
 
 
 def _add_record(summaries: dict[SceneName, _SceneSummary], record: RunRecord) -> None:
-    """Add what one record says of its scenes."""
     data_name, split, planner = record.run.data.name, record.run.split, record.planner
     columns = record.columns
     rows_of = columns.places_of_scenes
@@ -166,7 +164,6 @@ def _add_record(summaries: dict[SceneName, _SceneSummary], record: RunRecord) ->
 def _add_samples(
     summary: _SceneSummary, record: RunRecord, places: NDArray[np.int64], touches: FirstContactFlags | None
 ) -> None:
-    """Add one planner's samples of a scene."""
     rows, planner = record.columns.brief_at(places.tolist()), record.planner
     times = [row.timestamp_us for row in rows]
     summary.seconds = max(summary.seconds, (max(times) - min(times)) / _MICROSECONDS)
@@ -189,7 +186,7 @@ def _add_samples(
 
 
 def describe_label(label: Mapping[str, Any]) -> str:
-    """Words for the labels (docs/manoeuvres.md) of one adversary; what a stranger's labels lack is left out.
+    """Words for the labels (docs/manoeuvres.md) of one adversary, without those that a foreign one lacks.
 
     For example ``cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking``.
     """
@@ -253,11 +250,10 @@ def _require_same_content(records: Sequence[RunRecord], sheets: ScenePages) -> N
 
 
 def assessment_entry(judgement: AssessmentSummary | None) -> dict[str, Any] | None:
-    """Judgement of a scene.
+    """Judgement of a scene; null where there is nothing to say.
 
-    Returns:
-        ``survives`` (names of drivers), ``unsolvable``, ``margin``, ``gap``, ``ttc``, ``tet``, ``pet``, ``btn`` of the
-        recorded ego, ``faults`` (words), ``unknown`` (words), ``map``; null where there is nothing to say.
+    ``survives`` (names of drivers), ``unsolvable``, ``margin``, ``gap``, ``ttc``, ``tet``, ``pet``, ``btn`` of the
+    recorded ego, ``faults`` (words), ``unknown`` (words), ``map``.
     """
     if judgement is None:
         return None
@@ -279,12 +275,10 @@ def assessment_entry(judgement: AssessmentSummary | None) -> dict[str, Any] | No
 def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
     """Severity of a planner's plans, by scene; only of scenes with something to say.
 
-    Returns:
-        ``contacts`` (samples whose first contact is with an adversary, with any object on a split without them),
-        ``bystanders`` (samples whose first contact is with another; null on a split without adversaries),
-        ``atFault`` and ``attributable`` (verdicts on the scene, null if unknown), of the most severe of
-        ``contacts`` its ``kind``, ``speed``, ``deltaV`` and ``fatal``, and of samples without contact ``ttc`` and
-        ``gap``.
+    ``contacts`` (samples whose first contact is with an adversary, with any object on a split without them),
+    ``bystanders`` (samples whose first contact is with another; null on a split without adversaries), ``atFault`` and
+    ``attributable`` (verdicts on the scene, null if unknown), of the most severe of ``contacts`` its ``kind``,
+    ``speed``, ``deltaV`` and ``fatal``, and of samples without contact ``ttc`` and ``gap``.
     """
     attacks, rows_of, adversarial = collect_scene_attacks(record), _group_rows(record), attributes_contacts(record)
     return {

@@ -35,21 +35,11 @@ def build_planner_samples(
     protocols: Sequence[str],
     agents: Mapping[str, int],
 ) -> dict[str, Any]:
-    """One planner's part of a scene's script.
+    """One planner's part of a scene's script; a plan with lists of the wrong lengths is an `InputError`.
 
-    Args:
-        rows: Its rows of the scene by sample token.
-        tokens: The scene's samples in order.
-        poses: (S, 3) rear axle at these samples, local.
-        protocols: Names in the order of the verdicts.
-        agents: Number of each agent by instance identifier.
-
-    Returns:
-        ``name``, ``privileged``, ``miniature``, ``native`` and ``samples``: null where the record has no row, else
-        `build_sample`.
-
-    Raises:
-        InputError: If a plan has lists of the wrong lengths.
+    ``name``, ``privileged``, ``miniature``, ``native`` and ``samples``: null where the record has no row, else
+    `build_sample`. `tokens` are the scene's samples in order, `poses` (S, 3) of the rear axle at these, local;
+    `protocols` are in the order of the verdicts; `agents` numbers by instance identifier.
     """
     known = knows_adversaries(record) if attributes_contacts(record) else None
     entries = [
@@ -68,27 +58,20 @@ def build_planner_samples(
 def build_sample(
     row: SampleRow, axle: Floats, protocols: Sequence[str], agents: Mapping[str, int], *, known: bool | None = None
 ) -> dict[str, Any]:
-    """Entry of a planner's sample.
+    """Entry of a planner's sample; a plan with lists of the wrong lengths is an `InputError`.
 
-    Args:
-        axle: (3,) pose of the rear axle at the sample, local.
-        protocols: Names in the order of the verdicts.
-        agents: Number of each agent by instance identifier.
-        known: On a split with adversaries, whether the record says who they are.
+    ``failed``, the last line of the error, alone where the planner raised. Else ``path`` and ``yaw`` (lidar origin at
+    the sample and at the six waypoints, heading at the latter), ``modes`` (paths without the first point),
+    ``forecasts`` (x, y, length and width in decimetres, yaw in hundredths of a radian, and the path in decimetres if it
+    moves), ``verdicts`` (for each protocol six bits, the first step lowest, and `COUNTED`; null if it did not judge or
+    the surroundings are not annotated), ``contact`` (seconds to each protocol's first contact, or null), ``whom`` (on a
+    split with adversaries, if there is a contact: for each protocol 1 where it is with an adversary, 0 where it is with
+    another object, null where unknown), ``cause``, ``reason``, ``hit`` and ``l2`` (metres at the six steps; null past
+    the recording). Every plan has ``path`` and ``yaw``, ``verdicts`` and ``contact``; what there is none of beyond them
+    is left out.
 
-    Returns:
-        ``failed``, the last line of the error, alone where the planner raised. Else ``path`` and ``yaw`` (lidar origin
-        at the sample and at the six waypoints, heading at the latter), ``modes`` (paths without the first point),
-        ``forecasts`` (x, y, length and width in decimetres, yaw in hundredths of a radian, and the path in decimetres
-        if it moves), ``verdicts`` (for each protocol six bits, the first step lowest, and `COUNTED`; null if it did not
-        judge or the surroundings are not annotated), ``contact`` (seconds to each protocol's first contact, or null),
-        ``whom`` (on a split with adversaries, if there is a contact: for each protocol 1 where it is with an adversary,
-        0 where it is with another object, null where unknown), ``cause``, ``reason``, ``hit`` and ``l2``
-        (metres at the six steps; null past the recording). Every plan has ``path`` and ``yaw``, ``verdicts`` and
-        ``contact``; what there is none of beyond them is left out.
-
-    Raises:
-        InputError: If the plan has lists of the wrong lengths.
+    `axle` is the (3,) pose of the rear axle at the sample, local; `known` says, on a split with adversaries, whether
+    the record tells who they are; `protocols` and `agents` as in `build_planner_samples`.
     """
     placed = place_plan(_sort_modes(row), axle)
     if placed is None:

@@ -27,14 +27,10 @@ def build_site_files(
     figures: Sequence[PlacedFigure] = (),
     downloads: Mapping[str, bytes] | None = None,
 ) -> dict[str, bytes | Path]:
-    """Every file of the site.
+    """Every file of the site by path below its folder; a path as value means a copy of that file.
 
-    Args:
-        downloads: Files that pages link or show, by their path below the leaderboard's folder; they lie at the same
-            path below the site's, so that the site can be moved alone.
-
-    Returns:
-        Bytes by path below the site's folder; a path as value means a copy of that file.
+    `downloads` are files that pages link or show, by their path below the leaderboard's folder; they lie at the same
+    path below the site's, so that the site can be moved alone.
     """
     copied = downloads or {}
     scenes = {path: content for files in PLAYER_FILES for path, content in files(results).items()}

@@ -49,7 +49,7 @@ _NEAR_NOTE: Final = (
 
 
 def _spread_columns(name: str, digits: int, unit: str = "") -> Columns:
-    """Columns of a `Spread`: median, and what the worst tenth reaches."""
+    """Columns of a `Spread`: median and worst tenth."""
     return number_columns(f"{name}, {unit}" if unit else name, f"{name}, worst tenth", digits=digits)
 
 
@@ -151,7 +151,7 @@ def _success_values(row: RunRow[AttackRates]) -> Values:
 
 
 def _unknown_notes(rows: Sequence[RunRow[AttackRates]]) -> list[str]:
-    """Runs of which something is unknown; what concerns all planners of a split is said once."""
+    """Notes on runs with unknowns; what concerns all planners of a split is said once."""
     sentences: dict[str, None] = {}
     for row in rows:
         scenes, judged = len(row.record.run.scenes), row.found.judged
@@ -216,7 +216,6 @@ def _near_values(row: RunRow[AttackRates]) -> Values:
 
 
 def _spread_cells(origin: ValueSource, name: str, unit: str, spread: Spread, after: str = "") -> dict[str, CellSource]:
-    """Cells of a `_spread_columns`."""
     return {
         f"{name}{after}": origin.cell(spread.median, unit, spread.samples),
         f"{name}, worst tenth": origin.cell(spread.worst_tenth, unit, spread.samples),

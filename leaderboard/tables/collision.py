@@ -47,16 +47,12 @@ _PAPER_NOTE = (
 
 
 def collision_table(frame: DataSetRuns, protocol: str) -> Table:
-    """Collision rates and L2 of our runs under one protocol, or the paper's Table 1.
+    """Collision rates and L2 of our runs under one protocol, or the paper's Table 1; one row per planner and split.
 
-    Args:
-        protocol: Protocol of every number in the table. ``native`` is that of each planner's own repository: then
-            planners without one come after the others, under ``exact``, and those whose own protocol takes maxima or
-            latches stand in its own table alone.
-
-    Returns:
-        One row per planner and split: rates with the 95 % scene-bootstrap interval of their average, what the
-        protocol's exclusion of recorded collisions removed (where it has one), L2, and what was counted.
+    Rates come with the 95 % scene-bootstrap interval of their average, what the protocol's exclusion of recorded
+    collisions removed (where it has one), and what was counted. ``native`` is each planner's own protocol: then
+    planners without one come after the others, under ``exact``, and those whose own protocol takes maxima or latches
+    stand in its own table alone.
     """
     title = f"{frame.data_name}: collision rate (%) and L2 (m), "
     if protocol == NATIVE:

@@ -50,10 +50,7 @@ REDRAWN_NOTE = (
 
 
 def split_table(frame: DataSetRuns, protocol: str) -> Table | None:
-    """Losses of planners from one split to another: a row for each planner and pair of splits.
-
-    ``native`` stands for each planner's own protocol. ``None`` if no planner ran on two splits.
-    """
+    """Losses of planners between splits (``native``: by their own protocols); ``None`` if none ran on two."""
     runs = {(run.planner, run.run.split): run for run in frame.given if run.covers_split}
     pairs = [
         (runs[planner, first], runs[planner, second])
@@ -95,10 +92,7 @@ def split_table(frame: DataSetRuns, protocol: str) -> Table | None:
 
 
 def planner_table(frame: DataSetRuns, protocol: str, split: str) -> Table | None:
-    """Comparison of planners on a split: a row for each pair.
-
-    ``None`` if fewer than two ran on the whole split, and under ``native``, by which no two planners compare.
-    """
+    """Comparison of every two planners on a split; ``None`` for fewer, and under ``native``, by which none compare."""
     here = [record for record in frame.runs if record.run.split == split]
     pairs = list(itertools.combinations([record for record in here if record.covers_split], 2))
     if not pairs or protocol == NATIVE:
@@ -195,7 +189,7 @@ def _points_cell(origin: ValueSource, estimate: Estimate, n: int, of: str = "rec
 
 
 def _list_unpaired_scenes(comparisons: Sequence[SplitComparison]) -> list[str]:
-    """Names the scenes that are in no paired difference, once for all planners that leave out the same."""
+    """Names of the scenes in no paired difference, once for all planners that leave out the same."""
     notes = []
     for comparison in comparisons:
         pair = f"{comparison.baseline_split} → {comparison.split}"

@@ -1,9 +1,4 @@
-"""Which tables there are, and in which order they are read.
-
-How far consecutive plans of each planner disagree about the same place and time.
-
-How far collision rates on adversarial scenes move with the seed of their search, beside the interval over scenes.
-"""
+"""Tables in reading order, the instability of consecutive plans, and the spread of rates over seeds of the search."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -67,10 +62,10 @@ _RULE = (
 
 
 def drawn_seeds_table(frame: DataSetRuns, protocol: str) -> Table | None:
-    """Average collision rate of each planner on the splits ``adv-seed-N`` of several seeds.
+    """Average collision rate of each planner on the splits ``adv-seed-N``, a row a seed and one for all.
 
-    A row a seed, and one for all, for each planner that ran on at least two; ``None`` where there is none. ``native``
-    is the protocol of the planner's own repository; what does not belong to the others is named below.
+    ``None`` where no planner ran on two. ``native`` is the planner's own protocol; runs that do not belong to the
+    others are named below.
     """
     rows: list[Values] = []
     notes, shown_runs = [_RULE], []
@@ -249,12 +244,11 @@ GENERATION_TABLES: Final[tuple[SplitTables, ...]] = (
 
 @dataclass(frozen=True, slots=True)
 class DataSetTables:
-    """Tables of one data set, in the order in which they are read.
+    """Tables of one data set, in reading order.
 
-    Attributes:
-        front: Under ``exact`` and under the planners' own protocols, then diagnosis, disagreement and driving scores.
-        slices: By place, light, manoeuvre, speed and command: the same judges as ``front``.
-        others: Under each other protocol; the collision table comes first.
+    `front` are under ``exact`` and the planners' own protocols, then diagnosis, disagreement and driving scores;
+    `slices` the same judges by place, light, manoeuvre, speed and command; `others` by protocol, the collision table
+    first.
     """
 
     frame: DataSetRuns = field(compare=False, repr=False)

@@ -52,10 +52,7 @@ _MANOEUVRES: Final = [
 
 @dataclass(frozen=True, slots=True)
 class _DiagnosedSamples:
-    """Samples of a record that ``exact`` counts: the scene of each, and whether it collides.
-
-    `colliding` are the scenes of those that do, and why.
-    """
+    """Samples of a record that ``exact`` counts: scene and whether it collides; `colliding` are scenes and reasons."""
 
     rows: tuple[tuple[str, bool], ...]
     colliding: tuple[tuple[str, DiagnosisRow | None], ...]
@@ -87,8 +84,8 @@ def _read_samples(record: RunRecord) -> _DiagnosedSamples | None:
 def diagnosis_tables(frame: DataSetRuns) -> list[Table]:
     """Reasons why the plans of each planner collide under ``exact``; empty where no run was judged by it.
 
-    Shares of the causes by planner and split; the cases behind them; the same by manoeuvre, where the data set says
-    which. Runs from before there were diagnoses get a note in place of rows.
+    Shares of the causes, the cases behind them, and the same by manoeuvre, where the data set says which. Runs from
+    before there were diagnoses get a note in place of rows.
     """
     runs = frame.rows(EXACT, _read_samples)
     if not runs:
@@ -123,7 +120,7 @@ def _values(run: RunRow[_DiagnosedSamples]) -> dict[str, Any]:
 def _compute_rates(
     run: RunRow[_DiagnosedSamples], rows: Sequence[tuple[str, Any]], outcomes: Sequence[Sequence[bool]]
 ) -> list[Rate]:
-    """Share of the rows of which each thing is told."""
+    """Share of `rows` with each outcome."""
     sources = map_scenes_to_sources(run.record)
     values = np.array(outcomes, dtype=np.float64).reshape(len(rows), -1 if rows else len(CAUSES))
     scenes = [sources[scene] for scene, _ in rows]

@@ -103,7 +103,6 @@ def _values(row: _DisagreementRow) -> Values:
 
 
 def _error_values(origin: ValueSource, confusion: Confusion, of: str, before: str) -> dict[str, TableCell]:
-    """Misses and false alarms with their shares."""
     missed = origin.count(confusion.missed, of, confusion.exact)
     false_alarms = origin.count(confusion.false_alarms, of, confusion.official)
     return {

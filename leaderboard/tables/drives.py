@@ -1,7 +1,4 @@
-"""Closed loop: what came of drives, a table for each thing that was measured; nothing else compares.
-
-Open loop beside closed loop: rates of both on the same scenes, how alike they rank, and where they disagree.
-"""
+"""Closed loop: a table for each setting of drives, and open-loop rates beside closed-loop ones on the same scenes."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -110,7 +107,6 @@ def _rates_table(group: ComparableDrives, loop_pairs: Sequence[_LoopPair], missi
 
 
 def _describe_ranking(contact: RankCorrelation, at_fault: RankCorrelation) -> list[str]:
-    """Agreement of closed loop and open loop on the ranking of planners, in words."""
     where = f"{contact.planners} planners on the {pluralise(contact.scenes, 'scene')} that they share"
     if contact.planners and not contact.scenes:
         where = f"{contact.planners} planners, which share no scenes"

@@ -135,7 +135,7 @@ def _values(effect: AdversaryEffect | None) -> Values:
 
 
 def _list_missing(runs: Sequence[RunRecord], effects: Sequence[AdversaryEffect]) -> list[str]:
-    """Sentences on what cannot be said and what would help, each once."""
+    """Sentences on missing comparisons and their remedies, each once."""
     notes: dict[str, None] = {}
     for record in runs:
         if not knows_contact_partners(record):
@@ -158,7 +158,6 @@ def _list_missing(runs: Sequence[RunRecord], effects: Sequence[AdversaryEffect])
 
 
 def _describe_remedy(record: RunRecord) -> str:
-    """Advice on how to make the record that is missing."""
     if knows_adversaries(record):
         return "challenger-bench eval --split val --split adv runs both"
     return "run challenger-bench eval --split val on the data set that has them, and name it here with --unchanged"

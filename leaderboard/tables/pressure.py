@@ -1,7 +1,7 @@
-"""At which pressure a planner breaks: drives against adversaries of several budgets, and against others' tracks.
+"""Pressure at which a planner breaks: drives against adversaries of several budgets, and against others' tracks.
 
-Both are made from records of drives alone. A budget is how often the adversary is planned anew, with how many
-refinement rounds of how many candidates; everything else of what was measured is the same in one table.
+A budget is how often the adversary is planned anew, with how many refinement rounds of how many candidates; everything
+else of what was measured is the same in one table.
 """
 
 import json
@@ -76,10 +76,7 @@ class DrivePressure:
 
 
 def group_by_pressure(records: Sequence[DriveRecord]) -> list[tuple[str, list[DrivePressure]]]:
-    """Drives against an adversary, by everything that was measured but its budget.
-
-    A title each, and its planners and budgets, the weakest budget first; only where there are several budgets.
-    """
+    """Drives that differ in the adversary's budget alone, by title, weakest first, where there are several."""
     kinds: dict[str, list[DrivePressure]] = {}
     titles: dict[str, str] = {}
     for world in group_comparable_drives([drive for drive in records if _find_budget(drive) is not None]):
@@ -121,10 +118,7 @@ def _values(pressure: DrivePressure) -> Values:
 
 
 def transfer_tables(records: Sequence[DriveRecord]) -> list[Table]:
-    """Transfer of adversarial tracks from one planner to another: one table for each data set and split.
-
-    Only where a planner drove against tracks of a record that is among these.
-    """
+    """Transfer of adversarial tracks, a table for each data set and split, where the source's record is given."""
     sources = {record.content_id: record for record in records if _find_budget(record) is not None}
     kinds: dict[str, list[tuple[DriveRecord, DriveRecord]]] = {}
     for record in records:
@@ -162,7 +156,7 @@ def _find_failures(record: DriveRecord) -> set[tuple[str, int]]:
 
 
 def _transfer_cell(source: DriveRecord, victim: DriveRecord, name: str) -> CellSource | None:
-    """Share of the source's failures that the victim fails too, with scenes as what is drawn."""
+    """Share of the source's failures that the victim fails too, with scenes as the drawn unit."""
     failed, also = _find_failures(source), _find_failures(victim)
     drove = {(row.scene, row.run) for row in victim.rows if row.status == "ok" and not row.unlabelled}
     counted = sorted(failed & drove)

@@ -1,9 +1,7 @@
-"""The paper's tables as printed, apart from ours, and which of its numbers may stand beside ours.
+"""The paper's tables as printed, published values of others, and which of them may stand beside ours.
 
 Each model's row was computed with the protocol of the model's own repository, so rows of different models are not
 comparable, and none of them is comparable with the ``exact`` protocol.
-
-Published values of planners: who prints what on which split and protocol; ours beside where all are the same.
 """
 
 from collections.abc import Iterable, Sequence
@@ -197,9 +195,9 @@ def published_comparison_tables(records: Sequence[RunRecord] = ()) -> tuple[Tabl
 
 
 def find_same_run(value: PublishedResult, records: Sequence[RunRecord]) -> RunRecord | None:
-    """Our run of what a published value is of: the planner, the protocol, and the split by its number of samples.
+    """Our run of a published value: same planner, protocol, and split by its number of samples.
 
-    Runs with failed samples, of a part of the split, or judged by another version of the protocol are none.
+    Runs with failed samples, of a part of the split, or judged by another version of the protocol do not count.
     """
     for record in records:
         planner, protocol = record.run.planner, value.protocol

@@ -1,7 +1,4 @@
-"""Where the time of generation goes, ours beside the paper's: from scene sheets.
-
-Cost of planners: latency and memory, by the machine that they ran on.
-"""
+"""Runtime of generation beside the paper's, from scene sheets, and latency and memory of planners by machine."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -79,7 +76,7 @@ def _cost_table(name: str, title: str, where: str, rows: Sequence[Values], marks
 
 
 def _cost_values(origin: ValueSource, cost: PlannerCost, pieces: str) -> dict[str, Value]:
-    """Cost of a planner; pieces are those for which memory was looked at."""
+    """Cost of a planner; `pieces` are those with memory figures."""
     said, of, count = summarise_cost(cost), f"samples after the first of their {pieces}", len(cost.scenes)
     return {
         "device": "; ".join(said.devices),

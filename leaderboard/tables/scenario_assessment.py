@@ -124,7 +124,7 @@ _FEATURES: Final = [
 
 
 def assessment_tables(frame: DataSetRuns) -> list[Table]:
-    """Everything that records say of scenes, of at most one run for each planner and split.
+    """Assessment of scenes by records, of at most one run for each planner and split.
 
     The ladder, a row a split; what is wrong with adversaries; their worst feature, and a table of all features a split
     with recordings to compare with. None of what no record says.

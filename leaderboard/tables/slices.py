@@ -102,13 +102,7 @@ def run_slices(
     *,
     allow_partial: bool = False,
 ) -> list[Table]:
-    """The tables by slice that ``challenger-bench eval --by`` prints behind `run_tables`.
-
-    Args:
-        protocols: Protocols, ``native`` or ``pdm``; by default ``exact``, and ``native`` where a planner has one of its
-            own.
-        allow_partial: Whether runs count in which the planner failed on samples.
-    """
+    """The tables by slice that ``challenger-bench eval --by`` prints behind `run_tables`, with its defaults."""
     chosen_runs = DataSetRuns(data_name, [record for record in records if allow_partial or record.complete])
     return build_slice_tables(chosen_runs, choose_protocols(chosen_runs, protocols), kinds)
 
@@ -182,7 +176,6 @@ def _rate_values(row: RunRow[Slice], kind: SliceKind, collision: str, further: S
 
 
 def _driving_table(frame: DataSetRuns, kind: SliceKind) -> Table:
-    """Driving scores."""
     rows, notes = _rows(frame.runs, DEFINITION, kind, lambda record: compute_driving_by(record, kind))
     columns = [
         *text_columns("planner", "split", kind),
@@ -208,7 +201,6 @@ def _driving_table(frame: DataSetRuns, kind: SliceKind) -> Table:
 
 
 def _causes_table(frame: DataSetRuns, kind: SliceKind) -> Table:
-    """Reasons why plans collide."""
     rows, notes = _rows(frame.runs, EXACT, kind, lambda record: compute_causes_by(record, kind))
     columns = [
         *text_columns("planner", "split", kind),
@@ -236,7 +228,7 @@ def _causes_table(frame: DataSetRuns, kind: SliceKind) -> Table:
 def _rows(
     runs: Sequence[RunRecord], protocol: str, kind: SliceKind, sliced: Callable[[RunRecord], list[Slice]]
 ) -> tuple[list[RunRow[Slice]], list[str]]:
-    """A row for each slice of each run, and what has to be said of the runs."""
+    """A row for each slice of each run, and notes on the runs."""
     rows: list[RunRow[Slice]] = []
     sentences = []
     for record in runs:
@@ -259,6 +251,6 @@ def _rows(
 def _table(
     name: str, title: str, columns: Columns, rows: Sequence[Values], notes: Sequence[str], shown: Sequence[str]
 ) -> Table:
-    """A table of which a terminal shows the text, some numbers, and what was counted."""
+    """A table with a brief form for terminals."""
     brief = [column.name for column in columns if column.text or column.name in ("samples", "colliding", "scenes")]
     return tabulate(name, title, columns, rows, notes, brief=[*brief, *shown])

@@ -1,7 +1,4 @@
-"""A data set in numbers, its manoeuvres, how close adversaries come, what the search discarded: from scene sheets.
-
-How far the collision rate of one planner moves with its seed alone.
-"""
+"""Statistics of a data set from scene sheets, and how far a planner's collision rate moves with its seed alone."""
 
 import json
 from collections import Counter
@@ -44,11 +41,10 @@ _RULE = (
 
 
 def seed_spread_table(frame: DataSetRuns, protocol: str) -> Table | None:
-    """Spread of the average collision rate over the seeds of each planner on each split.
+    """Spread of the average collision rate over the seeds of each planner on each split; ``None`` without two seeds.
 
-    A row for each that ran with at least two seeds; ``None`` where there is none. ``native`` is the protocol of the
-    planner's own repository. Runs of a part of their split, with failed samples, or judged by another version of the
-    protocol are named below the table.
+    ``native`` is the planner's own protocol. Runs of a part of their split, with failed samples, or judged by another
+    version of the protocol are named below the table.
     """
     notes = [_RULE]
     rows, first = [], []
@@ -95,7 +91,7 @@ def _explain_refusal(record: RunRecord, protocol: str) -> str | None:
 
 
 def _seed_values(first: RunRecord, protocol: str, runs: Sequence[RunRecord]) -> Values:
-    """One planner; ``runs`` are those that count."""
+    """Values of one planner; ``runs`` are those that count."""
     planner, judge = first.run.planner, resolve_protocol(first, protocol)
     found = [run.summary.protocols[judge].columns["collision"]["avg"].value for run in runs]
     rates = [rate for rate in found if rate is not None]

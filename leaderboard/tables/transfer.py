@@ -74,10 +74,7 @@ def transfer_matrices(
 
 
 def build_both_matrices(records: Sequence[RunRecord], protocol: str) -> list[TransferMatrix]:
-    """The paper's matrix and, under ``exact``, that of contacts with the adversary alone.
-
-    The second is of the planners whose records say whom contacts are with, if two do.
-    """
+    """The paper's matrix and, under ``exact``, that of contacts with the adversary, if two records name contacts."""
     matrices = [transfer(records, protocol=protocol)]
     telling = [record for record in records if knows_contact_partners(record)]
     if protocol == EXACT and len(telling) > 1 and any(map(has_adversaries, telling)):
@@ -86,10 +83,7 @@ def build_both_matrices(records: Sequence[RunRecord], protocol: str) -> list[Tra
 
 
 def build_frame_matrices(frame: DataSetRuns, protocol: str, split: str) -> tuple[list[TransferMatrix], list[str]]:
-    """`build_both_matrices` of the planners that ran on the whole split, and sentences on those who are left out.
-
-    No matrix where fewer than two planners remain.
-    """
+    """`build_both_matrices` of at least two planners on the whole split, and sentences on those who are left out."""
     complete, refused = [], []
     for record in frame.runs:
         if record.run.split != split:
@@ -195,10 +189,7 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
 
 
 def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
-    """Lift and phi of every two planners, as a matrix: how far failures transfer beyond what failure rates give.
-
-    One row and one column per planner: lift with its interval above the diagonal, phi with its below it.
-    """
+    """Lift of every two planners above the diagonal and phi below it, with intervals: transfer beyond failure rates."""
     names = format_planner_names(matrix)
     rows: list[dict[str, Value]] = [
         {
@@ -289,7 +280,7 @@ def _describe_failures(matrix: TransferMatrix) -> str:
 
 
 def _find_origin(matrix: TransferMatrix, *planners: int) -> ValueSource:
-    """Origin of numbers of some of the planners, by their places in the matrix."""
+    """Origin of numbers of some planners, by their places in the matrix."""
     judged = " and ".join(dict.fromkeys(matrix.judges[place] for place in planners))
     records = (format_record_name(matrix.records[place], matrix.planners[place], matrix.split) for place in planners)
     return ValueSource(judged, "; ".join(records))

@@ -1,9 +1,4 @@
-"""Attention and feed-forward blocks with residual connections.
-
-Positional encodings of grids: learned ones, and sines.
-
-Small networks that read predictions from tokens; indices in their names are those of the published checkpoints.
-"""
+"""Attention, positional encodings, and prediction networks under the indices of the published checkpoints."""
 
 import math
 
@@ -83,10 +78,9 @@ class LearnedGridEncoding(nn.Module):
 
 
 def sine_features(numbers: Tensor, features: int, temperature: float = 10000.0) -> Tensor:
-    """Sines and cosines of falling frequency.
+    """Sines (even places) and cosines (odd) of falling frequency, (..., features) of (...) radians at the highest.
 
-    (..., features) of (...) radians at the highest frequency, sines at even and cosines at odd places; two neighbours
-    share a frequency. `temperature` is the ratio of the highest to the frequency that would follow the lowest.
+    Two neighbours share a frequency; `temperature` is the ratio of the highest to the one that would follow the lowest.
     """
     exponents = torch.arange(0, features, 2, device=numbers.device, dtype=numbers.dtype) / features
     angles = numbers[..., None] / temperature**exponents
@@ -94,10 +88,9 @@ def sine_features(numbers: Tensor, features: int, temperature: float = 10000.0) 
 
 
 def sine_grid_encoding(rows: int, columns: int, features: int, offset: float = -0.5) -> Tensor:
-    """Sines of the row, then of the column, each scaled to one turn over the grid.
+    """Sines of the row, then of the column, one turn over the grid; (rows * columns, 2 * features) float32.
 
-    (rows * columns, 2 * features) float32, row by row. `offset` is added to rows and columns, which count from one;
-    -0.5 puts them at the centres of cells.
+    Cells come row by row. Rows and columns count from one; an `offset` of -0.5 puts them at the centres of cells.
     """
     # Guard against division by zero in the published code, so it affects the published numbers.
     guard = 1e-6
@@ -116,8 +109,7 @@ def sine_grid_encoding(rows: int, columns: int, features: int, offset: float = -
 class MultiheadAttention(nn.Module):
     """Scaled dot-product attention with the parameters of `torch.nn.MultiheadAttention`.
 
-    Keys or values may lack the batch axis of the others, as when a batch of keys shares its values: they are projected
-    once for all.
+    Keys or values without the batch axis of the others are projected once for all.
     """
 
     def __init__(self, channels: int, heads: int) -> None:
@@ -165,11 +157,7 @@ class Attention(nn.Module):
         values: Tensor | None = None,
         allowed: Tensor | None = None,
     ) -> Tensor:
-        """Tokens, (..., Q, C), that have looked at other ones, (..., K, C), or, without `keys`, at each other.
-
-        `positions` are those of the tokens, and broadcast; they are already added to `keys`. `allowed` as in
-        `MultiheadAttention`.
-        """
+        """Tokens, (..., Q, C), after attention to (..., K, C) others (`keys` include positions) or to each other."""
         query = tokens + positions
         attended: Tensor = self.attn(
             query, query if keys is None else keys, tokens if values is None else values, allowed
@@ -187,10 +175,7 @@ class ResidualAttention(nn.Module):
     def forward(
         self, tokens: Tensor, query: Tensor, key: Tensor, value: Tensor, allowed: Tensor | None = None
     ) -> Tensor:
-        """Tokens, (..., Q, C), with the attention of (..., Q, C) queries to (..., K, C) keys and values added.
-
-        `allowed` as in `MultiheadAttention`.
-        """
+        """Tokens, (..., Q, C), plus the attention of (..., Q, C) queries to (..., K, C) keys and values."""
         attended: Tensor = self.attn(query, key, value, allowed)
         return tokens + attended
 

@@ -40,10 +40,7 @@ class BEVGrid:
         return torch.stack([x[None].expand(shape), y[:, None].expand(shape)], -1).flatten(0, 1)
 
     def pillars(self, heights: int) -> Tensor:
-        """Points above the centres of the cells, (cells, heights, 3) metres.
-
-        Heights are spread evenly, half a metre away from the ends of the range.
-        """
+        """Points above cell centres, (cells, heights, 3) metres, spread evenly half a metre inside the range's ends."""
         x_low, y_low, z_low, x_high, y_high, z_high = self.range_m
         depth = z_high - z_low
         z = torch.linspace(0.5, depth - 0.5, heights) / depth * depth + z_low
@@ -56,13 +53,9 @@ class BEVGrid:
 class VisibleCells:
     """Pairs, P of them, of cells and the cameras that see them, camera after camera.
 
-    Attributes:
-        camera: (P,) int32.
-        cell: (P,) int64.
-        image_points: (P, heights, 2) x, y of the cell's pillar in the image, 0 to 1 over it; also what lies outside.
-        cell_order: (P,) int64, the pairs cell after cell, those of a cell in the order of cameras.
-        cell_starts: (cells,) int64, where each cell begins in `cell_order`.
-        cameras_per_cell: (cells, 1) how many cameras see each cell, at least 1.
+    `camera` (P,) int32; `cell` (P,) int64; `image_points` (P, heights, 2) x, y of the cell's pillar, 0 to 1 over the
+    image, also outside; `cell_order` (P,) int64, the pairs cell after cell and then by camera; `cell_starts` (cells,)
+    int64, where each cell begins in `cell_order`; `cameras_per_cell` (cells, 1), at least 1.
     """
 
     camera: Tensor
@@ -76,10 +69,9 @@ class VisibleCells:
 def find_visible_cells(pillars: Tensor, projections: Tensor, height: int, width: int) -> VisibleCells:
     """Pairs of a camera and a cell of whose pillar a point lies in the image and in front of the camera.
 
-    With the cameras of nuScenes 18 % of all pairs exist. Keeping those and sampling for them alone costs one wait for
-    the device a frame; sampling for all pairs and masking them would cost no wait and 5.5 times the work.
-
-    `pillars` are (cells, heights, 3) metres, `projections` (cameras, 4, 4) to pixels.
+    With the cameras of nuScenes 18 % of all pairs exist: sampling for these alone costs one wait for the device a
+    frame, masking all pairs no wait and 5.5 times the work. `pillars` are (cells, heights, 3) metres, `projections`
+    (cameras, 4, 4) to pixels.
     """
     # Written out, because matrix products may run in reduced precision: a pixel off is a cell lost.
     x, y, z = pillars.unbind(-1)
@@ -97,10 +89,10 @@ def find_visible_cells(pillars: Tensor, projections: Tensor, height: int, width:
 
 
 def previous_cell_matrix(grid: BEVGrid, angle_deg: float, centre: tuple[float, float]) -> Tensor:
-    """Matrix from places in the turned view to places in the previous one, on the processor.
+    """Matrix, (2, 3) on (column, row, 1) in cells from the middle, from the turned view to the previous one.
 
-    (2, 3) on (column, row, 1), which are measured in cells from the middle of the grid. The previous view is turned by
-    `angle_deg`, counter-clockwise in an image whose rows go down, around `centre`: column and row, in cells.
+    It is on the processor. The previous view is turned by `angle_deg`, counter-clockwise in an image whose rows go
+    down, around `centre`: column and row, in cells.
     """
     cosine, sine = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     x, y = centre[0] - 0.5 * grid.columns, centre[1] - 0.5 * grid.rows
@@ -112,10 +104,7 @@ def previous_cell_matrix(grid: BEVGrid, angle_deg: float, centre: tuple[float, f
 
 
 def rotate_view(view: Tensor, grid: BEVGrid, matrix: Tensor) -> Tensor:
-    """A bird's-eye view, (cells, C), turned in its plane; each cell takes the nearest one of the previous view.
-
-    Zero where the previous view has nothing; `matrix` is from `previous_cell_matrix`.
-    """
+    """A bird's-eye view, (cells, C), turned by `previous_cell_matrix` to the nearest cells; zero outside."""
     rows, columns = grid.shape
     device, exact = view.device, torch.float64
     across = torch.linspace(0.5 - 0.5 * columns, 0.5 * columns - 0.5, columns, device=device)[None].to(exact)

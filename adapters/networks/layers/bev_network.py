@@ -1,9 +1,4 @@
-"""Base of the networks with a bird's-eye view, which BEVFormer computes (Li et al., 2022).
-
-The bird's-eye-view encoder of BEVFormer (Li et al., ECCV 2022): cells attend to the past and to camera images.
-
-Sizes shared by the networks with a bird's-eye view.
-"""
+"""Base of the networks with a bird's-eye view, and its encoder BEVFormer (Li et al., ECCV 2022)."""
 
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -27,23 +22,17 @@ class BEVConfig:
 
     Attributes:
         bev_rows: Cells of the bird's-eye view along y, the driving direction.
-        bev_columns: Cells along x.
         perception_range_m: x, y, z of one corner, then of the other, in the lidar frame.
-        decoder_layers: Layers of the agent decoder, and of others like it.
+        decoder_layers: Of the agent decoder, and of others like it.
         pyramid_levels: Outputs of the feature pyramid; those past the stages are strided convolutions.
-        max_boxes: Boxes (and tracks) that are reported.
-        max_lines: Map elements that are reported.
         backbone_blocks: Residual blocks in the stages of the image network, of which there are four or as many as are
             read; (3, 4, 6, 3) is ResNet-50, (3, 4, 23, 3) is ResNet-101.
         backbone_width: Channels after its first convolution; 64 in both.
         channels: Width of all tokens; a multiple of `heads` and of 4.
-        feedforward_channels: Hidden width of the feed-forward blocks.
-        cameras: Cameras, in the order of the specification.
         height_points: Heights of the pillar over a cell at which images are sampled.
         image_points: Sampling points per head and level in images, a multiple of `height_points`.
         bev_points: Sampling points per head in the bird's-eye view.
         rotation_centre: Column and row of the previous view, in cells, around which it is turned.
-        reporting: Which of its boxes count as what it expects, and which way short plans lead.
     """
 
     bev_rows: int
@@ -100,10 +89,9 @@ class TemporalSelfAttention(nn.Module):
         shape: tuple[int, int],
         views: tuple[Tensor, Tensor] | None,
     ) -> Tensor:
-        """Cells, (cells, C), that have looked at both views.
+        """Cells, (cells, C), that have looked at the previous and at this view around (cells, 2) x, y, 0 to 1.
 
-        `references` are (cells, 2) x, y, 0 to 1 over both views; `views` (cells, C) of the previous and of this view,
-        for both of which the cells stand where there is no past.
+        `views` are (cells, C) each; without a past the cells stand for both.
         """
         past = cells if views is None else views[0]
         query = torch.cat([past, cells + positions], -1)
@@ -119,10 +107,7 @@ class TemporalSelfAttention(nn.Module):
 
 
 class SpatialCrossAttention(nn.Module):
-    """Cells attend to the images that see them.
-
-    `levels` are feature maps of an image, `points` looks per head and map, a multiple of the heights of a pillar.
-    """
+    """Attention of cells to the images that see them; `points` looks per head and map, a multiple of `heights`."""
 
     def __init__(self, channels: int, heads: int, levels: int, points: int) -> None:
         super().__init__()
@@ -236,10 +221,9 @@ class BEVFormerEncoder(nn.Module):
     ) -> Tensor:
         """Bird's-eye view of one moment, (cells, C), from (cells, C) queries and positions.
 
-        `projections` are (cameras, 4, 4) from metres to pixels of the images; `shift` is (2,) x, y by which the ego
-        moved, 1 for the length of the grid. Both views are sampled as if shifted, the present one too: the published
-        code adds in place, and its weights have learned it. `previous` is the (cells, C) previous view, turned to the
-        present heading.
+        `projections` are (cameras, 4, 4) from metres to pixels; `shift` is (2,) x, y of the ego's motion, 1 for the
+        length of the grid. Both views are sampled as if shifted, the present one too: the published code adds in place,
+        and its weights have learned it. `previous` is the (cells, C) previous view, turned to the present heading.
         """
         hits = find_visible_cells(self.pillars, projections, images.height, images.width)
         references = self.centres + shift
@@ -251,10 +235,7 @@ class BEVFormerEncoder(nn.Module):
 
 
 class BEVTransformer(nn.Module):
-    """Encoder of the bird's-eye view; subclasses add decoders and then, as is published, `can_bus_mlp`.
-
-    `level_embeddings` counts the feature maps for which there are parameters.
-    """
+    """Encoder of the bird's-eye view; subclasses add decoders and then, as is published, `can_bus_mlp`."""
 
     can_bus_mlp: nn.Sequential
 
@@ -275,10 +256,10 @@ class BEVTransformer(nn.Module):
         motion: BEVMotion,
         previous: Tensor | None,
     ) -> Tensor:
-        """Bird's-eye view of one moment, (cells, C).
+        """Bird's-eye view of one moment, (cells, C), like the queries, positions and previous view of the scene.
 
-        `queries`, `positions` and the `previous` view of the same scene are (cells, C); `maps` (cameras, C, h, w)
-        features for each level, of (cameras, 3, H, W) images; `projections` (cameras, 4, 4) from metres to pixels.
+        `maps` are (cameras, C, h, w) for each level, of (cameras, 3, H, W) images; `projections` (cameras, 4, 4) from
+        metres to pixels.
         """
         features = ImageFeatures.of(maps, images, self.cams_embeds, self.level_embeds)
         turned = None if previous is None else rotate_view(previous, self.encoder.grid, motion.previous_cells)

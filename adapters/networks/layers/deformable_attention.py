@@ -1,7 +1,4 @@
-"""Deformable attention (Zhu et al., ICLR 2021): every query looks at a few learned points of feature maps.
-
-Weighted bilinear sampling at a few points per query: the kernel of every deformable attention.
-"""
+"""Deformable attention (Zhu et al., ICLR 2021): weighted bilinear sampling of feature maps at learned points."""
 
 import math
 from collections.abc import Sequence
@@ -25,21 +22,14 @@ def deformable_sampling(
     source: Tensor | None = None,
     kernel: Kernel | None = None,
 ) -> Tensor:
-    """Sum of weighted bilinear samples of feature maps; what lies outside a map is zero.
+    """Sum of weighted bilinear samples of feature maps, (Q, heads * c); what lies outside a map is zero.
 
-    Args:
-        values: (B, S, heads, c) maps of B sources, each flattened row by row, level after level: S cells.
-        references: (Q, ..., 2) x, y where 0 to 1 spans a map; broadcast against `offsets`.
-        offsets: (Q, heads, L, P, 2) x, y in cells of the level.
-        weights: (Q, heads, L, P).
-        source: (Q,) which source each query samples; the first by default.
-        kernel: ``bags`` reads the four neighbours of a point as weighted rows of a table, ``grid`` is built on
-            ``grid_sample``. By default bags where PyTorch has them: on one processor core they take a third of
-            the time of grids, and nothing per point and channel is stored. Where gradients are wanted on a
-            processor, grids: theirs take half the time.
-
-    Returns:
-        (Q, heads * c), in the type of `values`.
+    `values` are (B, S, heads, c) maps of B sources, each flattened row by row, level after level: S cells. `references`
+    (Q, ..., 2) are x, y where 0 to 1 spans a map, `offsets` (Q, heads, L, P, 2) x, y in cells of the level, `weights`
+    (Q, heads, L, P), `source` (Q,). `kernel` ``bags`` reads the four neighbours of a point as weighted rows of a table,
+    ``grid`` is built on ``grid_sample``. By default bags where PyTorch has them: on one processor core they take a
+    third of the time of grids, and nothing per point and channel is stored. Where gradients are wanted on a processor,
+    grids: theirs take half the time.
     """
     if kernel is None:
         learns = torch.is_grad_enabled() and values.device.type == "cpu"
@@ -119,9 +109,9 @@ def _by_grid(
 
 
 def ring_of_offsets(heads: int, levels: int, points: int) -> Tensor:
-    """Offsets of an untrained network: each head in its own direction, its points one to `points` cells away.
+    """Offsets of an untrained network, (heads * levels * points * 2,) x, y in cells.
 
-    (heads * levels * points * 2,) x, y in cells; directions are spread evenly over the circle.
+    Each head looks in its own direction, evenly spread, one to `points` cells away.
     """
     angles = torch.arange(heads, dtype=torch.float32) * (2 * math.pi / heads)
     direction = torch.stack([angles.cos(), angles.sin()], -1)
@@ -132,10 +122,7 @@ def ring_of_offsets(heads: int, levels: int, points: int) -> Tensor:
 
 
 class SamplingPattern(nn.Module):
-    """Pattern that deformable attention predicts from its queries: where to look, and how much each look counts.
-
-    `query_channels` is the width of the queries, `channels` that of the values; `points` are looks per head and level.
-    """
+    """Offsets and weights that deformable attention predicts from its queries; `points` are per head and level."""
 
     def __init__(self, query_channels: int, channels: int, heads: int, levels: int, points: int) -> None:
         super().__init__()
@@ -180,10 +167,7 @@ class DeformableAttention(SamplingPattern):
     def forward(
         self, tokens: Tensor, positions: Tensor, references: Tensor, features: Tensor, shapes: Shapes
     ) -> Tensor:
-        """Tokens, (Q, C), that have looked at (S, C) cells of all maps around (Q, 2) x, y, 0 to 1 over every map.
-
-        `positions` are added for the prediction of the pattern only.
-        """
+        """Attention of (Q, C) tokens to (S, C) cells around (Q, 2) x, y, 0 to 1; `positions` steer the pattern only."""
         query = tokens + positions
         sampled = deformable_sampling(
             self.values(features)[None],

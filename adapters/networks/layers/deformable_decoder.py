@@ -1,7 +1,4 @@
-"""A decoder whose queries look at points of feature maps and move their points from layer to layer.
-
-Between what networks predict and metres: boxes, lines and the logits of positions.
-"""
+"""A decoder whose queries move their sampling points from layer to layer, and its codes of boxes and positions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,10 +11,7 @@ from adapters.networks.layers.deformable_attention import DeformableAttention, S
 
 
 def logit(shares: Tensor, closest: float = 1e-5) -> Tensor:
-    """Inverse of the sigmoid, finite at both ends: neither a number nor its complement counts as less than `closest`.
-
-    Numbers outside 0 to 1 are moved to the nearer end.
-    """
+    """Inverse of the sigmoid, finite at both ends: numbers are clamped to `closest` ... 1 - `closest`."""
     shares = shares.clamp(0, 1)
     return torch.log(shares.clamp(min=closest) / (1 - shares).clamp(min=closest))
 
@@ -38,10 +32,7 @@ def box_codes(centres: Tensor, corrections: Tensor) -> Tensor:
 
 
 def decode_boxes(codes: Tensor) -> Tensor:
-    """Boxes from their codes, (..., 10) as `box_codes` gives them.
-
-    (..., 9) centre x, y, z, width, length, height, yaw, velocity x, y; sine and cosine need not be of one circle.
-    """
+    """Boxes, (..., 9) centre, width, length, height, yaw, velocity, from `box_codes`; sine and cosine at any scale."""
     x_y, z = codes[..., 0:2], codes[..., 4:5]
     sizes = torch.cat([codes[..., 2:4], codes[..., 5:6]], -1).exp()
     yaw = torch.atan2(codes[..., 6:7], codes[..., 7:8])
@@ -49,10 +40,7 @@ def decode_boxes(codes: Tensor) -> Tensor:
 
 
 def select_strongest(logits: Tensor, limit: int) -> tuple[Tensor, Tensor, Tensor]:
-    """The most certain pairs of query and class; a query may appear with several classes.
-
-    Scores 0 to 1, falling; classes; queries; from (Q, classes) logits.
-    """
+    """Falling scores, classes and queries of the best pairs in (Q, classes) logits; a query may recur."""
     scores, pairs = logits.float().sigmoid().flatten().topk(min(limit, logits.numel()))
     classes = logits.shape[-1]
     return scores, pairs % classes, pairs // classes
@@ -80,10 +68,7 @@ def are_within(coordinates: Tensor, lower: Sequence[float], upper: Sequence[floa
 
 
 class DeformableDecoderLayer(nn.Module):
-    """Self-attention, deformable attention to maps, feed-forward; each is normalised after its addition.
-
-    `points` are looks per head and map.
-    """
+    """Self-attention, deformable attention to maps, feed-forward; each is normalised after its addition."""
 
     def __init__(self, channels: int, heads: int, hidden: int, levels: int, points: int) -> None:
         super().__init__()
@@ -107,11 +92,8 @@ class DeformableDecoderLayer(nn.Module):
 class DecoderOutputs:
     """Results of the K layers of a decoder.
 
-    Attributes:
-        states: (K, Q, C) tokens after each layer.
-        first_references: (Q, R) where the first layer looked, 0 to 1.
-        references: (K, Q, R) the same after each layer's correction; the last axis starts with x, y.
-        corrections: (K, Q, D) what the layers' branches predicted.
+    `states` are (K, Q, C) tokens, `first_references` (Q, R) 0 to 1 where the first layer looked, `references` (K, Q, R)
+    the same after each correction, x, y first, `corrections` (K, Q, D).
     """
 
     states: Tensor
@@ -139,11 +121,10 @@ class DeformableDecoder(nn.Module):
         branches: nn.ModuleList,
         moved: tuple[int, ...],
     ) -> DecoderOutputs:
-        """Decode (Q, C) tokens against (S, C) cells of all maps; the result holds all that happened on the way.
+        """Decode (Q, C) tokens against (S, C) cells of all maps.
 
-        `references` are (Q, R), R at least 2: x, y first, 0 to 1. `branches` predict (Q, D) corrections from tokens,
-        one for each layer; `moved` says for each of the R coordinates which of the D corrections is added to its
-        logit.
+        `references` are (Q, R), x, y first, 0 to 1. `branches` predict (Q, D) corrections, one for each layer; `moved`
+        says for each of the R coordinates which correction is added to its logit.
         """
         first, columns = references.float(), list(moved)
         references = first

@@ -1,7 +1,4 @@
-"""Ego-motion input of the networks: the ego's motion since the previous key frame.
-
-How the ego moves, told to the plan of a small network.
-"""
+"""Ego motion since the previous key frame, and the ego status told to the plan of a small network."""
 
 import math
 from dataclasses import dataclass
@@ -20,10 +17,9 @@ radians (16) and in degrees (17)."""
 class BEVMotion:
     """Motion since the previous key frame; zero in the first one.
 
-    Attributes:
-        can_bus: (18,) float64; position and yaw in degrees are differences, all else is absolute.
-        shift: (2,) float32 x, y in the lidar frame, 1 for the length of the bird's-eye view.
-        previous_cells: (2, 3) float32 from `adapters.networks.layers.bev_geometry.previous_cell_matrix`.
+    `can_bus` is (18,) float64, position and yaw in degrees as differences, all else absolute; `shift` (2,) float32 x, y
+    in the lidar frame, 1 for the length of the bird's-eye view; `previous_cells` (2, 3) float32 from
+    `adapters.networks.layers.bev_geometry.previous_cell_matrix`.
     """
 
     can_bus: Tensor
@@ -36,8 +32,7 @@ class BEVMotion:
     ) -> "BEVMotion":
         """Motion between two absolute CAN bus vectors, (18,) float64; on the processor.
 
-        `previous` is ``None`` in the first frame of a scene; `rotation_centre` column and row around which the
-        previous view is turned.
+        `previous` is ``None`` in the first frame of a scene; `rotation_centre` is column and row in cells.
         """
         motion = present.detach().to("cpu", torch.float64, copy=True)
         # The turn may exceed 360 degrees and is not wrapped: the published weights were trained so.
@@ -70,10 +65,10 @@ TYPICAL_VALUES = (10.0, 3.0, 0.3)
 
 
 class EgoStatusEncoder(nn.Module):
-    """Message to a plan of speed, acceleration and yaw rate; nothing before it has learned.
+    """Message to a plan of speed, acceleration and yaw rate; untrained it says nothing.
 
-    Through the cells of a small bird's-eye view it learns the speed to a few tenths of a metre per second only, and
-    such an error comes back with every plan of a drive.
+    Through the cells of a small bird's-eye view the plan learns the speed to a few tenths of a metre per second only,
+    and such an error comes back with every plan of a drive.
     """
 
     places: Tensor

@@ -1,7 +1,4 @@
-"""Front-camera reader: inputs of a small network's plan from the finest feature map.
-
-An image network for the front camera alone, whose map a plan looks at.
-"""
+"""Front-camera reader and image network for the plan of a small network."""
 
 import math
 from typing import Final
@@ -25,9 +22,8 @@ class FrontReader(nn.Module):
     """Reader of the front camera's finest feature map for the plan of a small network.
 
     A cell of a small bird's-eye view is larger than a lane is off its middle; in the image it is some pixels. The map
-    is halved twice, and brought to `FRONT_CELLS` where it is not as large by then; `numbers` are taken from it, and
-    `told` is the width of their message to the plan. With `compares` the plan is also told how they have changed: one
-    image does not say how fast anything moves.
+    is halved twice, and resized to `FRONT_CELLS`. With `compares` the plan is also told how the `numbers` have changed:
+    one image does not say how fast anything moves.
     """
 
     def __init__(self, channels: int, numbers: int, told: int, *, compares: bool = False) -> None:
@@ -48,10 +44,7 @@ class FrontReader(nn.Module):
         return result
 
     def told(self, numbers: Tensor, before: Tensor | None) -> Tensor:
-        """Message to the plan, (B, told), of the (B, numbers) of these key frames.
-
-        `before` is what the key frames before have left (`left`); ``None`` at the start of a scene.
-        """
+        """Message to the plan, (B, told), of the (B, numbers) of these key frames and those before (`left`), if any."""
         message: Tensor = self.tell(numbers)
         if self.tell_change is not None and before is not None:
             message = message + self.tell_change(numbers - before)
@@ -81,9 +74,9 @@ BACKBONE_STAGES: Final = 3
 
 
 class FrontBackbone(nn.Module):
-    """A residual network without its last stage; what it makes of coarse cells is added to the finer ones.
+    """A residual network without its last stage; features of its coarse cells are added to the finer ones.
 
-    The maps that boxes and lines of all cameras are found in cannot change for the plan's sake. These can.
+    The maps of boxes and lines are shared by all cameras and cannot change for the plan's sake. These can.
     """
 
     def __init__(self, width: int, channels: int) -> None:
@@ -102,9 +95,6 @@ class FrontBackbone(nn.Module):
 
 
 def compute_front_maps(eyes: FrontBackbone | None, finest: Tensor, images: Tensor, cameras: int) -> Tensor:
-    """Maps of the front cameras that plans look at, (B, C, h, w).
-
-    From (B * cameras, C, h, w) finest feature maps of all cameras, and normalised (B * cameras, 3, H, W) images.
-    """
+    """Front maps for plans, (B, C, h, w), of (B * cameras, C, h, w) finest maps and (B * cameras, 3, H, W) images."""
     every = slice(FRONT, None, cameras)
     return finest[every] if eyes is None else eyes(images[every])

@@ -35,11 +35,7 @@ STANDING_M: Final = 1.0
 
 
 def find_distinct(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float) -> Tensor:
-    """Mask of N centres that are kept after non-maximum suppression.
-
-    `centres` are (N, 2) and `lengths` (N,) metres; of equal certainty the first is the earlier; `apart` as in
-    `ReportingRules`.
-    """
+    """Mask of N centres that non-maximum suppression keeps, (N, 2) metres; of equal certainty the first counts."""
     if apart <= 0:
         return torch.ones(len(centres), dtype=torch.bool, device=centres.device)
     offset = centres[:, None] - centres
@@ -55,9 +51,9 @@ def find_distinct(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: fl
 
 
 def limit_steering(plans: Floats, steered_from_m: float) -> Floats:
-    """Plans, (..., S, 2) to the right and ahead in metres, whose offset aside is smaller where they hardly move.
+    """Plans, (..., S, 2) to the right and ahead in metres, with a smaller sideways offset where they hardly move.
 
-    `steered_from_m` as in `ReportingRules`; 0 or more than `STANDING_M`.
+    `steered_from_m` is 0 or more than `STANDING_M`.
     """
     if steered_from_m <= 0:
         return plans

@@ -1,11 +1,4 @@
-"""Residual networks (He et al., CVPR 2016) with frozen normalisation, as feature extractors.
-
-Modulated deformable convolution (DCNv2, Zhu et al., CVPR 2019) without a compiled extension.
-
-Feature pyramid (Lin et al., CVPR 2017): coarse features are added to fine ones.
-
-Networks made ready to be run on a processor: the same function, in fewer passes over memory.
-"""
+"""ResNet (He et al., CVPR 2016), DCNv2 (Zhu et al., CVPR 2019) and feature pyramid (Lin et al., CVPR 2017)."""
 
 from collections.abc import Sequence
 from typing import Literal, Self, TypeVar
@@ -32,10 +25,9 @@ class NamedConvolution(nn.Module):
 class FeaturePyramid(nn.Module):
     """Lateral 1 x 1 convolutions, a sum from coarse to fine, 3 x 3 convolutions, and coarser levels from the last.
 
-    Args:
-        levels: Outgoing maps; those past the incoming ones are strided convolutions of the one before them.
-        relu_before_extra: Whether those convolutions, but for the first of them, see what is positive only. (The first
-            sees all in the published code too, despite its option; golden numbers of VAD-base confirm it.)
+    Of `levels`, those past the incoming maps are strided convolutions of the one before them. With `relu_before_extra`
+    these see positive values only, but for the first. (It sees all in the published code too, despite its option;
+    golden numbers of VAD-base confirm it.)
     """
 
     def __init__(self, inputs: Sequence[int], channels: int, levels: int, relu_before_extra: bool = True) -> None:
@@ -88,7 +80,7 @@ def modulated_convolution(images: Tensor, weight: Tensor, offsets: Tensor, mask:
     """Convolution, (B, O, h, w), of (B, C, H, W) images with moved taps; bilinear between pixels, zero outside.
 
     `weight` is (O, C, 3, 3), `offsets` (B, 18, h, w) y, x of the taps in pixels, tap after tap, row by row, `mask` (B,
-    9, h, w) how much each tap counts.
+    9, h, w).
     """
     batch, channels, height, width = images.shape
     rows, columns = offsets.shape[-2:]
@@ -111,10 +103,9 @@ EXPANSION = 4
 
 
 class Bottleneck(nn.Module):
-    """1 x 1, 3 x 3 and 1 x 1 convolutions beside a shortcut.
+    """1 x 1, 3 x 3 and 1 x 1 convolutions beside a shortcut, to four times `inner` channels.
 
-    `style` says which convolution strides: ``pytorch`` the 3 x 3, ``caffe`` the first 1 x 1. The output has four times
-    `inner` channels.
+    `style` says which convolution strides: ``pytorch`` the 3 x 3, ``caffe`` the first 1 x 1.
     """
 
     def __init__(
@@ -148,10 +139,7 @@ class Bottleneck(nn.Module):
 
 
 class ResNet(nn.Module):
-    """A network of bottlenecks in four stages; its normalisation always uses the stored statistics.
-
-    (3, 4, 6, 3) blocks are ResNet-50, (3, 4, 23, 3) ResNet-101; `width` are the channels after the first convolution.
-    """
+    """Bottlenecks in four stages with frozen normalisation; (3, 4, 6, 3) are ResNet-50, (3, 4, 23, 3) ResNet-101."""
 
     def __init__(
         self,
@@ -203,11 +191,10 @@ Module = TypeVar("Module", bound=nn.Module)
 
 
 def fold_normalisation(network: Module) -> Module:
-    """Fold the normalisation of residual networks, in evaluation mode, into the convolutions before it, in place.
+    """Fold the stored normalisation of residual networks in evaluation mode into the convolutions before it, in place.
 
-    It multiplies and shifts each channel by stored numbers, which the weights of a convolution can do at once. Results
-    differ in the last bits; names of parameters change, so that weights are loaded before. Deformable convolutions keep
-    theirs. The network cannot be trained any more. Once is enough: what is folded stays as it is.
+    Results differ in the last bits; names of parameters change, so that weights are loaded before. Deformable
+    convolutions keep theirs. The network cannot be trained any more. A second call changes nothing.
     """
     for module in network.modules():
         if isinstance(module, ResNet):
@@ -223,8 +210,7 @@ def fold_normalisation(network: Module) -> Module:
 def use_channels_last(network: Module) -> Module:
     """Lay the weights of residual networks out as the processor's convolutions read them, in place.
 
-    Features follow the layout of the weights, so that no convolution has to turn them. Where some are deformable, whose
-    products want channels first, everything stays.
+    Features follow that layout. Where some are deformable, whose products want channels first, everything stays.
     """
     for module in network.modules():
         if isinstance(module, ResNet) and not module.deformable:

@@ -1,7 +1,4 @@
-"""Sampling of camera features at points in space: deformable aggregation (Sparse4D v2, Lin et al., 2023).
-
-Small networks of the sparse models; indices in their names are those of the published checkpoints.
-"""
+"""Deformable aggregation (Sparse4D v2, Lin et al., 2023), and small networks under indices of published checkpoints."""
 
 import math
 from collections.abc import Sequence
@@ -84,17 +81,11 @@ def decoupled_attention(
     key: tuple[Tensor, Tensor] | None,
     allowed: Tensor | None = None,
 ) -> Tensor:
-    """Attention in which features and the embeddings of anchors stand side by side instead of being added.
+    """Attention, (..., Q, C), with features and embeddings of anchors side by side instead of added.
 
-    Args:
-        layer: A `ResidualAttention` of twice the width of the features.
-        query: Features and embeddings, (..., Q, C) each.
-        key: The same of what is looked at, (..., K, C); without it queries look at each other, and then their values
-            are not features that `widen` made wide but the queries as they are.
-        allowed: As in `ResidualAttention`.
-
-    Returns:
-        (..., Q, C) features; there is no way round `narrow`.
+    `layer` has twice the width of the features; there is no way round `narrow`. `query` and `key` are features and
+    embeddings, (..., Q, C) and (..., K, C); without `key` queries look at each other, and values are the queries as
+    they are, not widened by `widen`.
     """
     tokens = torch.cat(query, -1)
     keys = tokens if key is None else torch.cat(key, -1)
@@ -116,11 +107,8 @@ NEAREST_DEPTH_M = 1e-5
 class CameraFeatures:
     """Features of the cameras in a key frame, or in B of them side by side.
 
-    Attributes:
-        values: (cameras or B * cameras, S, C) features of all levels, each flattened row by row, level after level: S
-            cells.
-        shapes: Rows and columns of the levels, fine to coarse.
-        projections: (cameras, 4, 4) or (B, cameras, 4, 4) float32, lidar frame in metres to pixels of the input images.
+    `values` are (cameras or B * cameras, S, C) of all levels, fine to coarse, each flattened row by row: S cells;
+    `projections` (cameras, 4, 4) or (B, cameras, 4, 4) float32, lidar frame in metres to pixels of the input images.
     """
 
     values: Tensor
@@ -137,10 +125,7 @@ class CameraFeatures:
         return cls(values, shapes, projections, height_px, width_px)
 
     def locate(self, points: Tensor) -> Tensor:
-        """Places in the images of points of (..., N, P, 3) metres, lidar frame, with a leading B of several key frames.
-
-        (..., N, cameras, P, 2) x, y where 0 to 1 spans the image; also of points outside.
-        """
+        """Places of (..., N, P, 3) metres, lidar frame, in the images: (..., N, cameras, P, 2) x, y, 0 to 1 inside."""
         # Written out, because matrix products may run in reduced precision, and one pixel changes the feature.
         x, y, z = points[..., None, :, :].float().unbind(-1)
         rows = self.projections[..., None, :, :3, :].unbind(-2)
@@ -156,19 +141,12 @@ def deformable_aggregation(
     weights: Tensor,
     first_camera: Tensor | None = None,
 ) -> Tensor:
-    """Sum of weighted bilinear samples over points, cameras and levels.
+    """Sum of weighted bilinear samples over points, cameras and levels: (N, C), in the type of `values`.
 
     Samples outside the image count nothing on any level, also where a bilinear sample would still reach its border.
-
-    Args:
-        values: (cameras, S, C) as in `CameraFeatures`.
-        shapes: Rows and columns of the L levels.
-        locations: (N, cameras, P, 2) x, y where 0 to 1 spans the image, both ends excluded.
-        weights: (N, cameras, L, P, G) for G groups of neighbouring channels.
-        first_camera: (N,) which of `values` is a query's first camera, where they are of several key frames.
-
-    Returns:
-        (N, C), in the type of `values`.
+    `values` are (cameras, S, C) as in `CameraFeatures`; `locations` (N, cameras, P, 2) x, y where 0 to 1 spans the
+    image, both ends excluded; `weights` (N, cameras, L, P, G) for G groups of neighbouring channels; `first_camera`
+    (N,) a query's first row of `values`, where they are of several key frames.
     """
     queries, groups = len(locations), weights.shape[-1]
     sources, cells, channels = values.shape
@@ -221,11 +199,8 @@ def _neighbours(shapes: Sequence[tuple[int, int]], x: Tensor, y: Tensor) -> tupl
 class CameraSampling(nn.Module):
     """Weights of cameras, levels and points in a query; the base of modules that sample images.
 
-    Subclasses make the three modules, because the order of their names is that of the published checkpoints.
-
-    Attributes:
-        camera_encoder: From the first three rows of a projection to channels.
-        weights_fc: From a query and a camera to weights of levels, points and groups.
+    Subclasses make the modules, because the order of their names is that of the published checkpoints. `camera_encoder`
+    takes the first three rows of a projection, `weights_fc` gives weights of levels, points and groups.
     """
 
     camera_encoder: nn.Sequential
@@ -237,10 +212,7 @@ class CameraSampling(nn.Module):
         self.groups = groups
 
     def sample(self, queries: Tensor, points: Tensor, cameras: CameraFeatures) -> Tensor:
-        """Samples of the images, (..., N, C) at (..., N, P, 3) metres, lidar frame, for queries of (..., N, C).
-
-        A leading B where there are several key frames.
-        """
+        """Samples of the images, (..., N, C) at (..., N, P, 3) metres, lidar frame, for queries of (..., N, C)."""
         count, levels, total = points.shape[-2], len(cameras.shapes), queries.shape[:-1].numel()
         views = self.camera_encoder(cameras.projections[..., :3, :].flatten(-2))
         # The layer is linear, so queries and cameras can pass through it separately, once each.

@@ -35,11 +35,8 @@ CHUNK: Final = 4096
 class AnchorSamples:
     """Sightings in a data set of the things that queries are for; lidar frame, metres.
 
-    Attributes:
-        box_centres: (N, 3) of boxes.
-        line_centres: (N, 2) means of the points of map elements.
-        futures: For each class of agents, (N, agent steps, 2) cumulative positions in the agent's frame, x forward.
-        plans: For each command, (N, steps, 2) cumulative positions of the ego.
+    `box_centres` are (N, 3), `line_centres` (N, 2) means of the points of map elements; `futures` (N, agent steps, 2)
+    by class, cumulative positions in the agent's frame, x forward; `plans` (N, steps, 2) by command, cumulative.
     """
 
     box_centres: ArrayLike
@@ -49,7 +46,7 @@ class AnchorSamples:
 
 
 def cluster_anchors(sightings: AnchorSamples, config: SparseConfig) -> dict[str, Tensor]:
-    """Anchors clustered from the sightings of a data set: float32 tensors under the names of the network.
+    """Anchors clustered from sightings: float32 tensors under the names of the network.
 
     An agent class that is seen too rarely repeats the futures it has, and one that is never seen stands still.
     """
@@ -109,7 +106,7 @@ def add_anchors(checkpoint: Mapping[str, Tensor], anchors: Mapping[str, Tensor])
 def find_cluster_centres(points: Floats, clusters: int, what: str) -> Floats:
     """Centres of clusters (k-means, Lloyd 1982, from spread starts, Arthur and Vassilvitskii 2007).
 
-    (clusters, ...) of (N, ...) metres, the same for the same points; `what` they are is for the seed and for messages.
+    (clusters, ...) of (N, ...) metres, the same for the same points; `what` is for the seed and for messages.
     """
     flat = points.reshape(len(points), math.prod(points.shape[1:]))
     different = len(np.unique(flat, axis=0)) if len(flat) else 0
@@ -153,7 +150,7 @@ def _spread_starts(points: Floats, clusters: int, generator: np.random.Generator
 
 
 def _squared_distances(points: Floats, centres: Floats) -> Floats:
-    """Squared distances, but for what is the same for all centres."""
+    """Squared distances, up to a term that is the same for all centres."""
     squares: Floats = np.square(centres).sum(1) - 2 * points @ centres.T
     return squares
 

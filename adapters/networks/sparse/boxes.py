@@ -1,9 +1,7 @@
-"""Boxes as the sparse networks keep them, and the parts of the box decoder that depend on it.
+"""Boxes as the sparse networks keep them, poses of key frames and the motion between two of them.
 
 A box has 11 numbers: centre x, y, z, logarithms of the extents along and across its heading and upwards, sine and
 cosine of the heading (not of one circle in general), velocity x, y, z. Metres, lidar frame.
-
-When and where a key frame was taken, and what lies between two of them.
 """
 
 from dataclasses import dataclass
@@ -30,11 +28,7 @@ LONGEST_INTERVAL_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class KeyframePose:
-    """When and where.
-
-    Attributes:
-        global_T_lidar: (4, 4) float64 on the processor, lidar frame to world.
-    """
+    """Time and pose, (4, 4) float64 on the processor, lidar frame to world."""
 
     timestamp_s: float
     global_T_lidar: Tensor
@@ -43,12 +37,7 @@ class KeyframePose:
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
-    """Motion from remembered frames to present ones, of one clip or of several side by side.
-
-    Attributes:
-        now_T_then: (..., 4, 4) float32, lidar frame of the remembered frame to that of the present one.
-        seconds: In between; a tensor where there are several.
-    """
+    """Motion, (..., 4, 4) float32, from lidar frames of the past to present ones, of one or several clips."""
 
     now_T_then: Tensor
     seconds: Tensor | float
@@ -77,10 +66,7 @@ class RigidMotion:
 
 @dataclass(frozen=True, slots=True)
 class KeyframeMotion(RigidMotion):
-    """Motion from a remembered frame to the present one, with one matrix.
-
-    `seconds` is rounded to single precision, and negative if frames come out of order.
-    """
+    """Motion between two frames; `seconds` is rounded to single precision, negative if frames are out of order."""
 
     seconds: float
 
@@ -162,10 +148,7 @@ class BoxPoints(nn.Module):
         self.learnable_fc = nn.Linear(channels, learned_points * 3)
 
     def forward(self, features: Tensor, boxes: Tensor) -> Tensor:
-        """Points of boxes, (..., N, P, 3) metres: the centre, six near the faces, then those that are learned.
-
-        From features of (..., N, C) and boxes of (..., N, 11).
-        """
+        """Points of (..., N, 11) boxes, (..., N, P, 3) metres: the centre, six near the faces, then learned ones."""
         learned = self.learnable_fc(features).float().unflatten(-1, (-1, 3)).sigmoid() - 0.5
         shares = torch.cat([self.fix_scale.expand(*boxes.shape[:-1], -1, -1), learned], -2)
         along, across, up = (shares * boxes[..., None, 3:6].exp()).unbind(-1)

@@ -20,47 +20,37 @@ def image_length_fits(pixels: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class SparseConfig:
-    """Sizes that fix names and shapes of a network's parameters, and how it remembers.
-
-    The two planners have the same sizes; which one it is, the class of the network says.
+    """Sizes that fix names and shapes of a network's parameters, and how it remembers; both planners have the same.
 
     Attributes:
-        image_height_px: Of the input images, one of `image_length_fits`.
-        image_width_px: Of the input images, one of `image_length_fits`.
-        image_resize: How images are brought to that size; see `adapters.camera_inputs.NetworkImageFormat`.
+        image_height_px: Of the input images, like the width one of `image_length_fits`.
         backbone_blocks: Residual blocks in the four stages of the image network; (3, 4, 6, 3) is ResNet-50.
         backbone_width: Channels after its first convolution; 64 in ResNet-50.
         finest_stage: Of the image network, the first that is read; 0 has a cell for 4 x 4 pixels, 1 for 8 x 8.
-        cameras: Cameras, in the order of the specification, the front one first.
+        cameras: In the order of the specification, the front one first.
         channels: Width of all tokens; a multiple of `heads` and of 8.
         heads: Attention heads, and groups of channels that are sampled from images together.
         hidden_channels: Hidden width of the feed-forward blocks of the decoders of boxes and lines.
-        planner_hidden_channels: The same in the planner.
-        stages: Stages of the decoders; the first sees the present frame alone.
-        anchors: Box queries.
-        remembered_anchors: Of these, how many the next frame gets.
-        lines: Map queries.
-        remembered_lines: Of these, how many the next frame gets.
-        points_per_line: Points of a map element.
+        stages: Of the decoders; the first sees the present frame alone.
+        anchors: Box queries, of which the next frame gets `remembered_anchors`.
+        lines: Map queries, of which the next frame gets `remembered_lines`.
         learned_points: Points of a box at which images are sampled, besides its centre and six near its faces.
         samples_per_height: Points at each height of a map point at which images are sampled.
         queue_frames: Frames that the planner looks back on, the present one included.
         interaction_blocks: Blocks in which agents, the ego and the map look at each other.
-        watched_agents: Agents, the most certain ones, that all others look at.
-        watched_lines: Map elements, the most certain ones, that agents look at.
+        watched_agents: The most certain agents, that all others look at.
+        watched_lines: The most certain map elements, that agents look at.
         modes: Forecasts per agent, and plans per driving command.
         steps: Planned steps of 0.5 s.
         agent_steps: Forecast steps of 0.5 s, at least `steps`.
-        commands: Driving commands.
         speed_from_poses: Whether the planner reads how fast the ego drives from where it was in the frame before; the
-            published ones take what they said about it themselves then, and need a long training to know it.
+            published ones take their own prediction of then, and need a long training to know it.
         plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside what the ego
             takes from its coarsest one; the published networks have none.
         plan_compares_front: Whether it takes as well how these numbers have changed since the key frames before.
         front_eyes: Whether it looks at the front camera through an image network of its own, of the width of the other.
         memory_crosses_scenes: Whether what is remembered outlives a change of scene, as it does in the published
             models: there time alone decides how much of it is used, and a stale memory is still attended to once.
-        reporting: Which of its boxes count as what it expects, and which way short plans lead.
     """
 
     image_height_px: int = 256
@@ -112,11 +102,7 @@ class SparseConfig:
 
     @property
     def image_format(self) -> NetworkImageFormat:
-        """Format of a network's images: 1600 x 900 scaled to its width, cut off at the top.
-
-        It is `adapters.camera_inputs.SPARSE_DRIVE_IMAGE` for the published sizes. The miniatures see the whole images
-        instead, brought to their size.
-        """
+        """Input format: 1600 x 900 scaled and cut off at the top; the miniatures see the whole images, resized."""
         if self.image_resize == "linear":
             return NetworkImageFormat(self.image_width_px, self.image_height_px)
         width, height = NUSCENES_IMAGE
@@ -142,7 +128,7 @@ class SparseConfig:
 
     @classmethod
     def miniature(cls) -> Self:
-        """Small enough to learn the mini town on a processor core in an hour: SparseDrive-mini and DiffusionDrive-mini.
+        """SparseDrive-mini and DiffusionDrive-mini, which learn the mini town on a processor core in an hour.
 
         Their plans have their own eyes, compare what they see, and lead straight ahead if they are short.
         """

@@ -1,7 +1,4 @@
-"""The decoder of boxes and that of lines: one implementation, of which each fills in what a place in space is.
-
-Map elements as the sparse networks keep them, and the parts of the map decoder that depend on it.
-"""
+"""The decoder of boxes and that of lines in one implementation, and the sparse networks' map elements."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -72,10 +69,7 @@ class LinePoints(nn.Module):
         self.learnable_fc = nn.Linear(channels, points * len(HEIGHTS_M) * samples * 2)
 
     def forward(self, features: Tensor, lines: Tensor) -> Tensor:
-        """Points of map elements, (..., N, P * heights * samples, 3) metres.
-
-        From features of (..., N, C) and lines of (..., N, 2 P).
-        """
+        """Points of (..., N, 2 P) map elements with (..., N, C) features, (..., N, P * heights * samples, 3) metres."""
         offsets = self.learnable_fc(features).float().view(*features.shape[:-1], *self.shape)
         ground = lines.view(*lines.shape[:-1], self.shape[0], 1, 1, 2) + offsets
         return at_heights(ground).flatten(-4, -2)
@@ -110,10 +104,7 @@ class LineRefinement(nn.Module):
     def forward(
         self, features: Tensor, lines: Tensor, embeddings: Tensor, interval_s: Tensor | float
     ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Refined (..., N, 2 P) lines, (..., N, classes) logits and no quality; time does not matter to lines.
-
-        Features and embeddings are (..., N, C).
-        """
+        """Refined (..., N, 2 P) lines, (..., N, classes) logits and no quality; time does not matter to lines."""
         refined = self.layers(features + embeddings).float() + lines
         return refined, self.cls_layers(features).float(), None
 
@@ -131,13 +122,7 @@ DECAY: Final = 0.6
 
 @dataclass(frozen=True, slots=True)
 class DecoderStage:
-    """Predictions of a stage of the decoder for N instances.
-
-    Attributes:
-        anchors: (N, D) refined places.
-        logits: (N, classes).
-        qualities: (N, 2) logits, of boxes only.
-    """
+    """Predictions of a stage: (N, D) refined places, (N, classes) logits and, of boxes, (N, 2) quality logits."""
 
     anchors: Tensor
     logits: Tensor
@@ -146,13 +131,9 @@ class DecoderStage:
 
 @dataclass(frozen=True, slots=True)
 class DecodedInstances:
-    """N instances after the last stage.
+    """N instances after the last stage; features and embeddings of places are (N, C).
 
-    Attributes:
-        stages: One after the other. Where the past is used, the instances behind the first stage are others: those
-            that were remembered, and then the most certain ones of the first stage.
-        features: (N, C).
-        embeddings: (N, C) of the places.
+    With a past, the instances behind the first stage are others: the remembered, then its most certain ones.
     """
 
     stages: tuple[DecoderStage, ...]
@@ -179,11 +160,8 @@ class DecodedInstances:
 class InstanceMemory:
     """The K most certain instances of a frame, the most certain one first.
 
-    Attributes:
-        features: (K, C).
-        anchors: (K, D) in the lidar frame of their time.
-        confidence: (K,) 0 to 1.
-        rows: (K,) which instances of their frame they are.
+    `features` (K, C); `anchors` (K, D) in the lidar frame of their time; `confidence` (K,) 0 to 1; `rows` (K,) of their
+    frame.
     """
 
     features: Tensor
@@ -224,10 +202,7 @@ class InstanceBank(nn.Module):
 
 
 class SparseDecoder(nn.Module, ABC):
-    """Instances look at the past, at each other and at images, and are refined, stage after stage.
-
-    Where the cameras are of B key frames side by side, all tensors have a leading B.
-    """
+    """Refinement of instances by the past, each other and images; B key frames give all tensors a leading B."""
 
     instance_bank: InstanceBank
     anchor_encoder: nn.Module
@@ -250,10 +225,10 @@ class SparseDecoder(nn.Module, ABC):
     def forward(
         self, cameras: CameraFeatures, past: InstanceMemory | None, motion: RigidMotion | None
     ) -> tuple[DecodedInstances, InstanceMemory]:
-        """Instances of a key frame, and what to remember of them.
+        """Instances of a key frame, and their memory for the next.
 
         Gradients stop between stages, at the places of instances: each stage learns how to correct what it is given.
-        `motion` is from the remembered frame to this one; absent where nothing is remembered.
+        `motion` is from the remembered frame to this one.
         """
         frames = cameras.projections.shape[:-3]
         anchors: Tensor = self.instance_bank.anchor.expand(*frames, -1, -1)
@@ -290,10 +265,10 @@ class SparseDecoder(nn.Module, ABC):
     def remember(
         self, decoded: DecodedInstances, past: InstanceMemory | None, rows: Tensor | None = None
     ) -> InstanceMemory:
-        """The (K,) `rows` of instances for the next frame, by default the most certain ones.
+        """The (K,) `rows` of instances for the next frame, by default the most certain ones, without gradients.
 
-        Their confidence falls slowly where an instance is not seen; nothing is learned through them. `past` is what
-        the first of them were remembered with; absent where no instance is from an earlier frame.
+        Their confidence falls slowly where an instance is not seen; `past` is what the first of them were remembered
+        with.
         """
         confidence = decoded.scores.detach()
         if past:

@@ -1,7 +1,4 @@
-"""The planner of DiffusionDrive (Liao et al., CVPR 2025): anchored plans get a little noise and are cleaned again.
-
-How much noise a plan has at each step of the diffusion, and in which numbers it has it.
-"""
+"""The planner of DiffusionDrive (Liao et al., CVPR 2025), which denoises anchored plans, and its noise schedule."""
 
 import math
 from dataclasses import dataclass
@@ -73,10 +70,7 @@ def add_noise(clean: Tensor, noise: Tensor) -> Tensor:
 
 
 def previous_sample(sample: Tensor, clean: Tensor, timestep: int) -> Tensor:
-    """Sample one step before, without new noise (DDIM, Song et al., 2021).
-
-    `clean` is what the network takes to be the plan without noise; it is cut to -1 ... 1.
-    """
+    """Sample one step before, without new noise (DDIM, Song et al., 2021); `clean` is cut to -1 ... 1."""
     share = SIGNAL_SHARES[timestep]
     previous_share = SIGNAL_SHARES[timestep - 1] if timestep > 0 else 1.0
     clean = clean.clamp(-1, 1)
@@ -152,10 +146,8 @@ class TimeEmbedding(nn.Module):
 class PlanContext:
     """Context that plans look at; with a leading B where there are several key frames.
 
-    Attributes:
-        ego: (..., 1, C) embedding of the box of the ego.
-        watched: Features and embeddings of agents, and of the ego in the last row.
-        anchors: (..., M, C) tokens of the anchors that the plans started from.
+    `ego` is the (..., 1, C) embedding of its box; `watched` are features and embeddings of agents, and of the ego in
+    the last row; `anchors` (..., M, C) tokens of the anchors that the plans started from.
     """
 
     cameras: CameraFeatures
@@ -226,10 +218,9 @@ class DiffusionPlanner(MotionPlanner):
         )
 
     def denoise(self, context: PlanContext, anchors: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Put noise on anchors, (..., M, steps, 2) positions in metres, and clean them again.
+        """Put noise on anchors, (..., M, steps, 2) positions in metres, and clean them; no gradients between blocks.
 
-        (..., M) logits; (..., M, steps, 2) metres from step to step; and what came on the way, by name. Gradients stop
-        between the blocks.
+        (..., M) logits; (..., M, steps, 2) metres from step to step; and intermediate results by name.
         """
         clean = normalise(anchors.diff(dim=-2, prepend=torch.zeros_like(anchors[..., :1, :])))
         sample = add_noise(clean, noise)
@@ -250,10 +241,7 @@ class DiffusionPlanner(MotionPlanner):
     def clean(
         self, block: int, tokens: Tensor, offsets: Tensor, time: Tensor, context: PlanContext
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Tokens, logits and offsets after one block of layers.
-
-        Tokens are (..., M, C), offsets (..., M, steps, 2) metres from step to step, the embedding of the time (C,).
-        """
+        """Tokens (..., M, C), logits and (..., M, steps, 2) metres per step after one block; `time` is (C,)."""
         first = block * LAYERS_OF_A_BLOCK
         path, each_other, norm, agents, agents_norm, anchors, anchors_norm, feed, feed_norm, modulate, refine = list(
             self.diff_layers

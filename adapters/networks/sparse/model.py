@@ -1,9 +1,4 @@
-"""SparseDrive and DiffusionDrive: six images and camera matrices in; a plan, boxes, forecasts and a vector map out.
-
-The planner of SparseDrive (Sun et al., 2024): plans are read from tokens of modes.
-
-Numbers of tracked instances.
-"""
+"""SparseDrive (Sun et al., 2024) and DiffusionDrive: images and matrices in; plan, boxes, forecasts and map out."""
 
 from dataclasses import dataclass
 
@@ -30,10 +25,7 @@ from benchmark.machine.storage import content_seed
 
 @dataclass(frozen=True, slots=True)
 class TrackIds:
-    """Numbers of the (K,) remembered instances, the most certain one first, and of the next new one.
-
-    No number is used twice.
-    """
+    """Numbers, never used twice, of the (K,) remembered instances, most certain first, and of the next new one."""
 
     ids: Tensor
     next_id: Tensor
@@ -42,8 +34,8 @@ class TrackIds:
 def number_instances(past: TrackIds | None, fresh: bool, rows: Tensor, instances: int) -> tuple[Tensor, TrackIds]:
     """Numbers, (instances,) int64, for every instance of a frame, and the tracks to leave.
 
-    `fresh` says whether the first instances of this frame are those of the earlier one; `rows` are the (K,) instances
-    that the next frame gets.
+    `fresh`: the first instances of this frame are those of the earlier one; `rows` are the (K,) that the next frame
+    gets.
     """
     known = past.ids if past and fresh else rows.new_zeros(0)
     first = past.next_id if past else rows.new_zeros(())
@@ -86,12 +78,9 @@ DEPTH_LEVELS = 3
 class SparseInputs:
     """One key frame. The status of the ego is no input: the published models predict it and look at no other.
 
-    Attributes:
-        images: (6, 3, H, W), normalised; front, front right, front left, back, back left, back right.
-        projections: (6, 4, 4), lidar frame in metres to pixels of the images.
-        global_T_lidar: (4, 4) float64, lidar frame to world.
-        command: 0 right, 1 left, 2 straight.
-        scene_token: Of the scene; whether a change of it forgets the past, the configuration says.
+    `images` are (6, 3, H, W), normalised: front, front right, front left, back, back left, back right; `projections`
+    (6, 4, 4), lidar frame in metres to pixels; `global_T_lidar` (4, 4) float64; `command` 0 right, 1 left, 2 straight.
+    Whether a change of scene forgets the past, the configuration says.
     """
 
     images: Tensor
@@ -148,9 +137,8 @@ class SparseHead(nn.Module):
     ) -> tuple[SparsePredictions, SparseMemory]:
         """Predictions for one key frame, and the memory for the next one.
 
-        `front` is the (1, C, h, w) coarsest feature map of the front camera, `finest_front` its finest one, or what
-        the plan's own eyes make of it; `command` 0 right, 1 left, 2 straight; `noise` (modes, steps, 2) for the
-        diffusion planner.
+        `front` is the (1, C, h, w) coarsest feature map of the front camera, `finest_front` its finest one, or that of
+        the plan's own eyes; `command` 0 right, 1 left, 2 straight; `noise` (modes, steps, 2) for the diffusion planner.
         """
         motion = KeyframeMotion.between(past.pose, pose, front.device) if past else None
         agents, kept_agents = self.det_head(cameras, past.agents if past else None, motion)
@@ -205,7 +193,7 @@ class SparseNetwork(nn.Module):
     def predict(self, inputs: SparseInputs, noise: Tensor | None = None) -> SparsePredictions:
         """Predictions for one key frame before selection; it is remembered.
 
-        `noise` is (modes, steps, 2) standard normal numbers of the diffusion planner; `frame_noise` by default.
+        `noise` is (modes, steps, 2), standard normal, of the diffusion planner; `frame_noise` by default.
         """
         config, images = self.config, inputs.images
         expected_shape = (config.cameras, 3, config.image_height_px, config.image_width_px)
@@ -226,16 +214,13 @@ class SparseNetwork(nn.Module):
         return predictions
 
     def finest_front(self, finest: Tensor, images: Tensor) -> Tensor:
-        """Maps of the front cameras that plans look at, (B, C, h, w).
-
-        From (B * cameras, C, h, w) finest feature maps of all cameras, and normalised (B * cameras, 3, H, W) images.
-        """
+        """Maps of the front cameras that plans look at, (B, C, h, w), as `compute_front_maps`."""
         return compute_front_maps(self.front_eyes, finest, images, self.config.cameras)
 
     def frame_noise(self, inputs: SparseInputs) -> Tensor:
-        """(modes, steps, 2) float32 standard normal numbers that depend on the seed and the time of the frame alone.
+        """Standard normal numbers, (modes, steps, 2) float32, that depend on the seed and the time of the frame alone.
 
-        Not on the scene: its adversarial variants then meet the same noise, and who asks over HTTP names none.
+        Adversarial variants of a scene then meet the same noise, and requests over HTTP name no scene.
         """
         seed = content_seed("plan noise", self.seed, inputs.timestamp_s)
         generator = torch.Generator().manual_seed(seed)

@@ -26,11 +26,10 @@ LAYERS_OF_A_BLOCK = 7
 
 @dataclass(frozen=True, slots=True)
 class MotionPlannerInputs:
-    """Scene of a key frame, as a planner is given it.
+    """Scene of a key frame, as a planner is given it; `past` and `motion` are from the frame before.
 
     `ids` are (N,) numbers of the agents; `front` is the (1, C, h, w) coarsest feature map of the front camera,
-    `finest_front` its finest one; `command` 0 right, 1 left, 2 straight; `past` and `motion` are from the frame
-    before.
+    `finest_front` its finest one; `command` 0 right, 1 left, 2 straight.
     """
 
     agents: DecodedInstances
@@ -54,10 +53,9 @@ class MotionPlannerInputs:
 
 @dataclass(frozen=True, slots=True)
 class Interaction:
-    """Tokens after agents and the ego have looked at each other.
+    """Tokens after agents and the ego have looked at each other: (N + 1, C) each, the ego in the last row.
 
-    `features` and `embeddings` of boxes are (N + 1, C), the ego in the last row; `watched` are (W + 1, C) each, of the
-    most certain agents and of the ego as they were before.
+    `watched` are (W + 1, C) each, of the most certain agents and of the ego as they were before.
     """
 
     features: Tensor
@@ -74,14 +72,9 @@ class Interaction:
 class PlannerPredictions:
     """Predictions of a planner; M modes, T agent steps, S planned steps; lidar frame, metres from step to step.
 
-    Attributes:
-        motion_logits: (N, M) of agents.
-        motion_offsets: (N, M, T, 2).
-        plan_logits: (commands, M).
-        plan_offsets: (commands, M, S, 2).
-        status: (10,) of the ego.
-        denoising: Denoising steps of the diffusion planner; empty for the other one.
-        front: (1, numbers) what the plan took from the front camera's finest map; ``None`` if it does not look there.
+    `motion_logits` (N, M) and `motion_offsets` (N, M, T, 2) of agents; `plan_logits` (commands, M); `plan_offsets`
+    (commands, M, S, 2); `status` (10,) of the ego; `denoising` steps of the diffusion planner only; `front` (1,
+    numbers) that the plan took from the front camera's finest map, ``None`` if it does not look there.
     """
 
     motion_logits: Tensor
@@ -127,11 +120,7 @@ def interaction_layers(config: SparseConfig, plans: bool) -> nn.ModuleList:
 
 
 class MotionPlanner(nn.Module):
-    """Base of both planners.
-
-    `layers` are lists under their published names, which differ between the planners; the first one is from
-    `interaction_layers`.
-    """
+    """Base of both planners; `layers` are lists under published names, which differ, `interaction_layers` first."""
 
     def __init__(self, config: SparseConfig, layers: Mapping[str, nn.ModuleList]) -> None:
         super().__init__()
@@ -195,9 +184,9 @@ class MotionPlanner(nn.Module):
     ) -> Tensor:
         """Features, (..., N + 1, C), after agents and the ego have looked at the rest.
 
-        A leading B where there are more key frames. `past` are features and embeddings of the last L frames, (..., N +
-        1, L, C) each, and `allowed`, (..., N + 1, 1, L), which of these frames each may look at; `watched` and `lanes`
-        are features and embeddings of agents and map elements.
+        `past` are features and embeddings of the last L frames, (..., N + 1, L, C) each, and `allowed`, (..., N + 1, 1,
+        L), which of these frames each may look at; `watched` and `lanes` are features and embeddings of agents and map
+        elements.
         """
         lines, places = lanes
         layers = list(self.interaction)[:-1]
@@ -223,10 +212,7 @@ class MotionPlanner(nn.Module):
         return decoupled_attention(layer, self.fc_before, self.fc_after, query, key, allowed)
 
     def forecast(self, agents: DecodedInstances, tokens: Tensor) -> tuple[Tensor, Tensor]:
-        """Forecasts of N agents: (N, modes) logits and (N, modes, steps, 2) metres from step to step, lidar frame.
-
-        From (N, C) features and embeddings added.
-        """
+        """Forecast logits, (N, modes), and (N, modes, steps, 2) metres per step, lidar frame, from (N, C) tokens."""
         ends = self.rotate_anchors(agents)[:, :, -1]
         queries = self.motion_anchor_encoder(sine_of_points(ends, self.config.channels)) + tokens[:, None]
         logits = self.refinement.motion_cls_branch(queries)[..., 0].float()
@@ -241,11 +227,10 @@ class MotionPlanner(nn.Module):
         return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
     def add_front(self, ego: Tensor, finest: Tensor, before: Tensor | None) -> tuple[Tensor, Tensor | None]:
-        """Tokens of the egos with what their plans take from the front camera, and that, (B, numbers).
+        """Tokens of the egos with the front camera's (B, numbers) added, and these, ``None`` without a front reader.
 
-        `ego` is (1, C), or (B, 1, C) of several key frames; `finest` (B, C, h, w) feature maps of the front cameras;
-        `before` (B, numbers) that the key frames before have left (`FrontReader.left`). ``None`` where plans do not
-        look there.
+        `ego` is (1, C), or (B, 1, C) of several key frames; `finest` (B, C, h, w); `before` (B, numbers) of the key
+        frames before (`FrontReader.left`).
         """
         if self.front_reader is None:
             return ego, None

@@ -17,10 +17,9 @@ from benchmark.planning import Command, Observation, Plan, PlanFrame
 class SparsePlanner(NativePlanner[SparseNetwork]):
     """SparseDrive or DiffusionDrive with given weights; arguments and errors as in `NativePlanner`.
 
-    Every scene starts without a past, in every configuration: a plan must not depend on which scene
-    a process happened to see before. The published evaluation lets memory outlive a change of scene, and so does this
-    where `adapters.as_published` asks for it. Modes of the command that were refused because they hit a forecast have
-    the score 0.
+    Every scene starts without a past: a plan must not depend on which scene a process happened to see before. The
+    published evaluation lets memory outlive a change of scene, and so does this where `adapters.as_published` asks for
+    it. Modes of the command that were refused because they hit a forecast have the score 0.
     """
 
     @property

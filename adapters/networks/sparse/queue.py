@@ -28,16 +28,10 @@ VELOCITY_Y = 9
 class QueueMemory:
     """Memory of the queue for the next frame; L frames, the oldest first, in the lidar frame of the newest.
 
-    Attributes:
-        features: (L, N, C) of agents.
-        boxes: (L, N, 11).
-        periods: (N,) int64, how many of the newest frames an agent has been seen in.
-        ids: (N,) int64 numbers of the agents.
-        confidence: (N,) 0 to 1, in the newest frame.
-        ego_features: (L, 1, C); the newest is that after the planner has looked around.
-        ego_boxes: (L, 1, 11).
-        status: (10,) of the ego, as predicted.
-        front: (1, numbers) what plans leave of the numbers that they took from the front camera, if they look there.
+    `features` (L, N, C) and `boxes` (L, N, 11) of agents; `periods` (N,) int64, how many of the newest frames an agent
+    has been seen in; `ids` (N,) int64; `confidence` (N,) 0 to 1, in the newest frame; `ego_features` (L, 1, C), the
+    newest after the planner has looked around; `ego_boxes` (L, 1, 11); `status` (10,) of the ego, as predicted; `front`
+    (1, numbers) left by plans (`FrontReader.left`), if they look there.
     """
 
     features: Tensor
@@ -54,15 +48,10 @@ class QueueMemory:
 
 @dataclass(frozen=True, slots=True)
 class Queue:
-    """Agents and the ego over L frames, the present one last; what is of no agent is zero and not allowed.
+    """Agents and the ego over L frames, the present one last; rows without an agent are zero and not allowed.
 
-    Attributes:
-        features: (L, N, C).
-        boxes: (L, N, 11) in the present lidar frame.
-        periods: (N,) int64.
-        ego_features: (L, 1, C).
-        ego_boxes: (L, 1, 11).
-        ego_period: How many of the frames count.
+    `features` (L, N, C); `boxes` (L, N, 11) in the present lidar frame; `periods` (N,) int64; `ego_features` (L, 1, C);
+    `ego_boxes` (L, 1, 11); `ego_period` is how many of the frames count.
     """
 
     features: Tensor
@@ -109,10 +98,7 @@ class InstanceQueue(nn.Module):
         ids: Tensor,
         front: Tensor,
     ) -> Queue:
-        """Agents and the ego over the last frames, this one included.
-
-        `ids` are (N,) numbers of the agents, `front` the (1, C, h, w) coarsest feature map of the front camera.
-        """
+        """Agents and the ego over the last frames and this one; `ids` (N,), `front` the (1, C, h, w) coarsest map."""
         feature = self.ego_feature_encoder(front).flatten(1)[None]
         box = self.ego_anchor.float()[None]
         features, boxes = agents.features[None], agents.anchors[None]

@@ -1,7 +1,4 @@
-"""From raw predictions to what is reported: the most certain boxes and lines, and the collision-free plan.
-
-Which plans run into agents as they are forecast; SparseDrive chooses among the others.
-"""
+"""The most certain boxes and lines and the collision-free plan, from SparseDrive's raw predictions."""
 
 import math
 from dataclasses import dataclass
@@ -29,10 +26,9 @@ BOX: Final = 7
 
 
 def find_collisions(plans: Tensor, boxes: Tensor, scores: Tensor, forecasts: Tensor) -> Tensor:
-    """Collisions of plans, (M,) booleans.
+    """Collisions of plans, (M,) booleans, with agents of a high enough score.
 
-    `plans` are (M, S, 2) positions and `forecasts` of agents (N, S, 2), metres, lidar frame; `boxes` are (N, 11) and
-    `scores` (N,) 0 to 1.
+    `plans` are (M, S, 2) positions and `forecasts` of agents (N, S, 2), metres, lidar frame; `boxes` are (N, 11).
     """
     ego, agents = ego_boxes(plans), agent_boxes(boxes, scores, forecasts)
     ego, agents = ego.expand(len(agents), -1, -1, -1).clone(), agents[:, None].expand(-1, len(plans), -1, -1)
@@ -72,8 +68,8 @@ def _shift_as_published(ego: Tensor) -> None:
     """Change two boxes the way the published code does.
 
     It means to move every ego box forward, but counts along the wrong axis: all seven numbers of two boxes, those of
-    the first plan at the first two steps for the first agent, are changed by the cosine and the sine of the numbers of
-    a third one. Published figures were made like this.
+    the first plan at the first two steps for the first agent, change by the cosine and the sine of a third one's
+    numbers.
     """
     rows = ego.view(-1, BOX)
     sixth = 6
@@ -149,13 +145,10 @@ class SparseOutputs:
 
 @dataclass(frozen=True, slots=True)
 class SparseBoxSelection:
-    """The K boxes that are reported.
+    """The K boxes that are reported, from instances in (K,) `rows`.
 
-    Attributes:
-        rows: (K,) which instances they are.
-        scores: (K,) of the class and of the centre, falling.
-        labels: (K,).
-        class_scores: (K,) of the class alone, falling: in an order of its own.
+    `scores` are (K,) of class and centre, falling; `class_scores` (K,) of the class alone, falling in an order of its
+    own.
     """
 
     rows: Tensor

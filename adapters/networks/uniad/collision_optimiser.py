@@ -107,8 +107,7 @@ def _lift(lowest: float, last: float) -> float:
 def lowest_point(reference: Floats, cells: Floats) -> Floats:
     """Point of the lowest cost, (2,), for a reference and (N, 2) cells.
 
-    It is not farther away than the square root of the cost at the start, so a grid over that disc is searched, and the
-    trust-region Newton method follows its lowest dents down.
+    It is not farther away than the square root of the cost at the start: the search starts on a grid over that disc.
     """
     reference = np.asarray(reference, np.float64)
     if len(cells) == 0:
@@ -133,11 +132,7 @@ def lowest_point(reference: Floats, cells: Floats) -> Floats:
 
 
 def descend(reference: Floats, cells: Floats, start: Floats | None = None) -> Floats:
-    """Follow the cost down to the nearest minimum, (2,), from `start` or else the reference.
-
-    By Newton's method in a trust region whose radius grows and shrinks with how well the quadratic model foretold the
-    last step.
-    """
+    """Minimum, (2,), that a trust-region Newton method finds downhill from `start` or else the reference."""
     point, radius = np.asarray(reference if start is None else start, np.float64), 0.5
     if len(cells) == 0:
         return np.asarray(reference, np.float64)
@@ -191,9 +186,9 @@ def require_casadi() -> Any:
 
 
 def official_points(plan: Floats, cells: list[Floats]) -> Floats:
-    """The minimum that IPOPT arrives at from the plan, all points at once, as in the published planner.
+    """The minimum that IPOPT arrives at from the plan, all points at once, as in the published planner; (T, 2) metres.
 
-    (T, 2) metres, from (N, 2) cells for each point. IPOPT that finds no minimum is an `InputError`.
+    From (N, 2) cells for each point. IPOPT that finds no minimum is an `InputError`.
     """
     casadi = require_casadi()
     program = casadi.Opti()
@@ -222,10 +217,7 @@ through the optional package casadi."""
 
 @dataclass(frozen=True, slots=True)
 class MovedPlan:
-    """A moved plan, (T, 2) metres, with the (T,) costs of its points and of the given ones.
-
-    `cells` are (T,) how many occupied cells counted.
-    """
+    """A moved plan, (T, 2) metres, with (T,) costs of its and of the given points, and counts of occupied cells."""
 
     points: Floats
     costs: Floats
@@ -237,8 +229,8 @@ class MovedPlan:
 def move_plan(plan: Floats, occupied: Bools, solver: Solver = "newton") -> MovedPlan:
     """Move a plan, (T, 2) metres in the lidar frame 0.5 s apart from 0.5 s on, away from occupied cells.
 
-    `occupied` is (S, rows, columns) occupancy now and every 0.5 s after; the last one counts for what is later. An
-    `InputError` says that casadi is asked for and absent, or that the plan is not finite.
+    `occupied` is (S, rows, columns) now and every 0.5 s after; the last one counts for what is later. Absent casadi
+    that is asked for, or a plan that is not finite, is an `InputError`.
     """
     if not np.isfinite(plan).all():
         raise InputError("UniAD's plan has numbers that are not finite; check the weights and the images")
@@ -263,8 +255,7 @@ def move_plan(plan: Floats, occupied: Bools, solver: Solver = "newton") -> Moved
 def nearby_cells(point: Floats, occupied: Bools) -> Floats:
     """Centres of occupied cells near a point, (N, 2) x, y in whole metres; `occupied` is centred on the lidar.
 
-    Decimals are truncated: the published code keeps coordinates as whole numbers, so four cells or more
-    lie on one another and all count.
+    Decimals are truncated as in the published code, so four cells or more lie on one another and all count.
     """
     row, column = np.nonzero(occupied)
     rows, columns = occupied.shape

@@ -15,24 +15,19 @@ MAP_OFFSETS: Final = "seg_head.transformer.encoder.layers.0.attentions.0.samplin
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UniADConfig(BEVConfig):
-    """Sizes of UniAD, beside those of all networks with a bird's-eye view.
-
-    Rows and columns of the view are multiples of 8.
+    """Sizes of UniAD, beside those of all networks with a bird's-eye view, whose rows and columns are multiples of 8.
 
     Attributes:
-        occupancy_feedforward_channels: Hidden width of the feed-forward blocks in the decoder of the occupancy head.
         queries: Agent queries beside the one of the ego.
         map_levels: Feature maps for which the map head's attention has parameters; it is given one map
             (`adapters.networks.uniad.map_head`).
         thing_mask_layers: Blocks that make the masks of map elements.
         stuff_mask_layers: Blocks that make the mask of the drivable area.
         motion_groups: Groups of kinds of agents with anchors of their own.
-        forecast_steps: Forecast steps of 0.5 s.
+        forecast_steps: Of 0.5 s, like the planned steps.
         occupancy_steps: The present and steps of 0.5 s after it.
-        plan_steps: Planned steps of 0.5 s.
         backbone_outputs: Stages (0 to 3) that feed the feature pyramid.
-        backbone_style: Which convolution of a block of the image network strides, as in
-            `adapters.networks.layers.resnet.Bottleneck`.
+        backbone_style: As in `adapters.networks.layers.resnet.Bottleneck`.
         deformable_stages: Stages of the image network whose 3 x 3 convolutions are deformable.
         memory_length: States that a track remembers.
         occupancy_half_m: Half the side of the square whose occupancy is predicted.
@@ -45,7 +40,7 @@ class UniADConfig(BEVConfig):
             (in the very first, from the origin), as the published network is; else that it has not moved.
         plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside the
             bird's-eye view; the published network has none.
-        plan_knows_motion: Whether the plan is told speed, acceleration and yaw rate itself, beside what it looks at.
+        plan_knows_motion: Whether the plan is told speed, acceleration and yaw rate.
         counterclockwise_yaw: Whether the yaw of boxes is the heading plus a quarter turn. The published network's is
             the negative of that, so that it turns the anchors of agents that cross to the wrong side.
     """
@@ -143,10 +138,9 @@ class UniADConfig(BEVConfig):
 
     @classmethod
     def base_of(cls, shapes: Mapping[str, Sequence[int]]) -> Self:
-        """The published network that fits a checkpoint, with the levels that its map head has parameters for.
+        """The published network that fits a checkpoint's tensors, with the levels that its map head has parameters for.
 
-        `shapes` are those of its tensors by name. Where the map head's are absent or odd, the result is the usual
-        network, and the loading of the tensors will say what does not fit.
+        Where these are absent or odd, the result is the usual network, and loading says what does not fit.
         """
         base = cls.base()
         offsets = shapes.get(MAP_OFFSETS, ())

@@ -1,7 +1,4 @@
-"""The map head: elements of the road, masks of these and of the drivable area (Panoptic SegFormer, Li et al., 2022).
-
-The deformable attention of the map head, which reads its sampling pattern as the published kernel does.
-"""
+"""The map head (Panoptic SegFormer, Li et al., 2022): road elements, their masks, and the published sampling order."""
 
 from dataclasses import dataclass
 
@@ -24,11 +21,10 @@ class PublishedOrderAttention(DeformableAttention):
     def forward(
         self, tokens: Tensor, positions: Tensor, references: Tensor, features: Tensor, shapes: Shapes
     ) -> Tensor:
-        """Tokens, (Q, C), that have looked at (S, C) cells of the only map.
+        """Tokens, (Q, C), that have looked at (S, C) cells of the only map; `positions` are for the pattern only.
 
-        `references` are (Q, 2) x, y, or (Q, 4) x, y, width, height, 0 to 1 over the map. Offsets are in cells in the
-        one case, and in shares of half the size in the other. `positions` are added for the prediction of the pattern
-        only.
+        `references` are (Q, 2) x, y with offsets in cells, or (Q, 4) x, y, width, height with offsets in shares of half
+        the size; both 0 to 1 over the map.
         """
         ((rows, columns),) = shapes
         count, asking = len(tokens), -(-len(tokens) // self.levels)
@@ -52,10 +48,7 @@ class PublishedOrderAttention(DeformableAttention):
 
 
 class MapEncoderLayer(nn.Module):
-    """Deformable attention of a map to itself, then a feed-forward block; each is normalised after its addition.
-
-    `levels` are those for which there are parameters, `points` looks per head and level.
-    """
+    """Deformable attention of a map to itself, then a feed-forward block; each is normalised after its addition."""
 
     def __init__(self, channels: int, heads: int, hidden: int, levels: int, points: int) -> None:
         super().__init__()
@@ -100,10 +93,7 @@ class LayerStack(nn.Module):
 
 
 class MapTransformer(nn.Module):
-    """An encoder of the bird's-eye view for the map, and a decoder of map elements with rectangles.
-
-    `levels` are those for which there are parameters, `points` looks per head and level, `layers` those of each.
-    """
+    """An encoder of the bird's-eye view for the map, and a decoder of map elements with rectangles."""
 
     def __init__(self, channels: int, heads: int, hidden: int, levels: int, points: int, layers: int) -> None:
         super().__init__()
@@ -123,10 +113,10 @@ class MapTransformer(nn.Module):
     def decode(
         self, queries: Tensor, cells: Tensor, shape: tuple[int, int], branches: nn.ModuleList
     ) -> tuple[Tensor, Tensor]:
-        """Map elements: for K layers, (K, M, C) states and (K, M, 4) rectangles.
+        """Map elements: for K layers, (K, M, C) states and (K, M, 4) rectangles, centre x, y, width, height, 0 to 1.
 
-        Rectangles are centre x, y, width, height, 0 to 1 over the map. `queries` are (M, 2 C) positions and then
-        contents, `cells` (cells, C); `branches` take (M, C) to (M, 4) corrections, one for each layer.
+        `queries` are (M, 2 C) positions and then contents, `cells` (cells, C); `branches` take (M, C) to (M, 4)
+        corrections.
         """
         positions, tokens = queries.chunk(2, -1)
         references = self.reference_points(positions).float().sigmoid()
@@ -150,12 +140,9 @@ UNUSED_LAYERS = 4
 class MapElements:
     """M map elements; K layers.
 
-    Attributes:
-        cells: (cells, C) the bird's-eye view as the map head's encoder sees it.
-        queries: (M, C) states after the last layer.
-        query_positions: (M, C).
-        class_logits: (K, M, map classes).
-        rectangles: (K, M, 4) centre x, y, width, height, 0 to 1 over the bird's-eye view.
+    `cells` (cells, C) is the bird's-eye view after the map head's encoder; `queries` (M, C) after the last layer;
+    `query_positions` (M, C); `class_logits` (K, M, map classes); `rectangles` (K, M, 4) centre x, y, width, height, 0
+    to 1 over the view.
     """
 
     cells: Tensor
@@ -167,14 +154,10 @@ class MapElements:
 
 @dataclass(frozen=True, slots=True)
 class MapMasks:
-    """Masks of the N most certain map elements, and of the drivable area.
+    """Masks of the N most certain map elements, and of the drivable area; above a half is inside.
 
-    Attributes:
-        rectangles: (N, 4) centre x, y, width, height, 0 to 1 over the bird's-eye view.
-        scores: (N,) 0 to 1, falling.
-        labels: (N,).
-        values: (N, rows, columns); above a half is inside.
-        drivable_values: (rows, columns), likewise.
+    `rectangles` (N, 4) are centre x, y, width, height, 0 to 1 over the bird's-eye view; `scores` (N,) falling; `values`
+    (N, rows, columns); `drivable_values` (rows, columns).
     """
 
     rectangles: Tensor

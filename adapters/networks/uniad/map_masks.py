@@ -52,10 +52,7 @@ class MaskLogits(nn.Module):
 
 
 class MaskAttention(nn.Module):
-    """Attention of queries to cells, without residual connection.
-
-    Published checkpoints hold a mixture of heads for it as well, which no prediction uses.
-    """
+    """Attention of queries to cells, without residual connection; its mixture of heads in checkpoints is not used."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()
@@ -124,10 +121,7 @@ class MaskDecoder(nn.Module):
         self.attnen = MaskLogits(channels, heads)
 
     def forward(self, tokens: Tensor, positions: Tensor | None, cells: Tensor) -> Tensor:
-        """Masks, (M, cells) at least 0, from (M, C) tokens and (cells, C).
-
-        `positions` are added before every block and at the end, where there are some.
-        """
+        """Masks, (M, cells) at least 0, of (M, C) tokens over (cells, C); `positions` join every block and the end."""
         for block in self.blocks:
             tokens = block(tokens if positions is None else tokens + positions, cells)
         result: Tensor = self.attnen(tokens if positions is None else tokens + positions, cells)
@@ -136,14 +130,10 @@ class MaskDecoder(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class PastedMasks:
-    """Masks that share the ground.
+    """Masks that share the ground, booleans and values (map classes, rows, columns), and the drivable area.
 
-    Attributes:
-        order: (N,) map elements by falling `scores`.
-        scores: (N,) certainty of the class times the square of the mean value inside the mask.
-        lanes: (map classes, rows, columns) booleans.
-        lane_values: (map classes, rows, columns) values of the masks that are there.
-        drivable: (rows, columns) booleans.
+    `order` are (N,) map elements by falling `scores`: the certainty of the class times the square of the mean value
+    inside the mask.
     """
 
     order: Tensor
@@ -154,10 +144,7 @@ class PastedMasks:
 
 
 def rank_masks(values: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
-    """Ranks of (N, rows, columns) masks: (N,) scores, falling, and (N,) the masks they belong to.
-
-    Scores, 0 to 1, count the mean value inside too.
-    """
+    """Falling (N,) scores of (N, rows, columns) masks, with the mean value inside, and (N,) their masks."""
     inside = values > INSIDE
     quality = (values * inside).flatten(1).sum(1) / (inside.flatten(1).sum(1).float() + 1)
     best: tuple[Tensor, Tensor] = (scores * quality**2).sort(descending=True)
@@ -170,7 +157,7 @@ def paste_masks(
     """Map of masks pasted one after the other, by falling scores as `rank_masks` gives them.
 
     Elements with low scores are not in it, nor are those whose place is taken. As in the published code, elements of
-    class 0 take no place: others are pasted over them. `values` are (N, rows, columns), `labels` in their order.
+    class 0 take no place: others are pasted over them. `values` are (N, rows, columns).
     """
     inside = values > INSIDE
     lanes = torch.zeros(classes, *values.shape[1:], dtype=torch.bool, device=values.device)

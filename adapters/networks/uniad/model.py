@@ -52,12 +52,11 @@ class LossWeights(nn.Module):
 
 
 class UniAD(nn.Module):
-    """The network and what it remembers; call it under ``torch.inference_mode()``, frame after frame.
+    """The network and its memory; call it under ``torch.inference_mode()``, frame after frame.
 
-    Args:
-        anchors: (4, 6, 12, 2) of ``motion_anchor_infos_mode6.pkl``; `MotionHead.load_anchors` sets them later.
-        solver: Solver that moves plans away from occupied cells; ``None`` leaves them unchanged.
-        stores_anchors: Whether the anchors are part of the state dict; official checkpoints come without.
+    `anchors` are (4, 6, 12, 2) of ``motion_anchor_infos_mode6.pkl``; `MotionHead.load_anchors` sets them later. With
+    `stores_anchors` they are part of the state dict; official checkpoints come without. Without a `solver` plans are
+    not moved away from occupied cells.
     """
 
     vehicle_classes: Tensor
@@ -101,18 +100,15 @@ class UniAD(nn.Module):
     def reset(self) -> None:
         """Forget everything.
 
-        A new scene alone forgets less, as in the published code: track numbers go on, and the ego's motion into the
-        new scene is measured from the last key frame of the old one (in the very first frame, from the origin).
+        A new scene alone forgets less, as in the published code: track numbers go on, and the ego's motion is measured
+        from the last key frame of the old one (in the very first frame, from the origin).
         """
         self._memory: UniADMemory | None = None
         self._can_bus = torch.zeros(CAN_BUS, dtype=torch.float64)
         self._next_id = torch.zeros((), dtype=torch.int64)
 
     def forward(self, inputs: UniADInputs) -> UniADOutputs:
-        """Outputs for one key frame; frames of a scene come in the order of time.
-
-        An `InputError` says that there are no motion anchors, or that casadi is asked for and absent.
-        """
+        """Outputs for a scene's next key frame; absent anchors, or casadi asked for but absent, are an `InputError`."""
         predictions = self.predict(inputs)
         tracks, unoptimised = predictions.tracks, predictions.plan.positions_m
         moved, plan, road = None, unoptimised, None

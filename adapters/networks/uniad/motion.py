@@ -1,7 +1,4 @@
-"""Forecasts: agents look at each other, at the map and at their goals (MotionFormer, section 3.2 of the paper).
-
-Attention layers of an agent's forecasts: to each other, other agents, the map and their goals.
-"""
+"""Forecasts: agents look at each other, at the map and at their goals (MotionFormer, section 3.2 of the paper)."""
 
 import math
 from dataclasses import dataclass
@@ -129,12 +126,9 @@ GAUSSIAN = 5
 class MotionForecasts:
     """Forecasts for A agents, the last of which is the ego; K layers.
 
-    Attributes:
-        trajectories: (K, A, modes, steps, 5) x, y from the agent's place in metres along the axes of the lidar, two
-            standard deviations, correlation.
-        log_probabilities: (K, A, modes).
-        queries: (K, A, modes, C) states.
-        positions: (A, C) encoded places of the agents.
+    `trajectories` (K, A, modes, steps, 5) are x, y from the agent's place in metres along the axes of the lidar, two
+    standard deviations, correlation; `log_probabilities` (K, A, modes); `queries` (K, A, modes, C); `positions` (A, C)
+    encoded places.
     """
 
     trajectories: Tensor
@@ -163,9 +157,9 @@ class _Goals:
 class MotionHead(nn.Module):
     """Forecasts of all reported agents and of the ego.
 
-    `anchors` are (groups, modes, steps, 2) typical forecasts in the frames of agents, metres. They are not among the
-    parameters of published checkpoints; see `load_anchors`. With `stores_anchors` they are part of the state dict, and
-    therefore of what is loaded; zeros before.
+    `anchors` are (groups, modes, steps, 2) typical forecasts in the frames of agents, metres; zeros until
+    `load_anchors`, because published checkpoints lack them. With `stores_anchors` they are part of the state dict, and
+    loaded with it.
     """
 
     anchors: Tensor

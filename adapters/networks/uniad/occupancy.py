@@ -18,15 +18,11 @@ ATTENDED_ABOVE = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Occupancy:
-    """Occupancy by V vehicles over T steps of 0.5 s, the first of which is now.
+    """Occupancy by V vehicles over T steps of 0.5 s, the first of which is now; rows along y, columns along x.
 
-    Rows are along y, columns along x; the centre of cell i is at (i + 0.5) * 0.5 m from the least corner.
-
-    Attributes:
-        logits: (V, T, rows, columns).
-        mask_logits: (V, T, rows / 8, columns / 8) where the attention of cells to vehicles was allowed.
-        occupied: (T, rows, columns) booleans.
-        margin: (T, rows, columns) how far the decisive probability is from the limit, signed.
+    The centre of cell i is at (i + 0.5) * 0.5 m from the least corner. `logits` (V, T, rows, columns); `mask_logits`
+    (V, T, rows / 8, columns / 8) where cells may attend to vehicles; `occupied` (T, rows, columns); `margin` (T, rows,
+    columns), how far the decisive probability is from the limit, signed.
     """
 
     logits: Tensor
@@ -243,8 +239,8 @@ class OccupancyHead(nn.Module):
     ) -> Occupancy:
         """Occupancy by V vehicles; all is free where there is none.
 
-        `mode_queries` are their (V, modes, C) forecast states, `states` their (V, C) tracks, `positions` their (V, C)
-        encoded places, `scores` (V,) those of their tracks.
+        `mode_queries` are (V, modes, C) forecast states, `states` (V, C) tracks, `positions` (V, C) encoded places,
+        `scores` (V,).
         """
         if len(states) == 0:
             steps, side = self.config.occupancy_steps, self.places.shape[1]

@@ -17,15 +17,11 @@ from benchmark.planning import Command, Observation, Plan, PlanFrame, SceneInfo
 class UniADPlanner(NativePlanner[UniAD]):
     """UniAD with given weights; arguments and errors as in `NativePlanner`.
 
-    Every scene starts without a past, as the first one of a published run does: what a plan is must not depend on which
-    scene a process happened to see before. The published evaluation goes on numbering tracks, and measures the ego's
-    motion into a new scene from where the old one ended; so does this where `adapters.as_published` asks for it.
-
-    A plan has two modes, before and after it is moved away from occupied cells; one where that is switched off.
-
-    Attributes:
-        seen: Outputs of the network for the last sample: tracks, occupancy and (with `UniAD.masks`) road map
-            included, for diagnosis; ``None`` before the first.
+    Every scene starts without a past: a plan must not depend on which scene a process happened to see before. The
+    published evaluation goes on numbering tracks, and measures the ego's motion into a new scene from where the old one
+    ended; so does this where `adapters.as_published` asks for it. A plan has two modes, before and after it is moved
+    away from occupied cells; one where that is switched off. `seen` are outputs for the last sample, for diagnosis,
+    with the road map if `UniAD.masks`.
     """
 
     seen: UniADOutputs | None = None

@@ -1,7 +1,4 @@
-"""The plan from the ego's forecast, its track, the command and the bird's-eye view (section 3.4 of the paper).
-
-Inputs, intermediate results and outputs of UniAD for one key frame.
-"""
+"""UniAD's plan (section 3.4 of the paper), and its inputs, intermediate results and outputs for one key frame."""
 
 from dataclasses import dataclass
 
@@ -23,11 +20,9 @@ from adapters.networks.uniad.tracking import Boxes, Detections, Instances
 class UniADPlan:
     """The plan before it is moved away from occupied cells.
 
-    Attributes:
-        fused: (modes, C) the ego's modes with track and command.
-        attended: (C,) the ego after looking at the bird's-eye view.
-        positions_m: (steps, 2) of the lidar in the lidar frame, 0.5 s to 3 s ahead.
-        front: (1, numbers) what the plan took from the front camera; ``None`` if it does not look there.
+    `fused` are the (modes, C) modes of the ego with track and command, `attended` (C,) the ego after looking at the
+    bird's-eye view, `positions_m` (steps, 2) of the lidar in the lidar frame, 0.5 s to 3 s ahead, `front` (1, numbers)
+    of the front camera; ``None`` if the plan does not look there.
     """
 
     fused: Tensor
@@ -75,9 +70,9 @@ class PlanningHead(nn.Module):
     ) -> UniADPlan:
         """Plan of a key frame in a bird's-eye view of (cells, C).
 
-        `mode_queries` are (modes, C) forecast states of the ego, `state` (C,) its track; `command` is 0 right, 1 left,
-        2 straight; `finest_front` the (1, C, h, w) finest feature map of the front camera; `can_bus` (18,) float32, as
-        `adapters.networks.layers.ego_motion.BEVMotion` has it.
+        `mode_queries` are (modes, C) forecast states of the ego, `state` (C,) its track; `command` 0 right, 1 left, 2
+        straight; `finest_front` the (1, C, h, w) finest feature map of the front camera; `can_bus` (18,) float32, as in
+        `BEVMotion`.
         """
         front: Tensor | None = None
         messages: list[Tensor] = []
@@ -104,17 +99,12 @@ class PlanningHead(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class UniADInputs:
-    """One key frame.
+    """One key frame; a change of scene forgets the past, but for what `UniAD.reset` says.
 
-    Attributes:
-        images: (6, 3, H, W), normalised and padded; front, front right, front left, back, back left, back right.
-        lidar2img: (6, 4, 4), lidar frame in metres to pixels of the padded images.
-        can_bus: (18,) float64, absolute, as the data set gives it.
-        l2g_r_mat: (3, 3), for rows: global = lidar @ l2g_r_mat + l2g_t.
-        l2g_t: (3,) metres.
-        timestamp: Seconds.
-        command: 0 right, 1 left, 2 straight.
-        scene_token: A change forgets the past, but for what `UniAD.reset` says.
+    `images` are (6, 3, H, W), normalised and padded: front, front right, front left, back, back left, back right;
+    `lidar2img` (6, 4, 4), lidar frame in metres to pixels of the padded images; `can_bus` (18,) float64, absolute. For
+    rows of (3, 3) and (3,) metres, global = lidar @ l2g_r_mat + l2g_t. `timestamp` is in seconds; `command` 0 right, 1
+    left, 2 straight.
     """
 
     images: Tensor
@@ -167,15 +157,10 @@ class UniADPredictions:
         bev: (cells, C) bird's-eye view.
         moved_references: (T, 3) where the T tracks were expected, logits of shares of the perception range.
         entering: Queries that went into the decoder.
-        detections: Results from them.
         after: The same instances after the life cycle and the memory.
-        next_instances: Queries of the next key frame.
         tracks: The N that are reported, falling scores.
-        ego: The ego as a track, one.
-        elements: Of the map.
         forecasts: For the tracks and then the ego.
         vehicles: (N,) which tracks the occupancy is of.
-        occupancy: Of these.
         plan: Before it is moved away from occupied cells.
     """
 

@@ -1,7 +1,4 @@
-"""Tracks as queries: their life cycle, what they remember, and how they change from one key frame to the next.
-
-From image features to a bird's-eye view, and from the view to boxes for all queries (BEVFormer, Li et al., 2022).
-"""
+"""Tracks as queries of the bird's-eye view (BEVFormer, Li et al., 2022): detection, life cycle, memory and motion."""
 
 import math
 from dataclasses import dataclass, replace
@@ -26,11 +23,8 @@ PAST_STEPS = 8
 class Detections:
     """Predictions of the K layers of the decoder for Q queries.
 
-    Attributes:
-        states: (K, Q, C).
-        class_logits: (K, Q, classes).
-        box_codes: (K, Q, 10) as `adapters.networks.layers.deformable_decoder.box_codes`, metres in the lidar frame.
-        reference_logits: (Q, 3) logits of the last layer's centres as shares of the perception range.
+    `states` (K, Q, C); `class_logits` (K, Q, classes); `box_codes` (K, Q, 10) as `deformable_decoder.box_codes`, metres
+    in the lidar frame; `reference_logits` (Q, 3) of the last layer's centres as shares of the perception range.
     """
 
     states: Tensor
@@ -73,10 +67,7 @@ class DetectionHead(nn.Module):
         )
 
     def detect(self, bev: Tensor, queries: Tensor, reference_logits: Tensor) -> Detections:
-        """Boxes of (Q, 2 C) queries, positions and then contents, in a bird's-eye view of (cells, C), after each layer.
-
-        `reference_logits` are (Q, 3) of where they look first.
-        """
+        """Boxes by layer from (Q, 2 C) queries (positions, contents), (cells, C) view and (Q, 3) reference logits."""
         positions, contents = queries.chunk(2, -1)
         references, shapes = reference_logits.float().sigmoid(), (self.config.grid.shape,)
         decoded = self.transformer.decoder(contents, positions, references, bev, shapes, self.reg_branches, (0, 1, 4))
@@ -168,10 +159,7 @@ class Instances:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Pose of a key frame.
-
-    `rotation` is (3, 3) float32, for rows: global = lidar @ rotation + translation, in metres; `time_s` of any clock.
-    """
+    """Pose of a key frame, for rows in metres: global = lidar @ rotation + translation, with (3, 3) float32."""
 
     rotation: Tensor
     inverse: Tensor
@@ -210,7 +198,7 @@ def update_tracks(
 ) -> tuple[Instances, Tensor]:
     """Instances after the decoder, and the next id: births, naps and ends of tracks.
 
-    Of the `fresh` first instances the last is the ego; `next_id` is the first id that has not been given.
+    Of the `fresh` first instances the last is the ego; `next_id` is the first id not given yet.
     """
     logits = detections.class_logits[-1]
     scores = logits.sigmoid().amax(-1)
@@ -242,7 +230,7 @@ def update_tracks(
 
 
 def _find_duplicates(box_codes: Tensor, scores: Tensor, ids: Tensor, config: UniADConfig) -> Tensor:
-    """(Q,) which instances follow, or would follow, what another does; tracks that are awake go before all others."""
+    """(Q,) instances that follow, or would follow, what another does; tracks that are awake go before all others."""
     boxes, again = decode_boxes(box_codes), torch.zeros_like(ids, dtype=torch.bool)
     alive = ((ids >= 0) | ((ids == NO_TRACK) & (scores >= config.born_score))).nonzero()[:, 0]
     certainty = scores[alive] + ((ids[alive] >= 0) & (scores[alive] >= config.asleep_score))
@@ -252,14 +240,10 @@ def _find_duplicates(box_codes: Tensor, scores: Tensor, ids: Tensor, config: Uni
 
 @dataclass(frozen=True, slots=True)
 class Boxes:
-    """N boxes with the conventions of the network.
+    """N boxes with the conventions of the network, scores falling.
 
-    Attributes:
-        boxes: (N, 9) centre x, y, z, width, length, height, yaw, velocity x, y; see `convert_yaws`.
-        scores: (N,) 0 to 1, falling.
-        labels: (N,).
-        track_ids: (N,).
-        states: (N, C).
+    `boxes` are (N, 9) centre x, y, z, width, length, height, yaw, velocity x, y; see `convert_yaws`. `states` are (N,
+    C).
     """
 
     boxes: Tensor
@@ -304,10 +288,8 @@ def select_strongest_boxes(instances: Instances, config: UniADConfig) -> Boxes:
 class TrackSelection:
     """Indices of the instances that a key frame reports and hands on.
 
-    Attributes:
-        reported: (N,) instances whose boxes are reported: tracks that are awake and near, falling scores.
-        vehicles: (V,) which of these are vehicles.
-        surviving: (T,) instances that are tracks in the next key frame, in their order.
+    `reported` (N,) tracks are awake and near, by falling scores; `vehicles` (V,) index these; `surviving` (T,) are
+    tracks in the next key frame, in their order.
     """
 
     reported: Tensor
@@ -337,5 +319,5 @@ def _are_near(box_codes: Tensor, config: UniADConfig) -> Tensor:
 
 
 def _true_indices(mask: Tensor, count: int) -> Tensor:
-    """Places where a mask is true, if it is known how often."""
+    """Places where a mask is true, whose `count` is known."""
     return (~mask).to(torch.uint8).argsort(stable=True)[:count]

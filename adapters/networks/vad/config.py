@@ -13,18 +13,16 @@ class VADConfig(BEVConfig):
     """Sizes of VAD, beside those of all networks with a bird's-eye view.
 
     Attributes:
-        points_per_line: Points of a map element.
         steps: Planned and forecast steps of 0.5 s.
         backbone_outputs: Stages (0 to 3) that feed the feature pyramid.
         lane_distance: Largest distance, as a share of the perception range, at which a map element is seen by an agent.
         lane_score: Least score of a map element that an agent sees.
-        image_scale: Scale of input images against 1600 x 900.
-        image_size: Width and height of input images, if they are not 1600 x 900 scaled.
+        image_scale: Scale of input images against 1600 x 900; `image_size`, width and height, overrides it.
         plan_sees_front: Numbers that the plan takes from a fine feature map of the front camera beside agents and map
             elements; the published networks have none.
         plan_compares_front: Whether it takes as well how these numbers have changed since the key frames before.
         front_eyes: Whether it looks at the front camera through an image network of its own, of the width of the other.
-        plan_knows_motion: Whether the plan is told speed, acceleration and yaw rate itself, beside what it looks at.
+        plan_knows_motion: Whether the plan is told speed, acceleration and yaw rate.
     """
 
     backbone_outputs: tuple[int, ...]

@@ -1,7 +1,4 @@
-"""VAD: six images, camera matrices and motion in; a plan, boxes, forecasts and a vector map out.
-
-The head of VAD: bird's-eye view, agents, map, forecasts and plan, in this order and under the published names.
-"""
+"""VAD: six images, camera matrices and motion in; a plan, boxes, forecasts and a map out, under published names."""
 
 from dataclasses import dataclass
 
@@ -40,10 +37,10 @@ class VADTransformer(BEVTransformer):
         self.can_bus_mlp = can_bus_network(config.channels)
 
     def decode_agents(self, queries: Tensor, bev: Tensor, branches: nn.ModuleList) -> DecoderOutputs:
-        """Agents in a bird's-eye view of (cells, C): their states and x, y, z.
+        """States and x, y, z of agents in a bird's-eye view of (cells, C).
 
-        `queries` are (A, 2 C), positions and then contents; `branches` take (A, C) to (A, 10) corrections, one for
-        each layer.
+        `queries` are (A, 2 C), positions and then contents; `branches` take (A, C) to (A, 10) corrections, one per
+        layer.
         """
         positions, contents = queries.chunk(2, -1)
         references = self.reference_points(positions).float().sigmoid()
@@ -121,8 +118,8 @@ class VADHead(nn.Module):
     ) -> VADPredictions:
         """Predictions for one key frame; all but the last two arguments as in `VADTransformer.encode`.
 
-        `finest_front` is the (1, C, h, w) feature map of the front camera that the plan looks at, `front_before` (1,
-        numbers) what the frames before have left of what their plans took from the front camera.
+        `finest_front` is the (1, C, h, w) feature map that the plan looks at, `front_before` (1, numbers) of the frames
+        before.
         """
         bev = self.transformer.encode(
             self.bev_embedding.weight, self.positional_encoding(), maps, images, projections, motion, previous
@@ -200,7 +197,7 @@ class VADHead(nn.Module):
         return torch.stack(logits)
 
     def _lanes(self, sights: VADPlanInputs) -> tuple[Tensor, Tensor]:
-        """(M, C) features of the map elements, and (M, 2) where they are, as shares.
+        """(M, C) features of the map elements, and their (M, 2) places as shares.
 
         An element is where its point nearest to the corner with the least x and y is: the published code takes norms of
         shares, whose origin is that corner and not the ego.
@@ -216,8 +213,7 @@ class VADHead(nn.Module):
     ) -> Tensor:
         """Features of every mode of every agent, (A, modes, 2 C), from all modes of all agents and the lanes nearby.
 
-        `agents` are (A, C) and `lanes` (M, C), their places (A, 2) and (M, 2) as shares; `lane_seen` (M,) says whether
-        a lane counts at all.
+        `agents` are (A, C) and `lanes` (M, C), their places (A, 2) and (M, 2) as shares; `lane_seen` is (M,).
         """
         tokens = (agents[:, None] + self.motion_mode_query.weight).flatten(0, 1)
         positions = _linear(self.pos_mlp_sa, places).repeat_interleave(self.config.modes, 0)
@@ -241,10 +237,7 @@ class VADHead(nn.Module):
     def _plan(
         self, forecasts: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor, message: Tensor | None
     ) -> Tensor:
-        """(commands, steps, 2) metres from step to step: the ego query looks at the agents, then at the lanes.
-
-        The ego-status input, if any, is added to the result.
-        """
+        """(commands, steps, 2) metres from step to step: the ego query looks at the agents, then at the lanes."""
         agents = self.agent_fus_mlp(forecasts.flatten(1))
         origin = torch.zeros_like(places[:1])
         after_agents = self.ego_agent_decoder(
@@ -274,14 +267,11 @@ def _linear(layer: nn.Linear, places: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True)
 class VADInputs:
-    """One key frame.
+    """One key frame; a change of scene forgets the past.
 
-    Attributes:
-        images: (6, 3, H, W), normalised and padded; front, front right, front left, back, back left, back right.
-        lidar2img: (6, 4, 4), lidar frame in metres to pixels of the padded images.
-        can_bus: (18,) float64, absolute, as the data set gives it.
-        command: 0 right, 1 left, 2 straight.
-        scene_token: A change forgets the past.
+    `images` are (6, 3, H, W), normalised and padded: front, front right, front left, back, back left, back right;
+    `lidar2img` (6, 4, 4), lidar frame in metres to pixels of the padded images; `can_bus` (18,) float64, absolute;
+    `command` 0 right, 1 left, 2 straight.
     """
 
     images: Tensor
@@ -293,10 +283,7 @@ class VADInputs:
 
 @dataclass(frozen=True, slots=True)
 class _VADMemory:
-    """Memory of a frame for the next one.
-
-    `can_bus` is its vector (float64, absolute), `front` what `FrontReader.left` leaves.
-    """
+    """Memory of a frame for the next one; `can_bus` is float64, absolute, `front` what `FrontReader.left` leaves."""
 
     scene_token: str
     can_bus: Tensor
@@ -329,8 +316,7 @@ class VAD(nn.Module):
     def predict(self, inputs: VADInputs) -> VADPredictions:
         """Predictions for one key frame before selection; it is remembered.
 
-        Camera matrices or motion with NaN or infinity are an `InputError`: a camera with such a matrix would see
-        nothing, unnoticed.
+        Camera matrices or motion with NaN or infinity are an `InputError`: such a camera would see nothing, unnoticed.
         """
         if not (inputs.lidar2img.isfinite().all() and inputs.can_bus.isfinite().all()):
             raise InputError(
@@ -358,10 +344,7 @@ class VAD(nn.Module):
         return predictions
 
     def finest_front(self, finest: Tensor, images: Tensor) -> Tensor:
-        """Map of the front camera that the plan looks at, (1, C, h, w).
-
-        From (cameras, C, h, w) finest feature maps of all cameras, and normalised (cameras, 3, H, W) images.
-        """
+        """Map of the front camera that the plan looks at, (1, C, h, w), as `compute_front_maps`."""
         return compute_front_maps(self.front_eyes, finest, images, self.config.cameras)
 
     def ego_motion(self, inputs: VADInputs) -> BEVMotion:

@@ -1,7 +1,4 @@
-"""From raw predictions to what is reported: the most certain boxes and lines, in metres, and the plan.
-
-Everything that a VAD network computes for one key frame, before selection.
-"""
+"""VAD's raw predictions for one key frame, and their most certain boxes and lines, in metres, and the plan."""
 
 import math
 from dataclasses import dataclass
@@ -21,25 +18,21 @@ from adapters.networks.vad.config import VADConfig
 
 @dataclass(frozen=True, slots=True)
 class VADPredictions:
-    """Raw predictions; K decoder layers, A agents, M map elements of P points, C channels.
+    """Raw predictions; K decoder layers, A agents, M map elements of P points, C channels; lidar frame.
 
-    Positions "as shares" are 0 to 1 over the perception range; metres are in the lidar frame.
+    Positions "as shares" are 0 to 1 over the perception range.
 
     Attributes:
         bev: (cells, C) bird's-eye view, which is also what the next frame remembers.
         agent_states: (K, A, C).
-        agent_first_references: (A, 3) as shares.
-        agent_references: (K, A, 3) as shares.
+        agent_first_references: (A, 3) as shares; `agent_references` (K, A, 3).
         class_logits: (K, A, classes).
         box_codes: (K, A, 10) as `adapters.networks.layers.deformable_decoder.box_codes`, x, y, z in metres.
-        mode_offsets: (A, modes, steps, 2) metres from step to step.
-        mode_logits: (A, modes).
+        mode_offsets: (A, modes, steps, 2) metres from step to step; `mode_logits` (A, modes).
         map_states: (K, M * P, C).
-        map_first_references: (M * P, 2) as shares.
-        map_references: (K, M * P, 2) as shares.
+        map_first_references: (M * P, 2) as shares; `map_references` (K, M * P, 2).
         map_class_logits: (K, M, map classes).
-        map_extents: (K, M, 4) centre x, y, width, height as shares.
-        map_points: (K, M, P, 2) as shares.
+        map_extents: (K, M, 4) centre x, y, width, height as shares; `map_points` (K, M, P, 2).
         plan_offsets: (commands, steps, 2) metres from step to step.
         front: (1, numbers) what the plan takes from the front camera, where it does.
     """
@@ -64,17 +57,11 @@ class VADPredictions:
 
 @dataclass(frozen=True, slots=True)
 class VADPlanInputs:
-    """Inputs of the forecasts and the plan of one key frame.
+    """Inputs of the forecasts and the plan of one key frame; states after the last layer, places as shares.
 
-    Attributes:
-        agent_states: (A, C) after the last layer.
-        agent_places: (A, 2) as shares.
-        map_states: (M * P, C) after the last layer.
-        map_points: (M, P, 2) as shares.
-        map_scores: (M,) of the most likely class.
-        finest_front: (1, C, h, w) feature map of the front camera that the plan looks at.
-        can_bus: (18,) float32, as `adapters.networks.layers.ego_motion.BEVMotion` has it.
-        front_before: (1, numbers) what the frames before have left of what their plans took from the front camera.
+    `agent_states` (A, C); `agent_places` (A, 2); `map_states` (M * P, C); `map_points` (M, P, 2); `map_scores` (M,) of
+    the most likely class; `finest_front` (1, C, h, w) feature map of the front camera; `can_bus` (18,) float32, as in
+    `adapters.networks.layers.ego_motion.BEVMotion`; `front_before` (1, numbers) of the frames before.
     """
 
     agent_states: Tensor
@@ -137,13 +124,10 @@ class VADOutputs:
 
 @dataclass(frozen=True, slots=True)
 class VADBoxSelection:
-    """N boxes with the conventions of the network.
+    """N boxes with the conventions of the network, of (N,) queries `agents`, scores falling.
 
-    Attributes:
-        boxes: (N, 9) centre x, y, z of the bottom, width, length, height, yaw, velocity x, y. The heading is
-            -yaw - pi/2: this is the yaw of mmdet3d before version 1.0.
-        scores: (N,) 0 to 1, falling.
-        agents: (N,) which query each is from.
+    `boxes` are (N, 9) centre x, y, z of the bottom, width, length, height, yaw, velocity x, y. The heading is -yaw -
+    pi/2: this is the yaw of mmdet3d before version 1.0.
     """
 
     boxes: Tensor
@@ -154,10 +138,7 @@ class VADBoxSelection:
 
 @dataclass(frozen=True, slots=True)
 class VADLineSelection:
-    """The L reported map elements: (L, P, 2) points in metres, with scores of 0 to 1, falling.
-
-    `corners` are (L, 4) least x, y and greatest x, y, metres.
-    """
+    """The L reported map elements, (L, P, 2), scores falling; `corners` are (L, 4) least, greatest x, y; metres."""
 
     corners: Tensor
     points: Tensor

@@ -1,9 +1,4 @@
-"""Pickles of UniAD, VAD, SparseDrive, BEV-Planner, Agent-Driver and AD-MLP.
-
-Content to write: the plans of a run record in the frames of result files.
-
-Tensors in pickles as PyTorch writes them there, with the same bytes each time.
-"""
+"""Pickles of UniAD, VAD, SparseDrive, BEV-Planner, Agent-Driver and AD-MLP from a run record, always the same bytes."""
 
 import io
 import pickle
@@ -42,16 +37,12 @@ _CLASS_OF: Final = {kind: name for name, kind in STORAGES.items() if name != "BF
 
 
 class PickledTensor:
-    """An array that is pickled as the tensor of the same numbers.
-
-    Single precision unless `kind`, a number type as numpy names it, says otherwise.
-    """
+    """An array that is pickled as the tensor of the same numbers; single precision unless `kind` names a type."""
 
     def __init__(self, values: ArrayLike, kind: str = "<f4") -> None:
         self._values: NDArray[Any] = np.ascontiguousarray(values, kind)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """As a tensor reduces itself."""
         from torch._utils import _rebuild_tensor_v2
 
         values = self._values
@@ -66,7 +57,7 @@ class _PickledStorage:
         self.values = values
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """As a storage reduces itself: the bytes of a file in PyTorch's old form."""
+        """The bytes of a file in PyTorch's old form, as its storages reduce."""
         from torch.storage import _load_from_bytes
 
         return _load_from_bytes, (_storage_bytes(self),)
