@@ -12,12 +12,8 @@ from benchmark.verification.checks import Check
 def verify_model(name: str, golden: Path, device: str = "cpu", *, noise: bool = False) -> list[Check]:
     """Fill a network by the names of its tensors, run the golden frames in order, and compare what is stored.
 
-    Args:
-        golden: A set's folder, or a model's folder whose sets are all compared.
-        noise: Whether our own network runs twice more, to know how far its own rounding moves each quantity.
-
-    Returns:
-        One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
+    ``golden`` is a set's folder, or a model's with several. The first check stands alone if names or shapes differ;
+    with ``noise`` our network runs twice more, to know how far its own rounding moves each quantity.
     """
     known = verified_models()
     if name not in known:

@@ -1,6 +1,6 @@
-"""Golden sets of camera networks: how their inputs are made, and what the official code made of them.
+"""Golden sets of camera networks: inputs and official outputs, and how far rounding alone moves our outputs.
 
-How far rounding alone moves what our network gives: it runs again with images that hardly differ, and other threads.
+For the latter our network runs again with images that hardly differ, and other threads.
 """
 
 import hashlib
@@ -67,8 +67,7 @@ def choose_other_thread_count() -> int:
 def add_floating_point_noise(verify: Callable[[VerificationRun], Sequence[Check]]) -> list[Check]:
     """Checks of the plain run, each with the larger of the two movements by the network's own rounding.
 
-    Notes name the movements of those that are past their tolerance, and of those that rounding moves by half of it or
-    more.
+    Notes name movements past the tolerance, and quantities that rounding moves by half of it or more.
     """
     plain, images, threads = (
         VerificationRun(),
@@ -124,13 +123,7 @@ S = TypeVar("S", bound=NetworkNumbers)
 
 @dataclass(frozen=True, slots=True)
 class GoldenNetwork(Generic[S]):
-    """One family of networks and the form of its golden sets, as `challenger-bench verify model` runs it.
-
-    Attributes:
-        read: Reads a set of a model.
-        build: Makes the network that a set is about.
-        compare: Compares a network, already filled, with a set.
-    """
+    """One family of networks and the form of its golden sets; `compare` is of a network already filled."""
 
     read: Callable[[GoldenFolder, Model], S]
     build: Callable[[Model, S], nn.Module]
@@ -139,14 +132,7 @@ class GoldenNetwork(Generic[S]):
     def verify(
         self, model: Model, golden: Path, device: str = "cpu", run: VerificationRun | None = None
     ) -> list[Check]:
-        """Fill a network for each golden set and compare it.
-
-        Args:
-            golden: A set's folder, or a model's folder whose sets are all compared.
-
-        Returns:
-            One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
-        """
+        """Compare a network with a set, or all of a model's folder; the first check alone if names differ."""
         run = run or VerificationRun()
         comparison = run.comparison
         for folder in _set_folders(golden):
@@ -176,10 +162,7 @@ def _set_folders(golden: Path) -> list[Path]:
 
 
 class ImageRecipe(BaseModel):
-    """Recipe of the synthetic images of a set.
-
-    The hashes are of the float32 images of each frame; rows from `valid_rows` on are padding.
-    """
+    """Recipe of a set's images; hashes are of the float32 images by frame, rows from `valid_rows` on are padding."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -208,10 +191,7 @@ class ParityManifest(WeightsRecipe):
 
 @dataclass(frozen=True, slots=True)
 class ParitySet:
-    """One golden set: how weights and images are made, and for each frame what the official code computed.
-
-    `inputs` are calibration, motion and commands.
-    """
+    """One golden set: recipes, `inputs` (calibration, motion, commands), and official outputs of each frame."""
 
     folder: Path
     recipe: ParityManifest

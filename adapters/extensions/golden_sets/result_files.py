@@ -1,7 +1,4 @@
-"""`challenger-bench verify results`: result files of planners' repositories against what must come out of them.
-
-The set behind `verify results` without ``--golden``: files of every format, written here from made-up plans.
-"""
+"""`challenger-bench verify results`: planners' result files; without ``--golden`` every format, from made-up plans."""
 
 import tempfile
 import time
@@ -50,10 +47,7 @@ _REFUSALS: Final = "refusals by category"
 
 @dataclass(frozen=True, slots=True)
 class _KnownSamples:
-    """Samples for an importer, and what happened in each scene, from the set ``protocols`` beside this one.
-
-    `index_in_scene` is the (S,) number of each sample in its scene.
-    """
+    """Samples for an importer, (S,) numbers in their scenes, and truths from the set ``protocols`` beside this one."""
 
     samples: RecordedSamples
     index_in_scene: NDArray[np.int64]

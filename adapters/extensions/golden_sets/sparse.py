@@ -1,9 +1,4 @@
-"""`challenger-bench verify model` for SparseDrive and DiffusionDrive: golden frames with the state carried along.
-
-Outputs of the modules of a network, call by call, compared with those of the official code.
-
-Golden sets of the sparse networks: how their inputs are made, and what the official code made of them.
-"""
+"""Golden frames of SparseDrive and DiffusionDrive with the state carried along: outputs of modules, call by call."""
 
 import math
 from collections import defaultdict
@@ -57,12 +52,10 @@ Length = Annotated[int, Field(le=4096), AfterValidator(_length)]
 
 
 class SetManifest(BaseModel):
-    """The manifest of a set.
+    """Manifest of a set; `image_hw` is rows and columns.
 
-    Attributes:
-        salt: Of weights and images; a set without weights of its own has those of the set of that name beside it.
-        image_hw: Rows and columns of the images.
-        image_sha256: Of the float32 images: of ``frame0`` and so on, or of the only frame.
+    `salt` is of weights and images; a set without weights has those of the set of that name beside it. `image_sha256`
+    is of the float32 images ``frame0`` and so on, or of the only frame.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -75,10 +68,7 @@ class SetManifest(BaseModel):
 
 
 class Statistic(BaseModel):
-    """Statistics of a whole tensor of which a set stores a part, or nothing.
-
-    `absmax` is the largest size, `first` the first numbers.
-    """
+    """Statistics of a tensor stored in part or not at all; `absmax` is the largest size, `first` are numbers."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -99,8 +89,8 @@ class ModuleStatistic(Statistic):
 class SparseSet:
     """One golden set: how images and weights are made, and for each frame what the official code computed.
 
-    `inputs` are calibration, poses, times, commands and noise; `statistics` of whole tensors by name and `calls`,
-    modules in the order of their calls, are empty where the set has none.
+    `inputs` are calibration, poses, times, commands and noise; `calls`, of modules in their order, and `statistics` may
+    be empty.
     """
 
     folder: Path

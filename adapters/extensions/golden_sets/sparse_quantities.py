@@ -1,7 +1,4 @@
-"""Quantities in golden sets of the sparse networks, computed by our networks, and their tolerances.
-
-Rows that changed places: where scores nearly tie, another processor may sort them in another order.
-"""
+"""Quantities in golden sets of the sparse networks and their tolerances; near ties rows may be sorted otherwise."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -36,10 +33,7 @@ MOVED: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class RowOrder:
-    """Rows of ours for each row of the golden set.
-
-    `agents` and `lines` are of all instances, from the second stage on; `boxes` and `vectors` of the reported ones.
-    """
+    """Our row for each golden one: `agents` and `lines` from the second stage on, `boxes` and `vectors` reported."""
 
     agents: Rows
     lines: Rows
@@ -82,8 +76,8 @@ def reorder_memory(
 ) -> None:
     """Put what a network remembers into the golden order, so that later frames can be compared row by row.
 
-    The memory of a row is always ours; only its position is the set's, and its number, which follows
-    from the position. If that takes more than swaps at ties, nothing is changed.
+    The memory of a row is always ours; only its position is the set's, and its number, which follows from it. If that
+    takes more than swaps at ties, nothing is changed.
     """
     memory, head = network.memory, network.head
     names = {"det_instance_id", "state_cached_instance_id", "state_map_cached_anchor"}
@@ -178,10 +172,9 @@ EQUAL: Final = SPREAD
 def frame_quantities(
     network: SparseNetwork, predictions: SparsePredictions, order: RowOrder, command: int, fresh: bool | None
 ) -> dict[str, Quantity]:
-    """Everything but feature maps that a set may store of a frame, in the golden order of rows.
+    """All that a set may store of a frame but feature maps, by its names, in the golden order of rows.
 
-    By the names of the sets, with the axes that these have: what a head gives has one more in front. `fresh` says
-    whether what was remembered was used; ``None`` where nothing was.
+    What a head gives has one more axis in front. `fresh` is whether memory was used; ``None`` where there was none.
     """
     quantities = _stage_quantities(predictions, order)
     quantities |= _planner_quantities(predictions, order)

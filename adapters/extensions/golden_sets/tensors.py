@@ -1,7 +1,4 @@
-"""Comparing tensors with what golden sets store of them: all numbers or a part of them, and statistics of the whole.
-
-Outputs of inner modules of a running network, under the names of golden sets.
-"""
+"""Tensors, and outputs of inner modules, compared with golden numbers, all or a part, and statistics of the whole."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -36,10 +33,7 @@ def hook_modules(network: nn.Module, hooks: Iterable[tuple[str, Callable[[Any], 
 
 @contextmanager
 def tap_features(network: nn.Module, head: str = "", parts: Iterable[str] = ()) -> Iterator[dict[str, Tensor]]:
-    """Feature maps of images, and what `parts` of a `head` give, of the network that runs within the context.
-
-    Tensors come by the names of the sets.
-    """
+    """Feature maps, and outputs of `parts` of a `head`, by golden names, of the network that runs in the context."""
     taps: dict[str, Tensor] = {}
 
     def levels(name: str) -> tuple[str, Callable[[Any], None]]:
@@ -60,15 +54,10 @@ OUTLIER_TOLERANCE: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """Error that is allowed.
+    """Allowed error, as a share of the golden standard deviation, or in the tensor's unit if not `of_spread`.
 
-    Attributes:
-        of_spread: Whether it is a share of the standard deviation of the golden tensor, or in the tensor's unit.
-        share: Of the values for which it holds. The others, which a network with random weights pushes over a bend, may
-            be off by more.
-        rows: Whether a row counts as one value, its worst.
-        others: Name of the errors of all values, if `share` is below one.
-        allowed_of_others: How far they may be off, of the spread.
+    It holds for a `share` of the values; the others, which a network with random weights pushes over a bend, may be off
+    by `allowed_of_others`, of the spread. With `rows` a row counts as one value, its worst.
     """
 
     allowed: float
@@ -89,14 +78,10 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One tensor of ours, to be compared.
+    """One tensor of ours, of the golden shape but for axes of length one; whole numbers must be equal.
 
-    Attributes:
-        values: The golden shape but for axes of length one.
-        tolerance: Allowed error; whole numbers must be equal.
-        undecided: Along the first axis of `values`, what hangs on a comparison too close to call. Where such an entry
-            disagrees it is left out, and the note says how many values were.
-        listed: Whether the first axis is a list whose length may differ from frame to frame.
+    Entries of the first axis are `undecided` where a comparison is too close to call: where one disagrees it is left
+    out, and the note counts its values. A `listed` first axis may differ in length from frame to frame.
     """
 
     values: NDArray[Any]
@@ -121,12 +106,9 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class TensorDifferences:
-    """Differences of a whole tensor, of which a part may be stored, from the statistics of the set.
+    """Differences of a whole tensor from a set's statistics: of `most` numbers all values are part, of `few` one each.
 
-    Attributes:
-        most: Errors of numbers that all values have a part in.
-        few: Errors of numbers that are one value each.
-        spread: The golden standard deviation.
+    `spread` is the golden standard deviation.
     """
 
     most: Floats
@@ -143,10 +125,9 @@ def compare_tensor(
     spread: float | None = None,
     hanging: Bools | None = None,
 ) -> None:
-    """Compare a tensor.
+    """Compare a tensor; `stored` are the stored part of ours and the stored numbers, `hanging` which are undecided.
 
-    `stored` are the part of ours that is stored, and the stored numbers; `whole` is what the set says about the whole;
-    `spread` the golden standard deviation, of the stored numbers by default; `hanging` which numbers are undecided.
+    `whole` is from the set's statistics; `spread` is the golden standard deviation, of the stored numbers by default.
     """
     (ours, golden), title, allowed, where = stored, quantity.title(name), quantity.tolerance, comparison.where
     undecided = np.zeros(ours.shape, np.bool_) if hanging is None else hanging

@@ -1,8 +1,6 @@
-"""`challenger-bench verify model --model uniad`: UniAD against numbers of its official code, with synthetic weights.
+"""`challenger-bench verify model --model uniad`: quantities and collision optimisation, with synthetic weights.
 
-UniAD's collision optimisation against stored plans: alone, from stored occupancy, and behind the whole network.
-
-Quantities in UniAD's golden sets, computed by our network from the same inputs.
+The optimisation runs alone, from stored occupancy, and behind the whole network.
 """
 
 from collections.abc import Mapping
@@ -53,11 +51,7 @@ TOO_CLOSE_MASK: Final = 2e-2
 def frame_quantities(
     network: UniAD, predictions: UniADPredictions, seen: Tensor, taps: Mapping[str, Tensor], stored: GoldenArrays
 ) -> dict[str, Quantity]:
-    """Quantities of a frame by the names of the set.
-
-    `seen` is the (18,) CAN bus vector that the network saw, `taps` are feature maps under the names of the set; lists
-    are ordered after the `stored` golden numbers.
-    """
+    """Quantities of a frame by golden names, lists in golden order; `seen` is the (18,) CAN bus vector."""
     p = predictions
     quantities = {name: Quantity.of(tensor, EXACT) for name, tensor in taps.items()}
     quantities["can_bus_seen_by_model"] = Quantity.of(seen, EXACT)

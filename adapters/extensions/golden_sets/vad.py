@@ -167,9 +167,9 @@ def _reorder_ties(ours: dict[str, Quantity], stored: GoldenArrays, boxes: str, s
 
 
 def _match_pairs(apart: NDArray[np.float64]) -> tuple[NDArray[np.int64], Bools]:
-    """Nearest column for each row, closest pairs first, each column once; and whether the two are a pair at all.
+    """Nearest column for each row, closest pairs first, each column once, and whether the two are a pair at all.
 
-    Rows that pair with nothing get the columns that are left, in order.
+    Rows without a pair get the columns that are left, in order.
     """
     count = len(apart)
     order = np.full(count, -1, np.int64)

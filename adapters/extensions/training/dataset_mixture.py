@@ -1,7 +1,4 @@
-"""Frames of several roots as one: recorded scenes, and adversarial ones that were made from them.
-
-Training frames on disk: one file a scene, read a frame at a time without keeping them in memory.
-"""
+"""Training frames of several roots as one, recorded and adversarial, read from disk a frame at a time."""
 
 import functools
 from collections import OrderedDict
@@ -37,10 +34,7 @@ class _OpenScene:
 
 
 class FrameStore:
-    """Frames of a split, in the order of scenes and time.
-
-    `identity` is the key of the data and of the code that the frames were made with.
-    """
+    """Frames of a split by scene and time; `identity` is the key of their data and of the code that made them."""
 
     def __init__(self, folder: Path, counts: dict[str, int], identity: str) -> None:
         self.folder = folder
@@ -90,10 +84,7 @@ class FrameStore:
         return [self.frame(frame_number) for frame_number in range(number - min(index, length - 1), number + 1)]
 
     def learnable_steps(self, scene: str, index: int) -> Tensor:
-        """Steps, (6,) bool, of the ego's future that a planner learns from, as `TrainingFrame.ego_future_valid`.
-
-        Reads no image.
-        """
+        """Steps, (6,) bool, of the ego's future that a planner learns from (`ego_future_valid`); reads no image."""
         path = _scene_file(self.folder, scene)
         try:
             return self._scene(scene, path).arrays["ego_future_valid"][index]
@@ -263,10 +254,9 @@ class PrefixedScenes:
 
 
 class RecordedFutureFrames:
-    """Adversarial scenes, of whose ego a planner learns what it learns from the scene that each was made from.
+    """Adversarial scenes that take the learnable steps of the ego's future from the recorded scene of each.
 
-    The ego of both drives the same way; what the recorded data set says of departures from the path holds for both.
-    But it does not see the adversary: once that is in the way of one of them, nothing is learned from how it goes on.
+    The ego drives the same way in both; nothing is learned once the adversary is in the way of either of them.
     """
 
     def __init__(self, store: FrameStore, recorded: FrameStore, sources: Mapping[str, str]) -> None:
@@ -320,10 +310,7 @@ def require_distinct_data(roots: Sequence[Path], data: DataSet) -> None:
 
 
 def require_source_scenes(root: Path, data: DataSet, split: str) -> dict[str, str]:
-    """The recorded scene of each adversarial one; refuse scenes that were not made from those that are learned from.
-
-    A scene that planners are judged on must never be learned from.
-    """
+    """Recorded scene of each adversarial one; sources outside the training split are refused: they are judged on."""
     adversarial = open_data(root)
     names = adversarial.scene_names(ADVERSARIAL_SPLIT)
     source_facts = (adversarial.provenance() or {}).get("source") or {}

@@ -1,8 +1,4 @@
-"""Dense training targets for the first channels of a bird's-eye view: a class of the ground for every cell.
-
-A view that has learned where road, lines and agents are is a far quicker start for the decoders than one that only they
-teach. No parameters are added: channel number c of the view is the logit of target number c.
-"""
+"""Dense targets that start a bird's-eye view faster than decoders do: channel c is the logit of target c."""
 
 from typing import Final
 
@@ -65,10 +61,7 @@ def dense_loss(bev: Tensor, frame: TrainingFrame, grid: BEVGrid, weight: float) 
 
 
 def offset_loss(found: Tensor, frame: TrainingFrame, grid: BEVGrid) -> Tensor:
-    """L1 of the offsets at which the view places lines, finer than its cells: `OFFSET_UNIT_M`, per known number.
-
-    `found` are (cells, `OFFSETS`) channels of a bird's-eye view.
-    """
+    """L1 of sub-cell line offsets (`OFFSET_UNIT_M`) per known number; `found` are (cells, `OFFSETS`) of the view."""
     low, high = torch.tensor(grid.range_m[:2]), torch.tensor(grid.range_m[3:5])
     centres = low + grid.centres() * (high - low)
     inside = (centres.abs() < torch.tensor(LINES_WITHIN_M)).all(-1)
@@ -86,11 +79,7 @@ def offset_loss(found: Tensor, frame: TrainingFrame, grid: BEVGrid) -> Tensor:
 
 
 def lane_offsets(frame: TrainingFrame) -> tuple[Tensor, Tensor]:
-    """Offsets to the nearest line on the left and on the right of one's way, at some places ahead.
-
-    (`LANE_NUMBERS`,) metres to the right, those of lines on the left first and negative, and whether each is known:
-    whether there is such a line nearby.
-    """
+    """(`LANE_NUMBERS`,) metres rightward to lines at places ahead, left (negative) ones first, and if one is near."""
     driven_along = torch.isin(frame.line_labels, torch.tensor(OFFSET_KINDS))
     lines = frame.lines[driven_along]
     starts, ends = lines[:, :-1].flatten(0, 1), lines[:, 1:].flatten(0, 1)
@@ -120,10 +109,7 @@ def offsets_to_lines(points: Tensor, lines: Tensor) -> Tensor:
 
 
 def offsets_to_pieces(points: Tensor, lines: Tensor) -> tuple[Tensor, Tensor]:
-    """Offsets from each of (N, 2) points to the nearest one of every piece of (M, P, 2) lines, metres.
-
-    (N, M (P - 1), 2), and the pieces, (M (P - 1), 2) from their starts to their ends.
-    """
+    """Offsets (N, M (P - 1), 2) from (N, 2) points to each piece of (M, P, 2) lines, metres, and these pieces."""
     starts, ends = lines[:, :-1].flatten(0, 1), lines[:, 1:].flatten(0, 1)
     along = ends - starts
     to_points = points[:, None] - starts

@@ -1,7 +1,4 @@
-"""Training of ``ego-status``: what ``challenger-bench train ego-status`` runs. About a minute on one core.
-
-Recorded vehicle tracks as training samples of ``ego-status``: each moving vehicle is the ego once.
-"""
+"""Training of ``ego-status``, about a minute on one core: each moving recorded vehicle is the ego once."""
 
 import itertools
 import json
@@ -198,11 +195,8 @@ HELD_OUT_SOURCES = (
 class TrainingSettings:
     """Settings of a training.
 
-    Attributes:
-        batch: Samples a step.
-        learning_rate: At the start; falls to zero along a cosine.
-        weight_decay: Of AdamW.
-        blind_start_share: Share of training samples whose past is cut off, as at the start of a scene.
+    `learning_rate` falls to zero along a cosine; `weight_decay` is AdamW's; `blind_start_share` is the share of samples
+    whose past is cut off, as at the start of a scene.
     """
 
     sources: tuple[str, ...] = TRAINING_SOURCES

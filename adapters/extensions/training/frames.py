@@ -1,9 +1,4 @@
-"""Training frame: one key frame with all its annotations.
-
-Drives as they are learned from: in a world that is turned, and without a word on how the ego moves.
-
-Frames that a part of a network has looked at already: what learns from what it saw needs no images.
-"""
+"""Training frames: annotated key frames, also turned or without ego motion, and those a network has already seen."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -19,10 +14,7 @@ from benchmark.machine.progress import CountedUnits, track_progress
 
 
 def rotate_can_bus(can_bus: Tensor, turn_rad: float) -> Tensor:
-    """The same motion, (18,), in a world that is turned counter-clockwise around its origin.
-
-    As `adapters.camera_inputs.can_bus_vector` gives it; motion itself is measured in the frame of the car and stays.
-    """
+    """The same motion, (18,) as of `can_bus_vector`, in a world turned counter-clockwise; car-frame parts stay."""
     turned = can_bus.clone()
     cosine, sine = math.cos(turn_rad), math.sin(turn_rad)
     turned[0] = cosine * can_bus[0] - sine * can_bus[1]
@@ -59,21 +51,16 @@ class TrainingFrame:
     """One key frame. Geometry is in the lidar frame of the frame: x right, y forward, z up, metres; yaw from +x.
 
     Attributes:
-        scene: Scene name; a change of it is a change of scene.
-        index: Number of the frame in its scene.
-        timestamp_s: Time, seconds.
         images: (6, 3, H, W) uint8, red green blue, at the network's size, in the order of `CAMERA_NAMES`.
         lidar2img: (6, 4, 4) float64, lidar frame to pixels of these images.
         global_T_lidar: (4, 4) float64.
         can_bus: (18,) float64, absolute, as `adapters.camera_inputs.can_bus_vector` gives it.
         command: 0 right, 1 left, 2 straight.
-        ego_future: (6, 2) float32, recorded positions of the lidar origin at steps of 0.5 s.
-        ego_future_valid: (6,) bool.
+        ego_future: (6, 2) float32, recorded positions of the lidar origin at steps of 0.5 s; `ego_future_valid` (6,).
         boxes: (N, 9) float32: x, y, z of the box centre, length, width, height, yaw, and velocity x, y.
         labels: (N,) int64, place in `benchmark.constants.DETECTION_CLASSES`.
         instances: (N,) int64, the same number for the same thing in all frames of a scene.
-        futures: (N, 12, 3) float32, x, y, yaw at steps of 0.5 s; held where not annotated.
-        futures_valid: (N, 12) bool.
+        futures: (N, 12, 3) float32, x, y, yaw at steps of 0.5 s; held where not annotated (`futures_valid`).
         lines: (M, 20, 2) float32, map elements within 15 m to the sides and 30 m ahead and behind.
         line_labels: (M,) int64: 0 divider, 1 pedestrian crossing, 2 boundary of the road.
         drivable: (128, 128) bool, rows along y, columns along x, from -51.2 m; the centre of cell (i, j) is at
@@ -230,10 +217,7 @@ class CachedFrames:
     """Frames without their images, in memory."""
 
     def __init__(self, store: Frames, frames: Sequence[int], look: Callable[[Sequence[TrainingFrame]], None]) -> None:
-        """Look at all scenes that frames are learned from, one after the other and from their beginnings.
-
-        `look` is called with all frames of each scene, in time order.
-        """
+        """Look at all scenes of the frames from their beginnings; `look` gets all frames of each, in time order."""
         learned = set(frames)
         self.identity = store.identity
         self.scenes = tuple(name for name in store.scenes if not learned.isdisjoint(store.frames_of(name)))

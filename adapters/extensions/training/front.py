@@ -1,7 +1,4 @@
-"""How miniatures learn to see in the front camera where their lane is, before the rest of them learns anything.
-
-Initial weights of the plan's dedicated front-camera backbone, in all miniatures.
-"""
+"""Front-camera pretraining of miniatures (where their lane is), and first weights of the plan's own backbone."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,10 +45,10 @@ HEAT_CLASSES: Final = ((_WALKER,), _VEHICLES)
 
 @dataclass(frozen=True, slots=True)
 class FrontEncoder:
-    """Eyes that make the map of the front camera that a plan looks at.
+    """Encoder of the map of the front camera that a plan looks at.
 
-    `see` takes normalised images (B, 3, H, W) to maps (B, channels, h, w). With `own` they are the plan's own; then
-    the first channels have to say where things are (`object_heat_loss`).
+    `encode` takes normalised images (B, 3, H, W) to maps (B, channels, h, w). If it is the plan's `own`, the first
+    channels have to say where things are (`object_heat_loss`).
     """
 
     encode: Callable[[Tensor], Tensor]
@@ -70,10 +67,7 @@ class FrontObjective:
         self.network, self.reader, self._eyes = network, reader, eyes
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
-        """Losses of frames that need not belong together, as bright or dark as they may be.
-
-        The terms of `front_losses`, weighted means over the frames, and ``things`` where maps have to say them.
-        """
+        """Weighted mean `front_losses` of unrelated frames at random brightness, and ``things`` where maps say them."""
         images = miniature_images(torch.stack([frame.images[FRONT] for frame in clip]))
         brightness = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(-0.3, 0.3)
         contrast = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(0.8, 1.2)
@@ -84,11 +78,7 @@ class FrontObjective:
 
 
 def shared_front_encoder(network: nn.Module, kept: tuple[str, ...]) -> FrontEncoder:
-    """Eyes of a network that sees all cameras with the same: its finest feature map.
-
-    The network has `img_backbone`, which stays as it is, and a pyramid `img_neck`; parameters of that whose names
-    begin with `kept` stay as they are, too.
-    """
+    """Finest map of the all-camera encoder; `img_backbone` and `img_neck` names that begin with `kept` stay frozen."""
     backbone, neck = network.get_submodule("img_backbone"), network.get_submodule("img_neck")
     for name, parameter in neck.named_parameters():
         if name.startswith(kept):
@@ -104,10 +94,7 @@ def shared_front_encoder(network: nn.Module, kept: tuple[str, ...]) -> FrontEnco
 
 
 def object_heat_loss(seen: Tensor, frames: Sequence[TrainingFrame]) -> Tensor:
-    """Loss of the first channels of (F, channels, h, w) maps as logits of where things are.
-
-    `centre_loss` of walkers and of vehicles, as many as in a mean frame.
-    """
+    """`centre_loss` of walkers and of vehicles per mean frame; (F, channels, h, w) maps begin with their logits."""
     heats = torch.from_numpy(np.stack([front_heat(frame) for frame in frames])).to(seen.device)
     targets = torch.stack([heats[:, list(kinds)].amax(1) for kinds in HEAT_CLASSES], 1)
     return centre_loss(seen[:, : len(HEAT_CLASSES)], targets)
@@ -122,17 +109,11 @@ def mean_front_losses(said: Tensor, frames: Sequence[TrainingFrame]) -> dict[str
 
 
 def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
-    """Losses of the first numbers that the plan takes from the front camera.
+    """Losses ``lane``, ``ahead``, ``gap``, ``walkers`` of the first numbers that plans take from the front camera.
 
-    Args:
-        front: (numbers,) where lines are to the left and right (`lane_loss`), then how far to the right one who drives
-            straight on will be at each step, then the room ahead in units of `GAP_UNIT_M`, then how near walkers are
-            in each strip.
-
-    Returns:
-        ``lane``, ``ahead``, ``gap`` and ``walkers``: metres, squared metres, units of `GAP_UNIT_M` and squares of
-        `walkers_ahead`. The second is 0 where the command is to turn, the third where it is not known which way the ego
-        goes.
+    `front` holds metres to lines left and right (`lane_loss`), metres to the right at each step of driving straight
+    on, room ahead in `GAP_UNIT_M`, and walkers' nearness by strip (`walkers_ahead`). ``ahead``, in squared metres, is 0
+    where the command is to turn, ``gap`` where it is not known which way the ego goes; ``walkers`` are squares.
     """
     steps = len(frame.ego_future)
     aside, predicted_gap = front[LANE_NUMBERS : LANE_NUMBERS + steps], front[LANE_NUMBERS + steps]
@@ -148,10 +129,7 @@ def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
 
 
 def walkers_ahead(frame: TrainingFrame) -> Tensor:
-    """Nearness of the nearest walker ahead, (strips,) along the ego: what the plan has to brake for in time.
-
-    1 beside the lidar, 0 at `WALKER_REACH_M` and where there is none.
-    """
+    """(strips,) nearness of the nearest walker ahead along the ego: 1 beside the lidar, 0 from `WALKER_REACH_M` on."""
     right, ahead = frame.boxes[frame.labels == _WALKER, :2].unbind(-1)
     edges = frame.boxes.new_tensor(STRIPS_M)
     inside = (right >= edges[:-1, None]) & (right < edges[1:, None]) & (ahead > 0)
@@ -160,10 +138,7 @@ def walkers_ahead(frame: TrainingFrame) -> Tensor:
 
 
 def gap_ahead(frame: TrainingFrame) -> float | None:
-    """Room in front of the ego along the way that it takes, up to the nearest box that is there now.
-
-    Metres from the lidar, `FARTHEST_GAP_M` at most; ``None`` where no way is known.
-    """
+    """Metres from the lidar along the ego's way to the nearest box now, up to `FARTHEST_GAP_M`; ``None`` if unknown."""
     if not frame.ego_future_valid.all():
         return None
     way = torch.cat([torch.zeros(1, 2), frame.ego_future])
@@ -187,11 +162,7 @@ def gap_ahead(frame: TrainingFrame) -> float | None:
 
 
 def front_phase(reader_of: Callable[[Any], FrontReader | None], eyes_of: Callable[[Any], FrontEncoder]) -> Phase:
-    """First part of the training of a miniature whose plan sees the front camera.
-
-    `reader_of` gives the part of the network that does, `eyes_of` the eyes that make the maps for it; that may keep
-    parameters from learning.
-    """
+    """First training phase of a miniature whose plan sees the front camera; `eyes_of` may freeze parameters."""
 
     def objective(network: Any) -> FrontObjective:
         reader = reader_of(network)
@@ -218,12 +189,7 @@ MESSAGE_LAYER_PREFIX: Final = "tell"
 
 
 def add_front_backbone(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of a network whose plan looked at the maps of all cameras, for one with eyes of its own.
-
-    Returns:
-        The same, and what the eyes begin with: the layers that made those maps, which say of no place that anything is
-        there (`adapters.extensions.training.front.object_heat_loss`).
-    """
+    """Add front eyes to a trunk: copies of the layers that made its maps, with object logits that see nothing."""
     if any(name.startswith(FRONT_BACKBONE_PREFIX) for name in trunk):
         return dict(trunk)
     eyes = {
@@ -240,11 +206,7 @@ def add_front_backbone(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def transfer_sparse_front_backbone(trunk: Mapping[str, Tensor], reader: str) -> dict[str, Tensor]:
-    """The eyes of the plan of a sparse miniature and what reads their map, for another miniature.
-
-    `reader` is how the names begin of what reads the map of the front camera in the network that they are for. None
-    where the weights are of another network, or their plan has no eyes of its own.
-    """
+    """Front eyes and reader of a sparse miniature under the prefix `reader`; empty if the trunk has no such eyes."""
     read = {
         reader + name.removeprefix(SPARSE_READER_PREFIX): value
         for name, value in trunk.items()

@@ -1,10 +1,7 @@
-"""The image encoder that all miniatures start from, and how it is trained before them.
+"""Image encoder that all miniatures start from: its training, and its targets cell by cell of each image.
 
-The published networks start from weights that were trained on images alone (ImageNet, FCOS3D). Here a small residual
-network learns to say, for each image by itself, where the centres of boxes are, how far, how large and how turned, and
-where the ground is drivable or painted (after CenterNet, FCOS3D and inverse perspective mapping).
-
-Training targets of an image encoder, cell by cell of each image: objects, and the ground between them.
+Published networks start from ImageNet or FCOS3D weights; this one learns centres, depth, size and yaw of boxes and
+drivable or painted ground from single images (after CenterNet, FCOS3D and inverse perspective mapping).
 """
 
 from collections.abc import Sequence
@@ -48,12 +45,9 @@ _UNIT_CORNERS: Final = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 
 class ImageTargets:
     """Targets of C images.
 
-    Attributes:
-        heat: (C, classes, h, w) 1 at centres of boxes, falling around them.
-        boxes: (C, 8, h, w) `BOX_NUMBERS` of the box whose centre is nearest.
-        has_box: (C, h, w) where those are asked for.
-        ground: (C, kinds, 2 h, 2 w) 0 or 1.
-        sees_ground: (C, kinds, 2 h, 2 w) where those are asked for.
+    `heat` (C, classes, h, w) is 1 at centres of boxes and falls around them; `boxes` (C, 8, h, w) are `BOX_NUMBERS` of
+    the nearest centre, asked for where `has_box`; `ground` (C, kinds, 2 h, 2 w) is 0 or 1, asked for where
+    `sees_ground`.
     """
 
     heat: NDArray[np.float32]
@@ -65,15 +59,9 @@ class ImageTargets:
 
 @dataclass(frozen=True, slots=True)
 class _VisibleBoxes:
-    """S pairs of image and box, the farthest first.
+    """S pairs of image and box, the farthest first; `corner_*` are of the least upright rectangle, pixels.
 
-    Attributes:
-        image: (S,) which image.
-        label: (S,) class of the box.
-        centre: (S, 2) pixels.
-        corner_low: (S, 2) pixels of the least upright rectangle around the box.
-        corner_high: (S, 2).
-        numbers: (S, 6) log depth, log length, width, height, sine and cosine of the angle of view.
+    `numbers` are (S, 6) log depth, log length, width, height, sine and cosine of the angle of view.
     """
 
     image: NDArray[np.int64]
@@ -212,10 +200,7 @@ RARE = -4.0
 
 
 def miniature_images(images: Tensor) -> Tensor:
-    """Images of training frames, (..., 3, H, W) uint8, red green blue, as the miniatures read them.
-
-    float32, normalised (`RGB_MEAN_STD`).
-    """
+    """Images, (..., 3, H, W) uint8, red green blue, as miniatures read them: float32, normalised (`RGB_MEAN_STD`)."""
     mean = torch.tensor(RGB_MEAN_STD.mean, device=images.device)[:, None, None]
     std = torch.tensor(RGB_MEAN_STD.std, device=images.device)[:, None, None]
     return (images.float() - mean) / std
@@ -240,20 +225,13 @@ class ImageEncoder(nn.Module):
                 bias[4 if rare is self.ground else 0 :] = RARE
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Contents of normalised images, (N, 3, H, W).
-
-        Logits of centres (N, classes, H / 8, W / 8), box numbers (N, 8, H / 8, W / 8), logits of kinds of ground (N,
-        kinds, H / 4, W / 4).
-        """
+        """Centre logits and box numbers at 1/8 of the size of normalised images, and ground logits at 1/4."""
         features = F.relu(self.shared(self.pyramid(self.img_backbone(images))[0]))
         return self.heat(features), self.boxes(features), F.pixel_shuffle(self.ground(features), 2)
 
 
 class ImageEncoderObjective:
-    """Objective of the image encoder.
-
-    Normalisation uses the statistics of the `clip_frames` of one forward pass, so they are any frames.
-    """
+    """Objective of the image encoder; clips are of any frames and only give the normalisation its statistics."""
 
     clip_frames = 4
 

@@ -1,8 +1,4 @@
-"""Shared parts of the miniatures' objectives: matching of predictions with annotations, and losses of matched ones.
-
-All are pure functions of one key frame (no batch). Losses are means that are zero, with zero gradients, where nothing
-is annotated.
-"""
+"""Matching and mean losses of one key frame, pure; zero, with zero gradients, where nothing is annotated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,25 +22,16 @@ _CLOSED_WITHIN_M: Final = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """One-to-one pairs of Q predictions and G annotations; every annotation has one where Q >= G.
-
-    (K,) int64 of both.
-    """
+    """(K,) int64 one-to-one pairs of Q predictions and G annotations; every annotation has one where Q >= G."""
 
     queries: Tensor
     wanted: Tensor
 
 
 def assign(cost: Tensor, queries: int | None = None, counts: Sequence[int] | None = None) -> Matches:
-    """Pairs with the least sum of costs (Kuhn 1955), within each key frame.
+    """Pairs with the least sum of (Q, G) costs (Kuhn 1955), within each key frame; min(Q, G) of one key frame.
 
-    Args:
-        cost: (Q, G).
-        queries: Predictions of a key frame, where those of several lie one after the other; all by default.
-        counts: Annotations of each key frame; all of one by default.
-
-    Returns:
-        The pairs; of one key frame min(Q, G).
+    `queries` are the predictions and `counts` the annotations of each key frame; by default all are of one.
     """
     matrix = cost.detach().float().cpu().numpy()
     if not np.isfinite(matrix).all():
@@ -66,11 +53,9 @@ def class_cost(logits: Tensor, labels: Tensor) -> Tensor:
 
 
 def normalise_boxes(boxes: Tensor) -> Tensor:
-    """Boxes in the form in which they are compared, with the yaw as given.
+    """Boxes in the form in which they are compared, (..., 10), with the yaw as given.
 
-    Returns:
-        (..., 10) x, y, log width, log length, z, log height, sin yaw, cos yaw, velocity x, y: the order of
-        `adapters.networks.layers.deformable_decoder.box_codes`.
+    x, y, log width, log length, z, log height, sin yaw, cos yaw, velocity x, y, as of `deformable_decoder.box_codes`.
     """
     x, y, z, length, width, height, yaw, velocity_x, velocity_y = boxes.unbind(-1)
     sizes = torch.stack([width, length, height]).clamp(min=_SMALLEST_SIZE_M).log()
@@ -97,10 +82,7 @@ def match_boxes(
 
 
 def focal_loss(logits: Tensor, targets: Tensor, *, count: float | None = None) -> Tensor:
-    """Sigmoid focal loss (Lin et al., ICCV 2017).
-
-    `targets` are 0 to 1; the sum is divided by `count`, at least 1, or by the sum of the targets.
-    """
+    """Sigmoid focal loss (Lin et al., ICCV 2017) of targets 0 to 1, over `count`, at least 1, or over their sum."""
     entropy = F.binary_cross_entropy_with_logits(logits, targets, reduction="none")
     shares = logits.sigmoid()
     miss = shares + targets - 2 * shares * targets
@@ -109,10 +91,7 @@ def focal_loss(logits: Tensor, targets: Tensor, *, count: float | None = None) -
 
 
 def query_class_loss(logits: Tensor, labels: Tensor, matches: Matches) -> Tensor:
-    """Focal loss of all queries: matched ones have a class, all others none.
-
-    Per annotation; `logits` are (Q, C), `labels` (G,).
-    """
+    """Focal loss per annotation of (Q, C) query logits and (G,) labels: unmatched queries have no class."""
     targets = torch.zeros_like(logits)
     targets[matches.queries, labels[matches.wanted]] = 1.0
     return focal_loss(logits, targets)
@@ -152,13 +131,8 @@ def match_lines(
 ) -> tuple[Matches, Tensor]:
     """Match predicted and annotated map elements, in whichever order of points is nearest (MapTR, ICLR 2023).
 
-    Args:
-        points: (Q, P, 2) in the same unit as ``wanted``.
-        scale: Distances are divided by this, a number or one for each axis.
-        line_weight: Of the cost of the points: their summed L1, over P.
-
-    Returns:
-        The pairs, and (K, P, 2) annotated points of each pair in the order nearest to its query.
+    `points` (Q, P, 2) are in the unit of `wanted`; their L1, over P and divided by `scale` (one for each axis, or one
+    number), costs `line_weight`. The second result is (K, P, 2) annotated points of the pairs in the nearest order.
     """
     orders = equivalent_lines(wanted)
     scaled = (orders / scale).flatten(2)
@@ -170,19 +144,13 @@ def match_lines(
 
 
 def line_loss(points: Tensor, matched: Tensor, matches: Matches, *, scale: Tensor | float = 1.0) -> Tensor:
-    """L1 of the points of matched map elements: summed over x and y, mean over points and pairs.
-
-    `points` are (Q, P, 2), `matched` (K, P, 2) as `match_lines` gives them; `scale` as there.
-    """
+    """L1 of the points of matched map elements: summed over x and y, mean over points and pairs; see `match_lines`."""
     error = ((points[matches.queries] - matched) / scale).abs()
     return error.sum() / max(matched.shape[0] * matched.shape[1], 1)
 
 
 def direction_loss(points: Tensor, matched: Tensor, matches: Matches) -> Tensor:
-    """How far the pieces of matched map elements turn from the annotated ones: 1 minus the cosine (MapTR).
-
-    0 to 2; `points` are (Q, P, 2) and `matched` (K, P, 2) metres.
-    """
+    """Direction loss (MapTR): 1 minus the cosine of pieces of (Q, P, 2) and (K, P, 2) matched lines, metres; 0 to 2."""
     pieces, matched_pieces = points[matches.queries].diff(dim=1), matched.diff(dim=1)
     return (1 - F.cosine_similarity(pieces, matched_pieces, dim=-1)).sum() / max(
         matched_pieces.shape[0] * matched_pieces.shape[1], 1
@@ -190,21 +158,17 @@ def direction_loss(points: Tensor, matched: Tensor, matches: Matches) -> Tensor:
 
 
 def find_winning_modes(trajectories: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
-    """Mode, (N,), that is nearest on average over the steps that are annotated.
-
-    Of (N, M, T, 2) trajectories to (N, T, 2) metres, where (N, T) are valid.
-    """
+    """(N,) mode of (N, M, T, 2) trajectories that is nearest to (N, T, 2) on average over the valid (N, T) steps."""
     distance = torch.linalg.vector_norm(trajectories.detach() - wanted[:, None], dim=-1)
     best: Tensor = (distance * valid[:, None]).sum(-1).argmin(-1)
     return best
 
 
 def trajectory_losses(trajectories: Tensor, logits: Tensor, wanted: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    """Winner takes all: L1 of the nearest mode, and cross entropy that asks for it.
+    """Winner takes all: L1 of the nearest mode, and cross entropy of the (N, M) logits that asks for it.
 
-    L1 is summed over x and y, mean over valid steps; cross entropy mean over what has a valid step, for what has none
-    counts nowhere. `trajectories` are (N, M, T, 2) and `wanted` (N, T, 2) metres; softmax of the (N, M) `logits` are
-    the scores.
+    L1 is summed over x and y, mean over valid steps; cross entropy is the mean over rows with any valid step.
+    `trajectories` are (N, M, T, 2) and `wanted` (N, T, 2) metres.
     """
     counted = valid.any(-1)
     trajectories, logits, wanted, valid = trajectories[counted], logits[counted], wanted[counted], valid[counted]
@@ -220,10 +184,7 @@ def plan_loss(plan: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
 
 
 def lateral_loss(found: Tensor, wanted: Tensor, counted: Tensor) -> Tensor:
-    """Squared offset to the side in metres, up to a metre; mean over the steps that count.
-
-    L1 asks for the median, which is to stay where one is: most of those who drive straight on do.
-    """
+    """Mean squared side offset in metres, up to 1 m; L1 would ask for the median, which is to stay where one is."""
     error = F.huber_loss(found, wanted, reduction="none")
     return (error * counted).sum() / max(int(counted.sum()), 1)
 

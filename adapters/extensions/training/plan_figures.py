@@ -1,7 +1,4 @@
-"""How well a planner drives on scenes that it has not learned from, and whether it looks at the images.
-
-Detection and forecast quality of a planner, the basis of a diagnosis of its collisions.
-"""
+"""Figures of a planner on scenes that it has not learned from: plans, use of the images, detections, forecasts."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -33,13 +30,8 @@ NEAR_M: Final = 30.0
 class ForecastFigures:
     """Figures over vehicles within `NEAR_M` of the ego, by one of the two rules.
 
-    Attributes:
-        vehicles: Annotated ones that count, over all samples.
-        recall: Share of them that have a forecast.
-        precision: Share of the forecasts of that area that are of any annotated object.
-        least_error_m: Mean distance over 3 s of the best mode, over matched vehicles annotated to the end.
-        likeliest_error_m: Of the most likely mode.
-        standing_error_m: Of the forecast that all stay where they are.
+    `recall` is the share of vehicles with a forecast, `precision` that of forecasts of any annotated object. Errors are
+    mean distances over 3 s, of vehicles annotated to the end: of the best mode, the likeliest one, and standing still.
     """
 
     vehicles: int
@@ -56,10 +48,7 @@ class ForecastFigures:
 
 @dataclass(frozen=True, slots=True)
 class _MatchedForecasts:
-    """One sample by one of the rules: forecasts in its lidar frame.
-
-    `matched` are rows of the forecast by instance, `pluralise` numbers of the vehicles that count.
-    """
+    """One sample's forecasts in its lidar frame; `matched` are rows by instance, `counted` vehicles that count."""
 
     truth: SampleTruth
     forecasts: Forecasts
@@ -68,10 +57,7 @@ class _MatchedForecasts:
 
 
 def forecast_figures(truths: Sequence[SampleTruth], plans: Sequence[Plan]) -> ForecastFigures | None:
-    """Figures of forecasts against the recording, as diagnosed.
-
-    ``None`` where there are no forecasts, no vehicles or no matches.
-    """
+    """Figures of forecasts against the recording, as diagnosed; ``None`` without forecasts, vehicles or matches."""
     compared = []
     for truth, plan in zip(truths, plans, strict=True):
         if plan.forecasts is None:
@@ -85,10 +71,7 @@ def forecast_figures(truths: Sequence[SampleTruth], plans: Sequence[Plan]) -> Fo
 def visible_forecast_figures(
     truths: Sequence[SampleTruth], plans: Sequence[Plan], visible: Sequence[frozenset[str]]
 ) -> ForecastFigures | None:
-    """Figures of forecasts against the recording, as seen: `visible` are S sets of `visible_instances`.
-
-    ``None`` where there are no forecasts, no vehicles or no matches.
-    """
+    """Figures of forecasts as seen, by `visible_instances`; ``None`` without forecasts, vehicles or matches."""
     compared = []
     for truth, plan, instances in zip(truths, plans, visible, strict=True):
         if plan.forecasts is None:
@@ -100,10 +83,7 @@ def visible_forecast_figures(
 
 
 def visible_instances(scene: Scene) -> tuple[frozenset[str], ...]:
-    """Instances that can be seen at each keyframe of a scene: their level of visibility is not the least.
-
-    The least means 40 % at most. Where a data set has no levels all that is annotated is visible.
-    """
+    """Instances of each keyframe above the least visibility (40 % at most); all where a data set has no levels."""
     known = scene.annotations
     is_visible = known.valid & (known.visibility != HIDDEN)
     return tuple(
@@ -177,8 +157,7 @@ _BLANK_GREY: Final = 128
 class ImageCondition(StrEnum):
     """Images that a planner is shown.
 
-    ``own``: what its cameras saw. ``blank``: grey. ``shuffled``: what the same cameras saw in another scene at a sample
-    of the same number, with its own calibration and ego motion.
+    ``own``: its cameras'; ``blank``: grey; ``shuffled``: another scene's at the same sample, with its own calibration.
     """
 
     OWN = "own"
@@ -188,10 +167,7 @@ class ImageCondition(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PlanFigures:
-    """Figures over samples whose recording reaches 3 s: mean distance from the recorded position.
-
-    `collisions` is the share whose plan touches anything within 3 s, by the protocol ``exact``.
-    """
+    """Figures of samples recorded to 3 s: mean distances, and share of plans that touch anything (``exact``)."""
 
     samples: int
     l2_1s_m: float
@@ -206,10 +182,7 @@ class PlanFigures:
 
 @dataclass(frozen=True, slots=True)
 class EvaluatedPlans:
-    """S plans beside what happened, of samples whose recording reaches 3 s.
-
-    `visible` are instances that can be seen (`adapters.extensions.training.plan_figures.visible_instances`).
-    """
+    """S plans beside what happened, of samples recorded to 3 s; `visible` as of `visible_instances`."""
 
     truths: Sequence[SampleTruth]
     plans: Sequence[Plan]
@@ -259,10 +232,7 @@ class PairedMeanDifference:
 
 @dataclass(frozen=True, slots=True)
 class ImageAblation:
-    """Losses of plans when a planner is shown something else than what its cameras saw.
-
-    `collisions_pt` are more plans that touch anything within 3 s, percentage points.
-    """
+    """Losses from other images than its cameras'; `collisions_pt` are percentage points of plans that touch in 3 s."""
 
     l2_3s_m: PairedMeanDifference
     collisions_pt: PairedMeanDifference
@@ -313,11 +283,7 @@ def evaluate_plans(
     images: ImageCondition = ImageCondition.OWN,
     every: int = 1,
 ) -> EvaluatedPlans:
-    """Plans of a planner, beside what happened.
-
-    One in `every` samples is judged; planners with memory see all of them. An `InputError` says that no sample is
-    complete, or that shuffling has only one scene.
-    """
+    """Plans of a planner beside what happened, of one in `every` samples; planners with memory see all of them."""
     truths, plans, visible = [], [], []
     for number, name in enumerate(scenes):
         scene = data.scene(name)
@@ -339,11 +305,7 @@ def evaluate_plans(
 def observe_with_images(
     data: DataSet, scenes: Sequence[str], number: int, images: ImageCondition
 ) -> Iterator[Observation]:
-    """Observations of a scene, in time order, with the images that a planner is to be shown.
-
-    `number` is the place of the scene among `scenes`; images are those of its own cameras, blank ones, or those of
-    another scene.
-    """
+    """Observations of a scene in time order, with the chosen images; `number` is its place among `scenes`."""
     if images is ImageCondition.OWN:
         yield from data.observations(scenes[number])
         return

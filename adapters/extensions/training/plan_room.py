@@ -1,9 +1,7 @@
-"""Clearance of a plan to the future boxes of other road users: a loss that keeps closed-loop plans from creeping in.
+"""Losses of plans: clearance to future boxes, which keeps closed-loop plans from creeping in, and VAD's constraints.
 
-The constraint of VAD looks at centres, 3 m apart along the way: two cars touch at 4.7 m. Distances to the driven path
-do not measure it either: half a metre too far is half a metre, with or without a road user there.
-
-Three constraints on plans (section 3.4 of the paper of VAD): away from agents, inside the road, along the lanes.
+VAD's (section 3.4) look at centres, 3 m apart along the way, where cars touch at 4.7 m. Distances to the driven path do
+not measure it either: half a metre too far is half a metre, with or without a road user there.
 """
 
 from collections.abc import Sequence
@@ -60,10 +58,7 @@ def boundary_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
 
 
 def direction_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
-    """One minus the cosine between steps of the plan and the nearest divider, whichever way it runs.
-
-    0 to 1, mean over steps.
-    """
+    """1 minus the cosine, 0 to 1, of steps of the plan and the nearest divider, whichever way it runs; their mean."""
     dividers = frame.lines[frame.line_labels == DIVIDER]
     if not len(dividers):
         return plan.sum() * 0
@@ -107,12 +102,7 @@ _CIRCLES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class NearbyBodies:
-    """N bodies, at most, in each of F key frames.
-
-    Attributes:
-        boxes: (F, N, T, 5) centre x, y, length, width, yaw at the T steps of a plan; lidar frame, metres.
-        there: (F, N, T) who is known to be there.
-    """
+    """(F, N, T, 5) centre x, y, length, width, yaw at a plan's steps, lidar frame, metres; `there` is who is known."""
 
     boxes: Tensor
     there: Tensor
@@ -133,11 +123,7 @@ class NearbyBodies:
 
 
 def missing_room(plans: Tensor, around: NearbyBodies) -> Tensor:
-    """Room that plans lack, (F, M) metres, to the body they lack it most to at each step.
-
-    Means over the steps; 0 where there is room to all. `plans` are (F, M, T, 2) positions of the lidar, metres, in the
-    lidar frames.
-    """
+    """(F, M) metres, mean over steps, that (F, M, T, 2) lidar-frame plans lack to the body they lack most to."""
     if around.boxes.shape[1] == 0:
         return plans.sum((-2, -1)) * 0
     forward = _directions(plans.detach())

@@ -337,7 +337,6 @@ def _frames_for_anchors(store: Frames, learned: Sequence[int]) -> list[TrainingF
 
 
 def _select_phases(training: PlannerTraining) -> tuple[Phase, ...]:
-    """Those that are asked for."""
     if training.model == ENCODER_NAME:
         phases = (Phase("all", ImageEncoderObjective, _ENCODER_RECIPE),)
     else:

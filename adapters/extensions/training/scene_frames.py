@@ -32,13 +32,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 @dataclass(frozen=True, slots=True)
 class _AgentMotion:
-    """N agents at K key frames, global frame.
-
-    Attributes:
-        position: (N, K, 3) box centres, metres.
-        heading: (N, K, 3) unit vectors.
-        velocity: (N, K, 3) m/s, zero where only one key frame is annotated.
-    """
+    """N agents at K key frames, global frame: (N, K, 3) metres, unit vectors and m/s, zero with one key frame only."""
 
     position: Floats
     heading: Floats
@@ -46,10 +40,9 @@ class _AgentMotion:
 
 
 def scene_arrays(data: DataSet, name: str) -> Arrays:
-    """Arrays of all that is learned from a scene, by name.
+    """Arrays of K key frames of a scene by name: those of `TrainingFrame` with a leading K.
 
-    For K key frames: those of `TrainingFrame` with a leading K, except that what differs in number is put end to end,
-    with ``box_starts`` and ``line_starts`` (K + 1,) where each frame begins.
+    What differs in number is put end to end; ``box_starts`` and ``line_starts`` (K + 1,) are where each frame begins.
     """
     scene, truths = data.scene(name), data.truth(name)
     require_two_hz(scene, "training")

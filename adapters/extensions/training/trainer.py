@@ -1,7 +1,4 @@
-"""The loop that trains a network by its objective: seeded, logged, and resumed by the same command.
-
-Parts of a training that follow one another, each with its own objective and recipe.
-"""
+"""Seeded, logged and resumable training of a network by its objective, in phases that follow one another."""
 
 import math
 import time
@@ -37,18 +34,11 @@ Check = Callable[[dict[str, Tensor]], dict[str, float]]
 class Recipe:
     """Recipe of a training: how long and how fast a network learns.
 
-    Attributes:
-        steps: Gradient steps.
-        learning_rate: Peak, after ``warmup`` steps; falls to a hundredth along a cosine.
-        encoder_rate: Learning rate of the image encoder, as a share of the others'.
-        warmup: Steps of linear rise.
-        weight_decay: Per step, times the learning rate.
-        clips: Clips whose gradients make one step.
-        scattered: Whether the frames of a clip are any frames, for networks that look at each alone.
-        gradient_norm: Longer gradients are shortened to this.
-        average: Share of the averaged weights kept per step; they follow faster in the beginning.
-        check_every: Steps between two checks on held-out scenes.
-        seed: Of weights, order and random draws of the objective.
+    `learning_rate` is the peak after `warmup` steps of linear rise; it falls to a hundredth along a cosine.
+    `encoder_rate` is the share of it for the image encoder; `weight_decay` is per step, times the learning rate.
+    Gradients of `clips` make one step; `scattered` clips are of any frames, for networks that look at each alone;
+    gradients longer than `gradient_norm` are shortened. `average` is the share of the averaged weights kept per step,
+    less in the beginning; `check_every` steps are between two checks on held-out scenes.
     """
 
     steps: int
@@ -79,20 +69,11 @@ def fit(
     device: str = "auto",
     keep_every_s: float = KEEP_EVERY_S,
 ) -> dict[str, Tensor]:
-    """Train; the same command resumes.
+    """Train; the same command resumes. Each of `frames` is the last of a clip.
 
-    Frames and random draws of a step depend only on the seed and its number, so an interrupted run ends with the
-    same weights as an undisturbed one.
-
-    Args:
-        frames: Numbers of those to learn from; each is the last of a clip.
-        recipe: How.
-        out: The weights file to be; ``.progress.safetensors`` (until finished) and ``.log.jsonl`` lie beside it.
-        check: Measures averaged weights on held-out scenes now and then, for the log; not at the end.
-        keep_every_s: Time between two copies of an unfinished run on disk.
-
-    Returns:
-        The averaged weights, by name.
+    Frames and random draws of a step depend only on the seed and its number, so an interrupted run ends with the same
+    weights as an undisturbed one. ``.progress.safetensors`` (until finished, copied each `keep_every_s`) and
+    ``.log.jsonl`` lie beside `out`; `check` measures averaged weights for the log, not at the end.
     """
     if not frames:
         raise InputError("there are no frames to train on; give a split with more scenes")
@@ -238,10 +219,7 @@ def _losses(
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """One part of a training; it starts from the averaged weights of the part before it.
-
-    `objective` makes that of a network; it may set first values and what of the network learns.
-    """
+    """Part of a training, from the averaged weights before it; `objective` may set first values and what learns."""
 
     name: str
     objective: Callable[[Any], Objective]

@@ -1,9 +1,4 @@
-"""Croissant metadata (ML Commons, version 1.0) with the fields of its responsible-AI extension.
-
-Columns of an index, said once: what the Parquet file holds, Croissant describes and the card explains.
-
-Licences by the identifiers that hubs use, and where each is to be read.
-"""
+"""Croissant metadata (ML Commons 1.0, responsible-AI fields), index columns, and licence identifiers of hubs."""
 
 import io
 import re
@@ -54,10 +49,7 @@ CROISSANT_TYPE: Final[Mapping[Kind, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class IndexColumn:
-    """One column of an index: its name, with the unit where it has one, the kind of its values, and a phrase.
-
-    Any value may be null.
-    """
+    """One column of an index, whose name has the unit, if any, and whose values may be null."""
 
     name: str
     kind: Kind
@@ -128,13 +120,9 @@ CONTEXT: Final[Mapping[str, Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class DataSetDescription:
-    """Statements about a data set as a whole.
+    """Statements about a data set; `licence` is an identifier or ``unknown``, `published` a day ``YYYY-MM-DD``.
 
-    Attributes:
-        licence: Identifier of its licence, or ``unknown``.
-        published: Day of that, ``YYYY-MM-DD``.
-        version: Of its content.
-        responsible: Fields of the responsible-AI extension by name without prefix, one text or several.
+    `responsible` are fields of the responsible-AI extension, without prefix.
     """
 
     name: str
@@ -150,11 +138,9 @@ class DataSetDescription:
 
 
 def build_croissant(said: DataSetDescription, index: Path, rows: str, columns: Sequence[IndexColumn]) -> dict[str, Any]:
-    """Croissant metadata (JSON-LD) of a data set whose index is one Parquet file.
+    """Croissant metadata (JSON-LD) of a data set whose index, one present Parquet file, is named relative to it.
 
-    Args:
-        index: The file, which must be there; it is named relative to the metadata beside it.
-        rows: Name of the rows, one word in the plural.
+    ``rows`` is one word in the plural.
     """
     fields = [
         {

@@ -1,7 +1,4 @@
-"""The card of a data set: what is in it, where it comes from, what it may be used for and what it may not show.
-
-An index of the scenes of a data set: one row each, of what its tables and its makers say.
-"""
+"""The card of a data set (content, origin, permitted use, what it may not show), and an index with one row a scene."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -73,10 +70,7 @@ SCENE_COLUMNS: Final = (
 
 
 def scene_rows(data: "DataSet") -> Iterator[dict[str, Any]]:
-    """Rows of `SCENE_COLUMNS`, one a scene, in the order of names; scenes that inspectors rejected are left out.
-
-    One scene at a time is in memory.
-    """
+    """Rows of `SCENE_COLUMNS`, by name, one scene in memory at a time; scenes that inspectors rejected are left out."""
     names = data.scene_names(None)
     facts = data.scene_facts(names)
     scene_provenance: Mapping[str, Any] = (data.provenance() or {}).get("scenes", {})
@@ -147,12 +141,9 @@ _SHORT_HASH: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class _DataProvenance:
-    """Where a data set comes from, in sentences.
+    """Origin of a data set, in sentences; `kinds` are collection types of the responsible-AI extension.
 
-    Attributes:
-        kinds: Collection types in terms of the responsible-AI extension.
-        town: Whether it is the procedural town of this project.
-        generated: Whether vehicles were made to be adversaries.
+    `town` is this project's procedural one; `generated` has vehicles made to be adversaries.
     """
 
     collected: str

@@ -1,7 +1,4 @@
-"""A card on disk: ``README.md`` for people and hubs, an index in Parquet, ``build_croissant.json`` for search engines.
-
-The head of a card as hubs read it: YAML between lines of dashes. JSON values are YAML, so no package is needed.
-"""
+"""Card on disk: ``README.md`` with a YAML head (JSON, needs no package), Parquet index, ``build_croissant.json``."""
 
 import json
 import re
@@ -105,15 +102,9 @@ def write_card(
     values: Sequence[Mapping[str, Any]],
     tags: Sequence[str],
 ) -> WrittenCard:
-    """Write the files of a card, each in place of what is there.
+    """Write the files of a card, each in place of what is there, but not over a ``README.md`` that is no card of ours.
 
-    Args:
-        page: Lines of ``README.md`` below its head.
-        rows: Name of its rows, one word in the plural.
-        tags: Tags for hubs.
-
-    Raises:
-        InputError: If the folder cannot be written or holds a ``README.md`` that is no card of ours.
+    ``page`` are lines below its head, ``rows`` is one word in the plural, ``tags`` are for hubs.
     """
     _require_own_card(to / CARD_FILE)
     index = to / index_name

@@ -1,7 +1,4 @@
-"""Everybody of a scene against the recording: who moves otherwise, who is missing, made up, or labelled otherwise.
-
-A changed vehicle among everybody else: on the drivable area, clear of others, and of the recorded ego.
-"""
+"""Objects of a scene against the recording, and changed vehicles: on the drivable area, clear of others and the ego."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -27,14 +24,7 @@ _FAR_M: Final = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Nearness:
-    """Nearest approach of a vehicle to another object.
-
-    Attributes:
-        gap_m: Least distance of the rectangles, 0 in contact.
-        seconds: Time of it.
-        depth_m: Greatest penetration of the rectangles; 0 without contact.
-        other: Index of the other object; ``None`` for the ego.
-    """
+    """Nearest approach to another object, ``None`` for the ego; `gap_m` is 0 in contact, `depth_m` without."""
 
     gap_m: float
     seconds: float
@@ -88,7 +78,7 @@ def find_nearest_object(scene: Scene, agent: int, frames: Integers) -> Nearness 
 def find_nearest_ego(scene: Scene, agent: int, first_keyframe: int) -> Nearness | None:
     """Nearest approach of recorded ego and vehicle, by the rectangles and instants of the protocol ``exact``.
 
-    ``None`` if the vehicle is never there from ``first_keyframe``, the first one at which it is changed.
+    ``None`` if the vehicle is never there from ``first_keyframe``, the first one that is changed.
     """
     notes = scene.annotations
     heading = yaw_of_quaternion(notes.rotation[agent])[:, None]
@@ -165,12 +155,7 @@ _NAMED: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class ChangedObject:
-    """An object that is not everywhere where it was recorded.
-
-    Attributes:
-        at: (C,) common keyframes at which it is elsewhere, or there in one of the two alone.
-        distance: (C,) how far it is from where it was recorded, 0 where it is not in both.
-    """
+    """Object that at (C,) common keyframes is elsewhere, or in one scene alone; (C,) distance, 0 where not in both."""
 
     agent: int
     recorded: int

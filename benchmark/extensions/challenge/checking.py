@@ -1,9 +1,7 @@
-"""``challenge check``: an entry held to the recordings that it was made from and to the rules; the main path.
+"""``challenge check``: an entry held to the recordings that it was made from and to the rules.
 
 Nothing that an entry says of itself is believed: who is changed, how, and what touches what is found in its tables and
-images. Its own judgements and verdicts of inspectors are not read.
-
-Drivability of a changed vehicle's motion, from its keyframes alone.
+images, drivability from keyframes alone. Its own judgements and verdicts of inspectors are not read.
 """
 
 from collections import Counter
@@ -58,10 +56,7 @@ from benchmark.scene import Scene
 
 
 def check_motion_limits(seconds: Floats, boxes: Floats, rules: MotionRules) -> Iterator[RefusalReason]:
-    """Limits that a track breaks where it is changed, at most one reason for each.
-
-    Takes (K,) seconds from the first keyframe at which the track differs, and (K, 5) boxes there.
-    """
+    """Limits that a track breaks, one reason each, by (K,) seconds and (K, 5) boxes from where it is changed."""
     if len(boxes) < 2:
         return
     span = np.diff(seconds)
@@ -93,10 +88,7 @@ def check_motion_limits(seconds: Floats, boxes: Floats, rules: MotionRules) -> I
 
 
 def check_launch(seconds: Floats, boxes: Floats, rules: MotionRules) -> RefusalReason | None:
-    """Reason why a vehicle jumps where its recorded track ends, or ``None``.
-
-    Takes (3,) seconds and (3, 5) boxes: the last two keyframes as recorded, and the first changed one.
-    """
+    """Jump of a vehicle where its recorded track ends, by (3,) seconds and (3, 5) boxes: two recorded, one changed."""
     first, second = np.diff(seconds)
     before, after = np.diff(boxes[:, :2], axis=0)
     expected = before / first * second
@@ -131,11 +123,7 @@ NO_CAMERAS: Final = "the recordings have no cameras: calibration was not compare
 
 @dataclass(frozen=True, slots=True)
 class CheckedScene:
-    """Verdict on a scene, with the tracks that later checks need.
-
-    Of each changed vehicle, ``tracks`` holds the token in the recording and (K, 2) positions at the keyframes, NaN
-    where it is absent.
-    """
+    """Verdict on a scene; ``tracks`` are recorded tokens and (K, 2) keyframe positions, NaN where absent."""
 
     verdict: SceneVerdict
     tracks: tuple[tuple[str, Floats], ...]
@@ -175,11 +163,7 @@ def check_entry(
 
 
 def find_source_recordings(entry: DataSet, base: DataSet, names: Sequence[str] | None = None) -> dict[str, str]:
-    """Recorded scene that each scene of an entry was made from, by name of the scene, in the order of the entry.
-
-    Raises:
-        InputError: If the entry has no such scene, or one that no recording is known of.
-    """
+    """Recorded scene that each scene of an entry was made from, in its order; refused where none is known."""
     present = entry.scene_names(None)
     for name in names or ():
         if name not in present:

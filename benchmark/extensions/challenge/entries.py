@@ -26,11 +26,9 @@ SPLIT: Final = "entry"
 
 @dataclass(slots=True)
 class CheckedEntry:
-    """The accepted scenes of an entry; see `benchmark.datasets.roots.DataSet` for what each method promises.
+    """Accepted scenes of an entry (`benchmark.datasets.roots.DataSet`) with this program's own assessments.
 
-    Attributes:
-        root: A folder of the organiser's: nothing that lies beside the entry's tables is looked for.
-        judgements: Scenario assessments of this program, by scene name.
+    `root` is a folder of the organiser's: nothing that lies beside the entry's tables is looked for.
     """
 
     data: DataSet

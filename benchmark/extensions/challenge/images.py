@@ -1,8 +1,8 @@
 """Images of an entry: there, whole, of the right size, of anything, and of their own keyframe and camera.
 
-Pictures are drawn anew for an entry, so that they cannot be compared with the recording's pixel by pixel. Small grey
-versions are looked at: a picture of another keyframe is more like that one's neighbours than like its own, and where
-the recording is drawn in the same way, it is most like the recording's at that time and of that camera.
+Pictures are drawn anew for an entry and cannot be compared with the recording's pixel by pixel. Small grey versions
+are: a picture of another keyframe is more like that one's neighbours than like its own, and where the recording is
+drawn in the same way, it is most like the recording's at that time and of that camera.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -54,11 +54,7 @@ class CameraThumbnails:
 
 
 def check_image_files(views: Views, rules: ImageRules) -> tuple[dict[str, CameraThumbnails], list[RefusalReason]]:
-    """Look at every picture.
-
-    Returns:
-        Pictures of the cameras all of whose files can be read, and reasons: at most one for each camera and rule.
-    """
+    """Pictures of the cameras all of whose files can be read, and at most one reason for each camera and rule."""
     thumbnails: dict[str, CameraThumbnails] = {}
     reasons: dict[tuple[str, str], str] = {}
     for name, of_camera in views.items():
@@ -235,8 +231,7 @@ def check_change_is_seen(
 ) -> RefusalReason | None:
     """Reason why a changed vehicle is unseen: all pictures that it must be in are the recording's own files.
 
-    ``changed`` holds the indices among the common keyframes at which it is elsewhere; of each pair the entry comes
-    first.
+    ``changed`` are indices of common keyframes at which it is elsewhere; of each pair the entry comes first.
     """
     same = []
     for name in (camera for camera in pictures[0] if camera in pictures[1]):

@@ -1,6 +1,6 @@
-"""Parts of an entry that must equal the recording: times, ego, sensors, map and ego inputs of planners.
+"""Parts of an entry that must equal the recording (times, ego, sensors, map, ego inputs), and its matched objects.
 
-Matching of an entry's objects to the recording's: tokens may be new, objects may be moved or added.
+Tokens may be new, objects may be moved or added.
 """
 
 from collections import Counter
@@ -47,10 +47,7 @@ class CommonKeyframes:
 
 @dataclass(frozen=True, slots=True)
 class Counterparts:
-    """Objects of an entry matched to those of its recording.
-
-    ``pairs`` holds (index in the entry, index in the recording), sorted by the former.
-    """
+    """Objects of an entry matched to its recording's; ``pairs`` are (entry, recording), sorted by the former."""
 
     pairs: tuple[tuple[int, int], ...]
     added: tuple[int, ...]
@@ -58,10 +55,7 @@ class Counterparts:
 
 
 def match_objects(entry: Scene, recorded: Scene, common: CommonKeyframes) -> Counterparts:
-    """Match objects: by instance token, else by places in common, else by where they begin.
-
-    Every object occurs once.
-    """
+    """Match objects, each once: by instance token, else by places in common, else by where they begin."""
     matches: dict[int, int] = {}
     known = {name: index for index, name in enumerate(recorded.agents.ids)}
     for index, name in enumerate(entry.agents.ids):
@@ -208,14 +202,9 @@ def check_sensors(
     *,
     required: bool,
 ) -> Iterator[RefusalReason]:
-    """Check that lidar and cameras are mounted, calibrated, timed and posed as in the recording.
+    """Check that lidar and cameras are mounted, calibrated, timed and posed as recorded; one reason a camera at most.
 
-    Yields at most one reason for each camera. ``views`` are of the entry and of the recording, by camera, one a
-    keyframe.
-
-    Args:
-        required: Whether the entry must have every camera at every keyframe; those that it has are compared in any
-            case.
+    ``views`` are of the entry and of the recording, by camera, one a keyframe; all must be there only if ``required``.
     """
     if _largest_difference(entry.lidar.translation, recorded.lidar.translation) > rules.position_m or (
         _largest_difference(entry.lidar.rotation, recorded.lidar.rotation) > rules.rotation

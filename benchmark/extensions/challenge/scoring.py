@@ -1,9 +1,8 @@
-"""``challenge score``: entries checked, planned on and ranked; the main path.
+"""``challenge score``: entries checked, planned on and ranked.
 
-The score of an entry is the mean over the planners of how often they first touch a changed vehicle, the higher the
-better; where the organiser asks for another protocol than ``exact``, of their collision rates under it, as in the WACV
-2026 challenge. Refused scenes count as scenes without a collision. Reported beside it: contacts with any road user,
-attributable success, severity and realism, which do not rank.
+The score is the mean over the planners of how often they first touch a changed vehicle, the higher the better; under
+another protocol than ``exact``, of their collision rates, as in the WACV 2026 challenge. Refused scenes count as scenes
+without a collision. Contacts with any road user, attributable success, severity and realism do not rank.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

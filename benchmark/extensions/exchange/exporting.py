@@ -1,7 +1,4 @@
-"""Exporting the scenes of a data set, each to a file of its own: what is common to all formats, and ScenarioNet's.
-
-A scene as a ScenarioNet scenario: the dictionary that MetaDrive and ScenarioNet read.
-"""
+"""Export of the scenes of a data set to files, in any format, and as scenarios of ScenarioNet and MetaDrive."""
 
 import io
 import pickle
@@ -49,14 +46,11 @@ _LEAST_MOVED_M: Final = 1.0
 
 
 def build_scenario(made: ExchangedScene) -> Scenario:
-    """A scene for MetaDrive and ScenarioNet.
+    """Scenario of a scene for MetaDrive and ScenarioNet, of plain containers, numbers, texts and arrays.
 
     Steps are the scene's own frames (12 Hz). Positions are box centres, the ego's too; where an object is not there its
-    numbers are zero. All values are plain containers, numbers, texts and arrays.
-
-    Returns:
-        The scenario: ``id``, ``version``, ``length``, ``tracks``, ``dynamic_map_states`` (none), ``map_features`` and
-        ``metadata``. The metadata's ``adversaries`` names tracks, and each track's own says ``is_adversary``.
+    numbers are zero. ``dynamic_map_states`` are none; ``adversaries`` in the metadata names tracks, and each track's
+    own says ``is_adversary``.
     """
     scene = made.scene
     seconds = scene.seconds
@@ -248,7 +242,7 @@ class ExportedScene:
 
 
 def read_exchange_scene(dataset: DataSet, name: str) -> ExchangedScene:
-    """A scene of a data set with its recorded scene and the report of its making, where the data set has them.
+    """A scene with its recorded scene and the report of its making, where the data set has them.
 
     In variant roots (``v0/scene-0061``) the name becomes one for a file (``scene-0061-v0``), and identifiers of objects
     become other ones, since variants share theirs.
@@ -301,11 +295,7 @@ def export_scenarionet(dataset: DataSet, names: Sequence[str], to: Path, *, work
 def export_scenes(
     names: Sequence[str], to: Path, ending: str, write: Callable[[str], Any], *, workers: int
 ) -> list[Any]:
-    """Write a file a scene, all with the same ending, to a folder that holds no others.
-
-    Returns:
-        The results of ``write``, in the order of the names.
-    """
+    """Results of ``write``, in the order of the names, of a file a scene in a folder that holds no others."""
     if not names:
         raise InputError("there is no scene to export; name one with --scenes, or leave --scenes and --limit out")
     own = {scene_file(to, name, ending).name for name in names}

@@ -1,8 +1,7 @@
 """A scene as an OpenSCENARIO file: every object on its own trajectory in the plane, without a road network.
 
-Needs the package ``scenariogeneration`` (extra ``openscenario``). Positions are those of the global frame. The ego has
-its reference point at the rear axle, as OpenSCENARIO asks; everything else, whose axles are unknown, at the
-centre of its box on the ground.
+Needs ``scenariogeneration`` (extra ``openscenario``). Positions are global. The ego has its reference point at the rear
+axle, as OpenSCENARIO asks; all else, whose axles are unknown, at the centre of its box on the ground.
 """
 
 import datetime
@@ -87,8 +86,8 @@ def _write(dataset: DataSet, to: Path, name: str) -> ExportedScene:
 def encode_openscenario(made: ExchangedScene) -> bytes:
     """A scene as OpenSCENARIO, the same bytes for the same scene.
 
-    Every object follows its track in time (polylines with the seconds of its frames, absolute). One that is not there
-    at first is deleted in ``Init`` and added when it comes; it is deleted where it goes.
+    Objects follow polylines with absolute seconds of their frames. One that is not there at first is deleted in
+    ``Init`` and added when it comes; it is deleted where it goes.
     """
     xosc, scene = require_package(), made.scene
     entities, init, act = xosc.Entities(), xosc.Init(), xosc.Act("tracks", _build_time_trigger(xosc, 0.0), None)

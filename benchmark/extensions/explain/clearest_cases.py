@@ -27,14 +27,10 @@ CASES_LOOKED_AT = 60
 
 @dataclass(frozen=True, slots=True)
 class DisagreementCase:
-    """One sample on which a protocol and ``exact`` disagree.
+    """One sample on which a protocol and ``exact`` disagree by one of `CAUSES`, at the step, 0 to 5, that makes it.
 
-    Attributes:
-        cause: One of `benchmark.metrics.disagreement.CAUSES`.
-        plan_lidar: (6, 2) waypoints, metres.
-        step: The step that makes the difference, 0 to 5.
-        clearness: How well it can be seen: square metres of overlap that are missed, or metres of air that are taken
-            for a collision or that are left at the waypoints around a contact.
+    `plan_lidar` is (6, 2) metres. `clearness` is square metres of overlap that are missed, or metres of air that are
+    taken for a collision or that are left at the waypoints around a contact.
     """
 
     planner: str
@@ -47,10 +43,7 @@ class DisagreementCase:
 
 
 def find_clearest_cases(records: Sequence[RunRecord], data: "DataSet") -> list[DisagreementCase]:
-    """Clearest case of each cause for each protocol, in the order of `PROTOCOLS` and `CAUSES`.
-
-    None for causes without a row.
-    """
+    """Clearest case of each cause with a row for each protocol, in the order of `PROTOCOLS` and `CAUSES`."""
     truths: dict[str, dict[str, SampleTruth]] = {}
     cases = []
     for protocol in PROTOCOLS:
@@ -93,10 +86,9 @@ def plan_in_lidar(row: SampleRow, truth: SampleTruth) -> Floats:
 
 
 def build_case(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floats) -> DisagreementCase | None:
-    """A sample as a case, at the step that shows the cause best.
+    """A sample as a case, at the step that shows the cause best; ``plan_lidar`` is (6, 2) metres.
 
-    ``None`` if the protocol and ``exact`` agree or do not both count the sample. ``plan_lidar`` is (6, 2) waypoints in
-    metres.
+    ``None`` if the protocol and ``exact`` agree or do not both count the sample.
     """
     definition, plans = PROTOCOLS[protocol], plan_lidar[None]
     exact, official = (

@@ -111,10 +111,7 @@ def describe_case(case: DisagreementCase) -> str:
 
 
 def draw_case(case: DisagreementCase) -> bytes:
-    """Draw a case as PNG: the events on the left, the protocol's view on the right.
-
-    The same case gives the same bytes.
-    """
+    """PNG of a case, always the same bytes: the events on the left, the protocol's view on the right."""
     import matplotlib.style
     from matplotlib.figure import Figure
 

@@ -27,11 +27,9 @@ OBJECT, IGNORED, CELL, GHOST = "#7a8ba6", "#8a8f99", "#a9bcd8", "#8e5bb5"
 
 @dataclass(frozen=True, slots=True)
 class RasterView:
-    """Cells that a raster protocol compares at one step.
+    """(R, C) cells that a raster protocol compares at one step; rows from rear to front, columns from left to right.
 
-    Attributes:
-        occupied: (R, C) cells of counted objects; rows from rear to front, columns from left to right.
-        first_cell_m: x and y of the middle of cell (0, 0), as the protocol places its objects.
+    `first_cell_m` is x, y of the middle of cell (0, 0), as the protocol places its objects.
     """
 
     occupied: Bools
@@ -49,10 +47,7 @@ class RasterView:
 def build_raster_view(
     definition: CollisionProtocol, truth: SampleTruth, plan_lidar: Floats, step: int
 ) -> RasterView | None:
-    """The cells that a protocol compares at a step (0 to 5), or ``None`` for a protocol without a raster.
-
-    ``plan_lidar`` is (6, 2) waypoints in metres.
-    """
+    """Cells that a protocol compares at a step (0 to 5), ``None`` without a raster; ``plan_lidar`` is (6, 2) metres."""
     if isinstance(definition, SafeMVDriveProtocol):
         definition = definition.uniad
     if isinstance(definition, STP3Protocol):

@@ -22,9 +22,7 @@ _BOX_COLUMNS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class ModelAnswer:
-    """An answer as the wire has it, in the ego frame: x forward, y left of the rear axle.
-
-    A model may answer in another frame, which `plan` is told then.
+    """An answer as the wire has it, in the ego frame (x forward, y left of the rear axle) unless told otherwise.
 
     Attributes:
         trajectory: (N, 2) waypoints 0.5 s apart; accepted are other shapes too, of which `plan` says what is wrong.
@@ -42,11 +40,7 @@ class ModelAnswer:
 
     @classmethod
     def read(cls, body: bytes) -> Self:
-        """Read an answer, whose numbers may be NaN.
-
-        Raises:
-            WireError: If NeuroNCAP's client would not take it.
-        """
+        """Read an answer, whose numbers may be NaN; refused where NeuroNCAP's client would not take it."""
         value = parse_body(body, HTTP_ANSWER, _BODY)
         trajectory = parse_numbers(read_member(value, "trajectory", _BODY), "trajectory")
         aux = read_member(value, _AUX, _BODY)
@@ -68,11 +62,7 @@ class ModelAnswer:
 
     @classmethod
     def of_plan(cls, plan: Plan, lidar_ahead_m: float) -> Self:
-        """A plan's first 3 s on the wire, as the engines themselves read it: positions of the rear axle.
-
-        Args:
-            lidar_ahead_m: Lidar origin ahead of the rear axle.
-        """
+        """A plan's first 3 s on the wire, as rear-axle positions; the lidar is ``lidar_ahead_m`` of the rear axle."""
         boxes, futures = _transform_forecasts(plan, lidar_ahead_m)
         nothing = np.empty(0)
         return cls(plan_to_poses(plan, lidar_ahead_m)[:, :2], boxes, (), nothing, nothing, futures)
@@ -90,15 +80,10 @@ class ModelAnswer:
         return encode_json({"trajectory": self.trajectory.tolist(), _AUX: aux_lists})
 
     def plan(self, frame: PlanFrame = PlanFrame.EGO) -> Plan:
-        """The part of an answer that can be driven.
+        """The part of an answer that can be driven; a third column, which the engine hardly uses, is dropped.
 
-        A third column, which the engine's own code hardly uses, is dropped.
-
-        Args:
-            frame: Frame of the model's answers: that of the protocol, or ``lidar``, as forks of VAD answer.
-
-        Raises:
-            WireError: If there are too few waypoints, too many, or NaN or infinity among them.
+        ``frame`` is that of the protocol, or ``lidar``, as forks of VAD answer. Too few or too many waypoints are
+        refused.
         """
         columns = self.trajectory.shape[1] if self.trajectory.ndim == 2 else 0
         waypoints = self.trajectory[:, :2].copy() if columns == 3 else self.trajectory

@@ -1,7 +1,7 @@
 """One request and its answer over HTTP: a connection of its own, a deadline over all of it, a bound on its size.
 
-Requests are never repeated. Failures are a closed list: no answer, or a connection that was lost half-way
-(`PlannerAwayError`), an answer that is late (`PlannerLateError`), or another kind of server (`PlannerGoneError`).
+Requests are never repeated. Failures are a closed list: no answer, or a connection lost half-way
+(`PlannerAwayError`), a late answer (`PlannerLateError`), or another kind of server (`PlannerGoneError`).
 """
 
 import contextlib
@@ -44,12 +44,7 @@ class HttpReply:
 
 @dataclass(frozen=True, slots=True)
 class HttpConnection:
-    """Asks one server.
-
-    Attributes:
-        what: Description of the server in messages: "the model server".
-        deadline_s: How long one request may take, from connecting to its last byte.
-    """
+    """Asks one server, named ``what`` in messages; the deadline runs from connecting to the last byte."""
 
     url: str
     what: str
@@ -60,21 +55,11 @@ class HttpConnection:
         return self._exchange("GET", path, None, deadline_s)
 
     def post(self, path: str, body: bytes, deadline_s: float | None = None) -> HttpReply:
-        """Send JSON, once; any status is an answer.
-
-        Raises:
-            PlannerAwayError: If no server listens there, or the other side went away before it had answered.
-            PlannerLateError: If it takes too long.
-            PlannerGoneError: If what answers does not speak HTTP, or answers more than there may be.
-        """
+        """Send JSON, once; any status is an answer. Failures are those of the module."""
         return self._exchange("POST", path, body, deadline_s)
 
     def wait(self, seconds: float) -> None:
-        """Wait until something answers ``/alive``; any answer will do, as for NeuroNCAP.
-
-        Raises:
-            PlannerAwayError: If nothing answers within these seconds of a monotonic clock.
-        """
+        """Wait until something answers ``/alive``; any answer will do, as for NeuroNCAP; then `PlannerAwayError`."""
         until = time.monotonic() + seconds
         while True:
             try:

@@ -1,6 +1,6 @@
 """A planner behind HTTP: any server of ``/alive``, ``/reset`` and ``/infer``, as in the forks for NeuroNCAP.
 
-The protocol has no identity. Results are stored under the name that the user gives, or the server's address.
+The protocol has no identity: results are stored under the name that the user gives, or the server's address.
 """
 
 import sys
@@ -120,11 +120,10 @@ def http_planner(
     deadline_s: float = DEADLINE_S,
     frame: str = PlanFrame.EGO,
 ) -> HttpPlanner:
-    """The planner at an address, ``http://HOST:PORT`` or ``NAME=http://HOST:PORT``; nothing is asked yet.
+    """The planner at ``http://HOST:PORT`` or ``NAME=http://HOST:PORT``; nothing is asked yet.
 
-    Args:
-        image_format: ``torch``, as NeuroNCAP sends pictures, or ``png``.
-        frame: Frame of its answers: ``ego``, as the protocol has it, or ``lidar``.
+    ``image_format`` is ``torch``, as NeuroNCAP sends pictures, or ``png``; answers are in the frame ``ego``, as the
+    protocol has it, or ``lidar``.
     """
     return HttpPlanner(Address.of(address, _OPTION), HttpImageFormat(image_format), deadline_s, PlanFrame(frame))
 

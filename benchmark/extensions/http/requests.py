@@ -32,13 +32,11 @@ class InferRequest:
 
     Attributes:
         images: Text of each of the six cameras: base64 of a file (`benchmark.extensions.http.values`).
-        ego2world: (4, 4) pose of the rear axle.
+        ego2world: (4, 4) pose of the rear axle; `camera2ego` and `lidar2ego` are alike.
         canbus: (16,) see `CANBUS`.
         timestamp: Microseconds.
         command: 0 right, 1 left, 2 straight.
         camera2image: (3, 3) pinhole matrix of each camera, pixels.
-        camera2ego: (4, 4) pose of each camera.
-        lidar2ego: (4, 4) pose of LIDAR_TOP.
     """
 
     images: Mapping[str, str]

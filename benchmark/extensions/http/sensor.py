@@ -1,9 +1,7 @@
-"""A sensor over HTTP: closed-loop states drawn by a renderer for NeuroNCAP (NeuRAD's server or a compatible one).
+"""Sensor over HTTP: closed-loop states drawn by a renderer for NeuroNCAP (NeuRAD's server or a compatible one).
 
-A renderer shows one recorded scene with the actors it knows, at the positions sent to it. They are sent at every
-planning instant, because other road users may react; no future positions are sent.
-
-Requests and answers of a NeuroNCAP renderer: actors with their tracks, and one picture of one camera.
+A renderer shows one recorded scene with the actors it knows, at positions sent at every planning instant, because other
+road users may react; no future positions are sent.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -44,12 +42,9 @@ _MOST_ACTORS: Final = 5000
 
 @dataclass(frozen=True, slots=True)
 class RendererActor:
-    """Actor that a renderer can show elsewhere than recorded.
+    """Actor that a renderer can show elsewhere than recorded: (T,) microseconds, (T, 4, 4) box centre to global.
 
-    Attributes:
-        timestamps: (T,) microseconds.
-        poses: (T, 4, 4) of the box's centre, global.
-        dims: (3,) width, length, height.
+    `dims` are (3,) width, length, height.
     """
 
     uuid: str
@@ -83,14 +78,7 @@ class RendererActor:
 
 @dataclass(frozen=True, slots=True)
 class MovedActor:
-    """Where an actor is to be shown.
-
-    Attributes:
-        timestamps: (T,) microseconds.
-        poses: (T, 4, 4) of the box's centre, global.
-        dims: (3,) width, length, height.
-        is_target: Whether it is who threatens the ego.
-    """
+    """Actor and where it is to be shown, as in `RendererActor`; the target threatens the ego."""
 
     timestamps: NDArray[np.int64]
     poses: Floats
@@ -124,11 +112,7 @@ def encode_moved_actors(actors: Iterable[MovedActor]) -> bytes:
 
 
 def encode_image_request(pose: Floats, timestamp: int, camera: str, image_format: str | None = None) -> bytes:
-    """The body of ``/render_image``: (4, 4) global pose of a camera, and microseconds.
-
-    Args:
-        image_format: A member that NeuroNCAP never sends and NeuRAD's server knows: ``png``.
-    """
+    """Body of ``/render_image``: (4, 4) global camera pose, microseconds; only NeuRAD's server knows ``png``."""
     more = {} if image_format is None else {"image_format": image_format}
     return encode_json({"pose": pose.tolist(), "timestamp": timestamp, "camera_name": camera, **more})
 
@@ -144,11 +128,7 @@ _LEAST_ERROR: Final = 400
 
 @dataclass(frozen=True, slots=True)
 class HttpSensor:
-    """A renderer's server.
-
-    Attributes:
-        tensors: Whether saved tensors are read. Then it is asked exactly as NeuroNCAP asks, else for PNG.
-    """
+    """A renderer's server; with saved ``tensors`` it is asked exactly as NeuroNCAP asks, else for PNG."""
 
     address: Address
     tensors: bool = False
@@ -170,11 +150,7 @@ class HttpSensor:
         _ask_renderer(lambda: self._connection.get("/alive", ALIVE_S))
 
     def look(self, scene: Scene) -> "HttpCameraViews":
-        """Make ready for a scene.
-
-        Raises:
-            InputError: If there is no answer, it is not a renderer's, or the renderer shows another scene.
-        """
+        """Make ready for a scene, which has to be the one that the renderer shows."""
         cameras = {camera.name: camera for camera in scene.cameras}
         missing = [name for name in CAMERAS if name not in cameras]
         if missing:
@@ -191,12 +167,9 @@ class HttpSensor:
         return HttpCameraViews(self, tuple(cameras[name] for name in CAMERAS), scene.adversaries, frozenset(known))
 
     def asked(self, path: str, body: bytes | None = None) -> bytes:
-        """Bytes that the renderer answers; JSON is posted if given.
+        """Bytes that the renderer answers; JSON is posted if given. Errors and web pages are refused.
 
         Unlike with plans, an error cannot hold what was asked for.
-
-        Raises:
-            InputError: If there is no answer, or it is an error or a web page.
         """
         reply = _ask_renderer(lambda: self._connection.get(path) if body is None else self._connection.post(path, body))
         if reply.status >= _LEAST_ERROR or reply.is_page:
@@ -244,11 +217,7 @@ class HttpCameraViews:
     known: frozenset[str]
 
     def views(self, driven: Scene) -> dict[str, CameraView]:
-        """Pictures of the last frame, which is now: all actors known to the renderer are placed, then six cameras look.
-
-        Raises:
-            InputError: If the renderer does not answer, answers anything but a picture, or one of another size.
-        """
+        """Pictures of the last frame, which is now: all known actors are placed, then six cameras look."""
         now = len(driven.timestamps_us) - 1
         time_us = int(driven.timestamps_us[now])
         self.sensor.asked(
@@ -285,7 +254,7 @@ class HttpCameraViews:
 def build_moved_actors(driven: Scene, known: frozenset[str], adversaries: tuple[str, ...]) -> list[MovedActor]:
     """Known actors where they are, up to now (the last frame), and half a second on as they went last; in scene order.
 
-    An actor that is absent now is left out, and so vanishes from the renderer's pictures.
+    An absent actor is left out, and so vanishes from the renderer's pictures.
     """
     agents, placed_actors = driven.agents, []
     for row, uuid in enumerate(agents.ids):

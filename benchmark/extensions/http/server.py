@@ -1,7 +1,4 @@
-"""A socket for an application of ASGI: on this machine alone unless asked otherwise, and bounded in what it holds.
-
-The server's three routes: bodies bounded in size and time, planning in a thread of its own, errors as sentences.
-"""
+"""ASGI server, on this machine alone by default: bounded bodies, planning in a thread, errors as sentences."""
 
 import asyncio
 import threading
@@ -32,12 +29,7 @@ _BODIES: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class RequestBounds:
-    """Limits on a request.
-
-    Attributes:
-        body_s: How long a body may take to arrive.
-        answer_s: How long an answer may take, waiting for the one before included.
-    """
+    """Limits on a request: bytes and arrival of a body, and its answer, waiting for the one before included."""
 
     body_bytes: int = HTTP_REQUEST.file_bytes
     body_s: float = 30.0
@@ -45,10 +37,7 @@ class RequestBounds:
 
 
 def build_application(session: PlannerSession, bounds: RequestBounds) -> Starlette:
-    """The routes of a session as an ASGI application.
-
-    The planner is asked in one thread, request after request, so that ``/alive`` answers meanwhile.
-    """
+    """ASGI routes of a session; one thread asks the planner, so that ``/alive`` answers meanwhile."""
     thread = ThreadPoolExecutor(1, thread_name_prefix="planner")
     bodies = asyncio.Semaphore(_BODIES)
 
@@ -173,10 +162,7 @@ class PlannerServer:
     def __init__(
         self, session: PlannerSession, host: str = LOOPBACK, port: int = 0, bounds: RequestBounds | None = None
     ) -> None:
-        """Listen, on this machine alone by default; requests from now on are answered once it serves.
-
-        Port 0 takes a free one.
-        """
+        """Listen, on this machine alone and a free port by default; requests are answered once it serves."""
         self.host = host
         self._socket = open_listening_socket(host, port)
         self.port: int = self._socket.getsockname()[1]

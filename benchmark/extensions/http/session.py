@@ -1,9 +1,7 @@
-"""A served planner, without a socket: requests in, answers out, one scene at a time.
+"""Served planner without a socket: requests in, answers out, one scene at a time (``docs/extensions/http.md``).
 
-The protocol names neither client nor scene. A ``/reset`` begins a scene; an ``/infer`` whose time does not
-increase belongs to another scene, and is refused rather than put into the planner's memory.
-
-From observations to requests and back. What the wire loses on the way is listed in ``docs/extensions/http.md``.
+The protocol names neither client nor scene. A ``/reset`` begins a scene; an ``/infer`` whose time does not increase
+belongs to another scene, and is refused rather than put into the planner's memory.
 """
 
 import sys
@@ -56,10 +54,9 @@ the name of its scene does not depend on earlier requests."""
 
 
 def build_request(observation: Observation, form: HttpImageFormat) -> InferRequest:
-    """An observation with all six cameras as a request.
+    """Request of an observation with all six cameras, in its own double precision.
 
-    Its numbers are those of the observation in double precision. The engine `neuroncap@code` gives single ones, as the
-    published code does.
+    The engine `neuroncap@code` gives single precision, as the published code does.
     """
     views = {name: observation.views[name] for name in CAMERAS if name in observation.views}
     missing = [name for name in CAMERAS if name not in views]
@@ -96,11 +93,7 @@ class ObservationHistory:
         self._poses: deque[Floats] = deque(maxlen=PAST_TICKS)
 
     def observation(self, request: InferRequest, *, tensors: bool) -> Observation:
-        """Observation of a request, remembered as one more sample; its pictures are decoded, without files behind them.
-
-        Raises:
-            WireError: If a picture cannot be read; then nothing is remembered.
-        """
+        """Observation of a request, remembered as one more sample unless a picture cannot be read."""
         pictures = {
             name: decode_image_text(text, f"images.{name}", tensors=tensors) for name, text in request.images.items()
         }
@@ -145,7 +138,7 @@ def read_ego_state(request: InferRequest) -> EgoState:
 def _compute_rotation(request: InferRequest) -> Floats:
     """The pose's rotation; of the two quaternions that mean the same, the one that the CAN row has.
 
-    Networks were trained on the scalar part of the data set's own quaternions, whose sign a matrix does not keep.
+    Networks were trained on the scalar part of the data set's own quaternions; a matrix does not keep its sign.
     """
     computed, reported = quaternion_of(request.ego2world[:3, :3]), request.canbus[_ROTATION]
     alike = float(computed @ reported)
@@ -189,12 +182,7 @@ class PlannerSession:
     """One planner and the scene that it is in. Nothing here is safe to call from two threads at once."""
 
     def __init__(self, planner: Planner, *, tensors: bool = False, seed: int = 0) -> None:
-        """Wrap a planner that has just been built; it must not want more than the wire carries.
-
-        Args:
-            tensors: Whether saved tensors of PyTorch are read.
-            seed: Of global generators, at every reset.
-        """
+        """Wrap a new planner that wants no more than the wire carries; each reset seeds global generators."""
         if isinstance(planner, PrivilegedPlanner):
             raise InputError(
                 f"{planner.name} sees boxes, the map or the recorded path, which requests do not carry; serve a "
@@ -209,11 +197,7 @@ class PlannerSession:
         self._begun = False
 
     def reset(self) -> bytes:
-        """Begin a scene, always; gives the body of the answer.
-
-        Raises:
-            Refused: If the planner fails in it.
-        """
+        """Begin a scene, always, and give the body of the answer; `Refused` if the planner fails in it."""
         self._memory = ObservationHistory()
         self._begun = False
         try:
@@ -223,11 +207,7 @@ class PlannerSession:
         return encode_json(True)
 
     def infer(self, body: bytes) -> bytes:
-        """Answer one posted observation with a body.
-
-        Raises:
-            Refused: If it cannot be read, does not go on from the last one, or the planner fails.
-        """
+        """Answer one posted observation; `Refused` if unreadable, out of order, or if the planner fails."""
         try:
             request = InferRequest.read(body)
             self._require_later(request.timestamp)

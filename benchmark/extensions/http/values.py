@@ -1,7 +1,4 @@
-"""Numbers from the wire: of the shape that is asked for, finite where they must be, and no truth values among them.
-
-Pictures on the wire: base64 of a file, as NeuroNCAP saves them (a tensor) or as everybody can read them (PNG).
-"""
+"""Numbers and pictures from the wire: shape and finiteness checked, no truth values; base64 of tensors or PNG."""
 
 import base64
 import binascii
@@ -47,11 +44,7 @@ def parse_matrix(value: Any, shape: tuple[int, ...], where: str) -> Floats:
 
 
 def parse_pose(value: Any, where: str) -> Floats:
-    """(4, 4) rigid motion.
-
-    Raises:
-        WireError: If its rotation is none, its last row is another, or it is farther away than any map.
-    """
+    """(4, 4) rigid motion; refused with another last row, no rotation, or farther away than any map."""
     pose = parse_matrix(value, (4, 4), where)
     turn = pose[:3, :3]
     # Only numbers that cannot overflow are multiplied.
@@ -106,10 +99,7 @@ class HttpImageFormat(StrEnum):
 
 
 def encode_image(pixels: NDArray[np.uint8], form: HttpImageFormat) -> str:
-    """A (height, width, 3) RGB picture as standard base64 without line breaks.
-
-    In the form ``torch`` it is what ``torch.save`` writes of the tensor, which is NeuroNCAP's only form.
-    """
+    """(height, width, 3) RGB as base64 in one line; ``torch`` is NeuroNCAP's form, a ``torch.save`` of the tensor."""
     file = io.BytesIO()
     if form is HttpImageFormat.TORCH:
         import torch
@@ -124,15 +114,7 @@ def encode_image(pixels: NDArray[np.uint8], form: HttpImageFormat) -> str:
 
 
 def decode_image_text(text: str | bytes, where: str, *, tensors: bool) -> NDArray[np.uint8]:
-    """(height, width, 3) RGB picture from base64 text: PNG, JPEG, an array of numpy, or a saved tensor.
-
-    Args:
-        tensors: Whether saved tensors are read, which are pickles.
-
-    Raises:
-        TensorRefused: If it is a saved tensor and those are not read.
-        WireError: If it is anything else, or larger than any camera's picture.
-    """
+    """(height, width, 3) RGB from base64: PNG, JPEG, a numpy array, or, if ``tensors`` (pickles) are read, one."""
     try:
         data = base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:

@@ -1,5 +1,5 @@
 """Info files: what the official code of UniAD, VAD and SparseDrive reads in place of the nuScenes tables.
 
-``exporting.py`` is the main path. Every value is what the repositories' own converters compute, their slips included;
-what is done otherwise, and why, is in ``cures.py`` and stands in a file beside each export.
+Every value is what the repositories' own converters compute, their slips included; what is done otherwise, and why, is
+in ``repairs.py`` and stands in a file beside each export.
 """

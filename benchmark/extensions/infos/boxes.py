@@ -21,15 +21,9 @@ _LONGEST_GAP_S: Final = 1.5
 
 @dataclass(frozen=True, slots=True)
 class SceneBoxes:
-    """All A annotations of a scene, in the order of the file.
+    """All A annotations of a scene in the order of the file: centres (A, 3) and rotations (A, 3, 3), global.
 
-    Attributes:
-        position: (A, 3) centres, global.
-        size: (A, 3) width, length, height.
-        rotation: (A, 3, 3) to the global axes.
-        time_us: (A,) times of their samples.
-        prev: (A,) index of the same object's box before, -1 for none.
-        next: (A,) and after.
+    `size` is (A, 3) width, length, height; `prev` and `next` are (A,) indices of the same object's boxes, -1 for none.
     """
 
     rows: tuple[Row, ...]
@@ -73,7 +67,7 @@ class SceneBoxes:
         return following_boxes
 
     def velocity(self, boxes: Indices) -> Floats:
-        """Global velocities from the boxes before and after, as nuscenes-devkit takes them: (N, 3) m/s.
+        """Global (N, 3) m/s from the boxes before and after, as nuscenes-devkit takes them.
 
         NaN for objects with one box and across gaps of more than 1.5 s a side.
         """
@@ -92,9 +86,8 @@ def build_annotation_keys(
 ) -> dict[str, Any]:
     """Keys of the N boxes of a sample that all three repositories share; ``here`` is (N,) in the order of the file.
 
-    Returns:
-        ``gt_boxes`` (N, 7) with width, length, height and the tilted angle, ``gt_names``, ``gt_velocity`` (N, 2), the
-        two counts of points and ``valid_flag``. Lists of nothing become floats there, as numpy makes them.
+    ``gt_boxes`` (N, 7) have width, length, height and the tilted angle, ``gt_velocity`` is (N, 2). Lists of nothing
+    become floats, as numpy makes them.
     """
     rows = [boxes.rows[number] for number in here]
     angle = compute_tilted_angle(lidar.local_rotation(boxes.rotation[here]))

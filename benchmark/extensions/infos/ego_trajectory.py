@@ -1,7 +1,4 @@
-"""The recorded drive: where the lidar has been and goes, the command that follows from it, what the car measures.
-
-CAN bus messages as the converters take them: in the order of the file, some of them one message too late.
-"""
+"""Recorded drive: lidar path, its command, and CAN messages as converters take them, some one message too late."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -44,9 +41,7 @@ class NearestMessages(NamedTuple):
 class ConverterCanMessages:
     """Messages of a scene in the order of the files; none where a file is missing.
 
-    Attributes:
-        pose: Position, orientation, acceleration, rotation rate, velocity, in the order of the file's keys.
-        steering: Angle of the steering wheel.
+    A `pose` has position, orientation, acceleration, rotation rate, velocity, in the order of the file's keys.
     """
 
     pose: Sequence[Message]
@@ -54,11 +49,7 @@ class ConverterCanMessages:
 
     @classmethod
     def read(cls, root: Path, scene: str, *, as_converted: bool) -> Self:
-        """Read the two files of a scene.
-
-        Args:
-            as_converted: Whether names that are not ``scene-dddd`` have none, as for the devkit.
-        """
+        """Read both files of a scene; ``as_converted``, names but ``scene-dddd`` have none, as for the devkit."""
         number = _NUMBERED.match(scene)
         hidden = number is not None and int(number[1]) in _WITHOUT
         if hidden or (as_converted and not OFFICIAL_NAME.fullmatch(scene)):
@@ -72,13 +63,10 @@ class ConverterCanMessages:
         return cls(*message_lists)
 
     def vector(self, time_us: int) -> Floats:
-        """The vector ``can_bus`` of an info.
+        """The (18,) vector ``can_bus`` of an info; zeros where there are no messages.
 
         Position and orientation are those of the last message up to now; all else is of the one after it, at which the
         converters' search stopped.
-
-        Returns:
-            (18,) zeros where there are no messages.
         """
         if not self.pose:
             return np.zeros(VECTOR_VALUES)
@@ -121,12 +109,7 @@ STATUS_VALUES: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class EgoTrajectory:
-    """The ego at all S samples of a scene, in time order.
-
-    Attributes:
-        origin: (S, 3) lidar origins, global.
-        place: Index by token of the sample.
-    """
+    """Ego at all S samples of a scene, in time order; `origin` (S, 3) is the lidar's, global, `place` by token."""
 
     frames: tuple[SensorFrame, ...]
     origin: Floats
@@ -147,9 +130,8 @@ class EgoTrajectory:
     def path(self, at: int) -> dict[str, Floats]:
         """Two steps back and six ahead, in the lidar frame of a sample.
 
-        Returns:
-            ``gt_ego_his_trajs`` (2, 2) offsets, the older first; ``gt_ego_fut_trajs`` (6, 2) offsets, 0 after the end
-            of the scene; ``gt_ego_fut_masks`` (6,); ``gt_ego_fut_cmd`` (3,) right, left or straight.
+        ``gt_ego_his_trajs`` are (2, 2) offsets, the older first; ``gt_ego_fut_trajs`` (6, 2), 0 after the end of the
+        scene (``gt_ego_fut_masks``); ``gt_ego_fut_cmd`` is (3,) right, left or straight.
         """
         last = len(self.frames) - 1
         planar = self.frames[at].local(self.origin)[:, :2]
@@ -166,13 +148,10 @@ class EgoTrajectory:
         }
 
     def features(self, at: int, path: dict[str, Floats], can: ConverterCanMessages, location: str) -> Floats:
-        """VAD's nine numbers of the ego at a sample.
+        """VAD's (9,) velocity, acceleration, rate of the angle, length and width of the car, speed, curvature.
 
         Times between samples are taken for half a second, long or short, and the angle is a roll (`compute_roll`), so
         that on flat roads the car seems to drive along the y axis and never to turn.
-
-        Returns:
-            (9,) velocity, acceleration, rate of the angle, length and width of the car, speed, curvature.
         """
         first = max(at - 1, 0)
         poses = [self.frames[number].pose for number in (first, min(first + 1, len(self.frames) - 1))]
@@ -208,11 +187,7 @@ def _compute_command(lateral_m: float) -> int:
 
 
 def compute_ego_status(can: ConverterCanMessages, time_us: int) -> Floats:
-    """SparseDrive's ten numbers of the ego.
-
-    Returns:
-        (10,) acceleration, rotation rate, velocity, steering angle; zeros where any of them is missing.
-    """
+    """SparseDrive's (10,) acceleration, rotation rate, velocity, steering angle; zeros where any of them is missing."""
     messages = can.nearest(time_us)
     if messages is None:
         return np.zeros(STATUS_VALUES)

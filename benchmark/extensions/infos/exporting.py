@@ -1,8 +1,6 @@
-"""Exporting info files, start to end: scenes of a split, their infos, what is cured, the files.
+"""Export of info files: scenes of a split, their infos, repairs, files; nothing is written before all is computed.
 
-Nothing is written before all of it is computed.
-
-The folder that official code is pointed at in place of a root: links to it, and the maps that it lacks.
+The folder that official code is pointed at in place of a root has links to it, and the maps that it lacks.
 """
 
 import pickle
@@ -57,11 +55,9 @@ class StandInRoot:
 
     @classmethod
     def of(cls, root: Path, to: Path, version: str, *, root_as: str | None, beside: Sequence[str]) -> Self:
-        """The folder that is to be written; refused where something else has one of its names.
+        """Folder that is to be written; refused where something else has one of its names.
 
-        Args:
-            root_as: Where links lead to, if not to the root where it is here.
-            beside: Files of the export that official code looks for in the folder.
+        Links lead to ``root_as``, if not to the root as it is here; official code looks for the files ``beside`` in it.
         """
         folder = to / FOLDER
         source = root.resolve() if root_as is None else Path(root_as)

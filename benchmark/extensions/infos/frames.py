@@ -13,12 +13,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class SensorFrame:
-    """Pose of a sensor when it measures.
-
-    Attributes:
-        mount: (3, 3) rotation and (3,) translation that take the sensor's points to the ego frame.
-        pose: The same from the ego frame to the global one, at the sensor's own time.
-    """
+    """Pose of a sensor when it measures: (3, 3) and (3,) to the ego frame, and from there to the global one."""
 
     mount: tuple[Floats, Floats]
     pose: tuple[Floats, Floats]
@@ -48,10 +43,7 @@ class SensorFrame:
         return np.asarray(self.rotation.T @ rotation)
 
     def transform_to(self, other: "SensorFrame") -> tuple[Floats, Floats]:
-        """Rotation (3, 3) and translation (3,) from this sensor's points to another's.
-
-        By way of the global frame, so that the motion of the ego between their two times is contained.
-        """
+        """(3, 3) and (3,) from this sensor's points to another's by the global frame: with the ego's motion."""
         (mount, offset), (pose, position) = self.mount, self.pose
         rotation = other.mount[0].T @ other.pose[0].T @ pose @ mount
         moved = other.pose[0].T @ (pose @ offset + position - other.pose[1])

@@ -1,6 +1,6 @@
 """Map elements around a sample as SparseDrive's infos hold them: lines in the lidar frame, by class.
 
-Where a ring begins, and whether it has vertices that lie on a straight line, depends on the version of GEOS.
+Where a ring begins, and whether it has vertices on a straight line, depends on the version of GEOS.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -75,11 +75,7 @@ class MapLines:
         )
 
     def around(self, lidar: SensorFrame) -> MapElements:
-        """Lines within 15 m beside and 30 m ahead of and behind the lidar.
-
-        Returns:
-            Lines (n, 2) in the lidar frame by class: dividers, crossings and boundaries, in this order.
-        """
+        """(n, 2) lidar-frame lines within 15 m beside and 30 m along it: dividers, crossings, boundaries."""
         try:
             return self._around(lidar)
         except shapely.errors.ShapelyError as error:

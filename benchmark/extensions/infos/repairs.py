@@ -1,7 +1,6 @@
-"""Repairs: differences from the converters, because official code fails on roots other than nuScenes.
+"""Repairs: the smallest changes that let official readers work on other roots as on nuScenes itself.
 
-A repair is the smallest change that lets the official readers work as on nuScenes itself. What cannot be repaired is
-refused before anything is written, or reported with the export.
+What cannot be repaired is refused before anything is written, or reported with the export.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -36,13 +35,9 @@ _SIZE_OPTIONS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class ConverterDifference:
-    """Something that an export has otherwise than the converter would write it.
+    """Deviation of an export from the converter; `why` is how official code behaves without it.
 
-    Attributes:
-        what: In words.
-        why: Behaviour of official code without the difference.
-        keys: Keys of an info that differ.
-        scenes: Scenes that it is about, and the amount where there is one; empty for all.
+    `scenes` have the amount where there is one; empty for all.
     """
 
     what: str
@@ -67,12 +62,7 @@ def require_cameras(rows: SceneTableRows) -> None:
 
 
 def require_usable(root: Path, repository: Repository, rows: SceneTableRows) -> None:
-    """Refuse what official code would fail at, or see nothing of.
-
-    Raises:
-        InputError: If the place has no map or is unknown, files are missing, images have another size than is needed,
-            or the scene is too short.
-    """
+    """Refuse what official code would fail at, or see nothing of: no map, missing files, wrong images, short scenes."""
     _require_map(root, rows)
     if len(rows.samples) < _NEEDS_FUTURE:
         raise InputError(
@@ -140,10 +130,7 @@ def describe_shifts(shifts: Mapping[str, int]) -> ConverterDifference:
 
 
 def build_category_numbers(own: Mapping[str, int]) -> dict[str, int]:
-    """VAD's numbers of categories: rows of the table of 32, in place of the root's own rows.
-
-    Names that the table of 32 lacks get numbers behind it, which no code counts.
-    """
+    """VAD's numbers of categories: rows of the table of 32, then names that it lacks, which no code counts."""
     numbers = {name: number for number, name in enumerate(NUMBERED_CATEGORIES)}
     return {name: numbers.get(name, len(numbers) + number) for name, number in own.items()}
 
@@ -227,14 +214,9 @@ def describe_empty_maps(cities: Sequence[str]) -> ConverterDifference:
 
 @dataclass(slots=True)
 class ExportObservations:
-    """Observations made while infos were written.
+    """Observations made while infos were written; `off_the_map` counts samples with nothing of the map around them.
 
-    Attributes:
-        sizes: Width and height of images.
-        without_points: Boxes without a lidar point.
-        off_the_map: Samples with nothing of the map around them.
-        without_can_bus: Scenes without the messages that motion is read from.
-        without_visibility: Boxes whose visibility is no level, by scene.
+    `without_visibility` are boxes, by scene, whose visibility is no level.
     """
 
     sizes: set[tuple[int, int]] = field(default_factory=set)

@@ -18,14 +18,10 @@ VERSIONS: Final = (MINI, TRAINVAL, TEST)
 
 @dataclass(frozen=True, slots=True)
 class Repository:
-    """One repository.
+    """One repository; its info files begin with `stem`, those of v1.0-mini lie in `mini_folder`, if not beside others.
 
-    Attributes:
-        title: Usual name of the repository.
-        stem: Beginning of the names of its info files.
-        mini_folder: Folder that the files of v1.0-mini lie in, if not beside those of other versions.
-        has_can_bus: Whether its infos hold prev, next, frame_idx and can_bus.
-        image_size: Width and height that its image pipeline takes for granted; ``None`` where it follows the images.
+    `has_can_bus` is whether infos hold prev, next, frame_idx and can_bus; `image_size` is width and height that its
+    image pipeline takes for granted, ``None`` where it follows the images.
     """
 
     name: RepositoryName

@@ -1,9 +1,4 @@
-"""The infos of one scene, key by key in the order of each repository's converter.
-
-Cameras and lidar sweeps of a sample, as all three repositories describe a sensor.
-
-Where annotated objects go, in the two ways in which the repositories follow them.
-"""
+"""Infos of one scene, key by key in the order of each repository's converter, with sensors and objects' futures."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,13 +30,10 @@ STATIC_GOAL: Final = 9
 
 
 def compute_own_frame_futures(boxes: SceneBoxes, here: Indices, seconds: int) -> tuple[Floats, Bools]:
-    """Future positions of objects as nuscenes-devkit's ``PredictHelper`` gives them.
+    """Future positions, (N, 2 seconds, 2), as nuscenes-devkit's ``PredictHelper`` gives them, and which there are.
 
-    Entries are packed: where a track has a hole, later positions stand in earlier places.
-
-    Returns:
-        (N, 2 seconds, 2) positions in the frame of each object now, x to its right and y ahead, 0 where there are none;
-        (N, 2 seconds) which there are.
+    In the frame of each object now, x to its right and y ahead. Entries are packed: where a track has a hole, later
+    positions stand in earlier places; 0 where there are none.
     """
     chain = boxes.following(here, seconds * KEYFRAME_HZ)
     elapsed_s = np.abs(boxes.time_us[chain] - boxes.time_us[here][:, None]) / 1e6
@@ -52,12 +44,10 @@ def compute_own_frame_futures(boxes: SceneBoxes, here: Indices, seconds: int) ->
 
 
 def compute_lidar_offsets(boxes: SceneBoxes, here: Indices, lidar: SensorFrame, seconds: int) -> tuple[Floats, Bools]:
-    """Offsets from step to step in the lidar frame, as SparseDrive's converter turns `compute_own_frame_futures` back.
+    """Lidar-frame offsets, (N, 2 seconds, 2), of `compute_own_frame_futures` as SparseDrive turns them back.
 
-    It turns by the heading in the global frame and back by that in the lidar frame, which differ for tilted boxes.
-
-    Returns:
-        (N, 2 seconds, 2) offsets, 0 where there are none; (N, 2 seconds) which there are.
+    It turns by the heading in the global frame and back by that in the lidar frame, which differ for tilted boxes. 0
+    where there are none.
     """
     own, there = compute_own_frame_futures(boxes, here, seconds)
     back = compute_heading(lidar.local_rotation(boxes.rotation[here])) - np.pi / 2
@@ -69,9 +59,7 @@ def compute_lidar_offsets(boxes: SceneBoxes, here: Indices, lidar: SensorFrame, 
 def compute_vad_futures(boxes: SceneBoxes, here: Indices, lidar: SensorFrame) -> dict[str, Any]:
     """VAD's futures of N objects: the next annotation is the next step, however long the gap.
 
-    Returns:
-        ``gt_agent_fut_trajs`` (N, 12), ``gt_agent_fut_masks``, ``gt_agent_fut_yaw`` (N, 6), ``gt_agent_fut_goal`` (N,),
-        all in double precision.
+    ``gt_agent_fut_trajs`` is (N, 12), ``gt_agent_fut_yaw`` (N, 6), ``gt_agent_fut_goal`` (N,), all in double precision.
     """
     chain = boxes.following(here, PLAN_STEPS)
     there = chain != NO_BOX
@@ -89,7 +77,7 @@ def compute_vad_futures(boxes: SceneBoxes, here: Indices, lidar: SensorFrame) ->
 
 
 def classify_goals(offsets: Floats) -> Floats:
-    """Classes of where objects go, from (N, 6, 2) offsets: (N,) eighths of a turn 0 to 8, or 9 for those that stand.
+    """(N,) classes of (N, 6, 2) offsets: eighths of a turn 0 to 8, or 9 for objects that stand.
 
     An object stands if neither coordinate grows by a metre; growing is meant with its sign, so that one that goes 20 m
     to the left and back stands, too.
@@ -107,11 +95,7 @@ SensorInfo = dict[str, Any]
 
 
 def build_camera_infos(rows: SceneTableRows, sample: Row, lidar: SensorFrame, prefix: str) -> dict[str, SensorInfo]:
-    """Cameras of a sample by channel, in the order that networks take them.
-
-    Raises:
-        KeyError: If a camera has no image; `benchmark.extensions.infos.repairs.require_cameras` says so in a sentence.
-    """
+    """Cameras of a sample by channel, in the networks' order; `require_cameras` refuses missing images."""
     infos = {}
     for channel in CAMERA_NAMES:
         data = rows.key_frames[sample["token"]][channel]
@@ -158,13 +142,9 @@ _FUTURE_SAMPLES: Final = 6
 
 @dataclass(frozen=True)
 class SceneSources:
-    """All that the infos of a scene are made of.
+    """All that the infos of a scene are made of; `map_lines` only where the repository's infos hold a map.
 
-    Attributes:
-        map_lines: The map of its city, where the repository's infos hold one.
-        prefix: Prefix of file names.
-        category_numbers: VAD's category numbers, by name.
-        default_visibility: Value for unknown visibilities; ``None`` refuses them.
+    Unknown visibilities become `default_visibility`; ``None`` refuses them.
     """
 
     rows: SceneTableRows
@@ -191,7 +171,7 @@ class _InfoSample:
 def build_scene_infos(repository: Repository, version: str, sources: SceneSources) -> Iterator[Info]:
     """Infos of a scene in the order of the sample table; ``frame_idx`` stays 0 until scenes are put together.
 
-    Infos of v1.0-test have no annotations. Fails where the converter itself would.
+    Those of v1.0-test have no annotations. Fails where the converter itself would.
     """
     rows = sources.rows
     index = {row["token"]: number for number, row in enumerate(sources.boxes.rows)}

@@ -19,14 +19,9 @@ ByToken = Mapping[str, Row]
 
 @dataclass(frozen=True)
 class SceneTableRows:
-    """Rows of one scene, in the order of the files.
+    """Rows of one scene, in the order of the files; numbers are those of rows in the whole tables.
 
-    Attributes:
-        sample_numbers: Numbers of the samples in the whole table.
-        channels: Channel by token of a calibrated sensor.
-        instance_numbers: Numbers of the rows of ``instance``, by token.
-        categories: Name of the category by token of the instance.
-        category_numbers: Numbers of the rows of ``category``, by name.
+    `channels` are by token of a calibrated sensor, `categories` by token of the instance.
     """
 
     scene: Row
@@ -90,11 +85,7 @@ class SceneTableRows:
 
 
 class InfoTables:
-    """Tables of a root, scene by scene; all 13 must be there.
-
-    Args:
-        rates: Gets scenes whose keyframes are not half a second apart.
-    """
+    """Tables of a root, scene by scene; all 13 must be there. ``rates`` gets scenes without keyframes at 2 Hz."""
 
     def __init__(self, root: Path, version: str, rates: FaultList) -> None:
         tables = read_tables_cached(root / version, rates)

@@ -1,4 +1,1 @@
-"""NeuroNCAP's engine, scenarios and score, as its code has them and as its paper says.
-
-Switches, and what was verified: docs/extensions/neuroncap.md.
-"""
+"""NeuroNCAP's engine, scenarios and score by code or by paper; switches and checks: docs/extensions/neuroncap.md."""

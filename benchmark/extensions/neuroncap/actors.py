@@ -1,7 +1,4 @@
-"""Actors of NeuroNCAP's engine: who they are, and where at any time.
-
-Poses between poses as NeuroNCAP's code has them: quaternions, normalised linear where they nearly agree.
-"""
+"""Actors of NeuroNCAP's engine, and their poses in between: quaternions, normalised linear where they nearly agree."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -60,14 +57,10 @@ _NO_TIME_S: Final = np.float32(1e-6)
 
 @dataclass(frozen=True)
 class Actor:
-    """A road user other than the ego, with T poses.
+    """Road user other than the ego; `is_target` of the scenario.
 
-    Attributes:
-        kind: Second word of its category.
-        size: (3,) width, length, height, metres.
-        times: (T,) rising, microseconds.
-        poses: (T, 4, 4) box centre to global.
-        is_target: Whether the scenario is about it.
+    `kind` is the second word of its category, `size` (3,) width, length, height, metres; `times` (T,) are rising
+    microseconds, `poses` (T, 4, 4) box centre to global.
     """
 
     uuid: str
@@ -106,10 +99,7 @@ class Actor:
         return interpolate_pose(self.poses[left], self.poses[right], fraction)
 
     def velocity_at(self, time_us: int) -> Floats:
-        """(3,) m/s of the step between stamps that a time lies in; standing where there is one stamp alone.
-
-        The published code raises an error for one stamp.
-        """
+        """(3,) m/s of the step between stamps around a time; 0 with one stamp, where published code fails."""
         if len(self.times) < 2:
             return np.zeros(3)
         after = max(int(np.searchsorted(self.times, time_us)), 1)

@@ -1,7 +1,4 @@
-"""Collision check of NeuroNCAP's code: the first actor in the list whose box meets the ego's.
-
-The car that NeuroNCAP drives and the box that it is checked with.
-"""
+"""Collision check of NeuroNCAP's code: the first actor in the list whose box meets the ego's; and NeuroNCAP's car."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,14 +25,9 @@ SLIPPED_LENGTH_M: Final = 4.018
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapCar:
-    """Numbers of the car.
+    """Numbers of the car; `wheelbase_m` is of tracker and bicycle, length and width of the box of contact.
 
-    Attributes:
-        wheelbase_m: Of tracker and bicycle.
-        centre_ahead_m: Centre ahead of the rear axle, for the motion that is reported.
-        box_ahead_m: Centre of the box of contact ahead of the rear axle.
-        length_m: Of that box.
-        width_m: Of that box.
+    `centre_ahead_m` of the rear axle is for the motion that is reported, `box_ahead_m` for the box of contact.
     """
 
     wheelbase_m: float
@@ -64,12 +56,7 @@ _ROOM_M: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class EgoMoment:
-    """The ego at one instant.
-
-    Attributes:
-        pose: (4, 4) rear axle to global.
-        speed: m/s along the heading.
-    """
+    """Ego at one instant: (4, 4) rear axle to global, m/s along the heading."""
 
     time_us: int
     pose: Floats
@@ -78,14 +65,9 @@ class EgoMoment:
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapContact:
-    """The first touch of a run.
+    """First touch of a run; `index` is the actor's in the engine's list, velocities are (3,) m/s.
 
-    Attributes:
-        index: Of the actor in the engine's list.
-        iou: Shared area of the two boxes over their joint area.
-        ego_velocity: (3,) m/s.
-        actor_velocity: (3,) m/s.
-        is_target: Whether the scenario is about that actor.
+    `iou` is the shared area of the two boxes over their joint area.
     """
 
     index: int

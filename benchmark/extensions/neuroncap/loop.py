@@ -8,9 +8,8 @@ One step is half a second of whole microseconds. In it the order is fixed:
 
 So a state is checked one step late, as in the published code, and the last one that was planned from by `finish_run`.
 
-Open-loop rates that NeuroNCAP gives beside its score: each plan laid out rigidly against what actors will do.
-
-The driving command of NeuroNCAP: where the recorded path lies three seconds ahead.
+Also the open-loop rates beside the score (each plan laid out rigidly against what actors will do), and the driving
+command: where the recorded path lies three seconds ahead.
 """
 
 from collections.abc import Sequence
@@ -39,9 +38,9 @@ _EXTENSION_M: Final = 100.0
 def extend_path(path: Floats, switches: NeuroncapSwitches) -> Floats:
     """The recorded (F, 3) path of x, y, yaw, continued for 100 m as (F + 1, 2) positions.
 
-    The switches decide whether the continuation divides by the norm of the last step with its turn in it, or follows
-    the last step that moves. As ``code``, the last position is not finite where the last two frames are the same, and a
-    recording that stands makes every command straight.
+    By the switches, the continuation divides by the norm of the last step with its turn in it, or follows the last step
+    that moves. As ``code``, the last position is not finite where the last two frames are the same, and a recording
+    that stands makes every command straight.
     """
     steps = np.diff(path, axis=0)
     if switches.command_extension == "paper":
@@ -56,10 +55,9 @@ def extend_path(path: Floats, switches: NeuroncapSwitches) -> Floats:
 
 
 def compute_command(pose: Floats, speed: float, path: Floats, switches: NeuroncapSwitches) -> Command:
-    """Command of a state: a (4, 4) pose of the rear axle, m/s, and the recording's (F, 3) path.
+    """Command of a (4, 4) rear-axle pose: left or right where the path lies over 2 m to that side, else straight.
 
-    Left or right where the point of the path that is nearest to the point three seconds straight ahead lies more than 2
-    m to that side.
+    Asked is the point of the recording's (F, 3) path nearest to the point three seconds straight ahead.
     """
     extended = extend_path(path, switches)
     ahead = (pose @ np.array([_AHEAD_S * max(speed, _SLOWEST_M_S), 0.0, 0.0, 1.0]))[:2]
@@ -90,13 +88,9 @@ def find_future_hits(
 
 
 def compute_future_moments(time_us: int, pose: Floats, plan: ArrayLike, switches: NeuroncapSwitches) -> list[EgoMoment]:
-    """A plan, (6, 2) x forward and y left, laid out rigidly from the (4, 4) pose of the rear axle.
+    """Ego at 0.5, 1.0 .. 3.0 s by a plan, (6, 2) x forward and y left, laid out rigidly from its (4, 4) rear axle.
 
-    Args:
-        switches: As ``plan_3s`` code, the pose at 3 s is that of 2.5 s.
-
-    Returns:
-        The ego at 0.5, 1.0 .. 3.0 s; its speeds are the published code's, and decide nothing.
+    As ``plan_3s`` code, the pose at 3 s is that of 2.5 s. Speeds are the published code's, and decide nothing.
     """
     waypoints = np.asarray(plan, np.float64)[:, :2]
     around = np.concatenate([np.zeros((1, 2)), waypoints, waypoints[-1:]])
@@ -121,13 +115,7 @@ _NO_TIME_S: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapEgoState:
-    """The ego at a planning instant.
-
-    Attributes:
-        pose: (4, 4) rear axle to global.
-        canbus: (16,) CAN row.
-        is_driven: Whether the engine drove there; otherwise it is a frame of the recording.
-    """
+    """Ego at a planning instant: (4, 4) rear axle to global, (16,) CAN row; a recorded frame unless `is_driven`."""
 
     time_us: int
     pose: Floats
@@ -150,14 +138,9 @@ class NeuroncapEgoState:
 
 @dataclass(frozen=True, slots=True)
 class Engine:
-    """Constants of a run.
+    """Constants of a run; `path` (F, 3) is the recording's, `priming_steps` are those of a recorded ego.
 
-    Attributes:
-        path: (F, 3) its path.
-        start_frame: Frame of the first state.
-        end_us: No state from here on is planned from.
-        priming_steps: Steps in which the ego is the recorded one.
-        check_futures: Whether plans are laid out against the future too.
+    No state from `end_us` on is planned from; `check_futures` lays plans out against the future, too.
     """
 
     recording: NeuroncapRecording
@@ -181,12 +164,10 @@ class Engine:
         switches: NeuroncapSwitches,
         check_futures: bool = False,
     ) -> "Engine":
-        """An engine for one run.
+        """Engine for one run, with `priming_steps` of the recorded ego.
 
-        Args:
-            priming_steps: Steps in which the ego is the recorded one.
-            renderer_knows: Recorded actors that the renderer can show: with a scenario they are gone unless it lists
-                them. The published code lets actors that the renderer does not know stand where they were.
+        Only recorded actors that `renderer_knows` can be shown: with a scenario they are gone unless it lists them. The
+        published code lets actors that the renderer does not know stand where they were.
         """
         others = recording.actors
         if run.actors:
@@ -220,15 +201,10 @@ class UncheckedState:
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapWorld:
-    """A run at a planning instant.
+    """A run at a planning instant; `vehicle` and `last`, its sub-steps, are there once it drives itself.
 
-    Attributes:
-        state: The ego now.
-        vehicle: The car since it drives itself.
-        waiting: The state one step ago with its plan, not checked yet.
-        checked: States checked.
-        future_hits: How many checked plans touch an actor at 0.5, 1.0 .. 3.0 s.
-        last: Sub-steps of the latest step, if it was driven.
+    `waiting` is the state one step ago with its plan, not checked yet; `checked` counts states, `future_hits` checked
+    plans that touch an actor at 0.5, 1.0 .. 3.0 s.
     """
 
     step: int
@@ -258,17 +234,9 @@ def find_command(engine: Engine, world: NeuroncapWorld) -> Command:
 
 
 def step(engine: Engine, world: NeuroncapWorld, plan: ArrayLike) -> NeuroncapWorld:
-    """Advance a world by half a second.
+    """Advance a world by half a second; it stays, with a contact, if the state before turned out to touch an actor.
 
-    Args:
-        plan: (1 to 6, 2) waypoints, x forward and y left of the rear axle, metres, 0.5 s apart; while priming it is not
-            driven.
-
-    Returns:
-        The next world; the same state with a contact if the state before turned out to touch an actor.
-
-    Raises:
-        UnusablePlanError: If the plan has no numbers to drive by.
+    ``plan`` is (1 to 6, 2), x forward and y left of the rear axle, metres, 0.5 s apart, and not driven while priming.
     """
     world = _check_waiting(engine, world)
     if world.contact is not None:
@@ -329,8 +297,7 @@ def compute_moments(
 ) -> list[EgoMoment]:
     """Instants at which a state is checked, in order of time: its own, or ten on the way to it.
 
-    Args:
-        switches: With ``first_gap`` as paper, there are ten on the way to the first driven state too.
+    With ``first_gap`` as paper, there are ten on the way to the first driven state, too.
     """
     on_the_way = before is not None and state.is_driven and (before.is_driven or switches.first_gap == "paper")
     if before is None or not on_the_way:

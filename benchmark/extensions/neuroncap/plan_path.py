@@ -1,7 +1,6 @@
 """Reference of NeuroNCAP's tracker: a plan as poses every 0.1 s, with the speeds and curvatures fitted to them.
 
-Steps of the published code (nuPlan's): knots at the plan's waypoints, linear in between; speed and curvature by
-regularised least squares.
+As in published code (nuPlan's): knots at the waypoints, linear in between; profiles by regularised least squares.
 """
 
 import functools
@@ -33,13 +32,9 @@ class UnusablePlanError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class PlanPath:
-    """A plan every 0.1 s; M displacements.
+    """A plan every 0.1 s, of M displacements with m/s and 1/m, (M,) each.
 
-    Attributes:
-        start_us: Time of the first pose.
-        poses: (M + 1, 3) x, y, heading in the frame of the plan.
-        speed: (M,) m/s of each displacement.
-        curvature: (M,) 1/m of each displacement.
+    The (M + 1, 3) poses, x, y, heading, are in the frame of the plan; `start_us` is the time of the first.
     """
 
     start_us: int
@@ -50,20 +45,16 @@ class PlanPath:
     def at(self, profile: Floats, seconds: float | list[float]) -> Floats:
         """A profile, (M,) `speed` or `curvature`, between the starts of displacements, constant beyond them.
 
-        Args:
-            seconds: Times since 1970, whose rounding (2.4e-7 s) is the published code's.
+        Seconds are since 1970; their rounding (2.4e-7 s) is the published code's.
         """
         starts = (self.start_us + SUBSTEP_US * np.arange(len(profile))) / 1e6
         return np.asarray(np.interp(seconds, starts, profile))
 
 
 def read_waypoints(plan: ArrayLike, switches: NeuroncapSwitches) -> Waypoints:
-    """A plan as the engine takes it: (N, 2 or more), x forward and y left of the rear axle, metres, 0.5 s apart.
+    """A plan as the engine takes it, 1 to 6 waypoints: (N, 2 or more), x forward and y left of the rear axle, metres.
 
-    The switches decide whether it is rounded to single precision.
-
-    Raises:
-        UnusablePlanError: If there are not 1 to 6 waypoints, or some are not finite.
+    They are 0.5 s apart; the switches decide whether they are rounded to single precision.
     """
     try:
         # Values too large for single precision become infinite, and are refused as such.
@@ -84,12 +75,9 @@ def is_stopping_plan(waypoints: Waypoints) -> bool:
 
 
 def build_path(waypoints: Waypoints, plan_us: int, start_us: int) -> PlanPath:
-    """Path that a plan describes.
+    """Path of a plan whose last waypoint is not near; waypoint i is at 0.5 (i + 1) s after ``plan_us``.
 
-    Args:
-        waypoints: From `read_waypoints`, the last one not near.
-        plan_us: Time that the plan was made for; waypoint i is 0.5 (i + 1) s later.
-        start_us: Time at which the path leaves the origin of the plan's frame, less than 0.5 s later.
+    It leaves the origin of the plan's frame at ``start_us``, less than 0.5 s after ``plan_us``.
     """
     far_enough = np.linalg.norm(waypoints, axis=1) >= NEAREST_M
     times = np.concatenate([[start_us], plan_us + WAYPOINT_US * (1 + np.flatnonzero(far_enough))])
@@ -109,7 +97,7 @@ def build_path(waypoints: Waypoints, plan_us: int, start_us: int) -> PlanPath:
 
 
 def _compute_headings(waypoints: Waypoints) -> Floats:
-    """(N,) direction from the waypoint before (the origin before the first) to the one after.
+    """(N,) direction from the waypoint before (or the origin) to the one after.
 
     In single precision they pass through cosine and sine, as rotations do in the published code.
     """

@@ -1,9 +1,4 @@
-"""Recording as NeuroNCAP's engine reads it.
-
-A stationary, a frontal and a side scenario for any recording, in NeuroNCAP's form: what a newcomer can run offline.
-
-Recordings for NeuroNCAP's engine from a data set in nuScenes format: frames, annotations, CAN bus.
-"""
+"""Recordings as NeuroNCAP's engine reads them, from nuScenes format, and three scenarios for any, to run offline."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,13 +25,9 @@ CAN_COLUMNS = 16
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapRecording:
-    """One scene with F keyframes.
+    """One scene with F keyframes and its actors, in order of first appearance.
 
-    Attributes:
-        poses: (F, 4, 4) rear axle to global.
-        canbus: (F, 16) row of each frame.
-        steering_wheel: (F,) radians.
-        actors: Its own actors, in order of first appearance.
+    `poses` are (F, 4, 4) rear axle to global, `canbus` (F, 16) rows, `steering_wheel` (F,) radians.
     """
 
     times: Integers
@@ -52,9 +43,9 @@ class NeuroncapRecording:
 
 
 def select_messages(times: Integers, message_times: Integers, values: Floats) -> Singles:
-    """Messages of frames in single precision: the first one at or after each, the last one if none is.
+    """Messages of (F,) frames in single precision: the first one at or after each, the last one if none is.
 
-    (F,) times of frames, (M,) rising times of messages and (M, ...) values become (F, ...).
+    ``message_times`` are (M,), rising; ``values`` (M, ...) become (F, ...).
     """
     at = np.minimum(np.searchsorted(message_times, times), len(message_times) - 1)
     return np.asarray(values[at], np.float32)
@@ -68,16 +59,10 @@ def select_steering(times: Integers, message_times: Integers, degrees: Floats) -
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapAnnotations:
-    """A annotations of I instances, in the data set's order.
+    """A annotations of I instances, in the data set's order; `frame` and `instance` are (A,) indices.
 
-    Attributes:
-        frame: (A,) keyframe of each.
-        instance: (A,) index of each one's instance.
-        translation: (A, 3) box centre, global, metres.
-        rotation: (A, 4) quaternions w, x, y, z.
-        size: (A, 3) width, length, height.
-        tokens: I instance tokens.
-        categories: I category names.
+    `translation` is (A, 3) box centre, global, metres, `rotation` (A, 4) w, x, y, z, `size` (A, 3) width, length,
+    height.
     """
 
     frame: Integers
@@ -90,9 +75,9 @@ class NeuroncapAnnotations:
 
 
 def build_actors(annotations: NeuroncapAnnotations, times: Integers, switches: NeuroncapSwitches) -> tuple[Actor, ...]:
-    """Actors of the recording's own that are of the classes the engine keeps, in order of first appearance.
+    """Actors of the recording, of the classes that the engine keeps, in order of first appearance.
 
-    The size is that of the first annotation, and a gap between annotations is driven through in a straight line. The
+    The size is that of the first annotation; a gap between annotations is driven through in a straight line. The
     switches decide whether construction and emergency vehicles are kept.
     """
     kept_classes = {*KEPT_CLASSES, *(FURTHER_VEHICLES if switches.classes == "paper" else ())}
@@ -147,8 +132,7 @@ def build_own_scenarios(recording: NeuroncapRecording) -> dict[str, Scenario]:
 def _build_oncoming_track(recording: NeuroncapRecording, seconds: Floats, meeting: int) -> tuple[Floats, Floats]:
     """Times and places of an actor that comes the ego's way backwards, as fast as the ego came.
 
-    Beyond the end of the recording the way goes on straight; it begins so far ahead that it does not appear from
-    nothing.
+    Beyond the recording's end the way goes on straight: it begins so far ahead that it does not appear from nothing.
     """
     times = seconds[START_FRAME] - 1.0 + np.arange(0.0, DURATION_S + 3.0)
     mirrored_times = 2 * seconds[meeting] - times

@@ -22,16 +22,12 @@ _NO_ACTORS: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class Jitter:
-    """How much of an actor is drawn, in either direction; ``None`` where nothing is.
+    """Limits of an actor's random offsets, in either direction; ``None`` where nothing is drawn.
 
-    Attributes:
-        longitudinal: Metres along ``angle``.
-        lateral: Metres across it, to the right.
-        angle: Direction of the actor's road, radians; without it the two above are not drawn.
-        yaw: Radians.
-        times: Seconds for each of the actor's times, where official ones have more of them than there are times; the
-            published code does not read it.
-        uniform: Evenly between the limits, or normal with them as standard deviations.
+    `longitudinal` and `lateral` (to the right) are metres along and across `angle`, the direction of the actor's road
+    in radians, and are not drawn without it; `yaw` is in radians. `times` are seconds for each of the actor's times,
+    where official ones have more of them than there are times; the published code does not read it. Draws are
+    `uniform`, or normal with the limits as standard deviations.
     """
 
     longitudinal: float | None = None
@@ -44,12 +40,10 @@ class Jitter:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioActor:
-    """Actor that a scenario puts into the scene.
+    """Actor that a scenario puts into the scene: one of `uuids` is drawn, unless it is a single ``uuid``.
 
     Attributes:
         mode: ``override``: a track of the scenario's own; ``optimized``: the renderer's.
-        uuids: Candidate instances; one is drawn.
-        drawn: Whether one is drawn, which a single ``uuid`` is not.
         times: (P,) seconds since the first frame.
         positions: (P, 3) of the middle of its bottom, metres.
         initial_yaw: Heading where it stands, radians.
@@ -73,14 +67,10 @@ class ScenarioActor:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """One scenario of one recording.
+    """One scenario of one recording, with the recorded ego for `priming_steps`; the run lasts `duration_s`.
 
-    Attributes:
-        priming_steps: Steps in which the ego is still the recorded one.
-        duration_s: Of the run, from the start frame.
-        start_jitter: Frames by which the start is drawn, either way; 0 for none.
-        dim_jitter: Share by which sizes are drawn, either way; 0 for none.
-        actors: Actors to insert; without any, the recording's own actors stay.
+    The start is drawn by `start_jitter` frames, sizes by a share `dim_jitter`, either way. Without inserted `actors`
+    the recording's own stay.
     """
 
     start_frame: int = 0
@@ -92,10 +82,7 @@ class Scenario:
 
     @classmethod
     def of(cls, facts: Mapping[str, Any], where: str) -> Self:
-        """A scenario from the values of a file of NeuroNCAP's, whose names may have ``-`` for ``_``.
-
-        Its step must be 0.5 s.
-        """
+        """A scenario from a file of NeuroNCAP's, whose names may have ``-`` for ``_`` and whose step must be 0.5 s."""
         general = _ScenarioTable(_require_mapping(facts, where).get("general"), f"{where}, general")
         step = general.number("time_step", STEP_S)
         if step != STEP_S:
@@ -127,13 +114,7 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class OfficialScenario:
-    """One of NeuroNCAP's own.
-
-    Attributes:
-        family: stationary, frontal or side.
-        sequence: nuScenes scene number, four digits.
-        evaluated: False for the one that is no part of the benchmark.
-    """
+    """One of NeuroNCAP's own, of four-digit nuScenes `sequence`; one is not `evaluated`: no part of the benchmark."""
 
     family: str
     sequence: str

@@ -21,13 +21,9 @@ _FRAMES_AHEAD: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapRunScore:
-    """Score of one run.
+    """Score of one run, 0 to 5, NaN where impact and reference are nothing; m/s, 0 without a contact.
 
-    Attributes:
-        score: 0 to 5; NaN where both the impact and its reference are nothing.
-        impact_speed: m/s, 0 without a contact.
-        reference_speed: m/s that the impact is measured by.
-        metrics: Under the names of the published file, but for recall.
+    `reference_speed` is what the impact is measured by; `metrics` are as in the published file, but for recall.
     """
 
     score: float
@@ -40,11 +36,7 @@ class NeuroncapRunScore:
 def compute_reference_speed(
     recording: NeuroncapRecording, start_frame: int, target: Actor | None, switches: NeuroncapSwitches
 ) -> float:
-    """Impact speed in m/s if no one acts.
-
-    Raises:
-        InputError: If the recording ends within four seconds of the start, which the published code cannot score.
-    """
+    """Impact speed in m/s if no one acts; refused less than four seconds from the end, as published code fails."""
     count, ahead = len(recording.times), start_frame + _FRAMES_AHEAD
     if switches.reference_speed == "code":
         if ahead >= count:
@@ -74,11 +66,7 @@ def score_impact(impact: float, reference: float) -> float:
 
 
 def score_run(engine: Engine, world: NeuroncapWorld) -> NeuroncapRunScore:
-    """Score of a finished run.
-
-    Args:
-        world: From `benchmark.extensions.neuroncap.loop.finish_run`.
-    """
+    """Score of a run from `finish_run`."""
     target = next((actor for actor in engine.actors if actor.is_target), None)
     reference = compute_reference_speed(engine.recording, engine.start_frame, target, engine.switches)
     impact = 0.0 if world.contact is None else world.contact.impact_speed(engine.switches)

@@ -1,8 +1,8 @@
 """NeuroNCAP's engine as a ride: any scene of any split, with its own adversary as the target actor.
 
-A scene as it is is driven as the published code drives one without a scenario file: from its first frame, one primed
-step, its own actors. With scenarios, of ours or NeuroNCAP's own, it is driven once for each family. The planner's
-motion is what the engine reports; its command is the engine's.
+A scene as it is is driven as published code drives one without a scenario file: from its first frame, one primed step,
+its own actors. With scenarios, of ours or NeuroNCAP's own, it is driven once for each family. The planner's motion and
+command are the engine's.
 """
 
 from collections.abc import Callable, Sequence
@@ -64,11 +64,7 @@ _COLUMNS: Final = [0, 1, 2, 3, 4, 6, 5]
 
 @dataclass(frozen=True, slots=True)
 class NeuroncapBackend:
-    """Makes rides of NeuroNCAP's engine.
-
-    Attributes:
-        scenarios: ``recorded``: scenes as they are; ``own`` or ``official``: with scenarios, by family.
-    """
+    """Makes rides of NeuroNCAP's engine on ``recorded`` scenes, or with ``own`` or ``official`` scenarios by family."""
 
     switches: NeuroncapSwitches
     scenarios: str = RECORDED
@@ -92,11 +88,7 @@ class NeuroncapBackend:
         return [_advance(state, plan) for state, plan in zip(rides, plans, strict=True)]
 
     def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "NeuroncapSimulationState":
-        """The ride at its first planning instant.
-
-        Raises:
-            InputError: If the scene is too short to be driven and scored.
-        """
+        """The ride at its first planning instant; a scene too short to be driven and scored is refused."""
         require_enough_keyframes(scene, _FEWEST_TICKS)
         recording = build_recording(scene, can, self.switches)
         scenario = WITHOUT_SCENARIO
@@ -222,10 +214,7 @@ class NeuroncapSimulationState:
 
 
 def find_scenarios(name: str, recording: NeuroncapRecording, which: str) -> dict[str, Scenario]:
-    """Scenarios of a scene by family, ``own`` or ``official``, which are for scenes of nuScenes.
-
-    None where it has none.
-    """
+    """``own`` or ``official`` (nuScenes) scenarios of a scene by family, none where it has none."""
     if which == OWN:
         return build_own_scenarios(recording)
     return {
@@ -267,12 +256,7 @@ def _build_observed_recording(scene: Scene, can: RecordedCan, switches: Neuronca
 
 @dataclass(frozen=True, slots=True)
 class AgentTracks:
-    """Where the scene's agents are: as the engine has them, and as recorded where it does not know them.
-
-    Attributes:
-        actors: The engine's, by agent.
-        gone: Agents that the recording has and the run has not.
-    """
+    """Agents as the engine has them, else as recorded; `gone` are in the recording and not in the run."""
 
     scene: Scene
     tracks: ContinuousTracks

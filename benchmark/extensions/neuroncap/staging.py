@@ -1,7 +1,4 @@
-"""A scenario on stage: where a run starts, and what its actors do, from the run's index alone.
-
-A run's draws, in the official order and written down: its seed is the run's index.
-"""
+"""A scenario on stage: start and actors of a run, whose draws, in the official order, are seeded by the run's index."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -67,12 +64,9 @@ _NO_TIME_S: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class RenderableActors:
-    """Road users that the renderer can show.
+    """Road users that the renderer can show, by instance token, with tracks that ``optimized`` scenarios ask for.
 
-    Attributes:
-        kinds: Class of each, by instance token.
-        sizes: (3,) width, length, height of each, metres, in single precision as renderers have them.
-        tracks: The renderer's own track of each that a scenario may ask for as ``optimized``.
+    Sizes are (3,) width, length, height, metres, in single precision as renderers have them.
     """
 
     kinds: Mapping[str, str]
@@ -94,12 +88,9 @@ def _to_single_precision(actor: Actor) -> Actor:
 
 @dataclass(frozen=True, slots=True)
 class StagedRun:
-    """One run of a scenario.
+    """One run of a scenario, with its actors in the order drawn; `dim_scale` is a factor on sizes.
 
-    Attributes:
-        actors: Of the scenario, in the order drawn.
-        dim_scale: Factor applied to sizes, or ``None``.
-        sizes: The renderer's sizes as the next run finds them.
+    `sizes` are the renderer's as the next run finds them.
     """
 
     start_frame: int
@@ -119,11 +110,9 @@ def stage_run(
     *,
     jitter: bool = True,
 ) -> StagedRun:
-    """Set up one run; its index is the seed.
+    """Set up one run, whose index is the seed; ``times`` are (F,) microseconds of the recording's frames.
 
-    Args:
-        times: (F,) stamps of the recording's frames, microseconds.
-        jitter: Whether actors are moved and shuffled; the draws of actors and start are made all the same.
+    Without ``jitter`` actors are not moved or shuffled; draws of actors and start are made all the same.
     """
     draws, start = None, scenario.start_frame
     if scenario.start_jitter:

@@ -1,10 +1,9 @@
 """NeuroNCAP's car: half a second of a plan in five sub-steps of tracker and kinematic bicycle.
 
-Explicit Euler without lags. The published code mixes single and double precision; switch ``float32`` repeats where it
-rounds, which costs 1e-4 m at map coordinates. Functions of angles are rounded from double precision: single ones differ
-in their last digit from one numerical library to the next.
-
-NeuroNCAP's tracker: nuPlan's linear-quadratic regulator over one second, with the project's own weights.
+Explicit Euler without lags; the tracker is nuPlan's linear-quadratic regulator over one second, with the project's own
+weights. The published code mixes single and double precision; switch ``float32`` repeats where it rounds, which costs
+1e-4 m at map coordinates. Functions of angles are rounded from double precision: single ones differ in their last digit
+from one numerical library to the next.
 """
 
 from dataclasses import dataclass
@@ -40,14 +39,7 @@ _CRUISING_GAIN: Final = _SPEED_WEIGHT * _HORIZON_S / (_SPEED_WEIGHT * _HORIZON_S
 
 @dataclass(frozen=True, slots=True)
 class TrackedCar:
-    """Car as the tracker sees it.
-
-    Attributes:
-        pose: (3,) x, y, heading in the frame of the plan.
-        speed: m/s.
-        steering: Angle of the wheels, radians.
-        wheelbase_m: That it assumes.
-    """
+    """Car as the tracker sees it: (3,) x, y, heading in the frame of the plan, m/s, radians of the wheels."""
 
     pose: Floats
     speed: float
@@ -56,13 +48,9 @@ class TrackedCar:
 
 
 def compute_controls(path: PlanPath, now_us: int, car: TrackedCar, *, clip_first: bool) -> tuple[float, float]:
-    """Acceleration and steering rate that the tracker asks of pedals and steering wheel.
+    """Acceleration, m/s^2, and steering rate, rad/s, that the tracker asks for.
 
-    Args:
-        clip_first: Whether steering is planned with the acceleration as it will be limited.
-
-    Returns:
-        Acceleration, not limited unless ``clip_first``, m/s^2; steering rate, rad/s.
+    With ``clip_first`` steering is planned with the limited acceleration, else the acceleration is not limited.
     """
     now = now_us * 1e-6
     excess = car.speed - float(path.at(path.speed, now + _HORIZON_S))
@@ -119,11 +107,8 @@ _single = np.float32
 class Vehicle:
     """State of the car; values that the published code has in single precision are such numbers here.
 
-    The pose is that of the rear axle, global; units are metres, radians and seconds, and the speed may become negative.
-
-    Attributes:
-        steering: Angle of the wheels.
-        fresh: Whether it has not moved yet: its pose is still in single precision.
+    The pose is that of the rear axle, global; metres, radians and seconds, the speed may become negative. `steering` is
+    of the wheels; a `fresh` car has not moved yet: its pose is still in single precision.
     """
 
     x: float
@@ -141,13 +126,7 @@ class Vehicle:
     def start(
         cls, pose: Floats, canbus: NDArray[np.float32], steering_wheel_rad: float, switches: NeuroncapSwitches
     ) -> Self:
-        """The car as it is when it begins to drive itself.
-
-        Args:
-            pose: (4, 4) rear axle to global.
-            canbus: (16,) row of the state.
-            switches: Whether the pose is rounded to single precision.
-        """
+        """The car as it begins to drive itself, by the (4, 4) pose of its rear axle and (16,) CAN row of the state."""
         rounded = switches.float32 == "code"
         at = np.asarray(np.asarray(pose, _single) if rounded else pose, np.float64)
         heading = float(np.arctan2(at[1, 0], at[0, 0]))
@@ -186,12 +165,9 @@ class Vehicle:
 
 @dataclass(frozen=True, slots=True)
 class VehicleStep:
-    """Half a second of driving.
+    """Half a second of driving: (5, 9) `Vehicle.columns` after each sub-step, and commands before and after the limit.
 
-    Attributes:
-        states: (5, 9) `Vehicle.columns` after each sub-step.
-        commands: (5, 2) acceleration after the limit and steering rate.
-        unlimited: (5, 2) the same before the limit.
+    Commands are (5, 2) acceleration and steering rate.
     """
 
     vehicle: Vehicle
@@ -203,14 +179,7 @@ class VehicleStep:
 def drive_plan(
     vehicle: Vehicle, plan: ArrayLike, time_us: int, car: NeuroncapCar, switches: NeuroncapSwitches
 ) -> VehicleStep:
-    """Follow a plan for half a second.
-
-    Args:
-        plan: (1 to 6, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
-
-    Raises:
-        UnusablePlanError: If the plan has no numbers to drive by.
-    """
+    """Follow a plan for 0.5 s: (1 to 6, 2) x forward and y left of the rear axle now, metres, 0.5 s apart."""
     waypoints = read_waypoints(plan, switches)
     stopping, reinserted = is_stopping_plan(waypoints), switches.reinsertion == "code"
     path: PlanPath | None = None

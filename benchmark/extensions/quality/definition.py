@@ -1,7 +1,7 @@
 """Definition of the measurement in full: one object, stored in every record; two definitions never share a table.
 
-The paper names the metrics (VBench's subject consistency and imaging quality), the text prompt and the rule that a mask
-must overlap a projected vehicle. What it leaves open is decided here.
+The paper names the metrics (VBench's subject consistency, imaging quality), the text prompt and the rule that a mask
+must overlap a projected vehicle; the rest is decided here.
 """
 
 from dataclasses import asdict, dataclass

@@ -1,11 +1,8 @@
-"""Masks of vehicles in one camera's video, each tied to its annotated instance. Three sources, never mixed.
+"""Masks of vehicles in one camera's video, each tied to its annotated instance, from three sources that never mix.
 
 A mask is kept if it overlaps the visible part of a projected 3-D vehicle box (`QualityDefinition.min_overlap`), as in
-the paper; so false detections, vehicles without annotation and tracks that wandered off are gone.
-
-Masks cut to their rectangle, so that a scene's masks fit into memory.
-
-Vehicles' 3-D boxes as polygons in a camera image, and what of each nearer ones leave visible.
+the paper; so false detections, vehicles without annotation and tracks that wandered off are gone. Masks are cut to
+their rectangle, so that a scene's fit into memory.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,12 +28,7 @@ _SUBPIXEL_BITS: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class ProjectedBox:
-    """One vehicle in one image.
-
-    Attributes:
-        polygon: (P, 2) convex outline inside the image, pixels.
-        distance_m: From the camera to the box centre.
-    """
+    """One vehicle in one image: (P, 2) convex outline inside it, pixels, and distance of camera and box centre."""
 
     instance: str
     category: str
@@ -61,13 +53,10 @@ class ProjectedBox:
 def project_boxes(
     scene: Scene, view: CameraView, size: tuple[int, int], categories: Sequence[str], near_m: float
 ) -> tuple[ProjectedBox, ...]:
-    """Project every vehicle that is there when an image was taken, in the order of the scene's agents.
+    """Vehicles that are there when an image of ``size`` (width, height) is taken, in the order of the scene's agents.
 
-    Positions are interpolated between the scene's frames; boxes without a point in the image are left out.
-
-    Args:
-        size: Width and height of the pixels that are wanted.
-        near_m: Boxes are cut off so far in front of the camera.
+    Positions are interpolated between frames; boxes are cut off at ``near_m`` in front of the camera, and left out
+    without a point in the image.
     """
     camera = view.camera.resized(*size)
     poses = interpolate_agents(scene, view.timestamp_us)
@@ -86,10 +75,7 @@ def project_boxes(
 
 
 def find_visible_parts(boxes: Sequence[ProjectedBox], height: int, width: int) -> dict[str, Bools]:
-    """Pixels that nearer boxes leave of each box in one image, (height, width) by instance.
-
-    Equally near boxes hide in the order of their identifiers.
-    """
+    """(height, width) pixels by instance that nearer boxes leave; equally near ones hide by their identifiers."""
     hidden = np.zeros((height, width), bool)
     parts = {}
     for box in sorted(boxes, key=lambda box: (box.distance_m, box.instance)):
@@ -129,10 +115,7 @@ def compute_scaled_size(width: int, height: int, longer_side_px: int) -> tuple[i
 
 
 def reduce_picture(image: NDArray[np.uint8], longer_side_px: int) -> NDArray[np.uint8]:
-    """A (height, width, 3) picture brought down to a longer side by averaging areas.
-
-    Smaller ones are left as they are.
-    """
+    """A (height, width, 3) picture brought down to a longer side by averaging areas, unless it is smaller."""
     height, width = image.shape[:2]
     size = compute_scaled_size(width, height, longer_side_px)
     return image if size == (width, height) else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
@@ -140,11 +123,7 @@ def reduce_picture(image: NDArray[np.uint8], longer_side_px: int) -> NDArray[np.
 
 @dataclass(frozen=True, slots=True)
 class CroppedMask:
-    """Pixels of an image that belong to one subject.
-
-    Attributes:
-        pixels: (height, width) of the rectangle; its border rows and columns are not empty.
-    """
+    """Pixels of one subject within a rectangle of an image; its border rows and columns are not empty."""
 
     top: int
     left: int
@@ -182,12 +161,7 @@ FrameMasks = dict[str, CroppedMask]
 
 @dataclass(frozen=True, slots=True)
 class CameraVideo:
-    """Frames of a scene from one camera, F images (height, width, 3) RGB of one size.
-
-    Attributes:
-        times_us: (F,) exposure times.
-        boxes: F tuples of the vehicles' boxes in the image.
-    """
+    """F images (height, width, 3) RGB of one size from one camera, with exposure times and boxes in each."""
 
     camera: str
     times_us: tuple[int, ...]
@@ -239,9 +213,8 @@ class BoxMasks:
 class TrackedMasks:
     """SAM 2 follows each subject from a prompt on, through the frames in which its box is in view.
 
-    Where a mask leaves its box the track ends, and the next prompt begins another one. With a detector, its boxes are
-    the prompts (`grounded-sam2`), each tied to the projected box that it overlaps most; without, the projected boxes
-    are (`sam2-boxes`).
+    Where a mask leaves its box the track ends, and the next prompt begins another one. Prompts are a detector's boxes
+    (`grounded-sam2`), each tied to the projected box that it overlaps most, or the projected boxes (`sam2-boxes`).
     """
 
     definition: QualityDefinition
@@ -278,10 +251,9 @@ class TrackedMasks:
 
 
 def match_detections(detections: Sequence[Box], projected: dict[str, Box], min_overlap: float) -> dict[str, Box]:
-    """Give each instance at most one detection, and each detection at most one instance, best overlaps first.
+    """Match detections and instances one to one, best overlaps first, above the least intersection over union.
 
-    Pairs below the least intersection over union are none. Equal overlaps go to the surer detection, then to the first
-    identifier.
+    Equal overlaps go to the surer detection, then to the first identifier.
     """
     pairs = sorted(
         (-_box_overlap(box, rectangle), index, name)

@@ -58,13 +58,7 @@ class QualitySettings:
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """Settings that every unit of work needs; picklable.
-
-    Attributes:
-        folders: Of weights by name.
-        device: Where networks run, perhaps several names.
-        keys: Content key of each scene's rows.
-    """
+    """Settings that every unit of work needs, picklable; `device` may name several, `keys` are of each scene's rows."""
 
     directory: Path
     definition: QualityDefinition

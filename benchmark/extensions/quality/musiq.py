@@ -1,9 +1,8 @@
 """MUSIQ, the image quality transformer of Ke et al. (ICCV 2021), as VBench runs it; loads the public weights by name.
 
-A picture is seen at three sizes: longer side 224, longer side 384, and as it is. Each is cut into patches of 32 x 32
-pixels; a small residual network turns a patch into a token, which is told where it lies (a 10 x 10 grid that every
-picture is hashed to) and at which size. A transformer over all tokens ends in one number, 0 to 100 for weights trained
-on SPAQ.
+A picture is seen at three sizes: longer side 224, 384, and as it is. Each is cut into patches of 32 x 32 pixels, which
+a small residual network turns into tokens with their place (in a 10 x 10 grid that every picture is hashed to) and
+size. A transformer over all tokens ends in one number, 0 to 100 for weights trained on SPAQ.
 
 Three choices follow the PyTorch version that VBench calls and not the original: pictures are resized by bicubic
 interpolation (originally Gaussian), weights are standardised by the unbiased deviation, and the GELU is the exact one.
@@ -32,14 +31,9 @@ _STEM_STRIDE: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class MusiqConfig:
-    """Sizes of the network; the defaults are those of the published weights.
+    """Sizes of the network; the defaults are those of the published weights. There is a head for each 64 of `hidden`.
 
-    Attributes:
-        hidden: Width of a token; one attention head for each 64.
-        mlp: Width inside the feed-forward layers.
-        stem: Width of the residual network before its last step; a multiple of 32.
-        grid: Side of the grid of positions.
-        scales: Sizes at which a picture is seen.
+    `stem` is the width of the residual network before its last step, a multiple of 32; `grid` is the side of the grid.
     """
 
     hidden: int = 384
@@ -71,13 +65,7 @@ class MusiqConfig:
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """A picture as the network sees it.
-
-    Attributes:
-        pixels: (N, 3, 32, 32), -1 to 1.
-        position: (N,) cell of the grid.
-        scale: (N,) which size.
-    """
+    """A picture as the network sees it: (N, 3, 32, 32), -1 to 1, with the (N,) cell of the grid and size of each."""
 
     pixels: Tensor
     position: Tensor

@@ -1,9 +1,4 @@
-"""One scene, scored: every subject of every camera, and the frames as wholes.
-
-Imaging quality: MUSIQ's score of pictures, 0 to 1, prepared as VBench prepares frames.
-
-Subject consistency: how alike DINO finds a subject's appearances, by VBench's formula.
-"""
+"""Scores of a scene: subject consistency (DINO, VBench's formula) of each camera's subjects, and MUSIQ's, 0 to 1."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -49,12 +44,7 @@ _DEVIATION: Final = (0.229, 0.224, 0.225)
 
 
 class SubjectFeatureExtractor:
-    """DINO's features of masked subjects, each brought to a square of ``crop_px``.
-
-    Args:
-        folder: Weights of ``facebook/dino-vitb16``.
-        batch: Subjects that go through the network together.
-    """
+    """Features of masked subjects in squares of ``crop_px``, by ``facebook/dino-vitb16``, a ``batch`` at a time."""
 
     def __init__(self, folder: Path, device: torch.device, crop_px: int, batch: int) -> None:
         self._network: Any = load_pretrained("ViTModel", folder, device, add_pooling_layer=False)
@@ -79,14 +69,9 @@ class SubjectFeatureExtractor:
 
 
 def compute_similarities(features: Floats) -> Floats:
-    """VBench's value of each appearance after the first.
+    """(A - 1,) mean cosines with the appearance before and with the first one (VBench), negative ones as zero.
 
-    Args:
-        features: (A, D) of unit length, one subject's appearances in time order.
-
-    Returns:
-        (A - 1,) mean of the cosines with the appearance before and with the first one, negative cosines as zero.
-            Empty for a single appearance: there is nothing that it could be consistent with.
+    ``features`` are (A, D) of unit length, one subject's in time order; a single one could be consistent with nothing.
     """
     if len(features) < 2:
         return np.zeros(0)
@@ -97,8 +82,6 @@ def compute_similarities(features: Floats) -> Floats:
 
 def crop_subject(image: NDArray[np.uint8], mask: CroppedMask, side_px: int) -> Tensor:
     """A subject alone, in the middle of a (3, side, side) square, as DINO wants it.
-
-    The image is (height, width, 3) RGB.
 
     The background has the mean colour, which is zero for the network. The rectangle of the mask is padded to a square,
     so that shapes keep their proportions, and resized bilinearly without smoothing.
@@ -120,12 +103,7 @@ _FULL_SCORE: Final = 100.0
 
 
 class ImagingQuality:
-    """MUSIQ's scores of pictures.
-
-    Args:
-        longer_px: Larger pictures are brought down to this longer side.
-        batch: Pictures that go through the network together.
-    """
+    """MUSIQ's scores of pictures, a ``batch`` at a time, brought down to a longer side of ``longer_px``."""
 
     def __init__(self, weights: Path, device: torch.device, longer_px: int, batch: int) -> None:
         self._network = Musiq.load(weights).to(device)
@@ -149,10 +127,7 @@ class ImagingQuality:
 
 
 def prepare_picture(picture: NDArray[np.uint8], longer_px: int) -> Tensor:
-    """A (height, width, 3) RGB picture as MUSIQ wants it, (3, height, width).
-
-    Above a longer side it is brought down bilinearly without smoothing, rounded to 8 bits, then scaled to -1 to 1.
-    """
+    """(3, height, width), -1 to 1, of an RGB picture; larger ones are resized bilinearly, rounded to 8 bits."""
     pixels = torch.tensor(picture, dtype=torch.float32).permute(2, 0, 1)
     height, width = pixels.shape[1:]
     if max(height, width) > longer_px:

@@ -1,11 +1,7 @@
-"""SAM 2 from transformers: a subject is followed through one camera's video, from a box around it.
+"""SAM 2 follows a subject through one camera's video from a box; Grounding DINO boxes what a text names.
 
-The library's own preparation of images needs torchvision, so that it stands here: resize to the network's square,
+Preparation of images in transformers needs torchvision, so that SAM 2's stands here: resize to the network's square,
 ImageNet's mean and deviation, boxes scaled alike.
-
-Grounding DINO from transformers: boxes around what a text names.
-
-Networks of the transformers library that video quality is measured with.
 """
 
 from collections.abc import Sequence
@@ -25,12 +21,7 @@ _TRANSFORMERS: Final = OptionalLibrary("transformers", extra="quality", needed_b
 
 
 def load_pretrained(name: str, folder: Path, device: torch.device, **settings: Any) -> Any:
-    """A network of transformers, in evaluation mode and single precision, or a processor, with the files of a folder.
-
-    Args:
-        name: Class of transformers.
-        settings: Further arguments of ``from_pretrained``.
-    """
+    """Network of transformers, for evaluation in single precision, or a processor, of class ``name``."""
     pretrained = _TRANSFORMERS.load(name, folder, **settings)
     return pretrained.to(device) if isinstance(pretrained, torch.nn.Module) else pretrained
 
@@ -51,11 +42,7 @@ _KEPT_FEATURES: Final = 64
 
 
 class Segmenter:
-    """SAM 2 with its weights.
-
-    Args:
-        folder: Weights of ``facebook/sam2.1-hiera-large``, or another size of SAM 2 for video.
-    """
+    """SAM 2 with the weights in a folder: ``facebook/sam2.1-hiera-large``, or another size for video."""
 
     def __init__(self, folder: Path, device: torch.device) -> None:
         self.network: Any = load_pretrained("Sam2VideoModel", folder, device)
@@ -106,11 +93,7 @@ class VideoSegments:
 
     @torch.inference_mode()
     def follow(self, frame: int) -> Bools:
-        """The subject's mask in a frame; frames are asked for one after the other.
-
-        Returns:
-            (height, width), empty where the network does not see the subject.
-        """
+        """Mask of the subject, (height, width), empty where unseen; frames are asked for one after the other."""
         logits: Tensor = self._segmenter.network(self._session, frame_idx=frame).pred_masks
         size = (self._height, self._width)
         full_size = functional.interpolate(logits.float().reshape(1, 1, *logits.shape[-2:]), size, mode="bilinear")
@@ -126,12 +109,7 @@ def prepare_frame(frame: NDArray[np.uint8], side_px: int) -> Tensor:
 
 
 class Detector:
-    """Grounding DINO with its weights and its own processor.
-
-    Args:
-        folder: Weights of ``IDEA-Research/grounding-dino-base``, with tokenizer and image processor.
-        prompt: Text prompt of the detector, in lower case with a full stop.
-    """
+    """Grounding DINO (``IDEA-Research/grounding-dino-base``); prompts are lower case with a full stop."""
 
     def __init__(
         self, folder: Path, device: torch.device, prompt: str, box_threshold: float, text_threshold: float

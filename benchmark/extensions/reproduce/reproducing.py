@@ -33,13 +33,9 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class ExpectedValues(Stored):
-    """A file of ``--expected``: numbers that a run should give.
+    """A file of ``--expected``: per cent of ``collision`` and metres of ``l2`` by horizon that a run should give.
 
-    Attributes:
-        source: Where the numbers come from, in words.
-        values: Per cent of ``collision`` and metres of ``l2`` by horizon.
-        allowed: Largest difference that is allowed, by the same names.
-        samples: How many samples count.
+    `allowed` is the largest difference, by the same names; `source` says in words where the numbers come from.
     """
 
     model: str
@@ -179,11 +175,7 @@ def reproduce(
 
 
 def compare_run(record: RunRecord, expected: ExpectedNumbers) -> Reproduction:
-    """A run, judged by the protocol of the numbers, beside the numbers that it should give.
-
-    Raises:
-        InputError: If the run is not whole: failed samples, or not the whole split.
-    """
+    """A whole run, judged by the protocol of the numbers that it should give, beside them."""
     require_whole_split(record)
     summary = record.summary.protocols[expected.protocol]
     numbers = []

@@ -74,7 +74,6 @@ def data_review_command(options: DataReviewOptions) -> None:
 
 
 def _record_file(dataset: "DataSet", path: Path) -> None:
-    """Record the verdicts of a file; all of them or none."""
     from benchmark.datasets.split_reviews import record_verdicts, require_scenes, scene_tokens
     from benchmark.records.review import REVIEW_FILE, Verdict, check_verdict
     from benchmark.untrusted.verdicts import read_verdicts
@@ -100,7 +99,6 @@ def _show_page(
     *,
     browser: bool,
 ) -> None:
-    """Show the page until the inspector is done."""
     from benchmark.extensions.review.inspection import Inspection, draw_scenes_to_inspect
     from benchmark.extensions.review.server import ReviewServer
 
@@ -126,7 +124,6 @@ def _show_page(
 
 
 def _print_verdicts(dataset: "DataSet", split: str | None, *, json_output: bool) -> None:
-    """Print the verdicts so far."""
     from benchmark.records.review import REVIEW_FILE
 
     review = dataset.review(split)

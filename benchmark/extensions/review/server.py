@@ -1,8 +1,8 @@
 """Server of the page: reachable from this machine only, at a secret address, closed to posts from other sites.
 
-It listens on 127.0.0.1. Every address begins with a secret that is drawn anew each time, so that neither another site
-in the inspector's browser nor another user of the machine can ask for anything; requests for another host name
-(rebinding) and posts from another origin are refused all the same. Pages may load nothing from anywhere else.
+Each address on 127.0.0.1 begins with a newly drawn secret, so that neither another site in the inspector's browser nor
+another user of the machine can ask for anything; requests for another host name (rebinding) and posts from another
+origin are refused all the same. Pages may load nothing from anywhere else.
 """
 
 import json
@@ -36,10 +36,7 @@ _POLICY: Final = (
 
 
 class ReviewServer(ThreadingHTTPServer):
-    """Server of an inspection until the inspector says that it is done.
-
-    ``secret`` is the first part of every address.
-    """
+    """Server of an inspection until the inspector says that it is done; ``secret`` begins every address."""
 
     daemon_threads = True
 

@@ -2,13 +2,8 @@
 
 A record holds the plans, so nothing in it has to be believed: hashes, coverage and samples are compared with the data
 set, every plan is judged or driven anew, and every number is summed up anew. What cannot be checked from outside, that
-the named model made the plans from the images, is said as what it is.
-
-Identity of the planner: checked for planners of this version, otherwise only declared by the submitter.
-
-Claims of a record of runs or drives, checked against its rows and the data set.
-
-Submitted plans beside the recorded future that their planner must not have seen (`benchmark.metrics.leaks`).
+the named model made the plans from the images, is said as what it is: the planner's identity is checked for planners of
+this version, otherwise only declared. `benchmark.metrics.leaks` compares plans with the future that it must not see.
 """
 
 import re
@@ -120,7 +115,7 @@ def _find_dangerous(truths: Sequence[SampleTruth], speeds: Sequence[float]) -> B
 def _build_drive_moments(row: EpisodeRow, scene: Scene) -> list[LeakSample]:
     """Instants of a drive at which the car was where the recorded one was, long enough before the recording ends.
 
-    None of them counts as dangerous: the actions of others in a drive depend on the drive.
+    None counts as dangerous: the actions of others in a drive depend on the drive.
     """
     moments = []
     times = np.array(row.ticks.time_us[row.primed :], np.int64)
@@ -149,12 +144,7 @@ def _compute_lidar_positions(poses: Floats, seen_from: Floats, ahead_m: float) -
 
 
 def check_claims(facts: RecordFacts, failed: int, units: int, unit: str, data_name: str) -> Iterator[GradedSentence]:
-    """Findings that need no data set.
-
-    Args:
-        failed: Rows that have no plan, or whose drive failed.
-        units: Rows.
-    """
+    """Findings that need no data set, for ``failed`` rows (no plan, or a failed drive) of ``units``."""
     if facts.data.name != data_name:
         yield (
             FindingLevel.ERROR,

@@ -1,7 +1,4 @@
-"""Recomputed results of a submitted record's plans, compared with the record field by field.
-
-Findings of a submission check.
-"""
+"""Results of a submitted record's plans, recomputed and compared field by field, and the findings of the check."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -36,10 +33,9 @@ if TYPE_CHECKING:
 
 
 class FindingLevel(StrEnum):
-    """Meaning of a finding.
+    """Meaning of a finding: an error keeps a record out; a note is for the reader.
 
-    An error keeps a record out. ``suspicious`` marks a behaviour that honest planners were never seen to show, and
-    proves nothing. A note is for the reader.
+    ``suspicious`` marks a behaviour that honest planners were never seen to show, and proves nothing.
     """
 
     ERROR = "error"
@@ -49,13 +45,7 @@ class FindingLevel(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SubmissionFinding:
-    """One fault of a submission, or a remark on it.
-
-    Attributes:
-        directory: Of the record, or of the submission.
-        level: Whether it keeps the record out.
-        sentence: The fault, and its remedy.
-    """
+    """One fault of a submission and its remedy, or a remark; `directory` is that of the record or submission."""
 
     directory: Path
     level: FindingLevel
@@ -106,11 +96,7 @@ def check_protocols(record: RunRecord) -> Iterator[GradedSentence]:
 
 
 def recompute_run(record: RunRecord, data: "DataSet") -> Iterator[GradedSentence]:
-    """Check that the data set and the plans give what a run record says.
-
-    Raises:
-        InputError: If the data set is another one, or the rows are not of its samples.
-    """
+    """Check that the data set, which must be the same, and the plans give what a run record says."""
     run = record.run
     require_same_data(record.directory, run, data)
     if mixed := next((row for row in record.rows if (row.status == "ok") != (row.plan is not None)), None):
@@ -163,11 +149,7 @@ def recompute_run(record: RunRecord, data: "DataSet") -> Iterator[GradedSentence
 
 
 def recompute_drives(record: DriveRecord, data: "DataSet") -> Iterator[GradedSentence]:
-    """Check that the stored plans drive, score and sum up to what a record of drives says.
-
-    Raises:
-        InputError: If the data set is another one, or the plans lead elsewhere than the record says.
-    """
+    """Check that stored plans drive, score and sum up to a record of drives; `InputError` if they lead elsewhere."""
     facts, measured = record.facts, record.facts.measured
     if facts.data.fingerprint != data.fingerprint():
         raise InputError(f"was driven on {facts.data.name} with other content than {data.root}; run drive again")

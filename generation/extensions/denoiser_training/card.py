@@ -106,10 +106,7 @@ def write_model_card(weights: Path, tracks: Path, measured: Sequence[str] = (NOT
 
 
 def list_held_out_sources(facts: dict[str, Any], tracks: Path) -> list[str]:
-    """Names of the sources in a folder of recordings that a model was not trained on and that check it.
-
-    ``facts`` are stored with its weights.
-    """
+    """Names of the sources in a folder of recordings that check a model; ``facts`` are stored with its weights."""
     named = facts.get("held_out", HELD_OUT_SOURCES)
     return [source.name for source in find_track_sources(tracks) if source.name in named]
 

@@ -207,8 +207,8 @@ def _compute_loss(
 ) -> Tensor:
     """Mean square error of the predicted noise.
 
-    A preconditioned network is asked in its own unit scale, where axes along which nothing happens would drown the
-    others; they count by the standard deviation that is left along them.
+    A preconditioned network is asked in its own unit scale, where axes without motion would drown the others: they
+    count by the standard deviation that is left along them.
     """
     device = next(denoiser.parameters()).device
     signal = ALPHA_BARS[timesteps.astype(np.int64)][:, None, None]
@@ -249,8 +249,7 @@ def _take_step(run: _Run, config: TrainingConfig, pool: WindowPool, step: int) -
 def _evaluate_held_out(run: _Run, checking: TrackWindows, config: TrainingConfig) -> dict[str, float | None]:
     """Losses of the averaged weights on held-out windows, with the same noise every time; ``None`` without any.
 
-    Over all noise levels, over the smallest five, at which the rounds of refinement ask, and over all levels without
-    being told how the vehicle moves now.
+    Over all noise levels, over the smallest five, at which refinement asks, and over all without the present motion.
     """
     names = ("held_out_loss", "held_out_loss_of_rounds", "held_out_loss_untold")
     if not len(checking.previous):

@@ -1,11 +1,4 @@
-"""The seam between folders of recordings and windows: what kinds of recordings there are and how each is read.
-
-Tracks from nuScenes-format roots: the recording car and the vehicles around it.
-
-Tracks from nuPlan databases (SQLite): the recording car and the vehicles around it.
-
-Recorded poses at uneven times as tracks at an even rate.
-"""
+"""Tracks from recordings: the kinds of folders, nuScenes roots, nuPlan databases, and resampling to an even rate."""
 
 import contextlib
 import itertools
@@ -39,10 +32,9 @@ RATE_HZ: Final = 10.0
 
 
 def resample_tracks(seconds: Floats, poses: Floats, longest_gap_s: float) -> tuple[Floats, ...]:
-    """Interpolate between recorded poses, never across more than ``longest_gap_s``.
+    """Even 10 Hz tracks, (F, 3), heading unwrapped, of each stretch of poses without a gap above ``longest_gap_s``.
 
-    One (F, 3) array at 10 Hz for each unbroken stretch, heading unwrapped, starting at its first pose. Left out are
-    (T, 3) poses x, y, heading with NaN or infinity, and those not later than the one before them.
+    Poses, (T, 3) x, y, heading, with NaN or infinity, and those not later than the one before them, are left out.
     """
     sound = np.isfinite(seconds) & np.isfinite(poses).all(axis=1)
     seconds, poses = seconds[sound], poses[sound]
@@ -85,15 +77,8 @@ BOX_QUERY: Final = """
 def read_nuplan(path: Path, source: str) -> Iterator[TrackFile]:
     """Tracks of one nuPlan database (``.db``, opened read-only), portion by portion.
 
-    Args:
-        source: Name that the tracks get.
-
-    Yields:
-        Rear-axle tracks at 10 Hz: the recording car's first, then those of vehicles. Rows without a number, and
-        rows not later than the one before them, are left out; a longer gap splits a track.
-
-    Raises:
-        InputError: If the file is not a nuPlan database, is damaged or locked, or holds no pose at all.
+    Rear-axle tracks at 10 Hz: the recording car's first, then those of vehicles. Rows without a number, and rows not
+    later than the one before them, are left out; a longer gap splits a track. A locked database is refused, too.
     """
     rows = 0
     try:
@@ -161,8 +146,8 @@ RIGID_VEHICLES: Final = (
 def read_nuscenes(root: Path, version: str, source: str) -> Iterator[TrackFile]:
     """Tracks of a root, scene by scene; generated adversaries are left out.
 
-    Rear-axle tracks at 10 Hz, twice a scene: the recording car (12 Hz where the root has all sweeps), then
-    vehicles, which are annotated at 2 Hz and linear in between.
+    Rear-axle tracks at 10 Hz: the recording car (12 Hz where the root has all sweeps), then vehicles, linear between 2
+    Hz.
     """
     data = open_data(root, version=version)
     licence = GENERATED_LICENCE if data.provenance() else NUSCENES_LICENCE
@@ -199,10 +184,7 @@ class RecordingKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TrackSource:
-    """One source of tracks, its name unique in the folder.
-
-    ``paths`` are files, or the one root folder; ``version`` is the version folder of a nuScenes root.
-    """
+    """Source of tracks: files or one root folder; ``version`` is the version folder of a nuScenes root."""
 
     name: str
     kind: RecordingKind
@@ -228,10 +210,10 @@ class TrackSource:
 
 
 def find_track_sources(folder: Path) -> tuple[TrackSource, ...]:
-    """Sources in a folder, sorted by name.
+    """Sources in a folder, or one level below, sorted by name.
 
-    ``NAME.npz`` is a track file; ``*.db`` beside each other are nuPlan databases and together one source; a folder
-    with nuScenes tables is a nuScenes root. Databases and roots may lie in the folder itself or one level below.
+    ``NAME.npz`` is a track file; ``*.db`` beside each other are nuPlan databases and one source; a folder with nuScenes
+    tables is a root.
     """
     if not folder.is_dir():
         raise InputError(f"no folder of tracks at {folder}; pass the folder that holds the <source>.npz files")
@@ -263,10 +245,7 @@ def _list_sources(folder: Path) -> Iterator[TrackSource]:
 
 
 def cut_source_windows(source: TrackSource, stride_s: float, limit: int = WINDOW_LIMIT) -> tuple[TrackWindows, str]:
-    """Windows of a source and its licence in words; a long source is thinned out evenly to ``limit`` windows.
-
-    It is read portion by portion; ``stride_s`` lies between the starts of windows.
-    """
+    """Windows of a source, read in portions, thinned out evenly to ``limit``, and its licence in words."""
     parts: list[TrackWindows] = []
     licence = NUPLAN_LICENCE if source.kind is RecordingKind.NUPLAN else NUSCENES_LICENCE
     window_count, every, tracks = 0, 1, 0

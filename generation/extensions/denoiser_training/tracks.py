@@ -47,12 +47,7 @@ MAX_SLIP_RAD: Final = 0.35
 
 @dataclass(frozen=True, slots=True)
 class TrackFile:
-    """One source.
-
-    Attributes:
-        tracks: Per vehicle (T, 3) rear-axle poses x, y, unwrapped heading at ``hz``, metres.
-        smoothing_s: Span of the local quadratic fit, `SMOOTHING_SPAN_S` or `ROUGH_SPAN_S`.
-    """
+    """Tracks of one source: (T, 3) rear-axle poses x, y, unwrapped heading, metres; fits span `smoothing_s`."""
 
     source: str
     licence: str
@@ -65,11 +60,8 @@ class TrackFile:
 class TrackWindows:
     """Windows of driving in the frame of the rear axle now.
 
-    Attributes:
-        previous: (N, 3) pose half a second ago.
-        waypoints: (N, 16, 3) x, y, heading at 2 Hz.
-        track: (N,) which track of the source each window is from; windows of one track resemble each other.
-        rejected: Windows left out, by reason.
+    `previous` is the (N, 3) pose half a second ago, `waypoints` (N, 16, 3) x, y, heading at 2 Hz; windows of one
+    `track` resemble each other. `rejected` counts windows left out, by reason.
     """
 
     previous: Floats
@@ -97,10 +89,7 @@ class TrackWindows:
 
 
 def compute_rear_axle(center: Floats, length_m: float) -> Floats:
-    """Rear axle, (T, 3) x, y, heading, of a vehicle of which only the box is known.
-
-    ``center`` is (T, 3) of the box centre; a length that is not a positive number stands for the recording car's.
-    """
+    """Rear axle, (T, 3) x, y, heading, of the box centre; a length that is not positive is the recording car's."""
     known = np.isfinite(length_m) and length_m > 0
     return _move_back(center, REAR_AXLE_FROM_CENTER * (length_m if known else EGO_LENGTH_M))
 
@@ -130,9 +119,9 @@ def read_tracks(path: Path) -> TrackFile:
 
 
 def smooth_track(track: Floats, hz: float, span_s: float) -> Floats:
-    """Local quadratic least-squares fit at each sample (Savitzky and Golay); the ends use the fit of the end window.
+    """Local quadratic least-squares fit of (T, C) over ``span_s`` (Savitzky and Golay); ends use the end window's fit.
 
-    (T, C) values; ``span_s`` is the width of the fit, and too few samples for a quadratic leave the track as it is.
+    Too few samples for a quadratic leave the track as it is.
     """
     reach = round(span_s * hz / 2)
     span = 2 * reach + 1
@@ -149,9 +138,8 @@ def smooth_track(track: Floats, hz: float, span_s: float) -> Floats:
 def cut_windows(file: TrackFile, stride_s: float = 0.5) -> TrackWindows:
     """Windows of half a second of past and eight seconds of future.
 
-    Left out are windows that move less than 5 m, that no tyre could hold (8 m/s^2 along or across), that jitter, at one
-    place or throughout, whose heading does not fit the motion, and those with a step that no car can take
-    (`Motion.excess`).
+    Left out are those that move less than 5 m, that no tyre holds (8 m/s^2 along or across), that jitter, at one place
+    or throughout, whose heading does not fit the motion, and those with a step that no car can take (`Motion.excess`).
     """
     step, stride = round(STEP_S / GRID_S), max(round(stride_s / GRID_S), 1)
     reach = step * (WAYPOINTS + 1)

@@ -26,10 +26,7 @@ EVENING: Final = 0.3
 
 @dataclass(frozen=True, slots=True)
 class TrackData:
-    """Windows of a folder of tracks, by source.
-
-    ``training`` are to learn from, ``held_out`` to check with, possibly empty.
-    """
+    """Windows of a folder of tracks by source: to learn from, and held out to check with, possibly none."""
 
     training: dict[str, TrackWindows]
     held_out: dict[str, TrackWindows]
@@ -37,10 +34,7 @@ class TrackData:
 
 
 def load_track_data(folder: Path, held_out: tuple[str, ...], stride_s: float) -> TrackData:
-    """Cut every source of a folder into windows; sources without a usable one are left out.
-
-    Training windows start every ``stride_s``, those of the sources in ``held_out`` every half second.
-    """
+    """Cut every source with usable windows; training windows start every ``stride_s``, held-out ones every 0.5 s."""
     training: dict[str, TrackWindows] = {}
     checking: dict[str, TrackWindows] = {}
     licences: dict[str, str] = {}
@@ -69,12 +63,9 @@ class TrainingBatch:
 
 @dataclass(frozen=True, slots=True)
 class WindowPool:
-    """Pool of windows that training draws from.
+    """Windows to draw from, source after source: (N, 16, 3) standardised actions, (N, 3) poses 0.5 s before.
 
-    Attributes:
-        actions: (N, 16, 3) standardised actions, source after source.
-        previous: (N, 3) pose half a second before each window.
-        upto: (N,) chance of each window and all before it; the last is one.
+    `upto` is the (N,) cumulated chance of the windows; the last is one.
     """
 
     actions: Floats
@@ -87,9 +78,8 @@ class WindowPool:
         """Pool the windows of several sources, evenly.
 
         A source's share is the root of its number of windows, at most `MOST_OF_ONE_SOURCE` where there are enough
-        others: the root keeps one long recording from drowning the others, the cap keeps its roads from being most of
-        what is seen. Then cells of present speed and turn are evened out across sources (`EVENING`): cruising straight
-        on is common everywhere.
+        others: one long recording does not drown the others, nor are most roads its own. Then cells of present speed
+        and turn are evened out across sources (`EVENING`): cruising straight on is common everywhere.
         """
         count = np.array([len(windows.previous) for windows in sources.values()], dtype=np.int64)
         chance = np.repeat(compute_source_shares(count) / np.maximum(count, 1), count)
@@ -102,11 +92,7 @@ class WindowPool:
         return cls(compute_window_actions(joined), joined.previous, np.cumsum(chance), named)
 
     def draw(self, count: int, size_jitter: float, rng: np.random.Generator) -> TrainingBatch:
-        """Windows at random.
-
-        Half of the windows are mirrored (left and right are alike for a car), and all are scaled, which varies
-        speeds. ``size_jitter`` is the largest relative change of size.
-        """
+        """Random windows, half of them mirrored, as sides are alike, and scaled by ``size_jitter`` to vary speeds."""
         chosen = np.minimum(np.searchsorted(self.upto, rng.random(count), side="right"), len(self.upto) - 1)
         actions, previous = self.actions[chosen], self.previous[chosen]
         mirror = np.where(rng.random(count) < 0.5, 1.0, -1.0)
@@ -118,10 +104,7 @@ class WindowPool:
 
 
 def compute_source_shares(count: NDArray[np.int64]) -> Floats:
-    """Shares, (S,), of a batch for sources of so many windows.
-
-    They are in proportion to the roots, none above `MOST_OF_ONE_SOURCE` unless there are too few others.
-    """
+    """Shares, (S,), of a batch: by the roots of counts, none above `MOST_OF_ONE_SOURCE` unless others are too few."""
     share = np.sqrt(count.astype(np.float64))
     share /= share.sum()
     most = max(MOST_OF_ONE_SOURCE, 1.0 / max(int((count > 0).sum()), 1))

@@ -1,4 +1,1 @@
-"""Physics, scoring and denoiser compared with golden numbers, for users as much as for tests.
-
-A broken linear algebra library or a silent zero in an accelerator shows here before it shows in results.
-"""
+"""Physics, scoring and denoiser against golden numbers: a broken library or accelerator shows before results do."""

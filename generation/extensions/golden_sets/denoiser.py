@@ -1,9 +1,4 @@
-"""`challenger-bench verify denoiser`: the published architecture against golden outputs with synthetic weights.
-
-Golden trajectories of the denoiser: actions to waypoints and back, and what makes a first batch varied.
-
-Golden reverse processes of the denoiser: full, truncated, and single stochastic steps.
-"""
+"""`challenger-bench verify denoiser`: golden outputs with synthetic weights, waypoints, and reverse processes."""
 
 import re
 from typing import Any, Final
@@ -41,10 +36,7 @@ from generation.extensions.golden_sets.built_in import BUILT_IN
 
 
 class ParityComparison:
-    """The file ``parity.npz`` with the network that it is about; notes which arrays were asked for.
-
-    The network has the set's weights and is in evaluation mode; ``taken`` names the arrays.
-    """
+    """The file ``parity.npz`` with the network that it is about; ``taken`` names the arrays that were asked for."""
 
     def __init__(self, comparison: Comparison, stored: GoldenArrays, network: TrajectoryDenoiser) -> None:
         self.comparison, self.stored, self.network = comparison, stored, network

@@ -1,7 +1,4 @@
-"""`challenger-bench verify physics`: the reference's motion model against golden trajectories.
-
-Degenerate candidates of the reference: nothing moves, everything jumps, all is behind.
-"""
+"""`challenger-bench verify physics`: the motion model against golden trajectories and degenerate candidates."""
 
 from dataclasses import dataclass, fields
 from typing import Final
@@ -29,10 +26,10 @@ COMMON: Final = "common_center_x_y_heading_width_length_height"
 
 
 def compare_degenerate(comparison: Comparison, folder: GoldenFolder) -> None:
-    """Compare the degenerate candidates of a set, where it has some.
+    """Compare the degenerate candidates of a set, where it has some; finite where the golden ones are.
 
-    They carry no measure of how well-conditioned they are, so it is measured here: waypoints are nudged at random, and
-    positions are compared for as many frames as they stay put. All must be finite where the golden ones are.
+    They carry no measure of how well-conditioned they are: waypoints are nudged at random, and positions are compared
+    for as many frames as they stay put.
     """
     if not folder.has(FILE):
         return

@@ -1,12 +1,8 @@
 """`challenger-bench verify scoring`, second half: the reference code's score against its own numbers (``ref_*``).
 
-The golden numbers are single precision, and here everything is double. So verdicts may differ where a point lies on a
-border of the raster, or a box touches, to within what single precision resolves; these are counted and left out, and
-any other difference is an error. Sums are held to what single precision leaves of them.
-
-Inputs of one golden scoring file: candidates, what is around them, and the drivable raster.
-
-Where a verdict hangs on the last bits, so that two right implementations may differ.
+The golden numbers are single precision, everything here is double: verdicts may differ where a point lies on a border
+of the raster, or a box touches, within what single precision resolves. These are counted and left out; any other
+difference is an error. Sums are held to what single precision leaves of them.
 """
 
 from dataclasses import dataclass
@@ -38,21 +34,14 @@ RANK_TIE: Final = 1e-9
 
 
 def is_on_raster_tie(points: Floats, global_to_index: Floats, tie: float = TIE) -> Bools:
-    """Whether points lie on the border between two cells, so that rounding decides which one they are in.
-
-    ``points`` are (..., 2) global metres, ``global_to_index`` a (2, 3) affine map to raster coordinates, which are
-    rounded to the nearest integer; ``tie`` is in cells.
-    """
+    """Whether (..., 2) global points are within ``tie`` cells of a border of raster cells, where rounding decides."""
     coordinate = points @ global_to_index[:, :2].T + global_to_index[:, 2]
     from_border = np.abs(coordinate - np.floor(coordinate) - 0.5)
     return np.asarray((from_border <= tie).any(axis=-1))
 
 
 def is_touching_tie(box: Floats, others: Floats, reading: CollisionReading) -> bool:
-    """Whether the verdict on one (5,) box with all limits `TIE` wider differs from the one with them `TIE` narrower.
-
-    ``others`` are the (M, 5) boxes that are present.
-    """
+    """Whether limits `TIE` wider or narrower change the verdict on a (5,) box against the (M, 5) that are present."""
     return _is_colliding(box, others, reading, TIE) and not _is_colliding(box, others, reading, -TIE)
 
 
@@ -71,10 +60,7 @@ def _is_colliding(box: Floats, others: Floats, reading: CollisionReading, slack_
 
 
 def find_out_of_order(ours: Floats, golden: Floats, tie: float) -> NDArray[np.bool_]:
-    """Candidates, (B,), that stand behind one that they should be ahead of.
-
-    True where some candidate whose golden score is lower by more than ``tie`` does not score lower.
-    """
+    """Candidates, (B,), that do not score above one whose golden score is lower by more than ``tie``."""
     order = np.argsort(golden, kind="stable")
     ours, golden = ours[order], golden[order]
     highest_so_far = np.concatenate([[-np.inf], np.maximum.accumulate(ours)])
@@ -98,13 +84,9 @@ SCORED: Final = slice(1, 13)
 
 @dataclass(frozen=True, slots=True)
 class ScoredFrame:
-    """Inputs of the score of a file's candidates; B candidates, S frames.
+    """Inputs of the score of B candidates over S frames: (B, S, 3) poses of box centres, and (B, S, 5) boxes.
 
-    Attributes:
-        center: (B, S, 3) poses of the candidates' box centres.
-        size: (2,) length and width.
-        boxes: (B, S, 5) the candidates as boxes.
-        affine: (2, 3) from global metres to raster coordinates, as the file has it.
+    `size` is length and width; `affine` (2, 3) goes from global metres to raster coordinates, as the file has it.
     """
 
     center: Floats

@@ -35,10 +35,7 @@ _Paint = Callable[[NDArray[np.uint8], shapely.Geometry, Callable[[Floats], Float
 
 
 def draw_clip_maps(scene: Scene, lidar: Floats, *, cells: int = MAP_CELLS) -> Bools:
-    """Maps of a clip: (T, 8, cells, cells) masks by `MAP_CHANNELS`, as `MapLayers.masks` draws them.
-
-    ``lidar`` is (T, 4, 4), lidar frame to global frame.
-    """
+    """Maps of a clip: (T, 8, cells, cells) masks by `MAP_CHANNELS`; ``lidar`` is (T, 4, 4) to the global frame."""
     if scene.road_map.drivable_area.is_empty:
         raise InputError(
             f"{scene.name} has no drivable area at {scene.road_map.location}; MagicDriveDiT draws the road from the "
@@ -79,17 +76,11 @@ class MapLayers:
         ]
 
     def masks(self, pose: Floats, cells: int = MAP_CELLS) -> Bools:
-        """The map around one pose.
+        """(8, cells, cells) masks by `MAP_CHANNELS` around a pose; first index right, second forward, -50 to 50 m.
 
-        Surfaces are filled between corners that are rounded to cells; dividers are two cells wide between corners that
-        are cut down to cells, as the devkit draws them.
-
-        Args:
-            pose: (3,) x, y of the lidar and direction of its x axis (to the right of the car), global.
-
-        Returns:
-            (8, cells, cells) masks by `MAP_CHANNELS`; the first index goes right and the second forward, both from
-            -50 m to 50 m.
+        The (3,) global pose is x, y of the lidar and the direction of its x axis (to the right of the car). Surfaces
+        are filled between corners rounded to cells; dividers are two cells wide between corners cut down to cells, as
+        the devkit draws.
         """
         edge = MAP_EXTENT_M * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         window = shapely.Polygon(to_global(edge, pose))

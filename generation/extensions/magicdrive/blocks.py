@@ -1,9 +1,7 @@
-"""Transformer blocks of MagicDriveDiT (section 7 of the specification).
+"""Transformer blocks of MagicDriveDiT (section 7 of the specification) and the tokens that describe a clip to it.
 
 Tokens are (b, V, t, S, C): scenes, views, latent frames, places in a frame row by row, channels. Modulations are
 (b, 1, 1 or t, 1, C): one for all latent frames, or one for each where some frames are given.
-
-The tokens that describe a clip to the transformer, each kind in the smallest shape that says it.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,17 +25,11 @@ from generation.extensions.magicdrive.layers import (
 
 @dataclass(frozen=True, slots=True)
 class ConditionTokens:
-    """Tokens of every view and latent frame (section 4), or keys and values made of them.
+    """Tokens of every view and latent frame (section 4), or keys and values made of them, (b, V, t, n, C).
 
-    An axis of length one means the same for all views or frames, so that linear layers see no token twice. What a layer
-    makes of n equal tokens is made once.
-
-    Attributes:
-        ego: (b, 1, t, 1, C) ego motion.
-        camera: (b, V, 1, 1, C).
-        text: (b, 1, 1, L, C).
-        boxes: (b, V, t, n, C).
-        box_repeats: How often each box token stands in the sequence.
+    An axis of length one means the same for all views or frames, so that linear layers see no token twice: `ego` is
+    (b, 1, t, 1, C), `camera` (b, V, 1, 1, C), `text` (b, 1, 1, L, C). Each box token stands `box_repeats` times in the
+    sequence; what a layer makes of equal tokens is made once.
     """
 
     ego: Tensor
@@ -64,11 +56,7 @@ class ConditionTokens:
 
     @classmethod
     def batch(cls, parts: Sequence[Self]) -> Self:
-        """Several scenes or branches as one batch.
-
-        They have equal numbers of views, frames, text tokens and boxes; repeats are kept where all parts have the
-        same.
-        """
+        """Several scenes or branches of equal token numbers as one batch; repeats are kept where all have the same."""
         same = len({part.box_repeats for part in parts}) == 1
         boxes = [part.boxes if same else part._repeat_boxes() for part in parts]
         lengths = {(part.text.shape[3], tuple(own.shape[1:])) for part, own in zip(parts, boxes, strict=True)}
@@ -144,12 +132,7 @@ class MagicDriveBlock(nn.Module):
     """Self-attention, cross-attention to the conditions, attention between views where there is one, and an MLP."""
 
     def __init__(self, config: MagicDriveConfig, *, temporal: bool, between_views: bool, skip: bool) -> None:
-        """Build a block.
-
-        Args:
-            temporal: Whether sequences are places over latent frames, or frames over places.
-            skip: Whether it has the projection that hands its output to the base stream.
-        """
+        """`temporal` blocks run over latent frames, others over places; `skip` projects to the base stream."""
         super().__init__()
         channels, heads = config.hidden, config.heads
         self.temporal = temporal
@@ -168,11 +151,7 @@ class MagicDriveBlock(nn.Module):
     def forward(
         self, x: Tensor, modulation: Tensor, keys_values: ConditionTokens, rotation: RotaryRotation | None = None
     ) -> Tensor:
-        """One block on (b, V, t, S, C) tokens.
-
-        ``modulation``, (b, 1 or t, 6C), is that of the time and frame rate; ``rotation`` of the latent frames is
-        for a temporal block.
-        """
+        """One block on (b, V, t, S, C) tokens; ``modulation``, (b, 1 or t, 6C), is that of the time and frame rate."""
         rows = self.scale_shift_table + split_axis(modulation, -1, 6, -1)
         shift_a, scale_a, gate_a, shift_m, scale_m, gate_m = rows[:, None, :, None].unbind(-2)
         x = torch.addcmul(x, gate_a, self._attend(modulate(x, shift_a, scale_a), rotation))

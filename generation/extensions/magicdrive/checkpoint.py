@@ -1,7 +1,4 @@
-"""Weights of the published network, from the file as it is published.
-
-Latents to pictures: the video decoder of CogVideoX, one view at a time (section 10).
-"""
+"""Weights of the published network, and the video decoder of CogVideoX, one view at a time (section 10)."""
 
 import re
 from collections.abc import Mapping
@@ -37,10 +34,9 @@ class VideoDecoder:
 
     @torch.no_grad()
     def frames(self, latent: Tensor) -> Tensor:
-        """Decode one view, (16, t, h, w) as the transformer gives it, of unit spread.
+        """(T, 8h, 8w, 3) uint8 on the processor, from one (16, t, h, w) view of unit spread; refused unless finite.
 
-        (T, 8h, 8w, 3) uint8 on the processor; T is 4t, or 4t - 3 where t is odd. Pictures that are not finite are
-        refused.
+        T is 4t, or 4t - 3 where t is odd.
         """
         scaled = latent[None].to(self._device, self._network.dtype) / self._network.config.scaling_factor
         pictures = self._network.decode(scaled).sample[0]
@@ -68,17 +64,9 @@ def load_published_network(
 ) -> MagicDriveDiT:
     """Build the network with published weights, ready to be asked.
 
-    Args:
-        path: ``ema.pt`` or any other file of PyTorch that holds the state dict, or the same tensors as .safetensors.
-        config: Sizes of the network; the published ones by default.
-
-    Returns:
-        The network, ready to be asked. Where it rounds its inputs, the weights have been rounded to bfloat16 too,
-        in any precision that they are stored in.
-
-    Raises:
-        InputError: If the file is absent, damaged, would run code, holds NaN or infinity, or other tensors than the
-            network has.
+    The file is ``ema.pt`` or any other of PyTorch that holds the state dict, or .safetensors; one that would run code,
+    or with NaN, infinity or other tensors, is refused. Where the network rounds its inputs, weights of any precision
+    are rounded to bfloat16, too.
     """
     config = config or MagicDriveConfig.full()
     with torch.device("meta"):

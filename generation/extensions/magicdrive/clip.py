@@ -1,7 +1,4 @@
-"""One clip of a scene as MagicDriveDiT is told about it, before words are encoded and chance is drawn.
-
-Boxes with identities, as the model is told about them (sections 4.2 and 9).
-"""
+"""One clip of a scene as MagicDriveDiT is told about it, before chance is drawn; boxes with identities (4.2 and 9)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -25,14 +22,7 @@ _NEARLY_PARALLEL = 1.0 - 1e-9
 
 @dataclass(frozen=True, slots=True)
 class BoxTracks:
-    """Boxes of N objects at T frames in the global frame.
-
-    Attributes:
-        position: (N, T, 3) centres, metres.
-        rotation: (N, T, 4) quaternions.
-        size: (N, T, 3) length, width, height, metres.
-        valid: (N, T) whether the object is there.
-    """
+    """(N, T, ...) centres, quaternions and length, width, height in metres of N objects at T frames, global frame."""
 
     position: Floats
     rotation: Floats
@@ -43,9 +33,8 @@ class BoxTracks:
 def build_box_tracks(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
     """Boxes at (T,) frames of a scene, in the order of ``scene.agents``.
 
-    A recording, whose sensors have sweeps of their own, knows boxes at its keyframes only: those in between are
-    interpolated from its annotations. What was simulated (a scene of ours, and every adversary) is known at 12 Hz
-    and taken as it is.
+    A recording with sweeps of its own has boxes at keyframes only; those in between are interpolated. What was
+    simulated (a scene of ours, and every adversary) is known at 12 Hz and taken as it is.
     """
     agents = scene.agents
     tracks = BoxTracks(
@@ -64,12 +53,10 @@ def build_box_tracks(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
 
 
 def interpolate_annotations(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
-    """Boxes between keyframes: those of objects that are annotated at both ends.
+    """Boxes of objects that are annotated at both keyframes around each of (T,) frames.
 
-    ``frames`` are (T,) from the first to the last keyframe.
-
-    Centres lie on straight lines, rotations on great arcs, at the fraction of frames passed since the earlier
-    keyframe; sizes are those of the earlier keyframe.
+    Centres lie on straight lines, rotations on great arcs, at the fraction of frames passed since the earlier keyframe;
+    sizes are those of the earlier keyframe.
     """
     annotations, keyframes = scene.annotations, scene.keyframes
     left = np.clip(np.searchsorted(keyframes, frames, side="right") - 1, 0, len(keyframes) - 1)
@@ -86,10 +73,7 @@ def interpolate_annotations(scene: Scene, frames: NDArray[np.int64]) -> BoxTrack
 
 
 def slerp(first: Floats, second: Floats, fraction: Floats) -> Floats:
-    """Rotations between two rotations, at constant speed on the shorter great arc.
-
-    Quaternions, (..., 4), are normalised here; ``fraction``, (...), is broadcast against the leading axes.
-    """
+    """Slerp of (..., 4) quaternions, normalised here, on the shorter great arc; ``fraction``, (...), is broadcast."""
     first = np.asarray(first, np.float64) / np.linalg.norm(first, axis=-1, keepdims=True)
     second = np.asarray(second, np.float64) / np.linalg.norm(second, axis=-1, keepdims=True)
     cosine = (first * second).sum(axis=-1, keepdims=True)
@@ -115,15 +99,12 @@ _CORNER_SIGNS: Final = np.array(
 
 @dataclass(frozen=True, slots=True)
 class ClipBoxes:
-    """The boxes of a clip; n slots, one for each object that appears in it, in the order of their names.
+    """Boxes of a clip; n slots, one for each object that appears in it, in the order of their names.
 
-    Attributes:
-        ids: Instance identifiers of the slots; empty where the one slot is padding.
-        corners: (T, n, 8, 3) metres, lidar frame of the frame, half a height too high as in the model's training; 0
-            where the object is absent.
-        true_corners: (T, n, 8, 3) the same where the objects really are.
-        classes: (T, n) index into `DETECTION_CLASSES`, -1 where the object is absent.
-        masks: (V, T, n) 1 where any true corner lies in front of the camera's lens, else 0.
+    `corners` and `true_corners` are (T, n, 8, 3) metres, lidar frame of the frame, 0 where the object is absent; the
+    former half a height too high, as in the model's training. `classes` (T, n) index `DETECTION_CLASSES`, -1 where
+    absent; `masks` (V, T, n) are 1 where any true corner lies in front of the lens. `ids` is empty where the one slot
+    is padding.
     """
 
     ids: tuple[str, ...]
@@ -139,10 +120,7 @@ class ClipBoxes:
 
 
 def build_clip_boxes(scene: Scene, frames: NDArray[np.int64], sensors: SensorFrames) -> ClipBoxes:
-    """Boxes of all objects that the model can draw, adversaries among them, at (T,) frames.
-
-    There is one absent box where there is none.
-    """
+    """Boxes of all objects that the model can draw, adversaries among them, at (T,) frames; else one absent box."""
     tracks = build_box_tracks(scene, frames)
     classes = [_find_class_index(scene, index) for index in range(len(scene.agents))]
     shown = [
@@ -170,10 +148,9 @@ def build_clip_boxes(scene: Scene, frames: NDArray[np.int64], sensors: SensorFra
 
 
 def transform_to_lidar_frame(tracks: BoxTracks, shown: list[int], lidar: Floats) -> tuple[Floats, Floats]:
-    """Centres, (T, n, 3), and headings, (T, n), of n boxes as the lidar sees them at T frames.
+    """Centres, (T, n, 3), and headings, (T, n), radians counter-clockwise from the lidar's x axis, of n boxes.
 
-    Headings are those of the boxes' length, radians counter-clockwise from the lidar's x axis; ``lidar`` is
-    (T, 4, 4), lidar frame to global frame.
+    ``lidar`` is (T, 4, 4), lidar frame to global frame.
     """
     turn = lidar[:, :3, :3]
     offset = tracks.position[shown].transpose(1, 0, 2) - lidar[:, None, :3, 3]
@@ -184,15 +161,9 @@ def transform_to_lidar_frame(tracks: BoxTracks, shown: list[int], lidar: Floats)
 
 
 def compute_corners(floor: Floats, size: Floats, yaw: Floats) -> Floats:
-    """Corners of upright boxes in the model's order.
+    """(..., 8, 3) corners of upright boxes: front right bottom, top, rear right top, bottom, then the same on the left.
 
-    Args:
-        floor: (..., 3) middle of the floor, metres.
-        size: (..., 3) length, width, height, metres.
-        yaw: (...) heading of the length, radians.
-
-    Returns:
-        (..., 8, 3) front right bottom, front right top, rear right top, rear right bottom, then the same on the left.
+    ``floor`` (..., 3) is the middle of the floor, ``size`` length, width, height, metres; ``yaw`` heads the length.
     """
     ahead, left, up = np.moveaxis(_CORNER_SIGNS * size[..., None, :] * [0.5, 0.5, 1.0], -1, 0)
     cos, sin = np.cos(yaw)[..., None], np.sin(yaw)[..., None]
@@ -200,11 +171,7 @@ def compute_corners(floor: Floats, size: Floats, yaw: Floats) -> Floats:
 
 
 def is_in_front(corners: Floats, camera_from_lidar: Floats) -> Bools:
-    """Which boxes have a corner in front of a camera's lens, inside its image or not.
-
-    (V, T, n) verdicts on (T, n, 8, 3) corners, lidar frame, metres; ``camera_from_lidar`` is (V, T, 4, 4), lidar
-    frame to camera axes.
-    """
+    """(V, T, n) whether any (T, n, 8, 3) lidar-frame corner is before a camera's lens, inside its image or not."""
     towards, offset = camera_from_lidar[:, :, 2, :3], camera_from_lidar[:, :, 2, 3]
     depth = np.einsum("vta,tnca->vtnc", towards, corners) + offset[..., None, None]
     return np.asarray((depth > 0.0).any(axis=-1))
@@ -240,12 +207,10 @@ _FRAMES_TOGETHER: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """The conditions of one clip in numbers and words; V views in the model's order, T frames, n boxes.
+    """Conditions of one clip in numbers and words; V views in the model's order, T frames, n boxes.
 
-    Attributes:
-        cams: (V, T, 3, 7) intrinsic matrix at 1600 x 900 pixels beside the camera->lidar transform.
-        rel_pos: (T, 4, 4) transforms of points from the first lidar frame to this one.
-        maps: (T, 8, cells, cells) masks from above.
+    `cams` are (V, T, 3, 7), the intrinsic matrix at 1600 x 900 pixels beside the camera->lidar transform; `rel_pos`
+    (T, 4, 4) take points from the first lidar frame to this one; `maps` are (T, 8, cells, cells) from above.
     """
 
     scene: str
@@ -266,10 +231,7 @@ class Clip:
     def conditions(
         self, text: TextStates, negative_text: TextStates | None, *, latent_width: int, seed: int = OFFICIAL_SEED
     ) -> ClipConditions:
-        """The clip as tensors for a model of hidden width ``latent_width``.
-
-        ``seed`` is of the objects' latent vectors; the same objects with the same seed look alike.
-        """
+        """The clip as tensors for a hidden width; objects with the same ``seed`` of latent vectors look alike."""
         boxes = self.boxes
         return ClipConditions(
             bboxes=torch.from_numpy(boxes.corners)[None],
@@ -295,10 +257,7 @@ def build_clip(
     width: int = 400,
     look: PromptLook = PromptLook.RECORDED,
 ) -> Clip:
-    """Conditions of the model for some frames of a scene, which has six cameras and a map.
-
-    The frames are in order, as many as the model can have; the last one may be repeated (see `pad_frames`).
-    """
+    """Conditions for ordered frames of a scene with six cameras and a map; the last may repeat (`pad_frames`)."""
     chosen = np.asarray(frames, dtype=np.int64)
     _check_frames(scene, chosen)
     sensors = SensorFrames.of(scene, chosen)
@@ -325,10 +284,7 @@ def build_clip(
 
 
 def draw_box_latents(count: int, width: int, seed: int) -> torch.Tensor:
-    """One Gaussian vector for each object, drawn on the processor as in the published scripts.
-
-    (n, C) float32 for n objects and the hidden width C of the model.
-    """
+    """(n, C) float32 Gaussian vectors of objects, drawn on the processor as in the published scripts."""
     return torch.randn(count, width, generator=torch.Generator("cpu").manual_seed(seed))
 
 
@@ -340,7 +296,7 @@ def compute_trimmed_length(count: int) -> int:
 def compute_published_length(count: int) -> int:
     """Number of frames that a clip of the published data sets has.
 
-    Recordings of 235 frames, which most of nuScenes has (40 keyframes), become 233; those of 241 stay, and nothing is
+    Recordings of 235 frames, which most of nuScenes has (40 keyframes), become 233; those of 241 stay; nothing is
     longer. Recordings that are shorter than any that the model was trained on at full length keep all they have.
     """
     return count if count < SHORTEST_WHOLE else compute_trimmed_length(min(count, MOST_FRAMES))
@@ -353,10 +309,7 @@ def pad_frames(frames: Sequence[int]) -> tuple[int, ...]:
 
 
 def group_latent_frames(count: int) -> tuple[tuple[int, ...], ...]:
-    """Frames of a clip, as positions in it, that are averaged into each latent frame.
-
-    Twice, neighbours become pairs; of an odd number the first stays alone (specification, section 3, "P").
-    """
+    """Positions in a clip averaged into each latent frame (section 3, "P"): pairs, twice; an odd first one stays."""
     groups: list[tuple[int, ...]] = [(position,) for position in range(count)]
     for _ in range(2):
         alone, paired = groups[: len(groups) % 2], groups[len(groups) % 2 :]

@@ -58,13 +58,10 @@ def build_magicdrive_renderer(
 
 
 def build_rendering_executor(place: Executor, device: str) -> Executor:
-    """Executor of the drawing: one scene at a time on each GPU.
+    """Executor of the drawing on ``auto``, ``cpu``, ``cuda`` (all GPUs) or ``cuda:1``: one scene at a time on each GPU.
 
-    ``device`` is ``auto``, ``cpu``, ``cuda`` for all GPUs, or ``cuda:1`` for one.
-
-    Returns:
-        As many processes as there are GPUs, but no more than were asked for; on a Ray cluster units with a GPU each;
-        ``place`` itself where the network runs on processors.
+    As many processes as there are GPUs, but no more than were asked for; on a Ray cluster units with a GPU each;
+    ``place`` itself where the network runs on processors.
     """
     on_gpu = device.startswith("cuda") or (device == "auto" and torch.cuda.is_available())
     if isinstance(place, RayCluster):

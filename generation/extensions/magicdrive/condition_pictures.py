@@ -77,11 +77,7 @@ def write_condition_pictures(data: DataSet, names: Sequence[str], folder: Path, 
 def draw_condition_pictures(
     clip: Clip, scene: Scene, frames: Sequence[int], images: Sequence[Images | None]
 ) -> dict[str, bytes]:
-    """All pictures of one clip: PNG files by what they show.
-
-    ``frames`` of the scene, all in the clip, are those at which boxes, visibility and map are drawn. ``images`` are
-    of the cameras there, any size; ``None`` for a dark ground.
-    """
+    """PNG files of one clip at ``frames`` of the scene; ``images`` have any size, ``None`` is a dark ground."""
     places = [int(np.flatnonzero(clip.frames == frame)[0]) for frame in frames]
     adversaries = [slot for slot, name in enumerate(clip.boxes.ids) if name in scene.adversaries]
     pictures: dict[str, Callable[[], bytes]] = {
@@ -106,17 +102,11 @@ def choose_shown_frames(scene: Scene) -> list[int]:
 
 
 def draw_boxes(clip: Clip, place: int, images: Images | None, adversaries: Sequence[int]) -> NDArray[np.uint8]:
-    """The boxes of one frame over the six views, with the numbers of their slots.
+    """(720, 1920, 3) RGB: boxes of one frame, with their slots, over six views in the model's order, three in a row.
 
-    A box that a view is told to use is drawn where the object is, in the colour of its class; the roof of the raised
-    box that the model is given is drawn above it in pale grey.
-
-    Args:
-        place: Position of the frame in the clip.
-        adversaries: Slots to draw in the colour of adversaries.
-
-    Returns:
-        (720, 1920, 3) RGB; views in the model's order, three in a row.
+    A box that a view is told to use is drawn where the object is, in the colour of its class or of adversaries; the
+    roof of the raised box that the model is given is drawn above it in pale grey. ``place`` is the frame's position in
+    the clip.
     """
     panels = []
     for view, name in enumerate(MODEL_CAMERAS):

@@ -48,10 +48,7 @@ _SLOT_ROWS: Final = 34
 
 
 def draw_visibility(clip: Clip, place: int, adversaries: Sequence[int]) -> bytes:
-    """From above, for each view: boxes that it is told to use are filled, the others only outlined.
-
-    The PNG is of the frame at position ``place`` in the clip; ``adversaries`` are slots.
-    """
+    """PNG from above, by view: boxes that it is told to use are filled, others outlined; ``adversaries`` are slots."""
 
     def draw(figure: "Figure") -> None:
         for view, axes in enumerate(figure.subplots(2, 3).ravel()):
@@ -131,10 +128,7 @@ def draw_ego_motion(clip: Clip, keyframes: "NDArray[np.int64]") -> bytes:
 
 
 def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequence[int]) -> bytes:
-    """PNG of when each object is there, and of which frames are averaged into one latent frame.
-
-    ``adversaries`` are slots with a line in the colour of adversaries.
-    """
+    """PNG of when each object is there, and which frames share a latent frame; ``adversaries`` are slots."""
     from matplotlib.patches import Patch
 
     groups = group_latent_frames(len(clip.frames))

@@ -28,12 +28,7 @@ ABSENT_CLASS: Final = -1
 
 @dataclass(frozen=True, slots=True)
 class TextStates:
-    """A prompt as the text encoder gives it (section 4.1).
-
-    Attributes:
-        hidden: (300, d) last hidden states; d is 4096 with T5 v1.1 XXL.
-        mask: (300,) bool, True for tokens of the prompt, False for padding.
-    """
+    """Encoded prompt (section 4.1): (300, d) last hidden states, d 4096 with T5 v1.1 XXL, and the mask of tokens."""
 
     hidden: Tensor
     mask: Tensor
@@ -56,10 +51,7 @@ class ClipConditions:
         rel_pos: (T, 4, 4) float32, transform from the first lidar frame to this one.
         maps: (T, 8, 200, 200) bool masks from above, [channel, lidar x (right), lidar y (forward)]; 400 x 400 cells
             where the image is higher than 224 pixels.
-        text: The prompt.
         fps: 12 for video, 120 for a single image.
-        height: Image height, pixels.
-        width: Image width, pixels.
         negative_text: A negative prompt; ``None`` for the model's own null prompt.
     """
 

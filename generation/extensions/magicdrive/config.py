@@ -8,17 +8,11 @@ from typing import Self
 class MagicDriveConfig:
     """Sizes of the network; the defaults are the published ones (section 1 of the specification).
 
-    Attributes:
-        encoder_heads: Attention heads of the condition encoders.
-        depth: Pairs of a spatial and a temporal block in the base stream.
-        control_depth: The same in the control stream.
-        text_tokens: Length of the stored null prompt.
-        box_hidden: Channels inside the last layers of the box encoder.
-        map_channels: Channels of the map encoder before its last layer.
-        rounded: Round what goes in, and all frequencies, to bfloat16 even where the network computes more exactly,
-            because the published weights were trained so (section 13).
-        rows_multiple: Rows of tokens are padded to a multiple of this where their number times columns is none, as on
-            the four processors that the published weights were tuned and are used on (section 12); 1 never pads.
+    `depth` counts pairs of a spatial and a temporal block in the base stream; `text_tokens` are of the stored null
+    prompt; `map_channels` come before the map encoder's last layer. `rounded` rounds inputs and all frequencies to
+    bfloat16 even in higher precision, because the published weights were trained so (section 13). Rows of tokens are
+    padded to `rows_multiple` where rows times columns are no multiple, as on the four processors that the published
+    weights were tuned and are used on (section 12); 1 never pads.
     """
 
     hidden: int = 1152

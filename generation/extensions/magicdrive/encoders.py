@@ -50,9 +50,9 @@ class TextEncoder(nn.Module):
 
 
 class TemporalEncoder(nn.Module):
-    """One transformer block over the frames of a clip, then a projection and two poolings in time.
+    """Base of the encoders of boxes and ego motion: a block over frames, a projection, two poolings in time.
 
-    Base of the encoders of boxes and ego motion, which build it last: tensors have the order of the published file.
+    They build it last: tensors have the order of the published file.
     """
 
     def _build_block(self, config: MagicDriveConfig) -> None:
@@ -98,10 +98,9 @@ class ClipBoxEncoder(TemporalEncoder):
         self._build_block(config)
 
     def forward(self, corners: Tensor, classes: Tensor, masks: Tensor, latent: Tensor) -> Tensor:
-        """Encode the boxes as one view sees them, to (t, n, C).
+        """(t, n, C) of boxes as one view sees them: (T, n, 8, 3) metres, classes -1 where absent, latents (n, C).
 
-        Corners are (T, n, 8, 3) metres; classes (T, n), -1 where absent; masks (T, n), 1 seen, 0 absent or not
-        seen, -1 hidden; latents (n, C).
+        Masks, (T, n), are 1 where seen, 0 where absent or not seen, -1 where hidden.
         """
         dtype = self.bbox_proj.weight.dtype
         mean, log_variance = self.mean_var[classes % CLASSES, :, None].unbind(-2)

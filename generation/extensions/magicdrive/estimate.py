@@ -1,8 +1,6 @@
-"""How long a scene takes and how much memory, before anything is loaded (section 18).
+"""Time and memory of a scene before anything is loaded (section 18).
 
-Operations are counted by formula; how fast the device does them is measured on one layer of the network, or given.
-
-How much there is to compute: floating-point operations of an evaluation, counted by formula (section 18).
+Floating-point operations are counted by formula; how fast the device does them is measured on one layer, or given.
 """
 
 import functools
@@ -27,10 +25,7 @@ from generation.pipeline.estimate import format_duration
 
 @dataclass(frozen=True, slots=True)
 class ClipWorkload:
-    """Sizes that the cost of a clip depends on.
-
-    ``text_tokens`` are those of the prompt, ``boxes`` the box slots, ``map_cells`` the cells along the map's sides.
-    """
+    """Sizes that the cost of a clip depends on; ``boxes`` are slots, ``map_cells`` lie along the map's sides."""
 
     frames: int
     size: LatentSize
@@ -43,11 +38,8 @@ class ClipWorkload:
 class OperationCounts:
     """Floating-point operations of one evaluation of one branch.
 
-    Attributes:
-        base: Of the base stream; the four kinds of attention are parts of it and of the control stream.
-        spatial_attention: Products of queries, keys and values over places.
-        temporal_attention: The same over latent frames.
-        encoders: Of all condition encoders; once for a branch.
+    The four kinds of attention, products over places (spatial) or latent frames (temporal), are parts of `base` and
+    `control`; `encoders` count once for a branch.
     """
 
     base: float
@@ -64,18 +56,15 @@ class OperationCounts:
         return self.base + self.control
 
     def scene(self, steps: int, *, as_published: bool = False) -> float:
-        """Operations of a clip with guidance, 2 * steps evaluations.
-
-        ``as_published`` encodes conditions at every evaluation.
-        """
+        """Operations of a clip with guidance, 2 * steps evaluations; ``as_published`` encodes conditions at each."""
         return 2 * (steps * self.transformer + (steps if as_published else 1) * self.encoders)
 
 
 def count_operations(config: MagicDriveConfig, clip: ClipWorkload, *, as_published: bool = False) -> OperationCounts:
-    """Count one evaluation of the network.
+    """Operations of one evaluation of the network.
 
-    ``as_published`` counts what the published code computes: keys and values of every condition token of every view
-    and frame, and projections between views once for each neighbour.
+    ``as_published`` counts keys and values of every condition token of every view and frame, and projections between
+    views once for each neighbour.
     """
     size, square = clip.size, config.hidden**2
     cells = config.views * size.frames
@@ -165,10 +154,7 @@ _GIB: Final = 2**30
 
 @dataclass(frozen=True, slots=True)
 class RenderingStage:
-    """One network at work; the stages of a scene follow each other.
-
-    ``count_operations`` are floating-point operations; ``gib`` is memory of the device, weights included.
-    """
+    """One network at work, after the stage before; ``gib`` is memory of the device, weights included."""
 
     name: str
     operations: float
@@ -177,11 +163,7 @@ class RenderingStage:
 
 @dataclass(frozen=True, slots=True)
 class RenderingEstimate:
-    """Cost of a scene.
-
-    ``size`` is height and width of the pictures that the model draws; the device does ``tera_operations``, 10^12,
-    in a second, which were ``measured`` here, or else given.
-    """
+    """Cost of a scene; ``size`` is height and width as drawn, ``tera_operations`` a second are measured or given."""
 
     frames: int
     size: tuple[int, int]
@@ -222,10 +204,7 @@ def estimate_rendering_stages(
     words: str,
     dtype: torch.dtype,
 ) -> tuple[RenderingStage, ...]:
-    """Stages of a scene's cost, in their order.
-
-    ``dtype`` is the precision of transformer and decoder, ``steps`` are those of sampling.
-    """
+    """Stages of a scene's cost, in their order; ``dtype`` is the precision of transformer and decoder."""
     frames = len(pad_frames(range(len(scene.timestamps_us))))
     size = LatentSize.of(frames, geometry.height, geometry.width, config.rows_multiple)
     cells = MAP_CELLS if geometry.height <= SMALL_HEIGHT_PX else 2 * MAP_CELLS
@@ -263,10 +242,7 @@ def count_parameters(config: MagicDriveConfig) -> int:
 
 @functools.cache
 def measure_speed(device: torch.device, dtype: torch.dtype, channels: int) -> float:
-    """Speed, 10^12 operations in a second, of a device at the network's main work: norm, modulation and an MLP.
-
-    ``channels`` are those of a token.
-    """
+    """10^12 operations a second of a device at the network's main work on tokens: norm, modulation and an MLP."""
     tokens = _PROBE_TOKENS["cuda" if device.type == "cuda" else "cpu"]
     layer = nn.Sequential(nn.Linear(channels, 4 * channels), nn.GELU("tanh"), nn.Linear(4 * channels, channels))
     layer = layer.to(device, dtype)

@@ -1,9 +1,4 @@
-"""Layers that the transformer and the condition encoders share (section 3 of the specification).
-
-Where things are, as numbers a network can read: grids, timesteps, metres.
-
-The latent of a clip: its size, and views and patches taken apart and put together.
-"""
+"""Layers that transformer and condition encoders share (section 3), embeddings of numbers, and latent layout."""
 
 import math
 from dataclasses import dataclass
@@ -83,10 +78,7 @@ class RotaryFrequencies(nn.Module):
         self.freqs = nn.Parameter(10000.0**-exponents, requires_grad=False)
 
     def rotation(self, frames: int, dtype: torch.dtype, *, rounded: bool) -> RotaryRotation:
-        """The embedding of frames 0, 1, ... for queries and keys of a precision.
-
-        ``rounded`` takes frequencies, positions and their products to bfloat16 first.
-        """
+        """Embedding of frames 0, 1, ...; ``rounded`` takes frequencies, positions, products to bfloat16 first."""
         inner = torch.bfloat16 if rounded else torch.float32
         positions = torch.arange(frames, device=self.freqs.device, dtype=inner)
         angles = (positions[:, None] * self.freqs.to(inner)).float()
@@ -123,10 +115,7 @@ _TRAINED_SIDE_PIXELS: Final = 512
 
 
 def compute_fourier_features(points: Tensor) -> Tensor:
-    """Points and the sines and cosines of 1, 2, 4 and 8 times their coordinates (section 3).
-
-    (..., 3) become (..., 27).
-    """
+    """(..., 27) of (..., 3): points and the sines and cosines of 1, 2, 4 and 8 times their coordinates (section 3)."""
     octaves = [wave(points * 2**octave) for octave in range(OCTAVES) for wave in (torch.sin, torch.cos)]
     return torch.cat([points, *octaves], -1)
 
@@ -136,8 +125,8 @@ def compute_grid_embedding(
 ) -> Tensor:
     """Position of each token in a frame (section 6), stretched so that images of all sizes span alike.
 
-    (rows * columns, channels): sines and cosines of the column, then of the row. ``rows`` have padding included;
-    ``pixels`` are height and width of the image; ``rounded`` takes frequencies to bfloat16.
+    (rows * columns, channels): sines and cosines of the column, then of the row. ``rows`` include padding; ``pixels``
+    are height and width; ``rounded`` takes frequencies to bfloat16.
     """
     scale = math.sqrt(pixels[0] * pixels[1]) / _TRAINED_SIDE_PIXELS
     side = round(math.sqrt(rows * columns))
@@ -191,10 +180,7 @@ PIXELS_PER_CELL = 8
 
 @dataclass(frozen=True, slots=True)
 class LatentSize:
-    """Size of a clip's latent: t latent frames, h rows and w columns of cells.
-
-    The network computes with ``padded_rows``; the added ones are cropped.
-    """
+    """Size of a clip's latent in frames and cells; the rows added in ``padded_rows`` are cropped in the end."""
 
     frames: int
     rows: int
@@ -203,10 +189,7 @@ class LatentSize:
 
     @classmethod
     def of(cls, frames: int, height: int, width: int, rows_multiple: int = 1) -> Self:
-        """Latent of a clip of frames and pixels; t is a quarter of the frames, rounded up twice.
-
-        Rows of tokens are padded to a multiple of ``rows_multiple``, as `MagicDriveConfig` says.
-        """
+        """Latent of a clip in pixels; frames are a quarter, rounded up twice, rows padded to ``rows_multiple``."""
         rows, columns = height // PIXELS_PER_CELL, width // PIXELS_PER_CELL
         token_rows, token_columns = -(-rows // 2), -(-columns // 2)
         missing = -token_rows % rows_multiple if token_rows * token_columns % rows_multiple else 0
@@ -225,10 +208,7 @@ class LatentSize:
 
 
 def unpack_views(latent: Tensor, views: int) -> Tensor:
-    """Latents of the views apart, (b, views, channels, t, h, w).
-
-    ``latent`` is (b, channels * views, t, h, w), channel-major and view-minor.
-    """
+    """(b, views, channels, t, h, w) from (b, channels * views, t, h, w), channel-major and view-minor."""
     return split_axis(latent, 1, -1, views).transpose(1, 2)
 
 

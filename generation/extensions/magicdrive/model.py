@@ -43,12 +43,9 @@ from generation.extensions.magicdrive.layers import (
 class EncodedConditions:
     """Conditions of a clip, or of a batch of clips of one size, as the transformer needs them.
 
-    Attributes:
-        control: (b, 1, t, S, C) map features and positions, with which the control stream starts.
-        position: (S, C) embedding of places.
-        rate: (b, C) embedding of the frame rate.
-        keys_values: Keys and values of each block's cross-attention, in the order of `MagicDriveDiT.blocks`, if
-            they are cached.
+    `control` (b, 1, t, S, C) are map features and positions, with which the control stream starts; `position` (S, C)
+    embeds places, `rate` (b, C) the frame rate; `keys_values` are in the order of `MagicDriveDiT.blocks`, if they are
+    cached.
     """
 
     tokens: ConditionTokens
@@ -60,10 +57,7 @@ class EncodedConditions:
 
     @classmethod
     def batch(cls, parts: Sequence[Self]) -> Self:
-        """Several clips, or branches of guidance, as one batch without kept keys and values.
-
-        They are of one size and image size, with equal numbers of text and box tokens.
-        """
+        """Clips of one size, or guidance branches, of equal token numbers as one batch without kept keys, values."""
         first = parts[0]
         if any(part.size != first.size or not torch.equal(part.position, first.position) for part in parts):
             raise ValueError("clips of different sizes cannot be one batch")
@@ -85,10 +79,7 @@ class FinalLayer(nn.Module):
         self.linear = nn.Linear(channels, out)
 
     def forward(self, x: Tensor, time: Tensor, time_of_given: Tensor, given: Tensor | None) -> Tensor:
-        """Projection of (b, V, t, S, C) tokens to (b, V, t, S, numbers of a patch).
-
-        ``time``, (b, C), is of the step, ``time_of_given`` of frames that are ``given``, (b, t) bool.
-        """
+        """(b, V, t, S, numbers of a patch) of tokens; (b, C) times of the step and of (b, t) given frames."""
         out = self._modulate(x, time)
         if given is not None:
             # The published network modulates given frames twice; the sampler discards the result.
@@ -165,10 +156,7 @@ class MagicDriveDiT(nn.Module):
             block.compile(backend=backend, fullgraph=True)
 
     def compute_latent_size(self, conditions: ClipConditions, rows_multiple: int | None = None) -> LatentSize:
-        """Size of the latent of a clip.
-
-        Rows of tokens are padded to a multiple of ``rows_multiple``, by default as the configuration says.
-        """
+        """Size of the latent of a clip; ``rows_multiple`` is by default the configuration's."""
         multiple = self.config.rows_multiple if rows_multiple is None else rows_multiple
         return LatentSize.of(conditions.frames, conditions.height, conditions.width, multiple)
 
@@ -182,10 +170,8 @@ class MagicDriveDiT(nn.Module):
     ) -> EncodedConditions:
         """Encode all conditions of one clip that do not depend on the timestep; gives a batch of one.
 
-        Args:
-            box_repeats: How often each box counts: the null branch has one empty box in place of many equal ones.
-            rows_multiple: To what rows of tokens are padded; as the configuration says by default.
-            keep_keys_values: Whether to keep what the blocks make of the tokens, for speed.
+        The null branch has one empty box, `box_repeats` times, in place of many equal ones. `rows_multiple` is by
+        default the configuration's; `keep_keys_values` caches those of the blocks, for speed.
         """
         config = self.config
         own = (conditions.views, conditions.box_latent.shape[-1], conditions.text.hidden.shape[-1])

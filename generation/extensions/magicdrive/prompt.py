@@ -33,11 +33,8 @@ class Prompt:
 class _LookChange:
     """Change of a prompt to another look.
 
-    Attributes:
-        negative: Negative prompt, as published.
-        unwanted: Phrases (between commas) with such a word are left out.
-        replaced: Words by what stands for them.
-        locations: Places that do not go with this look, and one that does.
+    Phrases (between commas) with an `unwanted` word are left out; `locations` maps places that do not fit to one that
+    does.
     """
 
     opening: str
@@ -78,10 +75,7 @@ _CHANGES: Final = {
 
 
 def build_prompt(scene: Scene, look: PromptLook = PromptLook.RECORDED) -> Prompt:
-    """The prompt of a scene: where it is, and its description as it stands.
-
-    For another ``look`` than the recorded one it is rewritten, and a negative prompt added.
-    """
+    """Prompt of a scene: where it is, and its description; rewritten for another ``look``, with a negative prompt."""
     location, description = scene.road_map.location, scene.description
     if description == IMPORTED:
         description = join_words(describe_traffic_and_road(scene))

@@ -1,9 +1,7 @@
-"""The photorealistic renderer: a scene is drawn as six videos by MagicDriveDiT from the published weights.
+"""Photorealistic renderer: MagicDriveDiT draws a scene as six videos from the published weights.
 
-The main path, from the top: conditions of the whole scene, words through the text encoder, noise to latents by the
-transformer, latents to pictures by the decoder. What takes long is kept on disk, so that a killed command goes on.
-
-Words to hidden states: T5 v1.1 XXL, which is loaded for the words of a scene and let go of again (section 4.1).
+Slow stages are kept on disk, so that a killed command goes on. T5 v1.1 XXL is loaded for the words of a scene and let
+go of again (section 4.1).
 """
 
 import gc
@@ -53,10 +51,7 @@ class T5TextEncoder:
     """The published text encoder, in single precision as the published scripts use it."""
 
     def __init__(self, folder: Path, device: torch.device, tokens: int = TEXT_TOKENS) -> None:
-        """Load the encoder: configuration, weights and vocabulary; needs transformers.
-
-        ``tokens`` is the length to which prompts are padded or cut.
-        """
+        """Load configuration, weights and vocabulary (needs transformers); prompts are padded or cut to ``tokens``."""
         self._tokens, self._device = tokens, device
         self._tokenizer: Any = TRANSFORMERS.load("AutoTokenizer", folder)
         self._network: Any = TRANSFORMERS.load("T5EncoderModel", folder, use_safetensors=False).to(device)
@@ -84,12 +79,9 @@ _KEEP_EVERY_STEPS: Final = 5
 class RenderSettings:
     """Settings of a drawing.
 
-    Attributes:
-        seed: Of noise and of the looks of objects. Both depend on the recorded scene besides and not on who drives
-            adversarially in it, so that a scene and its variants look alike.
-        device: ``cpu``, ``cuda`` (with several workers all GPUs of the machine), ``cuda:1``; ``auto`` for GPUs where
-            there are any.
-        tera_operations: Operations that the device does in a second, 10^12, for estimates; measured by default.
+    Noise and looks of objects depend on `seed` and the recorded scene, not on who drives adversarially in it, so that a
+    scene and its variants look alike. `device` is ``cpu``, ``cuda`` (with several workers all GPUs), ``cuda:1``, or
+    ``auto`` for GPUs where there are any. `tera_operations`, 10^12 a second, are for estimates; measured by default.
     """
 
     geometry: ImageGeometry = field(default_factory=ImageGeometry)
@@ -116,10 +108,9 @@ class MagicDriveRenderer:
         work: Path,
         config: MagicDriveConfig | None = None,
     ) -> None:
-        """Say what is drawn with what; nothing is loaded.
+        """Say what is drawn with what; nothing is loaded. Without ``files`` there are estimates only.
 
-        Without ``files`` there are estimates only; ``work`` keeps tensors between stages, and only the speed of
-        later commands depends on it.
+        ``work`` keeps tensors between stages; only the speed of later commands depends on it.
         """
         self.settings, self.files, self.work = settings, files, work
         self.config = config or MagicDriveConfig.full()
@@ -160,17 +151,7 @@ class MagicDriveRenderer:
         return build_camera_tracks(scene)
 
     def estimate(self, scene: Scene) -> RenderingEstimate:
-        """Cost of a scene; nothing of it is drawn, and no weights are needed.
-
-        Args:
-            scene: The scene; its end is left out as `cut` does.
-
-        Returns:
-            Operations, seconds and memory by stage.
-
-        Raises:
-            InputError: If the scene cannot be drawn, or there is no such device here to measure the speed of.
-        """
+        """Operations, seconds and memory of a scene by stage; needs no weights. Its end is left out as `cut` does."""
         scene = self.cut(scene)
         _require_drawable(scene)
         settings = self.settings

@@ -1,9 +1,4 @@
-"""From noise to latents: rectified flow with guidance (section 8 of the specification).
-
-Classifier-free guidance: one branch is told everything, one is not, and the sampler follows their difference.
-
-Tensors between stages of a long computation, kept so that it can go on where it was killed.
-"""
+"""From noise to latents: rectified flow with classifier-free guidance (section 8), and tensors kept between stages."""
 
 import hashlib
 from collections.abc import Callable
@@ -25,19 +20,13 @@ _NAME: Final = "tensor"
 
 
 def cache_tensor(path: Path, key: str, tensor: Tensor, facts: dict[str, Any] | None = None) -> None:
-    """Write a tensor, whole or not at all, as .safetensors.
-
-    ``key`` is the content key of everything that the tensor depends on; ``facts`` are its plain values.
-    """
+    """Write a tensor and its plain ``facts``, whole or not at all; ``key`` is the content key of all it depends on."""
     plain = tensor.detach().cpu().contiguous()
     write_tensors(path, {_NAME: plain}, {"facts": facts or {}, "key": key, "sha256": _compute_sha256(plain)})
 
 
 def read_cached_tensor(path: Path, key: str) -> tuple[Tensor, dict[str, Any]] | None:
-    """Read a tensor that was kept, on the processor, and its plain values.
-
-    ``None`` if it is absent, damaged or of something else than ``key``, to be made again.
-    """
+    """Read a kept tensor, on the processor, and its facts; ``None`` if it is absent, damaged or of another ``key``."""
     try:
         tensors, metadata = read_tensors(path)
     except InputError:
@@ -59,8 +48,7 @@ GuidanceMode = Literal["rflow-slice", "rflow"]
 def build_null_conditions(model: MagicDriveDiT, conditions: ClipConditions, *, keep_map: bool) -> ClipConditions:
     """Conditions of the null branch (section 8): size and frame rate, and a negative prompt if there is one.
 
-    There is one empty box, which stands for all of them; prompt, camera and ego motion are the learned null ones of
-    ``model``.
+    One empty box stands for all; prompt, camera and ego motion are the learned null ones of ``model``.
     """
     views, frames = conditions.views, conditions.frames
     text, negative = conditions.text, conditions.negative_text
@@ -94,10 +82,7 @@ class GuidedModel:
         *,
         together: bool,
     ) -> None:
-        """Take branches that are encoded already.
-
-        A scale of 1 is the first branch alone; both ``together`` as one batch take twice the memory.
-        """
+        """Take encoded branches; scale 1 is the first alone, both ``together`` as one batch take twice the memory."""
         self._model, self._scale = model, scale
         self._branches = (
             (EncodedConditions.batch([conditional, unconditional]),) if together else (conditional, unconditional)
@@ -115,13 +100,10 @@ class GuidedModel:
         keep_keys_values: bool = False,
         rows_multiple: int | None = None,
     ) -> Self:
-        """Encode both branches.
+        """Encode both branches; ``rflow-slice`` takes the map away from the null branch, ``rflow`` leaves it there.
 
-        Args:
-            mode: ``rflow-slice`` takes the map away from the null branch, ``rflow`` leaves it there.
-            together: Whether both branches are one batch, which takes twice the memory.
-            keep_keys_values: Whether to keep what the blocks make of the conditions, for speed; not with ``together``.
-            rows_multiple: To what rows of tokens are padded; as the configuration says by default.
+        One batch of both, `together`, takes twice the memory; `keep_keys_values`, for speed, does not go with it.
+        `rows_multiple` is by default the configuration's.
         """
         keep = keep_keys_values and not together
         null = build_null_conditions(model, conditions, keep_map=mode == "rflow")
@@ -159,11 +141,8 @@ _TRAINED_PIXELS: Final = 512 * 512
 class SamplingOptions:
     """Options of sampling; the defaults are those of the published pipeline.
 
-    Attributes:
-        steps: Evaluations of each branch.
-        mode: Conditions of the null branch, see `GuidedModel.of`.
-        together: Whether both branches are one batch: the same velocities, fewer and larger kernels, twice the memory.
-        keep_keys_values: Whether keys and values of the conditions are kept: the same velocities, 1 % fewer operations.
+    `steps` are evaluations of each branch; `mode` as in `GuidedModel.of`. The velocities are the same with `together`
+    (one batch of both: fewer and larger kernels, twice the memory) and `keep_keys_values` (1 % fewer operations).
     """
 
     steps: int = 30
@@ -175,12 +154,10 @@ class SamplingOptions:
 
 @dataclass(frozen=True, slots=True)
 class GivenFrames:
-    """Latent frames that are known, so that a clip goes on from another one.
+    """Latent frames that are known, so that a clip goes on from another one; `latent` is (1, 96, t, h, w).
 
-    Attributes:
-        latent: (1, 96, t, h, w); only the frames that are given matter.
-        generate: (t,) 1 for frames to generate, 0 for given ones; a frame with a share in between is known until the
-            timestep falls below that share of 1000, then gets noise and is generated too.
+    `generate` (t,) is 1 for frames to generate, 0 for given ones; a frame with a share in between is known until the
+    timestep falls below that share of 1000, then gets noise and is generated too.
     """
 
     latent: Tensor
@@ -189,28 +166,19 @@ class GivenFrames:
 
 @dataclass(frozen=True, slots=True)
 class SamplingState:
-    """State of sampling, to go on from after ``step`` steps.
-
-    ``latent`` is (1, 96, t, h, w) float32; ``seed`` is of all noise.
-    """
+    """State of sampling after ``step`` steps: (1, 96, t, h, w) float32 latent, and the seed of all noise."""
 
     step: int
     latent: Tensor
     seed: int
 
     def save(self, path: Path, key: str) -> None:
-        """Write the state, whole or not at all, as .safetensors.
-
-        ``key`` is the content key of everything that the state depends on.
-        """
+        """Write the state, whole or not at all; ``key`` is the content key of everything that it depends on."""
         cache_tensor(path, key, self.latent, {"step": self.step, "seed": self.seed})
 
     @classmethod
     def load(cls, path: Path, key: str) -> "SamplingState | None":
-        """Read a state, on the processor.
-
-        ``None`` if it is absent, damaged or of something else than ``key``, to be made again.
-        """
+        """Read a state, on the processor; ``None`` if it is absent, damaged or of something else than ``key``."""
         cached = read_cached_tensor(path, key)
         if cached is None:
             return None
@@ -219,9 +187,9 @@ class SamplingState:
 
 
 def choose_timesteps(height: int, width: int, frames: int, steps: int, *, rounded: bool) -> Tensor:
-    """Timesteps at which the network is asked: the larger the video, the longer it stays near pure noise.
+    """(steps,) timesteps falling from 1000: the larger the video, the longer it stays near pure noise.
 
-    (steps,) falling from 1000. ``rounded`` computes with the size in bfloat16, as in the published pipeline.
+    ``rounded`` computes with the size in bfloat16, as in the published pipeline.
     """
     number_type = torch.bfloat16 if rounded else torch.float32
     high, wide, long = torch.tensor([height, width, frames], dtype=torch.float32).to(number_type)[:, None]
@@ -233,10 +201,7 @@ def choose_timesteps(height: int, width: int, frames: int, steps: int, *, rounde
 
 
 def draw_first_state(model: MagicDriveDiT, conditions: ClipConditions, seed: int) -> SamplingState:
-    """State of pure noise before the first step, the same on every device.
-
-    ``seed`` is that of all noise; make it of content.
-    """
+    """Pure noise before the first step, the same on every device; make the ``seed`` of all noise of content."""
     size = model.compute_latent_size(conditions)
     shape = (1, model.config.packed_channels, size.frames, size.rows, size.columns)
     noise = torch.randn(shape, generator=torch.Generator().manual_seed(seed))
@@ -255,8 +220,7 @@ def sample_latents(
 ) -> Tensor:
     """Sample the latents of one clip from `draw_first_state`, or from a state that was saved after a step.
 
-    (1, 96, t, h, w) float32 on the network's device (`generation.extensions.magicdrive.layers.unpack_views`
-    takes the views apart). ``on_step`` is called after each step. Velocities that are not finite are refused.
+    (1, 96, t, h, w) float32 on the network's device (`unpack_views` takes the views apart), refused if not finite.
     """
     options = options or SamplingOptions()
     device = model.base_token.device

@@ -1,7 +1,4 @@
-"""Frames of lidar and cameras over a clip, and what the model is told about them (sections 4.3, 4.4 and 9).
-
-How the model's pictures lie in those of the camera, and the calibration that goes with each (section 9).
-"""
+"""Frames of lidar and cameras over a clip, and how the model's pictures lie in the camera's (sections 4.3, 4.4, 9)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,12 +21,10 @@ _NEGLIGIBLE: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class SensorFrames:
-    """Places of the sensors at the frames of a clip; V cameras in the model's order.
+    """Sensors at the frames of a clip; V cameras in the model's order.
 
-    Attributes:
-        lidar: (T, 4, 4) lidar frame to global frame, metres.
-        cameras: (V, T, 4, 4) camera axes (x right, y down, z forward) to global frame, metres.
-        intrinsics: (V, 3, 3) pinhole matrices for images of 1600 x 900 pixels.
+    (T, 4, 4) lidar and (V, T, 4, 4) camera axes (x right, y down, z forward) to global frame, metres; (V, 3, 3) pinhole
+    matrices for images of 1600 x 900 pixels.
     """
 
     lidar: Floats
@@ -38,10 +33,10 @@ class SensorFrames:
 
     @classmethod
     def of(cls, scene: Scene, frames: NDArray[np.int64]) -> Self:
-        """Place the sensors at (T,) frames.
+        """Place the sensors at (T,) frames; all six cameras have to be there.
 
         Where the source of the scene has sweeps of its own, each sensor stands where its sweep was taken, as in the
-        model's training; otherwise all share the ego pose of the frame. All six cameras have to be there.
+        model's training; otherwise all share the ego pose of the frame.
         """
         order = find_model_order(scene)
         chosen = [scene.cameras[index] for index in order]
@@ -73,11 +68,7 @@ def compute_camera_parameters(sensors: SensorFrames) -> NDArray[np.float32]:
 
 
 def compute_ego_motion(sensors: SensorFrames) -> NDArray[np.float32]:
-    """Way of the ego for the model.
-
-    (T, 4, 4) transforms of points from the first lidar frame to this one; the identity first, and no dust: entries
-    below one millionth are zero.
-    """
+    """(T, 4, 4) transforms of points from the first lidar frame to this one; entries below one millionth are zero."""
     motion = np.linalg.inv(sensors.lidar) @ sensors.lidar[0]
     motion[0] = np.eye(4)
     motion[np.abs(motion) < _NEGLIGIBLE] = 0.0
@@ -134,10 +125,9 @@ _CELL_PX: Final = 8
 class ImageGeometry:
     """Sizes of the pictures that are drawn and of those that are written.
 
-    Attributes:
-        output: Enlarged to the camera's full size, which is that of the published data sets and what SparseDrive's crop
-            needs, or ``model`` for pictures as they are drawn. At full size the rows that the model does not draw, 4 of
-            900 at 224 x 400, repeat the first one below.
+    `output` is the camera's full size, which is that of the published data sets and what SparseDrive's crop needs, or
+    ``model`` for pictures as drawn. At full size the rows that the model does not draw, 4 of 900 at 224 x 400, repeat
+    the first one below.
     """
 
     height: int = 224

@@ -10,11 +10,7 @@ from benchmark.weights.folders import compute_content_hash, require_folder_of
 
 @dataclass(frozen=True, slots=True)
 class NetworkFiles:
-    """Places of the three networks.
-
-    ``fingerprint`` is of the transformer and the decoder, 64 hexadecimal digits; ``text_fingerprint`` is of the
-    text encoder.
-    """
+    """Places of the networks; ``fingerprint`` is of transformer and decoder, 64 hexadecimal digits."""
 
     transformer: Path
     autoencoder: Path
@@ -24,10 +20,7 @@ class NetworkFiles:
 
     @classmethod
     def find(cls, given: Path | None, cache: Path | None = None) -> "NetworkFiles":
-        """Look for the weights in a folder, or in the cache of all weights where none is given.
-
-        `InputError` says what to get, where, and how big it is.
-        """
+        """Look for the weights in a folder, or the cache of all weights; a refusal says what to get, where, how big."""
         places = {
             weights: require_folder_of(weights, given, cache) for weights in (TRANSFORMER, AUTOENCODER, TEXT_ENCODER)
         }

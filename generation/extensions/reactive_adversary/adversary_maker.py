@@ -79,10 +79,10 @@ how soon they can be in the ego's way."""
 
 
 def find_handover_frame(scene: Scene, agent: int, start_us: int, hyper: HyperParameters) -> int:
-    """Frame at which a vehicle leaves its recording, never before the drive starts.
+    """Frame at which a vehicle leaves its recording, never before the drive starts, when it has to be there.
 
-    A vehicle of a recording does when open loop would launch it; a known adversary at once, since the ego that it
-    has to meet is not where the recording was. It has to be there when the drive starts.
+    A vehicle of a recording does when open loop would launch it; a known adversary at once, since the ego that it has
+    to meet is not where the recording was.
     """
     first_frame = int(np.searchsorted(scene.timestamps_us, start_us))
     launch = 0 if scene.agents.ids[agent] in scene.adversaries else find_launch_frame(scene, agent, hyper)

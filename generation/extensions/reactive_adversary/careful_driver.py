@@ -1,12 +1,10 @@
-"""Avoidability of candidates for a careful human driver: all candidates of a batch at once, along the ego's path.
+"""Avoidability of candidates for a careful human driver, a batch at once along the ego's path; planning in closed loop.
 
 In open loop an adversary never touches the recorded ego, and that keeps it fair. In closed loop the ego may do
 anything, and only a vehicle that may be hit is ever in another's way. So the search asks what a careful and competent
 human would do in the ego's place (`benchmark.interactions`, on the path alone: two seconds to contact, 0.75 s of
 reaction, braking that rises to 0.774 g, and the speed that is left kept), in the world with all others in it, and
 whether that driver is hit: by the candidate, or by another because of it.
-
-A planning frame in closed loop: as in open loop, but that it is fair by what a careful human survives.
 """
 
 from collections.abc import Callable
@@ -41,12 +39,9 @@ and more so the farther ahead."""
 
 @dataclass(frozen=True, slots=True)
 class PathBodies:
-    """P bodies at S + 1 instants, along the ego's way; the first instant is now.
+    """P bodies at S + 1 instants from now: lowest and highest stations on the ego's way, metres, infinite where absent.
 
-    Attributes:
-        rear: (P, S + 1) lowest stations, metres; infinite where it is not there.
-        front: (P, S + 1) highest ones.
-        beside: (P, S + 1) metres from the ego's strip, negative where it reaches in.
+    `beside` is in metres from the ego's strip, negative where it reaches in.
     """
 
     rear: Floats
@@ -76,13 +71,9 @@ class PathBodies:
 
 @dataclass(frozen=True, slots=True)
 class CarefulDriverCheck:
-    """A careful human in the ego's place, and all others.
+    """Careful human in the ego's place, at a `station` in metres, and all others ever in the ego's strip.
 
-    Attributes:
-        station: Of the ego's centre, metres.
-        others: All but the adversary that are ever in the ego's strip.
-        steps: (S,) frames after the planning frame.
-        lost: Whether the careful human is hit by others if there is no adversary.
+    `steps` are (S,) frames after the planning frame; the human is `lost` if others hit it without an adversary.
     """
 
     way: RecordedEgoPath
@@ -95,10 +86,7 @@ class CarefulDriverCheck:
 
     @classmethod
     def of(cls, scene: Scene, agent: int, frame: int, speed: float, look_frames: int = LOOK_FRAMES) -> Self:
-        """The careful human of a planning frame.
-
-        ``scene`` has the ego as it is expected to drive on, ``speed`` is the ego's, m/s.
-        """
+        """The careful human of a planning frame; ``scene`` has the ego as expected, ``speed`` is the ego's, m/s."""
         last = min(frame + look_frames, len(scene.timestamps_us) - 1)
         steps = tuple(range(EVERY_FRAMES, last - frame + 1, EVERY_FRAMES)) or (last - frame,)
         way = get_ego_path(scene)
@@ -108,17 +96,11 @@ class CarefulDriverCheck:
         return cls(way, frame, unchecked.station, speed, others, steps, bool(unchecked.hits(absent)[0]))
 
     def hit(self, motion: SimulatedMotion, size: Floats) -> Bools:
-        """(B,) whether the careful human is hit, or would surely be soon after.
-
-        ``size`` is (2,) length and width of the adversary.
-        """
+        """(B,) whether the careful human is hit, or surely would be soon after; ``size`` is the adversary's, (2,)."""
         return self.hits(self.place(motion, size))
 
     def is_met(self, placed: PathBodies, *, in_front: bool = True) -> Bools:
-        """(B,) whether an ego that does not react and one of B bodies meet.
-
-        ``in_front`` counts only bodies in front of it: one that comes from the side may hit the ego.
-        """
+        """(B,) whether an unreacting ego meets a body; ``in_front`` leaves out those that may hit it from the side."""
         time = np.arange(len(self.steps) + 1) * EVERY_FRAMES / FRAME_HZ
         station, half = self.station + self.speed * time, 0.5 * self.way.length_m
         over = (placed.rear < station + half) & (placed.front > station - half) & (placed.beside <= 0.0)
@@ -178,9 +160,9 @@ class CarefulDriverCheck:
         return np.asarray(hit | (lost & (not self.lost)))
 
     def compute_missing_distance(self, placed: PathBodies) -> Floats:
-        """(B,) metres that are missing to stop behind the ego, for who comes up behind it, if it brakes from now on.
+        """(B,) metres missing to stop behind the ego for a follower, planned anew after a second, not braking earlier.
 
-        It is planned anew after a second, and brakes no earlier.
+        The ego brakes from now on.
         """
         at, half = min(BLIND_FRAMES // EVERY_FRAMES, len(self.steps)), 0.5 * self.way.length_m
         speed = np.maximum(placed.rear[:, at] - placed.rear[:, at - 1], 0.0) * (FRAME_HZ / EVERY_FRAMES)

@@ -71,10 +71,9 @@ class EgoObservations:
 
 
 def predict_ego(scene: Scene, seen: EgoObservations, plan: ActivePlan | None, knows: EgoPrediction) -> EgoTrack:
-    """The ego's track as an adversary takes it to be; one that keeps its motion follows its route if it is on it.
+    """Ego's track as an adversary takes it to be; one that keeps its motion follows its route if it is on it.
 
-    Route and heights are those of ``scene``, and the whole track where the recording is known; the ``plan`` in
-    force counts for adversaries alone that know it.
+    Route and heights, and a known recording, are of ``scene``; only adversaries that know the ``plan`` in force use it.
     """
     if knows is EgoPrediction.RECORDING:
         return scene.ego

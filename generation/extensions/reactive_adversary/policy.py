@@ -1,10 +1,9 @@
 """The policy ``adversary``: the search of open loop, again and again, against where the ego really is.
 
-All others behave by a policy of their own. At each planning frame the scene is what has happened so far, what is
-expected of the ego, and what the others will do; `generation.search.planning` plans in it, and what it finds best is
-driven to the next planning frame, if from there on it can end without touching any but the ego, to the scene's last
-frame (`generation.extensions.reactive_adversary.safe_endings`). That ending is kept, and driven where nothing better is
-found.
+All others behave by a policy of their own. At each planning frame `generation.search.planning` plans in what has
+happened, what is expected of the ego and what the others will do. Its best is driven to the next planning frame if it
+can then end without touching any but the ego, to the scene's last frame (`safe_endings`). That ending is kept, and
+driven where nothing better is found.
 """
 
 from collections.abc import Sequence
@@ -55,14 +54,9 @@ _FAR_M: Final = 5.0
 class AdversaryMemory:
     """Memory of an adversary; a value.
 
-    Attributes:
-        seen: Where the ego has been.
-        state: Its motion at the end of what is planned.
-        track: (F, 3) what is planned, from the hand-over on.
-        ahead: (60, 3) how what was planned last would have gone on.
-        ending: (K, 3) how it goes on to the scene's last frame where nothing better is found: it touches none, if the
-            others do as they were expected to do when it was looked at.
-        as_made: Whether it is still on the track that the scene was made with.
+    `state` is its motion at the end of the planned `track`, (F, 3) from the hand-over on; `ahead` (60, 3) is how the
+    last plan would have gone on. `ending` (K, 3) goes on to the scene's last frame where nothing better is found: it
+    touches none if the others do as expected when it was looked at.
     """
 
     others: Any
@@ -80,13 +74,8 @@ class AdversaryMemory:
 class _ChosenMotion:
     """Motion that is driven next.
 
-    Attributes:
-        executed: (F, 3) poses after the planning frame.
-        ahead: (60, 3) those after them, as they are meant.
-        ending: (K, 3) those after them to the last frame that touch no other, as far as is known.
-        state: The motion at the end of what is driven.
-        as_made: Whether the adversary stays on the track that the scene was made with.
-        picked: Round and index of the candidate that it is, if it is one.
+    `executed` are (F, 3) poses after the planning frame; then `ahead` (60, 3) are as meant, `ending` (K, 3), to the
+    last frame, touch no other as far as is known. `picked` is round and index of its candidate.
     """
 
     executed: Floats
@@ -100,10 +89,7 @@ class _ChosenMotion:
 
 @dataclass(frozen=True, slots=True)
 class ReactiveAdversary:
-    """Policy of an adversary from frame ``start``, its hand-over, on; ``run`` is its seed.
-
-    It draws from the content of the scene and its run, not from the engine's keys: so ``draws`` is false.
-    """
+    """Policy of an adversary from its hand-over on; ``draws`` is false, as it draws by scene content and ``run``."""
 
     scene: Scene
     agent: int
@@ -375,10 +361,7 @@ class ReactiveAdversary:
 
 
 def build_driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
-    """Motion of one track, (S + 1, 3) of the box centre, one a frame, as if a candidate had done it.
-
-    The tracker's commands are unknown.
-    """
+    """Motion of one track, (S + 1, 3) box centres by frame, as of a candidate; the tracker's commands are unknown."""
     axle = compute_rear_axle(poses, length_m)
     heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
     velocity = np.gradient(axle[:, :2], 1.0 / FRAME_HZ, axis=0) if len(poses) > 1 else np.zeros((1, 2))

@@ -1,7 +1,4 @@
-"""Admissible plans of an adversary: no contact with anything but the ego, and a safe end, to the last frame.
-
-Prediction of reactive road users: their own policy, rolled out from the present over the horizon of the scores.
-"""
+"""Admissible plans of an adversary: no contact but with the ego, and a safe end, with others predicted by policy."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -34,15 +31,10 @@ _CHUNK: Final = 10
 class SurroundingTracks:
     """All others than an adversary and the ego, every 0.05 s from a planning frame to the scene's last.
 
-    Attributes:
-        frame_seconds: (K + 1,) of the frames that can be planned, since the planning frame; the first is 0.
-        seconds: (R,) instants after it, to the last frame: those at which the drive places them, and frames.
-        boxes: (R, N, 5) of all.
-        present: (R, N) which are there.
-        reach: (N,) half of the diagonals.
-        low: (C, N, 2) below which no centre is within a run of instants; infinite where absent.
-        high: (C, N, 2) likewise above.
-        size: (2,) length and width of the adversary, with the air around it.
+    `frame_seconds` are (K + 1,) of the frames that can be planned, from 0; `seconds` (R,) instants at which the drive
+    places others, and frames. `boxes` are (R, N, 5), `reach` (N,) half of the diagonals; no centre is below `low` or
+    above `high`, (C, N, 2), within a run of instants (infinite where absent). `size` is the adversary's with the air
+    around it.
     """
 
     frame_seconds: Floats
@@ -56,10 +48,7 @@ class SurroundingTracks:
 
     @classmethod
     def of(cls, scene: Scene, agent: int, frame: int, clock_us: int) -> Self:
-        """Surroundings of an adversary in a scene in which all others are where they will be.
-
-        ``clock_us`` is any time of the drive's clock.
-        """
+        """Surroundings of an adversary in a scene of all others' futures; ``clock_us`` is any time of its clock."""
         now_us = int(scene.timestamps_us[frame])
         frames = (scene.timestamps_us[frame:] - now_us) / 1e6
         clock = np.arange((clock_us - now_us) % INSTANT_US, scene.timestamps_us[-1] - now_us + 1, INSTANT_US) / 1e6
@@ -79,10 +68,9 @@ class SurroundingTracks:
         return cls(frames, seconds, boxes, present, reach, low, high, size)
 
     def compute_clear_seconds(self, poses: Floats, first: int = 0) -> float:
-        """Seconds until the last instant before a motion touches another; infinite where it never does.
+        """Seconds to the last instant before a motion touches another, looked at from ``first`` on; infinite if never.
 
-        ``poses`` are (F, 3) of the box centre at the planning frame and after it, looked at from the ``first`` of
-        them on.
+        ``poses`` are (F, 3) of the box centre from the planning frame on.
         """
         known = self.frame_seconds[: len(poses)]
         count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
@@ -121,11 +109,11 @@ class SurroundingTracks:
         return row[near] + begin, other[near]
 
     def generate_endings(self, poses: Floats, executed: int) -> Iterator[Floats]:
-        """Ways in which a motion may go on to the scene's last frame once its first frames are driven.
+        """Ways, (K + 1, 3), in which a motion may go on to the last frame once its ``executed`` frames are driven.
 
-        It goes on as it is known, and then at its speed; or it brakes on its own path, at once or any number of
-        half seconds later, and stands. They are (K + 1, 3) poses, those that brake gently first; ``poses`` are
-        (F, 3) of the box centre at the planning frame and after it, ``executed`` of them driven in any case.
+        It goes on as known, then at its speed; or it brakes on its own path, at once or any number of half seconds
+        later, and stands; gentle braking comes first. ``poses`` are (F, 3) of the box centre from the planning frame
+        on.
         """
         count = len(self.frame_seconds)
         end = min(len(poses), count) - 1
@@ -152,14 +140,9 @@ class SurroundingTracks:
 
 
 def brake_on_path(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> Floats:
-    """A motion that is driven to some frame and then braked on its own path.
+    """(K, 3) poses of a motion that is braked on its own path from some frame on; 0 m/s^2 keeps its speed.
 
-    Args:
-        seconds: (K,) of the frames; those beyond the F are reached on the last heading.
-        braking_m_s2: Deceleration; 0 goes on at the speed that it has.
-
-    Returns:
-        (K, 3) poses.
+    ``seconds`` are (K,) of the frames; those beyond the F are reached on the last heading.
     """
     count = len(seconds)
     path = poses[: min(len(poses), count)]
@@ -183,10 +166,7 @@ def brake_on_path(poses: Floats, first: int, seconds: Floats, braking_m_s2: floa
 
 
 def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
-    """Round and index of the best candidates, the best first, and of as many from all over the rest.
-
-    They are of (R, B) scores, lower is better; infinite ones are left out, and there are at most ``most``.
-    """
+    """Round and index of at most ``most`` finite (R, B) scores: lowest first, and as many from all over the rest."""
     flat = scores.ravel()
     order: Integers = np.argsort(flat, kind="stable")
     order = order[np.isfinite(flat[order])]
@@ -198,10 +178,7 @@ def order_candidates(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class ExpectedAgents:
-    """All others, who answer what the adversary and the ego do.
-
-    ``own`` are (F, 3) poses of the vehicle of the adversary, driven and expected, from the hand-over on.
-    """
+    """All others, who answer adversary and ego; ``own`` are the adversary's (F, 3) poses from the hand-over on."""
 
     policy: AgentPolicy[Any]
     memory: Any
@@ -210,10 +187,7 @@ class ExpectedAgents:
 
 
 def predict_others(scene: Scene, others: ExpectedAgents, moment: TrafficSnapshot, frame: int) -> Scene:
-    """The scene, with the ego as it is expected, and all others where they will be, if they answer.
-
-    Beyond what is looked at, its tracks are held.
-    """
+    """The scene with the expected ego and all others where they will be; later, its tracks are held."""
     times = scene.timestamps_us
     last = min(frame + AHEAD_FRAMES, len(times) - 1)
     steps = -(-int(times[last] - moment.time_us) // SUBSTEP_US)

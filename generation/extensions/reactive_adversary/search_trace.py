@@ -26,14 +26,9 @@ def build_search_trace(
     *,
     as_made: bool,
 ) -> Mapping[str, Any]:
-    """Record of a planning frame, a `SearchTraceFrame` as JSON.
+    """A `SearchTraceFrame` as JSON: candidates of the round that the driven one, `picked`, is from, else of the best.
 
-    It has candidates of the round that the driven one is from, else of the best round.
-
-    Args:
-        scene: The scene as it was planned in.
-        picked: Round and index of what was driven; ``None`` where no candidate was.
-        as_made: Whether the track that the scene was made with went on.
+    `as_made` is whether the track that the scene was made with went on.
     """
     did: FrameAction = "track" if as_made else "slowed" if picked is None else "searched"
     shown: dict[str, Any] = {"frame": frame, "time_us": int(scene.timestamps_us[frame]), "did": did}

@@ -40,15 +40,9 @@ def build_reactive_settings() -> HyperParameters:
 
 @dataclass(frozen=True, slots=True)
 class AdversarySettings:
-    """Settings of an adversary in the loop.
+    """Settings of an adversary in the loop, planned anew every `every_frames` of 1/12 s.
 
-    Attributes:
-        knows: Prediction of the ego that it uses.
-        every_frames: It is planned anew after so many frames of 1/12 s.
-        keep_considered: Whether what it considered is kept; nothing else depends on it.
-
-    Raises:
-        InputError: If it is never planned anew, or there are no such others.
+    `knows` is how it predicts the ego; nothing else depends on `keep_considered`.
     """
 
     knows: EgoPrediction = EgoPrediction.MOTION
@@ -77,21 +71,9 @@ class AdversarySettings:
         candidates: int | None = None,
         keep_considered: bool = False,
     ) -> "AdversarySettings":
-        """Settings by plain values, as from a command line.
+        """Settings by plain values: ``plan``, ``motion``, ``nothing``; ``replay``, ``idm``; the search's if ``None``.
 
-        Args:
-            knows: ``plan``, ``motion`` or ``nothing``.
-            every_s: Seconds between plans; whole frames of 1/12 s are taken.
-            others: ``replay`` or ``idm``.
-            rounds: Refinement rounds after the first batch; the search's own by default.
-            candidates: Of each round; the search's own by default.
-            keep_considered: As above.
-
-        Returns:
-            The settings.
-
-        Raises:
-            InputError: If a value is none.
+        `every_s` seconds between plans are taken as whole frames of 1/12 s.
         """
         known = {
             prediction.value: prediction for prediction in EgoPrediction if prediction is not EgoPrediction.RECORDING

@@ -136,10 +136,9 @@ def film_command(options: FilmOptions) -> None:
 
 
 def resolve_planner_names(names: Sequence[str], records: Sequence[Path], everywhere: Path) -> list[str]:
-    """Planners as records name them: a full model that ran as its miniature, or a short name, is that which ran.
+    """Planners as records name them: a miniature that ran for a full model, or the full name for a short one.
 
-    A name stays as it is where the records have none of it. `everywhere` holds all run records, to say what there is
-    instead.
+    A name stays where the records have none of it; `everywhere` holds all run records, to say what there is instead.
     """
     from adapters.checkpoints.stand_in import miniature_of
     from adapters.models import MODELS

@@ -1,7 +1,4 @@
-"""Films of scenes, frame by frame: cameras, view from above, and each planner's samples so far.
-
-The pictures of all cameras, with the adversary's box drawn on them.
-"""
+"""Films of scenes, frame by frame: cameras with the adversary's box, view from above, each planner's samples so far."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -172,10 +169,9 @@ def compose_frame(
     above: Callable[[int, int], Picture],
     panel: Callable[[Picture], None],
 ) -> Picture:
-    """One frame: a title, cameras and below them a panel on the left, the view from above on the right.
+    """(height, width, 3) RGB frame: title, cameras if the layout has them, below a panel and the view from above.
 
-    (height, width, 3) RGB; `cameras` are ``None`` where the layout has none, `above` gives the view from above at a
-    width and a height in pixels.
+    `above` gives the view from above at a width and a height in pixels.
     """
     image: Picture = np.empty((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
     cv2.rectangle(image, (0, 0), (WIDTH_PX, HEIGHT_PX), PANEL, -1)
@@ -223,8 +219,8 @@ class Film:
     ) -> None:
         """Find what is to be shown: plans of `models`, as tables name them.
 
-        An `InputError` says that a planner has no plans for the scene, that there are too many, or that the scene has
-        no pictures for the layout, or ends before the film begins.
+        Refused are planners without plans for the scene, too many, and scenes without pictures or over before the film
+        begins.
         """
         if len(set(models)) > MOST_PLANNERS:
             raise InputError(

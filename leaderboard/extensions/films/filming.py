@@ -1,7 +1,4 @@
-"""Films of scenes on disk: from the sheets and run records of a workspace to files.
-
-Films as bytes: WebM, PNG frames and animated WebP; the same frames give the same bytes.
-"""
+"""Films of scenes on disk as WebM, PNG frames or animated WebP; the same frames give the same bytes."""
 
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -64,10 +61,7 @@ def encode_webm(frames: Iterable[Picture], fps: float, quality: int = FINE) -> b
 
 
 def encode_animated_webp(frames: Iterable[Picture], fps: float) -> bytes:
-    """An animated WebP of frames, each (h, w, 3) RGB of the same size, that repeats for ever.
-
-    For pages that show pictures but no films.
-    """
+    """Endless animated WebP of equal (h, w, 3) RGB frames, for pages that show pictures but no films."""
     pictures = [Image.fromarray(frame) for frame in frames]
     # Whole milliseconds that add up to the film's length.
     ends = [round(1000 * (number + 1) / fps) for number in range(len(pictures))]
@@ -205,8 +199,8 @@ def write_film(
 ) -> Path:
     """Write one scene's film.
 
-    ``<scene>.webm``, ``<scene>.webp``, or a folder ``<scene>`` of PNG files that are numbered from 0; one of other
-    frames is an `InputError`, as is a film that is too long for its format.
+    ``<scene>.webm``, ``<scene>.webp``, or a folder ``<scene>`` of PNG files that are numbered from 0; refused are a
+    folder of other frames and a film that is too long for its format.
     """
     if form is FilmFormat.WEBM:
         require_webm()
@@ -225,10 +219,7 @@ def write_drive_film(
     *,
     watch: FrameProgress = lambda frames, _total, _label: frames,
 ) -> Path:
-    """Write one drive's film, as `write_film` does.
-
-    ``<scene>-<planner>-<engine>-<agents>-<sensor>``, then the latency and the run where there are any.
-    """
+    """Write ``<scene>-<planner>-<engine>-<agents>-<sensor>``, with latency and run if any, as `write_film`."""
     film, facts = DriveFilm(driven, record, name, settings), record.facts
     parts = [driven.row.scene, name, facts.measured.engine, facts.measured.agents, facts.measured.sensor]
     parts += [f"{facts.measured.latency_ms}ms"] if facts.measured.latency_ms else []

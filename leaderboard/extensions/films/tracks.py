@@ -27,10 +27,7 @@ class SampleTally:
     touches: Mapping[CollisionParty, int]
 
     def words(self, *, adversaries: bool) -> str:
-        """Words, for example ``3 of 14 hit it, 2 another``; a dash where the record does not say whom.
-
-        ``adversaries``: whether there are some in the scene, beside whose contacts stand those with others.
-        """
+        """``3 of 14 hit it, 2 another``: the latter with `adversaries`; a dash where the record names no one."""
         if not adversaries:
             return f"{self.touches.get(CollisionParty.ANYBODY, 0)} of {self.counted} collide"
         if self.touches.get(CollisionParty.UNKNOWN):
@@ -41,10 +38,7 @@ class SampleTally:
 
 @dataclass(frozen=True, slots=True)
 class PlannerTrack:
-    """One planner in one scene: its plan at each sample that it was asked at, by frame, with (T,) times of frames.
-
-    `miniature` says whether it is a small network that ranks nothing.
-    """
+    """Plans of one planner in one scene by frame, with (T,) times of frames; a `miniature` ranks nothing."""
 
     name: str
     style: PlannerStyle
@@ -74,11 +68,10 @@ class PlannerTrack:
 def build_planner_tracks(
     sheet: ScenePage, records: Sequence[RunRecord], models: Sequence[str], protocol: str
 ) -> tuple[PlannerTrack, ...]:
-    """Tracks of planners in a scene, in the order in which they are named.
+    """Tracks of planners in a scene, in the order in which they are named; ``native`` judges each by its own protocol.
 
-    ``native`` judges each by its own protocol. Other modes and forecasts are drawn of the first one only: those of
-    several planners cannot be told apart. A planner without a record of the scene, or with several, or with one of
-    other data than the sheet, is an `InputError`.
+    Other modes and forecasts are drawn of the first one only: those of several planners cannot be told apart. Refused
+    is a planner without a record of the scene, with several, or with one of other data than the sheet.
     """
     tracks = []
     for place, name in enumerate(dict.fromkeys(models)):

@@ -1,4 +1,1 @@
-"""Check of a site or a leaderboard before publishing: private content, and whether it works on other hosts.
-
-The checks: docs/extensions/publishing.md.
-"""
+"""Check of a site or a leaderboard before publishing: private content, other hosts (docs/extensions/publishing.md)."""

@@ -1,9 +1,4 @@
-"""Look through a folder that is to be published.
-
-Pictures of recordings on a site: their origin, and whether permission to show them was given.
-
-Words that tell of a machine, its network and its people: absolute paths, names of hosts and users, keys.
-"""
+"""Folders that are to be published: traces of a machine, its network and people, and permission to show pictures."""
 
 import contextlib
 import getpass
@@ -74,10 +69,7 @@ _SECRET: Final = (
 
 @dataclass(frozen=True, slots=True)
 class MachineIdentity:
-    """House: names that would tell of this machine.
-
-    `folders` are first parts of absolute paths, `users` those logged in.
-    """
+    """Names that would tell of this machine; `folders` are first parts of absolute paths, `users` those logged in."""
 
     folders: tuple[str, ...]
     hosts: tuple[str, ...]
@@ -141,10 +133,9 @@ _NAMED: Final = 3
 def find_recorded_pictures(
     root: str, read: Mapping[str, str], there: Collection[str], may_show: Collection[str]
 ) -> Iterator[PublicationFinding]:
-    """Findings of camera pictures that are not said to be showable, one for each data set, split and renderer.
+    """Findings of camera pictures, one a data set, split and renderer, that are not said to be showable, or untold.
 
-    Or that it cannot be told. `root` is the path of the site below the folder, with a slash at its end, or empty;
-    `read` are texts of its scripts by path below the folder.
+    `root` is the path of the site below the folder, with a slash at its end, or empty; `read` are texts of its scripts.
     """
     recorded_keys = {
         file.removeprefix(f"{root}media/").partition("/")[0]

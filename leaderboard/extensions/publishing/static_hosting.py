@@ -1,7 +1,4 @@
-"""Whether pages work on any static host: all they load is in the folder, with no requests to other hosts.
-
-Findings in files to be published.
-"""
+"""Check that pages work on any static host: all they load is in the folder, with no requests to other hosts."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -16,10 +13,9 @@ FindingKind = Literal["path", "host", "user", "secret", "picture", "request", "l
 
 @dataclass(frozen=True, slots=True, order=True)
 class PublicationFinding:
-    """One thing that should not leave the house, or that does not work elsewhere.
+    """Trace of the house, or a fault on other hosts; lines count from 1, 0 where there are none.
 
-    `file` is below the folder, ``/`` between parts; empty where it is about several. Lines count from 1; 0 where there
-    are none.
+    `file` is below the folder, ``/`` between parts; empty where it is about several.
     """
 
     file: str
@@ -89,10 +85,7 @@ class _PageParser(HTMLParser):
 def check_page(
     file: str, text: str, there: Mapping[str, int], *, is_whole: bool = True
 ) -> Iterator[PublicationFinding]:
-    """Requests of an HTML page that leave the folder, and what is not in it.
-
-    A page that ``is_whole`` is no page in a picture: it has a security policy.
-    """
+    """Requests of an HTML page that leave the folder or that it lacks; one that ``is_whole`` has a security policy."""
     page = _PageParser()
     page.feed(text)
     if is_whole and not any("default-src 'none'" in policy for policy in page.policies):

@@ -62,10 +62,7 @@ def match_stage_boxes(stage: DecoderStage, targets: Targets) -> Matches:
 
 
 def box_stage_losses(stage: DecoderStage, targets: Targets) -> tuple[dict[str, Tensor], Matches]:
-    """Losses of one stage of the decoder of boxes, of F key frames in the order of the targets.
-
-    The matches are of rows of the flattened predictions.
-    """
+    """Losses of one box stage over F key frames in the order of the targets; matches are of flattened rows."""
     boxes, logits = stage.anchors.flatten(0, 1), stage.logits.flatten(0, 1)
     assert stage.qualities is not None
     weights = boxes.new_tensor(BOX_WEIGHTS)
@@ -87,10 +84,7 @@ def box_stage_losses(stage: DecoderStage, targets: Targets) -> tuple[dict[str, T
 
 
 def nearest_predictions(boxes: Tensor, targets: Targets, queries: int) -> Matches:
-    """Pairs of each annotated box and the nearest predictions of the same key frame, several for each.
-
-    `boxes` are (F * queries, 11).
-    """
+    """Pairs of each annotated box and several nearest predictions, (F * queries, 11) boxes, of its key frame."""
     owner = torch.repeat_interleave(torch.tensor(targets.box_counts))
     rows = (owner.to(boxes.device) * queries)[:, None] + torch.arange(queries, device=boxes.device)
     apart = (boxes.detach()[rows, :2] - targets.boxes[:, None, :2]).norm(dim=-1)
@@ -124,10 +118,7 @@ def average_losses(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
 def decoder_losses(
     agents: Sequence[DecodedInstances], lines: Sequence[DecodedInstances], targets: Targets
 ) -> tuple[dict[str, Tensor], Matches]:
-    """Losses of both decoders, means over the stages, and the matches of the last stage of boxes.
-
-    Of B key frames each, one after the other, targets in the same order.
-    """
+    """Losses of both decoders, means over stages, and the last box matches; key frames in the order of the targets."""
     boxes = [box_stage_losses(stage, targets) for stage in _join_stages(agents)]
     means = average_losses([losses for losses, _ in boxes]) | average_losses(
         [line_stage_losses(stage, targets) for stage in _join_stages(lines)]
@@ -154,8 +145,7 @@ def forecast_losses(
 ) -> dict[str, Tensor]:
     """Losses of forecasts: of an agent's modes the one whose anchor is nearest learns the way, and all which it was.
 
-    `logits` are (K, M), `offsets` (K, M, T, 2) metres from step to step, `anchors` and `wanted` positions from where
-    the agent is, (K, M, T, 2) and (K, T, 2).
+    Logits (K, M), offsets (K, M, T, 2) metres from step to step; anchors and wanted (K, T, 2) from where the agent is.
     """
     counted = valid.any(-1)
     logits, paths, wanted, valid = logits[counted], offsets[counted].cumsum(2), wanted[counted], valid[counted]

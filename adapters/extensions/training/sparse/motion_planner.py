@@ -1,9 +1,4 @@
-"""The planners on several key frames at once, as training needs them.
-
-How the ego moved between key frames that are seen side by side, one of each clip.
-
-Perception of the sparse networks over several key frames at once, before planning.
-"""
+"""Sparse planners over several key frames at once, as training needs them: ego motion, perception and plans."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -26,10 +21,7 @@ from adapters.networks.sparse.queue import CERTAIN_SCORE, FORWARD_SPEED, VELOCIT
 
 @dataclass(frozen=True, slots=True)
 class KeyframeMotions(RigidMotion):
-    """Motions from the key frames before to the present ones, with (B, 1, 4, 4) matrices.
-
-    `seconds` are (B, 1, 1), all of them fresh; the usual interval in the place of none (`KeyframeMotion.interval_s`).
-    """
+    """Motions, (B, 1, 4, 4), between key frames, all fresh; `seconds` (B, 1, 1), `interval_s` where there is none."""
 
     seconds: Tensor
 
@@ -50,10 +42,7 @@ class KeyframeMotions(RigidMotion):
 class BatchQueue:
     """N agents and, in the last row, the ego of B key frames over the last L ones (`networks.sparse.queue`).
 
-    Attributes:
-        features: (L, B, N + 1, C).
-        boxes: (L, B, N + 1, 11) in the present lidar frames.
-        periods: (B, N + 1) int64.
+    `features` are (L, B, N + 1, C), `boxes` (L, B, N + 1, 11) in the present lidar frames, `periods` (B, N + 1) int64.
     """
 
     features: Tensor
@@ -70,12 +59,8 @@ class BatchQueue:
 class BatchQueueMemory:
     """Memory that key frames leave for the next ones; nothing is learned through it.
 
-    Attributes:
-        queue: With the ego as it was after it had looked around.
-        kept: Which agents the next frames know again.
-        confidence: (B, N) 0 to 1, of the agents.
-        status: (B, 10) of the ego, as predicted.
-        front: (B, numbers) of what plans took from the front cameras, if they look there.
+    `queue` has the ego as it was after it had looked around; `confidence` (B, N) is of the agents, `status` (B, 10) of
+    the ego, as predicted; `front` (B, numbers) is from the front cameras, if plans look there.
     """
 
     queue: BatchQueue
@@ -87,14 +72,10 @@ class BatchQueueMemory:
 
 @dataclass(frozen=True, slots=True)
 class BatchInteraction:
-    """Tokens of B key frames after agents and the ego have looked at each other.
+    """Tokens, (B, N + 1, C), of B key frames after agents and the ego, last, have looked at each other.
 
-    Attributes:
-        tokens: (B, N + 1, C) features and embeddings added; the ego is in the last row.
-        ego_embedding: (B, 1, C).
-        watched: Features and embeddings, (B, W + 1, C) each, of the most certain agents and the ego as they were.
-        status: (B, 10) of the ego.
-        front: (B, numbers) that plans took from the front cameras, if they look there.
+    Features and embeddings are added in `tokens`; `watched` has both, (B, W + 1, C), of the most certain agents and
+    the ego as they were; `front` (B, numbers) is from the front cameras, if plans look there.
     """
 
     tokens: Tensor
@@ -117,10 +98,7 @@ def extend_queue(
     past: BatchQueueMemory | None,
     motions: KeyframeMotions | None,
 ) -> BatchQueue:
-    """Queue with these key frames as the last.
-
-    `front` are (B, C, h, w) coarsest feature maps of the front cameras.
-    """
+    """Queue with these key frames as the last; `front` are (B, C, h, w) coarsest feature maps of the front cameras."""
     batch = len(front)
     encoded = planner.instance_queue.ego_feature_encoder(front).flatten(1)[:, None]
     ego_box = planner.instance_queue.ego_anchor.expand(batch, 1, -1)
@@ -171,11 +149,10 @@ def interact(
     finest_front: Tensor,
     front_before: Tensor | None,
 ) -> BatchInteraction:
-    """Tokens after agents and the egos have looked at their past, at the most certain agents and at the maps.
+    """Tokens after agents and egos have looked at their past, the most certain agents, the maps and the front cameras.
 
-    Those of the egos with what plans take from the front cameras. `finest_front` are (B, C, h, w) feature maps of the
-    front cameras, `front_before` (B, numbers) what the frames before have left of what plans took from there; `kept`
-    are agents that the next frames know again.
+    `finest_front` are (B, C, h, w) maps, `front_before` (B, numbers) earlier readings; the next frames know `kept`
+    again.
     """
     config = planner.config
     features = queue.features[-1]
@@ -201,10 +178,7 @@ def interact(
 
 @dataclass(frozen=True, slots=True)
 class DenoisedPlans:
-    """Plans of B key frames after a block of the diffusion planner.
-
-    `logits` are (B, M), `offsets` (B, M, steps, 2) metres from step to step.
-    """
+    """Plans of B key frames after a diffusion block: (B, M) logits, (B, M, steps, 2) metres from step to step."""
 
     logits: Tensor
     offsets: Tensor
@@ -213,10 +187,9 @@ class DenoisedPlans:
 def denoise(
     planner: DiffusionPlanner, views: CameraFeatures, found: BatchInteraction, commands: Tensor, noise: Tensor
 ) -> list[DenoisedPlans]:
-    """Put noise on the anchored plans of the given commands and clean them again, as when the network plans.
+    """Noise anchored plans of the given commands and clean them again: of each block in each step, the last last.
 
-    Of each block in each step of the way back, the last one last; gradients stop between the steps. `noise` are (B, M,
-    steps, 2) standard normal numbers.
+    Gradients stop between the steps. `noise` are (B, M, steps, 2) standard normal numbers.
     """
     starts = planner.plan_queries(found.ego[:, None])[torch.arange(len(commands), device=commands.device), commands]
     context = PlanContext(views, found.ego_embedding, found.watched, starts)
@@ -230,11 +203,7 @@ def denoise(
 
 @dataclass(frozen=True, slots=True)
 class BatchPerception:
-    """Boxes and map elements seen in B key frames, and what to remember of them.
-
-    `front` are (B, C, h, w) coarsest feature maps of the front cameras, `finest_front` their finest ones, or what
-    plans look at instead.
-    """
+    """Perception of B key frames; `front` is the coarsest (B, C, h, w) front map, `finest_front` the one plans see."""
 
     poses: tuple[KeyframePose, ...]
     views: CameraFeatures
@@ -253,10 +222,10 @@ def perceive(
     frames: Sequence[TrainingFrame],
     past: BatchPerception | None,
 ) -> BatchPerception:
-    """See key frames of several clips side by side.
+    """See key frames of several clips side by side; `past` is of the key frames before, in the same order.
 
-    `maps` are (B * cameras, C, h, w) for each level, fine to coarse, `finest_front` (B, C, h, w) what plans look at of
-    the front cameras; `past` is of the key frames before, in the same order.
+    `maps` are (B * cameras, C, h, w) for each level, fine to coarse, `finest_front` (B, C, h, w) the front map plans
+    see.
     """
     config, head, device = network.config, network.head, maps[0].device
     projections = torch.stack([frame.lidar2img for frame in frames]).to(device, torch.float32)
@@ -270,11 +239,7 @@ def perceive(
 
 
 def compress_for_cache(seen: BatchPerception, cameras: int) -> BatchPerception:
-    """Part of key frames that a planner needs, small enough to be kept of thousands; images in half precision.
-
-    The last stages alone, and no qualities of boxes; cameras are kept as many as asked for, none where plans do not
-    look at images.
-    """
+    """Last stages without box qualities, and `cameras` of them in half precision: small enough to keep of thousands."""
     views = replace(
         seen.views,
         values=seen.views.values[:cameras].half(),

@@ -1,9 +1,4 @@
-"""The parts of the training of the sparse miniatures: what ``challenger-bench train planner`` runs for them.
-
-How the planners of the sparse miniatures learn from what frozen eyes have seen: hundreds of frames a step.
-
-How the miniatures of SparseDrive and DiffusionDrive learn: what ``challenger-bench train planner`` runs for them.
-"""
+"""Training phases of the SparseDrive and DiffusionDrive miniatures; planners learn from cached perception."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -62,10 +57,7 @@ class BatchPredictions:
 
 
 class SparseObjective:
-    """All tasks at once, frame after frame, as in the second stage of the published training.
-
-    Memory goes from frame to frame, and gradients stop there.
-    """
+    """All tasks at once, as in the second published stage; memory goes from frame to frame, gradients do not."""
 
     def __init__(self, network: SparseNetwork) -> None:
         self.network: nn.Module = network
@@ -80,10 +72,7 @@ class SparseObjective:
         return self.losses_of([clip])
 
     def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
-        """Losses of several clips at once, which costs less than one after the other.
-
-        Weighted scalars by name, means over the key frames; clips of one length are seen together.
-        """
+        """Weighted losses, means over key frames; clips of one length are seen together, which costs less."""
         frames = sum(map(len, clips))
         alike: dict[int, list[Sequence[TrainingFrame]]] = {}
         for clip in clips:
@@ -141,11 +130,7 @@ class SparseObjective:
         )
 
     def seen(self, frames: Sequence[TrainingFrame], batch: int, targets: Targets) -> list[BatchPredictions]:
-        """Predictions for one key frame of each clip after the other.
-
-        `frames` are the first of each clip, then the second of each, and so are the results: of all first frames, of
-        all second ones.
-        """
+        """Predictions of a key frame of each clip after the other: of all first frames, then of all second ones."""
         head, device = self._sparse.head, targets.plans.device
         planner = head.motion_plan_head
         predictions: list[BatchPredictions] = []
@@ -224,12 +209,10 @@ PERCEPTION: Final = ("img_backbone", "img_neck", "head.det_head", "head.map_head
 
 
 class SparsePlannerObjective(SparseObjective):
-    """Forecasts and plans alone. Boxes and map elements of each key frame are found once, as when the network plans.
+    """Forecasts and plans alone; boxes and lines, nine tenths of a step of `SparseObjective`, are found once.
 
-    Nine tenths of a step of `SparseObjective` are images, boxes and lines.
-
-    A small network would know the frames by heart: some of what is remembered is forgotten anew in each step, and no
-    plan is learned where the past that the network has when it drives is missing, as in the first frame of a clip.
+    A small network would know the frames by heart: some of what is remembered is forgotten anew in each step. No plan
+    is learned where the past that the network has when it drives is missing, as in the first frame of a clip.
     """
 
     def __init__(self, network: SparseNetwork) -> None:
@@ -309,8 +292,5 @@ def phases() -> tuple[Phase, ...]:
 
 
 def diffusion_phases() -> tuple[Phase, ...]:
-    """The parts of the training of DiffusionDrive-mini.
-
-    It starts from SparseDrive (``--start-from``): what it sees is seen already, it learns to plan.
-    """
+    """Phases of DiffusionDrive-mini: it starts from what SparseDrive sees (``--start-from``) and learns to plan."""
     return (Phase("planner", SparsePlannerObjective, _PLANNER),)

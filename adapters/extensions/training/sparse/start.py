@@ -33,10 +33,7 @@ Network = TypeVar("Network", bound=SparseNetwork)
 
 
 def build_untrained(config: SparseConfig, frames: Iterable[TrainingFrame], seed: int) -> SparseDrive:
-    """A SparseDrive before its training: random weights, and anchors of what there is to be found.
-
-    A few hundred frames of the training data at least.
-    """
+    """Untrained SparseDrive: random weights, and anchors from a few hundred frames of the training data at least."""
     return _build_untrained(SparseDrive, config, frames, seed)
 
 
@@ -58,10 +55,7 @@ def _build_untrained(
 
 
 def initialise(network: SparseNetwork) -> None:
-    """First values that keep tokens apart from layer to layer, and let them show what is in the images at once.
-
-    Its head is filled with random numbers of the current generator; anchors stay as they are.
-    """
+    """First values that keep tokens apart and let them show the images; the head is drawn at random, anchors stay."""
     for name, parameter in network.head.named_parameters():
         if parameter.dim() > 1 and parameter.requires_grad and "instance_bank" not in name:
             nn.init.xavier_uniform_(parameter)
@@ -88,10 +82,7 @@ def initialise(network: SparseNetwork) -> None:
 
 
 def transfer_from_sparsedrive(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of a trained SparseDrive under the names of DiffusionDrive: all that they share, which is all but plans.
-
-    With what own eyes begin with (`add_front_backbone`).
-    """
+    """Weights of a SparseDrive for DiffusionDrive: all but plans, with first front eyes (`add_front_backbone`)."""
     renamed = {
         name.replace("motion_plan_head.layers.", "motion_plan_head.interact_layers."): value
         for name, value in trunk.items()

@@ -24,18 +24,9 @@ MOTION_IN_CAN_BUS: Final = slice(7, 16)
 class Targets:
     """Annotations of F key frames, those of a frame behind those of the frame before; lidar frame, metres.
 
-    Attributes:
-        boxes: (G, 11) undecoded.
-        box_labels: (G,) int64.
-        futures: (G, T, 2) positions at steps of 0.5 s, from where the box is.
-        futures_valid: (G, T) bool.
-        lines: (M, P, 2).
-        line_labels: (M,) int64.
-        plans: (F, S, 2) recorded positions of the ego.
-        plans_valid: (F, S) bool.
-        commands: (F,) int64.
-        status: (F, 10) of the ego; the steering angle is 0.
-        around: All that is annotated, at the S steps of a plan.
+    `boxes` are (G, 11) undecoded, `futures` (G, T, 2) positions at steps of 0.5 s, from where the box is; `lines` are
+    (M, P, 2), `plans` (F, S, 2) recorded positions of the ego, `status` is (F, 10) with a steering angle of 0, `around`
+    all that is annotated, at the S steps of a plan.
     """
 
     boxes: Tensor

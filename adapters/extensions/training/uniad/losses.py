@@ -1,7 +1,4 @@
-"""Losses of UniAD's heads for one key frame.
-
-Training targets of UniAD for a frame, in the network's conventions: boxes, forecasts, occupancy and masks.
-"""
+"""Losses and training targets of UniAD's heads for one key frame, in the network's conventions."""
 
 import math
 from collections.abc import Iterable
@@ -46,10 +43,7 @@ EGO_LABEL = 0
 
 
 def network_inputs(frame: TrainingFrame) -> UniADInputs:
-    """Inputs of the network for a training frame, as `UniADPlanner.inputs` gives them for the same sample.
-
-    On the device of the frame's images, which have the network's size.
-    """
+    """Network inputs of a training frame, as `UniADPlanner.inputs`, on the device of its network-sized images."""
     return UniADInputs(
         images=miniature_images(frame.images),
         lidar2img=frame.lidar2img,
@@ -64,10 +58,7 @@ def network_inputs(frame: TrainingFrame) -> UniADInputs:
 
 @dataclass(frozen=True, slots=True)
 class AgentTargets:
-    """G annotated agents in the perception range.
-
-    Codes (G, 10) are as the network predicts them; `boxes`, `futures` and `futures_valid` as in `TrainingFrame`.
-    """
+    """G annotated agents in the perception range; `codes` (G, 10) as predicted, the rest as in `TrainingFrame`."""
 
     codes: Tensor
     labels: Tensor
@@ -93,10 +84,7 @@ class AgentTargets:
 
 
 def box_targets(boxes: Tensor, config: UniADConfig) -> Tensor:
-    """Codes, (N, 10), that the network should predict; see `adapters.networks.uniad.tracking.convert_yaws`.
-
-    `boxes` are (N, 9) as `TrainingFrame.boxes`.
-    """
+    """(N, 10) codes to predict of (N, 9) `TrainingFrame.boxes`; yaws as of `uniad.tracking.convert_yaws`."""
     yaw = boxes[:, 6:7] + math.pi / 2 if config.counterclockwise_yaw else -boxes[:, 6:7] - math.pi / 2
     return normalise_boxes(torch.cat([boxes[:, :6], yaw, boxes[:, 7:]], 1))
 
@@ -119,10 +107,7 @@ def _inside(points: Tensor, boxes: Tensor) -> Tensor:
 
 
 def occupancy_targets(agents: AgentTargets, which: Tensor, config: UniADConfig) -> tuple[Tensor, Tensor]:
-    """Cells where V agents are, now and later.
-
-    (V, T, rows, columns) float32, 1 for cells whose centre is in the agent's box, and (V, T) where that is known.
-    """
+    """(V, T, rows, columns) float32, 1 for cells whose centre is in the agent's box, and (V, T) where known."""
     side, steps = round(2 * config.occupancy_half_m / CELL_M), config.occupancy_steps
     axis = (torch.arange(side) + 0.5) * CELL_M - config.occupancy_half_m
     points = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(-1, 2)
@@ -136,13 +121,9 @@ def occupancy_targets(agents: AgentTargets, which: Tensor, config: UniADConfig) 
 
 @dataclass(frozen=True, slots=True)
 class MapTargets:
-    """M annotated map elements and the drivable area on the bird's-eye view.
+    """M annotated map elements and the drivable area on the bird's-eye view; masks are 0 or 1.
 
-    Attributes:
-        labels: (M,) int64.
-        rectangles: (M, 4) centre x, y, width, height, 0 to 1 over the view.
-        masks: (M, cells) 0 or 1.
-        drivable: (cells,) 0 or 1.
+    `rectangles` are (M, 4) centre x, y, width, height, 0 to 1 over the view; `masks` (M, cells), `drivable` (cells,).
     """
 
     labels: Tensor
@@ -182,10 +163,7 @@ def query_places(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tensor
 
 
 def motion_anchors(frames: Iterable[TrainingFrame], config: UniADConfig) -> Tensor:
-    """Typical forecasts, (groups, modes, steps, 2) metres in the frames of agents, y forward, of groups of agents.
-
-    Of a group that is seen too rarely, those of vehicles.
-    """
+    """Typical forecasts, (groups, modes, steps, 2) metres, agent frames, y forward; rare groups have vehicles'."""
     groups: list[list[Tensor]] = [[] for _ in range(config.motion_groups)]
     for frame in frames:
         agents = AgentTargets.of(frame, config)
@@ -228,10 +206,9 @@ SMALLEST_DEVIATION_M, LARGEST_CORRELATION = 0.1, 0.9
 
 
 def match_agents(detections: Detections, agents: AgentTargets, carried: Tensor, queries: int) -> Matches:
-    """Pairs of queries and agents: a track for its own, and fresh queries for all others.
+    """Pairs of queries and agents: a track for its own, if it is still there, and fresh queries for all others.
 
-    Tracks whose agent has gone have no pair. `carried` are (T,) instances of the tracks, `queries` counts the fresh
-    ones without the ego.
+    `carried` are (T,) instances of the tracks, `queries` counts the fresh ones without the ego.
     """
     same = carried[:, None] == agents.instances
     track, owned = same.nonzero().unbind(-1)
@@ -301,10 +278,7 @@ def map_losses(
 
 
 def mask_loss(values: Tensor, targets: Tensor) -> Tensor:
-    """Loss of masks whose values are no probabilities: squares, in which inside and outside count alike, and overlap.
-
-    `values` are (N, cells), 0 or more, `targets` 0 or 1.
-    """
+    """Loss of (N, cells) mask values, 0 or more: overlap, and squares in which inside and outside count alike."""
     if len(values) == 0:
         return values.sum()
     square, inside = (values - targets).square(), targets.sum(1).clamp(min=1)
@@ -343,10 +317,7 @@ def _deviation_loss(trajectories: Tensor, target: Tensor, valid: Tensor) -> Tens
 
 
 def occupancy_loss(occupancy: Occupancy, wanted: Tensor, valid: Tensor) -> Tensor:
-    """Loss of the occupancy by V vehicles and of the coarse masks that steer attention.
-
-    `wanted` are (V, T, rows, columns), 0 or 1, `valid` (V, T).
-    """
+    """Loss of the (V, T, rows, columns) vehicle occupancy where (V, T) is valid, and of masks that steer attention."""
     logits, targets = occupancy.logits[valid], wanted[valid]
     coarse = F.adaptive_max_pool2d(targets, occupancy.mask_logits.shape[-2:])
     return OCCUPANCY_WEIGHT * (

@@ -68,10 +68,7 @@ MOST_OCCUPYING = 8
 
 @dataclass(frozen=True, slots=True)
 class FrameFeatures:
-    """View of a key frame: (cells, C) bird's-eye view and the (1, C, h, w) finest feature map of the front camera.
-
-    `can_bus` is (18,) float32, how the ego moves, as far as it is told.
-    """
+    """(cells, C) bird's-eye view, (1, C, h, w) finest front map, and (18,) float32 ego motion as far as it is told."""
 
     bev: Tensor
     finest_front: Tensor
@@ -79,17 +76,12 @@ class FrameFeatures:
 
 
 class UniADObjective:
-    """An objective as `frames.Objective` describes; drawn numbers are of PyTorch's generator.
+    """`frames.Objective` of UniAD; drawn numbers are of PyTorch's generator.
 
-    Attributes:
-        network: What learns. It stays as in inference, without dropout and with normalisation as stored, but for the
-            occupancy, whose normalisation learns what it normalises.
-        learned_frames: The last frames of a clip, through which gradients pass; earlier ones only leave a past.
-        unaware: Share of clips in which the network is not told how the ego moves, so that it looks.
-        view_learns: Whether the bird's-eye view learns; only then has it to say what stands where.
-
-    Args:
-        sees_already: Whether what makes the bird's-eye view stays as it is.
+    `network` stays as in inference but for the normalisation of the occupancy, which learns. Gradients pass through
+    the last `learned_frames` of a clip; earlier ones only leave a past. In a share `unaware` of the clips the network
+    is not told how the ego moves, so that it looks. The bird's-eye view has to say what stands where only if
+    `view_learns`.
     """
 
     def __init__(
@@ -115,10 +107,9 @@ class UniADObjective:
         return self.clip_losses(clip, 2 * math.pi * turn, aware >= self.unaware)
 
     def clip_losses(self, clip: Sequence[TrainingFrame], turn_rad: float, aware: bool) -> dict[str, Tensor]:
-        """Losses as of `losses`, with what is drawn there.
+        """Losses of a clip whose world is turned by `turn_rad` under the ego: no image shows where north is.
 
-        The world is turned by `turn_rad` under the ego: no image shows where north is. `aware` says whether the
-        network is told how the ego moves; its past view is aligned all the same.
+        Unless `aware`, the network is not told how the ego moves; its past view is aligned all the same.
         """
         network = self.network
         if network.training:

@@ -1,11 +1,4 @@
-"""The parts of the training of UniAD-mini: what ``challenger-bench train planner`` runs for it.
-
-How what follows from the bird's-eye view of UniAD-mini learns: from views that frozen eyes have seen.
-
-How the plan of UniAD-mini learns from what the whole network before it makes of a scene: dozens of frames a step.
-
-Where the training of a small UniAD starts: queries and anchors from the data, everything else from a seed.
-"""
+"""Training phases of UniAD-mini, on images, cached views or cached plan inputs, and its start from data and a seed."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -67,10 +60,7 @@ _SHARED = tuple(
 
 
 def build_untrained(config: UniADConfig, frames: Sequence[TrainingFrame], seed: int) -> UniAD:
-    """A network to be trained.
-
-    Places of queries and anchors of forecasts are from the frames, some hundreds; the anchors are part of its state.
-    """
+    """Untrained network; places of queries and anchors of forecasts, part of its state, are from hundreds of frames."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         network = UniAD(config, motion_anchors(frames, config), stores_anchors=True)
@@ -87,11 +77,7 @@ def build_untrained(config: UniADConfig, frames: Sequence[TrainingFrame], seed: 
 
 
 def transfer_from_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of a trained VAD for what UniAD has in common with it: images, bird's-eye view and boxes.
-
-    Both see as BEVFormer does and find boxes with the same decoder; UniAD's tracks, map, forecasts, occupancy and plan
-    are its own; and so is what its plan reads in the front camera, where VAD's plan has eyes of its own for that.
-    """
+    """Weights that UniAD shares with VAD: images, BEVFormer view and box decoder; not what VAD's front eyes feed."""
     if _VAD_QUERIES not in trunk:
         return dict(trunk)
     config = UniADConfig.miniature()
@@ -204,11 +190,7 @@ def _last_linear(branch: nn.Module) -> nn.Linear:
 
 @dataclass(frozen=True, slots=True)
 class PlanInputs:
-    """Inputs of the plan of a key frame, in half precision.
-
-    `bev` is (cells, C), `mode_queries` (modes, C) forecast states of the ego, `state` (C,) its track, `finest_front`
-    (1, C, h, w), `can_bus` (18,) float32.
-    """
+    """Plan inputs in half precision: forecast states (modes, C), ego track (C,), the rest as in `FrameFeatures`."""
 
     bev: Tensor
     mode_queries: Tensor
@@ -218,11 +200,11 @@ class PlanInputs:
 
 
 class UniADPlannerObjective:
-    """The plan alone. All before it runs over each scene once as when the network drives, its own tracks included.
+    """The plan alone; all before it runs over each scene once as when the network drives, its own tracks included.
 
-    In the clips of `adapters.extensions.training.uniad.objective.UniADObjective` tracks are a few frames old, and stand
-    for whom they should. A small network would know the frames by heart: some of the ego's forecast and track is
-    forgotten anew in each step, the planner has its dropout, and what is read in the front camera stays as it is.
+    In clips of `UniADObjective` tracks are a few frames old, and stand for whom they should. A small network would
+    know the frames by heart: some of the ego's forecast and track is forgotten anew in each step, the planner has its
+    dropout, and what is read in the front camera stays as it is.
     """
 
     clip_frames = 1
@@ -292,10 +274,7 @@ def _copy_plan_inputs(
 
 
 class HeadsObjective(UniADObjective):
-    """Tracks, map, forecasts, occupancy and plan. The views are those of the network when it runs, made once.
-
-    All frames of a clip have gradients.
-    """
+    """Tracks, map, forecasts, occupancy and plan on cached views; all frames of a clip have gradients."""
 
     def __init__(self, network: UniAD, clip_frames: int) -> None:
         super().__init__(network, clip_frames=clip_frames, unaware=0.0, sees_already=True)

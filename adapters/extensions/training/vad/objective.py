@@ -86,9 +86,8 @@ WEIGHTS: Final = {
 class EgoMotionAugmentation:
     """Disguise of a clip, so that the plan cannot be read off the ego's own motion.
 
-    Attributes:
-        turn_rad: The world is turned by so much; no image shows where north is.
-        speed_known: Whether the network is told how the ego moves. Its past view is aligned all the same.
+    The world is turned by `turn_rad`: no image shows where north is. Unless `speed_known`, the network is not told how
+    the ego moves; its past view is aligned all the same.
     """
 
     turn_rad: float
@@ -138,8 +137,7 @@ class VADObjective:
 class AgentMatches:
     """Annotated agents of a key frame and the queries that stand for them, after each layer of the decoder.
 
-    `inside` says, (N,), which of the annotated ones are in the perception range; `wanted` are (G, 10) their boxes as
-    `adapters.extensions.training.losses.normalise_boxes`, in the network's convention.
+    `inside` (N,) are those in range, `wanted` (G, 10) their `normalise_boxes`, in the network's convention.
     """
 
     inside: Tensor
@@ -182,11 +180,9 @@ def predict(
 def predict_with_features(
     network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
 ) -> tuple[VADPredictions, Tensor, BEVMotion]:
-    """Predictions as of `VAD.predict`, with a past that the caller holds; the network's own is not looked at.
+    """`VAD.predict` with a past that the caller holds, the front map that the plan looks at, and the motion as told.
 
-    With what the plan looks at of the front camera, and the motion as told. `previous` are the (18,) CAN bus vector
-    and (cells, C) view of the frame before, ``None`` at the start of a scene; `speed_known` as in
-    `EgoMotionAugmentation`.
+    `previous` are the (18,) CAN bus vector and (cells, C) view of the frame before, ``None`` at the start of a scene.
     """
     can_bus, view = previous or (None, None)
     config = network.config
@@ -233,10 +229,7 @@ def _agent_losses(network: VAD, predictions: VADPredictions, frame: TrainingFram
 def forecast_losses(
     network: VAD, mode_offsets: Tensor, mode_logits: Tensor, matched: AgentMatches, frame: TrainingFrame
 ) -> dict[str, Tensor]:
-    """Losses of the forecasts of one key frame by name, not weighted.
-
-    `mode_offsets` are (A, modes, steps, 2) metres from step to step, `mode_logits` (A, modes).
-    """
+    """Unweighted losses of forecasts by name: (A, modes, steps, 2) metres from step to step, (A, modes) logits."""
     steps, matches = network.config.steps, matched.layers[-1]
     boxes = frame.boxes[matched.inside]
     future = frame.futures[matched.inside][matches.wanted, :steps, :2] - boxes[matches.wanted, None, :2]
@@ -275,10 +268,7 @@ def _resample_lines(lines: Tensor, points: int) -> Tensor:
 
 
 def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
-    """How well every cell, agent and map element knows how far the ego drives, in its channel after the dense ones.
-
-    The plan reads agents and map elements alone; what they do not know of the ego is lost to it.
-    """
+    """How well each cell, agent and map element knows the ego's pace (channel after the dense ones): plans read it."""
     if not frame.ego_future_valid[PACE_STEP]:
         return predictions.bev.sum() * 0
     target = (frame.ego_future[PACE_STEP, 1] - PACE_M) / PACE_SPREAD_M
@@ -287,11 +277,7 @@ def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
 
 
 def plan_losses(plan_offsets: Tensor, front: Tensor | None, frame: TrainingFrame) -> dict[str, Tensor]:
-    """Losses of the plan of one key frame and what it took from the front camera, by name, not weighted.
-
-    `plan_offsets` are (commands, steps, 2) metres from step to step; `front` is (1, numbers), ``None`` where it does
-    not look there.
-    """
+    """Unweighted losses of (commands, steps, 2) plans, metres from step to step, and of (1, numbers) front readings."""
     offsets = plan_offsets[frame.command]
     plan = offsets.cumsum(0)
     recorded = torch.diff(frame.ego_future, dim=0, prepend=torch.zeros_like(frame.ego_future[:1]))

@@ -1,9 +1,4 @@
-"""The parts of the training of VAD-mini: what ``challenger-bench train planner`` runs for it.
-
-How forecasts and the plan of VAD-mini learn from what frozen eyes have seen: dozens of frames a step.
-
-Initial weights of VAD that encode where objects can be, to shorten training.
-"""
+"""Training phases of VAD-mini, on images or cached perception, and first weights that encode where objects can be."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -105,8 +100,7 @@ def _mean_plans(frames: Sequence[TrainingFrame], commands: int, steps: int) -> T
 def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor) -> None:
     """Put the queries where things are, and start from a car, from a line straight ahead, and from the mean plan.
 
-    The published training does without; it has thirty times the steps. Places of `agents` and of the middles of
-    `lines` are (N, 2) shares of the perception range; `plans` (commands, steps, 2) metres from step to step.
+    Places are (N, 2) shares of the perception range. Published training, with thirty times the steps, does without.
     """
     head, config = network.pts_bbox_head, network.config
     with torch.no_grad():
@@ -153,19 +147,14 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
 
 
 def transfer_start_weights(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights that a miniature of VAD starts from, under the names of VAD.
-
-    All of those of a trained VAD (`add_finer_map`, `add_front_backbone`); of a sparse miniature the eyes of its plan
-    alone (`transfer_sparse_front_backbone`).
-    """
+    """Start weights of a VAD miniature: all of a trained VAD, extended, or the front eyes of a sparse miniature."""
     return transfer_sparse_front_backbone(trunk, READER) or add_front_backbone(add_finer_map(trunk))
 
 
 def add_finer_map(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of a miniature that reads one feature map of an image, for one that reads a finer one as well.
+    """Weights for two feature maps of an image, the finer first, from those for one; those of other networks stay.
 
-    The finer map starts as the coarse one in cells of half the size, and every look at an image is shared between the
-    two: the network begins as what it was, about. The finer map is first; weights of another network stay as they are.
+    The finer map starts as the coarse one in cells of half the size, and looks are shared: the network is what it was.
     """
     weights = dict(trunk)
     if f"{_LATERAL}.0.conv.weight" not in trunk or f"{_LATERAL}.1.conv.weight" in trunk:
@@ -233,11 +222,10 @@ PERCEPTION: Final = (
 
 
 class VADPlannerObjective:
-    """Forecasts and plans alone. Agents and lines of each key frame are found once, as when the network plans.
+    """Forecasts and plans alone; agents and lines, nine tenths of a step of `VADObjective`, are found once.
 
-    Nine tenths of a step of `adapters.extensions.training.vad.objective.VADObjective` are images and the bird's-eye
-    view. A small network would know the frames by heart: some of what is remembered is forgotten anew in each step, and
-    what is read in the front camera stays as it is.
+    A small network would know the frames by heart: some of what is remembered is forgotten anew in each step, and what
+    is read in the front camera stays as it is.
     """
 
     clip_frames = 1

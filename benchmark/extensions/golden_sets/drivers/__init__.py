@@ -1,8 +1,7 @@
 """`challenger-bench verify drivers`: reference drivers against the official models and against the specification.
 
-On a straight road the official code has the word (speeds, positions, braking, scores, verdicts, and its own tables of
-crashes); along recorded paths, where it has none, the numbers are those of another implementation of the definitions in
-`docs/severity.md`.
+On a straight road the official code has the word (speeds, positions, braking, scores, verdicts, its tables of crashes);
+along recorded paths the numbers are of another implementation of `docs/severity.md`.
 """
 
 from pathlib import Path

@@ -18,10 +18,7 @@ _RSS_BRAKING: Final = 6.0
 
 
 def compute_following_distances(speed: Floats) -> dict[str, Floats]:
-    """Gaps in metres at which ``cc``, ``rss`` and ``fsm`` follow a leader of their own speed (m/s).
-
-    Official tables start so.
-    """
+    """Gaps in metres at which ``cc``, ``rss`` and ``fsm`` follow at equal speed (m/s): official tables start so."""
     later = np.maximum(speed - REACTION_S * _RSS_BRAKING, 0.0)
     return {
         "cc": 2.0 * speed,
@@ -31,12 +28,9 @@ def compute_following_distances(speed: Floats) -> dict[str, Floats]:
 
 
 def build_cut_ins(ego_speed: Floats, other_speed: Floats, gap: Floats, side_speed: float) -> tuple[OtherCar, Floats]:
-    """Cut-ins of one side speed, from the left; (C,) m/s, and (C,) gaps in metres from bumper to bumper.
+    """Cut-ins from the left until after crossing, and (C,) starts of the ego; m/s, bumper gaps in metres.
 
     The other first gathers side speed while both drive; when it has it, it is `SIDE_M` off and ``gap`` ahead.
-
-    Returns:
-        The other car until it has crossed, and a while; (C,) start of the ego.
     """
     offset = SIDE_M + WIDTH_M
     gathering = int(np.ceil(side_speed / _SIDE_STEP))
@@ -58,7 +52,7 @@ def build_cut_ins(ego_speed: Floats, other_speed: Floats, gap: Floats, side_spee
 def build_braking_leaders(speed: Floats, deceleration: Floats, gap: Floats, steps: int) -> tuple[OtherCar, Floats]:
     """Leaders that brake to a stand from the first step, followed at their own speed, and (C,) starts of the ego.
 
-    Speeds are (C,) m/s, decelerations m/s^2, gaps metres from bumper to bumper.
+    (C,) m/s, m/s^2, and metres from bumper to bumper.
     """
     leader = np.maximum(speed[:, None] - STEP_S * deceleration[:, None] * np.arange(steps), 0.0)
     along = gap[:, None] + LENGTH_M + np.cumsum(STEP_S * leader, axis=1)

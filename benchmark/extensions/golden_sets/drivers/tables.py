@@ -1,10 +1,8 @@
-"""The official tables of crashes: cut-ins and braking leaders, cell by cell.
+"""Rules and straight-road runs against official code, and its tables of crashes (cut-ins, braking leaders) by cell.
 
-Many cells of these grids lie exactly on a tie (a gap that is just the safe one, a side speed that is a whole number of
-steps), where the last bit decides; so half a percent of the cells may differ, and a braking leader is also driven with
-a gap that is a nanometre longer and shorter, of which the nearest answer counts.
-
-The rules and the runs on a straight road against those of the official code.
+Many cells lie exactly on a tie (a gap that is just the safe one, a side speed of a whole number of steps), where the
+last bit decides; so half a percent may differ, and a braking leader is also driven with a gap that is a nanometre
+longer and shorter, of which the nearest answer counts.
 """
 
 from typing import Final

@@ -1,7 +1,7 @@
 """`challenger-bench verify pdm`: motions, verdicts and scores against those of the official code.
 
-Two kinds of input: the set's own motions (mode ``direct`` and the official tracked ones), so that a verdict never hangs
-on an earlier difference, and everything from the plans on, as an evaluation does it.
+Inputs are the set's own motions (mode ``direct`` and the official tracked ones), so that a verdict never hangs on an
+earlier difference, and everything from the plans on, as an evaluation does it.
 """
 
 from pathlib import Path

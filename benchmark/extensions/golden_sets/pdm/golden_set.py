@@ -1,7 +1,4 @@
-"""Golden files of the PDM sub-scores: scenes as plain arrays, plans, and what the official code says about them.
-
-Verdicts and scores of given motions against those of the official code; no verdict may differ.
-"""
+"""Golden files of the PDM sub-scores (plain arrays, plans), and verdicts on them, none of which may differ."""
 
 from itertools import pairwise
 from typing import Final
@@ -44,16 +41,10 @@ AGENT_TYPES: Final = 3
 
 
 class PdmGoldenScene:
-    """One scene with S samples and P plans for each.
+    """Scene with S samples and P plans for each: (S, P, 6, 3) poses in the frame of the rear axle, (S, 11) car states.
 
-    Attributes:
-        now: (S, 11) states of the car.
-        plans: (S, P, 6, 3) poses in the frame of the rear axle.
-        history: (S, 4, 8) the beginnings of states at -1.5, -1, -0.5 and 0 s.
-        recorded: Which plan is the recorded future, the reference of EP and of the filter.
-        pair: (S,) samples with the same number are consecutive, the earlier one first.
-        key_frames: Objects of all samples.
-        route: (M, 2) polyline.
+    `history` (S, 4, 8) begins states at -1.5, -1, -0.5 and 0 s; `recorded` is the plan of the recorded future, the
+    reference of EP and of the filter. Samples with the same `pair` (S,) are consecutive; `route` is an (M, 2) polyline.
     """
 
     def __init__(self, stored: GoldenArrays) -> None:
@@ -131,10 +122,7 @@ class ModeComparison:
         self.comparison, self.scene, self.mode = comparison, scene, mode
 
     def compare(self, states: Floats) -> list[SubScores]:
-        """Compare all plans of all samples, of (S, P, 31, 11) motions.
-
-        Gives each sample's sub-scores, EP by the reference.
-        """
+        """Sub-scores, EP by the reference, of each sample after comparison of all (S, P, 31, 11) motions."""
         scene, sub_scores = self.scene, []
         differences, ec = compute_pair_comfort(scene, states)
         self.comparison.numbers("EC differences", differences, scene.by_plan(f"{self.mode}_ec_rms", 4))

@@ -18,9 +18,9 @@ BUILT_IN: Final = Path(__file__).parent / "golden" / "protocols"
 def _compare_scenes(comparison: Comparison, folder: GoldenFolder) -> None:
     """Compare each sample, plan and step, and the rates over all of them.
 
-    A set is of one of two forms, which may be mixed: with verdicts of the protocols that every run is judged by, or
-    with roads and the past beside the boxes and verdicts of the further ones. Scenes may lack the verdicts of exact
-    polygons (``NAME_exact.npz``), which the notes say; inputs and official verdicts belong together.
+    A set may mix two forms: with verdicts of the protocols that every run is judged by, or with roads and the past and
+    those of further ones. Scenes may lack exact verdicts (``NAME_exact.npz``), as notes say, but not only inputs or
+    only official verdicts.
     """
     paths = list_golden_inputs(folder)
     judged, further = list[SceneOutcomes](), list[SceneOutcomes]()

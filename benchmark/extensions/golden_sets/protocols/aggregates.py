@@ -1,7 +1,4 @@
-"""Rates of whole sets against official values of each sample, averaged as each official code averages.
-
-Rates over all scenes of a set against its ``aggregate.json``, which has four decimals of per cent and metres.
-"""
+"""Rates of whole sets, averaged as each official code averages, and ``aggregate.json``, of four decimals (% and m)."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -119,10 +116,9 @@ _MEANS: Final = {"collision": "collision_mean", "l2": "l2_mean"}
 
 
 def compare_rate_file(comparison: Comparison, folder: GoldenFolder, judged: list[SceneOutcomes]) -> None:
-    """Compare the rates of every plan over all scenes with roads but those with a ghost on the recorded path.
+    """Compare rates of every plan over all scenes with roads but those with a ghost on the recorded path.
 
-    Without the file nothing is compared, nor with another number of samples, which is what a set with files left out
-    has.
+    Nothing is compared without the file or with another number of samples, as of a set with files left out.
     """
     judged = [(scene, outcomes) for scene, outcomes in judged if not scene.name.startswith("gtcol")]
     if not judged or not folder.has(AGGREGATE):

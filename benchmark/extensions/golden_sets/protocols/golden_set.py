@@ -1,7 +1,4 @@
-"""Golden files of the protocols: scenes as plain arrays, plans, and what the official code says about them.
-
-Kerb lines and drivable cells as a golden set stores them, in place of a map.
-"""
+"""Golden files of the protocols: scenes as arrays, plans, official verdicts, stored kerb lines and drivable cells."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -24,12 +21,7 @@ _SIDE: Final = 1000
 
 @dataclass(frozen=True, slots=True)
 class GoldenRoads:
-    """`benchmark.truth.Roads` of one golden sample.
-
-    Attributes:
-        lines: (N, 20, 2) edges of the road surface, ego frame, metres.
-        packed: (125000,) drivable cells, eight to the byte.
-    """
+    """`benchmark.truth.Roads` of one sample: (N, 20, 2) edges, ego frame, metres, and cells, eight to the byte."""
 
     lines: NDArray[np.float32]
     packed: NDArray[np.uint8]
@@ -70,12 +62,9 @@ _OFFICIAL, _EXACT, _MANIFEST = "_official", "_exact", "manifest.json"
 
 @dataclass(frozen=True, slots=True)
 class ProtocolGoldenScene:
-    """One scene with S samples and P plans for each.
+    """Scene with S samples and (S, P, 6, 2) waypoints in the lidar frame, metres; `exact` verdicts are of polygons.
 
-    Attributes:
-        plans: (S, P, 6, 2) waypoints in the lidar frame, metres.
-        exact: Verdicts of exact polygons, if the set has them.
-        with_roads: Whether it is of the form that has roads and the past, with the verdicts of further protocols.
+    `with_roads` is the form that has roads and the past, with the verdicts of further protocols.
     """
 
     name: str
@@ -147,10 +136,7 @@ def _hold_last_pose(now: Floats, poses: Floats, truth: SampleTruth) -> Floats:
 
 
 def list_remarks(folder: GoldenFolder, paths: list[Path], with_roads: Collection[str]) -> list[str]:
-    """Remarks on the files of a set: without exact verdicts, listed in the manifest but absent, or not as it describes.
-
-    ``with_roads`` names the files of the form that has no exact verdicts.
-    """
+    """Files without exact verdicts (unless ``with_roads``), listed in the manifest but absent, or not as described."""
     sentences = [pluralise(len(paths), "file")]
     names = [path.stem for path in paths if path.stem not in with_roads]
     if without := [name for name in names if not folder.has(f"{name}{_EXACT}.npz")]:

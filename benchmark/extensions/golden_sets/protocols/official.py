@@ -1,7 +1,4 @@
-"""Verdicts and values of each sample, plan and step against those of the official code.
-
-Verdicts and values of the further protocols against those of the official code: sets with roads and the past.
-"""
+"""Verdicts and values of samples, plans and steps against official code, of the further protocols by roads and past."""
 
 import zlib
 from collections.abc import Mapping
@@ -34,10 +31,7 @@ def compare_equal(
     ours: Mapping[str, tuple[NDArray[Any], str]],
     of: Bools | None = None,
 ) -> None:
-    """Compare quantities that must be equal, of all samples or of some.
-
-    ``ours`` holds by quantity our values and the name of the golden array, where verdicts may be stored as numbers.
-    """
+    """Compare quantities that must be equal; ``ours`` has values and golden name, whose verdicts may be numbers."""
     for quantity, (values, array) in ours.items():
         comparison.same(quantity, values, stored.floats(array, *values.shape), of)
 
@@ -45,10 +39,7 @@ def compare_equal(
 def compare_official(
     comparison: Comparison, scene: ProtocolGoldenScene, outcomes: Mapping[str, list[ProtocolOutcomes]]
 ) -> None:
-    """Compare all four protocols, VAD with both category tables.
-
-    Outcomes of each protocol are for each of the P plans.
-    """
+    """Compare all four protocols, VAD with both category tables; outcomes are for each of the P plans."""
     stacked, complete = stack(scene.truths), find_complete_samples(scene)
     compare_equal(comparison, scene.official, {"samples that count": (complete, "sample_valid")})
     _compare_uniad(comparison, scene.official, outcomes["uniad"], stacked)

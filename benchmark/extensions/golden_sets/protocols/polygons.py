@@ -25,10 +25,7 @@ _FROZEN: Final = ("all", "uniad", "vad")
 def compare_polygons(
     comparison: Comparison, scene: ProtocolGoldenScene, exact: GoldenArrays, judged: list[ProtocolOutcomes]
 ) -> None:
-    """Compare contacts at the waypoints and every 0.1 s, of plans and of the recorded ego, and headings of plans.
-
-    ``judged`` holds what ``exact`` says of each of the P plans.
-    """
+    """Compare contacts at waypoints and every 0.1 s, of plans and recorded ego, and headings of each of the P plans."""
     stacked, shape = stack(scene.truths), scene.plans.shape[:3]
     steps = exact.verdicts("cont_all", *shape[:2], _INSTANTS).reshape(*shape, INSTANTS_PER_STEP).any(axis=-1)
     comparison.same("exact collision", np.stack([outcomes.collision for outcomes in judged], axis=1), steps)

@@ -1,7 +1,7 @@
 """`challenger-bench verify realism`: features, divergences and the literature's deviation against golden numbers.
 
-``ctg_*`` are numbers of the official code in four versions, ``plain_*`` those of numpy and scipy by the definitions in
-`docs/realism.md`, ``scene-*`` the recordings that they were computed from.
+``ctg_*`` are of official code in four versions, ``plain_*`` of numpy and scipy by the definitions in `docs/realism.md`,
+``scene-*`` their recordings.
 """
 
 from pathlib import Path

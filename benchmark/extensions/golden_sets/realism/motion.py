@@ -66,8 +66,8 @@ def _compare_runs(
 ) -> tuple[Pools, Pools]:
     """Samples by feature, the stored ones and ours, after they were compared.
 
-    Ours are the stored ones where both agree: a car that drives straight has rates of 1e-17 rad/s, whose signs are
-    those of a processor's rounding, and it is them that the quantiles of such a feature lie between.
+    Ours are the stored ones where both agree: a car that drives straight has rates of 1e-17 rad/s with signs of
+    rounding, and the quantiles of such a feature lie between them.
     """
     variant, scene = key
     run_counts: dict[int, int] = defaultdict(int)

@@ -1,7 +1,7 @@
 """`challenger-bench verify severity`: contacts, encounters and last chances against golden numbers.
 
-Kinds and blame of contacts, nuPlan's change of velocity and its stepped time to contact are the official code's; the
-rest are the numbers of another implementation of the definitions in `docs/severity.md`.
+Kinds and blame of contacts, nuPlan's change of velocity and its stepped time to contact are official; the rest is from
+another implementation of `docs/severity.md`.
 """
 
 from pathlib import Path

@@ -1,9 +1,4 @@
-"""Pairs at one instant against the official code and the specification.
-
-Last chances of encounters: every evaluation, and some manoeuvres in full.
-
-Encounters of two tracks: series and what is said of them.
-"""
+"""Pairs at one instant, encounters of two tracks, and last chances in every evaluation, against golden numbers."""
 
 from typing import Any, Final
 

@@ -1,7 +1,4 @@
-"""Infos compared with official ones, each key as the manifest of the golden set says.
-
-Golden info files: roots as archives of their tables, and what the official converters wrote for them.
-"""
+"""Infos compared with official ones, key by key as the golden set's manifest says, and archived roots of the set."""
 
 import re
 import subprocess
@@ -40,12 +37,9 @@ Tolerances = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class GoldenFile:
-    """One file of a converter, a compressed pickle.
+    """One file of a converter, a compressed pickle; `counts` are infos of train and val.
 
-    Attributes:
-        official_name: File name given by the converter.
-        counts: Number of infos of its train and val file.
-        left_out: Keys that were taken out of its infos to save room.
+    Keys `left_out` were taken out of its infos to save room.
     """
 
     repository: RepositoryName
@@ -64,12 +58,7 @@ class GoldenFile:
 
 @dataclass(frozen=True, slots=True)
 class GoldenRoot:
-    """A root that files were made from.
-
-    Attributes:
-        tables: How its tables are to be had, in the words of the manifest.
-        sha256: Of its tables, by name.
-    """
+    """A root that files were made from; `sha256` is of its tables, by name, `tables` how they are to be had."""
 
     version: str
     tables: str
@@ -177,9 +166,8 @@ _NAMES_SHOWN: Final = 3
 class InfoComparison:
     """Gathers the errors of each key over roots.
 
-    Args:
-        tolerances: By repository, and by the names of keys between commas; a number is a largest difference, of map
-            elements a sentence says it, and all other keys must be equal.
+    ``tolerances`` are by repository and names of keys between commas: a number is a largest difference, of map elements
+    a sentence says it, and all other keys must be equal.
     """
 
     def __init__(self, comparison: Comparison, tolerances: Tolerances) -> None:
@@ -300,8 +288,8 @@ def _is_line(value: Any) -> bool:
 def _compute_distances(line: Floats, other: Floats, margin_m: float) -> Floats:
     """How far the vertices of a line, and the middles between them, are from another.
 
-    Points on the edge of the patch are left out: the last bit decides their element. The middles
-    are asked because a straight line may begin and end there.
+    Points on the edge of the patch are left out: the last bit decides their element. Middles are asked because a
+    straight line may begin and end there.
     """
     points = np.concatenate([line, 0.5 * (line[1:] + line[:-1])])
     inside = (np.abs(np.abs(points) - np.array(PATCH_M) / 2) > margin_m).all(axis=1)

@@ -1,8 +1,4 @@
-"""`challenger-bench verify neuroncap`: the engine against numbers of the published code.
-
-The car sub-step by sub-step, contacts, commands, scenarios and their draws, aggregates, and whole runs with their
-recorded plans.
-"""
+"""`challenger-bench verify neuroncap`: car, contacts, commands, scenarios, aggregates, runs against published code."""
 
 from pathlib import Path
 from typing import Final

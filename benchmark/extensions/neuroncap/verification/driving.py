@@ -1,9 +1,4 @@
-"""The car: every sub-step of plans of all kinds, as the published code drives them and in double precision.
-
-Aggregates, and what keeps runs from being aggregated.
-
-Files of a golden set of NeuroNCAP: what more they hold than other golden sets do.
-"""
+"""Golden plans of all kinds driven sub-step by sub-step, published and in double precision; aggregates; set files."""
 
 import math
 from collections.abc import Iterator, Mapping

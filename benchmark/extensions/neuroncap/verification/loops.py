@@ -1,7 +1,4 @@
-"""Whole runs: recordings as the engine reads them, then every state, check and contact with the recorded plans.
-
-One run with its recorded plans: states, sub-steps, checks, boxes of actors, the contact, and the score.
-"""
+"""Whole runs with recorded plans: recordings as read, states, sub-steps, checks, boxes of actors, contact and score."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -55,12 +52,7 @@ CheckRow = tuple[float, ...]
 
 
 def list_checks(engine: Engine, waiting: UncheckedState | None, number: int) -> list[CheckRow]:
-    """Checks of one state.
-
-    Returns:
-        A row of `CHECK_COLUMNS` for each moment that is looked at: up to the first contact, then those of the plan
-        where futures are checked.
-    """
+    """`CHECK_COLUMNS` rows of one state: moments up to the first contact, then those of the plan if futures count."""
     if waiting is None:
         return []
     rows = []
@@ -93,11 +85,7 @@ def compare_run(
     *,
     turning_freely: frozenset[str],
 ) -> None:
-    """Drive a run of the published engine again and compare it with the stored arrays.
-
-    Args:
-        turning_freely: Actors whose headings are not compared.
-    """
+    """Drive a published run again and compare the stored arrays, but not headings of actors ``turning_freely``."""
     replay = _RunReplay(comparison, engine, stored, run["key"], turning_freely)
     world = replay.drive()
     comparison.verdicts("number of actors", len(engine.actors) != run["n_engine_actors"])

@@ -1,7 +1,4 @@
-"""Scenarios: draws, and the actors that come of them.
-
-Contacts and commands, one by one.
-"""
+"""Scenarios with their draws and actors, and single contacts and commands."""
 
 from collections.abc import Mapping
 from dataclasses import replace

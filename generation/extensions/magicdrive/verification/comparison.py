@@ -1,7 +1,4 @@
-"""`verify model --model magicdrive`: the network, its guidance and its sampler against numbers of the official code.
-
-Quantities stored in golden sets of MagicDriveDiT, each computed by the network here.
-"""
+"""`verify model --model magicdrive`: network, guidance and sampler against golden quantities of the official code."""
 
 import copy
 from collections.abc import Callable, Iterator
@@ -44,10 +41,7 @@ REAL_INTRINSICS: Final = 100.0
 
 @dataclass(frozen=True, slots=True)
 class GoldenClips:
-    """The network with the weights of a set, and the set's clips.
-
-    ``rounded`` is the same network with weights, inputs and frequencies rounded to bfloat16.
-    """
+    """Network with a set's weights, the same ``rounded`` to bfloat16 with inputs and frequencies, and the clips."""
 
     network: MagicDriveDiT
     rounded: MagicDriveDiT
@@ -242,10 +236,9 @@ PUBLISHED: Final = "names and shapes of tensors, published size"
 
 
 def verify_magicdrive(golden: Path, device: str = "cpu") -> list[Check]:
-    """Compare the network with a golden set, its folder or the one above it: one check for each quantity.
+    """Compare with a golden set, its folder or the one above it: one check a quantity, in single-precision tolerances.
 
-    There are those of names alone if names or shapes differ, since weights cannot be filled then. Tolerances are
-    those of single precision.
+    There are those of names alone if names or shapes differ, since weights cannot be filled then.
     """
     below = golden / "dev"
     folder = below if (below / FILES[0]).is_file() else golden

@@ -85,11 +85,7 @@ class TimestepSchedule(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class GoldenClip:
-    """One clip of the set.
-
-    The negative prompt in ``conditions`` belongs to some quantities only; ``latent`` is (1, 96, t, h, w) noise,
-    ``timestep`` (1,).
-    """
+    """One clip of the set; only some quantities use its negative prompt. (1, 96, t, h, w) noise, (1,) timestep."""
 
     conditions: ClipConditions
     latent: Tensor
@@ -98,14 +94,7 @@ class GoldenClip:
 
 @dataclass(frozen=True, slots=True)
 class MagicDriveGoldenSet:
-    """A golden set.
-
-    Attributes:
-        recipe: How weights are made.
-        published_shapes: Of the tensors of the published network, where the set lists them.
-        outputs: Outputs of the official code.
-        inner: Outputs of its blocks for clip A, if the set has them.
-    """
+    """A golden set; `inner` are outputs of blocks for clip A, if it has them, `published_shapes` if it lists them."""
 
     recipe: WeightsRecipe
     config: MagicDriveConfig
