@@ -139,10 +139,9 @@ READY: Final[Mapping[str, Mapping[str, str]]] = {
 
 
 def read_categories(named: str) -> dict[str, str]:
-    """Map that ``--categories`` names: names of nuScenes by names of the data set, ready maps with other spellings.
+    """Map that ``--categories`` names, nuScenes categories by name of the data set, with all spellings of ready maps.
 
-    Args:
-        named: One of `READY`, or a JSON file ``{"name": "nuscenes.category"}``.
+    ``named`` is one of `READY`, or a JSON file ``{"name": "nuscenes.category"}``.
     """
     if named in READY:
         return {**{name: name for name in CATEGORIES}, **READY[named]}
@@ -167,7 +166,7 @@ def read_categories(named: str) -> dict[str, str]:
 
 
 def select_category_names(own: Iterable[str], given: Mapping[str, str]) -> CategoryNames:
-    """Part of a map that renames categories of a data set: pairs for those that get another name, sorted.
+    """Part of a map that renames categories of a data set, sorted.
 
     A name that is not in the map is looked up without regard to case and to what stands between its words, so that
     ``CAR`` and ``vehicle_car`` are found.

@@ -166,7 +166,6 @@ class NuScenesData:
 
     @property
     def _find_built_split(self) -> str | None:
-        """Split that the data set was built as, if it says so."""
         return self._provenance.get("split") if self._provenance else None
 
     def scene(self, name: str) -> Scene:

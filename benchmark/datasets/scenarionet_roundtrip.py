@@ -39,10 +39,7 @@ _MOST_PIXELS: Final = 20_000
 class RoundtripFile:
     """Checked content of a file that was exported here.
 
-    Attributes:
-        raw_tracks: Its tracks as they stand in it.
-        tracks: Those that are there at some step, checked, but for the ego's.
-        features: Parts of its map.
+    ``raw_tracks`` are as they stand in it; ``tracks`` are those that are there at some step, but for the ego's.
     """
 
     path: Path
@@ -125,8 +122,7 @@ def _scene(file: RoundtripFile) -> ExchangedScene:
 def read_adversaries(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) -> tuple[str, ...]:
     """Adversaries that the metadata of any ScenarioNet file may name (``adversaries``, names of tracks).
 
-    Args:
-        ids: Names of its objects; another name among the adversaries is refused.
+    A name that is not in ``ids`` is refused.
     """
     listed = metadata.get(ADVERSARIES, [])
     if not isinstance(listed, list | tuple):

@@ -119,7 +119,7 @@ def resample_tracks(
 ) -> tuple[Agents, Annotations]:
     """Resample tracks: linear position, shortest-arc heading; there only where both neighbouring steps are.
 
-    Objects that are at no keyframe are left out, because nothing would annotate them.
+    Objects that are at no keyframe are left out, because nothing would annotate them. Both results have box centres.
 
     Args:
         seconds: (L,) times of the source's steps.
@@ -128,9 +128,6 @@ def resample_tracks(
         shift: (2,) metres added to all positions.
         ground_z: (L,) ground heights to subtract, or ``None`` where heights are fine as they are. Tracks with height 0
             throughout stand on the ground.
-
-    Returns:
-        Agents at the frames, annotations at the keyframes; both with box centres.
     """
     right = np.clip(np.searchsorted(seconds, frame_seconds - 1e-9), 1, len(seconds) - 1)
     left = right - 1
