@@ -35,10 +35,7 @@ class AgentDriverProtocol(UniADProtocol):
 
 
 class AgentDriverSTP3Protocol(VADProtocol):
-    """VAD's objects under UniAD's block, x mirrored; every sample counts, with means over the steps.
-
-    The name is ``agent-driver-stp3``, or that of a protocol that is the same.
-    """
+    """VAD's objects under UniAD's block, x mirrored; every sample counts, with means over the steps."""
 
     version = 1
     counts_incomplete = True
@@ -55,10 +52,7 @@ class AgentDriverSTP3Protocol(VADProtocol):
         return CELLS - 1 - compute_mirrored_point(waypoints_lidar)
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-        """Means over the steps up to each horizon.
-
-        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
-        """
+        """Means over steps up to each horizon: ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``."""
         return average_masked_columns(outcomes, average_up_to)
 
 

@@ -44,10 +44,9 @@ class OpenDriveVLAProtocol(UniADProtocol):
         return cells
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-        """The value at each horizon, and the means up to it.
+        """Values at each horizon, and as means up to it ``collision_mean`` and ``l2_mean``.
 
-        ``collision``, ``collision_before_mask``, ``obj_col``, ``l2``, and as means ``collision_mean`` and
-        ``l2_mean``.
+        The former are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
         """
         means = {"collision_mean": average_up_to(outcomes.collision), "l2_mean": average_up_to(outcomes.l2)}
         return super().sample_values(outcomes) | means

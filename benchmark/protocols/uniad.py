@@ -71,17 +71,14 @@ class UniADProtocol(RasterProtocol):
         return np.asarray(np.trunc((waypoints_lidar[..., ::-1] + (EXTENT_M - 0.5 * CELL_M)) / CELL_M))
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-        """The value at each horizon.
-
-        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
-        """
+        """Values at each horizon: ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``."""
         return average_masked_columns(outcomes, select_horizons)
 
 
 def round_polygons(boxes: Floats) -> NDArray[np.int32]:
-    """Corners on the grid as the label generation rounds them: in single precision, halves to the even node.
+    """(N, 4, 2) column and row of corners on the grid as label generation rounds them.
 
-    (N, 4, 2) column and row of each corner.
+    In single precision, halves to the even node.
     """
     single = np.asarray(boxes).astype(np.float32)
     cos, sin = np.cos(single[:, 4]), np.sin(single[:, 4])

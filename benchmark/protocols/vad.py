@@ -71,10 +71,7 @@ assert set(CATEGORIES) >= DETECTED >= COUNTED_23
 
 
 class VADProtocol(RasterProtocol):
-    """VAD's protocol, ``vad`` or ``vad-23``: objects near now and followed from there, with means over the steps.
-
-    The module's docstring says all.
-    """
+    """VAD's protocol, ``vad`` or ``vad-23``: objects near now and followed from there, with means over the steps."""
 
     version = 2
     counts_incomplete = False
@@ -109,10 +106,7 @@ class VADProtocol(RasterProtocol):
         return np.asarray(np.trunc((offset + turned) / CELL_M))
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-        """Means over the steps up to each horizon.
-
-        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
-        """
+        """Means over steps up to each horizon: ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``."""
         return {
             "collision": _means(outcomes.collision),
             "collision_before_mask": _means(outcomes.step("before_mask")),
