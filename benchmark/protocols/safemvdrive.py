@@ -67,7 +67,7 @@ class SafeMVDriveProtocol:
         return _latch_outcomes(columns, judged.l2, judged.valid, judged.valid[:, 0], out, for_adversary)
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
-        """Ground-truth check: samples whose recorded ego touches a counted object asked about at the first step."""
+        """Ground-truth check: all steps, if the recorded ego touches a counted object asked about at the first."""
         first = self.uniad.recorded_contacts(truths, among)[:, :1]
         return np.asarray(first & truths.ego_future_valid)
 
