@@ -40,10 +40,7 @@ class CanMessages:
 
     @classmethod
     def read(cls, path: Path, fields: Mapping[str, ValueKind]) -> Self | None:
-        """Messages of ``can_bus/<scene>_<message>.json``, or ``None`` if there is no such file or it is empty.
-
-        ``fields`` must have ``utime``.
-        """
+        """Messages of ``can_bus/<scene>_<message>.json``; ``None`` if missing or empty; ``fields`` need ``utime``."""
         if not path.is_file():
             return None
         messages = require_records(path, "message", read_json(path), fields)

@@ -139,10 +139,7 @@ READY: Final[Mapping[str, Mapping[str, str]]] = {
 
 
 def read_categories(named: str) -> dict[str, str]:
-    """Map that ``--categories`` names, nuScenes categories by name of the data set, with all spellings of ready maps.
-
-    ``named`` is one of `READY`, or a JSON file ``{"name": "nuscenes.category"}``.
-    """
+    """Map of ``--categories``: one of `READY`, in any spelling, or a JSON file ``{"name": "nuscenes.category"}``."""
     if named in READY:
         return {**{name: name for name in CATEGORIES}, **READY[named]}
     path = Path(named)

@@ -163,7 +163,6 @@ def _read_all_tables(folder: Path, rates: FaultList) -> Tables:
 
 
 def _group_rows_by_scene(tables: Tables) -> dict[str, dict[str, list[Row]]]:
-    """Rows of the growing tables by scene and table."""
     rows_of_scene: dict[str, dict[str, list[Row]]] = {
         scene["token"]: {table: [] for table in GROWING_TABLES} for scene in tables["scene"]
     }

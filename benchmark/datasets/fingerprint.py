@@ -61,7 +61,6 @@ class DigestCache:
 
 
 def _select_valid(value: Any) -> dict[str, tuple[Stamp, str]]:
-    """Sound part of a kept file."""
     digests: dict[str, tuple[Stamp, str]] = {}
     for name, entry in value.items() if isinstance(value, dict) else ():
         match entry:
@@ -74,8 +73,8 @@ def compute_fingerprint(root: Path, version: str, images: Iterable[str]) -> str:
     """Hash of everything that a run reads.
 
     Bytes of the tables, of ``splits.json``, ``challenger.json`` and the map expansions; names and sizes of CAN bus
-    files and of keyframe images. Sweeps and lidar files are read by nothing here and do not count. ``images`` are file
-    names relative to the root.
+    files and of keyframe images (relative to the root). Sweeps and lidar files are read by nothing here and do not
+    count.
     """
     tables = root / version
     hashed = {f"tables/{table}.json": tables / f"{table}.json" for table in NUSCENES_TABLES}

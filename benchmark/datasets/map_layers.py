@@ -179,9 +179,9 @@ class _ExpansionShapes:
 
 
 def compute_centerline(arcline_paths: Sequence[Row]) -> Floats:
-    """(M, 2) points in metres of a lane's arc-line paths, by the devkit's discretisation, about 1 m apart, unrepeated.
+    """(M, 2) points, metres, of a lane's ``arcline_path_3`` records by the devkit's discretisation, about 1 m apart.
 
-    ``arcline_paths`` are records of ``arcline_path_3`` along the lane. Paths without length raise `ValueError`.
+    Points are not repeated. Paths without length raise `ValueError`.
     """
     discretize_lane = import_devkit_module("nuscenes.map_expansion.arcline_path_utils").discretize_lane
     points = np.array(discretize_lane(list(arcline_paths), CENTERLINE_STEP_M), dtype=np.float64)[:, :2]

@@ -147,10 +147,7 @@ KEYFRAMES_BEFORE = 2
 
 
 def compute_truth(scene: Scene, sample_tokens: Sequence[str], steps: int = PLAN_STEPS) -> tuple[SampleTruth, ...]:
-    """Recorded truth around each sample, in time order, from annotations as they are, never the interpolated tracks.
-
-    Protocols take six steps ahead.
-    """
+    """Recorded truth around each sample in time order, by annotations as they are, never the interpolated tracks."""
     lidar_poses = compute_planar_lidar_poses(scene)
     boxes_yaw = yaw_of_quaternion(scene.annotations.rotation)
     surfaces = None if scene.road_map.drivable_area.is_empty else SceneRoadSurfaces(scene.road_map)
@@ -202,10 +199,7 @@ def compute_ego_future(lidar_poses: Floats, index: int, count: int = PLAN_STEPS)
 
 
 def compute_recorded_command(scene: Scene, clock: KeyFrameSteps, lidar_poses: Floats, index: int) -> Command:
-    """Driving command of a sample: from the key frames ahead, or from the same times where those are irregular.
-
-    ``lidar_poses`` are (K, 3) global poses at the key frames.
-    """
+    """Driving command by (K, 3) global lidar poses: from key frames ahead, or from equal times where irregular."""
     if clock.are_key_frames(index, PLAN_STEPS):
         return compute_command(*compute_ego_future(lidar_poses, index))
     return _timed_command(scene, lidar_poses[index], clock.at(index, np.arange(1, PLAN_STEPS + 1)))

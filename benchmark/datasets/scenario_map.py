@@ -34,10 +34,7 @@ def to_real_numbers(value: Any) -> Floats:
 
 
 def to_name(value: Any, what: str, path: Path) -> str:
-    """A name or whole number of a file as text; ``what`` and ``path`` are for the message.
-
-    Longer than any name, or not printable, is refused as well.
-    """
+    """Name or whole number in a file as text, if printable and no longer than any name; ``what`` is for messages."""
     text = str(value) if isinstance(value, str | int | np.integer) else ""
     if len(text) > _LONGEST_NAME or not text.isprintable() or (not text and not isinstance(value, str)):
         raise InputError(f"{path}: {what} must be a name, not {to_one_line(repr(value), 60)}; fetch the file again")
@@ -62,10 +59,7 @@ NEEDS_A_PACKAGE: Final = (
 
 @dataclass(frozen=True, slots=True)
 class ExchangedScene:
-    """A scene and how it was made, as a file carries both; ``source_scene`` of a recording is its own name.
-
-    ``report`` is what ``challenger.json`` says of how it was made, in JSON values.
-    """
+    """A scene and its ``challenger.json`` report, as a file has both; a recording is its own ``source_scene``."""
 
     scene: Scene
     source_scene: str

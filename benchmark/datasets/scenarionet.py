@@ -61,8 +61,7 @@ class _ScenarioNetFile:
 def find_scenarionet(folder: Path) -> tuple[Path, ...]:
     """``sd_*.pkl`` files in a folder and below it, sorted, or a single file.
 
-    Where there are none, all ``*.pkl`` files but the database's own ``dataset_summary.pkl`` and
-    ``dataset_mapping.pkl``.
+    Where there are none, all ``*.pkl`` but the database's ``dataset_summary.pkl`` and ``dataset_mapping.pkl``.
     """
     if folder.is_file():
         return (folder,)
@@ -116,7 +115,6 @@ def read_exchanged_scene(path: Path) -> ExchangedScene:
 
 
 def _build_external_scene(recording: _ScenarioNetFile, ego: SourceTrack, others: Mapping[str, SourceTrack]) -> Scene:
-    """Scene of a file that was not exported here."""
     frame_seconds = _frame_seconds(recording, ego)
     position = _ego_position(recording, ego)
     ground_z = None if recording.is_nuscenes else position[:, 2].copy()

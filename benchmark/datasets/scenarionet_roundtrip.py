@@ -120,10 +120,7 @@ def _scene(file: RoundtripFile) -> ExchangedScene:
 
 
 def read_adversaries(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) -> tuple[str, ...]:
-    """Adversaries that the metadata of any ScenarioNet file may name (``adversaries``, names of tracks).
-
-    A name that is not in ``ids`` is refused.
-    """
+    """Adversaries that metadata of a ScenarioNet file may name (``adversaries``); refuses names not in ``ids``."""
     listed = metadata.get(ADVERSARIES, [])
     if not isinstance(listed, list | tuple):
         raise InputError(f"{path}: metadata {ADVERSARIES} must be a list of tracks; correct it")

@@ -37,13 +37,9 @@ _LARGEST_M: Final = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class SourceTrack:
-    """One object at every step of its file.
+    """One object at every step of its file: (L, 3) metres, (L,) radians, (3,) length, width, height.
 
-    Attributes:
-        position: (L, 3) metres; box centre, but for the ego of nuScenes files.
-        heading: (L,) radians.
-        size: (3,) length, width, height.
-        valid: (L,) whether it is there; elsewhere the arrays mean nothing.
+    ``position`` is the box centre, but for the ego of nuScenes files; where not ``valid`` the arrays mean nothing.
     """
 
     category: str

@@ -100,8 +100,7 @@ def rename_categories(rows: Sequence[Row], names: CategoryNames) -> list[Row]:
 def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:
     """Pass over the tables of a version folder; ``rates`` gets scenes with another rate of keyframes than nuScenes.
 
-    ``None`` if by a chance of one in millions of millions two tokens cannot be told apart: then the tables must be read
-    whole.
+    ``None`` if by a chance of one in millions of millions two tokens look alike: then tables must be read whole.
     """
     collecting = gc.isenabled()
     # Rows hold no reference cycles, so a garbage collection over millions of them is time lost.

@@ -1,8 +1,7 @@
 """The 12 Hz timeline of a scene, and steps of half a second from each sample, also where key frames are irregular.
 
 Where all key frames on the way are 0.4 to 0.6 s apart, step k is the k-th following key frame, as in nuScenes.
-Elsewhere it is the time t + 0.5 k, between the key frames before and after it. Nothing is known across a gap over 0.75
-s.
+Elsewhere it is the time t + 0.5 k, between the key frames around it. Nothing is known across a gap over 0.75 s.
 """
 
 from dataclasses import dataclass

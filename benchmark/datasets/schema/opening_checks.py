@@ -1,7 +1,6 @@
 """Checks when a root is opened and when a scene of it is read: the first error is raised.
 
-Together they cover the errors that `data check` reports in tables of scenes that are read; other files are checked when
-opened.
+They cover the errors of `data check` in tables of scenes that are read; other files are checked when opened.
 """
 
 from collections.abc import Collection, Mapping

@@ -80,10 +80,7 @@ _SHOWN_CHARACTERS: Final = 60
 
 
 def check_table(table: str, content: list[Row], faults: FaultList) -> tuple[list[Row], dict[int, frozenset[str]]]:
-    """Note all faults of a whole table, links apart.
-
-    Rows with a sound token of their own, and the fields that are absent or unsound, by identity of the row.
-    """
+    """Note all faults of a whole table, links apart: rows with a sound token, and unsound fields by identity of row."""
     unsound = check_rows(table, content, faults)
     rows = _with_tokens(table, content, unsound, faults)
     for name, column in SCHEMA[table].items():
@@ -93,10 +90,7 @@ def check_table(table: str, content: list[Row], faults: FaultList) -> tuple[list
 
 
 def check_rows(table: str, rows: Sequence[Row], faults: FaultList, *, first: int = 0) -> dict[int, frozenset[str]]:
-    """Fields that are absent or hold what they must not, by identity of the row, apart from all other rows.
-
-    ``first`` is the number of the first row in its file.
-    """
+    """Fields absent or with what they must not hold, by identity of the row; ``first`` is its number in the file."""
     fields = SCHEMA[table]
     doubtful = [name for name, field in fields.items() if rows and not _column_holds(rows, name, field.kind)]
     unsound = {}

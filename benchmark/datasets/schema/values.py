@@ -31,10 +31,7 @@ def check_rates(tables: CheckedTables, faults: FaultList) -> None:
 
 
 def check_gaps(tables: CheckedTables, faults: FaultList) -> None:
-    """Warn of keyframes nearer to each other or farther apart than steps in scenes at 2 Hz.
-
-    In scenes at another rate only gaps are named across which nothing is known.
-    """
+    """Warn of keyframes nearer or farther apart than steps at 2 Hz, else only of gaps across which nothing is known."""
     for scene, times_us in _times_of_scenes(tables):
         usual_us = find_irregular_interval_us(times_us)
         if usual_us is not None and usual_us > LONGEST_KNOWN_US:
