@@ -60,7 +60,6 @@ class PairedEffect:
         new_others: Share of pairs with a first contact with another than the adversary, and none unchanged; ``None``
             where it is not known which road users are adversaries.
         lost_others: Share of pairs with a contact unchanged, and none with another than the adversary; likewise.
-        pairs: Adversarial samples with a partner.
         unpaired_scenes: Scenes of either side without any partner, by name.
         unpaired: Adversarial samples that count and have no partner.
     """

@@ -64,12 +64,9 @@ class LeakFigures:
 
     Attributes:
         moving: Samples on which the recorded car moves.
-        error_m: Median error at 3 s there.
-        growth: Median error at 3 s over that at 0.5 s there.
-        first_m: Median error at 0.5 s there.
+        error_m: Median error at 3 s there; ``first_m`` at 0.5 s; ``growth`` is the former over the latter.
         growth_in_danger: Growth on the dangerous ones of them.
-        surprises: Samples whose future surprises.
-        hits: Those of them that the plan hits.
+        surprises: Samples whose future surprises, of which the plan ``hits`` some.
         ratio: Median of error over surprise on them.
         ratio_in_danger: The same on the dangerous ones, over that on the others.
         braking: Samples after which the recorded car brakes, and does not yet.

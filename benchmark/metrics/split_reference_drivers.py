@@ -52,14 +52,9 @@ class ContactSeverities:
 class NearPassSeverities:
     """Samples without a contact at which an adversary is there.
 
-    Attributes:
-        gap: Smallest distance, metres.
-        ttc: Least time to contact, seconds, of those that head for one another.
-        tet: Time exposed, seconds.
-        tit: Time integrated, s^2.
-        pet: Post-encroachment time, seconds, of those whose ways meet.
-        btn: Largest braking threat number.
-        critical: How many have one at which braking alone is not enough.
+    Smallest distance, metres; least time to contact of those that head for one another, time exposed and
+    post-encroachment time of those whose ways meet, seconds; time integrated, s^2; largest braking threat number. At
+    ``critical`` ones braking alone is not enough.
     """
 
     samples: int
