@@ -13,9 +13,6 @@ their own orientation stand in for them.
 Known faults: those of ``uniad`` and of ``vad`` in a new mixture. Turned round, the roundings of VAD's raster and
 UniAD's block happen to agree, so that ``agent-driver-stp3`` has no shift to any side, and verdicts that are neither
 VAD's nor UniAD's; the end of a scene dilutes its means.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 import numpy as np

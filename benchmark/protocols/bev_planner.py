@@ -23,9 +23,6 @@ present, one that creeps on in a curve too. The turned cells are rounded one by 
 is a line 0.1 m wide: a plan that is wholly beyond it at the waypoints is clean. The distance between two of the 20
 points can be metres. Pedestrians cannot be hit. The official command says "right" for a recorded path that ends 2 m to
 the left.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from collections.abc import Sequence

@@ -98,8 +98,9 @@ class CollisionProtocol(Protocol):
         counts_incomplete: Whether samples count whose recording ends before 3 s.
         uses_categories: Whether it depends on an object's category whether it can be hit.
 
-    One that judges by `SampleTruth.by_clock` says so by an attribute ``goes_by_clock = True``. The steps of all others
-    are key frames, so that they count nothing in scenes whose key frames do not come at 2 Hz.
+    One that judges by `SampleTruth.by_clock` says so by an attribute ``goes_by_clock = True``. Step k of all others is
+    the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are other
+    times, and in scenes at another rate they count nothing (`benchmark.datasets.steps`).
     """
 
     @property

@@ -22,9 +22,6 @@ Known faults: a maximum is not to be compared with the means of ``vad`` or ``stp
 the road is turned at random by a standing car's jitter of millimetres, unless the rounding of the text hides it:
 unrounded, half of the standing plans leave the road. Who appears later, and pedestrians, cannot be hit. The two
 rectangles are not equally long and not equally placed. Between two waypoints nothing is looked at.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from collections.abc import Sequence

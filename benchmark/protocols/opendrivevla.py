@@ -13,9 +13,6 @@ Every sample counts in both: steps after the end of a recording add nothing and 
 
 Known faults: those of ``uniad``, but mirrored the shift to the left is gone and that to the rear stays: the same plans
 get other verdicts. Two averages of one set of flags stand in one table under the names of two metrics.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from benchmark.geometry import Floats

@@ -21,9 +21,6 @@ Known faults: those of ``uniad`` or ``sparsedrive``; without an exclusion every 
 to the end. Latched flags are never to be compared with values at a step or with means. Officially the displacements of
 left-out samples stay in the sum of L2 while the samples leave the denominator, so that it comes out a little too large;
 here they leave both.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from collections.abc import Sequence

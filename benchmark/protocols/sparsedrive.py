@@ -17,9 +17,6 @@ Known faults: a plan of a nearly standing car that jitters turns the box at will
 began keeps looking ahead; reversing puts the box 0.5 m behind. Objects without a lidar point vanish, so an adversary
 written with a count of 0 cannot be hit. Nothing is checked between the waypoints.
 
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
-
 DiffusionDrive's nuScenes branch evaluates in the same way.
 """
 

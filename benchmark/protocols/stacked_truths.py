@@ -24,8 +24,7 @@ class StackedTruths:
         sample_of: (M,) which sample an object belongs to.
         instances: M instance identifiers; an object has one entry for each sample.
         boxes: (M, 7, 5) boxes now and at the six steps; ``annotated`` is (M, 7).
-        has_points: (M, 7) whether lidar or radar points were counted there.
-        has_lidar_points: (M, 7) whether lidar points were.
+        has_points: (M, 7) whether lidar or radar points were counted there; ``has_lidar_points`` leaves out radar.
         ego_future: (S, 6, 3) recorded lidar origin, x, y, yaw; ``ego_future_valid`` is (S, 6).
         adversarial: (M,) whether the object was made to be an adversary, as far as the data set says.
         seen_before: (M,) whether the object was seen now or in the second before (`SampleTruth.seen_before`).

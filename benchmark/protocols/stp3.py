@@ -20,9 +20,6 @@ Known faults: objects are drawn relative to the rear axle and the ego relative t
 0.94 m too far back. The warp does not turn its translation and shifts sideways the wrong way, so that in turns objects
 lie beside their place (by up to 5.7 m at 3 s). Corners go to nodes, ego cells are cut off: half a cell. A turning ego
 is not turned. Who appears later cannot be hit. A collision is forgotten at the next step.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from collections.abc import Sequence

@@ -16,9 +16,6 @@ Known faults: pedestrians, cones, barriers and emergency vehicles cannot be hit.
 stands about 0.5 m too far left and to the rear of what it is compared with: false alarms there, misses right and ahead.
 An ego that leaves the grid is squashed on its border. A turning ego is not turned. A collision is forgotten at the next
 step, and the end of a scene dilutes the rates (by about 15 % at 3 s).
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 import numpy as np

@@ -22,9 +22,6 @@ Version 1 counted objects with nothing but radar points on them too.
 Known faults: a car that is farther than 30 m now, or that appears later, cannot be hit. The ego stands about 0.5 m too
 far left of what it is compared with. A turning ego is not turned. ``obj_col`` looks 25 m ahead and 25 m to the left of
 the ego because of a wrong offset and means nothing.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from typing import Final
