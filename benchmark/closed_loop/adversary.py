@@ -1,8 +1,7 @@
 """An adversary among the agents: where it leaves its recording, where it went, and one that goes there once more.
 
 One that plans while the drive lasts (`generation.extensions.reactive_adversary`) is handed in as an `AdversaryFactory`.
-What it drove is kept with the drive, which can be repeated, scored and filmed without any search, also for another
-planner.
+What it drove is kept with the drive, to be repeated, scored and filmed without a search, or met by another planner.
 """
 
 from collections.abc import Callable, Mapping

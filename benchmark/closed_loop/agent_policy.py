@@ -174,13 +174,7 @@ class AgentPolicy(Protocol[Memory]):
 def check_policy(policy: AgentPolicy[Any], moment: TrafficSnapshot, steps: int = 5) -> None:
     """Hold a policy to the contract: the same calls give the same bytes, and nothing that was given is changed.
 
-    Args:
-        policy: Any policy.
-        moment: A beginning: its time, its ego; the agents are the policy's own.
-        steps: Sub-steps to take.
-
-    Raises:
-        ValueError: If it is broken; says how.
+    ``moment`` is a beginning: its time, its ego; the agents are the policy's own. `ValueError` says how it is broken.
     """
     runs = []
     for _ in range(2):

@@ -229,7 +229,6 @@ class DefaultSimulationState:
         return None
 
     def _trace_motion(self, before_us: int, trace: StepTrace) -> EpisodeMotion:
-        """The sub-steps of a step."""
         rows = slice(INSTANTS - 1, None, INSTANTS)
         boxes = trace.boxes[rows].transpose(1, 0, 2)
         times = before_us + SUBSTEP_US * np.arange(1, boxes.shape[1] + 1)

@@ -4,8 +4,6 @@ Vehicles with four wheels or more that move in their recording drive along their
 the lanes of the map, straight on where they fork; speed is that of the intelligent-driver model (10 m/s or what they
 drove where that was faster, 1.5 s and 1 m behind a leader, 1 and 2 m/s^2), and any that stands or moves in their way is
 the leader: the ego, others, people. All others, parked cars too, do what the tracks say.
-
-Leading vehicle of each vehicle on its road: all vehicles of a scene at once.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,7 @@
 """The ladder of reference drivers in closed loop: each drives a course in which the others answer it.
 
 The drivers are those of `benchmark.interactions`, which follow the recorded path of the ego and decide every 0.1 s as
-in open loop, but with agents where their policy has them, each in a world of its own. Contact is looked for every 0.05
-s.
+in open loop, but with agents where their policy has them, each in its own world. Contact is looked for every 0.05 s.
 """
 
 from collections.abc import Sequence

@@ -31,14 +31,10 @@ class RoutePosition:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Recorded path with (T,) times in seconds since its first frame.
+    """Recorded path of the rear axle, global, at (T,) seconds since its first frame.
 
-    Attributes:
-        poses: (T, 3) x, y, yaw of the recorded rear axle, global.
-        heights: (T,) of the recorded rear axle, metres.
-        station: (T,) metres along it; equal where it stands.
-        lidar_ahead_m: Lidar origin ahead of the rear axle: commands are about its path.
-        step_seconds: (K,) times of the keyframes.
+    ``poses`` are (T, 3), ``heights`` and ``station``, metres along it and equal where it stands, (T,). Commands are
+    about the path of the lidar. ``step_seconds`` are (K,), of the keyframes.
     """
 
     first_us: int

@@ -1,8 +1,7 @@
 """The main path of scoring: a scene and a drive in, contact, fault, nuPlan's terms and HD-Score out.
 
-No planner, no engine. HUGSIM's HD-Score has terms of our own, so that the number is not HUGSIM's; nuPlan's closed-loop
-terms go without what nuScenes lacks; fault of a contact during an episode is told by the same rules as in later
-scoring.
+No planner, no engine. HUGSIM's HD-Score has terms of our own, so that the number is not HUGSIM's; nuPlan's terms go
+without what nuScenes lacks; fault during an episode is told by the same rules as in later scoring.
 """
 
 import math
