@@ -1,8 +1,7 @@
 """Time to last chance: until when one of 25 sampled manoeuvres still avoids the contact that a base track ends in.
 
 ``docs/severity.md``, "Time to last chance". The base is a recorded or driven ego, or the ego at constant speed. Agents
-replay their tracks. A manoeuvre is to brake so hard, and swerve so far, from a moment on: a lower bound of what could
-be done.
+replay their tracks. Manoeuvres brake so hard, and swerve so far, from a moment on: a lower bound of what could be done.
 """
 
 from dataclasses import dataclass

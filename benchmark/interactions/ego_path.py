@@ -23,15 +23,10 @@ _PAIRS_AT_ONCE: Final = 400_000
 
 @dataclass(frozen=True, slots=True)
 class EgoPath:
-    """Polyline of M vertices with headings; metres.
+    """Polyline of M vertices, metres, with (M,) headings of the ego there, radians, unwrapped.
 
-    Attributes:
-        yaw: (M,) headings of the ego there, radians, unwrapped.
-        station: (M,) metres along the polyline, 0 at the second vertex.
-        size: (2,) length and width of the ego.
-        vertex_seconds: (M - 2,) times of the vertices but the first and the last.
-        length: (M - 1,) of the segments, metres.
-        direction: (2, M - 1) unit vectors along them.
+    ``station`` is (M,), 0 at the second vertex; ``vertex_seconds`` are (M - 2,), of all vertices but the first and the
+    last; ``length`` (M - 1,) and unit vectors ``direction`` (2, M - 1) are of the segments; ``size`` is the ego's.
     """
 
     points: Floats

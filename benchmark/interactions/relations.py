@@ -1,8 +1,7 @@
 """Where agents are along and across the ego's path, and how they move along and across it.
 
-``docs/severity.md``, "What a driver sees". An agent's place on the path hardly ever depends on where the ego is, so it
-is found once for every instant, and again only where the nearest point of the whole path lies outside the stretch
-around the ego.
+``docs/severity.md``, "What a driver sees". A place on the path hardly ever depends on where the ego is, so it is found
+once for every instant, and again only where the path's nearest point lies outside the stretch around the ego.
 """
 
 from dataclasses import dataclass
