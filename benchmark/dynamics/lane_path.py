@@ -77,7 +77,7 @@ def build_straight_path(pose: Floats, length_m: float) -> LanePath:
 def build_lane_path(
     road_map: RoadMap, pose: Floats, command: Command, speed: float, length_m: float
 ) -> LanePath | None:
-    """Path from the car at (3,) x, y, yaw of the rear axle onto the nearest lane that goes its way and on the route.
+    """Path of a car at (3,) x, y, yaw of the rear axle onto the nearest lane its way, and along the route.
 
     ``command`` chooses the successor where a lane forks: the one that turns most to its side, or least. A faster car
     takes longer to reach the middle of its lane; beyond the end of the lane the path goes straight on, to ``length_m``.
