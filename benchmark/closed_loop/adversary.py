@@ -1,8 +1,7 @@
 """An adversary among the agents: where it leaves its recording, where it went, and one that goes there once more.
 
-Who plans while the drive lasts is made elsewhere (`generation.extensions.reactive_adversary`) and handed in as an
-`AdversaryFactory`. What it drove is kept with the drive, so that the drive can be repeated, scored and filmed without
-any search, and so that another planner can be driven against the same track.
+One that plans while the drive lasts (`generation.extensions.reactive_adversary`) is handed in as an `AdversaryFactory`.
+What it drove is kept with the drive, to be repeated, scored and filmed without a search, or met by another planner.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,12 +29,10 @@ DECIMALS: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class Replanning:
-    """One planning frame of an adversary.
+    """One planning frame of an adversary; ``score`` of the chosen candidate, lower is better, ``None`` where none was.
 
-    Attributes:
-        score: Of the chosen candidate, lower is better; ``None`` where none was.
-        braked: Whether no candidate was allowed and it braked on its own path.
-        considered: A `benchmark.records.search_trace.SearchTraceFrame` as JSON, where it was asked for.
+    It ``braked`` on its own path where no candidate was allowed. ``considered`` is a
+    `benchmark.records.search_trace.SearchTraceFrame` as JSON, where it was asked for.
     """
 
     frame: int
@@ -46,10 +43,7 @@ class Replanning:
 
 @dataclass(frozen=True, slots=True)
 class AdversaryTrack:
-    """Way of an adversary: (F, 3) poses of its box centre from the frame ``start`` on, where it left its recording.
-
-    ``agent`` is its index in the scene.
-    """
+    """(F, 3) poses of an adversary's box centre from the frame ``start`` on; ``agent`` is its index in the scene."""
 
     agent: int
     start: int
@@ -101,10 +95,8 @@ class AdversaryFactory(Protocol):
 class Handover:
     """Hand-over of an adversary from its recording at the frame ``start``.
 
-    Attributes:
-        times_us: (T,) of the scene's frames.
-        recorded: (T, 3) recorded poses of its box centre.
-        first: The first frame of its recorded presence up to ``start``.
+    ``times_us`` are (T,) of the scene's frames, ``recorded`` (T, 3) poses of its box centre; ``first`` is the first
+    frame of its recorded presence up to ``start``.
     """
 
     agent: int
@@ -125,14 +117,8 @@ class Handover:
     def moved(self, others: AgentMotion, track: Floats, time_us: int) -> AgentMotion:
         """The 0.1 s after a time, the adversary among the others.
 
-        Args:
-            others: Motion of all other agents in it.
-            track: (F, 3) poses from the hand-over on, as far as the 0.1 s or to the scene's last frame.
-            time_us: When it begins.
-
-        Returns:
-            The same but for the adversary. Until its hand-over it is one of the others, and like all agents it is gone
-            once the scene's frames end.
+        ``track`` are (F, 3) poses from the hand-over on, as far as the 0.1 s or to the scene's last frame. Until its
+        hand-over it is one of the others, and like all agents it is gone once the scene's frames end.
         """
         times = time_us + INSTANT_US * np.arange(1, INSTANTS + 1)
         driven = times >= self.times_us[self.start]
@@ -166,10 +152,7 @@ class Handover:
 
 @dataclass(frozen=True, slots=True)
 class ScriptedAdversary:
-    """Adversary that drives a given track, independent of the ego.
-
-    Beyond the end of its track it brakes to a stop on its heading.
-    """
+    """Adversary that drives a given track, independent of the ego, then brakes to a stop on its heading."""
 
     others: AgentPolicy[Any]
     handover: Handover
@@ -215,10 +198,7 @@ def _append_stop(poses: Floats, times_us: NDArray[np.int64], start: int, frames:
 
 @dataclass(frozen=True, slots=True)
 class ScriptedTracks:
-    """Maker of adversaries that drive given tracks, by scene and run: those of drives that were driven already.
-
-    ``facts`` say where the tracks come from.
-    """
+    """Adversaries that drive given tracks, by scene and run, of drives driven already; ``facts`` say where from."""
 
     tracks: Mapping[tuple[str, int], AdversaryTrack]
     others: str

@@ -1,10 +1,8 @@
-"""The contract of policies: memory is a value that goes in and comes out, never an attribute.
+"""The contract of policies, which move all agents of a scene, and the plans that they may know while they are driven.
 
-A policy moves all agents of a scene. It sees who is where now and nothing of the future but what is its own; the ego's
-plan is looked at by those alone who say that they know it. `check_policy` is the contract as a function, for one's own
-policies.
-
-Plans while they are driven: where each wants the ego to be at any time, also beyond its end.
+Memory is a value that goes in and comes out, never an attribute. A policy sees who is where now and nothing of the
+future but what is its own; the ego's plan is looked at by those alone who say that they know it. `check_policy` is the
+contract as a function, for one's own policies.
 """
 
 from dataclasses import dataclass, fields, is_dataclass
@@ -25,11 +23,8 @@ _WHOLE: Final = 1e-9
 class ActivePlan:
     """Plan from the moment on that it takes effect.
 
-    Attributes:
-        made_us: Time that it was made for.
-        effect_us: When it takes effect.
-        origin: (3,) rear axle at ``made_us``, global.
-        waypoints: (N, 2) x forward and y left of that, metres, 0.5 s apart; N is 6 or more.
+    ``origin`` is (3,), the global rear axle at ``made_us``; ``waypoints`` are (N, 2), x forward and y left of that,
+    metres, 0.5 s apart; N is 6 or more.
     """
 
     made_us: int
@@ -51,10 +46,7 @@ class ActivePlan:
 
 
 def extend_waypoints(waypoints: Floats, count: int) -> Floats:
-    """(count or N, 2) waypoints that go on beyond N of them.
-
-    Beyond the last, each step is as long as the one before and turns as much as that turned.
-    """
+    """(count or N, 2) waypoints that go on beyond N of them, with steps as long and turning as much as the last."""
     if count <= len(waypoints):
         return waypoints
     before = np.zeros(2) if len(waypoints) == 2 else waypoints[-3]
@@ -182,13 +174,7 @@ class AgentPolicy(Protocol[Memory]):
 def check_policy(policy: AgentPolicy[Any], moment: TrafficSnapshot, steps: int = 5) -> None:
     """Hold a policy to the contract: the same calls give the same bytes, and nothing that was given is changed.
 
-    Args:
-        policy: Any policy.
-        moment: A beginning: its time, its ego; the agents are the policy's own.
-        steps: Sub-steps to take.
-
-    Raises:
-        ValueError: If it is broken; says how.
+    ``moment`` is a beginning: its time, its ego; the agents are the policy's own. `ValueError` says how it is broken.
     """
     runs = []
     for _ in range(2):

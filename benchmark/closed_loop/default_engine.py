@@ -1,7 +1,4 @@
-"""The `default` engine as a ride: a scene of any split, driven after a second of priming to its end.
-
-The part of a drive in which the ego is still the recorded one.
-"""
+"""The `default` engine: a scene of any split, driven after a second of priming, when the ego is the recorded one."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -119,11 +116,7 @@ class DefaultBackend:
         return [*_advance_together([cast(DefaultSimulationState, ride) for ride in rides], plans)]
 
     def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "DefaultSimulationState":
-        """The ride at its first planning instant.
-
-        Raises:
-            InputError: If the scene is too short, or there is no such policy or latency.
-        """
+        """The ride at its first planning instant; refuses too short scenes, and unknown policies or latencies."""
         course = self.course(scene, run)
         first = int(scene.keyframes[0])
         return DefaultSimulationState(
@@ -158,10 +151,7 @@ class DefaultBackend:
 
 @dataclass(frozen=True, slots=True)
 class DefaultSimulationState:
-    """Ride of the default engine: see `benchmark.closed_loop.simulation_state.SimulationState`.
-
-    ``world`` is that where driving starts, then now; ``motion`` is everything so far.
-    """
+    """Ride of the default engine; ``world`` is that where driving starts, then now, ``motion`` everything so far."""
 
     scene: Scene
     course: SimulationConfig
@@ -239,7 +229,6 @@ class DefaultSimulationState:
         return None
 
     def _trace_motion(self, before_us: int, trace: StepTrace) -> EpisodeMotion:
-        """The sub-steps of a step."""
         rows = slice(INSTANTS - 1, None, INSTANTS)
         boxes = trace.boxes[rows].transpose(1, 0, 2)
         times = before_us + SUBSTEP_US * np.arange(1, boxes.shape[1] + 1)

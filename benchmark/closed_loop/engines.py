@@ -22,17 +22,11 @@ def make_backend(
     adversary: AdversaryFactory | None = None,
     until: str = "contact",
 ) -> SimulatorBackend:
-    """Maker of rides of an engine.
+    """Maker of rides of an engine, one of `ENGINES`; refuses what the engine does not have.
 
-    Args:
-        engine: One of `ENGINES`.
-        latency_ms: So much later does a plan take effect.
-        scenarios: Scenarios that scenes are driven with, in NeuroNCAP's engine.
-        adversary: Puts an adversary among the agents; without one only drives with stored tracks begin.
-        until: What ends a drive before its time, one of `STOP_CONDITIONS`.
-
-    Raises:
-        InputError: If there is no such engine or policy, or the engine has no such thing.
+    ``latency_ms`` is how much later a plan takes effect; ``scenarios`` count in NeuroNCAP's engine only. Without an
+    adversary factory, only drives with stored tracks begin. ``until``, one of `STOP_CONDITIONS`, ends a drive before
+    its time.
     """
     if engine not in ENGINES:
         raise InputError(f"unknown engine {engine!r}; {did_you_mean(engine, ENGINES)}choose from {', '.join(ENGINES)}")
@@ -59,10 +53,7 @@ def make_backend(
 
 
 def restore_backend(measured: ClosedLoopDefinition) -> SimulatorBackend:
-    """Maker of the rides of a record again: an adversary drives its stored tracks.
-
-    It needs its track, which `benchmark.runs.redriving` takes from each row.
-    """
+    """Maker of the rides of a record again; an adversary drives its stored track, from `benchmark.runs.redriving`."""
     stored = (
         ScriptedTracks({}, str(measured.agents_facts.get("others", "replay"))) if measured.agents == ADVERSARY else None
     )

@@ -59,12 +59,9 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeSpec:
-    """One scene with one run, ready to be driven.
+    """One scene with one run, ready to be driven; ``family`` says which scenario of the scene, where it has any.
 
-    Attributes:
-        can: Measured motion at its keyframes.
-        family: Which scenario of the scene, where it has any.
-        most_plans: Ends the drive after so many plans, to see how long it takes.
+    ``can`` is measured motion at its keyframes; ``most_plans`` ends the drive after so many, to see how long it takes.
     """
 
     scene: Scene
@@ -79,29 +76,16 @@ class EpisodeSpec:
 
 
 def run_episode(stage: EpisodeSpec, planner: Planner) -> Episode:
-    """Drive one scene.
-
-    Raises:
-        InputError: If the scene cannot be driven by any planner.
-        BrokenImageError: If a picture cannot be had.
-    """
+    """Drive one scene; errors that are not the planner's are raised: `InputError`, `BrokenImageError`."""
     return next(episode for _, episode in run_episodes([stage], [planner]))
 
 
 def run_episodes(stages: Sequence[EpisodeSpec], planners: Sequence[Planner]) -> Iterator[tuple[int, Episode]]:
-    """Drive several scenes of one engine side by side; none changes a byte of another.
+    """Drive several scenes of one engine side by side; yields places among the stages, and their drives, as they end.
 
-    Args:
-        stages: Scenes to drive.
-        planners: One for each drive, since a planner has a memory. One that draws numbers from a generator of the
-            process would be given others than alone.
-
-    Yields:
-        Places among the stages, and their drives, as they end.
-
-    Raises:
-        InputError: If a scene cannot be driven by any planner; after the drives of the others.
-        BrokenImageError: If a picture cannot be had; likewise.
+    None changes a byte of another. Each drive has its own planner, since a planner has a memory; one that draws numbers
+    from a generator of the process would be given others than alone. Errors that are not a planner's, `InputError` and
+    `BrokenImageError`, are raised after the drives of the others.
     """
     errors: dict[int, InputError] = {}
     seats: dict[int, _Simulation] = {}
@@ -134,7 +118,6 @@ def _defer_input_errors(errors: dict[int, InputError], place: int) -> Iterator[N
 
 
 def _advance_simulations(seats: "Sequence[_Simulation]", plans: Sequence[Plan]) -> None:
-    """Half a second of every seat."""
     later = seats[0].stage.maker.advance_together([seat.ride for seat in seats], plans)
     for seat, ride in zip(seats, later, strict=True):
         if isinstance(ride, RejectedPlanError):

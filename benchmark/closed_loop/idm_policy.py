@@ -4,8 +4,6 @@ Vehicles with four wheels or more that move in their recording drive along their
 the lanes of the map, straight on where they fork; speed is that of the intelligent-driver model (10 m/s or what they
 drove where that was faster, 1.5 s and 1 m behind a leader, 1 and 2 m/s^2), and any that stands or moves in their way is
 the leader: the ego, others, people. All others, parked cars too, do what the tracks say.
-
-Leading vehicle of each vehicle on its road: all vehicles of a scene at once.
 """
 
 from collections.abc import Sequence
@@ -84,11 +82,10 @@ class VehicleRoads:
 def find_leaders(
     roads: VehicleRoads, driving: Integers, station: Floats, here: Integers, moment: TrafficSnapshot
 ) -> tuple[Floats, Floats]:
-    """The nearest in each vehicle's way.
+    """(M,) metres to the nearest in each vehicle's way, infinite without one, and (M,) its speed along the road, m/s.
 
-    (M,) metres to it, infinite without one, and (M,) its speed along the road, m/s. ``driving`` are the places of
-    the M vehicles among the agents, ``station`` metres along their roads, ``here`` those of them that are on the
-    road.
+    ``driving`` are the places of the M vehicles among the agents, ``station`` metres along their roads, ``here`` those
+    of them that are on the road.
     """
     gaps, speeds = np.full(len(driving), np.inf), np.zeros(len(driving))
     boxes, velocity, vehicles, other = _find_visible_pairs(driving, here, moment)
@@ -145,11 +142,11 @@ def _find_visible_pairs(
 def _find_nearest_points(
     roads: VehicleRoads, who: Integers, station: Floats, places: Floats, reach: Floats
 ) -> tuple[Integers, Integers]:
-    """Those of Q places that can be in the way of vehicles, and the points of their roads that are nearest to them.
+    """(R,) which of Q places can be in the way of vehicles, rising, and (R,) points of their roads nearest to them.
 
     Only the part of a road counts that is from 20 m behind a vehicle to 200 m ahead of it; of equals the first point.
-    Of Q vehicles at stations and (Q, 2) places of others, which have to be within ``reach`` beside the road to matter:
-    (R,) which of them, rising, and (R,) points.
+    From Q vehicles at stations and (Q, 2) places of others, which have to be within ``reach`` beside the road to
+    matter.
     """
     # Truncation is towards zero, which puts vehicles before the start of their road at its start.
     lowest = np.maximum(((station - _BEHIND_M) / SPACING_M).astype(np.int64), 0)
@@ -194,8 +191,8 @@ def _bound_distances(roads: VehicleRoads, who: Integers, station: Floats, reach:
 def _measure_stray(path: LanePath) -> tuple[float, float]:
     """See `VehicleRoads`: infinite of a line that turns back on itself.
 
-    Of a place o from its nearest point, with steps u to the next point and from the one before, o u <= u u / 2 and
-    o u >= - u u / 2; along and across the heading there that bounds how far o is along it.
+    Of a place o from its nearest point, with steps u to the next point and from the one before, o u <= u u / 2 and o u
+    >= - u u / 2; along and across the heading there that bounds how far o is along it.
     """
     steps = np.diff(path.points, axis=0)
     ahead = np.column_stack([np.cos(path.heading), np.sin(path.heading)])
@@ -232,8 +229,8 @@ _BEYOND_M: Final = 300.0
 class IdmMemory:
     """State of the M vehicles that drive by themselves; every array (M,).
 
-    ``station`` is of the centre along each one's path, metres; ``here`` are those that have come in and not yet
-    reached the end of their road, ``come`` all that have come in.
+    ``station`` is of the centre along each one's path, metres; ``here`` are those that have come in and not yet reached
+    the end of their road, ``come`` all that have come in.
     """
 
     station: Floats

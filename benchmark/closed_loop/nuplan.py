@@ -22,12 +22,10 @@ from benchmark.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class DrivenPart:
-    """F instants, 0.1 s apart, of a drive in a scene of N agents.
+    """F instants, 0.1 s apart, of a drive in a scene of N agents: boxes (N, F, 5), presence (N, F).
 
-    Attributes:
-        states: (F, 11) the ego in the columns of `benchmark.pdm.definition`.
-        boxes: (N, F, 5) agents; ``present`` is (N, F).
-        velocity: (N, F, 2) over the last 0.1 s, the next one where an agent has just come, m/s.
+    ``states`` are (F, 11) of the ego, in the columns of `benchmark.pdm.definition`; ``velocity`` is (N, F, 2), m/s over
+    the last 0.1 s, the next one where an agent has just come.
     """
 
     scene: Scene

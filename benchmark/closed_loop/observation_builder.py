@@ -1,9 +1,7 @@
-"""Observations of a simulated world for a planner: an `Observation` at each planning instant, made field by field.
+"""Observations of a simulated world at each planning instant, field by field, and the Protocol of its cameras.
 
 Nothing of the recording's future is in it but the command, which is the route's. Where the ego is still primed, motion
 is what the recorded car measured; from then on it is what was simulated, in the form in which a data set has it.
-
-Camera sensors of a simulated world: one Protocol, and the sensor without images.
 """
 
 from collections.abc import Mapping
@@ -109,10 +107,10 @@ STEERING_RATIO: Final = 14.9
 
 @dataclass(frozen=True, slots=True)
 class ObservationBuilder:
-    """Maker of the observations of one drive.
+    """Maker of the observations of one drive, which holds of the recording only the past of the drive, and the route.
 
-    Of the recording it holds only the past of the drive, and the route. ``start`` is the keyframe of the first planning
-    instant; ``known`` and ``can`` go up to the last keyframe at which the ego is the recorded one.
+    ``start`` is the keyframe of the first planning instant; ``known`` and ``can`` go up to the last keyframe at which
+    the ego is the recorded one.
     """
 
     scene: str
@@ -124,11 +122,7 @@ class ObservationBuilder:
 
     @classmethod
     def of(cls, recorded: Scene, can: RecordedCan, start: int, primed: int) -> "ObservationBuilder":
-        """The observer of a drive.
-
-        It starts at a keyframe of the recording; at the first ``primed`` planning instants the ego is the
-        recorded one.
-        """
+        """The observer of a drive from a keyframe on; the ego is the recorded one at the first ``primed`` instants."""
         frames = recorded.keyframes[: start + primed]
         known = EgoTrack(recorded.ego.position[frames], recorded.ego.rotation[frames])
         return cls(recorded.name, recorded.lidar, start, known, can.at(slice(start + primed)), Route.of(recorded))
@@ -138,8 +132,8 @@ class ObservationBuilder:
     ) -> Observation:
         """The planner's observation now; its index is that of the keyframe in the world as driven.
 
-        Its token names no sample of the recording. ``motion`` is since the first planning instant, ``can`` the
-        engine's own (9,) row of the CAN bus, if it has one.
+        Its token names no sample of the recording. ``motion`` is since the first planning instant, ``can`` the engine's
+        own (9,) row of the CAN bus, if it has one.
         """
         poses = np.concatenate([self.known.pose[: self.start], motion.ego[motion.ticks, :3]])
         index = len(poses) - 1
@@ -158,9 +152,9 @@ class ObservationBuilder:
         )
 
     def build_ego_state(self, motion: EpisodeMotion, index: int, row: Floats | None = None) -> EgoState:
-        """Motion now: measured while the ego is the recorded one, then simulated.
+        """Motion at a keyframe: measured while the ego is the recorded one, then simulated.
 
-        ``index`` is that of the keyframe, ``row`` the engine's own (9,) row of the CAN bus, if it has one.
+        ``row`` is the engine's own (9,) row of the CAN bus, if it has one.
         """
         now, primed = motion.ego[-1], index < len(self.can.motion)
         simulated = simulate_can_row(now) if row is None else row

@@ -79,16 +79,10 @@ class Ego:
 
 
 def follow_waypoints(egos: Floats, targets: Floats, substeps: int = SUBSTEPS) -> Floats:
-    """Drive towards waypoints.
+    """(2 substeps + 1, 6, S) egos every 0.05 s from now, driven towards waypoints for at most 5 steps of 0.1 s.
 
-    Args:
-        egos: (6, S) values of `Ego`, now.
-        targets: (6, 2, S) where the rear axle should be after 0.5, 1.0 .. 3.0 s: x forward, y left of where it is,
-            metres.
-        substeps: How long, in steps of 0.1 s; at most 5.
-
-    Returns:
-        (2 substeps + 1, 6, S) the egos every 0.05 s, beginning now.
+    ``egos`` are (6, S) values of `Ego`, now; ``targets`` (6, 2, S) are where the rear axle should be after 0.5, 1.0 ..
+    3.0 s: x forward, y left of where it is, metres.
     """
     speed, heading = _compute_targets(egos, targets)
     states = np.empty((INSTANTS * substeps + 1, *egos.shape))

@@ -60,13 +60,7 @@ class PlanTimeoutError(BaseException):
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Interrupt code that takes longer.
-
-    Code that does not return to Python is not interrupted; it is late all the same.
-
-    Raises:
-        PlanTimeoutError: After so many seconds.
-    """
+    """Interrupt code that takes longer by a `PlanTimeoutError`; what does not return to Python is late all the same."""
     started = time.monotonic()
     if threading.current_thread() is not threading.main_thread():
         # Only the main thread is interrupted by signals.
@@ -92,9 +86,8 @@ def request_plan(
 ) -> Plan | Failure:
     """Ask for a plan; why there is none, if there is none.
 
-    Raises:
-        BrokenImageError: If a picture that it looks at cannot be had: not the planner's fault.
-        PlannerGoneError: If it runs elsewhere and cannot be asked: not its fault either.
+    A picture that cannot be had (`BrokenImageError`) and a planner elsewhere that cannot be asked (`PlannerGoneError`)
+    are not the planner's fault.
     """
     views = {name: replace(view, load=wrap_image_loader(view.load)) for name, view in observation.views.items()}
     ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
@@ -124,11 +117,7 @@ def request_plan(
 
 
 def notify_planner(planner: Planner, tell: Callable[[], None], timeout_s: float) -> Failure | None:
-    """Tell a planner something by a call; why the planner failed, if it did.
-
-    Raises:
-        PlannerGoneError: If it runs elsewhere and cannot be told: not its fault.
-    """
+    """Tell a planner something; why it failed, if it did, unless it cannot be told (`PlannerGoneError`)."""
     try:
         with contextlib.redirect_stdout(sys.stderr), _time_limit_of(planner, timeout_s):
             tell()

@@ -1,8 +1,7 @@
 """The ladder of reference drivers in closed loop: each drives a course in which the others answer it.
 
-The drivers are those of `benchmark.interactions`: they follow the recorded path of the ego, and what they decide every
-0.1 s is what they decide in open loop; only that all agents are now where the policy of the agents has them. Each has a
-world of its own. Contact is looked for every 0.05 s, as in the engine.
+The drivers are those of `benchmark.interactions`, which follow the recorded path of the ego and decide every 0.1 s as
+in open loop, but with agents where their policy has them, each in its own world. Contact is looked for every 0.05 s.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,4 @@
-"""The route: the path of the recorded ego, which in closed loop is given, as navigation gives a route.
-
-The world as it was driven, as a `Scene`: what privileged planners, sensors and scores look at.
-"""
+"""The route, the recorded ego's path, and the world as driven, as a `Scene` for planners, sensors and scores."""
 
 from dataclasses import dataclass, replace
 from typing import Final, Protocol, Self, runtime_checkable
@@ -34,16 +31,10 @@ class RoutePosition:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Recorded path with times.
+    """Recorded path of the rear axle, global, at (T,) seconds since its first frame.
 
-    Attributes:
-        first_us: Time of the first frame.
-        seconds: (T,) since then.
-        poses: (T, 3) x, y, yaw of the recorded rear axle, global.
-        heights: (T,) of the recorded rear axle, metres.
-        station: (T,) metres along it; equal where it stands.
-        lidar_ahead_m: Lidar origin ahead of the rear axle: commands are about its path.
-        step_seconds: (K,) times of the keyframes.
+    ``poses`` are (T, 3), ``heights`` and ``station``, metres along it and equal where it stands, (T,). Commands are
+    about the path of the lidar. ``step_seconds`` are (K,), of the keyframes.
     """
 
     first_us: int
@@ -112,10 +103,7 @@ class Route:
         return np.asarray(self.heights[away.argmin(axis=1)])
 
     def recorded_at(self, seconds: Floats) -> Floats:
-        """(..., 2) recorded rear axle at times since the first frame.
-
-        Past the end it keeps the motion of its last half second.
-        """
+        """(..., 2) recorded rear axle at times since the first frame; past the end in its last half second's motion."""
         inside = np.stack([np.interp(seconds, self.seconds, self.poses[:, axis]) for axis in range(2)], axis=-1)
         before = np.searchsorted(self.seconds, self.seconds[-1] - PLAN_STEP_S)
         elapsed = max(float(self.seconds[-1] - self.seconds[before]), _SHORTEST_M)
@@ -131,8 +119,8 @@ class Route:
         """The driving command: where the recorded ego went within 3 s of the point at a station.
 
         The rule is that of data sets (`benchmark.datasets.sample_truth.compute_command`), seen from the recorded lidar
-        there. Of a place where it stood for a while, the moment nearest to now counts. Past the end of the
-        recording it is straight on. Seconds are since the first frame.
+        there. Of a place where it stood for a while, the moment nearest to now counts. Past the end of the recording it
+        is straight on. Seconds are since the first frame.
         """
         passed = self._find_passing_time(station, seconds)
         steps = passed + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
@@ -185,14 +173,10 @@ _SEEN: Final = 4
 
 
 def build_driven_scene(recorded: Scene, route: Route, motion: EpisodeMotion) -> Scene:
-    """Scene of all that has happened up to the last instant of a motion.
+    """Scene of the recorded frames before, then all instants of a motion; planning instants are keyframes.
 
-    The recorded frames before, then the instants of the motion; planning instants are keyframes.
-
-    Args:
-        recorded: The scene that was driven; of it nothing after the first instant of the motion is taken but the map,
-            the cameras, the list of agents, and the height of the road along the recorded path.
-        motion: Since the first planning instant, which is a keyframe of the recording.
+    The motion begins at a keyframe of the recording, of which nothing later is taken but the map, the cameras, the list
+    of agents, and the height of the road along the recorded path.
     """
     first = int(np.searchsorted(recorded.timestamps_us, motion.times_us[0]))
     ticks = len(motion.ticks)

@@ -1,12 +1,7 @@
-"""The main path of scoring: a scene and a drive in, everything that is said of it out; no planner, no engine.
+"""The main path of scoring: a scene and a drive in, contact, fault, nuPlan's terms and HD-Score out.
 
-A contact of a drive in numbers: who, of what kind, at whose fault, how hard.
-
-HUGSIM's HD-Score as a formula, with terms of our own; the number is not HUGSIM's.
-
-nuPlan's closed-loop terms for whole drives on nuScenes, without what nuScenes lacks.
-
-Fault attribution of a contact during an episode, by the same rules as the later scoring.
+No planner, no engine. HUGSIM's HD-Score has terms of our own, so that the number is not HUGSIM's; nuPlan's terms go
+without what nuScenes lacks; fault during an episode is told by the same rules as in later scoring.
 """
 
 import math
@@ -108,10 +103,9 @@ _WEIGHTS: Final = (5.0, 5.0, 2.0)
 
 @dataclass(frozen=True, slots=True)
 class RouteProgress:
-    """Progress along the route, metres.
+    """Progress along the route from the first driven instant to the last scored one, metres.
 
-    ``metres`` is from the first driven instant to the last scored one, ``recorded_m`` the recorded ego's in the
-    same time, ``whole_m`` the recorded ego's to the last keyframe of the recording.
+    ``recorded_m`` is the recorded ego's in the same time, ``whole_m`` to the last keyframe of the recording.
     """
 
     metres: float
@@ -139,10 +133,7 @@ def compute_nuplan_terms(
     progress: RouteProgress,
     contact: ScoredContact | None,
 ) -> NuplanTerms:
-    """Terms of nuPlan of the scored part of a drive.
-
-    ``route`` is a (M, 2) polyline; the contact is the one that ended the drive.
-    """
+    """Terms of nuPlan of the scored part of a drive, along a (M, 2) route, up to the contact that ended it."""
     outside = measure_outside_m(part, road)
     off = np.flatnonzero(outside >= OFF_ROAD_M)
     wrong = measure_along_route(part.states[None], route, where.oncoming, where.center_in_intersection).wrong_way_m
@@ -181,10 +172,7 @@ def compute_no_collision(contact: ScoredContact | None) -> float:
 
 
 def compute_comfort(states: Floats) -> float | None:
-    """1 where all six series of (F, 11) states stay inside their bounds, else 0.
-
-    ``None`` of fewer than 15 instants.
-    """
+    """1 where all six series of (F, 11) states stay inside their bounds, else 0; ``None`` of fewer than 15 instants."""
     if len(states) < _COMFORT_INSTANTS:
         return None
     series = compute_comfort_series(states[None], np.zeros((1, 0, STATE_COLUMNS)))
@@ -280,12 +268,10 @@ def compute_completed_share(scene: Scene, drive: Episode, first: int) -> float:
 def score_collision(
     scene: Scene, touch: CollisionEvent, start_us: int, *, unsure: bool, adversary: int | None = None
 ) -> ScoredContact:
-    """A contact in numbers.
+    """A contact in numbers; ``start_us`` is the first driven instant.
 
-    Args:
-        start_us: Time of the first driven instant.
-        unsure: Whether the ego is in several lanes or off the drivable area, which makes a lateral contact its fault.
-        adversary: Index of the agent that became an adversary in this drive alone.
+    ``unsure`` is an ego in several lanes or off the drivable area, which makes a lateral contact its fault;
+    ``adversary`` became one in this drive alone.
     """
     pair = touch.pair
     kind = KINDS[int(pair.kinds[0])]
@@ -312,12 +298,9 @@ VERSION: Final = 1
 class EpisodeScores:
     """Scores of one drive.
 
-    Attributes:
-        contact: The contact that ended it.
-        comfortable: Whether the whole drive is within nuPlan's bounds; ``None`` of less than 1.5 s.
-        nuplan: nuPlan's terms; ``None`` where the map has no road or no lanes, and of NeuroNCAP's engine.
-        hd: HD-Score; ``None`` likewise.
-        passed: Contacts before that did not end it.
+    ``comfortable`` says if all of it is within nuPlan's bounds, ``None`` of less than 1.5 s; ``nuplan`` and ``hd`` are
+    ``None`` where the map has no road or no lanes, and of NeuroNCAP's engine. ``contact`` ended it, ``passed`` ones did
+    not.
     """
 
     contact: ScoredContact | None
@@ -331,7 +314,7 @@ class EpisodeScores:
 def score_episode(scene: Scene, drive: Episode) -> EpisodeScores:
     """Score a drive that did not fail, in the recorded scene with its map.
 
-    NeuroNCAP's own scores are in the drive, and a drive that has them has no score of another formula.
+    A drive that has NeuroNCAP's own scores has no score of another formula.
     """
     part, route = DrivenPart.of(scene, drive), Route.of(scene)
     line, road = load_scored_road(scene)

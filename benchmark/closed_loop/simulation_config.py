@@ -32,15 +32,10 @@ def build_simulation_config(
     latency_us: int = 0,
     blamed: Callable[[CollisionEvent, Floats], bool] | None = None,
 ) -> SimulationConfig:
-    """The course of a scene, which starts with the recorded motion.
+    """The course of a scene from a keyframe on, which starts with the recorded motion and tracks.
 
-    Args:
-        policy: How the others behave; their tracks by default.
-        keyframe: At which the drive starts.
-        duration_s: How long it lasts; to the scene's last keyframe by default.
-        seed: Of everything that is drawn.
-        latency_us: So much later does a plan take effect.
-        blamed: As of a `SimulationConfig`; ``None``: every contact ends the drive.
+    It lasts to the scene's last keyframe by default. A plan takes effect ``latency_us`` later; ``blamed`` is as in
+    `SimulationConfig`: without it every contact ends the drive.
     """
     if not 0 <= keyframe < len(scene.keyframes):
         raise InputError(f"{scene.name} has {len(scene.keyframes)} keyframes; it has no keyframe number {keyframe}")

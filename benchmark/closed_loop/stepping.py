@@ -56,12 +56,9 @@ def is_running(course: SimulationConfig, world: WorldState) -> bool:
 
 
 def step(course: SimulationConfig, world: WorldState, waypoints: Floats) -> WorldState:
-    """The world half a second later.
+    """The world half a second later; what are no waypoints raises `UndrivablePlanError`.
 
     Waypoints are (6 to 16, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
-
-    Raises:
-        UndrivablePlanError: If these are no such waypoints.
     """
     return step_together([course], [world], [waypoints])[0]
 
@@ -83,11 +80,7 @@ def step_together(
 
 
 def require_drivable(course: SimulationConfig, plan: Any) -> Floats:
-    """(6 to 16, 2) waypoints as in `step`, of a plan that can be driven.
-
-    Raises:
-        UndrivablePlanError: If it cannot.
-    """
+    """(6 to 16, 2) waypoints as in `step`, of a plan that can be driven, else `UndrivablePlanError`."""
     try:
         waypoints = np.array(plan, np.float64)
     except (TypeError, ValueError):

@@ -15,13 +15,9 @@ _END_S = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class TrackReplay:
-    """Tracks every 0.05 s.
+    """Tracks of N agents in R rows every 0.05 s: (R, N, 5) boxes, (R, N) presence, none after the end of the tracks.
 
-    Attributes:
-        start_us: Time of the first row.
-        boxes: (R, N, 5) boxes.
-        present: (R, N) which agents are there; none is after the end of the tracks.
-        velocity: (R, N, 2) m/s, of the past alone.
+    ``velocity`` is (R, N, 2), m/s, of the past alone.
     """
 
     start_us: int

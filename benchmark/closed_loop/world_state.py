@@ -19,17 +19,11 @@ ENGINE: Final = "default"
 
 @dataclass(frozen=True, slots=True)
 class SimulationConfig:
-    """All that does not change during a drive.
+    """All that does not change during a drive of N agents, from ``start_us``; no state is planned from ``end_us`` on.
 
-    Attributes:
-        start_us: Time of the first state.
-        end_us: No state from here on is planned from.
-        ids: N agents.
-        categories: Their nuScenes categories.
-        seed: Of everything that is drawn.
-        latency_us: So much later than it was made for does a plan take effect; a whole number of sub-steps.
-        blamed: Whether a contact is the ego's fault, which only then ends the drive; told the contact and (6,) values
-            of `Ego` at the first end of a sub-step that does not come before it. ``None``: every contact ends it.
+    A plan takes effect ``latency_us`` later than it was made for, a whole number of sub-steps. ``blamed`` says if a
+    contact is the ego's fault, which only then ends the drive; told the contact and (6,) values of `Ego` at the first
+    end of a sub-step that does not come before it. ``None``: every contact ends it.
     """
 
     scene: str
@@ -61,10 +55,10 @@ class SimulationConfig:
 
 @dataclass(frozen=True, slots=True)
 class StepTrace:
-    """The last step every 0.05 s: for films and terms of comfort.
+    """The last step every 0.05 s, for films and terms of comfort.
 
-    Egos are (11, 6) values of `Ego`, from the state before to this one; boxes (10, N, 5) and presence (10, N) of
-    the agents.
+    ``egos`` are (11, 6) values of `Ego`, from the state before to this one; ``boxes`` (10, N, 5) and ``present`` (10,
+    N) are of the agents.
     """
 
     egos: Floats
@@ -74,10 +68,9 @@ class StepTrace:
 
 @dataclass(frozen=True, slots=True)
 class WorldState:
-    """Everything at one planning instant.
+    """Everything at one planning instant, numbered from 0.
 
     Attributes:
-        step: Number of the state, from 0.
         ignored: (N,) agents that overlapped the ego at the start, and never count.
         plans: Plans that are in force or will be, by when they take effect.
         contact: The touch that ends the drive, at most 0.05 s after it began.

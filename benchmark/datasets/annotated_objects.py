@@ -1,9 +1,4 @@
-"""Objects of a scene: annotations as the tables have them, and the tracks in between.
-
-At which key frames of a scene objects were looked for: absence of annotations is not absence of objects.
-
-How much of the truth of scenes their tables hold, known before any scene is read.
-"""
+"""Objects of a scene: annotations, tracks in between, at which key frames objects were looked for, truth coverage."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -99,10 +94,7 @@ NO_SIZE_M: Final = 1e-3
 
 
 def find_nearest_valid(valid: Bools) -> NDArray[np.int64]:
-    """(N, T) index of the nearest valid entry along the last axis; the earlier one of two equally near.
-
-    Each row needs at least one valid entry.
-    """
+    """(N, T) index of the nearest valid entry along the last axis, which has to exist; the earlier of two as near."""
     count = valid.shape[-1]
     index = np.arange(count)
     before = np.maximum.accumulate(np.where(valid, index, -1), axis=-1)
@@ -114,14 +106,8 @@ def find_nearest_valid(valid: Bools) -> NDArray[np.int64]:
 def read_objects(nusc: Any, samples: list[Row], keyframes: NDArray[np.int64]) -> tuple[Agents, Annotations]:
     """Every annotated object of a scene that has a size, in the order in which the instances first appear.
 
-    An agent is there at its annotated keyframes and between two consecutive ones; a gap in its annotations stays a
-    gap. Numbers of annotations are the tables' own.
-
-    Args:
-        keyframes: (K,) frame of each sample.
-
-    Returns:
-        N agents at T frames and their annotations at K keyframes.
+    An agent is there at its annotated keyframes and between two consecutive ones; a gap in its annotations stays a gap.
+    Numbers of annotations are the tables' own. ``keyframes`` is (K,), the frame of each sample.
     """
     annotations_of_samples = [[nusc.get("sample_annotation", token) for token in sample["anns"]] for sample in samples]
     rows = [list(filter(has_size, at_sample)) for at_sample in annotations_of_samples]
@@ -164,14 +150,9 @@ def has_size(annotation: Row) -> bool:
 def interpolate_tracks(
     ids: tuple[str, ...], categories: tuple[str, ...], annotations: Annotations, keyframes: NDArray[np.int64]
 ) -> Agents:
-    """Tracks at every frame from annotations at keyframes: linear position, shortest-arc heading.
+    """Tracks at frames 0 to ``keyframes[-1]`` from (N, K) annotations: linear position, shortest-arc heading.
 
-    Args:
-        annotations: (N, K) annotations.
-        keyframes: (K,) frames, increasing, starting at 0.
-
-    Returns:
-        Agents at ``keyframes[-1] + 1`` frames; sizes are those of each agent's first annotation.
+    ``keyframes`` is (K,), increasing from 0; sizes are those of each agent's first annotation.
     """
     frames = np.arange(keyframes[-1] + 1)
     left = np.searchsorted(keyframes, frames, side="right") - 1

@@ -69,14 +69,13 @@ def find_digest_file(kept: Path) -> Path:
 
 
 def _stamps(folder: Path) -> dict[str, Stamp]:
-    """Stamps of the tables that are there."""
     paths = {table: folder / f"{table}.json" for table in NUSCENES_TABLES}
     return {table: make_stamp(path.stat()) for table, path in paths.items() if path.is_file()}
 
 
 @functools.cache
 def _checks_key() -> str:
-    """Content key of all that decides which tables are refused and what is found in them: code of this folder."""
+    """Content key of the code of this folder, which decides what tables are refused and what is found in them."""
     folder = Path(__file__).parent
     code_files = [folder / f"{name}.py" for name in ("cached_tables", "scene_tables", "stored_rows")]
     modules = sorted((*folder.glob("schema/*.py"), *code_files))

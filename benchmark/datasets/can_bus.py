@@ -33,23 +33,14 @@ _FIT_QUADRATIC_FROM: Final = 7
 
 @dataclass(frozen=True, slots=True)
 class CanMessages:
-    """Messages of one kind, in time order.
-
-    Attributes:
-        times_us: (M,).
-        values: (M, F), a column for each field that was asked for.
-    """
+    """(M,) times and (M, F) values of messages of one kind, in time order, with a column for each field asked for."""
 
     times_us: NDArray[np.int64]
     values: Floats
 
     @classmethod
     def read(cls, path: Path, fields: Mapping[str, ValueKind]) -> Self | None:
-        """Messages of ``can_bus/<scene>_<message>.json``, or ``None`` if there is no such file or it is empty.
-
-        Args:
-            fields: What each message holds, ``utime`` among it.
-        """
+        """Messages of ``can_bus/<scene>_<message>.json``; ``None`` if missing or empty; ``fields`` need ``utime``."""
         if not path.is_file():
             return None
         messages = require_records(path, "message", read_json(path), fields)
@@ -85,12 +76,7 @@ class CanMessages:
 
 @dataclass(frozen=True, slots=True)
 class CanBus:
-    """CAN bus messages of one scene.
-
-    Attributes:
-        motion: Velocity, acceleration and rotation rate in the ego frame (message ``pose``), if there.
-        steering: Steering wheel angle (message ``steeranglefeedback``), if there.
-    """
+    """CAN bus messages of one scene, if there: motion in the ego frame (``pose``) and ``steeranglefeedback``."""
 
     motion: CanMessages | None
     steering: CanMessages | None
@@ -106,14 +92,10 @@ class CanBus:
 
 
 def compute_ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_bus: CanBus) -> EgoState:
-    """Ego motion at a frame.
+    """Ego motion at a frame, from nothing later than the frame.
 
-    Velocity, acceleration and yaw rate are measured where a CAN message of the last half second exists, else fitted
-    to the poses of the last second (`_fit_motion`).
-
-    Args:
-        ego: Recorded motion; only frames up to ``frame`` are looked at.
-        timestamps_us: (T,) frame times.
+    Velocity, acceleration and yaw rate are measured where a CAN message of the last half second exists, else fitted to
+    the poses of the last second (`_fit_motion`).
     """
     now_us, pose = int(timestamps_us[frame]), ego.pose[frame]
     measured = can_bus.motion.before(now_us) if can_bus.motion else None

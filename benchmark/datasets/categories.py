@@ -139,11 +139,7 @@ READY: Final[Mapping[str, Mapping[str, str]]] = {
 
 
 def read_categories(named: str) -> dict[str, str]:
-    """Map that ``--categories`` names: names of nuScenes by names of the data set, ready maps with other spellings.
-
-    Args:
-        named: One of `READY`, or a JSON file ``{"name": "nuscenes.category"}``.
-    """
+    """Map of ``--categories``: one of `READY`, in any spelling, or a JSON file ``{"name": "nuscenes.category"}``."""
     if named in READY:
         return {**{name: name for name in CATEGORIES}, **READY[named]}
     path = Path(named)
@@ -167,7 +163,7 @@ def read_categories(named: str) -> dict[str, str]:
 
 
 def select_category_names(own: Iterable[str], given: Mapping[str, str]) -> CategoryNames:
-    """Part of a map that renames categories of a data set: pairs for those that get another name, sorted.
+    """Part of a map that renames categories of a data set, sorted.
 
     A name that is not in the map is looked up without regard to case and to what stands between its words, so that
     ``CAR`` and ``vehicle_car`` are found.

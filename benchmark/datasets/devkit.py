@@ -1,8 +1,4 @@
-"""The devkit's object, of one scene where the tables can be taken apart, or of all of them.
-
-The devkit holds each row as a dictionary, several kilobytes for each camera image: too much for all scenes of a large
-data set, little for one.
-"""
+"""The devkit's object of one scene where tables can be taken apart, or of all: its rows take kilobytes per image."""
 
 from abc import ABC, abstractmethod
 from collections import Counter, defaultdict
@@ -31,11 +27,7 @@ from benchmark.errors import InputError
 
 
 class OpenTables(ABC):
-    """Checked tables of a data set.
-
-    Attributes:
-        categories: Names of categories that were replaced, and what by.
-    """
+    """Checked tables of a data set, with the names of categories that were replaced."""
 
     categories: CategoryNames
 
@@ -57,11 +49,7 @@ class OpenTables(ABC):
 
     @abstractmethod
     def of_scene(self, scene: Row, adversaries: Collection[str] = ()) -> Any:
-        """``NuScenes`` of the devkit, with the rows of at least one scene.
-
-        Args:
-            adversaries: Instances that were made to be adversaries of the scene.
-        """
+        """``NuScenes`` of the devkit with the rows of some scenes; ``adversaries`` are instances made to be so."""
 
 
 class PerSceneTables(OpenTables):
@@ -98,11 +86,7 @@ class PerSceneTables(OpenTables):
 
 
 class AllSceneTables(OpenTables):
-    """The devkit holds all rows.
-
-    Args:
-        categories: Names of categories that were replaced in them.
-    """
+    """The devkit holds all rows."""
 
     def __init__(self, nusc: Any, tables: Tables, folder: Path, categories: CategoryNames) -> None:
         self._nusc, self._folder = nusc, folder
@@ -148,11 +132,10 @@ class AllSceneTables(OpenTables):
 def open_tables(
     root: Path, version: str, rates: FaultList | None = None, categories: Mapping[str, str] | None = None
 ) -> OpenTables:
-    """Check the tables of a data set, all 13 of them, and open them scene by scene where they can be taken apart.
+    """Check all 13 tables of a data set, and open them scene by scene where they can be taken apart.
 
-    Args:
-        rates: Gets scenes with another rate of keyframes than nuScenes.
-        categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
+    ``rates`` gets scenes with another rate of keyframes than nuScenes; ``categories`` is the map of
+    `benchmark.datasets.categories.read_categories`.
     """
     folder = root / version
     rates = StrictFaultList(folder=folder) if rates is None else rates
@@ -180,7 +163,6 @@ def _read_all_tables(folder: Path, rates: FaultList) -> Tables:
 
 
 def _group_rows_by_scene(tables: Tables) -> dict[str, dict[str, list[Row]]]:
-    """Rows of the growing tables by scene and table."""
     rows_of_scene: dict[str, dict[str, list[Row]]] = {
         scene["token"]: {table: [] for table in GROWING_TABLES} for scene in tables["scene"]
     }

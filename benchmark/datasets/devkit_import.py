@@ -1,11 +1,8 @@
-"""Importing nuscenes-devkit without the modules that only its drawing and lidar statistics need.
+"""Importing nuscenes-devkit without what only its drawing and lidar statistics need; its object over rows read here.
 
-The devkit imports scikit-learn (and so scipy.stats and pandas) for one distance in a picture of ego poses, and pyplot
-for its pictures: seconds of processor time in each process, of which nothing here uses anything. Its modules are given
-stand-ins that import the real module on first use. No other code meets a stand-in: ``sys.modules``
-holds none.
-
-The devkit's object over rows that were read here; further tables it reads by itself where they are.
+The devkit imports scikit-learn (and so scipy.stats and pandas) and pyplot, seconds of processor time in each process
+for nothing that is used here. Its modules get stand-ins that import the real module on first use; ``sys.modules`` holds
+none, so no other code meets one.
 """
 
 import builtins

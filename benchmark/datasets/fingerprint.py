@@ -1,7 +1,4 @@
-"""A content hash of a data set: equal for equal data, independent of the location and name of its folder.
-
-Hashes of large files, kept in the user's cache under what tells that a file is still the one that was hashed.
-"""
+"""Content hash of a data set, whatever its folder is called; hashes of large files are kept in the user's cache."""
 
 import hashlib
 import os
@@ -25,12 +22,7 @@ _SHA256: Final = re.compile("[0-9a-f]{64}")
 
 
 class DigestCache:
-    """Hashes of the files of one root.
-
-    Args:
-        place: Where they are kept, if anywhere.
-        known: Stamp and hash by path.
-    """
+    """Hashes and stamps of the files of one root by path, kept in ``place`` if there is one."""
 
     def __init__(self, place: Path | None, known: dict[str, tuple[Stamp, str]]) -> None:
         self._place, self._known = place, known
@@ -69,7 +61,6 @@ class DigestCache:
 
 
 def _select_valid(value: Any) -> dict[str, tuple[Stamp, str]]:
-    """Sound part of a kept file."""
     digests: dict[str, tuple[Stamp, str]] = {}
     for name, entry in value.items() if isinstance(value, dict) else ():
         match entry:
@@ -82,10 +73,8 @@ def compute_fingerprint(root: Path, version: str, images: Iterable[str]) -> str:
     """Hash of everything that a run reads.
 
     Bytes of the tables, of ``splits.json``, ``challenger.json`` and the map expansions; names and sizes of CAN bus
-    files and of keyframe images. Sweeps and lidar files are read by nothing here and do not count.
-
-    Args:
-        images: Names of image files relative to the root.
+    files and of keyframe images (relative to the root). Sweeps and lidar files are read by nothing here and do not
+    count.
     """
     tables = root / version
     hashed = {f"tables/{table}.json": tables / f"{table}.json" for table in NUSCENES_TABLES}

@@ -44,13 +44,10 @@ def find_expansion_file(root: Path, location: str) -> Path | None:
 
 
 def read_road_map(path: Path) -> RoadMap:
-    """Read a whole map.
+    """Read a whole map from ``maps/expansion/<location>.json`` of version 1.3 or later.
 
-    Lanes without an arc-line path are left out: nothing tells where their centre is. Where there is no drivable
-    area layer, road segments, lanes and car parks make it up.
-
-    Args:
-        path: ``maps/expansion/<location>.json``, of version 1.3 or later.
+    Lanes without an arc-line path are left out: nothing tells where their centre is. Where there is no drivable area
+    layer, road segments, lanes and car parks make it up.
     """
     layers = read_json(path)
     if not isinstance(layers, dict):
@@ -182,16 +179,9 @@ class _ExpansionShapes:
 
 
 def compute_centerline(arcline_paths: Sequence[Row]) -> Floats:
-    """Points of a lane's arc-line paths, by the devkit's discretisation.
+    """(M, 2) points, metres, of a lane's ``arcline_path_3`` records by the devkit's discretisation, about 1 m apart.
 
-    Args:
-        arcline_paths: Records of ``arcline_path_3``, one after the other along the lane.
-
-    Returns:
-        (M, 2) metres, about one metre apart, without repeated points.
-
-    Raises:
-        ValueError: If the paths have no length.
+    Points are not repeated. Paths without length raise `ValueError`.
     """
     discretize_lane = import_devkit_module("nuscenes.map_expansion.arcline_path_utils").discretize_lane
     points = np.array(discretize_lane(list(arcline_paths), CENTERLINE_STEP_M), dtype=np.float64)[:, :2]

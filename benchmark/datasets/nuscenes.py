@@ -44,11 +44,7 @@ _CACHED_SCENES: Final = 4
 class NuScenesData:
     """One root in nuScenes format.
 
-    Attributes:
-        root: Root folder.
-        version: Version folder in it.
-        name: Shown in tables.
-        categories: Names of categories that were replaced, and what by.
+    `InputError` is raised by all methods for a scene or split that does not exist, or rows that are broken.
     """
 
     def __init__(self, tables: OpenTables, root: Path, version: str, name: str) -> None:
@@ -79,18 +75,9 @@ class NuScenesData:
     ) -> Self:
         """Open a data set: any version folder, any scene names, with or without CAN bus, lidar or image files.
 
-        Args:
-            root: Root folder, the one that contains the version folder.
-            version: Version folder; needed only where there are several.
-            name: Shown in tables; the root's name by default.
-            rates: Gets scenes whose keyframes are not half a second apart.
-            categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
-
-        Returns:
-            The data set, its tables loaded and checked.
-
-        Raises:
-            InputError: If there is no such data set, or a table is missing, broken, or links to nothing.
+        ``root`` contains the version folder, which is needed only where there are several; ``name`` is the root's name
+        by default. ``rates`` gets scenes whose keyframes are not half a second apart; ``categories`` is as of
+        `benchmark.datasets.categories.read_categories`. Refuses a table that is missing, broken, or links to nothing.
         """
         root = Path(root)
         version = find_version(root, version)
@@ -107,17 +94,7 @@ class NuScenesData:
         return type(self).open(self.root, version=self.version, name=self.name, categories=dict(categories))
 
     def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
-        """Number of annotations of scenes, and number of those that are of no category of nuScenes.
-
-        Args:
-            names: Scene names.
-
-        Returns:
-            Counts by name; scenes are read only where there are such categories.
-
-        Raises:
-            InputError: If there is no such scene, or a table cannot be read.
-        """
+        """Number of annotations of scenes, and those of no nuScenes category; scenes are read only for the latter."""
         foreign = {row["name"] for row in self._tables.rows("category")} - KNOWN
         counts = {}
         for name in names:
@@ -136,25 +113,11 @@ class NuScenesData:
         return list_split_names(tuple(self._rows), self._splits, self._find_built_split)
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
-        """Names of scenes.
-
-        Args:
-            split: A split (the rules are those of `select_scenes`), or ``None`` for all scenes.
-
-        Returns:
-            Sorted names. Scenes that an inspector rejected are in no split.
-
-        Raises:
-            InputError: If there is no such split.
-        """
+        """Sorted names of all scenes, or of a split by the rules of `select_scenes`, in which no rejected scene is."""
         return tuple(sorted(self._rows)) if split is None else self.review(split).kept(self._listed(split))
 
     def review(self, split: str | None = None) -> SplitReview:
-        """Verdicts of inspectors on a split (`benchmark.records.review`); without a split, on all scenes.
-
-        Raises:
-            InputError: If there is no such split.
-        """
+        """Verdicts of inspectors on a split (`benchmark.records.review`); without a split, on all scenes."""
         names = tuple(sorted(self._rows)) if split is None else self._listed(split)
         tokens = {name: str(self._rows[name]["token"]) for name in names}
         return read_root_review(self.root, tokens, self._provenance, split, self._verdicts)
@@ -166,21 +129,13 @@ class NuScenesData:
 
     @property
     def _find_built_split(self) -> str | None:
-        """Split that the data set was built as, if it says so."""
         return self._provenance.get("split") if self._provenance else None
 
     def scene(self, name: str) -> Scene:
-        """Read one scene; the last few are kept in memory.
+        """Read one scene, at 12 Hz from the first to the last keyframe; the last few are kept in memory.
 
-        Args:
-            name: Scene name.
-
-        Returns:
-            The scene at 12 Hz from the first to the last keyframe. Its map is cropped to 120 m around the ego's path,
-            and empty where the data set has no map expansion for its location (see `has_map`).
-
-        Raises:
-            InputError: If there is no such scene or something in it is broken.
+        Its map is cropped to 120 m around the ego's path, and empty where the data set has no map expansion for its
+        location (see `has_map`).
         """
         if name in self._scenes:
             self._scenes.move_to_end(name)
@@ -192,90 +147,38 @@ class NuScenesData:
         return scene
 
     def observations(self, name: str) -> Iterator[Observation]:
-        """Inputs that a planner may see, one observation a sample, in time order.
-
-        Args:
-            name: Scene name.
-
-        Yields:
-            Observations.
-
-        Raises:
-            InputError: As `scene`.
-        """
+        """Inputs that a planner may see, one observation a sample, in time order."""
         scene, row = self.scene(name), self._row(name)
         nusc = self._devkit(row)
         yield from read_observations(nusc, self.root, scene, list_samples(nusc, row), CanBus.read(self.root, name))
 
     def videos(self, name: str, *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
-        """Camera images of a scene by camera name, in time order (see `read_videos`).
+        """Camera images of a scene by camera name, in time order (`read_videos`); opened only when a view is loaded.
 
-        Args:
-            name: Scene name.
-            sweeps: Also the images between keyframes.
-
-        Returns:
-            Views by camera; a file is opened only when its view is loaded.
-
-        Raises:
-            InputError: As `scene`.
+        ``sweeps`` adds the images between keyframes.
         """
         row = self._row(name)
         nusc = self._devkit(row)
         return read_videos(nusc, self.root, list_samples(nusc, row), sweeps=sweeps)
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
-        """Recorded truth of each sample, in time order.
-
-        Args:
-            name: Scene name.
-
-        Returns:
-            Truths in the order of `observations`.
-
-        Raises:
-            InputError: As `scene`.
-        """
+        """Recorded truth of each sample, in time order."""
         row = self._row(name)
         samples = list_samples(self._devkit(row), row)
         return compute_truth(self.scene(name), [sample["token"] for sample in samples])
 
     def keyframe_rows(self, name: str) -> dict[str, str]:
-        """Sample tokens of a scene by the tokens of their keyframe rows in ``sample_data.json``.
-
-        Args:
-            name: Scene name.
-
-        Returns:
-            One entry for each sample and sensor.
-
-        Raises:
-            InputError: If there is no such scene or its rows are broken.
-        """
+        """Sample tokens by the tokens of their keyframe rows in ``sample_data.json``, one per sample and sensor."""
         row = self._row(name)
         samples = list_samples(self._devkit(row), row)
         return {token: sample["token"] for sample in samples for token in sample["data"].values()}
 
     def has_map(self, name: str) -> bool:
-        """Whether there is a map expansion file for the location of a scene.
-
-        Args:
-            name: Scene name.
-
-        Raises:
-            InputError: If there is no such scene.
-        """
+        """Whether there is a map expansion file for the location of a scene."""
         return find_expansion_file(self.root, self._log(self._row(name))["location"]) is not None
 
     def has_lidar(self, name: str) -> bool:
-        """Whether the tables say where the lidar of a scene sits (`standard_lidar` is taken where they do not).
-
-        Args:
-            name: Scene name.
-
-        Raises:
-            InputError: If there is no such scene or its rows are broken.
-        """
+        """Whether the tables say where the lidar of a scene sits (`standard_lidar` is taken where they do not)."""
         row = self._row(name)
         return LIDAR_NAME in list_samples(self._devkit(row), row)[0]["data"]
 
@@ -296,17 +199,7 @@ class NuScenesData:
         return self._provenance
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        """Source of scenes, manoeuvre of their first adversary, and judgements of them (see `build_scene_facts`).
-
-        Args:
-            names: Scene names.
-
-        Returns:
-            Facts by name.
-
-        Raises:
-            InputError: If there is no such scene.
-        """
+        """Source of scenes, manoeuvre of their first adversary, judgements, by name (see `build_scene_facts`)."""
         scene_reports = self._provenance["scenes"] if self._provenance else {}
         known = {name: self._row(name) for name in names}
         if self._judged is None:

@@ -23,14 +23,10 @@ PAST_KEYFRAMES: Final = 5
 def read_observations(
     nusc: Any, root: Path, scene: Scene, samples: Sequence[Row], can_bus: CanBus
 ) -> Iterator[Observation]:
-    """Inputs that a planner may see at each sample: at each key frame, at any rate.
+    """Inputs that a planner may see at each sample, for the scene's K rows in time order, at any rate of key frames.
 
-    Args:
-        samples: Rows of the scene's K samples in time order.
-
-    Raises:
-        InputError: If a calibration makes no sense, a file name leaves the root, or some of the scene's images are
-            missing. Where all are missing the scene is one without images: only looking at one is an error then.
+    Refuses calibrations that make no sense, file names that leave the root, and scenes of which some images are
+    missing. Where all are missing the scene is one without images: only looking at one is an error then.
     """
     views = [read_views(nusc, root, sample) for sample in samples]
     _require_all_or_none(scene.name, [view.path for by_camera in views for view in by_camera.values()])
@@ -53,14 +49,10 @@ def read_observations(
 
 
 def compute_past(scene: Scene, axle_poses: Floats, clock: KeyFrameSteps, index: int) -> tuple[Floats, Bools]:
-    """Positions of the ego at steps of half a second up to a sample.
+    """(5, 3) poses of the rear axle at steps of half a second up to a sample, oldest first, and (5,) which are known.
 
-    Args:
-        axle_poses: (T, 3) poses of its ego at the frames.
-
-    Returns:
-        (5, 3) poses of the rear axle, oldest first, and (5,) whether each is known: False before the scene began, and
-        beyond a gap that is too long; the oldest one that is known stands there.
+    From (T, 3) poses at the frames. Unknown is what was before the scene began or beyond a gap that is too long; the
+    oldest one that is known stands there.
     """
     steps = np.arange(1 - PAST_KEYFRAMES, 1)
     if clock.are_key_frames(index, 1 - PAST_KEYFRAMES):

@@ -1,8 +1,7 @@
 """Interface of a data set, and data sets that lie in several roots.
 
 Official model code accepts only original scene names, so several adversarial variants of one scene need several
-roots: ``v0/``, ``v1/``, ... side by side, each a complete nuScenes root. They are read as one data set whose scenes
-are called ``v0/scene-0061``.
+complete nuScenes roots side by side, ``v0/``, ``v1/``, ...: one data set whose scenes are ``v0/scene-0061``.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -92,12 +91,7 @@ class DataSet(Protocol):
 
 
 class VariantRoots:
-    """Several roots ``v0/``, ``v1/``, ... presented as one data set.
-
-    Attributes:
-        version: Version folder of the first root.
-        categories: Names of categories that were replaced in any of them.
-    """
+    """Several roots ``v0/``, ``v1/``, ... presented as one data set; ``version`` is that of the first root."""
 
     def __init__(self, root: Path, name: str, variants: dict[str, NuScenesData]) -> None:
         self.root = root

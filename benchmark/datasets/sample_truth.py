@@ -1,7 +1,4 @@
-"""`SampleTruth` of every sample of a scene: recorded futures seen from the lidar of each keyframe.
-
-The roads around a sample from a scene's map: kerb lines and drivable cells, drawn when a protocol asks for them.
-"""
+"""`SampleTruth` of every sample: recorded futures seen from the keyframe's lidar, and roads, drawn when asked for."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -52,7 +49,7 @@ class SceneRoadSurfaces:
         return shapely.MultiLineString([ring for part in turned for ring in (part.exterior, *part.interiors)])
 
     def near(self, place: Floats) -> tuple[shapely.Geometry, shapely.MultiPolygon]:
-        """Road edges and drivable area within 100 m of a (2,) global place in metres, and more.
+        """Road edges and drivable area within 100 m, and more, of a (2,) global place in metres.
 
         The next samples share the neighbourhood: no city is searched for each.
         """
@@ -79,11 +76,7 @@ class SceneRoadSurfaces:
 
 @dataclass(frozen=True, slots=True)
 class SampleRoads:
-    """`benchmark.truth.Roads` of one sample.
-
-    Attributes:
-        axle_pose: (3,) global x, y, yaw of the rear axle.
-    """
+    """`benchmark.truth.Roads` of one sample; ``axle_pose`` is (3,), global x, y, yaw of the rear axle."""
 
     surfaces: SceneRoadSurfaces
     axle_pose: Floats
@@ -97,8 +90,7 @@ class SampleRoads:
     def kerb_lines(self) -> NDArray[np.float32]:
         """Edges of the union of road segments and lanes in a patch of 102.4 m x 50 m around the rear axle.
 
-        Returns:
-            (N, 20, 2) points at equal distances along each edge, ego frame, metres.
+        (N, 20, 2) points at equal distances along each edge, ego frame, metres.
         """
         # The border of the patch itself is trimmed away, which leaves the edges within.
         half_x, half_y = 0.5 * PATCH_M[0] - _TRIM_M, 0.5 * PATCH_M[1] - _TRIM_M
@@ -111,8 +103,7 @@ class SampleRoads:
     def drivable_cells(self) -> NDArray[np.uint8]:
         """The drivable area, each polygon's outline filled and then its holes emptied, vertices on the nearest node.
 
-        Returns:
-            (1000, 1000) ones where drivable: row is y, column is x, cells of 0.1 m from -50 m.
+        (1000, 1000) ones where drivable: row is y, column is x, cells of 0.1 m from -50 m.
         """
         half = DRIVABLE_HALF_M
         nearby = shapely.clip_by_rect(self._in_ego(self.surfaces.near(self.axle_pose[:2])[1]), -half, -half, half, half)
@@ -123,14 +114,9 @@ class SampleRoads:
         return grid
 
     def surely_drivable(self, points: Floats, margin_m: float) -> Bools:
-        """Whether everything around points is drivable, without drawing it.
+        """(K,) whether all within a margin of (K, 2) points in the ego frame, metres, is drivable, without drawing it.
 
-        Args:
-            points: (K, 2) ego frame, metres.
-            margin_m: How far around each.
-
-        Returns:
-            (K,) verdicts; False within the margin of a border, and for what is not on the grid.
+        False within the margin of a border, and for what is not on the grid.
         """
         global_points = shapely.points(to_global(points, self.axle_pose))
         clear = shapely.contains(self.surfaces.drivable, global_points) & ~shapely.dwithin(
@@ -161,12 +147,7 @@ KEYFRAMES_BEFORE = 2
 
 
 def compute_truth(scene: Scene, sample_tokens: Sequence[str], steps: int = PLAN_STEPS) -> tuple[SampleTruth, ...]:
-    """Recorded truth around each sample, in time order, for protocols.
-
-    Args:
-        scene: The scene; its annotations are used as they are, never the interpolated tracks.
-        steps: How many steps ahead; six are what protocols take.
-    """
+    """Recorded truth around each sample in time order, by annotations as they are, never the interpolated tracks."""
     lidar_poses = compute_planar_lidar_poses(scene)
     boxes_yaw = yaw_of_quaternion(scene.annotations.rotation)
     surfaces = None if scene.road_map.drivable_area.is_empty else SceneRoadSurfaces(scene.road_map)
@@ -195,13 +176,9 @@ def compute_planar_lidar_poses(scene: Scene) -> Floats:
 
 
 def compute_command(future: Floats, valid: Bools) -> Command:
-    """Driving command from the recorded future: the side on which its last waypoint lies.
+    """Driving command from (6, 2+) recorded lidar positions, x right, and (6,) whether each exists.
 
     Right or left from 2 m of lateral displacement at the last valid waypoint, else straight.
-
-    Args:
-        future: (6, 2+) recorded lidar positions, x right.
-        valid: (6,) whether each exists.
     """
     if not valid.any():
         return Command.STRAIGHT
@@ -212,13 +189,9 @@ def compute_command(future: Floats, valid: Bools) -> Command:
 
 
 def compute_ego_future(lidar_poses: Floats, index: int, count: int = PLAN_STEPS) -> tuple[Floats, Bools]:
-    """Recorded lidar poses at the plan's steps, in the lidar frame of a keyframe.
+    """(K, 3) global lidar poses, at the plan's N steps and in the lidar frame of a keyframe.
 
-    Args:
-        lidar_poses: (K, 3) global poses at the keyframes.
-
-    Returns:
-        (N, 3) x right, y forward, yaw (held past the end) and (N,) whether the keyframe exists.
+    (N, 3) x right, y forward, yaw (held past the end) and (N,) whether the keyframe exists.
     """
     steps = index + 1 + np.arange(count)
     valid = steps < len(lidar_poses)
@@ -226,11 +199,7 @@ def compute_ego_future(lidar_poses: Floats, index: int, count: int = PLAN_STEPS)
 
 
 def compute_recorded_command(scene: Scene, clock: KeyFrameSteps, lidar_poses: Floats, index: int) -> Command:
-    """Driving command of a sample: from the key frames ahead, or from the same times where those are irregular.
-
-    Args:
-        lidar_poses: (K, 3) global poses of the lidar at the key frames.
-    """
+    """Driving command by (K, 3) global lidar poses: from key frames ahead, or from equal times where irregular."""
     if clock.are_key_frames(index, PLAN_STEPS):
         return compute_command(*compute_ego_future(lidar_poses, index))
     return _timed_command(scene, lidar_poses[index], clock.at(index, np.arange(1, PLAN_STEPS + 1)))

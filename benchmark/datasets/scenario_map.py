@@ -1,9 +1,4 @@
-"""A road map as map features of a ScenarioNet file, and back.
-
-Words of ScenarioNet files that are written here, beside those that every such file has.
-
-Values of ScenarioNet files as what they should be; a stranger's may be of any type.
-"""
+"""A road map as map features of a ScenarioNet file, and back; words of such files, and checks of their values."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
@@ -28,11 +23,7 @@ _LONGEST_NAME: Final = 256
 
 
 def to_real_numbers(value: Any) -> Floats:
-    """Numbers, in an array or a list of any shape, as an array in double precision.
-
-    Raises:
-        ValueError: If it is no rectangular array of real numbers.
-    """
+    """Numbers in an array or list of any shape, in double precision; `ValueError` if not real or no rectangle."""
     try:
         numbers = np.asarray(value)
         if numbers.dtype.kind not in "biufO":
@@ -43,11 +34,7 @@ def to_real_numbers(value: Any) -> Floats:
 
 
 def to_name(value: Any, what: str, path: Path) -> str:
-    """A name or whole number of a file as text; ``what`` and ``path`` are for the message.
-
-    Raises:
-        InputError: If it is neither text nor a whole number, longer than any name, or cannot be printed.
-    """
+    """Name or whole number in a file as text, if printable and no longer than any name; ``what`` is for messages."""
     text = str(value) if isinstance(value, str | int | np.integer) else ""
     if len(text) > _LONGEST_NAME or not text.isprintable() or (not text and not isinstance(value, str)):
         raise InputError(f"{path}: {what} must be a name, not {to_one_line(repr(value), 60)}; fetch the file again")
@@ -72,12 +59,7 @@ NEEDS_A_PACKAGE: Final = (
 
 @dataclass(frozen=True, slots=True)
 class ExchangedScene:
-    """A scene and how it was made, as a file carries both.
-
-    Attributes:
-        source_scene: Name of the recorded scene that it was made from; its own name for a recording.
-        report: What ``challenger.json`` says of how it was made; JSON values.
-    """
+    """A scene and its ``challenger.json`` report, as a file has both; a recording is its own ``source_scene``."""
 
     scene: Scene
     source_scene: str
@@ -92,13 +74,9 @@ def compute_ego_center(ego: EgoTrack) -> Floats:
 
 
 def hash_track(position: Floats, yaw: Floats, size: Floats, valid: Any) -> str:
-    """Hash of a track, 64 hexadecimal digits, by which an edited one is known.
+    """Hash of a track, 64 hexadecimal digits, by which an edited one is known; invalid steps do not count.
 
-    Args:
-        position: (T, 3) metres.
-        yaw: (T,) radians.
-        size: (3,) metres.
-        valid: (T,) whether it is there; where it is not, nothing counts.
+    From (T, 3) positions and (3,) size in metres, (T,) yaw in radians, and (T,) whether it is there.
     """
     is_valid = np.asarray(valid, np.bool_)
     parts = (np.asarray(position, "<f8")[is_valid], np.asarray(yaw, "<f8")[is_valid], np.asarray(size, "<f8"))
@@ -180,12 +158,7 @@ def _points(points: Floats) -> Floats:
 
 
 def decode_map(features: Mapping[Any, Any], own: Any, path: Path) -> RoadMap:
-    """The whole map that `encode_map` was given.
-
-    Args:
-        own: What the file's own block says of the map.
-        path: The file, for messages.
-    """
+    """The whole map that `encode_map` was given; ``own`` is what the file's own block says of it."""
     try:
         return _map(features, own, path)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, shapely.errors.ShapelyError) as error:

@@ -1,7 +1,7 @@
 """`Scene` objects from ScenarioNet files: recordings of nuScenes, Waymo, nuPlan and Argoverse 2 in one format.
 
-What such a file does not have, a scene made of it does not have either: images, point counts (each annotation claims
-one lidar point), attributes and visibility. Files have no clock; see `_timestamps`.
+Such files have no images, point counts (each annotation claims one lidar point), attributes and visibility, and no
+clock (see `_timestamps`).
 """
 
 import re
@@ -44,13 +44,7 @@ _FASTEST_EGO_MPS: Final = 200.0
 
 @dataclass(frozen=True, slots=True)
 class _ScenarioNetFile:
-    """Facts that a file states about itself; ``value`` is its whole content.
-
-    Attributes:
-        identifier: Scenario name in its source.
-        dataset: Source, for example ``nuscenes``.
-        seconds: (L,) times of its steps.
-    """
+    """Facts that a file states about itself: scenario name in its source, (L,) times of steps, its whole ``value``."""
 
     path: Path
     identifier: str
@@ -65,10 +59,9 @@ class _ScenarioNetFile:
 
 
 def find_scenarionet(folder: Path) -> tuple[Path, ...]:
-    """ScenarioNet files in a folder and below it, or a single file: paths of ``sd_*.pkl`` files, sorted.
+    """``sd_*.pkl`` files in a folder and below it, sorted, or a single file.
 
-    Where there are none, of all ``*.pkl`` files but the database's own ``dataset_summary.pkl`` and
-    ``dataset_mapping.pkl``.
+    Where there are none, all ``*.pkl`` but the database's ``dataset_summary.pkl`` and ``dataset_mapping.pkl``.
     """
     if folder.is_file():
         return (folder,)
@@ -98,11 +91,8 @@ def read_scenarionet(path: Path) -> Scene:
     other files the ego's position is its box centre; heights are made relative to the ground under the ego. Tracks that
     the metadata's ``adversaries`` names are the adversaries.
 
-    Returns:
-        The scene, without cameras, with a map cropped to 200 m around the ego's path, and described in words
-        (`benchmark.datasets.scene_descriptions`).
-        The scene, without cameras, with a map cropped to 200 m around the ego's path, and described in words
-        (`benchmark.datasets.scene_descriptions`).
+    The scene has no cameras, a map cropped to 200 m around the ego's path, and a description in words
+    (`benchmark.datasets.scene_descriptions`).
     """
     return read_exchanged_scene(path).scene
 
@@ -125,7 +115,6 @@ def read_exchanged_scene(path: Path) -> ExchangedScene:
 
 
 def _build_external_scene(recording: _ScenarioNetFile, ego: SourceTrack, others: Mapping[str, SourceTrack]) -> Scene:
-    """Scene of a file that was not exported here."""
     frame_seconds = _frame_seconds(recording, ego)
     position = _ego_position(recording, ego)
     ground_z = None if recording.is_nuscenes else position[:, 2].copy()

@@ -36,20 +36,12 @@ _CANVAS_M: Final = {
 def build_road_map(
     features: Mapping[Any, Any], *, path: Path, location: str, official: bool, ego_path: Floats
 ) -> tuple[RoadMap, Floats]:
-    """Build the map of one file.
+    """Map of one file within 200 m of the (L, 2) ego path, and the (2,) shift in metres that was applied.
 
     The drivable area is made of the ``boundary_*`` rings of nuScenes files, filled even-odd (lane polygons alone leave
-    junctions out); where there are none, of lane surfaces, crossings and driveways. Lanes are linked as the file
-    says, and where it says nothing, where one begins at another's end.
-
-    Args:
-        location: nuScenes location name to give the map.
-        official: Whether the coordinates are those of the real location, and therefore stay.
-        ego_path: (L, 2) metres.
-
-    Returns:
-        The map within 200 m of the ego's path, and the (2,) shift that was applied: zero, or what makes all
-        coordinates positive.
+    junctions out); where there are none, of lane surfaces, crossings and driveways. Lanes are linked as the file says,
+    and where it says nothing, where one begins at another's end. The map gets the nuScenes name ``location``.
+    ``official`` coordinates are those of the real location and stay; others are shifted to be positive.
     """
     read = _read_features(features, path)
     low, high = ego_path.min(axis=0) - _REACH_M, ego_path.max(axis=0) + _REACH_M

@@ -39,10 +39,7 @@ _MOST_PIXELS: Final = 20_000
 class RoundtripFile:
     """Checked content of a file that was exported here.
 
-    Attributes:
-        raw_tracks: Its tracks as they stand in it.
-        tracks: Those that are there at some step, checked, but for the ego's.
-        features: Parts of its map.
+    ``raw_tracks`` are as they stand in it; ``tracks`` are those that are there at some step, but for the ego's.
     """
 
     path: Path
@@ -123,11 +120,7 @@ def _scene(file: RoundtripFile) -> ExchangedScene:
 
 
 def read_adversaries(metadata: Mapping[Any, Any], ids: Sequence[str], path: Path) -> tuple[str, ...]:
-    """Adversaries that the metadata of any ScenarioNet file may name (``adversaries``, names of tracks).
-
-    Args:
-        ids: Names of its objects; another name among the adversaries is refused.
-    """
+    """Adversaries that metadata of a ScenarioNet file may name (``adversaries``); refuses names not in ``ids``."""
     listed = metadata.get(ADVERSARIES, [])
     if not isinstance(listed, list | tuple):
         raise InputError(f"{path}: metadata {ADVERSARIES} must be a list of tracks; correct it")

@@ -37,13 +37,9 @@ _LARGEST_M: Final = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class SourceTrack:
-    """One object at every step of its file.
+    """One object at every step of its file: (L, 3) metres, (L,) radians, (3,) length, width, height.
 
-    Attributes:
-        position: (L, 3) metres; box centre, but for the ego of nuScenes files.
-        heading: (L,) radians.
-        size: (3,) length, width, height.
-        valid: (L,) whether it is there; elsewhere the arrays mean nothing.
+    ``position`` is the box centre, but for the ego of nuScenes files; where not ``valid`` the arrays mean nothing.
     """
 
     category: str
@@ -119,7 +115,7 @@ def resample_tracks(
 ) -> tuple[Agents, Annotations]:
     """Resample tracks: linear position, shortest-arc heading; there only where both neighbouring steps are.
 
-    Objects that are at no keyframe are left out, because nothing would annotate them.
+    Objects that are at no keyframe are left out, because nothing would annotate them. Both results have box centres.
 
     Args:
         seconds: (L,) times of the source's steps.
@@ -128,9 +124,6 @@ def resample_tracks(
         shift: (2,) metres added to all positions.
         ground_z: (L,) ground heights to subtract, or ``None`` where heights are fine as they are. Tracks with height 0
             throughout stand on the ground.
-
-    Returns:
-        Agents at the frames, annotations at the keyframes; both with box centres.
     """
     right = np.clip(np.searchsorted(seconds, frame_seconds - 1e-9), 1, len(seconds) - 1)
     left = right - 1

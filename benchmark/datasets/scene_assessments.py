@@ -1,7 +1,7 @@
 """``judgements.json`` beside the tables: the assessment of each scene of a generated root.
 
-It is no part of the data set's fingerprint and can be made from the tracks again: a better definition makes no other
-data set. Roots without it are assessed on demand (`benchmark.fairness.data_set_assessment`).
+It is no part of the data set's fingerprint: a better definition makes no other data set. Roots without it are assessed
+on demand from the tracks (`benchmark.fairness.data_set_assessment`).
 """
 
 from collections.abc import Mapping
@@ -24,11 +24,7 @@ AssessmentsByScene = Mapping[str, tuple[SceneAssessment, ...]]
 
 
 class AssessmentsFile(Stored):
-    """File of judgements, by scene name, one for each adversary.
-
-    Attributes:
-        realism: Of all adversaries of the data set together, if it was measured.
-    """
+    """File of judgements, by scene name, one for each adversary; ``realism`` is that of all adversaries together."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     scenes: dict[str, tuple[SceneAssessment, ...]]
@@ -45,10 +41,7 @@ def format_assessments(scenes: AssessmentsByScene, realism: SplitRealism | None 
 
 
 def read_assessments(folder: Path) -> dict[str, tuple[SceneAssessment, ...]]:
-    """Judgements of one root by scene name; none where there is no file.
-
-    Scenes that were judged by other definitions are left out.
-    """
+    """Judgements of one root by scene name, without those by other definitions; none where there is no file."""
     stored = read_assessments_file(folder)
     return {
         name: judged

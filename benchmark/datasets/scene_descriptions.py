@@ -1,7 +1,7 @@
 """A scene in words as nuScenes describes its own: traffic and road, and where and when it was, as far as that is known.
 
-Nothing is guessed: facts missing in the recording are left out. Words for light and weather are read when a
-draws a scene (`benchmark.scene.Conditions`), so they stand here only where the recording has them.
+Nothing is guessed: facts missing in the recording are left out. Words for light and weather are read when a scene is
+drawn (`benchmark.scene.Conditions`), so they stand here only where the recording has them.
 """
 
 import re
@@ -42,10 +42,7 @@ _DAY_HOURS, _NIGHT_HOURS = range(8, 17), (20, 21, 22, 23, 0, 1, 2, 3, 4)
 
 
 def describe_place_and_light(metadata: Mapping[str, Any]) -> list[str]:
-    """City, light and weather of a ScenarioNet recording, as far as it says so in words that are known.
-
-    Places of nuScenes are named with its maps already.
-    """
+    """City, light and weather of a ScenarioNet recording, in words that are known; nuScenes maps name their places."""
     texts = {name: value.strip() for name, value in metadata.items() if isinstance(value, str)}
     words = [_CITIES.get(texts.get("map", "").lower(), ""), _LIGHTS.get(_one_of(texts, "time_of_day", "timeofday"), "")]
     if not words[1]:

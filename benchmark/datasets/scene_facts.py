@@ -19,18 +19,11 @@ def build_scene_facts(
     description: str | None = None,
     judgements: Sequence[SceneAssessment] = (),
 ) -> SceneFacts:
-    """Facts of one scene.
+    """Facts of one scene, from what ``challenger.json`` says of it, its description and judgements of its adversaries.
 
-    Args:
-        made: What ``challenger.json`` says of the scene; empty where it says nothing.
-        description: In words; ``None`` where it is not known.
-        judgements: Of its adversaries; empty where it was not judged.
-
-    Returns:
-        Source: as the file says, else the ``scene-0001`` of ``scene-0001-suffix``, else the scene itself. Manoeuvre:
-        the primary one of the first adversary that has labels. Adversaries: as many as the file lists; none in a
-        recording; unknown in a scene that was made from another one and is not in the file. Light: what the description
-        names.
+    Source: as the file says, else the ``scene-0001`` of ``scene-0001-suffix``, else the scene itself. Manoeuvre: the
+    primary one of the first adversary that has labels. Adversaries: as many as the file lists; none in a recording;
+    unknown in a scene that was made from another one and is not in the file. Light: what the description names.
     """
     published = _PUBLISHED.fullmatch(name)
     source = made.get("source_scene") or (published[1] if published else name)
@@ -48,11 +41,7 @@ def build_scene_facts(
 
 
 def find_frozen_split(made: Mapping[str, Any] | None) -> str | None:
-    """Name of the frozen split that a data set was built from, or ``None`` where nothing says so.
-
-    Args:
-        made: What ``challenger.json`` says of the data set, if there is one.
-    """
+    """Name of the frozen split that ``challenger.json`` says a data set was built from, or ``None``."""
     frozen = None if made is None else made.get("frozen")
     name = frozen.get("name") if isinstance(frozen, dict) else None
     return name if isinstance(name, str) else None

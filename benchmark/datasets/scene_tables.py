@@ -1,7 +1,7 @@
 """Tables of a nuScenes-format root scene by scene, so that memory does not hold the rows of all scenes.
 
-Five tables grow with the number of scenes. Their rows stay in their files: one pass checks them against the schema and
-notes where the rows of each scene are; what the rows of a scene say together is checked when they are read.
+Rows of the five tables that grow with the scenes stay in their files: one pass checks them against the schema and notes
+where those of each scene are; what they say together is checked when they are read.
 """
 
 import gc
@@ -36,10 +36,8 @@ _LOST: Final = -2
 class SceneTables:
     """Checked tables, most of whose rows are read when their scene is.
 
-    Attributes:
-        keyframe_images: Gives the file names of all camera keyframes.
-        stored: Where the rows of each growing table are.
-        rows_of_scenes: Numbers of the rows of each scene, in the order of the table ``scene``, by growing table.
+    ``stored`` tells where rows of each growing table are, ``rows_of_scenes`` the row numbers of each scene, in the
+    order of the table ``scene``.
     """
 
     keyframe_images: Callable[[], Sequence[str]]
@@ -55,13 +53,7 @@ class SceneTables:
         return self._shared.rows
 
     def of_scene(self, token: str, adversaries: Collection[str] = ()) -> dict[str, list[Row]]:
-        """Rows that belong to a scene, in the order of the files; the shared tables whole.
-
-        The rows are the caller's own.
-
-        Args:
-            adversaries: Instances that were made to be adversaries of the scene.
-        """
+        """Rows of a scene, the caller's own, in the order of the files, and the shared tables whole."""
         number = next(index for index, row in enumerate(self.shared["scene"]) if row["token"] == token)
         rows = {table: self.stored[table].read(self.rows_of_scenes[table][number]) for table in GROWING_TABLES}
         if token not in self._sound:
@@ -106,14 +98,9 @@ def rename_categories(rows: Sequence[Row], names: CategoryNames) -> list[Row]:
 
 
 def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:
-    """Pass over the tables of a version folder.
+    """Pass over the tables of a version folder; ``rates`` gets scenes with another rate of keyframes than nuScenes.
 
-    Args:
-        rates: Gets scenes with another rate of keyframes than nuScenes.
-
-    Returns:
-        The tables, or ``None`` if by a chance of one in millions of millions two tokens cannot be told apart: then
-        the tables must be read whole.
+    ``None`` if by a chance of one in millions of millions two tokens look alike: then tables must be read whole.
     """
     collecting = gc.isenabled()
     # Rows hold no reference cycles, so a garbage collection over millions of them is time lost.
@@ -145,8 +132,6 @@ class _GrowingColumn:
 
 
 class _TablesPass:
-    """The pass over all tables of a folder."""
-
     def __init__(self, folder: Path, rates: FaultList) -> None:
         self._folder = folder
         self._faults = StrictFaultList(folder=folder)
@@ -270,11 +255,7 @@ class _RowsByToken:
 
 
 def read_shared(folder: Path, faults: FaultList) -> CheckedTables:
-    """The tables that do not grow with the scenes.
-
-    Args:
-        faults: Gets what the schema says against their rows.
-    """
+    """The tables that do not grow with the scenes."""
     names = [table for table in NUSCENES_TABLES if table not in GROWING_TABLES]
     return CheckedTables.of_sound_rows(
         {table: check_table(table, read_rows(folder, table), faults)[0] for table in names}

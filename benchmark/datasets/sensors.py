@@ -1,9 +1,4 @@
-"""Cameras and lidar of a nuScenes data set: calibration, and images on demand.
-
-All camera images of a scene, keyframes and the sweeps between them, as one video a camera.
-
-Where lidar and cameras were at their sweeps, each by its own clock.
-"""
+"""Cameras and lidar of a nuScenes data set: calibration, images and videos on demand, poses at sweeps by own clocks."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -26,18 +21,10 @@ from benchmark.untrusted.http_images import read_picture
 def read_sweep_poses(
     nusc: Any, samples: Sequence[Row], keyframes: NDArray[np.int64], cameras: Sequence[str]
 ) -> SweepPoses | None:
-    """Poses of the sensors at the frames of a scene.
+    """Poses of the sensors at the frames of a scene from K samples in time order and the (K,) frame of each.
 
     The k-th frame after a keyframe takes the sensor's k-th following row. Where there are fewer rows before the next
-    keyframe the last one is repeated.
-
-    Args:
-        samples: Rows of the scene's K samples in time order.
-        keyframes: (K,) frame of each.
-
-    Returns:
-        Poses at the frames from the first to the last of these, or ``None`` where a sensor has no sweeps at all or
-        there is no camera.
+    keyframe the last one is repeated. ``None`` where a sensor has no sweeps at all or there is no camera.
     """
     if not cameras:
         return None
@@ -100,10 +87,7 @@ def read_cameras(nusc: Any, sample: Row) -> tuple[Camera, ...]:
 
 
 def read_views(nusc: Any, root: Path, sample: Row) -> dict[str, CameraView]:
-    """Images of a sample by camera name, in the order of `read_cameras`.
-
-    Files are opened only when a view is loaded.
-    """
+    """Images of a sample by camera, in the order of `read_cameras`; files are opened only when a view is loaded."""
     views = (read_view(nusc, root, row, _camera(nusc, row)) for row in _camera_rows(nusc, sample))
     return {view.camera.name: view for view in views}
 
@@ -143,11 +127,7 @@ def _camera(nusc: Any, row: Row) -> Camera:
 def read_videos(nusc: Any, root: Path, samples: Sequence[Row], *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
     """Images by camera name in time order; files are opened only when a view is loaded.
 
-    Args:
-        sweeps: Also the images between keyframes, from the first keyframe to the last.
-
-    Returns:
-        Views by camera, cameras in the order of `read_views` of the first sample.
+    ``sweeps`` adds the images between keyframes. Cameras are in the order of `read_views` of the first sample.
     """
     videos: dict[str, list[CameraView]] = {}
     for index, sample in enumerate(samples):

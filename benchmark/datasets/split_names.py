@@ -1,7 +1,4 @@
-"""Which scenes a split has.
-
-The order in which readers go through exported infos: scene by scene, even where variants share times.
-"""
+"""Which scenes a split has, and the order in which readers go through exported infos: by scene, even at equal times."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -23,13 +20,10 @@ _SHIFTED_APART_US: Final = 10_000_000
 
 
 def compute_shifts_us(scenes: Sequence[tuple[str, int, int]]) -> dict[str, int]:
-    """Shifts by name that keep scenes together and apart from each other in time, for those that need one.
+    """Shifts by name, from name, first and last time of each scene, that keep scenes together and apart in time.
 
-    Those are scenes that begin before all earlier ones have ended for 2 s. Of scenes that begin together the first by
-    name is the earlier one.
-
-    Args:
-        scenes: Name, first and last time of each, microseconds.
+    Only scenes that begin before all earlier ones have ended for 2 s need one. Of scenes that begin together the first
+    by name is the earlier one.
     """
     shifts: dict[str, int] = {}
     ended: int | None = None
@@ -42,14 +36,9 @@ def compute_shifts_us(scenes: Sequence[tuple[str, int, int]]) -> dict[str, int]:
 
 
 def sort_as_exported(scenes: Sequence[str], times_us: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Places of samples in dumps by official code of exported infos, which do not name them.
+    """(S,) numbers of samples in dumps by official code of exported infos, which do not name them.
 
-    Args:
-        scenes: Name of the scene of each of S samples.
-        times_us: (S,) their times in the tables.
-
-    Returns:
-        (S,) numbers of the samples in the order of the readers, who sort by the moved times.
+    From the scene of each of S samples and their (S,) times in the tables; readers sort by the moved times.
     """
     names = np.array(scenes)
     of_scene = {name: times_us[names == name] for name in dict.fromkeys(scenes)}
@@ -65,10 +54,7 @@ class NoSuchSplitError(InputError):
 
 
 def read_splits(root: Path, version: str) -> dict[str, tuple[str, ...]]:
-    """Custom splits of a data set: ``<version>/splits.json``, or ``splits.json`` in the root.
-
-    Scene names by split, in the order of the file; empty where there is no such file.
-    """
+    """Scene names by custom split from ``<version>/splits.json``, else ``splits.json`` in the root, else none."""
     path = find_splits_file(root / version, root)
     return {} if path is None else _checked(read_json(path), path)
 
@@ -97,18 +83,11 @@ def select_scenes(
     A data set that says which splits it has (``splits.json``, or ``challenger.json`` of a generated one) has these and
     no others: adversarial scenes are never taken for ``val``. Of one that says nothing the first rule counts that
     applies: 1. ``adv`` alone, of all scenes, where every scene is called like the published Adv-nuSc's
-    (``scene-0001-suffix``). 2. nuScenes' official lists, of the scenes that are here. 3. ``val``, of all scenes,
-    where no official list names any.
+    (``scene-0001-suffix``). 2. nuScenes' official lists, of the scenes that are here. 3. ``val``, of all scenes, where
+    no official list names any.
 
-    Args:
-        present: Scene names of the data set.
-        custom: Content of ``splits.json``.
-        where: The data set, for messages.
-        built_as: Split that the data set was built as, if it says so.
-
-    Raises:
-        NoSuchSplit: If there is no such split.
-        InputError: If ``splits.json`` names a scene that is not here.
+    A split that does not exist raises `NoSuchSplit`, a scene in ``splits.json`` that is not here `InputError`.
+    ``where`` names the data set in messages.
     """
     if split in custom and not custom[split]:
         raise InputError(f"{where}: split {split!r} of splits.json is empty; correct it, or choose another split")
@@ -131,11 +110,7 @@ def select_scenes(
 def find_default_split(
     present: Sequence[str], custom: Mapping[str, Sequence[str]], *, where: str, built_as: str | None = None
 ) -> str:
-    """The split that is meant where none is named: ``val`` where there is one, else the only one.
-
-    Raises:
-        InputError: If there are several and none is ``val``.
-    """
+    """The split that is meant where none is named: ``val`` where there is one, else the only one, else an error."""
     available = list_split_names(present, custom, built_as)
     if "val" in available:
         return "val"

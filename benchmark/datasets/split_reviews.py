@@ -27,13 +27,10 @@ LEFT_OUT: Final = "left_out"
 
 
 def read_left_out(made: Any, split: str | None) -> dict[str, StandingVerdict]:
-    """Verdicts on scenes of a split that a build left out because they were rejected, by name.
+    """Verdicts on scenes that the build of a split left out because they were rejected, by name.
 
-    A value that is no verdict names no scene.
-
-    Args:
-        made: What ``challenger.json`` says of the data set, unchecked.
-        split: The split; a build says it of its own alone.
+    ``made`` is unchecked ``challenger.json``: a value that is no verdict names no scene. A build says it of its own
+    split alone.
     """
     entries = made.get(LEFT_OUT) if isinstance(made, dict) and split in (None, made.get("split")) else None
     rejected = {}
@@ -48,12 +45,9 @@ def read_left_out(made: Any, split: str | None) -> dict[str, StandingVerdict]:
 def read_root_review(
     root: Path, tokens: Mapping[str, str], made: Any, split: str | None, verdicts: Mapping[str, Verdict] | None = None
 ) -> SplitReview:
-    """Review of a split of one root.
+    """Review of a split of one root; ``tokens`` are those of its scenes by name, ``made`` is ``challenger.json``.
 
-    Args:
-        tokens: Of the rows of the split's scenes, by name.
-        made: What ``challenger.json`` says.
-        verdicts: Those beside the root, if they were read before.
+    ``verdicts`` are those beside the root, if they were read before.
     """
     given = read_review(root) if verdicts is None else verdicts
     return resolve_verdicts(given, tokens, read_left_out(made, split))
@@ -64,10 +58,7 @@ def join_reviews(
 ) -> SplitReview:
     """Review of roots side by side, which may have verdicts each and all together: what either rejects is rejected.
 
-    Args:
-        parts: Reviews of the roots by folder.
-        outer: Verdicts beside the folder that holds them, by prefixed name.
-        tokens: Of the rows of all scenes of the split, by prefixed name.
+    ``parts`` are by folder; ``outer`` verdicts and ``tokens`` by prefixed name.
     """
     renamed_parts = [part.under(folder) for folder, part in parts.items()]
     judged = {verdict.name: verdict for part in renamed_parts for verdict in part.judged}
@@ -88,7 +79,7 @@ def scene_tokens(root: Path, version: str | None = None) -> dict[str, str]:
         version: Version folder; needed only where there are several.
 
     Returns:
-        They, sorted by name within each root.
+        Tokens, sorted by name within each root.
 
     Raises:
         InputError: If there is no such data set, or its list of scenes is broken.

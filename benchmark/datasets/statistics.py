@@ -1,8 +1,6 @@
-"""A data set in numbers: the paper's data-set table, and what generated adversaries do where.
+"""A data set in numbers: the paper's table, what generated adversaries do where, its scenes and splits.
 
-Reads the tables without the devkit, so that maps and images may be missing.
-
-Which scenes and splits a data set has, from its small files alone, without the devkit and the large tables.
+Reads tables and small files without the devkit, so that maps and images may be missing.
 """
 
 from collections import Counter
@@ -28,12 +26,7 @@ from benchmark.report.table import build_table
 
 
 def list_scenes(root: Path, split: str | None = None, *, version: str | None = None) -> tuple[str, ...]:
-    """Names of scenes as an opened data set has them (`benchmark.datasets.nuscenes.NuScenesData.scene_names`).
-
-    Args:
-        split: A split, or ``None`` for all scenes.
-        version: Version folder; needed only where there are several.
-    """
+    """Names of scenes as an opened data set has them (`NuScenesData.scene_names`); all where ``split`` is ``None``."""
     if split is not None:
         review = read_split_review(root, split, version=version)
         return review.kept(tuple(name for name in scene_tokens(root, version) if name in set(review.named)))

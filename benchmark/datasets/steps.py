@@ -1,10 +1,7 @@
-"""Steps of half a second from each sample on, also where key frames are not half a second apart.
+"""The 12 Hz timeline of a scene, and steps of half a second from each sample, also where key frames are irregular.
 
 Where all key frames on the way are 0.4 to 0.6 s apart, step k is the k-th following key frame, as in nuScenes.
-Elsewhere it is the time t + 0.5 k, between the key frames before and after it. Nothing is known across a gap over
-0.75 s.
-
-The 12 Hz timeline of a nuScenes scene, and where the ego was on it.
+Elsewhere it is the time t + 0.5 k, between the key frames around it. Nothing is known across a gap over 0.75 s.
 """
 
 from dataclasses import dataclass
@@ -40,10 +37,7 @@ def is_step(interval_us: int) -> bool:
 
 
 def find_irregular_interval_us(timestamps_us: "list[int] | NDArray[np.int64]") -> float | None:
-    """Median interval of key frames that do not come at 2 Hz, microseconds, from K increasing times.
-
-    ``None`` where it is that of nuScenes, or there is no interval.
-    """
+    """Median interval of K increasing times that do not come at 2 Hz; ``None`` if it is nuScenes' or there is none."""
     intervals_us = [int(next_time_us) - int(time_us) for time_us, next_time_us in pairwise(timestamps_us)]
     usual_us = float(median(intervals_us)) if intervals_us else float(STEP_US)
     return usual_us if abs(usual_us - STEP_US) > _RATE_TOLERANCE_US else None
@@ -51,15 +45,10 @@ def find_irregular_interval_us(timestamps_us: "list[int] | NDArray[np.int64]") -
 
 @dataclass(frozen=True, slots=True)
 class TimedSteps:
-    """N times among the key frames of a scene.
+    """(N,) times among the key frames of a scene, outside the recording by its first or last key frame.
 
-    Attributes:
-        times_us: (N,).
-        before: (N,) key frame at or before each; the first or last one outside the recording.
-        after: (N,) key frame at or after each.
-        fraction: (N,) 0 at the former, towards 1 at the latter.
-        recorded: (N,) whether the recording covers the time.
-        known: (N,) whether it does, and no gap that is too long lies between the sample and the time or around it.
+    ``fraction`` is 0 at the key frame ``before``, towards 1 at the one ``after``. ``recorded`` times are covered by the
+    recording; ``known`` ones also have no gap that is too long between the sample and the time or around it.
     """
 
     times_us: NDArray[np.int64]
@@ -76,11 +65,7 @@ class TimedSteps:
 
 
 class KeyFrameSteps:
-    """The key frames of a scene as a clock.
-
-    Args:
-        timestamps_us: (K,), increasing.
-    """
+    """The key frames of a scene as a clock, from (K,) increasing times."""
 
     def __init__(self, timestamps_us: NDArray[np.int64]) -> None:
         self.times_us = np.asarray(timestamps_us, np.int64)
@@ -102,21 +87,13 @@ class KeyFrameSteps:
         return np.concatenate([[0], np.cumsum(np.diff(self.times_us) > LONGEST_KNOWN_US)])
 
     def are_key_frames(self, index: int, steps: int) -> bool:
-        """Whether steps are key frames: all of them up to there, as far as they exist, half a second apart.
-
-        Args:
-            steps: How many steps ahead; back where it is negative.
-        """
+        """Whether steps ahead, or back if negative, are key frames: all up to there that exist, half a second apart."""
         last = len(self.times_us) - 1
         first, end = sorted((index, min(max(index + steps, 0), last)))
         return bool(self._irregular[first] == self._irregular[end])
 
     def at(self, index: int, steps: NDArray[np.int64]) -> TimedSteps:
-        """Steps of a sample among the key frames, by the clock.
-
-        Args:
-            steps: (N,) numbers of steps of half a second, negative ones before the sample.
-        """
+        """(N,) steps of half a second of a sample among the key frames, by the clock; negative ones lie before it."""
         times, last = self.times_us, len(self.times_us) - 1
         wanted = times[index] + STEP_US * np.asarray(steps, np.int64)
         before = np.clip(np.searchsorted(times, wanted + ON_KEY_FRAME_US, side="right") - 1, 0, last)
@@ -133,16 +110,9 @@ class KeyFrameSteps:
 def interpolate_values(
     values: Floats, times_us: NDArray[np.int64], wanted_us: NDArray[np.int64], heading: int = 2
 ) -> Floats:
-    """Values recorded at frames, interpolated to other times: linear, headings by the shortest turn.
+    """(T, C) values at (T,) increasing times at other times (...): linear, the ``heading`` column by the shortest turn.
 
-    Args:
-        values: (T, C) values at the frames.
-        times_us: (T,) times of the frames, increasing.
-        wanted_us: (...) the times; outside the recording those of its first or last frame.
-        heading: The column that holds a heading.
-
-    Returns:
-        (..., C) values; headings from -pi to pi.
+    (..., C) values, headings from -pi to pi; outside the recording those of its first or last frame.
     """
     columns = np.asarray(values, np.float64).copy()
     columns[:, heading] = np.unwrap(columns[:, heading])
@@ -153,11 +123,7 @@ def interpolate_values(
 
 
 def require_two_hz(scene: Scene, what: str) -> None:
-    """Refuse a scene for what counts frames and key frames instead of looking at the clock.
-
-    Args:
-        what: What needs key frames at 2 Hz, in words.
-    """
+    """Refuse a scene for ``what``, which counts frames and key frames instead of looking at the clock."""
     interval_us = find_irregular_interval_us(scene.timestamps_us[scene.keyframes])
     if interval_us is not None:
         raise InputError(
@@ -168,12 +134,7 @@ def require_two_hz(scene: Scene, what: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Frames of a scene.
-
-    Attributes:
-        timestamps_us: (T,).
-        keyframes: (K,) frame of each sample: 0, 6, 12, ... where samples come at 2 Hz.
-    """
+    """Frames of a scene at (T,) times; ``keyframes`` is (K,), the frame of each sample: 0, 6, 12, ... at 2 Hz."""
 
     timestamps_us: NDArray[np.int64]
     keyframes: NDArray[np.int64]
@@ -206,15 +167,12 @@ def _keyframe_row(nusc: Any, sample: Row) -> Row:
 
 
 def read_timeline(nusc: Any, samples: list[Row]) -> Timeline:
-    """The frames between the first and the last keyframe, every keyframe being each sixth one.
+    """The frames between the first and the last keyframe of samples in time order, every keyframe being each sixth one.
 
     In a scene whose keyframes do not come at 2 Hz there are as many in between as bring frames nearest to 12 Hz. Where
     the data set has exactly five sweeps between all keyframes (12 Hz), those rows are the frames. Otherwise the time
     between two keyframes is divided evenly and the ego interpolated between the poses of the sweeps that there are
     (linear position, normalised linear quaternion).
-
-    Args:
-        samples: Rows of the scene's samples in time order.
     """
     rows = _rows_between(nusc, samples)
     times_us = np.array([row["timestamp"] for row in rows], dtype=np.int64)

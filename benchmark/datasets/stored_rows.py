@@ -1,7 +1,4 @@
-"""Rows of one table that stay in its file: read once from end to end, then again where they are wanted.
-
-Tables read row by row and counted, without the devkit: only tokens are held in memory.
-"""
+"""Rows of a table that stay in its file: noted in one pass and read where wanted, or counted without the devkit."""
 
 import codecs
 import json
@@ -36,13 +33,7 @@ _BETWEEN_OBJECTS: Final = re.compile(rf"[{_SPACE}]*,[{_SPACE}]*(?=\{{)")
 
 @dataclass(frozen=True, slots=True)
 class TableRowIndex:
-    """Places of a table's rows in its file.
-
-    Attributes:
-        stamp: Of the file as it was when the places were noted.
-        starts: (N,) first byte of each row.
-        lengths: (N,) bytes.
-    """
+    """First byte and length in bytes of each of N rows in a table's file, with its stamp when they were noted."""
 
     path: Path
     stamp: tuple[int, ...]
@@ -121,7 +112,6 @@ def drop_inode_time(stamp: Stamp) -> Stamp:
 
 
 def _stamp(stream: IO[bytes]) -> Stamp:
-    """Stamp that tells whether a file is still the one that it was."""
     return drop_inode_time(make_stamp(os.fstat(stream.fileno())))
 
 
@@ -201,11 +191,7 @@ def _object(text: _StreamedText, decoder: json.JSONDecoder) -> tuple[Any, int]:
 
 
 def count_rows(folder: Path, names: Collection[str] | None) -> TableCounts:
-    """Count the rows that belong to some scenes.
-
-    Args:
-        names: Names of the scenes; ``None`` for every row of the tables, linked to a scene or not.
-    """
+    """Count the rows that belong to some scenes; ``None`` counts every row of the tables, linked to a scene or not."""
     all_scenes = names is None
     named, scene_count = _collect_linked(folder / "scene.json", "name", names, "token")
     samples, sample_count = _collect_linked(
@@ -242,11 +228,7 @@ def _collect_linked(path: Path, field: str, wanted: Collection[str] | None, give
 
 
 def iterate_rows(path: Path, *needed: str) -> Iterator[Row]:
-    """Rows of one table, one after the other, as the file is read.
-
-    Args:
-        needed: Fields that must be there and be text.
-    """
+    """Rows of one table as the file is read; the ``needed`` fields must be there and be text."""
     for number, row in enumerate(chain.from_iterable(TableScan(path).batches())):
         if not all(isinstance(row.get(field), str) for field in needed):
             raise InputError(f"{path} row {number} is not an object with {' and '.join(needed)}; make the table again")

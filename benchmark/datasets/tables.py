@@ -27,8 +27,8 @@ def find_version_folders(root: Path) -> tuple[str, ...]:
 def find_variant_folders(root: Path) -> tuple[str, ...]:
     """Names of the variant roots in a folder: ``v0``, ``v1``, ... in numeric order.
 
-    None unless at least one of them holds a version folder. An unfinished variant beside finished ones is among them,
-    so that opening fails and nothing is computed from a part of the data.
+    None unless at least one holds a version folder. An unfinished variant beside finished ones is among them, so that
+    opening fails and nothing is computed from a part of the data.
     """
     if not root.is_dir():
         return ()

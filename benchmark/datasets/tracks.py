@@ -21,16 +21,10 @@ REQUIRED: Final = ("ptr", "x", "y", "heading", "length", "cls", "hz", "source", 
 
 @dataclass(frozen=True, slots=True)
 class RecordedTracks:
-    """One track file as it is, N tracks of M samples together.
+    """One track file as it is, N tracks of M samples together, the recorded point in metres and radians.
 
-    Attributes:
-        hz: Samples per second.
-        pointers: (N + 1,) track i is samples ``pointers[i]:pointers[i + 1]``.
-        x: (M,) recorded point, metres.
-        y: (M,) metres.
-        heading: (M,) radians, as recorded (wrapped or not).
-        length: (N,) metres; not finite where unknown.
-        is_ego: (N,) whether the track is that of the recording car.
+    Track i is samples ``pointers[i]:pointers[i + 1]``, ``pointers`` being (N + 1,). ``heading`` is wrapped or not,
+    ``length`` is in metres and not finite where unknown, ``is_ego`` marks the recording car.
     """
 
     source: str

@@ -1,9 +1,4 @@
-"""Availability of ground truth for a scene, so that a record can mark numbers without a basis.
-
-Inputs of planners and metrics beside annotations: which of them a scene has, and which are implausible.
-
-Signs of a wrong data set in recorded motion: boxes that jump or lie across it, rotations in another order.
-"""
+"""Truth and inputs that a scene has, so that a record marks numbers without a basis, and signs of wrong tables."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -45,14 +40,7 @@ LEAST_MOVING: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class AnnotationSteps:
-    """S steps of objects from one annotation to the next, over all objects of a scene.
-
-    Attributes:
-        row: (S,) annotation at which it begins.
-        owner: (S,) the object.
-        speed: (S,) m/s.
-        direction: (S,) of the motion, radians.
-    """
+    """S steps of objects from one annotation (``row``) to the next, over all objects of a scene, in m/s and radians."""
 
     row: NDArray[np.int64]
     owner: NDArray[np.int64]
@@ -61,12 +49,9 @@ class AnnotationSteps:
 
     @classmethod
     def of(cls, owner: NDArray[np.int64], seconds: Floats, position: Floats) -> "AnnotationSteps":
-        """Steps of R annotations; none where time does not go on.
+        """Steps of R annotations, those of an object together in time order; none where time does not go on.
 
-        Args:
-            owner: (R,) number of the object; those of an object stand together, in time order.
-            seconds: (R,) times.
-            position: (R, 2) metres.
+        ``owner`` is (R,), the number of the object, ``seconds`` (R,), ``position`` (R, 2) in metres.
         """
         elapsed, moved = np.diff(seconds), np.diff(position[:, :2], axis=0)
         row = np.flatnonzero((owner[1:] == owner[:-1]) & (elapsed > 0.0))
@@ -93,11 +78,8 @@ class AnnotationSteps:
 def count_objects_across(steps: AnnotationSteps, yaw: Floats, size: Floats) -> tuple[int, int]:
     """Number of objects that move, and of those that lie across their motion at most of their moving steps.
 
-    A box lies across its motion if its heading is at right angles to it or it is wider than long.
-
-    Args:
-        yaw: (R,) headings, radians.
-        size: (R, 2) length and width, metres.
+    A box lies across its motion if its heading, (R,) radians, is at right angles to it or its (R, 2) size, length and
+    width, is wider than long.
     """
     driving = steps.drives
     row, owner = steps.row[driving], steps.owner[driving]
@@ -115,15 +97,10 @@ def are_boxes_across(moving: int, across: int) -> bool:
 
 
 def are_rotations_xyzw(quaternions: Floats, direction: Floats | None = None) -> bool:
-    """Whether rotations make sense only if they are read as x, y, z, w.
+    """Whether (R, 4) rotations, read as w, x, y, z, make sense only as x, y, z, w.
 
-    Args:
-        quaternions: (R, 4) as they are read: w, x, y, z.
-        direction: (R,) motion of their objects, NaN where these do not move; not asked without it.
-
-    Returns:
-        Whether most are upside down, lie on a side or look away from the motion as they are read, and hardly any does
-        in the other order.
+    That is, most are upside down, lie on a side or look away from ``direction`` (the object's motion, NaN where it does
+    not move; not asked without it) as they are read, and hardly any does in the other order.
     """
     if not len(quaternions):
         return False
@@ -146,11 +123,7 @@ def _compute_plausible_share(quaternions: Floats, direction: Floats | None) -> f
 
 
 def find_scene_inputs(scene: Scene, *, lidar: bool) -> InputFacts:
-    """Look at map, rig, boxes and rotations of a scene.
-
-    Args:
-        lidar: Whether its data set says where the lidar sits.
-    """
+    """Look at map, rig, boxes and rotations of a scene; ``lidar`` tells whether its data set says where that sits."""
     known, ego, seconds = scene.annotations, scene.ego, scene.seconds[scene.keyframes]
     owner, at = np.nonzero(known.valid)
     rotation = known.rotation[owner, at]
@@ -177,11 +150,7 @@ is never so still: its recorded pose trembles by hundredths of a millimetre."""
 
 
 def compute_truth_facts(data: "DataSet", name: str, truths: Sequence[SampleTruth]) -> TruthFacts:
-    """Count annotations in a scene and key frames that are no steps, and look at all other inputs.
-
-    Args:
-        truths: One for each sample of the scene, in time order.
-    """
+    """Count annotations in a scene and key frames that are no steps, and look at all other inputs."""
     scene = data.scene(name)
     valid = scene.annotations.valid
     unknown: Counter[str] = Counter()

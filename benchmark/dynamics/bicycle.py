@@ -1,10 +1,9 @@
 """Physics-aware planning simulator: an LQR tracker drives a kinematic bicycle along sampled waypoints.
 
 Paper section 3, "Physics-aware Planning Simulator". Everything is vectorised over candidates. `MotionModel.si` works in
-seconds with the vehicle's own wheelbase and with limits that drivers and tyres have; `MotionModel.reference`
-repeats the units and quirks of the public reference code (one frame counts as one second, no limits).
-
-Which limit of a driver a recorded or generated track breaks, by finite differences at 12 Hz.
+seconds with the vehicle's own wheelbase and with limits that drivers and tyres have; `MotionModel.reference` repeats
+the units and quirks of the public reference code (one frame counts as one second, no limits). `find_broken_limit` tells
+which limit a 12 Hz track breaks.
 """
 
 from dataclasses import dataclass
@@ -56,10 +55,8 @@ class DriverLimits:
 class MotionModel:
     """Units and quirks of the simulation; ``dt`` is the time of one frame.
 
-    Attributes:
-        tracker_wheelbase_m: Wheelbase that the tracker assumes, ``None`` for the vehicle's own.
-        smooth: Cubic interpolation of waypoints, held headings and no reversing; else the reference code's.
-        limits: Limits of the driver, ``None`` for the reference's steering limit alone.
+    ``tracker_wheelbase_m`` is ``None`` for the vehicle's own, ``limits`` for the reference's steering limit alone.
+    ``smooth`` means cubic interpolation of waypoints, held headings and no reversing; else the reference code's.
     """
 
     dt: float
@@ -126,14 +123,10 @@ def compute_rear_axle(center: Floats, length_m: float) -> Floats:
 def simulate(
     waypoints: Floats, state: VehicleState, length_m: float, *, steps: int, model: MotionModel
 ) -> SimulatedMotion:
-    """Drive along waypoints: LQR tracker, actuators and kinematic bicycle.
+    """Drive ``steps`` frames along waypoints: LQR tracker, actuators and kinematic bicycle.
 
-    Args:
-        waypoints: (B, 16, 2 or 3) x, y (heading is ignored) at 2 Hz in the rear-axle frame of ``state``.
-        steps: Frames to simulate, at most those of the path (96 in SI, 80 as in the reference).
-
-    Returns:
-        The motion. A candidate with NaN or infinity is marked, the others are not disturbed.
+    Waypoints are (B, 16, 2 or 3) x, y (heading is ignored) at 2 Hz in the rear-axle frame of ``state``; their path has
+    96 frames in SI, 80 as in the reference. A candidate with NaN or infinity is marked, the others are not disturbed.
     """
     finite = np.isfinite(waypoints).all(axis=(1, 2))
     safe = waypoints[..., :2] if finite.all() else np.where(finite[:, None, None], waypoints[..., :2], 0.0)
@@ -157,10 +150,8 @@ def simulate(
 class BicycleMotion:
     """Motion in the local frame, candidates last: every row that a step works on is contiguous.
 
-    Attributes:
-        states: (S + 1, 6, B) x, y, yaw (not wrapped), speed, acceleration, steering angle.
-        direction: (S + 1, 2, B) cosine and sine of yaw.
-        commands: (S, 2, B) acceleration and steering rate.
+    ``states`` are (S + 1, 6, B) x, y, yaw (not wrapped), speed, acceleration, steering angle; ``direction`` (S + 1, 2,
+    B) cosine and sine of yaw; ``commands`` (S, 2, B) acceleration and steering rate.
     """
 
     states: Floats
@@ -173,9 +164,9 @@ def follow_path(
 ) -> BicycleMotion:
     """Track a path in its own frame, from its origin.
 
-    Speeds first, because they do not depend on steering; then the steering law at all frames; then the path.
-    ``motion`` is (3, 1 or B) speed, acceleration and steering angle now; the wheelbase is the bicycle's, and the
-    tracker's too unless the model says otherwise.
+    Speeds first, because they do not depend on steering; then the steering law at all frames; then the path. ``motion``
+    is (3, 1 or B) speed, acceleration and steering angle now; the wheelbase is the bicycle's, and the tracker's too
+    unless the model says otherwise.
     """
     count = path.speed.shape[1]
     drive = BicycleMotion(np.zeros((steps + 1, 6, count)), np.zeros((steps + 1, 2, count)), np.zeros((steps, 2, count)))
@@ -300,9 +291,9 @@ def find_broken_limit(
 ) -> tuple[str, float, float] | None:
     """First limit of the driver that a 12 Hz track breaks: finite differences of the rear axle's path.
 
-    Name with unit, value and limit, or ``None``; tracks of fewer than three frames break none.
-    ``rounded_m`` is how far each position may be from where it was, where a file holds it to a few digits: the limits
-    are wider by what that does to the differences.
+    Name with unit, value and limit, or ``None``; tracks of fewer than three frames break none. ``rounded_m`` is how far
+    each position may be from where it was, where a file holds it to a few digits: the limits are wider by what that
+    does to the differences.
     """
     if len(boxes) < 3:
         return None

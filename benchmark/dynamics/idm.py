@@ -45,8 +45,7 @@ def idm_acceleration(
 ) -> float:
     """Acceleration of a car that follows a leader, or none, m/s^2, not below ``-driver.hardest_braking``.
 
-    The gap is from its front to the rear of the leader, infinite without one; the leader's speed along the same
-    path.
+    The gap is from its front to the rear of the leader, infinite without one; the leader's speed along the same path.
     """
     ratio = speed / max(free_speed, 0.1)
     if ratio <= 1.0:

@@ -57,10 +57,7 @@ class LanePath:
         return np.asarray(self.heading[nearest])
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
-        """Places of (..., 2) global points beside the path, metres.
-
-        Arc length of the nearest path point, and signed distance to the left of the path there.
-        """
+        """Arc length of the path point nearest to (..., 2) global points, and signed metres to the left there."""
         flat = points.reshape(-1, 2)
         squared = (flat[:, :1] - self.points[:, 0]) ** 2 + (flat[:, 1:] - self.points[:, 1]) ** 2
         nearest = squared.argmin(axis=1)
@@ -80,15 +77,11 @@ def build_straight_path(pose: Floats, length_m: float) -> LanePath:
 def build_lane_path(
     road_map: RoadMap, pose: Floats, command: Command, speed: float, length_m: float
 ) -> LanePath | None:
-    """Path from the car onto the nearest lane that goes its way, and along the route that the command names.
+    """Path of a car at (3,) x, y, yaw of the rear axle onto the nearest lane its way, and along the route.
 
+    ``command`` chooses the successor where a lane forks: the one that turns most to its side, or least. A faster car
+    takes longer to reach the middle of its lane; beyond the end of the lane the path goes straight on, to ``length_m``.
     ``None`` if no lane is near or the car is at its end.
-
-    Args:
-        pose: (3,) x, y, yaw of the rear axle.
-        command: Chooses the successor where a lane forks: the one that turns most to its side, or least.
-        speed: m/s; a faster car takes longer to reach the middle of its lane.
-        length_m: How far to look; beyond the end of the lane the path goes straight on.
     """
     lane = find_nearest_lane(road_map, pose)
     if lane is None:

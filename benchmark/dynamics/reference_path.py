@@ -21,14 +21,10 @@ HELD_BELOW_M_S = 0.3
 
 @dataclass(frozen=True, slots=True)
 class ReferencePath:
-    """Path that the tracker follows; F frames, B candidates.
+    """Path that the tracker follows in the local frame; F frames, B candidates.
 
-    Attributes:
-        position: (F + 1, 2, B) x, y in the local frame.
-        heading: (F + 1, B) radians, in the local frame.
-        direction: (F + 1, 2, B) cosine and sine of the heading.
-        speed: (F, B) along the path.
-        curvature: (F, B) radians per metre.
+    ``position`` is (F + 1, 2, B), ``heading`` (F + 1, B) radians, ``direction`` (F + 1, 2, B) its cosine and sine,
+    ``speed`` (F, B) along the path, ``curvature`` (F, B) radians per metre.
     """
 
     position: Floats
@@ -52,11 +48,9 @@ def wrap_angle_exactly(angle_rad: Floats) -> Floats:
 def build_reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, smooth: bool) -> ReferencePath:
     """Interpolate waypoints and fit speed and curvature to them by regularised least squares.
 
-    Args:
-        waypoints: (B, 16, 2) metres in the rear-axle frame of the vehicle now; the origin is prepended.
-        dt: Time of one frame.
-        smooth: Natural cubic spline, headings held at walking pace and no reversing; otherwise straight segments and
-            the direction of every displacement, as in the reference code.
+    Waypoints are (B, 16, 2) metres in the rear-axle frame of the vehicle now; the origin is prepended. ``smooth`` is a
+    natural cubic spline with headings held at walking pace and no reversing; otherwise straight segments and the
+    direction of every displacement, as in the reference code. ``dt`` is the time of one frame.
     """
     count = len(waypoints)
     frames = WAYPOINTS * frames_per_waypoint
@@ -185,16 +179,11 @@ def _solve_tridiagonal(pull: Floats, push: Floats, link: Floats) -> Floats:
     """Solve a chain of springs: positive definite tridiagonal equations, by removing every other node again and again.
 
     Node i is pulled to zero by a spring of strength ``pull[i]``, pushed by ``push[i]`` and linked to node i + 1 by a
-    spring of strength ``link[i]``. A removed node leaves springs in its place, whose strengths are products and sums
-    of positive numbers: nothing cancels, however weakly a standing car is pulled.
+    spring of strength ``link[i]``. A removed node leaves springs in its place, whose strengths are products and sums of
+    positive numbers: nothing cancels, however weakly a standing car is pulled.
 
-    Args:
-        pull: (N, B) not negative, with at least one positive in each column.
-        push: (N, B).
-        link: (N - 1, B or 1) positive.
-
-    Returns:
-        (N, B) where the nodes come to rest.
+    ``pull`` is (N, B), not negative, with at least one positive in each column, ``push`` (N, B), ``link`` (N - 1, B or
+    1), positive. The result is (N, B), where the nodes come to rest.
     """
     if len(pull) == 1:
         return np.asarray(push / pull)

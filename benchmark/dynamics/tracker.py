@@ -91,13 +91,9 @@ def compute_steering_law(
 ) -> SteeringLaw:
     """Gains of the lateral regulator for frames 0 to S - 1.
 
-    Minimises lateral^2 + 10 heading^2 + rate^2 at the end of the look-ahead over one constant steering rate.
-
-    Args:
-        speed: (S, B) at each frame.
-        acceleration: (S, B) that the tracker asks for; the look-ahead assumes that it is obeyed.
-        stopping: (S, B) where nothing is steered.
-        wheelbase_m: Wheelbase that the tracker assumes.
+    Minimises lateral^2 + 10 heading^2 + rate^2 at the end of the look-ahead over one constant steering rate. Arrays are
+    (S, B); the look-ahead assumes that ``acceleration`` is obeyed; nothing is steered where ``stopping``; the wheelbase
+    is the one that the tracker assumes.
     """
     steps, count = speed.shape
     basis = np.empty((steps, 5, count))

@@ -1,9 +1,7 @@
-"""Time to last chance: until when one of the sampled manoeuvres still avoids the contact that a base track ends in.
+"""Time to last chance: until when one of 25 sampled manoeuvres still avoids the contact that a base track ends in.
 
 ``docs/severity.md``, "Time to last chance". The base is a recorded or driven ego, or the ego at constant speed. Agents
-replay their tracks, and 25 manoeuvres are a lower bound of what could be done.
-
-Twenty-five things that a driver could still do: brake so hard, and swerve so far, from a moment on.
+replay their tracks. Manoeuvres brake so hard, and swerve so far, from a moment on: a lower bound of what could be done.
 """
 
 from dataclasses import dataclass
@@ -42,10 +40,7 @@ X, Y, HEADING, SPEED, STEERING = range(STATE_COLUMNS)
 
 @dataclass(frozen=True, slots=True)
 class ManoeuvreStarts:
-    """O moments at which manoeuvres start.
-
-    Poses are (O, 3) box centre x, y and heading of the ego; the station is metres along the path.
-    """
+    """O moments at which manoeuvres start: (O, 3) box centre and heading of the ego, and its metres along the path."""
 
     pose: Floats
     speed: Floats
@@ -53,9 +48,9 @@ class ManoeuvreStarts:
 
 
 def simulate_manoeuvres(path: EgoPath, starts: ManoeuvreStarts, steps: int) -> Floats:
-    """Drive all manoeuvres from all moments, as if the ego were alone.
+    """(O, 25, steps + 1, 5) states, the start included, of all manoeuvres from all moments, as if the ego were alone.
 
-    (O, 25, steps + 1, 5) states, the start included; steps are of 0.05 s.
+    Steps are of 0.05 s.
     """
     shape = (len(starts.speed), len(MANOEUVRES))
     braking = np.broadcast_to([value for value, _ in MANOEUVRES], shape).ravel()
@@ -121,12 +116,9 @@ OFF_ROAD_M: Final = 0.3
 
 @dataclass(frozen=True, slots=True)
 class ManoeuvreTrial:
-    """Manoeuvres from one moment.
+    """Manoeuvres from one moment, as if nothing had been hit: (25, S + 1, 5) states.
 
-    Attributes:
-        time: Of the start, seconds.
-        states: (25, S + 1, 5) of `benchmark.interactions.avoidability`, as if nothing had been hit.
-        failed: (25,) step of the contact or of leaving the road, -1 for success.
+    ``failed`` is (25,), the step of the contact or of leaving the road, -1 for success.
     """
 
     time: float
@@ -146,13 +138,10 @@ class ManoeuvreTrial:
 
 @dataclass(frozen=True, slots=True)
 class LastAvoidableTime:
-    """Last moment at which a contact could be avoided.
+    """Last moment at which a contact could be avoided; ``contact`` is the base's, ``None`` if it is not threatened.
 
-    Attributes:
-        contact: That of the base; ``None`` if it has none: not threatened.
-        time: Of the last chance, seconds; ``None`` if there is no contact, it is not the ego's to avoid, or nothing
-            avoids it from the start on.
-        evaluated: Index of the first manoeuvre that succeeds, by the tenth of a second that was looked at.
+    ``time``, seconds, is ``None`` if there is no contact, it is not the ego's to avoid, or nothing avoids it from the
+    start on. ``evaluated`` has the first manoeuvre that succeeds, by the tenth of a second that was looked at.
     """
 
     contact: EgoCollision | None
@@ -166,11 +155,9 @@ class LastAvoidableTime:
 
 
 class BaselineEgo:
-    """Ego whose first contact is to be avoided.
+    """Ego whose first contact is to be avoided, as it is (``RECORDED``) or at the speed of the start (``CONSTANT``).
 
-    Attributes:
-        driver: ``RECORDED`` for the ego as it is, ``CONSTANT`` for the speed of the start.
-        drivable: Where manoeuvres may go; anywhere if ``None``.
+    Manoeuvres may go anywhere if ``drivable`` is ``None``.
     """
 
     def __init__(
@@ -225,10 +212,10 @@ class BaselineEgo:
         return LastAvoidableTime(contact, start + GRID_S * low, evaluated)
 
     def is_avoidable_after(self, first_visible: float | None) -> bool:
-        """Whether a manoeuvre succeeds once a driver has had time to react to the adversary.
+        """Whether a manoeuvre succeeds once a driver has had time to react to the adversary (``None``: never visible).
 
-        ``first_visible`` is ``None`` for never. The verdict at the first tenth of a second that is 0.75 s later; true
-        where the base is not threatened or not to blame, false where it is over by then.
+        The verdict at the first tenth of a second that is 0.75 s later; true where the base is not threatened or not to
+        blame, false where it is over by then.
         """
         contact = self.contact
         if contact is None or KINDS.index(contact.kind) in NOT_AT_FAULT_KINDS:

@@ -58,14 +58,9 @@ NOT_AT_FAULT_KINDS: Final = (STOPPED_EGO, REAR)
 
 @dataclass(frozen=True, slots=True)
 class ContactPairs:
-    """P pairs of an ego and another, each at one instant.
+    """P pairs of an ego and another, each at one instant: (P, 5) boxes, (P,) ego speed along its heading in m/s.
 
-    Attributes:
-        ego: (P, 5) boxes.
-        ego_speed: (P,) m/s along the heading.
-        other: (P, 5) boxes.
-        other_velocity: (P, 2) m/s; use `moving` for objects that are no agents.
-        is_agent: (P,) whether the other moves by itself.
+    ``other_velocity`` is (P, 2), m/s; use `moving` for objects that are no agents. ``is_agent`` is (P,).
     """
 
     ego: Floats
@@ -166,10 +161,7 @@ def classify_contacts(ego: Floats, ego_speed: Floats, other: Floats, other_speed
 
 
 def compute_bearing(ego: Floats, other: Floats) -> Floats:
-    """Angle between the ego's heading and the direction from its rear axle to the centre of another.
-
-    Radians, 0 straight ahead to pi straight behind.
-    """
+    """Angle from the ego's heading to the direction from its rear axle to another's centre, 0 ahead to pi behind."""
     cos, sin = np.cos(ego[..., 4]), np.sin(ego[..., 4])
     offset = other[..., :2] - ego[..., :2]
     along = offset[..., 0] * cos + offset[..., 1] * sin + EGO_CENTER_FROM_REAR_AXLE_M

@@ -18,9 +18,7 @@ from benchmark.interactions.tracks import STEP_S, SUB_STEPS
 class EgoCollision:
     """First contact of a run, in seconds and m/s; boxes are (5,).
 
-    Attributes:
-        step: The step of 0.1 s in which it happens.
-        agent: Index of the touched agent; the lowest of several.
+    ``step`` is that of 0.1 s in which it happens, ``agent`` the index of the touched agent, the lowest of several.
     """
 
     time: float
@@ -38,10 +36,8 @@ class EgoCollision:
 class DriverOutcome:
     """End of a run; ``motion`` is as if nothing had been hit.
 
-    Attributes:
-        contact: The first contact, or ``None`` if the driver survives.
-        instants: How many instants of the motion belong to the run.
-        beyond_end: Whether it left the recorded path, where no road is known.
+    ``contact`` is ``None`` if the driver survives, ``instants`` of the motion belong to the run; ``beyond_end`` if it
+    left the recorded path, where no road is known.
     """
 
     motion: DriverMotion

@@ -1,9 +1,8 @@
-"""Reference drivers along the recorded path of a scene, against all agents in it.
+"""Reference drivers along the recorded path of a scene, against all agents in it, and what they see.
 
 ``docs/severity.md``, "Reference drivers". All drivers of a scene advance together, one step of 0.1 s after another;
-contacts do not change what a driver does before them, so that they are looked for afterwards, in `outcomes`.
-
-Visibility between road users: a free line from the ego's centre to the centre or a corner of an agent.
+contacts do not change what a driver does before them, so that they are looked for afterwards. An agent is seen along a
+free line from the ego's centre to the agent's centre or a corner.
 """
 
 from collections.abc import Sequence
@@ -26,10 +25,7 @@ HIDING_M: Final = 90.0
 
 
 def find_visible(eyes: Floats, agents: Integers, boxes: Floats, present: Bools, hides: Bools) -> Bools:
-    """(Q,) whether agents are seen from (Q, 2) places, among all (N, 5) boxes that are there at that time.
-
-    ``hides`` says which of them can hide a car.
-    """
+    """(Q,) whether agents are seen from (Q, 2) places, among all (N, 5) boxes there; ``hides``: who can hide a car."""
     is_visible = np.zeros(len(agents), np.bool_)
     blockers = np.flatnonzero(present & hides)
     target = boxes[agents]
@@ -119,13 +115,10 @@ class DriverMotion:
 
 @dataclass(slots=True)
 class DrivingSituation:
-    """Scene as drivers need it, at K instants of decision.
+    """Scene as drivers need it, at K instants of decision: all agents then, along the path (``relations``).
 
-    Attributes:
-        ignored: (N,) agents that overlap the ego at the start.
-        relations: All agents at those instants, along the path.
-        station: (K,) of the recorded ego, as is ``speed``.
-        adversary: Its index, for rungs that react to it alone.
+    ``ignored`` (N,) agents overlap the ego at the start; ``station`` and ``speed``, (K,), are of the recorded ego;
+    rungs may react to ``adversary`` alone.
     """
 
     tracks: ContinuousTracks

@@ -23,16 +23,10 @@ _PAIRS_AT_ONCE: Final = 400_000
 
 @dataclass(frozen=True, slots=True)
 class EgoPath:
-    """Polyline with headings.
+    """Polyline of M vertices, metres, with (M,) headings of the ego there, radians, unwrapped.
 
-    Attributes:
-        points: (M, 2) vertices.
-        yaw: (M,) headings of the ego there, radians, unwrapped.
-        station: (M,) metres along the polyline, 0 at the second vertex.
-        size: (2,) length and width of the ego.
-        vertex_seconds: (M - 2,) times of the vertices but the first and the last.
-        length: (M - 1,) of the segments, metres.
-        direction: (2, M - 1) unit vectors along them.
+    ``station`` is (M,), 0 at the second vertex; ``vertex_seconds`` are (M - 2,), of all vertices but the first and the
+    last; ``length`` (M - 1,) and unit vectors ``direction`` (2, M - 1) are of the segments; ``size`` is the ego's.
     """
 
     points: Floats
@@ -103,10 +97,7 @@ class EgoPath:
         return station
 
     def recorded_speed(self, times: Floats) -> Floats:
-        """Speed of the recorded ego along the path at times in seconds.
-
-        In m/s, not negative, over a quarter of a second to both sides.
-        """
+        """Speed of the recorded ego along the path, m/s, not negative, over a quarter of a second to both sides."""
         first, last = (
             np.clip(times + reach, self.tracks.seconds[0], self.tracks.seconds[-1])
             for reach in (-_SPEED_REACH_S, _SPEED_REACH_S)
@@ -115,16 +106,10 @@ class EgoPath:
         return np.asarray(np.maximum(moved / (last - first), 0.0))
 
     def project(self, points: Floats, low: Floats | None = None, high: Floats | None = None) -> tuple[Floats, Floats]:
-        """Nearest points of the path.
+        """(Q,) stations nearest to (Q, 2) points, and (Q,) signed distances, positive on the left of the tangent there.
 
-        Args:
-            points: (Q, 2) metres.
-            low: (Q,) first station that counts; the whole path by default.
-            high: (Q,) last station that counts.
-
-        Returns:
-            (Q,) stations, the lowest where several are as near, and (Q,) signed distances, positive on the left of the
-            tangent there.
+        The lowest station where several are as near; (Q,) ``low`` and ``high`` limit them, by default to the whole
+        path.
         """
         count = len(points)
         low = np.full(count, -np.inf) if low is None else low

@@ -21,9 +21,9 @@ _EXPONENT: Final = 4
 
 
 def compute_idm_acceleration(speed: Floats, free_speed: float | Floats, gap: Floats, leader_speed: Floats) -> Floats:
-    """Acceleration of a car that keeps distance, m/s^2.
+    """Acceleration of a car that keeps distance, m/s^2; the gap is infinite without a leader.
 
-    Speeds are m/s, the leader's along the path; the gap is infinite without a leader.
+    Speeds are m/s, the leader's along the path.
     """
     near = np.maximum(gap, SMALLEST_GAP_M)
     closing = _compute_wanted_gap(speed, leader_speed, TIME_GAP_S, ACCELERATION, COMFORTABLE_BRAKING)

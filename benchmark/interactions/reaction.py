@@ -1,8 +1,7 @@
-"""How reference drivers brake once they find a situation unsafe: reaction time, then braking that builds up.
+"""When reference drivers find a situation unsafe (UN Regulation 157, RSS, FSM), and how they brake then.
 
-A driver brakes in unsafe steps only and holds its speed in others; its clock and its braking are never set back.
-
-When reference drivers hold a situation to be unsafe: the distances and scores of UN Regulation 157, RSS and FSM.
+A driver brakes, after its reaction time and with braking that builds up, in unsafe steps only and holds its speed in
+others; its clock and its braking are never set back.
 """
 
 from collections.abc import Sequence
@@ -44,10 +43,7 @@ def rss_distance_along(speed: Floats, leader_speed: Floats) -> Floats:
 
 
 def rss_distance_across(side_speed: Floats) -> Floats:
-    """Smallest safe distance sideways by RSS, metres.
-
-    ``side_speed`` is of the other across the path, not negative.
-    """
+    """Smallest safe distance sideways by RSS, metres, by the other's speed across the path, not negative."""
     after = side_speed + _RSS_SIDE_ACCELERATION * REACTION_S
     reacting = np.abs((side_speed + after) * REACTION_S / 2)
     return np.asarray(_RSS_SIDE_MARGIN_M + reacting + after**2 / (2 * _RSS_SIDE_ACCELERATION))
@@ -62,10 +58,7 @@ def proactive_score(gap: Floats, speed: Floats, leader_speed: Floats) -> Floats:
 
 
 def critical_score(gap: Floats, speed: Floats, leader_speed: Floats, acceleration: Floats) -> Floats:
-    """FSM's critical fuzzy score, 0 to 1: whether the gap would do if the leader kept its speed.
-
-    The acceleration is that of the ego.
-    """
+    """FSM's critical fuzzy score, 0 to 1, by the ego's acceleration: whether the gap would do at the leader's speed."""
     held = np.maximum(acceleration, -_FSM_COMFORTABLE)
     later = speed + REACTION_S * held
     reacting = REACTION_S * (speed + 0.5 * REACTION_S * held - leader_speed)
@@ -146,15 +139,10 @@ class ReactionState:
         return cls(tuple(drivers), np.broadcast_to(delay[:, None], shape).copy(), np.zeros(shape))
 
     def react(self, unsafe: Bools, speed: Floats, target: Floats) -> Floats:
-        """One step of those in an unsafe situation.
+        """(R, C) speed after one step of those in an ``unsafe`` situation; the others remember as before.
 
-        Args:
-            unsafe: (R, C) whose situation is unsafe; the others remember as before.
-            speed: (R, C) m/s.
-            target: (R, C) the braking that FSM asks for, m/s^2; the others do not look at it.
-
-        Returns:
-            (R, C) speed after the step where it is unsafe; during the reaction of the careful human it may be negative.
+        It may be negative during the reaction of the careful human. ``target`` is (R, C), the braking that FSM asks
+        for, m/s^2; other drivers do not look at it.
         """
         regulation, careful, fuzzy = (self._are(driver) for driver in (Driver.R157, Driver.CC, Driver.FSM))
         waiting = self.delay > 0

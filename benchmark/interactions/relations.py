@@ -1,8 +1,7 @@
 """Where agents are along and across the ego's path, and how they move along and across it.
 
-``docs/severity.md``, "What a driver sees". An agent's place on the path hardly ever depends on where the ego is, so it
-is found once for every instant; only where the nearest point of the whole path lies outside the stretch around the ego
-is it found again for that stretch.
+``docs/severity.md``, "What a driver sees". A place on the path hardly ever depends on where the ego is, so it is found
+once for every instant, and again only where the path's nearest point lies outside the stretch around the ego.
 """
 
 from dataclasses import dataclass
@@ -39,14 +38,10 @@ class PathPlacements:
 
 @dataclass(frozen=True, slots=True)
 class PathRelations:
-    """N agents at K instants, seen from a path.
+    """N agents at K instants, seen from a path: (N, K, 5) boxes, (N, K) presence and places by the whole path.
 
-    Attributes:
-        boxes: (N, K, 5) agents; ``present`` is (N, K).
-        velocity: (N, K, 2) metres a second.
-        hides: (N,) which can hide a car.
-        places: (N, K) arrays: by the whole path.
-        along: (N, K) velocity along the path; ``across`` is to the left of it.
+    ``velocity`` is (N, K, 2), m/s, ``along`` and ``across`` (to the left) are (N, K) of it; ``hides`` are (N,), which
+    can hide a car.
     """
 
     path: EgoPath
@@ -104,10 +99,7 @@ class PathRelations:
         return self.seen(np.arange(len(self.boxes)), np.array(instant), stations[:, None])
 
     def seen(self, agents: Integers, instants: Integers, stations: Floats) -> "RelativeAgents":
-        """Some agents at some instants, as seen by egos at stations on the path, metres.
-
-        Indices of agents and instants and the stations broadcast against one another.
-        """
+        """Agents at instants, seen by egos at stations on the path, metres; indices and stations broadcast."""
         eyes = self.path.position(stations)
         agents, instants, stations = np.broadcast_arrays(agents, instants, stations)
         places = {name: getattr(self.places, name)[agents, instants] for name in PathPlacements.__dataclass_fields__}
@@ -152,9 +144,7 @@ class RelativeAgents:
         gap: From the ego's front to the agent's rear along the path.
         extent: Length of the agent along the path.
         side: Free distance between the ego's strip and the agent; not positive where it is in the way.
-        along: Its velocity along the path.
-        across: Its velocity to the left of the path.
-        towards: Its velocity towards the path.
+        across: Its velocity to the left of the path; ``along`` is along it, ``towards`` towards it.
     """
 
     ahead: Bools
@@ -177,13 +167,8 @@ def place_on_path(
 ) -> PathPlacements:
     """Put (Q, 5) boxes into the frame of a path.
 
-    Args:
-        low: (Q,) first station where a centre may be; the whole path by default.
-        high: (Q,) last station.
-        outlines_from: Boxes whose centre lies before this station have no outline.
-
-    Returns:
-        Their places: centres by the stretch asked for, outlines (corners and middles of the sides) within 15 m of it.
+    Centres by the stretch from (Q,) ``low`` to (Q,) ``high`` stations, the whole path by default; outlines (corners and
+    middles of the sides) within 15 m of it. Boxes whose centre lies before ``outlines_from`` have no outline.
     """
     station, offset = path.project(boxes[:, :2], low, high)
     rear, front, right, left = station.copy(), station.copy(), offset.copy(), offset.copy()

@@ -19,12 +19,10 @@ from benchmark.interactions.tracks import ContinuousTracks
 
 @dataclass(frozen=True)
 class SceneReferenceDrivers:
-    """Reference drivers in a scene.
+    """Reference drivers in a scene; outcomes go from the weakest statement to the most cautious.
 
-    Attributes:
-        outcomes: By driver, from the weakest statement to the most cautious.
-        first_visible: When the recorded ego first sees the adversary once drivers drive, seconds; ``None`` for never.
-        drivable: Where manoeuvres may go; ``None`` without a map, which a report must say.
+    ``first_visible`` is when the recorded ego first sees the adversary once drivers drive, seconds, ``None`` for never.
+    ``drivable`` is where manoeuvres may go, ``None`` without a map, which a report must say.
     """
 
     situation: DrivingSituation
@@ -53,10 +51,7 @@ class SceneReferenceDrivers:
         return cls(situation, outcomes, visible_from, drivable)
 
     def for_adversary(self, adversary: int) -> Self:
-        """The same scene with another one as the adversary: drivers and last chance do not depend on who that is.
-
-        All that was found already is kept.
-        """
+        """The same scene, with what was found, for another adversary: drivers and last chance do not depend on it."""
         situation = self.situation
         visible_from = find_first_visible_time(situation.tracks, adversary, situation.times)
         other = type(self)(situation, self.outcomes, visible_from, self.drivable)
@@ -88,8 +83,8 @@ class SceneReferenceDrivers:
     def unsolvable(self) -> bool:
         """Whether no driver could have avoided it.
 
-        No sampled manoeuvre succeeds 0.75 s after the adversary is first visible, and neither the careful human nor
-        FSM survives.
+        No sampled manoeuvre succeeds 0.75 s after the adversary is first visible, and neither the careful human nor FSM
+        survives.
         """
         if self.survives(Driver.CC) or self.survives(Driver.FSM):
             return False

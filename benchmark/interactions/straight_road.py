@@ -1,8 +1,7 @@
 """The official models on a straight road, ``jrc@code``: two cars, steps of 0.1 s, with every quirk of the public code.
 
-The public code is that of the Joint Research Centre (ec-jrc/JRC-FSM). Its models look at the size of a speed difference
-and not at its sign, so that a leader that drives away makes them brake; `benchmark.interactions.safety_checks` does
-better.
+That is the Joint Research Centre's (ec-jrc/JRC-FSM). Its models look at the size of a speed difference and not at its
+sign, so that a leader that drives away makes them brake; not so in `benchmark.interactions.safety_checks`.
 """
 
 from dataclasses import dataclass
@@ -40,8 +39,8 @@ EGO_AHEAD, EGO_BEHIND = 1, 2
 class OtherCar:
     """The other car of C cases over T steps, whose motion is given; every array (C, T).
 
-    ``x`` is the centre along the road, ``y`` across, metres, the left positive; the ego's ``y`` is 0. Speeds are
-    along the road and to its left.
+    ``x`` is the centre along the road, ``y`` across, metres, the left positive; the ego's ``y`` is 0. Speeds are along
+    the road and to its left.
     """
 
     x: Floats
@@ -85,11 +84,8 @@ class StraightSituation:
         gap: Bumper to bumper, negative where they overlap lengthwise.
         ahead: From the ego's front to the other's rear, whichever is ahead.
         side: Free distance sideways, negative where they overlap.
-        closing: Difference of speeds.
-        speed: Of the ego.
-        leader_speed: Of the other.
+        closing: Difference of speeds; ``speed`` and ``acceleration`` are the ego's, ``leader_speed`` the other's.
         towards: How fast the other comes from the left.
-        acceleration: Of the ego.
         behind: Whether the ego's centre is not past the other's.
     """
 
@@ -115,8 +111,8 @@ def drive_straight(
 ) -> StraightRuns:
     """Drive all cases with all drivers from (C, R) centres and (C,) speeds of the ego at step 0.
 
-    ``cruise`` is the speed that a driver at ease returns to. If ``always_careful``, the careful human holds every
-    step to be unsafe that has the other ahead, as in the official tables of following.
+    ``cruise`` is the speed that a driver at ease returns to. If ``always_careful``, the careful human holds every step
+    to be unsafe that has the other ahead, as in the official tables of following.
     """
     cases, steps, count = *other.x.shape, len(drivers)
     speeds, positions = np.empty((count, cases, steps)), np.empty((count, cases, steps))

@@ -32,13 +32,9 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class ContinuousTracks:
-    """One ego and N agents over F frames at rising seconds.
+    """One ego, (F, 5), and N agents, (N, F, 5), over F frames at rising seconds.
 
-    Attributes:
-        ego: (F, 5) boxes.
-        agents: (N, F, 5) boxes; where an agent is not there, any finite values.
-        valid: (N, F) whether the agent is there.
-        categories: N nuScenes category names.
+    Where an agent is not there, by (N, F) ``valid``, its boxes are any finite values.
     """
 
     seconds: Floats
@@ -84,9 +80,9 @@ class ContinuousTracks:
         return _interpolate_boxes(self.ego[frame], self.ego[frame + 1], fraction)
 
     def agents_at(self, times: Floats) -> tuple[Floats, Bools]:
-        """All agents at any times of the recording, seconds.
+        """(N, T, 5) boxes and (N, T) presence of all agents at any times of the recording, seconds.
 
-        (N, T, 5) boxes and (N, T) presence: at both frames around the time, or at the one frame it is.
+        One is there if it is at both frames around the time, or at the one frame it is.
         """
         frame, fraction = locate_frames(self.seconds, times)
         boxes = _interpolate_boxes(self.agents[:, frame], self.agents[:, frame + 1], fraction)
@@ -103,13 +99,9 @@ class ContinuousTracks:
         return np.asarray(present[:, 0] & boxes_overlap(self.ego_at(np.array([time])), boxes[:, 0]))
 
     def velocities_at(self, times: Floats, agents: Integers | None = None) -> Floats:
-        """(N, T, 2) metres a second from the last 0.2 s of each agent's run of valid frames.
+        """(N, T, 2) m/s from the last 0.2 s of each agent's run of valid frames, meant only for when it is there.
 
         Where the run has lasted less than 0.05 s it is the next 0.1 s, and zero where there is no time at all.
-
-        Args:
-            times: (T,) seconds; each agent's are used only where it is there.
-            agents: Indices of the agents asked for, all by default.
         """
         rows = np.arange(len(self)) if agents is None else agents
         frame, fraction = locate_frames(self.seconds, times)
@@ -147,10 +139,7 @@ class ContinuousTracks:
 
 
 def locate_frames(seconds: Floats, times: Floats) -> tuple[Integers, Floats]:
-    """The earlier frame beside each time, at most F - 2, and the fraction of the way to the next.
-
-    Outside the recording, the nearest end counts.
-    """
+    """The earlier frame beside each time, at most F - 2, and the fraction to the next; outside, the nearest end."""
     times = np.asarray(times, np.float64)
     if len(seconds) < 2:
         raise ValueError("tracks need at least two frames")

@@ -37,12 +37,9 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class SceneAttack:
-    """Attack success in one scene.
+    """Attack success in one scene: of each sample that counts, and by reading, ``None`` where it cannot be told.
 
-    Attributes:
-        samples: Of each sample that counts.
-        verdicts: On the scene, by reading; ``None`` where it cannot be told.
-        bystanders: Of each sample whether its first contact is with another than an adversary.
+    ``bystanders`` tells of each sample whether its first contact is with another than an adversary.
     """
 
     samples: tuple[Attack, ...]
@@ -59,12 +56,9 @@ class SceneAttack:
 class AttackRates:
     """Attack success on one planner.
 
-    Attributes:
-        judged: Scenes of which it is known whether the careful human survives them.
-        spared: Scenes among them that the careful human survives.
-        unknown_blame: Samples with a contact of which it cannot be told whose fault it is.
-        bystander_samples: Rate of samples whose first contact is with another than an adversary.
-        bystander_scenes: Rate of scenes with such a sample.
+    ``judged`` are scenes of which it is known whether the careful human survives them, ``spared`` those that it
+    survives; ``unknown_fault`` are samples with a contact of which it cannot be told whose fault it is. Bystander rates
+    are of samples whose first contact is with another than an adversary, and of scenes with such a sample.
     """
 
     samples: dict[Reading, Rate]
@@ -95,7 +89,7 @@ def knows_adversaries(record: RunRecord) -> bool:
 
 
 def can_count_attacks(record: RunRecord) -> bool:
-    """Whether attack success can be told: who the adversaries are, and how severe plans are, is known.
+    """Whether it is known who the adversaries are and how severe plans are.
 
     Where the adversary is not known, every contact would be a bystander's, and success 0 %.
     """
@@ -114,10 +108,7 @@ def careful_survives(record: RunRecord, scene: str) -> bool | None:
 
 
 def collect_scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
-    """Attack success by scene, in the record's order.
-
-    The record must say how severe its plans are (`has_severity`).
-    """
+    """Attack success by scene, in the record's order; the record must say how severe its plans are (`has_severity`)."""
     by_scene: dict[str, list[Attack]] = {scene: [] for scene in record.run.scenes}
     bystanders: dict[str, list[bool]] = {scene: [] for scene in by_scene}
     survivors = {scene: careful_survives(record, scene) for scene in by_scene}
@@ -139,10 +130,7 @@ def collect_scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
 
 
 def compute_attack_rates(record: RunRecord) -> AttackRates:
-    """Attack success on the planner of a record, with intervals over recorded scenes.
-
-    The record must say how severe its plans are (`has_severity`).
-    """
+    """Attack success on the planner of a record that `has_severity`, with intervals over recorded scenes."""
     attacks = collect_scene_attacks(record)
     samples = [(scene, sample) for scene, attack in attacks.items() for sample in attack.samples]
     known = [survives for scene in attacks if (survives := careful_survives(record, scene)) is not None]
@@ -161,10 +149,9 @@ def compute_attack_rates(record: RunRecord) -> AttackRates:
 
 
 def attack_rates_to_json(record: RunRecord) -> dict[str, Any]:
-    """Attack success as JSON values, for machines that read what a command prints.
+    """``attack_success`` as JSON values: rates by reading and of bystander contacts, of ``samples`` and of ``scenes``.
 
-    ``attack_success``: rates by reading and of first contacts with bystanders, of ``samples`` and of ``scenes``;
-    nothing where that cannot be told (`can_count_attacks`).
+    Nothing where that cannot be told (`can_count_attacks`).
     """
     if not can_count_attacks(record):
         return {}
@@ -197,7 +184,6 @@ def _combine_scene(attacks: Iterable[Attack], reading: Reading, missing: bool, s
 
 
 def _compute_rate(record: RunRecord, verdicts: Sequence[tuple[str, bool | None]]) -> Rate:
-    """Rate of verdicts on samples or scenes, with its interval over recorded scenes."""
     sources = map_scenes_to_sources(record)
     known_verdicts = [(sources[scene], float(verdict)) for scene, verdict in verdicts if verdict is not None]
     values = np.array([value for _, value in known_verdicts]).reshape(-1, 1)

@@ -34,12 +34,7 @@ class RefusedScene:
 
 
 def sum_collisions(record: RunRecord, protocol: str, horizon: str, refused: Sequence[RefusedScene]) -> SceneSums:
-    """(N, 1) sums of a planner's collision rate on an entry, by recording.
-
-    Args:
-        record: Of the planner on the accepted scenes.
-        horizon: One of `benchmark.metrics.rates.HORIZONS`.
-    """
+    """(N, 1) sums of a planner's collision rate on an entry, by recording, from its record on the accepted scenes."""
     return _sum_at_horizon(score_record(record, protocol=protocol), horizon, refused)
 
 
@@ -80,10 +75,9 @@ def _add_refused(sums: SceneSums, refused: Sequence[RefusedScene]) -> SceneSums:
 def average_planners(
     planners: Sequence[SceneSums], recordings: Sequence[str], seed: int
 ) -> tuple[ScoredQuantity, Floats]:
-    """Mean of the rates of several planners.
+    """Mean of the rates of several planners, and (2000,) means in resamples, NaN where one has nothing of the entry.
 
-    ``recordings`` are all of the challenge, the same for every entry: the same recordings and seed draw the same
-    resamples. The second result are (2000,) means in resamples, NaN where a resample has nothing of the entry.
+    ``recordings`` are all of the challenge: the same recordings and seed draw the same resamples for every entry.
     """
     names = tuple(recordings)
     rates, draws = [], []
@@ -111,10 +105,9 @@ def average_recordings(values: Mapping[str, Sequence[float]], seed: int) -> Scor
 
 
 def compare_entries(entries: Sequence[tuple[str, float, Floats]], *, enough: bool) -> tuple[EntryPair, ...]:
-    """Compare every two entries.
+    """Compare every two entries: a name, a score and (2000,) scores in the same resamples each, best first.
 
-    An entry is a name, a score and (2000,) scores in the same resamples, best first. ``enough`` says whether there
-    are two recordings or more to draw from; else no two are told apart.
+    ``enough`` says whether there are two recordings or more to draw from; else no two are told apart.
     """
     pairs = []
     for index, (name, score, draws) in enumerate(entries):
@@ -129,9 +122,9 @@ def compare_entries(entries: Sequence[tuple[str, float, Floats]], *, enough: boo
 
 
 def rank_entries(names: Sequence[str], pairs: Sequence[EntryPair]) -> dict[str, tuple[int, int]]:
-    """Places that the numbers leave open, for ranked entries, best first.
+    """Best and worst place by name that the numbers leave open, for ranked entries, best first.
 
-    Best and worst place by name: behind all who are told apart and better, before all who are and worse.
+    An entry is behind all who are told apart and better, before all who are and worse.
     """
     better, worse = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
     for pair in pairs:

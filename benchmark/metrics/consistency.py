@@ -35,10 +35,8 @@ MEAN: Final = "mean"
 class Consistency:
     """Distances between consecutive plans of a record.
 
-    Attributes:
-        distances: Metres by instant (`INSTANTS`) and their ``mean``, with 95 % intervals over recorded scenes.
-        pairs: Pairs of consecutive plans.
-        without: Pairs of consecutive samples that are left out because a plan, or the motion between them, is missing.
+    ``distances`` are metres by instant (`INSTANTS`) and their ``mean``, with 95 % intervals over recorded scenes;
+    ``without`` are pairs left out because a plan, or the motion between them, is missing.
     """
 
     distances: dict[str, Rate]
@@ -47,10 +45,7 @@ class Consistency:
 
 
 def measure_consistency(record: RunRecord) -> Consistency:
-    """Compare each plan of a record with the next one.
-
-    Only plans and the recorded motion in the rows are used, so old records have it too.
-    """
+    """Compare each plan of a record with the next one, by plans and recorded motion alone, so in old records too."""
     sources, columns = map_scenes_to_sources(record), record.columns
     scenes, place_of = columns.values("scene"), {row: place for place, row in enumerate(columns.planned.tolist())}
     pairs = [
@@ -78,15 +73,10 @@ def measure_consistency(record: RunRecord) -> Consistency:
 
 
 def measure_plan_distances(first: Floats, moved: Floats, second: Floats) -> Floats:
-    """`measure_plan_distance` for P pairs at once.
+    """(P, 5) metres between the plans of P pairs of samples, at 0.5 to 2.5 s after the second sample.
 
-    Args:
-        first: (P, 6, 2) waypoints planned at a sample, of the lidar origin in its frame.
-        moved: (P, 3) pose of the next sample's lidar in that of the first.
-        second: (P, 6, 2) waypoints planned at the next sample.
-
-    Returns:
-        (P, 5) metres at 0.5 to 2.5 s after the second sample.
+    ``first`` and ``second`` are (P, 6, 2) waypoints of the lidar origin, each in the lidar frame of its sample, and
+    ``moved`` is the (P, 3) pose of the second sample's lidar in that of the first.
     """
     # Straight ahead is pi/2 in the lidar frame: a pose there looks along its y axis.
     pose = np.stack([moved[:, 0], moved[:, 1], moved[:, 2] - np.pi / 2], axis=-1)

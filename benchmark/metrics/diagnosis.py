@@ -74,8 +74,8 @@ def diagnose(
 ) -> list[DiagnosisRow | None]:
     """Say of each colliding sample why it collides; ``None`` where nothing is touched.
 
-    Plans are as the planner gave them, in their own frame, with its forecasts. Samples whose recording ends early
-    are diagnosed too, though no rate counts them.
+    Plans are in their own frame, with their forecasts. Samples whose recording ends early are diagnosed too, though no
+    rate counts them.
     """
     if not len(exact):
         return []
@@ -86,10 +86,9 @@ def diagnose(
 
 
 def to_lidar_frame(forecasts: Forecasts, frame: PlanFrame, lidar_ahead_m: float) -> Forecasts:
-    """Forecasts in the lidar frame of the sample, x right, y forward.
+    """Forecasts in the lidar frame of the sample, x right, y forward, by a rigid motion: a plan moves its own point.
 
-    That is a rigid motion, unlike that of a plan, which moves its own point. ``lidar_ahead_m`` is the lidar origin
-    ahead of the rear axle.
+    ``lidar_ahead_m`` is the lidar origin ahead of the rear axle.
     """
     if frame is PlanFrame.LIDAR:
         return forecasts
@@ -116,10 +115,7 @@ def build_forecast_boxes(box: Floats, trajectories: Floats) -> Floats:
 
 
 def match_forecasts(truth: SampleTruth, forecasts: Forecasts) -> dict[str, int]:
-    """Which forecast, in the lidar frame, is of which object, by step 2 of the rule.
-
-    Row of the forecast by instance; objects without a forecast are left out.
-    """
+    """Row of the forecast, in the lidar frame, by instance, by step 2 of the rule; objects without one are left out."""
     if not len(truth.instances) or not len(forecasts.boxes):
         return {}
     first_step = truth.annotated.argmax(axis=1)

@@ -60,10 +60,7 @@ CAUSES = (
 
 @dataclass(frozen=True, slots=True)
 class CounterfactualVerdicts:
-    """Verdicts of one protocol on S samples, from the exact to the official one.
-
-    (9, S, 6) contact at each step: ``exact``, then after each of `COUNTERFACTUALS`.
-    """
+    """(9, S, 6) contact of S samples at each step under ``exact``, then after each of `COUNTERFACTUALS`."""
 
     verdicts: Bools
 
@@ -77,10 +74,9 @@ class CounterfactualVerdicts:
         ]
 
     def decisive_steps(self) -> Bools:
-        """The steps that make the difference at the rung that is the cause.
+        """(S, 6) contacts that are lost (a miss) or appear (a false alarm) at the rung that is the cause.
 
-        (S, 6) for a miss the contacts that are lost there, for a false alarm those that appear there; none where
-        both ends agree.
+        None where both ends agree.
         """
         within, followed = self.verdicts.any(axis=-1), self._followed()
         samples, rung = np.arange(within.shape[1]), _find_last_change(followed.any(axis=-1))
@@ -131,10 +127,9 @@ def compute_counterfactuals(
 
 
 def filter_objects(definition: CollisionProtocol, truths: StackedTruths) -> list[Bools]:
-    """Which objects are left after each of a protocol's four reasons to leave one out.
+    """Four times (M, 6) objects a protocol keeps: by class; also annotated; also in range; also with sensor points.
 
-    Four times (M, 6): counted by class; also annotated; also in range; also with sensor points, which is what the
-    protocol counts.
+    The last is what the protocol counts.
     """
     everywhere = np.ones_like(truths.annotated)
     at_hand = truths.boxes.copy()
@@ -150,26 +145,18 @@ def filter_objects(definition: CollisionProtocol, truths: StackedTruths) -> list
 
 
 def find_contacts_before_mask(outcomes: ProtocolOutcomes) -> Bools:
-    """(S, 6) contacts of a protocol before it leaves out what the recorded ego does.
-
-    Its verdicts where it has no such mask.
-    """
+    """(S, 6) contacts of a protocol before its mask of what the recorded ego does, if it has one."""
     return np.asarray(outcomes.steps.get("before_mask", outcomes.collision), np.bool_).reshape(-1, PLAN_STEPS)
 
 
 def explain_disagreements(
     truths: Sequence[SampleTruth], plans_lidar: Floats, outcomes: Mapping[str, ProtocolOutcomes]
 ) -> list[dict[str, str]]:
-    """Why protocols disagree with ``exact`` on "any collision within 3 s".
+    """Cause (`CAUSES`) by protocol, for each sample, of disagreement with ``exact`` on "any collision within 3 s".
 
-    Args:
-        truths: S samples.
-        plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-        outcomes: Verdicts on them by protocol, those of registered protocols.
-
-    Returns:
-        For each sample the cause (`CAUSES`) by protocol. Empty where the verdicts agree, where the protocol or
-        ``exact`` does not count the sample, and everywhere if ``exact`` is not among the outcomes.
+    ``plans_lidar`` are (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres; ``outcomes`` are those of
+    registered protocols. Empty where the verdicts agree, where the protocol or ``exact`` does not count the sample, and
+    everywhere if ``exact`` is not among the outcomes.
     """
     plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
     if any(count != len(truths) for count in (len(plans), *map(len, outcomes.values()))):
@@ -224,7 +211,7 @@ def are_comparable(exact: ProtocolOutcomes, official: ProtocolOutcomes) -> Bools
 
 @dataclass(frozen=True, slots=True)
 class Confusion:
-    """Verdicts of a protocol counted against the exact ones.
+    """Verdicts of a protocol against the exact ones.
 
     Missed are collisions of ``exact`` alone, false alarms those of the protocol alone.
     """
@@ -260,8 +247,7 @@ def count_confusion(exact: Bools, official: Bools) -> Confusion:
 def count_sample_confusion(exact: ProtocolOutcomes, official: ProtocolOutcomes, *, masked: bool = True) -> Confusion:
     """Count "any collision within 3 s" over the samples that both protocols count.
 
-    ``masked`` applies the protocol's mask, as in its published numbers; of ``exact`` any contact at any time
-    counts.
+    ``masked`` applies the protocol's mask, as in its published numbers; of ``exact`` any contact at any time counts.
     """
     both = are_comparable(exact, official)
     reported = official.collision if masked else find_contacts_before_mask(official)
@@ -271,8 +257,7 @@ def count_sample_confusion(exact: ProtocolOutcomes, official: ProtocolOutcomes, 
 def count_step_confusion(exact: ProtocolOutcomes, official: ProtocolOutcomes, *, masked: bool = True) -> Confusion:
     """Count contacts at the same waypoint over the steps of the samples that both protocols count.
 
-    ``masked`` applies the protocol's mask, as in its published numbers; of ``exact`` only contacts at the waypoints
-    count.
+    ``masked`` applies the protocol's mask, as in its published numbers; of ``exact`` only contacts at waypoints count.
     """
     both = are_comparable(exact, official)
     reported = official.collision if masked else find_contacts_before_mask(official)
@@ -281,13 +266,10 @@ def count_step_confusion(exact: ProtocolOutcomes, official: ProtocolOutcomes, *,
 
 @dataclass(frozen=True, slots=True)
 class ProtocolComparison:
-    """One protocol against ``exact`` on one run.
+    """One protocol, after its mask, against ``exact``: any collision within 3 s, and contact at the same waypoint.
 
-    Attributes:
-        samples: "Any collision within 3 s", after the protocol's mask.
-        steps: Contact at the same waypoint, after the protocol's mask.
-        mask_removed_steps: Colliding steps that the mask takes away.
-        causes: How often each of `CAUSES` occurs; ``None`` if the record does not say it of every disagreement.
+    ``mask_removed_steps`` are colliding steps that the mask takes away. ``causes`` counts each of `CAUSES`; ``None`` if
+    the record does not say it of every disagreement.
     """
 
     samples: Confusion
@@ -298,10 +280,9 @@ class ProtocolComparison:
 
 
 def compare_protocols(record: RunRecord) -> dict[str, ProtocolComparison]:
-    """Misses and false alarms of protocols on a run judged by ``exact``, from its rows alone.
+    """Misses and false alarms on a run judged by ``exact``, from its rows alone, by sorted name of each other protocol.
 
-    By name, in the order of the names, of each other protocol that judged it; over the samples that have a plan and
-    that both count.
+    Over the samples that have a plan and that both count.
     """
     names = tuple(sorted(record.run.protocols))
     cache = record.columns.kept

@@ -32,13 +32,13 @@ AT_3_S: Final = 2
 class SampleContacts:
     """Contacts of the samples of a record under ``exact``, by whom they are with.
 
+    Rates are (S, 4), 0..1: contacts up to 1, 2 and 3 s, and their mean; ``adversary`` and ``at_fault`` are of first
+    contacts with an adversary, and of those at the planner's fault.
+
     Attributes:
         keys: S pairs of recording and key-frame index.
         counted: (S,) whether a verdict on contacts up to 3 s exists.
         weights: (S,) 1 / variants of the recording.
-        any_contact: (S, 4) any contact up to 1, 2 and 3 s, and their mean; 0..1.
-        adversary: (S, 4) the same of first contacts with an adversary.
-        at_fault: (S, 4) the same of those that are the planner's fault.
         unknown_fault: (S,) first contacts with an adversary of which it is not known whose fault they are.
     """
 
@@ -56,12 +56,10 @@ class PairedEffect:
     """A planner on adversarial scenes beside the same recordings unchanged; contacts up to 3 s.
 
     Attributes:
-        adversarial: Rate of samples with any contact on the adversarial side of the pairs.
         difference: Adversarial less unchanged, with its interval over recordings.
         new_others: Share of pairs with a first contact with another than the adversary, and none unchanged; ``None``
             where it is not known which road users are adversaries.
         lost_others: Share of pairs with a contact unchanged, and none with another than the adversary; likewise.
-        pairs: Adversarial samples with a partner.
         unpaired_scenes: Scenes of either side without any partner, by name.
         unpaired: Adversarial samples that count and have no partner.
     """
@@ -83,15 +81,11 @@ class PairedEffect:
 
 @dataclass(frozen=True, slots=True)
 class AdversaryEffect:
-    """Effect of an adversarial split on a planner.
+    """Effect of an adversarial split on a planner, over the samples that count.
 
-    Attributes:
-        touched: Weighted rates of first contacts with an adversary: at 1, 2, 3 s and their mean; ``None`` where no
-            sample counts, or it is not known which road users are adversaries.
-        at_fault: The same of those at the planner's fault.
-        unknown_fault: Samples of which that is not known.
-        samples: Samples that count.
-        unchanged: The record of the same planner on the unchanged recordings, if there is one.
+    ``touched`` are weighted rates of first contacts with an adversary at 1, 2, 3 s and their mean, ``at_fault`` of
+    those at the planner's fault; ``None`` where no sample counts, or it is not known which road users are adversaries.
+    ``unknown_fault`` are samples of unknown fault.
     """
 
     record: RunRecord
@@ -106,12 +100,10 @@ class AdversaryEffect:
 
 @dataclass(frozen=True, slots=True)
 class FirstContactFlags:
-    """Samples of a record that count and collide, by whom their plans touch first; each sample is in one at most.
+    """(R,) samples of a record that count and collide, by whom their plans touch first; each is in one at most.
 
-    Attributes:
-        adversary: (R,) an adversary; on a split without adversaries any object.
-        others: (R,) another object, on a split with adversaries.
-        unsaid: (R,) on a split with adversaries, where the record does not say whom.
+    ``adversary`` is any object on a split without adversaries; ``others`` and ``unsaid``, where the record does not say
+    whom, exist on a split with adversaries only.
     """
 
     adversary: Bools
@@ -230,8 +222,8 @@ def find_first_contacts(record: RunRecord, protocol: str = EXACT) -> FirstContac
 def find_touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool | None]:
     """Which scenes a planner fails by touching the adversary first; on a split without adversaries, any object.
 
-    Verdicts as `benchmark.records.run.scene_failures` has them; ``None`` also where a plan collides and the record
-    does not say with whom.
+    Verdicts as `benchmark.records.run.scene_failures` has them; ``None`` also where a plan collides and the record does
+    not say with whom.
     """
     any_failures = find_scene_failures(record.rows, protocol)
     if not attributes_contacts(record):
@@ -247,18 +239,15 @@ def find_touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, b
 def find_attributed_collisions(record: RunRecord) -> Bools:
     """(R,) samples that count under ``exact`` and whose collision is the adversary's doing.
 
-    On a split with adversaries those whose first contact is with one; of recordings, and where the record does not
-    say whom contacts are with, any collision.
+    On a split with adversaries those whose first contact is with one; of recordings, and where the record does not say
+    whom contacts are with, any collision.
     """
     first_contacts = find_first_contacts(record)
     return first_contacts.adversary | first_contacts.unsaid
 
 
 def score_adversary_contacts(record: RunRecord) -> ScoredSamples:
-    """Contributions of a record's samples to its rate of first contacts with an adversary.
-
-    The record must name the other party of each contact (`knows_contact_partners`).
-    """
+    """Contributions of samples to the rate of first contacts with an adversary; needs `knows_contact_partners`."""
     own, cache = score_record(record, protocol=EXACT), record.columns.kept
     if _TOUCHING not in cache:
         # Slices of every kind ask for it.

@@ -45,14 +45,10 @@ FEWEST_HITS: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class LeakSample:
-    """Plan at a sample whose recording goes on for 3 s, beside the recorded future.
+    """Plan and recorded future, (6, 2) each in one frame, at a sample whose recording goes on for 3 s.
 
-    Attributes:
-        planned: (6, 2) plan.
-        recorded: (6, 2) the recorded future in the same frame.
-        ahead: (2,) the direction of the car there, a unit vector.
-        speeds: Recorded speed half a second ago and now, metres a second: of the two steps that lead here.
-        dangerous: Whether a car that keeps speed and direction touches an object.
+    ``ahead`` is the (2,) unit direction of the car there; ``speeds`` are the recorded ones, m/s, of the last two steps;
+    ``dangerous`` tells whether a car that keeps speed and direction touches an object.
     """
 
     planned: Floats
@@ -68,12 +64,9 @@ class LeakFigures:
 
     Attributes:
         moving: Samples on which the recorded car moves.
-        error_m: Median error at 3 s there.
-        growth: Median error at 3 s over that at 0.5 s there.
-        first_m: Median error at 0.5 s there.
+        error_m: Median error at 3 s there; ``first_m`` at 0.5 s; ``growth`` is the former over the latter.
         growth_in_danger: Growth on the dangerous ones of them.
-        surprises: Samples whose future surprises.
-        hits: Those of them that the plan hits.
+        surprises: Samples whose future surprises, of which the plan ``hits`` some.
         ratio: Median of error over surprise on them.
         ratio_in_danger: The same on the dangerous ones, over that on the others.
         braking: Samples after which the recorded car brakes, and does not yet.

@@ -16,8 +16,8 @@ HORIZONS = tuple(LONGER_HORIZON_STEPS)
 class LongerRates:
     """Rates of a record beyond 3 s, by horizon.
 
-    Collision is any contact up to there; its denominator are the samples whose plan and whose recording both reach
-    the horizon, and whose surroundings are annotated. L2 is the displacement there, metres.
+    Collision is any contact up to there; its denominator are the samples whose plan and whose recording both reach the
+    horizon, and whose surroundings are annotated. L2 is the displacement there, metres.
     """
 
     collision: dict[str, Rate]

@@ -30,14 +30,9 @@ FEWEST_RANKED: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class SceneLoopComparison:
-    """Open and closed loop of one planner on one scene.
+    """Open and closed loop of one planner on one scene made from the recording ``source``; shares are of drives.
 
-    Attributes:
-        source: The recording that it was made from.
-        open_fails: Whether any sample collides in open loop.
-        contact: Share of drives with a contact.
-        at_fault: Share of drives with a contact that the ego is at fault for.
-        first: The drive with a contact that has the lowest run, or ``None``.
+    ``open_fails`` if any sample collides in open loop; ``first`` is the drive with a contact that has the lowest run.
     """
 
     scene: str
@@ -62,12 +57,8 @@ class SceneLoopComparison:
 class PlannerLoopComparison:
     """One planner in both loops.
 
-    Attributes:
-        scenes: Scenes of which both say something, by name.
-        without: Scenes that both have and of which one cannot say.
-        open_rate: Share of scenes failed in open loop.
-        contact: Share of drives with a contact, the mean over scenes.
-        at_fault: Likewise, at fault.
+    ``without`` are scenes that both have and of which one cannot say. ``open_rate`` is the share of scenes failed in
+    open loop, ``contact`` and ``at_fault`` that of drives, the mean over scenes.
     """
 
     drives: DriveRecord
@@ -97,9 +88,9 @@ def is_stale(record: DriveRecord) -> bool:
 
 
 def find_run(drives: DriveRecord, runs: Sequence[RunRecord]) -> RunRecord | None:
-    """The run record of what drove: same version of the planner, same data, same verdicts of inspectors.
+    """The run record of what drove, with most of the driven scenes: same planner version, data and verdicts on scenes.
 
-    The one with most of the driven scenes, or ``None`` where none has any, or was judged by the present ``exact``.
+    ``None`` where none has any scene, or was judged by the present ``exact``.
     """
     same_planner_runs = [run for run in runs if _same_planner(drives, run) and _is_judged(run)]
     driven = set(drives.facts.scenes)

@@ -1,9 +1,7 @@
-"""Where something happens: roundabout, car park, junction, bend or straight, from the map alone.
+"""Where something happens, from the map alone: roundabout, car park, junction, bend or straight; and speed by sample.
 
-Only what the map supports is said: a map without junction surfaces (imported recordings) tells junctions by lanes that
-cross, and a place without any lane is unknown.
-
-Slicing criteria of each sample: the place of the recorded car and its speed.
+A map without junction surfaces (imported recordings) tells junctions by lanes that cross, and a place without any lane
+is unknown.
 """
 
 import heapq
@@ -68,10 +66,7 @@ def classify_place(road_map: RoadMap, ego: Floats, other: Floats) -> PlaceKind:
 
 
 class PlaceClassifier:
-    """Kinds of places on one map; what all answers share is made once.
-
-    The map should be no larger than what is asked about: roundabouts are looked for everywhere on it.
-    """
+    """Kinds of places on one map, which should be no larger than asked about: roundabouts are searched all over it."""
 
     def __init__(self, road_map: RoadMap) -> None:
         self._lanes = road_map.lanes
@@ -140,10 +135,7 @@ class PlaceClassifier:
 
 
 def find_rings(lanes: Mapping[str, Lane]) -> Iterator[Polygon]:
-    """Roundabouts: closed chains of lanes that turn steadily in one direction.
-
-    Yields the area inside each chain of lane centres; the same roundabout may come several times.
-    """
+    """Areas inside roundabouts, closed chains of lanes that turn steadily one way; the same may come several times."""
     courses = {name: _LaneCurvature.of(lane) for name, lane in lanes.items()}
     for name in sorted(lanes):
         for sign in (1.0, -1.0):
@@ -288,11 +280,7 @@ SPEED_DECIMALS: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class SampleContext:
-    """Place and speed of the recorded car at one sample.
-
-    The place is that of its middle; the speed is that of the parabola through eleven recorded poses, as for driving
-    scores.
-    """
+    """Place of the recorded car's middle, and its speed by the parabola through eleven poses, as for driving scores."""
 
     place: PlaceKind
     speed_m_s: float

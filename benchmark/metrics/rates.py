@@ -1,9 +1,7 @@
-"""Rates at 1, 2 and 3 s with 95 % intervals from resampling whole scenes.
+"""Rates at 1, 2 and 3 s, and paired differences over recordings, with 95 % intervals from resampling whole scenes.
 
 Samples of one scene see the same traffic half a second apart, so the scene is what is drawn, never the sample. Where
-scenes were made from one recording, the caller may pass recordings instead: the passed names are resampled.
-
-The 95 % interval of a paired difference over recordings.
+scenes were made from one recording, the caller may pass recordings instead.
 """
 
 import functools
@@ -31,15 +29,11 @@ FEWEST_DIFFERING_OF_TEN: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class PairedDifference:
-    """Weighted mean difference between two sides of the same recordings.
+    """Weighted mean difference between two sides of the same recordings; ``None`` without a pair.
 
-    Attributes:
-        value: The difference, or ``None`` without a pair.
-        low: Lower end of its 95 % interval, or ``None`` where too few recordings say how much they vary.
-        recordings: Recordings with pairs.
-        differing: Those of them whose two sides differ.
-        enough: Recordings that would give an interval if as many of them differed as here; ``None`` where there is one
-            already, or where none differs.
+    ``low`` to ``high`` is its 95 % interval, ``None`` where too few recordings say how much they vary. ``differing``
+    are recordings whose two sides differ; ``enough`` would give an interval if as many differed as here, ``None`` where
+    there is one already, or where none differs.
     """
 
     value: float | None
@@ -53,9 +47,8 @@ class PairedDifference:
 def compute_paired_difference(differences: Floats, weights: Floats) -> PairedDifference:
     """The ratio of both sums, and its interval.
 
-    Args:
-        differences: (N,) weighted sums of the differences of each recording's pairs.
-        weights: (N,) sums of their weights, all above zero.
+    ``differences`` are (N,) weighted sums over each recording's pairs, ``weights`` (N,) sums of their weights, all
+    above zero.
     """
     count, differing = len(weights), int(np.count_nonzero(np.abs(differences) > 1e-12))
     if not count:
@@ -102,8 +95,8 @@ HORIZONS = (*HORIZON_STEPS, "avg")
 class Rate:
     """Ratio of sums over samples.
 
-    ``value`` is ``None`` where the denominator is zero, the ends of the 95 % interval over scenes where fewer than
-    two scenes count.
+    ``value`` is ``None`` where the denominator is zero, the ends of the 95 % interval over scenes where fewer than two
+    scenes count.
     """
 
     value: float | None
@@ -149,11 +142,11 @@ class SceneSums:
 def rates(
     definition: CollisionProtocol, outcomes: ProtocolOutcomes, scenes: Sequence[str], *, seed: int = 0
 ) -> dict[str, dict[str, Rate]]:
-    """Every published number of a protocol, from its verdicts on S samples.
+    """Every published number of a protocol, from its verdicts on S samples: rates by column, then horizon.
 
-    Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate. A sample that
-    says nothing at a horizon (NaN) is in neither sum there; in those of the average where it does at all three.
-    Samples of one scene are resampled together.
+    Columns are ``collision``, ``l2``, ..., horizons ``1s``, ``2s``, ``3s``, ``avg``. A sample that says nothing at a
+    horizon (NaN) is in neither sum there; in those of the average where it does at all three. Samples of one scene are
+    resampled together.
     """
     columns: dict[str, dict[str, Rate]] = {}
     for column, by_horizon in compute_published_values(definition, outcomes).items():
@@ -178,9 +171,9 @@ def append_average(values: Floats) -> Floats:
 def compute_ratios_over_scenes(values: Floats, weights: Floats, scenes: Sequence[str], *, seed: int) -> list[Rate]:
     """Ratios of sums over samples, with intervals over scenes.
 
-    ``values`` and ``weights`` are (S, C): what each sample adds to each numerator and denominator. The same seed
-    and scenes draw the same resamples for every column and planner, so that differences between planners can be
-    paired. The order of the samples does not matter.
+    ``values`` and ``weights`` are (S, C): what each sample adds to each numerator and denominator. The same seed and
+    scenes draw the same resamples for every column and planner, so that differences between planners can be paired. The
+    order of the samples does not matter.
     """
     return compute_ratios_of_sums(sum_by_scene(values, weights, scenes), seed=seed)
 
@@ -258,10 +251,8 @@ def _multiply_in_order(drawn: Floats, sums: Floats, *, alone: bool = True) -> Fl
 def find_interval(draws: Floats, bounds: tuple[float, float]) -> tuple[float, float]:
     """The 95 % interval of a number that need not exist in every resample; both ends are drawn numbers, or bounds.
 
-    Args:
-        draws: (R,) the number in each resample; NaN where it does not exist, possibly infinite.
-        bounds: Between what it lies. A resample in which it does not exist could have been anything, so that it
-            counts as the lower bound for the lower end and as the upper bound for the upper one.
+    ``draws`` are (R,), NaN where it does not exist, possibly infinite. A resample in which it does not exist could have
+    been anything, so that it counts as the lower bound for the lower end and as the upper bound for the upper one.
     """
     low, high = find_intervals(draws[None], bounds)
     return float(low[0]), float(high[0])

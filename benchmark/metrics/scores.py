@@ -22,14 +22,10 @@ _MAX_CACHED: Final = 16
 
 @dataclass(frozen=True, slots=True)
 class ScoredSamples:
-    """Contribution of each sample of a record to its collision rates under one protocol, never ``native``.
+    """Contribution of each sample with a plan to its record's collision rates under one protocol, never ``native``.
 
-    Attributes:
-        tokens: S samples with a plan.
-        values: (S, 4) at 1, 2, 3 s and their mean, 0..1; NaN where the sample says nothing.
-        counted: (S,) whether the sample counts and its collisions are known.
-        failed: Samples without a plan.
-        kept: Sums that were asked for.
+    ``values`` are (S, 4), at 1, 2, 3 s and their mean, 0..1, NaN where the sample says nothing; ``counted`` is (S,),
+    whether the sample counts and its collisions are known; ``failed`` samples have no plan.
     """
 
     record: RunRecord
@@ -97,11 +93,7 @@ def score_record(record: RunRecord, *, protocol: str = "exact") -> ScoredSamples
 
 
 def require_current(record: RunRecord, protocol: str) -> None:
-    """Refuse verdicts that are not those of the protocol, never ``native``, as it is now.
-
-    Raises:
-        InputError: If the record has no verdicts of it, or those of another version.
-    """
+    """Refuse verdicts that are not those of the protocol, never ``native``, in its present version."""
     judged, now = record.run.protocols.get(protocol), find_protocol_version(protocol)
     where = describe_record(record)
     if judged is None:
@@ -117,10 +109,7 @@ def require_current(record: RunRecord, protocol: str) -> None:
 
 
 def map_scenes_to_sources(record: RunRecord) -> Mapping[str, str]:
-    """The recording that each scene of a record was made from; the scene itself where the record does not say.
-
-    The mapping is shared and must not be changed.
-    """
+    """The recording that each scene was made from, itself where the record does not say; shared, not to be changed."""
     cache, run = record.columns.kept, record.run
     if (known := cache.get(_SOURCES)) is None or known[0] is not run:
         facts = run.scene_facts

@@ -35,10 +35,9 @@ class SeedRate:
 class SeedSpread:
     """One planner on the splits of several seeds.
 
-    Attributes:
-        mean: Mean of their rates; its interval draws recordings, each with what all seeds made of it.
-        deviation: Of the rates around their mean (n - 1); ``None`` with fewer than two.
-        low: Lower end of the 95 % interval of the mean over seeds alone: the recordings stay as they are.
+    The interval of ``mean`` draws recordings, each with what all seeds made of it. ``deviation`` is that of the rates
+    (n - 1), ``None`` with fewer than two; ``low`` to ``high`` is the 95 % interval of the mean over seeds alone: the
+    recordings stay as they are.
     """
 
     seeds: tuple[SeedRate, ...]

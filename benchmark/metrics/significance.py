@@ -41,8 +41,7 @@ class SplitComparison:
         privileged: Whether it saw what no car sees.
         miniature: Whether it shows the pipeline and ranks nothing.
         everything: Horizon to comparison over all scenes of both.
-        paired: Horizon to comparison over the recorded scenes that both have.
-        sources: Those recorded scenes.
+        paired: Horizon to comparison over the recorded scenes that both have (``sources``).
         only_baseline: Scenes of the first split of which the second has none.
         only_split: Scenes of the second split whose recording the first does not have.
         failed: Samples of both without a plan; they are in no rate.
@@ -64,14 +63,10 @@ class SplitComparison:
 
 @dataclass(frozen=True, slots=True)
 class PlannerComparison:
-    """Two planners on the same samples.
+    """Two planners on the same samples; ``samples`` count for both.
 
-    Attributes:
-        privileged: For each, whether it saw what no car sees.
-        miniatures: For each, whether it shows the pipeline and ranks nothing.
-        samples: Samples that count for both.
-        failed: Samples that one of them or both failed on; they are left out of both rates.
-        unshared: Scenes that only one of them ran on; left out too.
+    A planner is ``privileged`` if it saw what no car sees, a miniature if it ranks nothing. Left out are samples that
+    one or both ``failed`` on, and ``unshared`` scenes that only one of them ran on.
     """
 
     planners: tuple[str, str]

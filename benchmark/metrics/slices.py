@@ -39,11 +39,9 @@ COMMANDS: Final = ("right", "left", "straight")
 
 @dataclass(frozen=True, slots=True)
 class Slicing:
-    """Slices that the samples of a record fall into.
+    """K slices that have samples, in the order of tables; ``members`` is (R, K), the record's rows in each.
 
-    Attributes:
-        names: K slices that have samples, in the order of tables.
-        members: (R, K) which of the record's rows are in which; a row may be in several (rain at night).
+    A row may be in several (rain at night).
     """
 
     names: tuple[str, ...]
@@ -70,10 +68,9 @@ def select_kinds(names: Iterable[str]) -> tuple[SliceKind, ...]:
 
 
 def slice_samples(record: RunRecord, kind: SliceKind) -> Slicing | None:
-    """Sort the samples of a record into slices.
+    """Sort the samples of a record into slices; ``None`` where the record does not say.
 
-    ``None`` where the record does not say: older ones do not know places, speeds and light, and where there is no
-    adversary there is no manoeuvre.
+    Older ones do not know places, speeds and light, and where there is no adversary there is no manoeuvre.
     """
     key = ("slicing", kind)
     # Beside the rows, what the record says of its scenes decides.
@@ -102,10 +99,10 @@ def _slice_samples(record: RunRecord, kind: SliceKind) -> Slicing | None:
 
 
 def compute_rates_by(record: RunRecord, kind: SliceKind, protocol: str) -> list[Slice]:
-    """Every rate of a protocol, or ``native``, slice by slice.
+    """Every rate of a protocol, or ``native``, slice by slice; empty where `slice_samples` knows none.
 
-    Columns are those of the protocol by horizon, and of ``exact`` with `ADVERSARY` where the split has adversaries
-    and the record says whom contacts are with; empty where `slice_samples` knows none.
+    Columns are those of the protocol by horizon, and of ``exact`` with `ADVERSARY` where the split has adversaries and
+    the record says whom contacts are with.
     """
     name, parts = resolve_protocol(record, protocol), slice_samples(record, kind)
     require_current(record, name)
@@ -123,10 +120,7 @@ def compute_rates_by(record: RunRecord, kind: SliceKind, protocol: str) -> list[
 
 
 def compute_driving_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
-    """Driving scores, slice by slice.
-
-    The ``mean`` of each column of `benchmark.records.driving`; empty without scores.
-    """
+    """The ``mean`` of each column of `benchmark.records.driving`, slice by slice; empty without scores."""
     parts = slice_samples(record, kind)
     chosen = np.flatnonzero(record.columns.flags("driven"))
     if parts is None or record.columns.driving is None or record.summary.driving is None:
@@ -137,10 +131,9 @@ def compute_driving_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
 
 
 def compute_causes_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
-    """Why plans collide under ``exact``, slice by slice.
+    """Share of each ``cause`` among samples that count and collide under ``exact``, slice by slice.
 
-    The column ``cause`` has the share of each among the samples that count and collide; empty where nothing
-    collides or the record has no diagnoses.
+    Empty where nothing collides or the record has no diagnoses.
     """
     require_current(record, EXACT)
     parts = slice_samples(record, kind)
@@ -182,12 +175,9 @@ def _build_slices(
 
 
 def sum_by_slice(members: Bools, values: Floats, weights: Floats, scenes: Sequence[str]) -> SceneSums:
-    """Sums by scene of S samples in K slices: (N, K * C), those of the first slice first.
+    """(N, K * C) sums by scene of S samples in K slices, those of the first slice first.
 
-    Args:
-        members: (S, K) which sample is in which.
-        values: (S, C) numbers.
-        weights: (S, C) how often each counts.
+    ``members`` is (S, K), which sample is in which; ``values`` and ``weights`` are (S, C), how often each counts.
     """
     if (members.sum(axis=1) > 1).any():
         # The order of summation depends on all slices that a sample belongs to.

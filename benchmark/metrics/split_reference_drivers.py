@@ -1,7 +1,4 @@
-"""Scene assessments of a split in records: survival by driver, least gap of the recorded ego, track defects.
-
-How severe a planner's plans are, from its record: distributions over its samples with a contact, and without.
-"""
+"""Scene assessments of a split in records, and the severity of a planner's plans, with a contact and without."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -25,8 +22,8 @@ CRITICAL_BTN: Final = 1.0
 class Spread:
     """Median and worst tenth of a quantity over the samples of which it is known; both are values that samples have.
 
-    One in ten reaches the worst tenth, or worse; worse is more, or less where the quantity is a distance or a time
-    that is left.
+    One in ten reaches the worst tenth, or worse; worse is more, or less where the quantity is a distance or a time that
+    is left.
     """
 
     samples: int
@@ -55,14 +52,9 @@ class ContactSeverities:
 class NearPassSeverities:
     """Samples without a contact at which an adversary is there.
 
-    Attributes:
-        gap: Smallest distance, metres.
-        ttc: Least time to contact, seconds, of those that head for one another.
-        tet: Time exposed, seconds.
-        tit: Time integrated, s^2.
-        pet: Post-encroachment time, seconds, of those whose ways meet.
-        btn: Largest braking threat number.
-        critical: How many have one at which braking alone is not enough.
+    Smallest distance, metres; least time to contact of those that head for one another, time exposed and
+    post-encroachment time of those whose ways meet, seconds; time integrated, s^2; largest braking threat number. At
+    ``critical`` ones braking alone is not enough.
     """
 
     samples: int
@@ -127,10 +119,9 @@ def compute_spread(values: Sequence[float], *, less_is_worse: bool = False) -> S
 
 @dataclass(frozen=True, slots=True)
 class SplitReferenceDrivers:
-    """Judgement ladder over the scenes of a split that were judged.
+    """Judgement ladder over the scenes of a split that were judged; all records of the split say the same.
 
     Attributes:
-        record: Which record says it; all of the split say the same.
         survives: Share of them that each reference driver survives.
         unsolvable: How many no driver could have avoided.
         margin: Seconds between when a driver could have reacted and the last chance, where there is one.
@@ -170,9 +161,9 @@ def read_scene_assessments(record: RunRecord) -> dict[str, AssessmentSummary]:
 
 
 def collect_split_reference_drivers(records: Sequence[RunRecord]) -> dict[str, SplitReferenceDrivers]:
-    """The ladder of every split that was judged, from records of one data set, at most one a planner and split.
+    """The ladder by split, from records of one data set, at most one a planner and split.
 
-    By split: from the record with most scenes that were judged, the first of equals.
+    From the record with most scenes that were judged, the first of equals.
     """
     best: dict[str, RunRecord] = {}
     for record in records:

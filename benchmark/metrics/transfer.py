@@ -34,11 +34,9 @@ Verdicts = Mapping[str, bool | None]
 class Agreement:
     """How far two planners fail the same scenes, over the scenes that both were judged on.
 
-    Attributes:
-        phi: Correlation of the two verdicts, -1..1; it does not exist where one of them fails all or none.
-        lift: How many times more often they fail together than by chance: both * all / (fails of the first * fails of
-            the second); ``None`` where one of them fails none.
-        lift_low: Lower end of its 95 % interval.
+    ``phi`` is the correlation of the two verdicts, -1..1; it does not exist where one of them fails all or none.
+    ``lift`` is how many times more often they fail together than by chance, both * all / (fails of the first * fails of
+    the second), with its 95 % interval; ``None`` where one of them fails none.
     """
 
     planners: tuple[str, str]
@@ -64,7 +62,6 @@ class TransferMatrix:
     Attributes:
         protocol: Who judged the collisions; ``native`` if each planner's own protocol did.
         adversary_only: Whether only first contacts with an adversary fail a scene.
-        split: Name of the split.
         recordings: How many recorded scenes the scenes come from; they are what the intervals draw.
         planners: Names of P planners, in the order given.
         privileged: P flags: whether the planner saw what no car sees.
@@ -154,13 +151,9 @@ def transfer(
 
 @dataclass(frozen=True, slots=True)
 class FailureMatrix:
-    """Which of S scenes P planners fail.
+    """Which of S scenes P planners fail: (P, S) 1 in ``fails``, and in ``known`` where that can be said.
 
-    Attributes:
-        fails: (P, S) 1 where a planner fails a scene.
-        known: (P, S) 1 where that can be said.
-        units: U names of what is drawn together, sorted.
-        unit_of: (S, U) 1 where a scene is of a unit.
+    ``units`` are U sorted names of what is drawn together, ``unit_of`` (S, U) is 1 where a scene is of a unit.
     """
 
     fails: Floats

@@ -30,15 +30,9 @@ def find_unchanged_record(
 ) -> RunRecord | None:
     """The record of the same planner on the unchanged recordings of an adversarial split.
 
-    Args:
-        record: Of the adversarial split.
-        candidates: Records, the newest of each split last.
-        elsewhere: Name of the data set that has the unchanged recordings, if it is another one.
-
-    Returns:
-        Of val-r before val for planners that see images, of val before val-r for others; of records of one split the
-        last that has most of the recordings. Of other data sets only those count that
-        ``elsewhere`` or the record itself names. ``None`` where no candidate has any of the recordings.
+    ``candidates`` have the newest of each split last. Of val-r before val for planners that see images, of val before
+    val-r for others; of records of one split the last that has most of the recordings. Of other data sets only those
+    count that ``elsewhere`` or the record itself names. ``None`` where no candidate has any of the recordings.
     """
     sources, data_names = set(map_scenes_to_sources(record).values()), _find_data_names(record, elsewhere)
     order = UNCHANGED_SPLITS if sees_images(record.run.planner) else UNCHANGED_SPLITS[::-1]
@@ -59,10 +53,7 @@ def find_unchanged_record(
 def find_unchanged_candidates(
     root: Path, records: Iterable[RunRecord], elsewhere: str | None = None
 ) -> list[RunRecord]:
-    """Records below a folder that runs on adversarial splits may be compared with.
-
-    Of the same planners on val-r and val, the newest last; damaged ones are left out.
-    """
+    """Records on val-r and val of the same planners, the newest last, below a folder; damaged ones are left out."""
     wanted = {
         (data_name, record.run.planner.name)
         for record in records

@@ -28,12 +28,9 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class NoCollisionScores:
-    """NC of B plans.
+    """NC of B plans, 0, 1/2 or 1, and (B,) first state with a contact at fault, -1 for none.
 
-    Attributes:
-        score: (B,) 0, 1/2 or 1.
-        step: (B,) first state with a contact at fault, -1 for none.
-        events: (E, 5) plan, state, object, kind of contact, whether at fault; by plan, state and object.
+    ``events`` are (E, 5): plan, state, object, kind of contact, whether at fault; by plan, state and object.
     """
 
     score: Floats
@@ -43,12 +40,9 @@ class NoCollisionScores:
 
 @dataclass(frozen=True, slots=True)
 class TimeToCollisionScores:
-    """TTC of B plans.
+    """TTC of B plans, 0 or 1, and (B,) first state that is followed by contact, -1 for none.
 
-    Attributes:
-        score: (B,) 0 or 1.
-        step: (B,) first state that is followed by contact, -1 for none.
-        events: (E, 7) plan, state, projection (0..3), object, ahead, behind (-1: not asked), whether it counts.
+    ``events`` are (E, 7): plan, state, projection (0..3), object, ahead, behind (-1: not asked), whether it counts.
     """
 
     score: Floats

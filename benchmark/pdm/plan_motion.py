@@ -1,9 +1,8 @@
-"""From plans to motions: the official tracker and bicycle follow a plan, and 31 states of the car come out.
+"""From plans to 31 states of the car, by the official tracker and bicycle, and comfort: HC of one motion, EC of two.
 
 Tracker and bicycle are those of `benchmark.dynamics` in the units of NAVSIM: 0.1 s a step, nuPlan's wheelbase, no limit
-but that of the steering angle. Differences to NAVSIM's own numbers are below 1e-9 (`challenger-bench verify pdm`).
-
-Comfort: HC, of one motion and what was before it, and EC, how far two consecutive plans agree.
+but that of the steering angle. Differences to NAVSIM's own numbers are below 1e-9 (`challenger-bench verify pdm`). HC
+is of a motion and what was before it, EC how far two consecutive plans agree.
 """
 
 import functools
@@ -50,8 +49,7 @@ HISTORY_KEY_FRAMES: Final = 4
 def build_history_rows(key_frames: Floats) -> Floats:
     """(B, 14, 11) states at -1.5 .. -0.2 s before a motion: linear, headings by the shortest turn, rates zero.
 
-    They are made of (B, 4, 8) pose, velocity and acceleration (the first columns of a state) at -1.5, -1, -0.5 and
-    0 s.
+    They are made of (B, 4, 8) pose, velocity and acceleration (the first columns of a state) at -1.5, -1, -0.5 and 0 s.
     """
     values = key_frames.copy()
     values[..., HEADING] = _unwrapped(values[..., HEADING])
@@ -84,10 +82,7 @@ def compute_comfort_series(states: Floats, history: Floats) -> Floats:
 
 
 def check_comfort(extremes: Floats) -> Bools:
-    """HC, test by test: (..., 6) whether each series stays inside its bounds; all six make HC 1.
-
-    ``extremes`` are (..., 6, 2), the lowest and highest value of each series.
-    """
+    """HC: (..., 6) whether each series, of (..., 6, 2) lowest and highest values, keeps its bounds; all make HC 1."""
     low, high = np.array(BOUNDS).T
     return np.asarray((extremes[..., 0] > low) & (extremes[..., 1] < high))
 
@@ -178,14 +173,11 @@ _STEERING_LAG_SHARE: Final = 2.0 / 3.0
 
 
 def plan_to_poses(plan: Plan, lidar_ahead_m: float) -> Floats:
-    """A plan as poses of the rear axle.
+    """A plan as (6, 3) poses of the rear axle: x forward, y left of the rear axle now, metres; heading, radians.
 
-    The heading at a waypoint is the direction of the chord between its neighbours, held where that is shorter than
-    0.3 m (`benchmark.waypoints.chord_headings`). A plan for the lidar is first moved back to the rear axle by the
-    chords of its own waypoints; in a turn those are not the car's headings, so that those of the moved ones are taken.
-
-    Returns:
-        (6, 3) x forward, y left of the rear axle now, metres; heading, radians.
+    The heading at a waypoint is the direction of the chord between its neighbours, held where that is shorter than 0.3
+    m (`benchmark.waypoints.chord_headings`). A plan for the lidar is first moved back to the rear axle by the chords of
+    its own waypoints; in a turn those are not the car's headings, so that those of the moved ones are taken.
     """
     poses: Floats = plans_to_poses([plan], lidar_ahead_m)[0]
     return poses
@@ -207,9 +199,9 @@ def plans_to_poses(plans: Sequence[Plan], lidar_ahead_m: float) -> Floats:
 
 
 def interpolate_poses(plans: Floats) -> Floats:
-    """(B, 31, 3) poses at every state of a motion, the pose now before those of the plan.
+    """(B, 31, 3) poses at every state of a motion, the pose now before those of the (B, 6, 3) plan.
 
-    Linear in the frame of the rear axle now, headings by the shortest turn and not wrapped. Plans are (B, 6, 3).
+    Linear in the frame of the rear axle now, headings by the shortest turn and not wrapped.
     """
     knots = np.concatenate([np.zeros((len(plans), 1, 3)), plans], axis=1)
     step = np.diff(knots, axis=1)
@@ -223,10 +215,9 @@ def interpolate_poses(plans: Floats) -> Floats:
 
 
 def fit_reference_path(plans: Floats) -> ReferencePath:
-    """Path that the tracker follows: the plan's poses, and speeds and curvatures fitted to them.
+    """Path that the tracker follows: (B, 6, 3) poses of plans, and speeds and curvatures fitted to them.
 
-    Plans are (B, 6, 3) x, y, heading in the frame of the rear axle now; the path is in that frame too, B
-    candidates.
+    Both are in the frame of the rear axle now.
     """
     poses = interpolate_poses(plans).transpose(1, 2, 0)
     direction = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
@@ -236,15 +227,9 @@ def fit_reference_path(plans: Floats) -> ReferencePath:
 
 
 def track_plans(plans: Floats, now: Floats, *, wheelbase_m: float = WHEELBASE_M) -> Floats:
-    """The motion of a car that follows plans.
+    """(B, 31, 11) states, the first one given, of a car that follows plans: (B, 6, 3) x, y, heading in its frame now.
 
-    Args:
-        plans: (B, 6, 3) x, y, heading in the frame of the rear axle now.
-        now: (B, 11) states at the start.
-        wheelbase_m: Of the bicycle; the tracker always believes in nuPlan's.
-
-    Returns:
-        (B, 31, 11) states, the first one as given.
+    The wheelbase is the bicycle's; the tracker always believes in nuPlan's.
     """
     states = np.zeros((len(plans), STATES, STATE_COLUMNS))
     if not len(plans):

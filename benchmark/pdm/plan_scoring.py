@@ -38,16 +38,10 @@ DECIMALS: Final = 6
 def score_scene_plans(
     scene: Scene, plans: Sequence[Plan | None], recorded: RecordedScene | None = None
 ) -> list[DrivenPlan | None]:
-    """Judge the plans of a scene.
+    """Judge the plans of the K samples of a scene with its map, in time order; ``None`` where the planner failed.
 
-    Args:
-        scene: The scene, with its map.
-        plans: One for each of its K samples in time order, ``None`` where the planner failed.
-        recorded: The scene as plans are judged by it, if that is there already.
-
-    Returns:
-        K verdicts; ``None`` where there is no plan, the recording ends within 3 s, or the map there has no
-        road or no lanes.
+    The verdict is ``None`` where there is no plan, the recording ends within 3 s, or the map there has no road or no
+    lanes.
     """
     return score_planners(scene, [plans], recorded)[0]
 
@@ -164,5 +158,4 @@ def _require_known(there: There | None) -> There:
 
 
 def _seconds(state: int) -> float | None:
-    """Time of a state, ``None`` for none."""
     return None if state < 0 else round(state * DT_S, 1)

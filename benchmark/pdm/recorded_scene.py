@@ -27,10 +27,8 @@ class RecordedScene:
     (`benchmark.datasets.steps`).
 
     Attributes:
-        seconds: (K,) time of each key frame.
         motion: (K, 8) pose, velocity and acceleration of the rear axle: the first columns of a state.
-        instances: Identifiers of the scene's objects.
-        adversaries: (N,) which of them were made to be adversaries, as far as the scene says.
+        adversaries: (N,) which objects were made to be adversaries, as far as the scene says.
         complete: (K,) whether the recording goes on for 3 s, and all of it is known.
         references: Kept by `benchmark.pdm.plan_scoring`, by the samples that they are of.
     """
@@ -75,10 +73,7 @@ class RecordedScene:
         )
 
     def build_recorded_plans(self, samples: NDArray[np.int64]) -> Floats:
-        """The recorded futures of complete samples as plans.
-
-        (S, 6, 3) poses of the rear axle in its frame at the sample.
-        """
+        """The recorded futures of complete samples as plans: (S, 6, 3) rear-axle poses in its frame at the sample."""
         now, last = self.motion[samples, None, :3], len(self.motion) - 1
         future = self.motion[np.minimum(samples[:, None] + np.arange(1, PLAN_STEPS + 1), last), :3]
         for row, steps in _rows_in(samples, self._ahead):
@@ -133,8 +128,8 @@ def _rows_in(samples: NDArray[np.int64], timed: Mapping[int, TimedSteps]) -> Ite
 def estimate_motion(poses: Floats, seconds: Floats) -> Floats:
     """Velocity and acceleration of recorded poses, (T, 3) of the rear axle, global.
 
-    (T, 8) pose, then velocity and acceleration along and across the body, then zero: those of the parabola through
-    the eleven poses around each (the first and last eleven at the ends), by their own times in seconds.
+    (T, 8) pose, then velocity and acceleration along and across the body, then zero: those of the parabola through the
+    eleven poses around each (the first and last eleven at the ends), by their own times in seconds.
     """
     count = len(poses)
     window = min(MOTION_FRAMES, count)
@@ -157,8 +152,7 @@ def estimate_motion(poses: Floats, seconds: Floats) -> Floats:
 def estimate_object_velocity(position: Floats, valid: Bools, seconds: Floats) -> Floats:
     """(N, K, 2) velocities of annotated objects, m/s.
 
-    Central differences over the neighbouring key frames, one-sided where one of them lacks the object, zero where
-    both do.
+    Central differences over the neighbouring key frames, one-sided where one lacks the object, zero where both do.
     """
     count = len(seconds)
     before = np.maximum(np.arange(count) - 1, 0)

@@ -1,7 +1,4 @@
-"""The road of a scene from its map: surfaces, intersections where the map has none, and what is on the route.
-
-The road as polygons, used one by one, and where on it a car is at each state.
-"""
+"""The road of a scene from its map: surfaces, intersections where it has none, lanes on the route, where cars are."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +28,7 @@ class SurfaceKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RoadPolygons:
-    """Surfaces around a scene; ``lanes``: lanes and connectors, ``find_lanes_on_route`` says which are on the route.
+    """Surfaces around a scene: lanes and connectors, and which of them `find_lanes_on_route` says are on the route.
 
     ``drivable`` are road blocks, intersections, drivable areas and car parks.
     """
@@ -43,10 +40,7 @@ class RoadPolygons:
 
     @classmethod
     def of(cls, surfaces: "list[tuple[SurfaceKind, Polygon, bool]]") -> Self:
-        """Sort surfaces by what they decide.
-
-        Each is a layer, a shape and whether it is on the route (of lanes and connectors).
-        """
+        """Sort surfaces by what they decide: layer, shape and, of lanes and connectors, whether it is on the route."""
         lanes = [
             (shape, routed) for layer, shape, routed in surfaces if layer in (SurfaceKind.LANE, SurfaceKind.CONNECTOR)
         ]
@@ -62,10 +56,7 @@ class RoadPolygons:
         )
 
     def unsure(self, boxes: Floats) -> Bools:
-        """Cars, (Q, 5), that have no lane of their own, so that they are to blame for contacts at their sides.
-
-        They are in several lanes or off the drivable surfaces.
-        """
+        """Cars, (Q, 5), in several lanes or off the drivable surfaces: to blame for contacts at their sides."""
         corners = _PointIndex(box_corners(boxes))
         return self.find_straddling(corners, (len(boxes),)) | self.left(corners, (len(boxes),))
 
@@ -91,14 +82,12 @@ class RoadPolygons:
 
 @dataclass(frozen=True, slots=True)
 class RoadPositions:
-    """Places of B cars on the road at T states.
+    """Places of B cars on the road at T states, each (B, T).
 
     Attributes:
-        multiple_lanes: (B, T) some corner is on more than one lane or connector and none holds the whole car.
-        non_drivable: (B, T) some corner is on no drivable surface.
-        oncoming: (B, T) the centre is on no lane or connector of the route.
-        center_in_intersection: (B, T) the centre is in an intersection.
-        axle_in_intersection: (B, T) the rear axle is.
+        multiple_lanes: Some corner is on more than one lane or connector and none holds the whole car.
+        non_drivable: Some corner is on no drivable surface.
+        oncoming: The centre is on no lane or connector of the route.
     """
 
     multiple_lanes: Bools
@@ -197,8 +186,8 @@ def build_route(poses: Floats) -> Floats:
 def build_road_polygons(road_map: RoadMap, route: Floats) -> RoadPolygons:
     """The surfaces that plans are judged by; the route is as `build_route` makes it.
 
-    Lanes and connectors (a strip of 3.5 m where the map has no surface), road blocks, intersections, car parks and
-    the drivable area. Maps without road segments (imported recordings) get intersections from their lanes.
+    Lanes and connectors (a strip of 3.5 m where the map has no surface), road blocks, intersections, car parks and the
+    drivable area. Maps without road segments (imported recordings) get intersections from their lanes.
     """
     lanes = [road_map.lanes[name] for name in sorted(road_map.lanes)]
     shapes = [_build_surface(lane) for lane in lanes]
@@ -225,8 +214,8 @@ def build_road_polygons(road_map: RoadMap, route: Floats) -> RoadPolygons:
 def find_lanes_on_route(lanes: Sequence[Lane], route: Floats) -> Bools:
     """(N,) which of N lanes and connectors a route, as `build_route` makes it, follows.
 
-    True where the centre line passes within 2 m and 45 degrees of the path or the first 30 m of its extension, and
-    for lanes beside such lanes in the same direction.
+    True where the centre line passes within 2 m and 45 degrees of the path or the first 30 m of its extension, and for
+    lanes beside such lanes in the same direction.
     """
     lines = [_add_headings(lane.centerline) for lane in lanes]
     path = _add_headings(route[: len(route) - EXTENSION_M + ROUTED_EXTENSION_M])
@@ -245,8 +234,8 @@ def find_lanes_on_route(lanes: Sequence[Lane], route: Floats) -> Bools:
 def derive_intersections(road_map: RoadMap, lanes: Sequence[Lane], shapes: Sequence[Polygon]) -> list[Polygon]:
     """Intersections of a map that names none: what plain lanes leave of the drivable area around connectors that turn.
 
-    Each part with two or more connectors of different direction, as far as it lies in their hull. A map whose lanes
-    are all alike takes those that cross others for connectors. Shapes are the surfaces of the lanes.
+    Each part with two or more connectors of different direction, as far as it lies in their hull. A map whose lanes are
+    all alike takes those that cross others for connectors. Shapes are the surfaces of the lanes.
     """
     inside = {number for number, lane in enumerate(lanes) if lane.is_connector} or _find_crossing_lanes(lanes)
     plain = shapely.union_all([shape for number, shape in enumerate(shapes) if number not in inside])

@@ -1,9 +1,7 @@
-"""The main path: plans of some samples in, sub-scores out, all plans at once.
+"""The main path: plans of some samples in, sub-scores out, all plans at once; DDC, EP and LK along the route.
 
-Each plan is judged beside the recorded future, which is brought to motion in the same way: it is the measure of EP, and
-what its driver fails is forgiven in the filtered scores.
-
-Sub-scores along the route: wrong way (DDC), progress (EP) and lane keeping (LK).
+Each plan is judged beside the recorded future, which is brought to motion in the same way: it is the measure of EP
+(progress), and what its driver fails is forgiven in the filtered scores. DDC is wrong way, LK lane keeping.
 """
 
 from dataclasses import dataclass, replace
@@ -36,12 +34,10 @@ SHORTEST_PROGRESS_M: Final = 5.0
 
 @dataclass(frozen=True, slots=True)
 class RouteMeasures:
-    """B motions along a route.
+    """B motions along a route: (B,) progress from the first to the last state, not negative.
 
-    Attributes:
-        wrong_way_m: (B,) longest distance against or off the route within 1.1 s.
-        progress_m: (B,) along the route from the first to the last state, not negative.
-        beside: (B, 31) whether the car's centre is more than 0.5 m from the route.
+    ``wrong_way_m`` is (B,), the longest distance against or off the route within 1.1 s; ``beside`` (B, 31) a centre
+    more than 0.5 m from the route.
     """
 
     wrong_way_m: Floats
@@ -50,13 +46,9 @@ class RouteMeasures:
 
 
 def measure_along_route(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bools) -> RouteMeasures:
-    """Measure motions along a route.
+    """Measure (B, 31, 11) motions along a (M, 2) route.
 
-    Args:
-        states: (B, 31, 11) motions.
-        route: (M, 2) polyline.
-        oncoming: (B, 31) where the car's centre is on no lane of the route.
-        in_intersection: (B, 31) where its centre is in an intersection.
+    (B, 31) ``oncoming`` and ``in_intersection`` are of the car's centre, on no lane of the route or in an intersection.
     """
     center = compute_footprints(states)[..., :2]
     moved = np.zeros(states.shape[:2])
@@ -124,14 +116,10 @@ def score_ego_progress(
 
 @dataclass(frozen=True, slots=True)
 class ScoringContext:
-    """Everything that S samples of one place are judged by, beside the plans.
+    """Everything that S samples of one place are judged by, beside the plans: states now, (S, 11), and a (M, 2) route.
 
-    Attributes:
-        now: (S, 11) states of the car.
-        history: (S, 14, 11) states before (`benchmark.pdm.plan_motion.build_history_rows`).
-        has_history: (S,) False where the recording had not begun; HC is 1 there, as officially.
-        traffic: Objects, without those that touch the car now.
-        route: (M, 2) polyline.
+    ``history`` are (S, 14, 11) states before (`build_history_rows`); ``has_history`` is (S,), False where the recording
+    had not begun; HC is 1 there, as officially. ``traffic`` is without objects that touch the car now.
     """
 
     now: Floats

@@ -62,17 +62,7 @@ class DrivenPlan:
 
 @dataclass(frozen=True, slots=True)
 class SubScores:
-    """Sub-scores of motions, each of one shape, 0 to 1.
-
-    Attributes:
-        nc: No collision at fault.
-        dac: Drivable area compliance.
-        ddc: Driving direction compliance.
-        ep: Ego progress.
-        ttc: Time to collision.
-        lk: Lane keeping.
-        hc: History comfort.
-    """
+    """Sub-scores of motions (see `DrivenPlan`), each of one shape, 0 to 1."""
 
     nc: Floats
     dac: Floats
@@ -101,11 +91,7 @@ class SubScores:
         return {name: np.asarray(getattr(self, name) == 0.0) for name in FILTERED}
 
     def forgive(self, forgiven: Mapping[str, Bools]) -> Self:
-        """The same with some sub-scores set to 1.
-
-        They are forgiven, by sub-score, where the recorded driver, scored alone and without a history, has 0
-        (`zeros`).
-        """
+        """The same with sub-scores set to 1 where the recorded driver, alone and without history, has 0 (`zeros`)."""
         return replace(self, **{name: np.where(zero, 1.0, getattr(self, name)) for name, zero in forgiven.items()})
 
     def _weighted(self) -> Floats:

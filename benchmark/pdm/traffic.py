@@ -16,14 +16,14 @@ AGENT_CATEGORIES: Final = ("vehicle.", "human.")
 
 @dataclass(frozen=True, slots=True)
 class KeyFrameObjects:
-    """Objects of S samples at the seven steps 0, 0.5 .. 3 s, sample after sample.
+    """Objects of S samples at the seven steps 0, 0.5 .. 3 s, sample after sample, global.
 
     Attributes:
         offsets: (S + 1,) objects of sample s are ``offsets[s]:offsets[s + 1]``.
-        box: (N, 7, 3) x, y, heading of the centre, global.
+        box: (N, 7, 3) x, y, heading of the centre.
         size: (N, 2) length, width.
         annotated: (N, 7) whether it is annotated there; at least once.
-        velocity: (N, 7, 2) m/s, global.
+        velocity: (N, 7, 2) m/s.
         is_agent: (N,) vehicles and people, as opposed to things.
         number: (N,) of the object in its scene.
     """
@@ -109,10 +109,7 @@ def interpolate_traffic(key_frames: KeyFrameObjects) -> SampleTraffic:
 
 
 def find_touching_at_start(traffic: SampleTraffic, footprints: Floats) -> Bools:
-    """Objects that touch the car now: log replay takes them out of all states.
-
-    ``footprints`` are (S, 5), the car's rectangle in each sample now.
-    """
+    """Objects that touch the (S, 5) rectangles of the car now: log replay takes them out of all states."""
     return traffic.present[:, 0] & boxes_overlap(footprints[traffic.sample_of()], traffic.box[:, 0])
 
 

@@ -13,9 +13,6 @@ their own orientation stand in for them.
 Known faults: those of ``uniad`` and of ``vad`` in a new mixture. Turned round, the roundings of VAD's raster and
 UniAD's block happen to agree, so that ``agent-driver-stp3`` has no shift to any side, and verdicts that are neither
 VAD's nor UniAD's; the end of a scene dilutes its means.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 import numpy as np
@@ -35,10 +32,7 @@ class AgentDriverProtocol(UniADProtocol):
 
 
 class AgentDriverSTP3Protocol(VADProtocol):
-    """VAD's objects under UniAD's block, x mirrored; every sample counts, with means over the steps.
-
-    The name is ``agent-driver-stp3``, or that of a protocol that is the same.
-    """
+    """VAD's objects under UniAD's block, x mirrored; every sample counts, with means over the steps."""
 
     version = 1
     counts_incomplete = True
@@ -55,10 +49,7 @@ class AgentDriverSTP3Protocol(VADProtocol):
         return CELLS - 1 - compute_mirrored_point(waypoints_lidar)
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-        """Means over the steps up to each horizon.
-
-        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
-        """
+        """Means over steps up to each horizon: ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``."""
         return average_masked_columns(outcomes, average_up_to)
 
 

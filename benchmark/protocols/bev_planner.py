@@ -23,9 +23,6 @@ present, one that creeps on in a curve too. The turned cells are rounded one by 
 is a line 0.1 m wide: a plan that is wholly beyond it at the waypoints is clean. The distance between two of the 20
 points can be metres. Pedestrians cannot be hit. The official command says "right" for a recorded path that ends 2 m to
 the left.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from collections.abc import Sequence
@@ -75,11 +72,10 @@ class BEVPlannerProtocol:
         return compute_step_headings(to_forward_left(plans_lidar), moving_m=MOVING_M) + np.pi / 2
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
-        """Judge plans.
+        """Verdicts of plans, and the fact ``map`` (whether the sample has one).
 
-        Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary``, ``obj_col``,
-        ``kerb_before_mask``, ``kerb_recorded``, ``kerb`` and ``kerb_point``, and the fact ``map`` (whether the
-        sample has one).
+        Columns are ``before_mask``, ``recorded``, ``recorded_adversary``, ``obj_col``, ``kerb_before_mask``,
+        ``kerb_recorded``, ``kerb`` and ``kerb_point``.
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
@@ -111,10 +107,7 @@ class BEVPlannerProtocol:
         )
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
-        """The ground-truth check: whether the rectangle touches some objects on the recorded way.
-
-        Of the objects asked about, the counted ones can be touched.
-        """
+        """Ground-truth check: whether the rectangle touches any counted object asked about on the recorded way."""
         if not among.any():
             return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
         cover = build_footprint(to_forward_left(truths.ego_future[..., :2]))
@@ -170,15 +163,10 @@ def draw_polygons(
 
 
 def find_kerb_contacts(truths: StackedTruths, plans: Floats, recorded: Floats) -> list[Bools]:
-    """Contacts with the kerb, some samples at a time, so that never all lines are held.
+    """(S, 6) contacts with the kerb: of the plan's rectangle, of the recorded ego's, and of points below the waypoints.
 
-    Args:
-        truths: S samples; those without a map have no kerb.
-        plans: (S, 6, 2) waypoints, x forward, y left.
-        recorded: (S, 6, 2) those of the recorded ego.
-
-    Returns:
-        (S, 6) of the plan's rectangle, of the recorded ego's, and of the points below the plan's waypoints.
+    ``plans`` and ``recorded`` are (S, 6, 2) waypoints, x forward, y left; samples without a map have no kerb. Some
+    samples are looked at at a time, so that never all lines are held.
     """
     contacts = [np.zeros(plans.shape[:2], dtype=np.bool_) for _ in range(3)]
     for start in range(0, len(plans), _SAMPLES_AT_ONCE):
@@ -198,10 +186,7 @@ def find_kerb_contacts(truths: StackedTruths, plans: Floats, recorded: Floats) -
 def _collect_kerbs(
     roads: Sequence[Roads | None], looked_at: Sequence[FootprintCells | PointCells]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Lines of the kerbs around samples at each of the six steps, (N, 2, 2), and (N,) the place of each.
-
-    Those that nothing comes near at any step are left out.
-    """
+    """(N, 2, 2) lines of the kerbs around samples at six steps that anything comes near, and (N,) the place of each."""
     bounds = [tuple(bound.reshape(-1, PLAN_STEPS, 2) for bound in one.bounds()) for one in looked_at]
     low = np.min([first.min(axis=1) for first, _ in bounds], axis=0) - 1
     high = np.max([last.max(axis=1) for _, last in bounds], axis=0) + 1

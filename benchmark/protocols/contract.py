@@ -1,7 +1,4 @@
-"""Interface of a protocol: boxes and plans in, verdicts per sample and step out, and how those are averaged.
-
-The ways in which protocols make one value of the steps up to a horizon; they never share a column.
-"""
+"""Interface of a protocol: boxes and plans in, verdicts per sample and step out, and their averages up to a horizon."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -101,8 +98,9 @@ class CollisionProtocol(Protocol):
         counts_incomplete: Whether samples count whose recording ends before 3 s.
         uses_categories: Whether it depends on an object's category whether it can be hit.
 
-    One that judges by `SampleTruth.by_clock` says so by an attribute ``goes_by_clock = True``. The steps of all others
-    are key frames, so that they count nothing in scenes whose key frames do not come at 2 Hz.
+    One that judges by `SampleTruth.by_clock` says so by an attribute ``goes_by_clock = True``. Step k of all others is
+    the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are other
+    times, and in scenes at another rate they count nothing (`benchmark.datasets.steps`).
     """
 
     @property
@@ -172,17 +170,14 @@ class CollisionProtocol(Protocol):
 def counts_at_all_horizons(definition: CollisionProtocol, outcomes: ProtocolOutcomes) -> Bools:
     """(S,) which samples count at all three horizons.
 
-    False where a sample counts but a gap in the recording leaves some of its steps unknown, or the data do not say
-    whom a plan could touch.
+    False where a sample counts but a gap in the recording leaves some of its steps unknown, or the data do not say whom
+    a plan could touch.
     """
     return np.logical_and(outcomes.decided, outcomes.valid.all(axis=-1) | definition.counts_incomplete)
 
 
 def compute_published_values(definition: CollisionProtocol, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-    """`CollisionProtocol.sample_values`, less all of which nothing is known.
-
-    Columns by name, each (S, 3); those of contacts are NaN where ``outcomes.known`` is False.
-    """
+    """(S, 3) columns of `CollisionProtocol.sample_values`, those of contacts NaN where ``outcomes.known`` is False."""
     columns = definition.sample_values(outcomes)
     if outcomes.known is None:
         return columns
@@ -235,10 +230,10 @@ def any_up_to(verdicts: Bools) -> Floats:
 
 
 def average_masked_columns(outcomes: ProtocolOutcomes, average: Callable[[NDArray[Any]], Floats]) -> dict[str, Floats]:
-    """The columns of a protocol with a mask and a test of the point below, all averaged in the same way.
+    """(S, 3) ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, all averaged in the same way.
 
-    ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3), of verdicts with the steps
-    ``before_mask`` and ``obj_col``. ``average`` makes (S, 3) at 1, 2 and 3 s of (S, 6) values at the steps.
+    Verdicts need the steps ``before_mask`` and ``obj_col``. ``average`` makes (S, 3) at 1, 2 and 3 s of (S, 6) values
+    at the steps.
     """
     return {
         "collision": average(outcomes.collision),

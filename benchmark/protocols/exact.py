@@ -132,14 +132,11 @@ def _are_cut_short(truths: Sequence[SampleTruth]) -> Bools:
 
 
 def evaluate_longer_plans(truths: Sequence[SampleTruth], plans_lidar: Floats) -> tuple[Bools, Floats]:
-    """Plans of any number of steps, by the same definition.
+    """(S, N) contact and (S, N) displacement of plans of N steps, by the same definition.
 
-    Args:
-        truths: S samples with as many steps (`benchmark.datasets.sample_truth.compute_truth`).
-        plans_lidar: (S, N, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-    Returns:
-        (S, N) contact at each step and (S, N) displacement, NaN where the recorded ego does not exist.
+    ``plans_lidar`` are (S, N, 2) waypoints of the lidar origin, x right, y forward, metres, and the S samples have as
+    many steps (`benchmark.datasets.sample_truth.compute_truth`). Displacements are NaN where the recorded ego does not
+    exist.
     """
     truths = [truth.by_clock for truth in truths]
     contact, _ = find_contacts(compute_plan_boxes(plans_lidar), truths)
@@ -166,21 +163,16 @@ def compute_plan_boxes(plans_lidar: Floats) -> Floats:
 def interpolate_footprints(first: Floats, second: Floats) -> Floats:
     """The ego's rectangle at the five instants of each interval between two poses, the first pose left out.
 
-    (..., 5, 5) instants, then x, y, length, width, yaw. Poses are of the lidar, (..., 3), half a second apart, in
-    any frame.
+    (..., 5, 5) instants, then x, y, length, width, yaw. Poses are of the lidar, (..., 3), half a second apart, in any
+    frame.
     """
     return ego_footprints(poses_between(first[..., None, :], second[..., None, :], _fractions()))
 
 
 def interpolate_object_boxes(boxes: Floats, annotated: Bools) -> tuple[Floats, Bools]:
-    """Objects at the five instants after each keyframe but the last, and whether they are there.
+    """(M, 5 (K - 1), 5) boxes of objects at the five instants after each keyframe but the last, and their presence.
 
-    Args:
-        boxes: (M, K, 5) boxes at the keyframes; 7 of them for a plan.
-        annotated: (M, K) where they are annotated.
-
-    Returns:
-        (M, 5 (K - 1), 5) boxes, (M, 5 (K - 1)) presence.
+    From (M, K, 5) boxes at K keyframes, 7 for a plan, and (M, K) where they are annotated.
     """
     step = np.diff(boxes, axis=1)
     step[..., 4] = wrap_angle(step[..., 4])
@@ -198,10 +190,7 @@ def _fractions() -> Floats:
 
 
 def find_contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[FirstContact]]:
-    """Contacts of any rectangle with the annotated objects: (S, 30) verdicts, and the first contact of each sample.
-
-    ``ego`` are (S, 30, 5) boxes at the instants 0.1, 0.2, ... 3.0 s.
-    """
+    """(S, 30) contacts of any (S, 30, 5) boxes at 0.1 .. 3.0 s with annotated objects, and each sample's first one."""
     boxes = np.concatenate([truth.boxes for truth in truths])
     annotated = np.concatenate([truth.annotated for truth in truths])
     sample_of = np.repeat(np.arange(len(truths)), [len(truth.instances) for truth in truths])

@@ -55,22 +55,13 @@ def compute_step_headings(waypoints: Floats, *, moving_m: float) -> Floats:
 
 
 class FootprintCells:
-    """Cells of the ego at P places.
-
-    Attributes:
-        waypoints: (P, 2) x forward, y left, metres.
-        heading_rad: (P,).
-        kind: In what precision cells are moved.
-    """
+    """Cells of the ego, moved in one precision, at (P, 2) waypoints, x forward, y left, metres, with (P,) headings."""
 
     def __init__(self, waypoints: Floats, heading_rad: Floats, kind: type[np.floating[Any]]) -> None:
         self.waypoints, self.heading_rad, self.kind = waypoints, heading_rad, kind
 
     def cells(self, places: NDArray[np.int64]) -> tuple[Cells, Bools]:
-        """Cells at n places.
-
-        (n, 738, 2) rows and columns, squeezed into the grid, and (n, 738) that all of them count.
-        """
+        """(n, 738, 2) rows and columns at n places, squeezed into the grid, and (n, 738) that all of them count."""
         heading = self.heading_rad[places, None]
         cos, sin = (turn(heading).astype(np.float32).astype(self.kind) for turn in (np.cos, np.sin))
         across, along = (FOOTPRINT - _ORIGIN).astype(self.kind).T
@@ -92,12 +83,7 @@ class FootprintCells:
 
 
 class PointCells:
-    """The single cell below each of P places; none where that lies off the grid.
-
-    Attributes:
-        cell: (P, 2) row and column, squeezed into the grid.
-        inside: (P,) whether it lies in it.
-    """
+    """The single cell below each of P places, (P, 2) row and column squeezed into the grid; none where it lies off."""
 
     def __init__(self, points: Floats, kind: type[np.floating[Any]]) -> None:
         place = np.trunc((points[:, ::-1].astype(kind) - kind(FIRST_CELL_M)) / kind(CELL_M))
@@ -121,11 +107,8 @@ def find_touched(
 ) -> list[Bools]:
     """At which places drawn cells are covered: (P,) verdicts for each object of ``looked_at``.
 
-    Args:
-        looked_at: Footprints or points that cover cells, each at the same P places.
-        polygons: (N, K, 2) column and row of points.
-        place_of: (N,) which place each belongs to.
-        draw: Draws some of them: takes a grid and (n, K, 2) points.
+    ``looked_at`` are footprints or points at the same P places. ``polygons`` are (N, K, 2) column and row of points,
+    ``place_of`` (N,) the place of each; ``draw`` puts (n, K, 2) points on a grid.
     """
     verdicts = [np.zeros(len(one.bounds()[0]), dtype=np.bool_) for one in looked_at]
     corners = [polygons[:, point, ::-1] for point in range(polygons.shape[1])]

@@ -22,9 +22,6 @@ Known faults: a maximum is not to be compared with the means of ``vad`` or ``stp
 the road is turned at random by a standing car's jitter of millimetres, unless the rounding of the text hides it:
 unrounded, half of the standing plans leave the road. Who appears later, and pedestrians, cannot be hit. The two
 rectangles are not equally long and not equally placed. Between two waypoints nothing is looked at.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from collections.abc import Sequence
@@ -78,23 +75,17 @@ class OmniDriveProtocol:
         return compute_step_headings(path, moving_m=MOVING_M) + np.pi / 2
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
-        """Judge plans.
+        """Verdicts of plans, and the fact ``on_road_now``, null where the sample has no map.
 
-        Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``off_road``, and the
-        fact ``on_road_now``, null where the sample has no map. Distances are those of the rear axle.
+        Columns are ``before_mask``, ``recorded``, ``recorded_adversary`` and ``off_road``. Distances are those of the
+        rear axle.
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
         return self.judged(stacked, round_to_text(to_axle_path(plans, stacked.ahead_m)), stacked.axle_future)
 
     def judged(self, truths: StackedTruths, path: Floats, recorded: Floats) -> ProtocolOutcomes:
-        """Judge plans of the rear axle as they are, as `evaluate` does.
-
-        Args:
-            truths: S samples.
-            path: (S, 6, 2) waypoints of the rear axle, x forward, y left, metres.
-            recorded: (S, 6, 2) those of the recorded ego.
-        """
+        """Judge (S, 6, 2) plans and recording of the rear axle, x forward, y left, metres, as `evaluate` does."""
         covers = [build_footprint(path), build_footprint(recorded)]
         contacts = find_touched(covers, *draw_polygons(self, truths), fill)
         on_plan, on_recorded = (hit.reshape(-1, PLAN_STEPS) for hit in contacts)
@@ -115,10 +106,7 @@ class OmniDriveProtocol:
         )
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
-        """The ground-truth check: whether the rectangle touches some objects on the recorded way.
-
-        Of the objects asked about, the counted ones can be touched.
-        """
+        """Ground-truth check: whether the rectangle touches any counted object asked about on the recorded way."""
         return self._touched(truths, truths.axle_future, among)
 
     def _touched(self, truths: StackedTruths, path: Floats, among: Bools) -> Bools:
@@ -173,10 +161,7 @@ def build_footprint(path: Floats) -> FootprintCells:
 def draw_polygons(
     definition: OmniDriveProtocol, truths: StackedTruths, among: Bools | None = None
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Corners of counted objects on the grid.
-
-    (N, 4, 2) column and row of each corner, and (N,) the place of each: sample times 6 plus step.
-    """
+    """(N, 4, 2) column and row of counted objects' corners on the grid, and (N,) places: sample times 6 plus step."""
     selected = np.True_ if among is None else among[:, None]
     objects, steps = np.nonzero(definition.counted_objects(truths) & selected)
     boxes = truths.boxes_in_ego(objects, steps + 1)
@@ -185,14 +170,10 @@ def draw_polygons(
 
 
 def find_road_departures(truths: StackedTruths, path: Floats) -> tuple[Bools, tuple[float | None, ...]]:
-    """Whether the ego's rectangle has a cell that is not drivable, sample by sample: one raster exists at a time.
+    """(S, 6) whether the ego's rectangle has a cell that is not drivable, and for each sample if it is on the road.
 
-    Args:
-        truths: S samples.
-        path: (S, 6, 2) waypoints of the rear axle, x forward, y left.
-
-    Returns:
-        (S, 6) verdicts, and for each sample 1 if the rectangle is on the road now, 0 if not, ``None`` without a map.
+    The latter is of now: 1, 0, or ``None`` without a map. ``path`` are (S, 6, 2) waypoints of the rear axle, x forward,
+    y left. One raster exists at a time.
     """
     heading = compute_step_headings(path, moving_m=0.0)
     start = np.zeros((len(path), 1, 3))

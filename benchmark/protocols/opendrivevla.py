@@ -13,9 +13,6 @@ Every sample counts in both: steps after the end of a recording add nothing and 
 
 Known faults: those of ``uniad``, but mirrored the shift to the left is gone and that to the rear stays: the same plans
 get other verdicts. Two averages of one set of flags stand in one table under the names of two metrics.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from benchmark.geometry import Floats
@@ -44,10 +41,9 @@ class OpenDriveVLAProtocol(UniADProtocol):
         return cells
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-        """The value at each horizon, and the means up to it.
+        """Values at each horizon, and as means up to it ``collision_mean`` and ``l2_mean``.
 
-        ``collision``, ``collision_before_mask``, ``obj_col``, ``l2``, and as means ``collision_mean`` and
-        ``l2_mean``.
+        The former are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
         """
         means = {"collision_mean": average_up_to(outcomes.collision), "l2_mean": average_up_to(outcomes.l2)}
         return super().sample_values(outcomes) | means

@@ -1,4 +1,4 @@
-"""The 200 x 200 grid of half-metre cells on which UniAD and VAD look for collisions.
+"""The 200 x 200 grid of half-metre cells on which UniAD and VAD look for collisions, and whom each is with.
 
 Objects are drawn as OpenCV fills polygons: every cell that an edge passes is occupied, so boxes grow by up to half a
 cell on each side. The ego is a block of 8 x 4 cells that is never turned. Both protocols place the two with different
@@ -7,8 +7,6 @@ roundings; each says in its own module where it puts them. `RasterProtocol` is w
 Only polygons near the cells that are asked for are drawn, one at a time into a grid of the full size: the clipping at
 the grid's border decides some cells inside it, so a smaller grid would not do. `draw_full_rasters` draws everything,
 for comparison with stored rasters and for pictures.
-
-Which road user a verdict is about: who is touched at each colliding step, and whether it is an adversary.
 """
 
 from abc import ABC, abstractmethod
@@ -34,8 +32,8 @@ HIT_ADVERSARY, ADVERSARY_S = "hit_adversary", "adversary_contact_s"
 def touches_adversary(collision: Sequence[bool], facts: Mapping[str, Any]) -> bool | None:
     """Whether the first contact of a plan is with an adversary.
 
-    ``None`` where there is no contact, or the verdict does not say whom it is with: it is older, or of a protocol
-    that never does.
+    ``None`` where there is no contact, or the verdict does not say whom it is with: it is older, or of a protocol that
+    never does.
     """
     if not any(collision):
         return None
@@ -47,18 +45,11 @@ def touches_adversary(collision: Sequence[bool], facts: Mapping[str, Any]) -> bo
 def describe_touched(
     truths: StackedTruths, collision: Bools, objects: NDArray[np.int64], steps: NDArray[np.int64]
 ) -> dict[str, tuple[Any, ...]]:
-    """Facts on which objects are touched at each colliding step.
+    """Facts on which objects are touched at each colliding step, null for a sample without a collision.
 
-    Args:
-        truths: S samples with M objects.
-        collision: (S, 6) verdicts, after the protocol's own exclusions.
-        objects: (N,) objects that the ego touches, in any order.
-        steps: (N,) at which step, 0 to 5.
-
-    Returns:
-        ``touched``: for each sample the instance that is touched at each of the six steps, the first by name of
-        several, null at a step without a collision; ``touched_adversary``: whether any of them there is an adversary.
-        Null of a sample without a collision.
+    ``touched`` has the instance at each of the six steps, the first by name of several, null at a step without a
+    collision; ``touched_adversary`` says whether any of them there is an adversary. ``collision`` is (S, 6), after the
+    protocol's own exclusions; ``objects`` are (N,) that the ego touches, in any order, at (N,) ``steps``, 0 to 5.
     """
     names: list[list[str | None]] = [[None] * PLAN_STEPS for _ in collision]
     adversaries = [[False] * PLAN_STEPS for _ in collision]
@@ -90,17 +81,17 @@ EGO_BLOCK: Cells = np.stack(np.meshgrid(np.arange(97, 105), np.arange(98, 102), 
 def compute_ego_cells(waypoints_lidar: Floats) -> Floats:
     """Row and column of the ego's block before rounding: cell counts from the grid's left and rear edge.
 
-    (..., 32, 2) row (forward) and column (right) for (..., 2) waypoints, x right, y forward, metres. The official
-    code divides in single precision.
+    (..., 32, 2) row (forward) and column (right) for (..., 2) waypoints, x right, y forward, metres. The official code
+    divides in single precision.
     """
     single = np.asarray(waypoints_lidar)[..., ::-1].astype(np.float32) / np.float32(CELL_M)
     return np.asarray(single.astype(np.float64)[..., None, :] + EGO_BLOCK)
 
 
 def truncate_cells(cells: Floats) -> Cells:
-    """Cell indices rounded towards zero and squeezed into the grid, as both official codes do it.
+    """Cell indices rounded towards zero and squeezed into the grid, 0 to 199, as both official codes do it.
 
-    Whole numbers from 0 to 199: a block that leaves the grid is squashed on its border.
+    A block that leaves the grid is squashed on its border.
     """
     return np.clip(np.trunc(cells), 0, CELLS - 1).astype(np.int64)
 
@@ -117,13 +108,10 @@ def find_occupied_cells(
     cells: Sequence[Cells],
     bounds: Sequence[tuple[Cells, Cells]] | None = None,
 ) -> list[Bools]:
-    """Which cells are covered by the polygons of their place: (P, C) verdicts for each group of cells.
+    """(P, C) which cells are covered by the polygons of their place, for each (P, C, 2) group of cells, row first.
 
-    Args:
-        polygons: (N, 4, 2) corners, column first.
-        place_of: (N,) which of P places (a sample at a step) a polygon belongs to.
-        cells: Groups of cells to look at, each (P, C, 2), row first.
-        bounds: `compute_bounds` each group, where they are at hand.
+    ``polygons`` are (N, 4, 2) corners, column first, ``place_of`` (N,) the place (a sample at a step) of each;
+    ``bounds`` are `compute_bounds` of each group, where at hand.
     """
     covered = [np.zeros(group.shape[:2], dtype=np.bool_) for group in cells]
     low, high = polygons.min(axis=1)[:, ::-1], polygons.max(axis=1)[:, ::-1]
@@ -147,11 +135,8 @@ def find_covering_polygons(
 ) -> Bools:
     """(N,) which polygons cover a cell of their place: `find_occupied_cells`, asked of each polygon.
 
-    Args:
-        polygons: (N, 4, 2) corners, column first.
-        place_of: (N,) which of P places a polygon belongs to.
-        cells: (P, C, 2) cells to look at, row first.
-        counts: (P, C) which of them count, if not all.
+    ``polygons`` are (N, 4, 2) corners, column first, ``place_of`` (N,) the place of each; ``cells`` are (P, C, 2), row
+    first, and ``counts`` is (P, C), which of them count, if not all.
     """
     covers = np.zeros(len(polygons), dtype=np.bool_)
     grid = np.zeros((CELLS, CELLS), np.uint8)
@@ -169,8 +154,7 @@ def _may_reach(
     """A cheap test that leaves few polygons to compute: whether each of (N, 5) boxes could cover any of the cells.
 
     ``bounds`` are those of the cells (`compute_bounds`), ``rows`` are those on which the boxes' centres lie, not
-    rounded. The rest is as for `find_occupied_cells`. True too often, but never False where `find_occupied_cells`
-    finds a cell.
+    rounded. True too often, but never False where `find_occupied_cells` finds a cell.
     """
     # Half the diagonal, and a cell for the roundings of corner and outline.
     reach = 0.5 * np.hypot(boxes[:, 2], boxes[:, 3]) / CELL_M + 1.0
@@ -242,10 +226,7 @@ class RasterProtocol(ABC):
         return truncate_cells(cells)
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
-        """Judge plans.
-
-        Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``.
-        """
+        """Verdicts of plans: ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``."""
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
         plan, recorded = self.ego_block(plans), self.ego_block(stacked.ego_future[..., :2])
@@ -277,10 +258,7 @@ class RasterProtocol(ABC):
         return describe_touched(truths, collision, objects[hit], steps[hit])
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
-        """The ground-truth check: whether the recorded ego's block covers a cell of some objects.
-
-        Of the objects asked about, the counted ones are drawn.
-        """
+        """Ground-truth check: whether the recorded ego's block covers a cell of any counted object asked about."""
         block = self.ego_block(truths.ego_future[..., :2])
         return self._find_covered(truths, self.counted_objects(truths) & among[:, None], (block,))[0]
 

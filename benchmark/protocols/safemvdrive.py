@@ -21,9 +21,6 @@ Known faults: those of ``uniad`` or ``sparsedrive``; without an exclusion every 
 to the end. Latched flags are never to be compared with values at a step or with means. Officially the displacements of
 left-out samples stay in the sum of L2 while the samples leave the denominator, so that it comes out a little too large;
 here they leave both.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from collections.abc import Sequence
@@ -67,10 +64,7 @@ class SafeMVDriveProtocol:
         return _latch_outcomes(columns, judged.l2, judged.valid, judged.valid[:, 0], out, for_adversary)
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
-        """The ground-truth check: all steps of samples whose recorded ego collides at the first.
-
-        Of the objects asked about, the counted ones can be touched.
-        """
+        """Ground-truth check: all steps, if the recorded ego touches a counted object asked about at the first."""
         first = self.uniad.recorded_contacts(truths, among)[:, :1]
         return np.asarray(first & truths.ego_future_valid)
 
@@ -84,7 +78,7 @@ class SafeMVDriveProtocol:
 
 
 class SafeMVDriveBoxProtocol:
-    """SparseDrive's polygons without an exclusion, latched; the module's docstring says all.
+    """SparseDrive's polygons without an exclusion, latched.
 
     ``safemvdrive-box`` leaves out boxes without lidar points, ``safemvdrive-box-all`` does not.
     """
@@ -120,10 +114,7 @@ class SafeMVDriveBoxProtocol:
         )
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
-        """The ground-truth check: all steps of samples whose ego touches a box now.
-
-        Of the objects asked about, the counted ones can be touched.
-        """
+        """Ground-truth check: all steps of samples whose ego touches the box of a counted object asked about now."""
         return np.asarray(self._find_touched_now(truths, among)[:, None] & truths.ego_future_valid)
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
@@ -152,11 +143,8 @@ def _latch_outcomes(
     ``recorded_adversary`` are the steps of those that are left out because of the recorded ego, and the fact
     ``left_out`` says which would count if it were not for that.
 
-    Args:
-        columns: (S, 6) further columns, among them ``at_step``.
-        fit: (S,) which samples are long enough to count.
-        out: (S,) whose recorded ego collides where the protocol looks.
-        for_adversary: (S,) the same with an adversary.
+    ``columns`` are (S, 6), among them ``at_step``; ``fit`` is (S,), long enough to count; ``out`` (S,) and
+    ``for_adversary`` (S,) say whose recorded ego collides where the protocol looks, with anything or an adversary.
     """
     latched = np.logical_or.accumulate(columns["at_step"].reshape(-1, PLAN_STEPS), axis=1)
     counted = fit & ~out

@@ -1,4 +1,4 @@
-"""The ``sparsedrive`` protocol: collision and L2 as SparseDrive's own evaluation counts them.
+"""The protocols ``sparsedrive`` and ``diffusiondrive``: collision and L2 as SparseDrive's own evaluation counts them.
 
 Definition:
 
@@ -17,10 +17,7 @@ Known faults: a plan of a nearly standing car that jitters turns the box at will
 began keeps looking ahead; reversing puts the box 0.5 m behind. Objects without a lidar point vanish, so an adversary
 written with a count of 0 cannot be hit. Nothing is checked between the waypoints.
 
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
-
-The ``diffusiondrive`` protocol: the evaluation of DiffusionDrive's nuScenes branch.
+DiffusionDrive's nuScenes branch evaluates in the same way.
 """
 
 from collections.abc import Sequence
@@ -86,18 +83,12 @@ class SparseDriveProtocol:
         )
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
-        """The ground-truth check: whether the rectangle touches some objects on the recorded way.
-
-        Of the objects asked about, the counted ones can be touched.
-        """
+        """Ground-truth check: whether the rectangle touches any counted object asked about on the recorded way."""
         objects, waypoints = self.counted_objects(truths) & among[:, None], truths.ego_future[..., :2]
         return find_waypoint_contacts(truths, objects, waypoints, self.headings(waypoints)) & truths.ego_future_valid
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-        """Means over the steps up to each horizon.
-
-        Columns are ``collision``, ``collision_before_mask`` and ``l2``.
-        """
+        """Means over the steps up to each horizon: ``collision``, ``collision_before_mask`` and ``l2``."""
         return {
             "collision": average_up_to(outcomes.collision),
             "collision_before_mask": average_up_to(outcomes.step("before_mask")),
@@ -108,11 +99,7 @@ class SparseDriveProtocol:
 def find_waypoint_contacts(truths: StackedTruths, objects: Bools, plans_lidar: Floats, heading_rad: Floats) -> Bools:
     """(S, 6) whether the ego's rectangle touches a counted object at each waypoint.
 
-    Args:
-        truths: S samples with M objects.
-        objects: (M, 6) which objects count.
-        plans_lidar: (S, 6, 2) waypoints, metres.
-        heading_rad: (S, 6) heading at each.
+    ``objects`` is (M, 6), which of M objects count; ``plans_lidar`` (S, 6, 2) metres, ``heading_rad`` (S, 6).
     """
     return _mark_steps(truths, find_contact_pairs(truths, objects, plans_lidar, heading_rad))
 
@@ -140,7 +127,7 @@ def _mark_steps(truths: StackedTruths, pairs: tuple[NDArray[np.int64], NDArray[n
 
 
 class DiffusionDriveProtocol(SparseDriveProtocol):
-    """See the module's docstring."""
+    """The evaluation of DiffusionDrive's nuScenes branch, the same as SparseDrive's."""
 
     def __init__(self) -> None:
         super().__init__("diffusiondrive")

@@ -23,12 +23,9 @@ class StackedTruths:
     Attributes:
         sample_of: (M,) which sample an object belongs to.
         instances: M instance identifiers; an object has one entry for each sample.
-        boxes: (M, 7, 5) boxes now and at the six steps.
-        annotated: (M, 7) whether the object is annotated there.
-        has_points: (M, 7) whether lidar or radar points were counted there.
-        has_lidar_points: (M, 7) whether lidar points were.
-        ego_future: (S, 6, 3) recorded lidar origin, x, y, yaw.
-        ego_future_valid: (S, 6) whether it exists.
+        boxes: (M, 7, 5) boxes now and at the six steps; ``annotated`` is (M, 7).
+        has_points: (M, 7) whether lidar or radar points were counted there; ``has_lidar_points`` leaves out radar.
+        ego_future: (S, 6, 3) recorded lidar origin, x, y, yaw; ``ego_future_valid`` is (S, 6).
         adversarial: (M,) whether the object was made to be an adversary, as far as the data set says.
         seen_before: (M,) whether the object was seen now or in the second before (`SampleTruth.seen_before`).
         axle_poses: (S, 7, 3) global x, y, yaw of the rear axle now and at the steps.
@@ -76,10 +73,7 @@ class StackedTruths:
 
 
 def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
-    """Samples one after the other.
-
-    The arrays are read-only: the samples of before are not stacked again for the next protocol.
-    """
+    """Samples one after the other in read-only arrays: the last ones are not stacked again for the next protocol."""
     for known, stacked in _LAST:
         if len(known) == len(truths) and all(map(is_, known, truths)):
             return stacked

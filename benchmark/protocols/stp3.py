@@ -20,9 +20,6 @@ Known faults: objects are drawn relative to the rear axle and the ego relative t
 0.94 m too far back. The warp does not turn its translation and shifts sideways the wrong way, so that in turns objects
 lie beside their place (by up to 5.7 m at 3 s). Corners go to nodes, ego cells are cut off: half a cell. A turning ego
 is not turned. Who appears later cannot be hit. A collision is forgotten at the next step.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from collections.abc import Sequence
@@ -73,10 +70,7 @@ class STP3Protocol:
         return np.full(plans_lidar.shape[:-1], np.pi / 2)
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> ProtocolOutcomes:
-        """Judge plans.
-
-        Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``.
-        """
+        """Verdicts of plans: ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``."""
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
         point = _compute_point_cells(plans)
@@ -113,20 +107,14 @@ class STP3Protocol:
         return describe_touched(truths, collision, objects[hit], steps[hit])
 
     def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
-        """The ground-truth check: whether the block touches some objects on the recorded way.
-
-        Of the objects asked about, the counted ones can be touched.
-        """
+        """Ground-truth check: whether the block touches any counted object asked about on the recorded way."""
         if not among.any():
             return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
         block = compute_ego_block(truths.ego_future[..., :2])
         return _find_covered(truths, [block], *draw_polygons(self, truths, among))[0]
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-        """Means over the steps up to each horizon.
-
-        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
-        """
+        """Means over steps up to each horizon: ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``."""
         return average_masked_columns(outcomes, average_up_to)
 
 
@@ -158,13 +146,8 @@ def compute_warps(axle_poses: Floats) -> tuple[Singles, Singles, Singles]:
     """The motion that warps each future picture into the present, in single precision as the official code has it.
 
     Each step between neighbouring keyframes is a motion backwards, made of two single-precision poses, reduced to
-    translation and angle, turned round, and then chained.
-
-    Args:
-        axle_poses: (S, 7, 3) global x, y, yaw now and at the steps.
-
-    Returns:
-        (S, 6) metres forward, metres to the left, and radians of the motion from each future frame.
+    translation and angle, turned round, and then chained. From (S, 7, 3) global x, y, yaw now and at the steps: (S, 6)
+    metres forward, metres to the left, and radians of the motion from each future frame.
     """
     poses = _matrices(axle_poses)
     chained = np.broadcast_to(np.eye(3, dtype=np.float32), (len(poses), 3, 3))

@@ -16,9 +16,6 @@ Known faults: pedestrians, cones, barriers and emergency vehicles cannot be hit.
 stands about 0.5 m too far left and to the rear of what it is compared with: false alarms there, misses right and ahead.
 An ego that leaves the grid is squashed on its border. A turning ego is not turned. A collision is forgotten at the next
 step, and the end of a scene dilutes the rates (by about 15 % at 3 s).
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 import numpy as np
@@ -71,17 +68,14 @@ class UniADProtocol(RasterProtocol):
         return np.asarray(np.trunc((waypoints_lidar[..., ::-1] + (EXTENT_M - 0.5 * CELL_M)) / CELL_M))
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-        """The value at each horizon.
-
-        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
-        """
+        """Values at each horizon: ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``."""
         return average_masked_columns(outcomes, select_horizons)
 
 
 def round_polygons(boxes: Floats) -> NDArray[np.int32]:
-    """Corners on the grid as the label generation rounds them: in single precision, halves to the even node.
+    """(N, 4, 2) column and row of corners on the grid as label generation rounds them.
 
-    (N, 4, 2) column and row of each corner.
+    In single precision, halves to the even node.
     """
     single = np.asarray(boxes).astype(np.float32)
     cos, sin = np.cos(single[:, 4]), np.sin(single[:, 4])

@@ -22,9 +22,6 @@ Version 1 counted objects with nothing but radar points on them too.
 Known faults: a car that is farther than 30 m now, or that appears later, cannot be hit. The ego stands about 0.5 m too
 far left of what it is compared with. A turning ego is not turned. ``obj_col`` looks 25 m ahead and 25 m to the left of
 the ego because of a wrong offset and means nothing.
-
-Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
-other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from typing import Final
@@ -71,10 +68,7 @@ assert set(CATEGORIES) >= DETECTED >= COUNTED_23
 
 
 class VADProtocol(RasterProtocol):
-    """VAD's protocol, ``vad`` or ``vad-23``: objects near now and followed from there, with means over the steps.
-
-    The module's docstring says all.
-    """
+    """VAD's protocol, ``vad`` or ``vad-23``: objects near now and followed from there, with means over the steps."""
 
     version = 2
     counts_incomplete = False
@@ -109,10 +103,7 @@ class VADProtocol(RasterProtocol):
         return np.asarray(np.trunc((offset + turned) / CELL_M))
 
     def sample_values(self, outcomes: ProtocolOutcomes) -> dict[str, Floats]:
-        """Means over the steps up to each horizon.
-
-        Columns are ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``.
-        """
+        """Means over steps up to each horizon: ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``."""
         return {
             "collision": _means(outcomes.collision),
             "collision_before_mask": _means(outcomes.step("before_mask")),

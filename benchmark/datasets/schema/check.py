@@ -1,13 +1,4 @@
-"""All checks of one data set, in the order in which a reader would trip over the faults.
-
-Optional tables that the devkit reads by itself where they exist: its errors about them become faults.
-
-Map expansions: there, in their place, whole, and of the place where the ego drove.
-
-Truth that is missing though the tables are sound: labels, sizes, tracks, nuScenes' categories, poses that move.
-
-Signs of wrong tables in recorded motion: boxes that jump or lie across it, rotations in another order.
-"""
+"""All checks of one data set, in the order in which a reader trips over the faults: tables, maps, truth, motion."""
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -58,12 +49,8 @@ _QUATERNIONS = "make sense only as x, y, z, w; nuScenes stores w, x, y, z: reord
 class EgoSamplePoses:
     """Poses of the ego at S samples of all scenes, scene by scene, in time order.
 
-    Attributes:
-        scene: (S,) number of the scene.
-        logs: S tokens of logs.
-        seconds: (S,) times.
-        position: (S, 3) metres, global.
-        rotation: (S, 4) quaternions as they stand in the table.
+    ``scene`` holds the number of each sample's scene, ``logs`` its token of the log; ``position`` is (S, 3), global, in
+    metres, ``rotation`` (S, 4), quaternions as they stand in the table.
     """
 
     scene: NDArray[np.int64]
@@ -155,11 +142,7 @@ _LABELS: Final = "scenes without labels"
 
 
 def check_truth(tables: CheckedTables, categories: Mapping[str, str], faults: FaultList) -> None:
-    """Warn of scenes and objects of which commands that judge say nothing, or less.
-
-    Args:
-        categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
-    """
+    """Warn of scenes and objects of which commands that judge say nothing, or less."""
     if "sample_annotation" in tables.unreadable:
         return
     _check_labels(tables, faults)
@@ -276,7 +259,6 @@ def _note_missing(root: Path, location: str, faults: FaultList) -> None:
 
 
 def _read_checked_map(path: Path, location: str, faults: FaultList) -> RoadMap | None:
-    """The map of a location, unless it cannot be read."""
     name = f"maps/expansion/{location}.json"
     try:
         road_map = read_road_map(path)

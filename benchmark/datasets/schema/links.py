@@ -23,13 +23,7 @@ def check_links(tables: CheckedTables, faults: FaultList) -> None:
 
 
 def check_link(link: Link, rows: Sequence[Row], known: Set[str], faults: FaultList, *, among: str = "") -> None:
-    """Note rows whose link leads nowhere.
-
-    Args:
-        rows: Rows in which it can be relied on.
-        known: Tokens of the table that it leads to.
-        among: Which rows of the table the known ones are, where they are not all.
-    """
+    """Note rows whose link leads to none of the ``known`` tokens; ``among`` names which rows these are if not all."""
     values = map(itemgetter(link.field), rows)
     linked = chain.from_iterable(values) if link.field.endswith("_tokens") else values
     if set(linked) - ({""} if link.may_be_empty else set()) <= known:

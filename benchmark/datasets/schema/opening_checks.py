@@ -1,7 +1,6 @@
 """Checks when a root is opened and when a scene of it is read: the first error is raised.
 
-Together they cover the errors that `data check` reports in the tables of the scenes that are read. Faults of other
-files are refused where these are opened.
+They cover the errors of `data check` in tables of scenes that are read; other files are checked when opened.
 """
 
 from collections.abc import Collection, Mapping
@@ -14,12 +13,7 @@ from benchmark.datasets.schema.values import check_images, check_rates, check_se
 
 
 def check_shared_and_samples(tables: CheckedTables, faults: FaultList, rates: FaultList) -> None:
-    """Check what the rows of the shared tables and of all samples say together.
-
-    Args:
-        tables: These tables, or all.
-        rates: Gets scenes with another rate of keyframes than nuScenes.
-    """
+    """Check what rows of the shared tables and of all samples say together; ``rates`` gets scenes at other rates."""
     check_links(tables, faults)
     check_sample_chains(tables, faults)
     check_shared(tables, faults)
@@ -33,13 +27,7 @@ def check_scene(
     adversaries: Collection[str],
     faults: FaultList,
 ) -> None:
-    """Check what the rows of one scene say together.
-
-    Args:
-        shared: The tables that do not grow with the scenes.
-        rows: Rows of the scene in the tables that do.
-        adversaries: Instances that were made to be adversaries of the scene.
-    """
+    """Check what the rows of one scene, and of the tables that do not grow with the scenes, say together."""
     scene_tables = CheckedTables.of_sound_rows({**rows, "scene": [scene]})
     tables = CheckedTables(
         {**shared.rows, **scene_tables.rows},

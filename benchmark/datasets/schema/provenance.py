@@ -69,11 +69,7 @@ def check_provenance(folder: Path, tables: CheckedTables, faults: FaultList) -> 
 
 
 def check_adversaries(tables: CheckedTables, scene: Row, adversaries: Collection[str], faults: FaultList) -> None:
-    """Note adversaries of a scene that are not there, not vehicles, or would be dropped by metrics.
-
-    Args:
-        tables: Tables with all rows of the scene.
-    """
+    """Note adversaries of a scene that are not there, not vehicles, or would be dropped by metrics."""
     annotations = _by_instance(tables) if adversaries else {}
     for token in adversaries:
         _check_adversary(tables, scene, token, annotations.get(token, []), faults)

@@ -1,7 +1,4 @@
-"""Rows against their description: a quick look at whole columns, and where that fails each value by itself.
-
-Faults of a data set, a list that limits how many are shown, and the error raised for a faulty data set.
-"""
+"""Rows against their description, whole columns first and single values where that fails; faults and their error."""
 
 import json
 from collections import Counter
@@ -25,14 +22,10 @@ _LONGEST: Final = 1000
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that is wrong with a data set.
+    """One thing that is wrong with a data set; ``token`` of the row may be empty.
 
-    Attributes:
-        table: Table or file that it was found in.
-        token: Token of the row, or an empty string.
-        sentence: What is wrong.
-        severity: ``error``: software that follows the format crashes or computes something wrong. ``warning``: legal,
-            but most likely not meant.
+    ``error``: software that follows the format crashes or computes something wrong. ``warning``: legal, but most likely
+    not meant.
     """
 
     table: str
@@ -49,12 +42,7 @@ class FaultList:
     counts: Counter[tuple[str, str, Severity]] = field(default_factory=Counter)
 
     def add(self, kind: str, table: str, token: str, sentence: str, *, severity: Severity = "error") -> None:
-        """Note a fault.
-
-        Args:
-            kind: Two or three words for what the faults of a kind have in common; names them when counted.
-            token: Token of the row, or an empty string.
-        """
+        """Note a fault; ``kind``, two or three words for what such faults have in common, names them when counted."""
         self.counts[(kind, table, severity)] += 1
         if self.counts[(kind, table, severity)] <= SHOWN_PER_KIND:
             self.faults.append(Fault(table, token, to_one_line(sentence, _LONGEST), severity))
@@ -92,12 +80,7 @@ _SHOWN_CHARACTERS: Final = 60
 
 
 def check_table(table: str, content: list[Row], faults: FaultList) -> tuple[list[Row], dict[int, frozenset[str]]]:
-    """Note all faults of a whole table, links apart.
-
-    Returns:
-        Rows with a sound token of their own; and the fields that are absent or unsound, by identity of
-        the row.
-    """
+    """Note all faults of a whole table, links apart: rows with a sound token, and unsound fields by identity of row."""
     unsound = check_rows(table, content, faults)
     rows = _with_tokens(table, content, unsound, faults)
     for name, column in SCHEMA[table].items():
@@ -107,11 +90,7 @@ def check_table(table: str, content: list[Row], faults: FaultList) -> tuple[list
 
 
 def check_rows(table: str, rows: Sequence[Row], faults: FaultList, *, first: int = 0) -> dict[int, frozenset[str]]:
-    """Fields that are absent or hold what they must not, by identity of the row, apart from all other rows.
-
-    Args:
-        first: Number of the first row in its file.
-    """
+    """Fields absent or with what they must not hold, by identity of the row; ``first`` is its number in the file."""
     fields = SCHEMA[table]
     doubtful = [name for name, field in fields.items() if rows and not _column_holds(rows, name, field.kind)]
     unsound = {}
@@ -148,7 +127,6 @@ def _column_holds(rows: Sequence[Row], name: str, kind: ValueKind) -> bool:
 
 
 def _with_tokens(table: str, rows: list[Row], unsound: dict[int, frozenset[str]], faults: FaultList) -> list[Row]:
-    """Rows with a token of their own."""
     tokens: set[str] = set()
     kept: list[Row] = []
     for row in rows:

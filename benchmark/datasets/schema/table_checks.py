@@ -16,12 +16,10 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class CheckedTables:
-    """Tables after the check of their rows.
+    """Tables after the check of their rows, which are objects with a token of their own.
 
-    Attributes:
-        rows: Rows that are objects with a token of their own, by table.
-        unreadable: Tables that are missing or no list of rows; nothing more is said about links into them.
-        unsound: Fields that are absent or hold what they must not, by identity of the row.
+    Nothing more is said about links into ``unreadable`` tables, which are missing or no list of rows; ``unsound`` are
+    fields that are absent or hold what they must not, by identity of the row.
     """
 
     rows: Mapping[str, list[Row]]
@@ -55,11 +53,7 @@ class CheckedTables:
 
 
 def read_checked(folder: Path, faults: FaultList) -> CheckedTables:
-    """Read all 13 tables and check their rows.
-
-    Args:
-        faults: Gets missing and unreadable tables, and what the schema says against their rows.
-    """
+    """Read all 13 tables and check their rows; ``faults`` gets missing and unreadable tables too."""
     rows: dict[str, list[Row]] = {}
     unsound: dict[int, frozenset[str]] = {}
     unreadable = set()

@@ -1,8 +1,6 @@
 """The tables of nuScenes: what each field of a row must be, and which rows of other tables it names.
 
 Only fields that are read, here or in software for this format, are described; a row may have others.
-
-Kinds of values: which a field may hold, value by value and, quickly, a whole column at once.
 """
 
 import re
@@ -41,12 +39,10 @@ ColumnTest = Callable[[list[Any]], bool]
 
 @dataclass(frozen=True, slots=True)
 class ValueKind:
-    """Contents that a field may have.
+    """Contents that a field may have, ``words`` for sentences.
 
-    Attributes:
-        words: What it must be, for sentences.
-        column: Whether all values of a column (never empty) are. It is quick, and it may err on one side only: where
-            it says no, the values are looked at one by one.
+    ``column`` tells whether all values of a column (never empty) are. It is quick, and may err on one side only: where
+    it says no, the values are looked at one by one.
     """
 
     words: str
@@ -87,12 +83,7 @@ def number(words: str, low: float, high: float) -> ValueKind:
 
 
 def numbers(words: str, length: int, sound: Callable[[Any], Any]) -> ValueKind:
-    """Lists of some finite numbers.
-
-    Args:
-        length: How many numbers each list has.
-        sound: From (N, length) to N truths; false for NaN.
-    """
+    """Lists of ``length`` finite numbers; ``sound`` maps (N, length) to N truths, false for NaN."""
 
     def holds(value: Any) -> bool:
         if type(value) is not list or len(value) != length or not all(map(_is_number, value)):
@@ -235,12 +226,7 @@ MATRIX: Final = ValueKind("an empty list or three rows of three numbers", _is_ma
 
 @dataclass(frozen=True, slots=True)
 class TableField:
-    """A field of a row.
-
-    Attributes:
-        target: Table whose rows it names by their token; empty where it names none.
-        unique: Whether no two rows may have the same.
-    """
+    """A field of a row; ``target`` is the table whose rows it names by token, empty where it names none."""
 
     kind: ValueKind
     target: str = ""
@@ -249,12 +235,7 @@ class TableField:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A field that names rows of a table.
-
-    Attributes:
-        target: Table that has the rows.
-        may_be_empty: Whether it may name none.
-    """
+    """A field that names rows of the table ``target``, or none if it may."""
 
     table: str
     field: str

@@ -1,6 +1,6 @@
-"""Consistency of rows across tables: calibration, images, times of sensors, maps of logs.
+"""Consistency of rows across tables: calibration, images, times of sensors, maps of logs, intervals of keyframes.
 
-Intervals between keyframes: official protocols take them for steps of half a second at any rate of the data.
+Official protocols take these intervals for steps of half a second at any rate of the data.
 """
 
 from collections import Counter, defaultdict
@@ -31,10 +31,7 @@ def check_rates(tables: CheckedTables, faults: FaultList) -> None:
 
 
 def check_gaps(tables: CheckedTables, faults: FaultList) -> None:
-    """Warn of keyframes that are nearer to each other or farther apart than steps, in scenes at 2 Hz.
-
-    In scenes at another rate only gaps are named across which nothing is known.
-    """
+    """Warn of keyframes nearer or farther apart than steps at 2 Hz, else only of gaps across which nothing is known."""
     for scene, times_us in _times_of_scenes(tables):
         usual_us = find_irregular_interval_us(times_us)
         if usual_us is not None and usual_us > LONGEST_KNOWN_US:
