@@ -29,16 +29,13 @@ from generation.pipeline.surrogate import PROTOCOL, PlannerUnderTest, require_al
 
 
 def run_ablation(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> AblationReport:
-    """Run the study; the same call resumes.
+    """Run the study, which is also in ``ablation.json``; the same call resumes.
 
     Args:
         source: Recorded scenes.
         planner: Planner that is evaluated.
         settings: The full search. Its ``out`` is the folder of the study, which holds one build for each row; limits on
             what is kept, several adversaries and a surrogate do not apply.
-
-    Returns:
-        The study, which is also in ``ablation.json``.
 
     Raises:
         InputError: As `generation.pipeline.split.build_split`, or if the planner fails on samples.
@@ -64,10 +61,7 @@ def run_ablation(source: DataSet, planner: PlannerUnderTest, settings: BuildSett
 
 
 def estimate_ablation(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> str:
-    """Text for people on the work that a study is, one line for each row; nothing is written.
-
-    Arguments and errors as of `run_ablation`.
-    """
+    """Text for people on the work that a study is, one line for each row; nothing is written."""
     reports = [
         estimate_build(source, "adv", _build_variant_settings(variant, settings, planner)) for variant in VARIANTS
     ]

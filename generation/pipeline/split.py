@@ -72,10 +72,7 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
 
 @dataclass(frozen=True, slots=True)
 class PreparedBuild:
-    """Found scenes and those of them that are written.
-
-    ``report`` says it of both, ``files`` the same as files, by name.
-    """
+    """Found scenes and those of them that are written; ``files`` has the report on both, by file name."""
 
     found: SearchResult
     chosen: SceneSelection
@@ -109,10 +106,7 @@ def prepare_build(
     *,
     keep: bool = True,
 ) -> PreparedBuild:
-    """Search, or find what was searched, and choose; nothing is published.
-
-    ``keep`` says whether choices of vehicles are written.
-    """
+    """Search, or find what was searched, and choose; nothing is published. ``keep`` writes choices of vehicles."""
     result = run_search(source, search, names, settings, keep=keep)
     plan = _build_plan(source, split, settings)
     chosen = select_scenes(source, plan, result, settings)
@@ -236,7 +230,6 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
 def _build_report_files(
     report: BuildReport, result: SearchResult, written: Sequence[AdversaryChain]
 ) -> dict[str, bytes]:
-    """Reports of a build on itself, by file name."""
     name_of = {link.unit: chain.name for chain in written for link in chain.links}
     attempts = []
     for attempted in result.tried:

@@ -1,6 +1,6 @@
 """A planner in the loop: keep only the scenes in which it collides (appendix "Attack Transferability").
 
-The survivors are written as a data set of their own below the output and evaluated like any other. Those that the
+The survivors are written as a data set of their own below the output and evaluated like any other; those that the
 planner fails are taken over from there, pictures included.
 """
 
@@ -31,11 +31,9 @@ PROTOCOL = "exact"
 
 @dataclass(frozen=True, slots=True)
 class PlannerUnderTest:
-    """A planner that generated scenes are judged with.
+    """A planner that generated scenes are judged with; no images are drawn for one that does not look at them.
 
-    Attributes:
-        images: Whether it looks at images; without, none are drawn for it.
-        workers: Processes of its evaluation; no result depends on them.
+    No result depends on ``workers``, the processes of its evaluation.
     """
 
     factory: "PlannerFactory"
@@ -47,12 +45,8 @@ class PlannerUnderTest:
 class SurrogateResult:
     """Judgement of a planner on generated scenes.
 
-    Attributes:
-        failed: Scenes in which it touches the adversary first in at least one sample, by the names that the evaluated
-            data set has.
-        samples: Samples that count.
-        colliding_samples: Those of them whose first contact within three seconds is with the adversary.
-        record: Directory of the run record.
+    ``failed`` scenes, by their names in the evaluated data set, are those in which it touches the adversary first in at
+    least one sample; ``colliding_samples`` are those whose first contact within 3 s is with the adversary.
     """
 
     planner: str
@@ -87,14 +81,9 @@ def build_staging_plan(plan: DataSetPlan, planner: PlannerUnderTest) -> DataSetP
 def evaluate_surrogate(
     plan: DataSetPlan, keys: Sequence[str], planner: PlannerUnderTest, runs: Path, *, name: str, seed: int
 ) -> SurrogateResult:
-    """Finish a data set of written scenes and run a planner on it.
+    """Finish a data set of written scenes and run a planner on it; ``keys`` are return values of `write_scene`.
 
-    Args:
-        keys: Return values of `write_scene`.
-        seed: Seed of the record's intervals.
-
-    Raises:
-        InputError: If the planner fails on any sample, so that it cannot be said which scenes it copes with.
+    A planner that fails on any sample is refused, because it cannot be said which scenes it copes with.
     """
     finish_data_set(plan, keys)
     data = open_data(plan.root, version=plan.version, name=name)

@@ -97,7 +97,6 @@ def build_edited_split(source: DataSet, path: Path, edited: EditedScenes | None 
 
 
 def _read_recording(source: DataSet, exchanged: ExchangedScene, file: Path) -> Scene:
-    """The recording of an edited scene."""
     names = source.scene_names(None)
     recorded_name = next((name for name in (exchanged.source_scene, exchanged.scene.name) if name in names), None)
     if recorded_name is None:
@@ -112,8 +111,7 @@ def _read_recording(source: DataSet, exchanged: ExchangedScene, file: Path) -> S
 def build_edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene:
     """Change of an edited scene in its recording: the scene with its adversaries, without hashes.
 
-    The adversaries are in the order in which they depart from the recording; ``file`` is for messages. Errors as in
-    `build_edited_split`.
+    The adversaries are in the order in which they depart from the recording. Errors as in `build_edited_split`.
     """
     _require_same_drive(scene, recorded, file)
     rows = _match_objects(scene, recorded, file)

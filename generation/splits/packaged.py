@@ -1,7 +1,4 @@
-"""Frozen splits by name: those that come with the package, and any file.
-
-Splits that are searched with several seeds: which search each comes from, and their frozen files.
-"""
+"""Frozen splits by name: packaged ones, any file, and files of one search with several seeds."""
 
 import re
 from collections.abc import Sequence
@@ -27,11 +24,9 @@ class NamedSplit:
     path: Path | None = field(default=None, compare=False)
 
     def chosen(self, scenes: Sequence[str] | None, limit: int | None) -> list[tuple[FrozenScene, int]]:
-        """Some of its scenes, each with its number among the variants of its recording.
+        """Some scenes, of the first ``limit`` recordings, each with its number among the variants of its recording.
 
-        Args:
-            scenes: Names of its scenes, or of recorded ones for all that are made of them; ``None`` for all.
-            limit: Only those of the first so many recorded scenes.
+        ``scenes`` are names in the split, or of recorded scenes for all that are made of them; ``None`` for all.
         """
         variant_counts: dict[str, int] = {}
         numbered = []
@@ -51,14 +46,11 @@ class NamedSplit:
 
 
 def list_packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
-    """Names of the frozen splits that come with the package, the newest last.
+    """Names of the frozen splits that come with the package, such as ``mini-adv-1``, the newest last.
 
     Args:
         data: Only those of this data set.
         split: Only those of this split.
-
-    Returns:
-        Names such as ``mini-adv-1``: data set, split and a number that grows.
     """
     numbered = []
     for path in _FOLDER.glob("*.json"):
@@ -79,12 +71,6 @@ def read_newest_split(data: str, split: str = "adv") -> NamedSplit:
 def read_frozen_split(file: str | Path) -> NamedSplit:
     """A frozen split by the name of a packaged one, or from a file.
 
-    Args:
-        file: Name or path.
-
-    Returns:
-        It.
-
     Raises:
         InputError: If there is no such split or the file is not one.
     """
@@ -100,9 +86,9 @@ def read_frozen_split(file: str | Path) -> NamedSplit:
 
 
 def compute_search_hash(search: SearchMetadata, chosen: SceneChoice, adversaries: int) -> str:
-    """Hash of what decided a split beside its recordings and its seed: splits of one search differ in the seed alone.
+    """Hash, 64 hexadecimal digits, of what decided a split beside its recordings and its seed.
 
-    64 hexadecimal digits. ``chosen`` says how scenes were chosen; what came of it is no part of the hash.
+    Splits of one search differ in the seed alone. What came of the choice of scenes is no part of the hash.
     """
     searched = [search.algorithm, search.hyper, search.prior, *([] if search.solvable is None else [search.solvable])]
     chose: list[Any] = [chosen.scenes, chosen.per_scene, chosen.total, chosen.surrogate, adversaries]
@@ -118,10 +104,7 @@ def format_seed_path(path: Path, seed: int) -> Path:
 
 
 def read_frozen_of_seed(path: Path, seed: int) -> NamedSplit:
-    """Read the frozen split of one seed; it must have been searched with that seed.
-
-    ``path`` is what the files of all seeds are called after.
-    """
+    """Read the frozen split of one seed, searched with it; ``path`` is what the files of all seeds are called after."""
     own = format_seed_path(path, seed)
     if not own.exists():
         raise InputError(

@@ -1,7 +1,4 @@
-"""Frozen tracks put into recorded scenes, after a look at whether these are the recordings that they belong to.
-
-Hashes by which a rebuilt scene is compared with the one that was frozen: of its tables, and of its images.
-"""
+"""Frozen tracks put into the recorded scenes that they belong to, and hashes of tables and images to compare them."""
 
 import hashlib
 from collections.abc import Iterable
@@ -49,7 +46,6 @@ def add_frozen_adversaries(frozen: FrozenScene, scene: Scene) -> Scene:
 
 
 def _find_vehicle(adversary: FrozenAdversary, scene: Scene) -> int:
-    """Index of an adversary's vehicle in its recording."""
     if adversary.instance not in scene.agents.ids:
         raise InputError(
             f"{scene.name} has no object {adversary.instance}, its adversary in the frozen split; these are "

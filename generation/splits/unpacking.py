@@ -31,11 +31,9 @@ from generation.splits.packing import (
 
 @dataclass(frozen=True, slots=True)
 class SplitPackage:
-    """A package that was read and found whole.
+    """A package that was read and found whole, with its files but the manifest and those left out.
 
-    Attributes:
-        files: Content of every file but the manifest and those that are left out, by name.
-        left_out: A sentence for each file that an extension reads which is not installed.
+    ``left_out`` has a sentence for each file that an extension reads which is not installed.
     """
 
     path: Path
@@ -58,12 +56,6 @@ class SplitPackage:
 
 def read_split_package(path: Path) -> SplitPackage:
     """Read and check a package.
-
-    Args:
-        path: The file.
-
-    Returns:
-        It.
 
     Raises:
         InputError: If it is no package, a file of it is missing, unknown or has other bytes than the manifest says, or
