@@ -26,10 +26,7 @@ class Side(StrEnum):
 
 
 def compute_labels(scene: Scene, agent: int, start: int) -> ManoeuvreLabels:
-    """Labels of what a vehicle does to the ego from frame ``start`` on, the launch of an adversary.
-
-    The vehicle has to be there from then on, on a finite track.
-    """
+    """Labels of what a vehicle does to the ego from its launch on, from which it must be there on a finite track."""
     if not (0 <= agent < len(scene.agents) and 0 <= start < len(scene.timestamps_us)):
         raise InputError(
             f"{scene.name} has {len(scene.agents)} agents and {len(scene.timestamps_us)} frames; there is no agent "

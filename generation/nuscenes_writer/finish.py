@@ -34,8 +34,8 @@ def finish_data_set(
     Args:
         plan: The data set.
         keys: Return values of `write_scene`, in the order of the scenes in the tables.
-        extra_splits: Further splits: scene names by split. Their scenes are not in ``plan.split``, unless
-            ``plan.split`` is given here as well.
+        extra_splits: Scene names by further split. These scenes are not in ``plan.split``, unless that is given here as
+            well.
 
     Raises:
         InputError: If there are no keys, a key was never written, two scenes have the same name, files or instances,

@@ -1,7 +1,4 @@
-"""The map files of a finished root: the source's where it has them, else made from the scenes' road maps.
-
-Raster maps: the binary mask that the devkit loads with the tables, and the background picture of map plots.
-"""
+"""The map files of a finished root, rasters for mask and background too: the source's, else made from road maps."""
 
 import os
 import struct

@@ -58,10 +58,7 @@ class RuntimeTable(BuildRuntime):
 
 
 def build_runtime_table(attempts: Iterable[Path], scenes: Iterable[Path]) -> RuntimeTable:
-    """Table of the time that notes of attempts and of rendered scenes add up to.
-
-    Damaged and absent notes are not counted.
-    """
+    """Table of the time that notes of attempts and of rendered scenes add up to; damaged and absent ones count 0."""
     of_attempts, of_scenes = _read_stage_times(attempts), _read_stage_times(scenes)
     total = dict.fromkeys(STAGES, 0.0)
     for note in (*of_attempts, *of_scenes):

@@ -73,7 +73,7 @@ def _compute_chain_distance(first: AdversaryChain, second: AdversaryChain) -> fl
 def find_rejected_jobs(
     plan: DataSetPlan, jobs: Sequence[WritingJob], read: Callable[[str], Scene]
 ) -> dict[str, tuple[int, StandingVerdict]]:
-    """Variant and verdict, by name of the job, of scenes that an inspector rejected: verdicts stand on the same motion alone.
+    """Variant and verdict, by name of the job, of scenes that an inspector rejected while they had the same motion.
 
     ``read`` gives a recorded scene by name; asked for scenes with a rejection alone.
     """

@@ -70,10 +70,7 @@ class SurrogateResult:
 
 
 def build_staging_plan(plan: DataSetPlan, planner: PlannerUnderTest) -> DataSetPlan:
-    """The data set that a planner is judged on: as the final one, but hidden below it.
-
-    It has no images unless the planner looks at them.
-    """
+    """The data set that a planner is judged on: as the final one, but hidden below it; with images if it looks."""
     renderer = plan.renderer if planner.images else None
     return replace(plan, root=plan.root / STATE_FOLDER / "surrogate" / "data", renderer=renderer)
 

@@ -119,10 +119,7 @@ def publish_reports(root: Path, files: dict[str, bytes]) -> None:
 
 
 def mark_unfinished_if_changed(root: Path, files: dict[str, bytes]) -> bool:
-    """Take the mark of a finished data set away where other things are said of it than these.
-
-    It is true if other things were said, or nothing.
-    """
+    """Take a finished data set's mark away where its files say other things than these, or nothing; true if so."""
     if all((root / name).is_file() and (root / name).read_bytes() == data for name, data in files.items()):
         return False
     mark_unfinished(root)

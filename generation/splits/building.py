@@ -281,11 +281,7 @@ def _build_plan(source: DataSet, split: NamedSplit, as_split: str, settings: Bui
 def build_frozen_jobs(
     source: DataSet, plan: DataSetPlan, chosen: Sequence[tuple[FrozenScene, int]], split: NamedSplit
 ) -> tuple[list[WritingJob], list[str], dict[str, dict[str, int]]]:
-    """Way in which scenes of a frozen split are written.
-
-    ``chosen`` has each scene with the number of its variant; with the jobs come the hash of each scene's tables,
-    and the masked steps of all scenes.
-    """
+    """Jobs of scenes with the numbers of their variants, hashes of their tables, and masked steps of all scenes."""
     built: dict[int, tuple[WritingJob, str]] = {}
     masked = []
     for index in sorted(range(len(chosen)), key=lambda index: (chosen[index][0].source, index)):

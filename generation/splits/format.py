@@ -38,14 +38,7 @@ class _FrozenModel(BaseModel):
 
 
 class FrozenAdversary(_FrozenModel):
-    """One adversary of a scene.
-
-    Attributes:
-        instance: Identifier of the vehicle in the recordings.
-        launch_frame: Frame (12 Hz) from which on it follows the track.
-        recorded: Where the recording has it at that frame.
-        track: Where it is instead, from that frame to the last one.
-    """
+    """One adversary: from ``launch_frame`` (12 Hz), where it was ``recorded``, it follows the track to the end."""
 
     instance: _Name
     launch_frame: Annotated[int, Field(ge=0, le=1_000_000)]
@@ -210,10 +203,7 @@ def read_frozen(path: Path) -> FrozenSplit:
 
 
 def require_freezable(split: str, path: Path) -> None:
-    """Refuse, before a long search, what could not be frozen after it.
-
-    It must be searched for, the folder be there, and nothing else have the name.
-    """
+    """Refuse, before a long search, what could not be frozen after it: no search, no folder, or a taken name."""
     if not is_adversarial(split):
         raise InputError(f"only adv can be frozen, because {split} involves no search; leave --freeze out")
     if path.exists() and not path.is_file():
