@@ -35,7 +35,7 @@ def save_denoiser(path: Path, denoiser: TrajectoryDenoiser, facts: dict[str, Any
 
 
 def load_denoiser(path: Path) -> TrajectoryDenoiser:
-    """A denoiser in evaluation mode. (The reference samples with dropout on, by an omission; here it is off.)
+    """A denoiser in evaluation mode: dropout is off, with which the reference samples by an omission.
 
     A ``.safetensors`` file is ours, or of the published parameters; anything else is read as a state dict of the
     published checkpoint (`benchmark.weights.folders`), and refused if it would run code.

@@ -99,10 +99,7 @@ class NoiseLevelSinusoid(nn.Module):
 
 
 class RotarySelfAttention(nn.Module):
-    """Self-attention with rotary positions on the full width, before the split into heads.
-
-    Every head therefore turns with frequencies of its own.
-    """
+    """Self-attention with rotary positions on the full width, so that every head turns with frequencies of its own."""
 
     def __init__(self, feature_dim: int, heads: int, dropout: float) -> None:
         super().__init__()
@@ -227,7 +224,7 @@ class TrajectoryDenoiser(nn.Module):
     def forward(
         self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None, step: DenoiserStep | None = None
     ) -> Tensor:
-        """Predict the standard normal noise, (B, 16, 3), in noisy standardised actions at (1,) or (B,) timesteps, 0..99.
+        """Predict the standard normal noise, (B, 16, 3), in noisy standardised actions at (1,) or (B,) timesteps 0..99.
 
         ``present`` are (1, 4) or (B, 4) `present_features`, which a network that cannot be told ignores; ``None`` says
         nothing. ``step`` is the output of `step` for these timesteps and conditions, if already computed.

@@ -91,10 +91,7 @@ REDRAWN_BESIDE: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryDraws:
-    """Trajectories drawn for one request so far: (N, 16, 3), in the order of drawing.
-
-    ``excess`` says how far beyond drivable each is, (N,) (`TrajectoryMotion.excess`).
-    """
+    """Trajectories, (N, 16, 3), drawn for one request so far, in order, with their (N,) `TrajectoryMotion.excess`."""
 
     waypoints: Floats
     excess: Floats

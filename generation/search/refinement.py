@@ -197,13 +197,7 @@ def build_trace_frame(
 
 
 def select_shown_candidates(scores: Floats, drawable: NDArray[np.bool_], chosen: int | None) -> NDArray[np.int64]:
-    """Increasing indices, at most `SHOWN_CANDIDATES`, of the candidates of a round that are kept.
-
-    Args:
-        scores: (B,) lower is better.
-        drawable: (B,) whether the motion is finite; other candidates are not kept.
-        chosen: Index that is among them in any case, if drawable.
-    """
+    """Increasing indices, at most `SHOWN_CANDIDATES`, of drawable candidates that are kept, the chosen one included."""
     order = np.argsort(scores, kind="stable")
     order = order[drawable[order]]
     if len(order) > SHOWN_CANDIDATES:

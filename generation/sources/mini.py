@@ -142,7 +142,6 @@ def build_town_data_set(root: Path, settings: TownSettings, *, workers: int) -> 
 
 
 def _read_drive_record(folder: Path) -> DriveRecord:
-    """The only record of drives in a folder."""
     records = find_drives(folder)
     if len(records) != 1:
         raise InputError(

@@ -1,7 +1,4 @@
-"""Plane curves as polylines: straight-arc-straight turns, offsets, even spacing, smoothing.
-
-Polylines are (M, 2) arrays in metres; headings are radians counter-clockwise from +x.
-"""
+"""Plane curves as (M, 2) polylines in metres: straight-arc-straight turns, offsets, even spacing, smoothing."""
 
 import numpy as np
 
@@ -68,8 +65,7 @@ def build_turn(
 ) -> Floats:
     """A drivable curve between two poses: straight, one arc, straight where that is possible, else a cubic.
 
-    (M, 2) polyline from ``start`` to ``end``, (2,) metres each, its vertices ``step_m`` apart. The arc is as large
-    as the shorter leg allows, its radius below ``max_radius_m``.
+    (M, 2) polyline, its vertices ``step_m`` apart. The arc is as large as the shorter leg allows.
     """
     change = float(wrap_angle(np.array(end_heading - start_heading)))
     first, second = unit_vector(start_heading), unit_vector(end_heading)
@@ -129,9 +125,9 @@ def smooth_line(line: Floats, *, spacing_m: float, deviation_m: float) -> Floats
 
 
 def interpolate_grid(values: Floats, where: Floats) -> Floats:
-    """Smooth look-up between the entries of an even grid (Catmull-Rom cubic).
+    """Smooth look-up (Catmull-Rom cubic) at (K,) fractional indices into an even grid of (M, ...) entries.
 
-    (K,) fractional indices into (M, ...) entries; up to one beyond the ends is extrapolated.
+    Up to one entry beyond the ends is extrapolated.
     """
     count = len(values)
     where = np.clip(where, -1.0, float(count))

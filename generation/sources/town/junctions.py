@@ -182,10 +182,7 @@ def _add_ring_connector(draft: TownDraft, node: TownNode, source: str, target: s
 
 
 def build_car_park(draft: TownDraft, node: TownNode, arm: JunctionArm, *, width_m: float) -> None:
-    """A car park behind an access road: a one-way loop between four rows of bays.
-
-    It is ``width_m`` wide across the access road.
-    """
+    """A car park, ``width_m`` across its access road: a one-way loop between four rows of bays."""
     # Frame of the car park: x into it, y to the left of that.
     pose = np.array([*node.position, float(wrap_angle(np.array(arm.heading + np.pi)))])
     half, rows = 0.5 * width_m, (_BAY_LENGTH_M, _BAY_LENGTH_M + _AISLE_M + 2 * _BAY_LENGTH_M)

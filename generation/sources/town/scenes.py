@@ -1,7 +1,4 @@
-"""Scenes of the embedded town: a pure function of split, index and seed.
-
-Keyframe annotations of simulated participants: who is seen how well, with how many lidar points.
-"""
+"""Scenes of the embedded town, a pure function of split, index and seed, and the annotations of their keyframes."""
 
 from functools import lru_cache
 from typing import Literal, get_args
@@ -62,8 +59,8 @@ _LIDAR_CERTAIN_M = 50.0
 def build_annotations(agents: Agents, parked: Bools, ego: EgoTrack, keyframes: NDArray[np.int64]) -> Annotations:
     """Annotations, (N, K), of agents at the (K,) keyframes. ``parked`` says (N,) which vehicles are parked.
 
-    Visibility is the share of sight lines from the ego's roof that no nearer box crosses; lidar points fall with
-    the square of the distance and that share, and are at least one within 50 m.
+    Visibility is the share of sight lines from the ego's roof that no nearer box crosses; lidar points fall with the
+    square of the distance and that share, and are at least one within 50 m.
     """
     position, yaw, valid = agents.position[:, keyframes], agents.yaw[:, keyframes], agents.valid[:, keyframes]
     visible_share = np.zeros(valid.shape)
@@ -157,9 +154,9 @@ _LEAST_EGO_DISTANCE_M = 60.0
 
 
 def list_town_scene_names(split: Split, count: int) -> tuple[str, ...]:
-    """Names of the first scenes of a split: four digits, none of them a scene of nuScenes.
+    """Names of the first scenes of a split: ``scene-8000``... for val and ``scene-9000``... for train.
 
-    They are ``scene-8000``... for val and ``scene-9000``... for train; four digits must be enough.
+    Four digits must be enough, and none is a scene of nuScenes.
     """
     if split not in get_args(Split):
         raise InputError(f"the embedded town has no split {split!r}; choose val or train")
@@ -172,21 +169,18 @@ def list_town_scene_names(split: Split, count: int) -> tuple[str, ...]:
 
 
 def build_town_scene(split: Split, index: int, *, seed: int = 0, crossing: int = 0) -> Scene:
-    """One scene of the embedded town, 20 s at 12 Hz; nothing but the arguments decides its bytes.
+    """Scene ``index`` of a split, 20 s at 12 Hz; nothing but the arguments decides its bytes.
 
-    Args:
-        split: ``val`` or ``train``; the two have different towns.
-        index: Number of the scene in its split, from 0.
-        seed: Different seeds give different towns and traffic.
-        crossing: Most pedestrians more who cross the ego's way when it comes; with any, all is different but the town.
+    The splits have different towns; each seed has its own towns and traffic. ``crossing`` is the most pedestrians more
+    who cross the ego's way when it comes; with any, all is different but the town.
     """
     return _build_scene(split, index, seed, crossing, off_path=False)[0]
 
 
 def build_town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -> tuple[Scene, tuple[Excursion, ...]]:
-    """A training scene of the embedded town in which the ego gets off its path and comes back, and when it was off it.
+    """A training scene as of `build_town_scene`, but the ego gets off its path and comes back; and when it was off.
 
-    All others do what they do in `build_town_scene`. One of `KEPT_ON_PATH_EVERY` scenes stays as it is.
+    One of `KEPT_ON_PATH_EVERY` scenes stays as it is.
     """
     off_path = index % KEPT_ON_PATH_EVERY != KEPT_ON_PATH_EVERY - 1
     return _build_scene("train", index, seed, crossing, off_path=off_path)
@@ -195,10 +189,9 @@ def build_town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -
 def build_town_scene_driven(
     index: int, driven: PlannerDrive, *, seed: int = 0, crossing: int = 0
 ) -> tuple[Scene, DrivenEgoTargets]:
-    """A training scene of the embedded town in which the ego goes where a planner drove it, as long as that drove.
+    """A training scene as of `build_town_scene`, but the ego goes where a planner drove it, as long as that drove.
 
-    All others do what they do in `build_town_scene`. With the scene comes where a good driver would go from each key
-    frame.
+    With the scene comes where a good driver would go from each key frame.
     """
     world, planned, programme = _find_populated_world("train", index, seed, crossing)
     wanted = plan_ways_back(world, planned, driven)

@@ -41,9 +41,7 @@ class ParticipantTrack:
 class TownWorld:
     """Everything placed so far.
 
-    Attributes:
-        ego_rear: (FRAMES, 3) rear-axle poses of the ego, once it is planned.
-        ego_boxes: (FRAMES, 5) its metric footprint.
+    ``ego_rear`` are (FRAMES, 3) rear-axle poses, once planned; ``ego_boxes`` (FRAMES, 5) its metric footprint.
     """
 
     town: Town
@@ -52,10 +50,9 @@ class TownWorld:
     tracks: list[ParticipantTrack] = field(default_factory=list)
 
     def drive(self, path: VehiclePath, *, start_mps: int, eagerness: float, pace: Floats) -> Floats | None:
-        """Plan a vehicle among those already there.
+        """Plan a vehicle among those there: (FRAMES, 3) rear-axle poses, ``None`` if it cannot drive without a touch.
 
-        (FRAMES, 3) rear-axle poses, ``None`` if it cannot drive without a touch. ``eagerness`` is a factor on the
-        speed limit that it likes to drive, ``pace`` (SECONDS,) one on that in each second.
+        ``eagerness`` is a factor on the speed limit that it likes to drive, ``pace`` (SECONDS,) one on that.
         """
         stations = self.stations(path, start_mps=start_mps, eagerness=eagerness, pace=pace)
         return None if stations is None else interpolate_grid(path.rear, stations)
