@@ -30,10 +30,7 @@ _GAP_PX: Final = 4
 
 
 def choose_frames(scene: Scene, *, count: int = PANELS, step_s: float = 1.0) -> list[int]:
-    """Frames around the first adversary's closest approach, or spread over a scene without one.
-
-    They are in order; the closest approach is a little behind the middle.
-    """
+    """Frames in order around the first adversary's closest approach, a little behind the middle, or spread evenly."""
     last = len(scene.timestamps_us) - 1
     if not scene.adversaries:
         return [round(frame) for frame in np.linspace(0, last, count)]
@@ -70,10 +67,7 @@ def draw_scene_strip(
 
 
 def find_best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) -> str:
-    """The camera in which the adversaries appear largest over some frames.
-
-    It is ``CAM_FRONT``, or the first camera there is, where no adversary is in sight.
-    """
+    """The camera in which the adversaries appear largest over some frames; where none is in sight, the front one."""
     cameras = renderer.cameras(scene)
     names = [camera.name for camera in cameras]
     usual = "CAM_FRONT" if "CAM_FRONT" in names else names[0]
@@ -96,16 +90,13 @@ def find_best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) ->
 
 
 def write_pictures(data: DataSet, names: Sequence[str], folder: Path, renderer: Renderer) -> list[Path]:
-    """Write one picture a scene.
+    """Write one picture a scene; gives the PNG files.
 
     Args:
         data: The data set.
         names: Scenes.
         folder: Where to.
         renderer: Draws the camera pictures.
-
-    Returns:
-        The PNG files.
 
     Raises:
         InputError: If a scene is unknown or the files cannot be written.

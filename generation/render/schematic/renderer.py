@@ -1,7 +1,4 @@
-"""The main path of the schematic renderer: scene and frame to six pictures.
-
-Agents of one frame as facets: size, heading, paint and lamps.
-"""
+"""The main path of the schematic renderer: scene and frame to six pictures, with agents as facets."""
 
 import functools
 from collections.abc import Iterator, Sequence
@@ -67,12 +64,9 @@ def _choose_colours(instance: str, category: str, salt: tuple[str, ...]) -> Floa
 
 @dataclass(frozen=True, slots=True)
 class AgentFacets:
-    """The agents of a scene, ready to be placed.
+    """Agents of a scene, one solid each around the origin, heading along +x, lamps off; ready to be placed.
 
-    Attributes:
-        bodies: One solid per agent around the origin, heading along +x, lamps off.
-        role: (Q,) materials of their facets.
-        braking: (N, T) whether a vehicle's brake lamps are on.
+    ``role`` (Q,) are materials of facets; ``braking`` (N, T) says where brake lamps are on.
     """
 
     scene: Scene
@@ -271,10 +265,7 @@ class PreparedScene:
         )
 
     def go_on(self, scene: Scene) -> None:
-        """Draw the frames of another scene from now on, of the same road and the same agents with other tracks.
-
-        It may be the world as it was driven so far.
-        """
+        """Draw from now on frames of another scene of the same road and agents, such as the world as driven so far."""
         self.scene, self.traffic = scene, self.traffic.in_scene(scene)
 
     def pictures(self, frame: int) -> Images:

@@ -14,13 +14,9 @@ NEAR_M = 0.2
 
 @dataclass(frozen=True, slots=True)
 class PlacedCamera:
-    """A camera placed in the world.
+    """A camera placed in the world; ``eye`` (3,) is its optical centre, global, ``ground_z`` the flat ground's height.
 
-    Attributes:
-        camera: Calibration.
-        eye: (3,) optical centre, global.
-        rotation: (3, 3) turns global vectors into camera axes (x right, y down, z forward).
-        ground_z: Height of the flat ground, global.
+    ``rotation`` (3, 3) turns global vectors into camera axes (x right, y down, z forward).
     """
 
     camera: Camera
@@ -79,10 +75,7 @@ def _compute_rotation_matrix(quaternion: bytes) -> Floats:
 
 
 def clip_near(polygon: Floats, near_m: float = NEAR_M) -> Floats:
-    """Part, possibly empty, of a convex polygon in front of the near plane (Sutherland and Hodgman).
-
-    (M, 3) camera axes; ``near_m`` is the depth of the plane.
-    """
+    """Part, possibly empty, of a convex polygon, (M, 3) camera axes, beyond depth ``near_m`` (Sutherland-Hodgman)."""
     clipped: list[Floats] = []
     for index in range(len(polygon)):
         corner, next_corner = polygon[index], polygon[(index + 1) % len(polygon)]

@@ -20,10 +20,7 @@ _ADULT, _CHILD = "human.pedestrian.adult", "human.pedestrian.child"
 
 
 def add_parked(world: TownWorld, near: Floats, rng: np.random.Generator, *, share: float, most: int) -> None:
-    """Fill part of the parking places along the ego's way; road works block a few of those at the kerb.
-
-    ``near`` are (K, 2) points of that way; ``share`` of the places are taken, by at most ``most`` cars.
-    """
+    """Park cars in a share of the places near the (K, 2) points of the ego's way; road works block some at the kerb."""
     places = [place for place in world.town.standing if _compute_distance(near, place.pose[:2]) < _PARKED_REACH_M]
     kerb = [index for index, place in enumerate(places) if not place.in_car_park]
     works = set()

@@ -27,10 +27,7 @@ def compute_headings(line: Floats) -> Floats:
 
 
 def offset_line(line: Floats, left_m: float | Floats) -> Floats:
-    """Parallel curve of an (M, 2) smooth polyline, vertex by vertex, with the same stations.
-
-    ``left_m`` is the distance to the left of the driving direction, one number or (M,).
-    """
+    """Parallel curve, ``left_m`` (one number or (M,)) to the left of a smooth (M, 2) polyline, of the same stations."""
     heading = compute_headings(line)
     normal = np.column_stack([-np.sin(heading), np.cos(heading)])
     return np.asarray(line + np.asarray(left_m, np.float64).reshape(-1, 1) * normal)

@@ -31,10 +31,7 @@ _BAY_WIDTH_M = 2.7
 
 
 def build_crossing(draft: TownDraft, node: TownNode, arms: list[JunctionArm], trims: dict[str, float]) -> None:
-    """Connect the arms of a crossing or T junction and add its surface.
-
-    ``trims`` has the distance of each road's beginning from the node.
-    """
+    """Connect the arms of a crossing or T junction, ``trims`` (by road) from its node on, and add its surface."""
     for arm in arms:
         for other in arms:
             if other.road != arm.road:

@@ -48,13 +48,7 @@ EGO_BODY = VehicleBody(
 
 @dataclass(frozen=True, slots=True)
 class RouteLeg:
-    """One lane of a route.
-
-    Attributes:
-        changes_to: Name of the sibling lane that it ends in, or ``None``.
-        change_from_m: Where a lane change begins, along the lane.
-        change_length_m: How long it takes.
-    """
+    """One lane of a route; ``changes_to`` is the sibling lane that it ends in, from ``change_from_m`` along it."""
 
     lane: str
     changes_to: str | None = None

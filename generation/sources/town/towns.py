@@ -1,7 +1,4 @@
-"""Whole towns: layout, roads, junctions and surfaces put together; one per location, kept for the process.
-
-From road references to lanes, paint, crossings, parking strips and pavements.
-"""
+"""Whole towns, one per location, kept for the process: from road references to lanes, paint and pavements."""
 
 from functools import lru_cache
 

@@ -63,11 +63,7 @@ MIXED = VehicleFleet((COMPACT, SEDAN, SUV, VAN, TRUCK, BUS, MOTORCYCLE), (0.21, 
 
 @dataclass(frozen=True, slots=True)
 class VehicleStart:
-    """Start of a vehicle's drive.
-
-    ``along_m`` is its front axle along the lane, negative for a lane before it; ``lateral_m`` is to the left of the
-    lane's middle.
-    """
+    """Start of a drive: front axle along the lane, negative for a lane before it, and to the left of its middle."""
 
     lane: str
     along_m: float
