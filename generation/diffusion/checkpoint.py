@@ -53,7 +53,6 @@ def load_denoiser(path: Path) -> TrajectoryDenoiser:
 
 
 def _parse_config(path: Path, stored: Any) -> DenoiserConfig:
-    """Configuration of the network of a file, if there can be such a network."""
     kinds = {field.name: type(field.default) for field in fields(DenoiserConfig)}
     wrong = f"{path} describes a network that is not a trajectory denoiser"
     if not isinstance(stored, dict) or not set(stored) <= set(kinds):
@@ -105,10 +104,7 @@ def draw_normal_noise(rng: np.random.Generator, count: int) -> torch.Tensor:
 
 
 def sample_actions(denoiser: TrajectoryDenoiser, count: int, steps: int | None, rng: np.random.Generator) -> Floats:
-    """(count, 16, 3) standardised actions by the full reverse process, told nothing of the vehicle.
-
-    It has the reference's small stochasticity; ``steps`` of ``None`` asks the network at each of the 100.
-    """
+    """(count, 16, 3) standardised actions by the reference's full process; ``steps`` of ``None`` asks at all 100."""
     device = next(denoiser.parameters()).device
 
     def draw() -> torch.Tensor:

@@ -110,10 +110,9 @@ class RotarySelfAttention(nn.Module):
         nn.init.xavier_uniform_(self.in_proj_weight)
 
     def forward(self, tokens: Tensor, types: Tensor, turns: Tensor, bias: Tensor | None) -> Tensor:
-        """Self-attention over (B, S, D) tokens; the (S, D) type embedding is added to queries and keys only.
+        """Self-attention over (B, S, D) tokens; ``types`` (S, D) are added to queries and keys only.
 
-        ``turns`` are (S, 1, D / 2) complex unit numbers of `compute_rotary_angles`, ``bias`` (S, S) is added to the
-        logits.
+        ``turns`` are (S, 1, D / 2) complex unit numbers of `compute_rotary_angles`; ``bias`` (S, S) goes on the logits.
         """
         width = tokens.shape[-1]
         query_key = functional.linear(tokens + types, self.in_proj_weight[: 2 * width], self.in_proj_bias[: 2 * width])
@@ -182,8 +181,7 @@ class DenoiserStep:
 class TrajectoryDenoiser(nn.Module):
     """Predicts the noise in standardised actions (paper, Diffusion Trajectory Generator).
 
-    Neither the scene nor the vehicle's history reaches it; how fast the vehicle is and turns now does where the
-    configuration says so.
+    Neither scene nor history reaches it; present speed and turn do where the configuration says so.
     """
 
     rotary_turns: Tensor

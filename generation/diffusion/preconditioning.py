@@ -65,10 +65,7 @@ class ResidualBlock(nn.Module):
 
 
 class ResidualNetwork(nn.Module):
-    """Predicts what a Gaussian of the data leaves open (`GaussianPreconditioner`), all waypoints as one vector.
-
-    ``level_features`` turns noise levels (B,) into (B, 64).
-    """
+    """Predicts what `GaussianPreconditioner` leaves open; ``level_features`` turns noise levels (B,) into (B, 64)."""
 
     def __init__(
         self,

@@ -228,7 +228,6 @@ class TrajectoryPrior:
     def _denoise(
         self, noise: Sequence[Tensor], rngs: Sequence[np.random.Generator], previous: Sequence[Floats]
     ) -> list[Floats]:
-        """Clean actions of each request, by the process that the settings name."""
         sizes = [len(part) for part in noise]
         present = self._network.present(previous, sizes)
         start, denoise = self._network.denoiser.start(self._network.put(noise), present), self._network.told(present)
@@ -274,7 +273,6 @@ class TrajectoryPrior:
         rngs: Sequence[np.random.Generator],
         sizes: Sequence[int],
     ) -> list[Floats]:
-        """Clean actions of each request by the reference's process."""
 
         def draw() -> Tensor:
             drawn = [draw_normal_noise(rng, size) for rng, size in zip(rngs, sizes, strict=True)]

@@ -97,10 +97,7 @@ def run_reverse_process(
 
 
 def choose_strided_timesteps(first: int, calls: int | None) -> tuple[int, ...]:
-    """Strictly falling timesteps at which the network is asked on the way from ``first``, 0..99, to the clean sample.
-
-    ``calls`` of them are spread evenly; ``None`` or too many ask at every timestep, as the reference does.
-    """
+    """Timesteps of calls, strictly falling and evenly spread, from ``first``, 0..99; all of them with ``None``."""
     if not 0 <= first < STEPS:
         raise InputError(f"a noise level must be between 1 and {STEPS}, got {first + 1}")
     if calls is not None and calls < 1:

@@ -86,8 +86,7 @@ class PathFrame:
 class Placement:
     """A body in the path frame: (F,) station, offset and ``turn`` (relative to the path, [-pi, pi)) of its centre.
 
-    ``rear`` and ``front`` are the extreme stations of its corners, ``right`` and ``left`` their extreme offsets,
-    metres.
+    ``rear`` and ``front`` are the extreme stations of its corners, ``right`` and ``left`` the offsets, metres.
     """
 
     station: Floats
@@ -100,10 +99,7 @@ class Placement:
 
     @classmethod
     def of(cls, path: PathFrame, boxes: Floats, frames: slice) -> Self:
-        """Place a body of (F, 5) boxes at F frames of the ego.
-
-        Extents take in the middles of the sides too, because a long body spans bends.
-        """
+        """Place (F, 5) boxes at F frames of the ego, by the middles of the sides too: a long body spans bends."""
         station, offset, heading = (
             part[:, 0] for part in path.project(boxes[:, None, :2], path.ego_stations[frames], REACH_M)
         )

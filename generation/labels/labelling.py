@@ -98,10 +98,7 @@ def find_side(ego: Floats, other: Floats) -> Side:
 
 
 def compute_times_to_collision(scene: Scene, agent: int, start: int) -> Floats:
-    """Time until contact if, at a frame, both went on with their velocity and heading.
-
-    (T - start,) seconds in steps of 0.1 s; infinity where there is no contact within 5 s.
-    """
+    """(T - start,) seconds in steps of 0.1 s until contact at steady velocity and heading; infinity beyond 5 s."""
     own, ego = read_agent_boxes(scene, agent)[start:], scene.ego.boxes[start:]
     seconds = scene.seconds[start:]
     if len(own) < 2:

@@ -213,10 +213,7 @@ def _compute_least_gap(met: PathInteraction, run: slice, after_s: float) -> floa
 
 
 def smooth_mask(mask: Bools) -> Bools:
-    """(F,) condition that holds at most of the `HELD_FRAMES` around each: one noisy frame decides nothing.
-
-    Before the first and after the last frame nothing holds.
-    """
+    """(F,) condition that holds at most of the `HELD_FRAMES` around each; outside of all frames nothing holds."""
     half = HELD_FRAMES // 2
     padded = np.pad(mask.astype(np.int64), half)
     return np.asarray(np.convolve(padded, np.ones(HELD_FRAMES, np.int64), mode="valid") > half)

@@ -72,7 +72,6 @@ def _read_fragment(plan: DataSetPlan, key: str) -> Fragment:
 
 
 def _require_distinct(members: Sequence[Fragment]) -> None:
-    """Refuse scenes that would overwrite each other."""
     names: set[str] = set()
     owners: dict[str, dict[str, str]] = {"files": {}, "instances": {}}
     for fragment in members:
@@ -101,7 +100,6 @@ def _build_splits(plan: DataSetPlan, names: Sequence[str], extra: Mapping[str, S
 
 
 def _list_roots(plan: DataSetPlan, roots: Mapping[int, Any]) -> list[Path]:
-    """Roots that are written now or were written before."""
     variants = set(roots) | {claim["variant"] for claim in _read_claims(plan).values()}
     return sorted({plan.data_root(variant) for variant in variants})
 
@@ -215,7 +213,6 @@ def _describe_left_out(plan: DataSetPlan, variant: int, written: Sequence[int]) 
 
 
 def _remove_temporary_files(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:
-    """Remove temporary files of killed processes."""
     folders = [plan.root, plan.state, *(plan.state / name for name in STATE_FOLDERS)]
     for variant in roots:
         root = plan.data_root(variant)

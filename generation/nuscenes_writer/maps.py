@@ -43,10 +43,7 @@ def draw_drivable_mask(road_map: RoadMap) -> bytes:
 
 
 def draw_basemap(road_map: RoadMap) -> bytes:
-    """PNG in shades of grey for map plots: pavements, roads and crossings, at most 4000 pixels long.
-
-    The devkit stretches it over the whole canvas.
-    """
+    """PNG in shades of grey, 4000 pixels at most, that the devkit stretches over the whole canvas of map plots."""
     resolution = max(MASK_RESOLUTION_M, max(road_map.canvas_m) / _BASEMAP_LONGEST_PX)
     layers: list[tuple[shapely.Geometry, int]] = [(shape, _WALKWAY_GREY) for shape in road_map.walkways.values()]
     layers.append((road_map.drivable_area, _ROAD_GREY))

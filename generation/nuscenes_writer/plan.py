@@ -112,8 +112,7 @@ class DataSetPlan:
 class SceneNames:
     """Tokens and file names of one scene; ``suffix`` is what ``name`` has after the name of the source scene.
 
-    Tokens are hashes of ``identity`` and their own parts; with ``keeps_instances`` those of the source's instances
-    stay.
+    Tokens are hashes of ``identity`` and their own parts; ``keeps_instances`` keeps those of the source's instances.
     """
 
     name: str
@@ -165,10 +164,7 @@ class SceneNames:
 def compute_scene_key(
     plan: DataSetPlan, scene: Scene, cameras: tuple[Camera, ...], *, map_key: str, labels: Mapping[str, Any]
 ) -> str:
-    """Key, 64 hexadecimal digits, of everything that the files and rows of a scene depend on.
-
-    ``cameras`` are as rendered; ``labels`` are name, variant, source scene and report.
-    """
+    """Key, 64 hexadecimal digits, of all that files and rows of a scene depend on; ``cameras`` are as rendered."""
     content = {item.name: to_digestible(getattr(scene, item.name)) for item in fields(scene) if item.name != "road_map"}
     drawn = None
     if plan.renderer is not None:
@@ -180,10 +176,7 @@ def compute_scene_key(
 
 
 def to_digestible(value: Any) -> Any:
-    """A JSON value for `benchmark.machine.storage.content_key` that differs whenever the content of ``value`` does.
-
-    Dataclasses, arrays, geometries, containers and plain values may be nested at will.
-    """
+    """A JSON value for `benchmark.machine.storage.content_key`, another one whenever the nested content differs."""
     if isinstance(value, np.ndarray):
         if value.dtype.kind in "UO":
             return value.tolist()

@@ -16,10 +16,7 @@ SceneTables = dict[str, list[Row]]
 
 @dataclass(frozen=True, slots=True)
 class SensorChannel:
-    """One sensor of one scene, the lidar without ``camera``; ``extension`` is that of its files.
-
-    ``ego`` is where the ego is when the sensor measures, ``None`` for the scene's own track.
-    """
+    """One sensor, the lidar without ``camera``; ``ego`` is the ego's track as it measures, ``None`` for the scene's."""
 
     name: str
     camera: Camera | None

@@ -268,7 +268,6 @@ def _write_images(
 
 
 def _lossless_name(jpeg: str) -> str:
-    """Name of the PNG file beside a JPEG file."""
     return jpeg.removesuffix(".jpg") + ".png"
 
 

@@ -1,7 +1,4 @@
-"""How long a build takes, about, and where the time goes: from notes of finished work, else from small samples.
-
-Estimates are for people. No result depends on them.
-"""
+"""Estimates, for people alone, of how long a build takes and where its time goes, from notes or small samples."""
 
 import functools
 import math

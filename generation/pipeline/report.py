@@ -179,7 +179,6 @@ class BuildReport:
 
 
 def _count_requests(result: SearchResult, written: Sequence[AdversaryChain]) -> dict[str, dict[str, int]]:
-    """Counts of how often each kind was asked for, tried, kept and written."""
     kept = Counter(attempted.unit.asked for attempted in result.tried if attempted.attempt.kept)
     wrote = Counter(link.unit.asked for chain in written for link in chain.links)
     return {

@@ -1,7 +1,4 @@
-"""Generated scenes that are written: the most challenging, those that the surrogate fails, variants that differ.
-
-None is written again that an inspector rejected.
-"""
+"""Generated scenes that are written: most challenging, failed by the surrogate, not rejected, and varied."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -101,10 +98,9 @@ def find_rejected_jobs(
 
 @dataclass(frozen=True, slots=True)
 class SceneSelection:
-    """Scenes that are written, best first.
+    """Scenes that are written, best first; ``left_out`` were rejected and have the numbers of their variants.
 
-    ``staging`` is the data set that the surrogate was judged on, ``staged`` has its content keys by name of the scene;
-    ``left_out`` are scenes that an inspector rejected, with the numbers of their variants.
+    ``staging`` is the data set that the surrogate was judged on, ``staged`` has its content keys by name of the scene.
     """
 
     chains: list[AdversaryChain]

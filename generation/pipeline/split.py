@@ -145,7 +145,6 @@ def _build_adversarial(
 
 
 def _format_advice(report: BuildReport, settings: BuildSettings) -> str:
-    """Advice for a search of which nothing came."""
     if report.tried:
         return f"try more scenes or another --seed (details in {settings.out / ATTEMPTS_FILE})"
     reasons = sorted(report.not_tried.items(), key=lambda row: (-row[1], row[0]))
@@ -220,7 +219,6 @@ def _build_plan(source: DataSet, split: str, settings: BuildSettings) -> DataSet
 
 
 def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], settings: BuildSettings) -> list[Path]:
-    """Render, write and finish a data set; returns the notes on how long rendering took."""
     timing = settings.timing / "rendering"
     keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
     publish(WrittenScenes(plan, jobs, keys, source))

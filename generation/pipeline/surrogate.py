@@ -31,10 +31,7 @@ PROTOCOL = "exact"
 
 @dataclass(frozen=True, slots=True)
 class PlannerUnderTest:
-    """A planner that generated scenes are judged with; no images are drawn for one that does not look at them.
-
-    No result depends on ``workers``, the processes of its evaluation.
-    """
+    """A planner that judges generated scenes, drawn if it looks at images; no result depends on ``workers``."""
 
     factory: "PlannerFactory"
     images: bool = True
@@ -78,10 +75,7 @@ def build_staging_plan(plan: DataSetPlan, planner: PlannerUnderTest) -> DataSetP
 def evaluate_surrogate(
     plan: DataSetPlan, keys: Sequence[str], planner: PlannerUnderTest, runs: Path, *, name: str, seed: int
 ) -> SurrogateResult:
-    """Finish a data set of written scenes and run a planner on it; ``keys`` are return values of `write_scene`.
-
-    A planner that fails on any sample is refused, because it cannot be said which scenes it copes with.
-    """
+    """Finish a data set of written scenes and run a planner on it, which is refused if it fails on any sample."""
     finish_data_set(plan, keys)
     data = open_data(plan.root, version=plan.version, name=name)
     settings = EvalSettings(protocols=(PROTOCOL,), workers=planner.workers, seed=seed)
@@ -116,10 +110,7 @@ def require_all_planned(record: RunRecord) -> None:
 
 
 def reuse_scenes(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> None:
-    """Put finished scenes of one data set into another without drawing them again; `write_scene` finds them complete.
-
-    The two are the same in all that the bytes of a scene depend on.
-    """
+    """Put finished scenes into another data set of the same bytes; `write_scene` then finds them complete."""
     for key in keys:
         fragment = read_stored_fragment(staging, key)
         if fragment is None:

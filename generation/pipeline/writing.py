@@ -145,10 +145,7 @@ class WrittenScenes:
 
 
 def _publish_rounds(written: WrittenScenes) -> None:
-    """Put the kept rounds of written scenes where scene pages look for them, and take those of others away.
-
-    Of a scene with several adversaries they are the last one's; they are no part of the data set's fingerprint.
-    """
+    """Put the rounds of scenes' last adversaries where scene pages look, outside of the fingerprint; remove others."""
     plan, wanted = written.plan, set()
     for job, key in zip(written.jobs, written.keys, strict=True):
         content = _read_rounds(plan, job, key)
@@ -269,10 +266,7 @@ def _remove_other_layout(plan: DataSetPlan) -> None:
 
 
 def mark_unfinished(root: Path) -> None:
-    """Take the mark of a finished data set away, lest it be read beside reports of another build.
-
-    Rounds and judgements go with it: they belong to the search that the reports are about.
-    """
+    """Remove a data set's mark, rounds and judgements, lest they be read beside reports of another build."""
     for path in (*_list_marks(root), *(root / KEPT_ROUNDS_FOLDER).glob("*")):
         with writing_to(path):
             # Another shard may remove it at the same moment.
@@ -280,10 +274,7 @@ def mark_unfinished(root: Path) -> None:
 
 
 def withdraw(root: Path) -> None:
-    """Take away the tables of an earlier build, lest they be taken for the result of one that found nothing.
-
-    Pictures and the writer's notes stay: the next build that succeeds uses or removes them.
-    """
+    """Take away an earlier build's tables, lest they pass for one that found nothing; pictures stay for the next."""
     if not (root / STATE_FOLDER).is_dir():
         return
     mark_unfinished(root)

@@ -23,10 +23,7 @@ _STYLES: Final = {"first": FIRST, "second": SECOND}
 
 @dataclass(frozen=True, slots=True)
 class SchematicSensor:
-    """Draws from the ego's true pose, for the scene's own rig, in the ``style`` of the data set's own images.
-
-    ``style`` is ``first`` or ``second`` (`generation.render.schematic.styles`); ``name`` is part of what was measured.
-    """
+    """Draws from the ego's true pose, for the scene's own rig, in the data set's ``first`` or ``second`` style."""
 
     style: str = "second"
     name: str = SCHEMATIC

@@ -193,7 +193,7 @@ def draw_candidates(scene: Scene, eligible: Sequence[int], hyper: HyperParameter
 
 
 def find_exclusion_reason(scene: Scene, agent: int, hyper: HyperParameters) -> ExclusionReason | None:
-    """First reason why an object cannot become an adversary: an eligible one comes close and launches in time."""
+    """First reason against an adversary; ``None`` if it comes close on the road and launches at a driving ego."""
     agents = scene.agents
     if agents.categories[agent] not in FOUR_WHEELED_CATEGORIES:
         return ExclusionReason.NOT_FOUR_WHEELED
@@ -267,10 +267,9 @@ def find_launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int |
 
 
 def _find_launch_near_ego(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
-    """First frame at which an agent may take over near the ego.
+    """First frame at which an agent near the ego may take over.
 
-    It has been there for the history, is close enough to the ego, drives forwards without sliding, stands on the
-    road, and enough of the scene is left.
+    It has been there for the history, drives forwards without sliding on the road, and enough of the scene is left.
     """
     valid = scene.agents.valid[agent]
     has_history = (

@@ -122,8 +122,7 @@ class AdversaryChain:
     def report(self) -> dict[str, Any]:
         """Report for ``challenger.json`` on the scene: the adversary's report, or one for each of several.
 
-        Judgements are in a file of their own (`benchmark.datasets.scene_assessments`): better definitions make no
-        other data set.
+        Judgements are elsewhere (`benchmark.datasets.scene_assessments`): better definitions make no other data set.
         """
         left_out = {"plans", "judgements"}
         reports = [link.attempt.model_dump(mode="json", exclude_unset=True, exclude=left_out) for link in self.links]
@@ -142,10 +141,7 @@ class RequestCounts:
 
 @dataclass(slots=True)
 class SearchResult:
-    """Outcome of a search.
-
-    ``eligibility`` has every look at the vehicles of a scene, after the instances that were adversaries already.
-    """
+    """Outcome of a search; ``eligibility`` has each look at a scene's vehicles, after the adversaries that it had."""
 
     eligibility: list[tuple[tuple[str, ...], Eligibility]] = field(default_factory=list)
     tried: list[SearchAttempt] = field(default_factory=list)

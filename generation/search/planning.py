@@ -1,7 +1,4 @@
-"""The planning frames of one adversary, each searched and executed up to the next; discard rules of the reference code.
-
-Those rules are a bad score, or a place far from the ego. Contact is no reason.
-"""
+"""Planning frames of one adversary, and the discard rules of the reference code: bad score or place, never contact."""
 
 import time
 from collections.abc import Callable

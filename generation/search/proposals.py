@@ -27,10 +27,7 @@ class SamplingRequest:
 
 @dataclass(frozen=True, slots=True)
 class MutationRequest:
-    """A request for variants of (B, 16, 3) waypoints by a truncated diffusion process.
-
-    ``noise_level`` counts diffusion steps that are added and taken away again; ``previous`` is as in `SamplingRequest`.
-    """
+    """A request for variants of (B, 16, 3) waypoints by ``noise_level`` diffusion steps and back."""
 
     waypoints: Floats
     noise_level: int

@@ -292,8 +292,7 @@ def is_near_and_on_road(scene: Scene, agent: int) -> tuple[bool, bool]:
 def find_reference_launch(scene: Scene, agent: int) -> int | None:
     """First frame, from 20 to 140, at which the reference code takes a vehicle over, or ``None``.
 
-    ``None`` too where the vehicle was not there over the history that is read, which the reference code does not ask:
-    it goes on with positions of nothing.
+    ``None`` too where the history is missing, which that code does not ask: it goes on with positions of nothing.
     """
     valid = scene.agents.valid[agent]
     near = valid & (compute_lidar_distance(scene, agent) < LAUNCH_WITHIN_M)

@@ -1,7 +1,6 @@
 """Multi-round trajectory refinement: sample, score, resample, renew with a little diffusion noise, repeat.
 
-Paper section 3 "Multi-round Trajectory Refinement", Algorithm 1 lines 4-18 and appendix of the same name; the rounds as
-they are shown are in ``rounds.json``.
+Paper section 3 "Multi-round Trajectory Refinement", Algorithm 1 lines 4-18, appendix of that name; ``rounds.json``.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,10 +39,7 @@ class RoundSummary:
 
 @dataclass(frozen=True, slots=True)
 class Refinement:
-    """Chosen (16, 3) trajectory of one planning frame; round 0 is the initial batch.
-
-    ``motion`` is its batch, in which ``chosen`` is its index; ``score`` is normalised over all rounds together.
-    """
+    """Chosen (16, 3) trajectory of one planning frame; round 0 is the initial batch, ``score`` compares all rounds."""
 
     waypoints: Floats
     motion: SimulatedMotion
@@ -120,10 +116,7 @@ def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -
 
 
 def compare_scores(batches: Sequence[SearchedBatch], hyper: HyperParameters) -> Floats:
-    """Final scores by which rounds compare, (R, B), the challenge normalised over all of them together.
-
-    Lower is better, infinite where a candidate must never be chosen.
-    """
+    """(R, B) scores with the challenge normalised over all rounds; lower is better, infinite is never chosen."""
     terms = [batch.evaluated.terms for batch in batches]
     finite = np.stack([batch_terms.finite for batch_terms in terms])
     challenge = terms[0].challenges(terms)
@@ -169,10 +162,7 @@ def build_trace_frame(
     hyper: HyperParameters,
     model: MotionModel,
 ) -> TraceFrame:
-    """Candidates and scores of one planning frame, relative to the origin of the scene's sheet.
-
-    For scores by which rounds compare, the challenge is normalised over all rounds of the frame together.
-    """
+    """Candidates relative to the sheet's origin and scores, the challenge normalised over all rounds of the frame."""
     steps = max(SHOWN_FRAMES, hyper.scored_frames[-1])
     length_m, origin_m = float(scene.agents.size[agent, 0]), np.array(find_origin(scene))
     rounds, place = [], 0

@@ -94,7 +94,6 @@ def build_surroundings(
 
 
 def _select_boxes(scene: Scene, rows: NDArray[np.int64], at: NDArray[np.int64]) -> Floats:
-    """(S, M, 5) boxes of some agents at some frames."""
     agents = scene.agents
     grid = np.ix_(rows, at)
     size = np.broadcast_to(agents.size[rows, None, :2], (len(rows), len(at), 2))

@@ -251,10 +251,7 @@ def build_threat_rating(
     around: ScoringSurroundings,
     hyper: HyperParameters,
 ) -> Callable[[SimulatedMotion], Floats]:
-    """Function of the motion of B candidates that gives the (B,) weighted sums of the terms at a planning frame.
-
-    ``offsets`` are the frames after it that are scored, ``around`` has what is there at them.
-    """
+    """Function of B motions for the (B,) weighted sums of terms at a frame; ``offsets`` after it are scored."""
     ahead = EgoLookahead.of(scene, frame, offsets)
     size = scene.agents.size[agent, :2]
     columns = list(ahead.columns)

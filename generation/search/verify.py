@@ -47,10 +47,7 @@ def find_recorded_contacts(
 
 
 def count_masked_steps(scene: Scene) -> dict[str, MaskedSteps]:
-    """Steps that each protocol with a ground-truth check takes from every planner.
-
-    Counted apart: the recorded ego touches an adversary, and it touches others alone.
-    """
+    """Steps that each protocol's ground-truth check takes from every planner, for an adversary or for others alone."""
     return {
         name: MaskedSteps(adversary=int(own.sum()), others=int((others & ~own).sum()))
         for name, (own, others) in find_recorded_contacts(scene, scene.adversaries, find_masking_protocols()).items()
@@ -127,10 +124,9 @@ class DiscardReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class VerificationFailure:
-    """A reason to discard a scene, and the first frame at which it shows.
+    """A reason to discard a scene, and the first frame at which it shows; ``other`` was touched, or is ``ego``.
 
-    ``other`` is the instance that was touched, or ``ego``; ``quantity`` has its unit, ``limit`` is what was allowed or
-    needed.
+    ``quantity`` has its unit, ``limit`` is what was allowed or needed.
     """
 
     reason: DiscardReason

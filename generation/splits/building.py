@@ -189,10 +189,7 @@ def build_frozen(
 def require_rebuildable(
     source: DataSet, split: NamedSplit, settings: BuildSettings, as_split: str
 ) -> tuple[DataSetPlan, list[tuple[FrozenScene, int]], FrozenBuildReport]:
-    """Refuse what cannot be built from a frozen split, as `build_frozen` does.
-
-    It gives the data set to write, its scenes with the numbers of their variants, and the report on both.
-    """
+    """Refuse as `build_frozen`; gives the data set to write, scenes with numbers of their variants, and the report."""
     require_seed(as_split, split.frozen.search.seed, f"frozen split {split.name}")
     chosen = split.chosen(settings.scenes, settings.limit)
     content = split.frozen.content_id

@@ -109,10 +109,7 @@ def _read_recording(source: DataSet, exchanged: ExchangedScene, file: Path) -> S
 
 
 def build_edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene:
-    """Change of an edited scene in its recording: the scene with its adversaries, without hashes.
-
-    The adversaries are in the order in which they depart from the recording. Errors as in `build_edited_split`.
-    """
+    """Change of an edited scene in its recording, adversaries in order of departure, without hashes."""
     _require_same_drive(scene, recorded, file)
     rows = _match_objects(scene, recorded, file)
     adversaries = []

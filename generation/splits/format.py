@@ -83,8 +83,7 @@ class RecordingsIdentity(_FrozenModel):
 class SearchMetadata(_FrozenModel):
     """Hashes that identify a search, and its seed.
 
-    ``solvable`` says whether scenes that no driver could have avoided were dropped; in older files, without it, none
-    were.
+    ``solvable`` says whether scenes that no driver could have avoided were dropped; none were in files without.
     """
 
     algorithm: str

@@ -86,10 +86,7 @@ def read_frozen_split(file: str | Path) -> NamedSplit:
 
 
 def compute_search_hash(search: SearchMetadata, chosen: SceneChoice, adversaries: int) -> str:
-    """Hash, 64 hexadecimal digits, of what decided a split beside its recordings and its seed.
-
-    Splits of one search differ in the seed alone. What came of the choice of scenes is no part of the hash.
-    """
+    """Hash, 64 hexadecimal digits, of what decided a split, without its recordings, its seed and its outcome."""
     searched = [search.algorithm, search.hyper, search.prior, *([] if search.solvable is None else [search.solvable])]
     chose: list[Any] = [chosen.scenes, chosen.per_scene, chosen.total, chosen.surrogate, adversaries]
     younger = {"variants": chosen.variants, "asked": chosen.asked}

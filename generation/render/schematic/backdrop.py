@@ -25,9 +25,9 @@ _STEEPEST, _LEVELS = 0.6, 1 << 12
 
 @dataclass(frozen=True, slots=True)
 class GroundBand:
-    """Rows of an image, ``first`` to before ``last``, that look at the ground from similar distances.
+    """Rows, ``first`` to before ``last``, that see ground at similar distances, and the plan view that they read.
 
-    ``plan`` is the plan view that they read, 0 fine, 1 middle, 2 coarse; ``samples`` per pixel, vertical, are averaged.
+    ``plan`` is 0 fine, 1 middle, 2 coarse; ``samples`` per pixel, vertical, are averaged.
     """
 
     first: int

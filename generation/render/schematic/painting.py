@@ -36,10 +36,7 @@ class PaintCoat(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class PaintedPolygons:
-    """Polygons of one coat, each an outer ring and holes, (M, 2) metres, global.
-
-    ``bounds`` are (P, 4) x_min, y_min, x_max, y_max.
-    """
+    """Polygons of one coat, outer ring and holes of (M, 2) global metres; bounds (P, 4) x_min, y_min, x_max, y_max."""
 
     coat: PaintCoat
     rings: tuple[tuple[Floats, ...], ...]

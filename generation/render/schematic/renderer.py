@@ -328,7 +328,6 @@ def _clip_map_to_sight(scene: Scene) -> RoadMap:
 
 
 def _draw_rain(image: NDArray[np.uint8], seed: int) -> None:
-    """Faint slanted streaks, in place."""
     height, width = image.shape[:2]
     random = np.random.default_rng(seed)
     starts = random.random((90, 2)) * [width, height]

@@ -134,10 +134,7 @@ class BuildingPlots:
 
 
 def build_roadside(scene: Scene, *, lamps: bool, salt: tuple[str, ...] = ()) -> Facets:
-    """One solid per building or tree beside the road along the way of the ego; none where the map has no road.
-
-    ``lamps`` lights windows; ``salt`` of a style goes into the colours of facades.
-    """
+    """One solid per building or tree beside the ego's road, if the map has one; a style's ``salt`` colours facades."""
     road_map = scene.road_map
     if road_map.drivable_area.is_empty:
         return Facets.empty()
@@ -315,7 +312,6 @@ def _build_solid(
     detail: Floats, footprint: Floats,
     height: float,
 ) -> Facets:  # fmt: skip
-    """One solid that stands on the ground and has one part."""
     middle = footprint.mean(axis=0)
     reach = np.linalg.norm(quads - np.array([*middle, height / 2]), axis=-1).max()
     return Facets(

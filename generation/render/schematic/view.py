@@ -56,10 +56,7 @@ class PlacedCamera:
         return np.asarray(self.camera.intrinsic @ columns)
 
     def compute_pixel_rays(self, step: int = 1) -> NDArray[np.float32]:
-        """Directions, (3, h, w) global x, y, z, in which the pixels look, of every ``step``-th column and row.
-
-        Single precision, because pictures need no more and there are many pixels.
-        """
+        """Single-precision directions, (3, h, w) global x, y, z, in which every ``step``-th column and row looks."""
         turn = (self.rotation.T @ np.linalg.inv(self.camera.intrinsic)).astype(np.float32)
         columns = np.arange(0, self.camera.width, step, dtype=np.float32)
         rows = np.arange(0, self.camera.height, step, dtype=np.float32)[:, None]

@@ -122,10 +122,7 @@ def smooth_line(line: Floats, *, spacing_m: float, deviation_m: float) -> Floats
 
 
 def interpolate_grid(values: Floats, where: Floats) -> Floats:
-    """Smooth look-up (Catmull-Rom cubic) at (K,) fractional indices into an even grid of (M, ...) entries.
-
-    Up to one entry beyond the ends is extrapolated.
-    """
+    """Catmull-Rom look-up of (K,) fractional indices into an even grid (M, ...), one entry beyond its ends at most."""
     count = len(values)
     where = np.clip(where, -1.0, float(count))
     base = np.clip(np.floor(where).astype(np.int64), 0, count - 2)

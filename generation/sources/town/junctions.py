@@ -51,7 +51,6 @@ def build_crossing(draft: TownDraft, node: TownNode, arms: list[JunctionArm], tr
 
 
 def _build_connector_bands(draft: TownDraft, node: TownNode) -> list[Polygon]:
-    """The surfaces that the lanes of a junction need."""
     lanes = (lane for lane in draft.lanes.values() if lane.road == node.name)
     return [LineString(lane.line).buffer(0.5 * LANE_WIDTH_M, cap_style="flat") for lane in lanes]
 

@@ -38,9 +38,9 @@ class TownNode:
 
 @dataclass(frozen=True, slots=True)
 class TownRoad:
-    """A road between two nodes, ``reference`` (M, 2) between its directions; ``lanes`` are per direction.
+    """A road between two nodes with a parking strip on both sides or none; ``lanes`` are per direction.
 
-    ``kerb_parking`` is a parking strip on both sides; ``speed_mps`` is the usual speed of traffic.
+    ``reference`` (M, 2) lies between the directions; ``speed_mps`` is the usual speed of traffic.
     """
 
     name: str
@@ -231,8 +231,7 @@ class TownDraft:
 class Town:
     """A finished town; names of the lanes before and after each lane are sorted.
 
-    ``crossing_walks`` are (2, 2) walking lines across the crossings, ``walks`` (M, 2) lines along pavements, 1 m
-    spacing.
+    ``crossing_walks`` are (2, 2) lines across the crossings, ``walks`` (M, 2) along the pavements, 1 m spacing.
     """
 
     layout: TownLayout

@@ -63,10 +63,7 @@ class RouteLeg:
 
 @dataclass(frozen=True, slots=True)
 class VehiclePath:
-    """Way of a vehicle, (M, 3) rear-axle x, y, yaw every `STATION_M`, at any speed.
-
-    ``speed_limit`` (M,) m/s is by sign and by curvature.
-    """
+    """Way of a vehicle, (M, 3) rear-axle x, y, yaw every `STATION_M`; (M,) limits, m/s, are by sign and curvature."""
 
     rear: Floats
     speed_limit: Floats

@@ -154,10 +154,7 @@ _LEAST_EGO_DISTANCE_M = 60.0
 
 
 def list_town_scene_names(split: Split, count: int) -> tuple[str, ...]:
-    """Names of the first scenes of a split: ``scene-8000``... for val and ``scene-9000``... for train.
-
-    Four digits must be enough, and none is a scene of nuScenes.
-    """
+    """Names of scenes, ``scene-8000``... for val, ``scene-9000``... for train: four digits, none of nuScenes."""
     if split not in get_args(Split):
         raise InputError(f"the embedded town has no split {split!r}; choose val or train")
     numbers = [number for block in _NUMBERS[split] for number in block]
@@ -178,10 +175,7 @@ def build_town_scene(split: Split, index: int, *, seed: int = 0, crossing: int =
 
 
 def build_town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -> tuple[Scene, tuple[Excursion, ...]]:
-    """A training scene as of `build_town_scene`, but the ego gets off its path and comes back; and when it was off.
-
-    One of `KEPT_ON_PATH_EVERY` scenes stays as it is.
-    """
+    """A scene as of `build_town_scene` but for the ego's excursions; one of `KEPT_ON_PATH_EVERY` has none."""
     off_path = index % KEPT_ON_PATH_EVERY != KEPT_ON_PATH_EVERY - 1
     return _build_scene("train", index, seed, crossing, off_path=off_path)
 
@@ -189,10 +183,7 @@ def build_town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -
 def build_town_scene_driven(
     index: int, driven: PlannerDrive, *, seed: int = 0, crossing: int = 0
 ) -> tuple[Scene, DrivenEgoTargets]:
-    """A training scene as of `build_town_scene`, but the ego goes where a planner drove it, as long as that drove.
-
-    With the scene comes where a good driver would go from each key frame.
-    """
+    """A scene as of `build_town_scene` but with the ego as driven, and a good driver's way from each key frame."""
     world, planned, programme = _find_populated_world("train", index, seed, crossing)
     wanted = plan_ways_back(world, planned, driven)
     world.place_ego(driven.rear())
@@ -218,7 +209,6 @@ def _build_scene(
 def _find_populated_world(
     split: Split, index: int, seed: int, crossing: int
 ) -> tuple[TownWorld, PlannedEgo, SceneProgramme]:
-    """World of a scene with all in it, and the ego as it would drive."""
     if index < 0:
         raise InputError(f"the number of a town scene starts at 0, got {index}")
     list_town_scene_names(split, index + 1)

@@ -26,10 +26,7 @@ _KERB_TOLERANCE_M = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ParticipantTrack:
-    """Motion of one participant: (FRAMES, 5) boxes, or (1, 5) for things that stand still.
-
-    ``parked`` says that it stands there without a driver.
-    """
+    """Motion of a participant: (FRAMES, 5) boxes, or (1, 5) for one that stands still; ``parked`` has no driver."""
 
     category: str
     height: float
@@ -39,10 +36,7 @@ class ParticipantTrack:
 
 @dataclass(slots=True)
 class TownWorld:
-    """Everything placed so far.
-
-    ``ego_rear`` are (FRAMES, 3) rear-axle poses, once planned; ``ego_boxes`` (FRAMES, 5) its metric footprint.
-    """
+    """Everything placed so far; the ego's (FRAMES, 3) rear-axle poses and (FRAMES, 5) footprint once planned."""
 
     town: Town
     ego_rear: Floats | None = None
