@@ -176,7 +176,7 @@ def compute_scene_key(
 
 
 def to_digestible(value: Any) -> Any:
-    """A JSON value for `benchmark.machine.storage.content_key`, another one whenever the nested content differs."""
+    """A JSON value for `benchmark.machine.storage.content_key` that differs whenever the nested content does."""
     if isinstance(value, np.ndarray):
         if value.dtype.kind in "UO":
             return value.tolist()

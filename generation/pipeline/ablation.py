@@ -29,13 +29,16 @@ from generation.pipeline.surrogate import PROTOCOL, PlannerUnderTest, require_al
 
 
 def run_ablation(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> AblationReport:
-    """Run the study, which is also in ``ablation.json``; the same call resumes.
+    """Run the study; the same call resumes.
 
     Args:
         source: Recorded scenes.
         planner: Planner that is evaluated.
         settings: The full search. Its ``out`` is the folder of the study, which holds one build for each row; limits on
             what is kept, several adversaries and a surrogate do not apply.
+
+    Returns:
+        The study, which is also in ``ablation.json``.
 
     Raises:
         InputError: As `generation.pipeline.split.build_split`, or if the planner fails on samples.

@@ -274,7 +274,7 @@ def mark_unfinished(root: Path) -> None:
 
 
 def withdraw(root: Path) -> None:
-    """Take away an earlier build's tables, lest they pass for one that found nothing; pictures stay for the next."""
+    """Remove an earlier build's tables, lest they pass for this one's, which found nothing; pictures stay for later."""
     if not (root / STATE_FOLDER).is_dir():
         return
     mark_unfinished(root)

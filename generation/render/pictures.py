@@ -90,13 +90,16 @@ def find_best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) ->
 
 
 def write_pictures(data: DataSet, names: Sequence[str], folder: Path, renderer: Renderer) -> list[Path]:
-    """Write one picture a scene; gives the PNG files.
+    """Write one picture a scene.
 
     Args:
         data: The data set.
         names: Scenes.
         folder: Where to.
         renderer: Draws the camera pictures.
+
+    Returns:
+        The PNG files.
 
     Raises:
         InputError: If a scene is unknown or the files cannot be written.

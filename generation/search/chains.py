@@ -141,7 +141,7 @@ class RequestCounts:
 
 @dataclass(slots=True)
 class SearchResult:
-    """Outcome of a search; ``eligibility`` has each look at a scene's vehicles, after the adversaries that it had."""
+    """Outcome of a search; ``eligibility`` pairs each look at a scene's vehicles with the adversaries by then."""
 
     eligibility: list[tuple[tuple[str, ...], Eligibility]] = field(default_factory=list)
     tried: list[SearchAttempt] = field(default_factory=list)

@@ -46,11 +46,14 @@ class NamedSplit:
 
 
 def list_packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
-    """Names of the frozen splits that come with the package, such as ``mini-adv-1``, the newest last.
+    """Names of the frozen splits that come with the package, the newest last.
 
     Args:
         data: Only those of this data set.
         split: Only those of this split.
+
+    Returns:
+        Names such as ``mini-adv-1``: data set, split and a number that grows.
     """
     numbered = []
     for path in _FOLDER.glob("*.json"):
@@ -70,6 +73,12 @@ def read_newest_split(data: str, split: str = "adv") -> NamedSplit:
 
 def read_frozen_split(file: str | Path) -> NamedSplit:
     """A frozen split by the name of a packaged one, or from a file.
+
+    Args:
+        file: Name or path.
+
+    Returns:
+        It.
 
     Raises:
         InputError: If there is no such split or the file is not one.

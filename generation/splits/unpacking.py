@@ -54,6 +54,12 @@ class SplitPackage:
 def read_split_package(path: Path) -> SplitPackage:
     """Read and check a package.
 
+    Args:
+        path: The file.
+
+    Returns:
+        It.
+
     Raises:
         InputError: If it is no package, a file of it is missing, unknown or has other bytes than the manifest says, or
             does not hold what it must.
