@@ -288,7 +288,6 @@ def _split_by_request(clean: Tensor, sizes: Sequence[int]) -> list[Floats]:
 
 
 def _read_bank(weights: Path, settings: SamplerSettings) -> Floats:
-    """(N, 16, 3) actions that were sampled in advance."""
     beside = find_bank_path(weights)
     if settings.dropout:
         raise InputError("stored samples were drawn without dropout; draw afresh, or leave dropout off")

@@ -176,7 +176,6 @@ def _write_root(
 
 
 def _merge_labels(known: Mapping[str, Row], members: Sequence[Fragment], table: str) -> list[Row]:
-    """The vocabulary's rows, and those that scenes had to make up."""
     used = {row["name"]: row for fragment in members for row in fragment["labels"][table]}
     return [*known.values(), *(row for name, row in sorted(used.items()) if name not in known)]
 

@@ -83,7 +83,6 @@ def _draw_part(
 def _find_finished_search(
     source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
 ) -> PreparedBuild | None:
-    """Choice of the search, if every attempt is kept."""
     try:
         return prepare_build(
             source, split, search, names, replace(settings, executor=_CachedOnlyExecutor()), keep=False

@@ -114,7 +114,6 @@ def write_pictures(data: DataSet, names: Sequence[str], folder: Path, renderer: 
 
 
 def _draw_label(picture: Picture, channel: str, width_px: int) -> Picture:
-    """A camera's picture as wide as a panel, with the camera's name."""
     height_px = max(round(picture.shape[0] * width_px / picture.shape[1]), 1)
     small = np.asarray(cv2.resize(picture, (width_px, height_px), interpolation=cv2.INTER_AREA), np.uint8)
     write_text(small, channel, (10.0, 14.0), size_px=13, plate=PAPER)

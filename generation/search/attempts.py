@@ -184,7 +184,6 @@ def _require_same_track(before: StoredAttempt, again: StoredAttempt) -> None:
 
 
 def _write_rounds(search: Search, unit: SearchUnit, scene: Scene, frames: tuple[TraceFrame, ...]) -> None:
-    """Keep the rounds, under the names that the source has."""
     trace = RefinementTrace(
         schema=SCHEMA,
         scene=unit.scene_name,

@@ -151,7 +151,6 @@ def _read_drive_record(folder: Path) -> DriveRecord:
 
 
 def _read_drives(settings: TownSettings) -> dict[int, PlannerDrive]:
-    """Drives of training scenes, by the number of the scene."""
     if settings.driven is None:
         return {}
     if settings.off_path or settings.train_scenes:

@@ -148,7 +148,6 @@ def _require_same_drive(scene: Scene, recorded: Scene, file: Path) -> None:
 
 
 def _match_objects(scene: Scene, recorded: Scene, file: Path) -> NDArray[np.int64]:
-    """Index in the edited scene of each recorded object."""
     ids = {name: row for row, name in enumerate(scene.agents.ids)}
     # Generated scenes that share a root have new identifiers, derived from those of the recording.
     called = [name if name in ids else make_token("instance", scene.name, name) for name in recorded.agents.ids]

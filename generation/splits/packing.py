@@ -212,7 +212,6 @@ def _collect_root_files(
 
 
 def _encode_drive(record: DriveRecord, splits: Sequence[NamedSplit]) -> tuple[str, tuple[Kind, bytes]]:
-    """Settings of one record of drives, under a name made of them."""
     known = {scene.name for split in splits for scene in split.frozen.scenes}
     inner = {name.rpartition("/")[2] for name in record.facts.scenes}
     if record.facts.frozen_split not in {split.name for split in splits} and not inner <= known:

@@ -144,7 +144,6 @@ def _find_bands(
 
 
 def _warp_ground(image: NDArray[np.uint8], plan: NDArray[np.uint8], image_to_plan: Floats, band: GroundBand) -> None:
-    """Fill some rows of a view, (h, w, 3), with the ground of a plan view."""
     # Row r of the finer image looks through row (r + 0.5) / samples - 0.5 of the band.
     rows = np.array(
         [[1.0, 0.0, 0.0], [0.0, 1.0 / band.samples, 0.5 / band.samples - 0.5 + band.first], [0.0, 0.0, 1.0]]

@@ -290,7 +290,6 @@ class PreparedScene:
         return images
 
     def _build_solids(self, frame: int, pose: Floats, ground_z: float) -> tuple[Facets, NDArray[np.uint8]]:
-        """Everything that stands near the ego, and its colours."""
         around = self.ground.find_centre(pose[:2])
         if self.beside is None or self.beside[0] != around:
             offset = self.standing.centre[:, :2] - np.array(around)

@@ -236,7 +236,6 @@ def _find_tree_plots(
 
 
 def _build_building(box: Floats, seed: int, *, lamps: bool, salt: tuple[str, ...]) -> Facets:
-    """A block with rows of windows."""
     random = np.random.default_rng(seed)
     draw = random.random(8)
     storeys = 2 + int(draw[4] ** 2 * 7)
@@ -282,7 +281,6 @@ def _build_upright_rectangles(start: Floats, end: Floats, low: Floats, high: Flo
 
 
 def _build_tree(box: Floats, seed: int) -> Facets:
-    """A trunk and a crown of flat facets."""
     draw = np.random.default_rng(seed).random(8)
     height, crown = 5.0 + 5.0 * draw[4], 1.7 + 0.8 * draw[5]
     angle = 2 * np.pi * draw[6] + np.arange(6) * np.pi / 3

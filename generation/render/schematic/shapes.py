@@ -163,7 +163,6 @@ def _add_lamps(
 def _build_car(
     cabin: tuple[float, float], inset: tuple[float, float, float], *, bonnet_drop: float, belt: float
 ) -> SolidShape:
-    """A car: sill and wheels, lower body with lamps, and a cabin with windows."""
     draft = SolidDraft()
     draft.box((-0.45, 0.45), (-0.42, 0.42), (0.04, 0.22), FacetMaterial.RUBBER, layer=0)
     body = draft.box(

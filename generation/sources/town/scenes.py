@@ -283,7 +283,6 @@ def _add_leader(
     pace: Floats,
     rng: np.random.Generator,
 ) -> bool:
-    """A vehicle ahead of the ego on its route, slow or stopping."""
     slow = programme.theme.leader == "slow"
     ahead, index = start_m + float(rng.uniform(24.0, 30.0) if slow else rng.uniform(15.0, 19.0)), 0
     while ahead > compute_lane_length(world.town.lanes[legs[index].lane]):
