@@ -1,6 +1,6 @@
-"""Weights on disk: safetensors of ours, or the published checkpoint, which is a bare state dict.
+"""Weights on disk (safetensors of ours or the published bare state dict), and actions sampled in advance.
 
-Actions sampled in advance: the model is unconditional, so its samples do not depend on the scene.
+The model is unconditional, so its samples do not depend on the scene.
 """
 
 from collections.abc import Mapping
@@ -30,25 +30,15 @@ _MOST_LAYERS: Final = 256
 
 
 def save_denoiser(path: Path, denoiser: TrajectoryDenoiser, facts: dict[str, Any]) -> None:
-    """Write a denoiser that `load_denoiser` gives back.
-
-    ``facts`` are remembered with it, for example seed and steps.
-    """
+    """Write a denoiser that `load_denoiser` gives back, with facts on it, for example seed and steps."""
     write_tensors(path, denoiser.state_dict(), {**facts, "denoiser": asdict(denoiser.config)})
 
 
 def load_denoiser(path: Path) -> TrajectoryDenoiser:
-    """A denoiser in evaluation mode.
+    """A denoiser in evaluation mode: dropout is off, with which the reference samples by an omission.
 
-    Args:
-        path: ``.safetensors`` of ours, or of the published parameters; anything else is read as a state dict of the
-            published checkpoint (`benchmark.weights.folders`).
-
-    Returns:
-        The network. (The reference samples with dropout on, by an omission; here it is off.)
-
-    Raises:
-        InputError: If the file is absent or broken, would run code, or does not fit the architecture.
+    A ``.safetensors`` file is ours, or of the published parameters; anything else is read as a state dict of the
+    published checkpoint (`benchmark.weights.folders`), and refused if it would run code.
     """
     if not path.is_file():
         raise InputError(f"no weights at {path}; pass a .safetensors file, or the published ig360_adv.ckpt")
@@ -63,7 +53,6 @@ def load_denoiser(path: Path) -> TrajectoryDenoiser:
 
 
 def _parse_config(path: Path, stored: Any) -> DenoiserConfig:
-    """Configuration of the network of a file, if there can be such a network."""
     kinds = {field.name: type(field.default) for field in fields(DenoiserConfig)}
     wrong = f"{path} describes a network that is not a trajectory denoiser"
     if not isinstance(stored, dict) or not set(stored) <= set(kinds):
@@ -115,11 +104,7 @@ def draw_normal_noise(rng: np.random.Generator, count: int) -> torch.Tensor:
 
 
 def sample_actions(denoiser: TrajectoryDenoiser, count: int, steps: int | None, rng: np.random.Generator) -> Floats:
-    """The full reverse process from noise, with the reference's small stochasticity.
-
-    (count, 16, 3) standardised actions, told nothing of the vehicle; ``steps`` of ``None`` asks the network at each
-    of the 100.
-    """
+    """(count, 16, 3) standardised actions by the reference's full process; ``steps`` of ``None`` asks at all 100."""
     device = next(denoiser.parameters()).device
 
     def draw() -> torch.Tensor:

@@ -35,7 +35,6 @@ class DenoiserConfig:
         far_logit_bias: Added to the attention logit of tokens more than one apart. The reference adds its boolean mask
             as a number, so distant tokens attract each other a little instead of being hidden.
         noise_level_scale: Factor on timestep/100 before the sinusoid.
-        dropout: Active in training mode only.
         preconditioned: Whether a Gaussian of the data carries the linear part (`GaussianPreconditioner`).
         attention: Whether waypoints are tokens of a transformer; otherwise they are one vector
             (`generation.diffusion.preconditioning`), and heads, history and logits play no part.
@@ -100,10 +99,7 @@ class NoiseLevelSinusoid(nn.Module):
 
 
 class RotarySelfAttention(nn.Module):
-    """Self-attention with rotary positions on the full width, before the split into heads.
-
-    Every head therefore turns with frequencies of its own.
-    """
+    """Self-attention with rotary positions on the full width, so that every head turns with frequencies of its own."""
 
     def __init__(self, feature_dim: int, heads: int, dropout: float) -> None:
         super().__init__()
@@ -114,13 +110,9 @@ class RotarySelfAttention(nn.Module):
         nn.init.xavier_uniform_(self.in_proj_weight)
 
     def forward(self, tokens: Tensor, types: Tensor, turns: Tensor, bias: Tensor | None) -> Tensor:
-        """Self-attention over tokens.
+        """Self-attention over (B, S, D) tokens; ``types`` (S, D) are added to queries and keys only.
 
-        Args:
-            tokens: (B, S, D).
-            types: (S, D) type embedding, added to queries and keys only.
-            turns: (S, 1, D / 2) complex unit numbers of `compute_rotary_angles`.
-            bias: (S, S) added to the logits, or ``None``.
+        ``turns`` are (S, 1, D / 2) complex unit numbers of `compute_rotary_angles`; ``bias`` (S, S) goes on the logits.
         """
         width = tokens.shape[-1]
         query_key = functional.linear(tokens + types, self.in_proj_weight[: 2 * width], self.in_proj_bias[: 2 * width])
@@ -189,8 +181,7 @@ class DenoiserStep:
 class TrajectoryDenoiser(nn.Module):
     """Predicts the noise in standardised actions (paper, Diffusion Trajectory Generator).
 
-    Neither the scene nor the vehicle's history reaches it; how fast the vehicle is and turns now does where the
-    configuration says so.
+    Neither scene nor history reaches it; present speed and turn do where the configuration says so.
     """
 
     rotary_turns: Tensor
@@ -231,17 +222,10 @@ class TrajectoryDenoiser(nn.Module):
     def forward(
         self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None, step: DenoiserStep | None = None
     ) -> Tensor:
-        """Predict the noise.
+        """Predict the standard normal noise, (B, 16, 3), in noisy standardised actions at (1,) or (B,) timesteps 0..99.
 
-        Args:
-            noisy: (B, 16, 3) noisy standardised actions.
-            timesteps: (1,) or (B,) 0..99.
-            present: (1, 4) or (B, 4) `present_features`, which a network that cannot be told ignores; ``None`` says
-                nothing.
-            step: Output of `step` for these timesteps and conditions, if already computed.
-
-        Returns:
-            (B, 16, 3) predicted standard normal noise.
+        ``present`` are (1, 4) or (B, 4) `present_features`, which a network that cannot be told ignores; ``None`` says
+        nothing. ``step`` is the output of `step` for these timesteps and conditions, if already computed.
         """
         step = step or self.step(timesteps, present)
         if step.shares is None:
@@ -286,16 +270,9 @@ class TrajectoryDenoiser(nn.Module):
         return noise
 
     def start(self, noise: Tensor, present: Tensor | None = None) -> Tensor:
-        """Actions with which the full reverse process begins.
+        """(B, 16, 3) actions at timestep 99, with which the full reverse process begins, from standard normal noise.
 
         The reference begins at standard normal noise although its forward process ends at 0.72 of that; a
         preconditioned network begins where its forward process ends.
-
-        Args:
-            noise: (B, 16, 3) standard normal.
-            present: As in `forward`.
-
-        Returns:
-            (B, 16, 3) actions at timestep 99.
         """
         return noise if self.preconditioner is None else self.preconditioner.start(noise, present)

@@ -1,7 +1,4 @@
-"""Speeds, accelerations and turns of 2 Hz trajectories: which ones a driver could have driven.
-
-Samples of one request, and how many more are needed until enough of them are drivable.
-"""
+"""Speeds, accelerations and turns of 2 Hz trajectories: which could be driven, and how many more a request needs."""
 
 import math
 from dataclasses import dataclass
@@ -27,14 +24,10 @@ FREE_TURN_RAD: Final = 0.06
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryMotion:
-    """Finite differences of trajectories that start now.
+    """Finite differences of trajectories that start now: (..., 17) mean speeds of half seconds, (..., 16) else.
 
-    Attributes:
-        speed: (..., 17) mean speed of each half second, the one before now first, m/s.
-        acceleration: (..., 16) along the motion, m/s^2.
-        turn: (..., 16) change of direction from one half second to the next, radians; 0 while standing still.
-        lateral: (..., 16) acceleration across the motion, m/s^2.
-        curvature: (..., 16) turn per metre, 1/m; 0 while standing still.
+    ``speed``, m/s, begins with the half second before now; ``acceleration`` is along the motion and ``lateral`` across,
+    m/s^2; ``turn`` is radians from one half second to the next and ``curvature`` 1/m, 0 while standing still.
     """
 
     speed: Floats
@@ -61,16 +54,10 @@ class TrajectoryMotion:
 
 
 def compute_motion(waypoints: Floats, previous: Floats) -> TrajectoryMotion:
-    """Motion along trajectories.
+    """Motion along (..., 16, 3) trajectories at 2 Hz in the local frame, with (..., 3) the pose half a second ago.
 
-    Args:
-        waypoints: (..., 16, 3) x, y, heading at 2 Hz in the local frame, metres; the vehicle is at the origin and
-            looks along x.
-        previous: (..., 3) pose half a second ago.
-
-    Returns:
-        See `TrajectoryMotion`. A direction is held where the vehicle stands still; before it first moves, and at the
-        start of a trajectory from rest, it is the heading, zero.
+    The vehicle is at the origin and looks along x. A direction is held where it stands still; before it first moves,
+    and at the start of a trajectory from rest, it is the heading, zero.
     """
     waypoints = np.asarray(waypoints, np.float64)
     previous = np.broadcast_to(np.asarray(previous, np.float64), (*waypoints.shape[:-2], waypoints.shape[-1]))
@@ -104,10 +91,7 @@ REDRAWN_BESIDE: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryDraws:
-    """Trajectories drawn for one request so far: (N, 16, 3), in the order of drawing.
-
-    ``excess`` says how far beyond drivable each is, (N,) (`TrajectoryMotion.excess`).
-    """
+    """Trajectories, (N, 16, 3), drawn for one request so far, in order, with their (N,) `TrajectoryMotion.excess`."""
 
     waypoints: Floats
     excess: Floats

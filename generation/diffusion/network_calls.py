@@ -23,10 +23,7 @@ product's last bits depend on its shape: so an answer does not depend on who ask
 
 
 class BatchedNetwork:
-    """A network at work.
-
-    ``block`` trajectories make one call, filled up where there are fewer; with ``None`` they are not.
-    """
+    """A network at work; ``block`` trajectories make one call, filled up where fewer; ``None`` fills nothing up."""
 
     def __init__(
         self, denoiser: TrajectoryDenoiser, device: torch.device, block: int | None, *, conditioned: bool, dropout: bool
@@ -43,15 +40,10 @@ class BatchedNetwork:
         return torch.cat(list(parts)).to(self.device)
 
     def present(self, previous: Sequence[Floats], sizes: Sequence[int]) -> Tensor | None:
-        """Features of the vehicles of all requests, as the network is told them.
+        """(B, 4) `compute_present_features` of all rows of all requests, as the network is told them.
 
-        Args:
-            previous: (3,) pose half a second ago of each request.
-            sizes: Rows of each.
-
-        Returns:
-            (B, 4) `compute_present_features` of the rows of all requests, (1, 4) of a request that is alone, ``None``
-            if the network is told nothing.
+        (1, 4) of a request that is alone, ``None`` if the network is told nothing; ``previous`` are (3,) poses half a
+        second ago, ``sizes`` the rows of each request.
         """
         if not self._conditioned:
             return None
@@ -76,7 +68,6 @@ class BatchedNetwork:
             yield
 
     def _predict(self, noisy: Tensor, timestep: Tensor, *, present: Tensor | None, kind: int | None) -> Tensor:
-        """The network's answer, in blocks."""
         count, size = len(noisy), self.block or PROCESSOR_ROWS
         if self.block is not None:
             noisy, present = _pad_rows(noisy, size), None if present is None else _pad_rows(present, size)

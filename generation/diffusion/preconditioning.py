@@ -1,7 +1,4 @@
-"""Gaussian preconditioner: the linear part of the noise prediction, so that a small network learns only the rest.
-
-The small noise predictor: all waypoints as one vector through residual blocks.
-"""
+"""Gaussian preconditioner, the linear part of the noise prediction, and a small residual network for the rest."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -27,14 +24,10 @@ SHARPEST_RAD: Final = 0.5
 
 
 def compute_present_features(previous: Tensor) -> Tensor:
-    """Motion of a vehicle now, in numbers of order one.
+    """Motion of a vehicle now, (..., 4) of order one, from its (..., 3) pose half a second ago in its frame now.
 
-    Args:
-        previous: (..., 3) pose half a second ago in the frame of the vehicle now, metres and radians.
-
-    Returns:
-        (..., 4): speed, closeness to standing still, turn of the last half second, and a one that says that they are
-        known. A vehicle of which nothing is said has zeros instead.
+    Speed, closeness to standing still, turn of the last half second, and a one that says that they are known. A vehicle
+    of which nothing is said has zeros instead.
     """
     speed = (-previous[..., 0] / STEP_S).clamp(0.0, FASTEST_M_S)
     turn = (-previous[..., 2]).clamp(-SHARPEST_RAD, SHARPEST_RAD)
@@ -72,15 +65,7 @@ class ResidualBlock(nn.Module):
 
 
 class ResidualNetwork(nn.Module):
-    """Predicts what a Gaussian of the data leaves open (`GaussianPreconditioner`).
-
-    Args:
-        width: Features between blocks.
-        hidden: Features inside a block.
-        dropout: Active in training mode only.
-        level_features: Noise level (B,) to (B, 64).
-        conditioned: Whether the network can be told how the vehicle moves now.
-    """
+    """Predicts what `GaussianPreconditioner` leaves open; ``level_features`` turns noise levels (B,) into (B, 64)."""
 
     def __init__(
         self,
@@ -107,11 +92,9 @@ class ResidualNetwork(nn.Module):
         return tuple(block.level(features) for block in cast("Iterable[ResidualBlock]", self.blocks))
 
     def forward(self, noisy: Tensor, level: Tensor, present: Tensor | None = None) -> Tensor:
-        """(B, 16, 3) prediction of order one; zero before training.
+        """(B, 16, 3) prediction of order one, zero before training, at (1,) or (B,) levels in the unit of the sinusoid.
 
-        Args:
-            level: (1,) or (B,) noise levels, in the unit the sinusoid expects.
-            present: (1, 4) or (B, 4) `compute_present_features`; ``None`` says nothing of how the vehicles move now.
+        ``present`` are (1, 4) or (B, 4) `compute_present_features`; ``None`` says nothing of how the vehicles move now.
         """
         return self.answer(noisy, self.shifts(level), present)
 
@@ -154,12 +137,9 @@ class _Gaussian:
 
 @dataclass(frozen=True, slots=True)
 class PreconditionedInput:
-    """Question to a network, and the part of the answer that is known without it.
+    """Question to a network, (B, 16, 3), and the part of the answer that is known without it.
 
-    Attributes:
-        whitened: (B, 16, 3) input of the network.
-        guess: (B, 48) noise already explained, along the axes.
-        left: (1 or B, 48) standard deviation left to explain along each axis.
+    ``guess`` is the (B, 48) noise already explained, ``left`` the (1 or B, 48) standard deviation left, along the axes.
     """
 
     whitened: Tensor
@@ -173,7 +153,7 @@ class PreconditionedInput:
         return self.gaussian.from_axes(along).view_as(answer)
 
     def compute_residual(self, noise: Tensor) -> Tensor:
-        """Right answer of the network to the noise that was added, along the axes: (B, 48), of unit variance.
+        """Right answer of the network to the added noise, along the axes: (B, 48), of unit variance.
 
         The inverse of `join` but for the axes.
         """
@@ -186,15 +166,10 @@ class PreconditionedInput:
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevelScaling:
-    """Knowledge at one noise level, for all actions: (1 or B, 48) each.
+    """Knowledge at one noise level, for all actions: (1 or B, 48) each, along the axes of the Gaussian.
 
-    Attributes:
-        gaussian: Gaussian that defines the axes.
-        offset: Mean action as it stands there.
-        whitening: Factors that scale components to unit variance.
-        spread: Standard deviation of the noise.
-        variance: Of the noisy actions along each axis.
-        left: Standard deviation left to explain along each axis.
+    ``offset`` is the mean action there, ``whitening`` scales components to unit variance, ``spread`` is the noise's
+    standard deviation, ``left`` the one left to explain, ``variance`` that of the noisy actions.
     """
 
     gaussian: _Gaussian
@@ -216,18 +191,13 @@ class NoiseLevelScaling:
 class GaussianPreconditioner(nn.Module):
     """Input, skip and output scaling of a noise predictor, per principal axis of the data.
 
-    With data of mean m and covariance V diag(l) V' and noisy x = sqrt(ab) x0 + s eps, along each axis the variance of
-    x is v = ab l + s^2, the best linear guess of the noise is s (x - sqrt(ab) m) / v and the variance left to explain
-    is ab l / v (the preconditioning of Karras et al. 2022, section 5, with a full covariance). Axes along which
-    driving hardly varies keep their smoothness at any answer of the network.
+    With data of mean m and covariance V diag(l) V' and noisy x = sqrt(ab) x0 + s eps, along each axis the variance of x
+    is v = ab l + s^2, the best linear guess of the noise is s (x - sqrt(ab) m) / v and the variance left to explain is
+    ab l / v (the preconditioning of Karras et al. 2022, section 5, with a full covariance). Axes along which driving
+    hardly varies keep their smoothness at any answer of the network.
 
-    Attributes:
-        mean: (48,) mean action.
-        axes: (48, 48) principal axes as columns.
-        variances: (48,) variance along each axis.
-        told_mean: (7, 48) the same of vehicles by present speed (`SPEED_EDGES_M_S`), where it can be told.
-        told_axes: (7, 48, 48).
-        told_variances: (7, 48).
+    Mean (48,), principal axes (48, 48) as columns and variances (48,) are of all actions; (7, ...) the same, ``told``,
+    of vehicles by present speed (`SPEED_EDGES_M_S`), where it can be told.
     """
 
     mean: Tensor
@@ -304,10 +274,7 @@ class GaussianPreconditioner(nn.Module):
         return int(torch.bucketize(speed, self.edges, right=True)) if bool(known) else -1
 
     def start(self, noise: Tensor, present: Tensor | None = None) -> Tensor:
-        """Draw of the last forward step's distribution, which keeps signal and is far from standard normal.
-
-        (B, 16, 3) standard normal noise becomes (B, 16, 3) actions at timestep 99.
-        """
+        """(B, 16, 3) standard normal noise as actions at timestep 99, where the forward process keeps some signal."""
         gaussian, alpha_bar = self._select_gaussian(present), self.alpha_bars[-1]
         spread = (alpha_bar * gaussian.variances + 1.0 - alpha_bar).sqrt()
         return (gaussian.from_axes(noise.flatten(1) * spread) + alpha_bar.sqrt() * gaussian.mean).view_as(noise)

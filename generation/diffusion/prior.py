@@ -113,14 +113,10 @@ class TrajectoryPrior:
         device: torch.device | None = None,
         block: int | None = None,
     ) -> None:
-        """Put a network to work.
+        """Put a network to work; ``fingerprint`` is the content key of all that decides its answers.
 
-        Args:
-            fingerprint: Content key of all that decides its answers.
-            bank: (N, 16, 3) actions to draw from, for the settings that ask for stored samples.
-            device: Where the network runs, the processor by default.
-            block: Trajectories of one network call, filled up where there are fewer; ``None`` asks for each search
-                alone, which suits a processor.
+        ``bank`` (N, 16, 3) has the actions that stored samples are drawn from. ``block`` trajectories make one network
+        call, filled up where there are fewer; ``None`` asks for each search alone, which suits a processor.
         """
         options = {"conditioned": settings.conditioned, "dropout": settings.dropout}
         self._network = BatchedNetwork(denoiser, device or torch.device("cpu"), block, **options)
@@ -134,11 +130,9 @@ class TrajectoryPrior:
         *,
         device: str = "cpu",
     ) -> Self:
-        """Load weights.
+        """Load the packaged weights or others: safetensors of ours, or the published checkpoint (a bare state dict).
 
-        ``None`` is the packaged model; otherwise safetensors of ours, or the published checkpoint (a
-        bare state dict). Other kinds of device round differently, so their results have content keys of their
-        own.
+        Other kinds of device round differently, so their results have content keys of their own.
         """
         weights = PACKAGED_WEIGHTS if path is None else path
         settings = settings or SamplerSettings()
@@ -154,10 +148,7 @@ class TrajectoryPrior:
         return cls(denoiser, settings, fingerprint, held, target, block)
 
     def answer(self, requests: Sequence[Request]) -> list[Floats]:
-        """Answer requests of several searches at once.
-
-        (B, 16, 3) waypoints for each, the same as if it were the only request.
-        """
+        """(B, 16, 3) waypoints for each request of several searches, the same as if it were the only request."""
         if self._network.block is None or self.settings.dropout:
             # One call for each: a processor gains nothing from larger batches, and dropout draws inside the network.
             return [waypoints for request in requests for waypoints in self._answer([request])]
@@ -237,7 +228,6 @@ class TrajectoryPrior:
     def _denoise(
         self, noise: Sequence[Tensor], rngs: Sequence[np.random.Generator], previous: Sequence[Floats]
     ) -> list[Floats]:
-        """Clean actions of each request, by the process that the settings name."""
         sizes = [len(part) for part in noise]
         present = self._network.present(previous, sizes)
         start, denoise = self._network.denoiser.start(self._network.put(noise), present), self._network.told(present)
@@ -248,7 +238,6 @@ class TrajectoryPrior:
         return _split_by_request(clean, sizes)
 
     def _mutate_together(self, requests: Sequence[MutationRequest], level: int) -> list[Floats]:
-        """Truncated processes of one noise level."""
         timesteps = choose_strided_timesteps(level - 1, self.settings.mutation_steps)
         previous = [_check_pose(request.previous) for request in requests]
         before = [_unwrap_headings(request.waypoints) for request in requests]
@@ -284,7 +273,6 @@ class TrajectoryPrior:
         rngs: Sequence[np.random.Generator],
         sizes: Sequence[int],
     ) -> list[Floats]:
-        """Clean actions of each request by the reference's process."""
 
         def draw() -> Tensor:
             drawn = [draw_normal_noise(rng, size) for rng, size in zip(rngs, sizes, strict=True)]
@@ -296,12 +284,10 @@ class TrajectoryPrior:
 
 
 def _split_by_request(clean: Tensor, sizes: Sequence[int]) -> list[Floats]:
-    """Answers of each request in double precision."""
     return [part.numpy().astype(np.float64) for part in torch.split(clean.cpu(), list(sizes))]
 
 
 def _read_bank(weights: Path, settings: SamplerSettings) -> Floats:
-    """(N, 16, 3) actions that were sampled in advance."""
     beside = find_bank_path(weights)
     if settings.dropout:
         raise InputError("stored samples were drawn without dropout; draw afresh, or leave dropout off")
@@ -311,7 +297,6 @@ def _read_bank(weights: Path, settings: SamplerSettings) -> Floats:
 
 
 def _unwrap_headings(waypoints: Floats) -> Floats:
-    """Waypoints whose headings do not jump by a full turn."""
     waypoints = np.asarray(waypoints, np.float64)
     if waypoints.ndim != 3 or waypoints.shape[1:] != (WAYPOINTS, CHANNELS) or not np.isfinite(waypoints).all():
         raise InputError(f"candidates must be finite (B, {WAYPOINTS}, {CHANNELS}) waypoints, got {waypoints.shape}")
@@ -336,11 +321,10 @@ def _check_pose(previous: Floats) -> Floats:
 
 
 def diversify(waypoints: Floats, rng: np.random.Generator) -> Floats:
-    """Make the first batch varied: the reference's ``aug_traj``, which the paper does not mention.
+    """Vary the first batch of (B, 16, 3) waypoints: the reference's ``aug_traj``, which the paper does not mention.
 
-    Quarters of the batch in order: unchanged; x scaled by 0.2-0.8; x scaled by 1.2-1.8; x and y scaled by 0.5-1.5,
-    one factor per trajectory. Headings stay; the vehicle's are found by tracking later. ``waypoints`` are
-    (B, 16, 3).
+    Quarters of the batch in order: unchanged; x scaled by 0.2-0.8; x scaled by 1.2-1.8; x and y scaled by 0.5-1.5, one
+    factor per trajectory. Headings stay; the vehicle's are found by tracking later.
     """
     varied = np.array(waypoints, dtype=np.float64)
     first, second, third = (len(varied) * quarter // 4 for quarter in (1, 2, 3))

@@ -1,9 +1,7 @@
-"""The noise schedule and the DDIM reverse process of the reference model.
+"""The noise schedule and DDIM reverse process of the reference model, and a second-order solver of few network calls.
 
 100 steps, scaled-linear betas, noise prediction, predicted clean sample clamped to [-1, 1] without recomputing the
 noise. The forward process keeps 48 % of the signal's variance at its last step: it never reaches pure noise.
-
-A full reverse process in a few network calls: a second-order solver of the diffusion's differential equation.
 """
 
 import math
@@ -38,10 +36,7 @@ BETAS, ALPHA_BARS = _compute_alpha_bars()
 
 
 def get_signal_and_noise(timestep: int) -> tuple[float, float]:
-    """Factors of the clean sample and of the noise after a forward step.
-
-    They are the square roots of alpha-bar and of its complement at a timestep, 0..99.
-    """
+    """Factors of clean sample and noise at a timestep, 0..99: square roots of alpha-bar and of its complement."""
     return float(ALPHA_BARS[timestep] ** 0.5), float((1.0 - ALPHA_BARS[timestep]) ** 0.5)
 
 
@@ -55,10 +50,7 @@ def get_reference_eta(timestep: int) -> float:
 
 
 def add_noise(actions: Tensor, noise: Tensor, timestep: int) -> Tensor:
-    """Forward process to a timestep, 0..99, in one go.
-
-    (B, 16, 3) clean actions, standard normal noise, and noisy actions.
-    """
+    """Forward process of (B, 16, 3) actions to a timestep, 0..99, in one go, with standard normal noise."""
     signal, spread = get_signal_and_noise(timestep)
     return signal * actions + spread * noise
 
@@ -66,18 +58,10 @@ def add_noise(actions: Tensor, noise: Tensor, timestep: int) -> Tensor:
 def compute_reverse_step(
     noisy: Tensor, predicted_noise: Tensor, timestep: int, target: int, *, eta: float = 0.0, fresh: Tensor | None = None
 ) -> Tensor:
-    """One DDIM step (Song, Meng, Ermon 2020, equation 12).
+    """One DDIM step (Song, Meng, Ermon 2020, equation 12) of (B, 16, 3) actions from ``timestep`` to ``target``.
 
-    Args:
-        noisy: (B, 16, 3) actions at ``timestep``.
-        predicted_noise: (B, 16, 3) the network's answer.
-        timestep: 0..99.
-        target: Timestep to go to, smaller than ``timestep``; -1 is the clean sample.
-        eta: 0 is deterministic, 1 is ancestral sampling.
-        fresh: (B, 16, 3) standard normal noise, used where ``eta`` is not zero.
-
-    Returns:
-        (B, 16, 3) actions at ``target``.
+    ``target`` is smaller; -1 is the clean sample. ``eta`` of 0 is deterministic, 1 is ancestral sampling; ``fresh`` is
+    standard normal noise, used where it is not zero.
     """
     alpha_bar = float(ALPHA_BARS[timestep])
     target_alpha_bar = 1.0 if target < 0 else float(ALPHA_BARS[target])
@@ -94,12 +78,9 @@ def run_reverse_process(
     *,
     draw: Callable[[], Tensor] | None = None,
 ) -> Tensor:
-    """The reverse process from the first of ``timesteps`` to the clean sample.
+    """The reverse process of (B, 16, 3) actions from the first of strictly falling ``timesteps`` to the clean sample.
 
-    Args:
-        noisy: (B, 16, 3) actions at ``timesteps[0]``.
-        timesteps: Strictly falling timesteps at which the network is asked.
-        draw: Gives (B, 16, 3) standard normal noise for the reference's stochastic steps; ``None`` is deterministic.
+    ``draw`` gives standard normal noise for the reference's stochastic steps; ``None`` is deterministic.
     """
     for timestep, target in zip(timesteps, [*timesteps[1:], -1]):
         predicted = denoise(noisy, torch.tensor([timestep], dtype=torch.float32, device=noisy.device))
@@ -116,15 +97,7 @@ def run_reverse_process(
 
 
 def choose_strided_timesteps(first: int, calls: int | None) -> tuple[int, ...]:
-    """Timesteps at which the network is asked on the way from ``first`` to the clean sample.
-
-    Args:
-        first: 0..99, always the first one asked.
-        calls: How many, spread evenly; ``None`` or more than there are asks at every timestep, as the reference does.
-
-    Returns:
-        Strictly falling timesteps.
-    """
+    """Timesteps of calls, strictly falling and evenly spread, from ``first``, 0..99; all of them with ``None``."""
     if not 0 <= first < STEPS:
         raise InputError(f"a noise level must be between 1 and {STEPS}, got {first + 1}")
     if calls is not None and calls < 1:
@@ -143,8 +116,8 @@ def compute_log_ratios() -> Floats:
 def choose_solver_timesteps(calls: int) -> tuple[int, ...]:
     """Timesteps at which the network is asked, evenly spaced in the logarithm of signal over noise.
 
-    Strictly falling from 99 to 0 for 2 to 100 calls. The network knows whole timesteps only, so where the even
-    spacing is finer than the schedule, at small noise, it follows the schedule.
+    Strictly falling from 99 to 0 for 2 to 100 calls. The network knows whole timesteps only, so where the even spacing
+    is finer than the schedule, at small noise, it follows the schedule.
     """
     if not 2 <= calls <= STEPS:
         raise InputError(f"a fast reverse process takes 2 to {STEPS} network calls, got {calls}")
@@ -158,11 +131,10 @@ def choose_solver_timesteps(calls: int) -> tuple[int, ...]:
 
 
 def solve(denoise: Denoise, noisy: Tensor, timesteps: Sequence[int]) -> Tensor:
-    """Integrate from the first timestep to the clean sample.
+    """Integrate (B, 16, 3) actions from the first timestep to the clean sample (`choose_solver_timesteps`).
 
     Each step moves towards the clean sample extrapolated from the last two predictions; the first step has one
     prediction only. The last prediction is the answer: the noise left at timestep 0 is a hundredth of an action.
-    Actions are (B, 16, 3); ``timesteps`` are strictly falling (`choose_solver_timesteps`).
     """
     ratios = compute_log_ratios()
     before: Tensor | None = None

@@ -19,15 +19,9 @@ ACTION_SCALE: Final = 4.0
 
 
 def convert_waypoints_to_actions(waypoints: Floats, previous: Floats, now: Floats | None = None) -> Floats:
-    """Standardise: scaled second differences.
+    """Standardise (..., 16, 3) waypoints, metres and radians in the local frame: scaled second differences.
 
-    Args:
-        waypoints: (..., 16, 3) x, y, heading in the local frame, metres and radians; headings must not jump by 2 pi.
-        previous: (..., 3) pose half a second ago in the same frame.
-        now: (..., 3) pose now; the origin by default.
-
-    Returns:
-        (..., 16, 3) actions.
+    ``previous`` is the (..., 3) pose half a second ago, ``now`` the origin by default; headings must not jump by 2 pi.
     """
     waypoints = np.asarray(waypoints, np.float64)
     shape = (*waypoints.shape[:-2], 1, CHANNELS)
@@ -38,16 +32,7 @@ def convert_waypoints_to_actions(waypoints: Floats, previous: Floats, now: Float
 
 
 def convert_actions_to_waypoints(actions: Floats, previous: Floats, now: Floats | None = None) -> Floats:
-    """Unstandardise: integrate actions twice; the inverse of `convert_waypoints_to_actions`.
-
-    Args:
-        actions: (..., 16, 3) actions.
-        previous: (..., 3) pose half a second ago in the local frame, metres and radians.
-        now: (..., 3) pose now; the origin by default.
-
-    Returns:
-        (..., 16, 3) x, y, heading.
-    """
+    """Unstandardise: integrate (..., 16, 3) actions twice; the inverse of `convert_waypoints_to_actions`."""
     actions = np.asarray(actions, np.float64)
     start = np.zeros(CHANNELS) if now is None else np.asarray(now, np.float64)
     first_step = start - np.asarray(previous, np.float64)

@@ -1,7 +1,4 @@
-"""A vehicle and the ego in the frame of the ego's driven path: who is where, and how long until they meet.
-
-The path that the ego drove, as a frame: station along it, offset to its left.
-"""
+"""A vehicle and the ego, frame by frame, by station along the ego's driven path and offset to its left."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -27,12 +24,9 @@ BODY_REACH_M = 15.0
 
 @dataclass(frozen=True, slots=True)
 class PathFrame:
-    """Polyline of the ego's body centre, extended at both ends.
+    """Polyline of the ego's body centre, extended at both ends: (M, 2) vertices, metres, global.
 
-    Attributes:
-        vertices: (M, 2) metres, global.
-        stations: (M,) metres along the path; 0 at the ego's first frame.
-        ego_stations: (T,) where the ego's centre is at each frame.
+    (M,) ``stations`` along it are 0 at the ego's first frame; (T,) ``ego_stations`` are of its centre at each frame.
     """
 
     vertices: Floats
@@ -61,15 +55,9 @@ class PathFrame:
         return cls(vertices, stations, stations[segment] + np.clip(along, 0.0, length))
 
     def project(self, points: Floats, around: Floats, reach_m: float) -> tuple[Floats, Floats, Floats]:
-        """Nearest places on the path.
+        """Nearest places on the path of (F, P, 2) points, metres, global, near the (F,) stations ``around``.
 
-        Args:
-            points: (F, P, 2) metres, global.
-            around: (F,) stations near which to look.
-            reach_m: How far from there.
-
-        Returns:
-            (F, P) stations, (F, P) offsets (left of the path is positive), (F, P) headings of the path, radians.
+        (F, P) stations, (F, P) offsets (left of the path is positive), (F, P) headings of the path, radians.
         """
         begin, edge = self.vertices[:-1], np.diff(self.vertices, axis=0)
         length = np.hypot(edge[:, 0], edge[:, 1])
@@ -96,16 +84,9 @@ class PathFrame:
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """A body in the path frame, frame by frame.
+    """A body in the path frame: (F,) station, offset and ``turn`` (relative to the path, [-pi, pi)) of its centre.
 
-    Attributes:
-        station: (F,) of its centre, metres.
-        offset: (F,) of its centre.
-        turn: (F,) heading relative to the path's, [-pi, pi).
-        rear: (F,) smallest station of its corners.
-        front: (F,) largest station of its corners.
-        right: (F,) smallest offset of its corners.
-        left: (F,) largest offset of its corners.
+    ``rear`` and ``front`` are the extreme stations of its corners, ``right`` and ``left`` the offsets, metres.
     """
 
     station: Floats
@@ -118,10 +99,7 @@ class Placement:
 
     @classmethod
     def of(cls, path: PathFrame, boxes: Floats, frames: slice) -> Self:
-        """Place a body of (F, 5) boxes at F frames of the ego.
-
-        Extents take in the middles of the sides too, because a long body spans bends.
-        """
+        """Place (F, 5) boxes at F frames of the ego, by the middles of the sides too: a long body spans bends."""
         station, offset, heading = (
             part[:, 0] for part in path.project(boxes[:, None, :2], path.ego_stations[frames], REACH_M)
         )
@@ -165,18 +143,10 @@ MOVING_M_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class PathInteraction:
-    """A vehicle and the ego, frame by frame, in the frame of the ego's path.
+    """A vehicle (``other``) and the ego at F frames, in the frame of the ego's path, in metres and m/s.
 
-    Attributes:
-        seconds: (F,) since the scene's first frame.
-        present: (F,) whether the vehicle is there.
-        ego: The ego's body.
-        other: The vehicle's body.
-        ego_speed: (F,) m/s.
-        speed: (F,) m/s, of the vehicle.
-        along: (F,) the part of ``speed`` along the path.
-        gap: (F,) between the bodies, metres.
-        half_width: Half the width of the strip that the ego sweeps.
+    (F,) ``seconds`` are since the scene's first frame; ``speed`` is the vehicle's, ``along`` its part along the path,
+    ``gap`` is between the bodies. ``half_width`` is of the strip that the ego sweeps.
     """
 
     seconds: Floats

@@ -26,10 +26,7 @@ class Side(StrEnum):
 
 
 def compute_labels(scene: Scene, agent: int, start: int) -> ManoeuvreLabels:
-    """Labels of what a vehicle does to the ego from frame ``start`` on, the launch of an adversary.
-
-    The vehicle has to be there from then on, on a finite track.
-    """
+    """Labels of what a vehicle does to the ego from its launch on, from which it must be there on a finite track."""
     if not (0 <= agent < len(scene.agents) and 0 <= start < len(scene.timestamps_us)):
         raise InputError(
             f"{scene.name} has {len(scene.agents)} agents and {len(scene.timestamps_us)} frames; there is no agent "
@@ -101,10 +98,7 @@ def find_side(ego: Floats, other: Floats) -> Side:
 
 
 def compute_times_to_collision(scene: Scene, agent: int, start: int) -> Floats:
-    """Time until contact if, at a frame, both went on with their velocity and heading.
-
-    (T - start,) seconds in steps of 0.1 s; infinity where there is no contact within 5 s.
-    """
+    """(T - start,) seconds in steps of 0.1 s until contact at steady velocity and heading; infinity beyond 5 s."""
     own, ego = read_agent_boxes(scene, agent)[start:], scene.ego.boxes[start:]
     seconds = scene.seconds[start:]
     if len(own) < 2:

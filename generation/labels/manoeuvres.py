@@ -1,7 +1,4 @@
-"""Kinds of a vehicle's manoeuvre towards the ego, from its motion in the frame of the ego's driven path.
-
-``docs/manoeuvres.md`` has the definitions in one table; the numbers are the constants below.
-"""
+"""Kinds of a vehicle's manoeuvre towards the ego, from its motion along the ego's path (``docs/manoeuvres.md``)."""
 
 from collections.abc import Iterator
 from enum import StrEnum
@@ -68,12 +65,11 @@ CLOSE_M = 10.0
 
 
 def find_occurrences(met: PathInteraction) -> tuple[ManoeuvreOccurrence, ...]:
-    """Every kind of manoeuvre that occurred, the primary one first; at least one.
+    """Every kind of manoeuvre that occurred, one entry each, the primary one first, the others as in `Manoeuvre`.
 
     The primary kind is the first in the order of `Manoeuvre` among those during which the bodies came within 5 m of
-    their least gap, or in the 3 s after which they did: what happened far away first is not what the scene is
-    about. Where there is none, the vehicle passed wide, or was distant. There is one entry a kind, the others in
-    the order of `Manoeuvre`.
+    their least gap, or in the 3 s after which they did: what happened far away first is not what the scene is about.
+    Where there is none, the vehicle passed wide, or was distant.
     """
     runs: dict[Manoeuvre, list[slice]] = {}
     for kind, run in (*_find_in_front(met), *_find_beside(met), *_find_behind(met)):
@@ -87,10 +83,7 @@ def find_occurrences(met: PathInteraction) -> tuple[ManoeuvreOccurrence, ...]:
 
 
 def find_encroachment(met: PathInteraction) -> Encroachment | None:
-    """First of the closest successions of the two bodies on the same piece of the ego's path.
-
-    ``None`` if no piece was used by both while recorded.
-    """
+    """First of the closest successions of both bodies on one piece of the ego's path; ``None`` if none was shared."""
     at = np.flatnonzero(smooth_mask(met.inside))
     shared = (met.other.rear[at, None] < met.ego.front) & (met.other.front[at, None] > met.ego.rear)
     if not shared.any():
@@ -220,10 +213,7 @@ def _compute_least_gap(met: PathInteraction, run: slice, after_s: float) -> floa
 
 
 def smooth_mask(mask: Bools) -> Bools:
-    """(F,) condition that holds at most of the frames around each: one noisy frame decides nothing.
-
-    Most is a majority of `HELD_FRAMES`; before the first and after the last frame nothing holds.
-    """
+    """(F,) condition that holds at most of the `HELD_FRAMES` around each; outside of all frames nothing holds."""
     half = HELD_FRAMES // 2
     padded = np.pad(mask.astype(np.int64), half)
     return np.asarray(np.convolve(padded, np.ones(HELD_FRAMES, np.int64), mode="valid") > half)

@@ -2,8 +2,8 @@
 
 Field names, units and frames are those of the nuScenes CAN bus expansion. Derived files are sparser than measured ones:
 ``pose``, ``ms_imu`` and ``steeranglefeedback`` have 50 messages a second, ``zoe_veh_info`` and ``zoesensors`` 25 and
-``vehicle_monitor`` 2. What an ego track cannot tell (pedals, battery, lamps) has its resting value. The state at
-any moment depends on nothing later than it, except in the first half second, where there is nothing earlier.
+``vehicle_monitor`` 2. What an ego track cannot tell (pedals, battery, lamps) has its resting value. The state at any
+moment depends on nothing later than it, except in the first half second, where there is nothing earlier.
 """
 
 from collections.abc import Callable, Mapping
@@ -32,10 +32,7 @@ _FIT_FRAMES: Final = 7
 
 
 def build_can_bus_files(scene: Scene, *, name: str, source: SourceInfo | None, source_scene: str) -> dict[str, bytes]:
-    """CAN bus files of one scene, by path below the data root.
-
-    ``name`` is the scene's in the data set, ``source_scene`` the recording's in ``source``.
-    """
+    """CAN bus files by path below the data root; ``source_scene`` is the recording's name in ``source``."""
     if source is not None and source.root is not None:
         recorded = sorted((source.root / "can_bus").glob(f"{source_scene}_*.json"))
         if recorded:
@@ -48,16 +45,11 @@ def build_can_bus_files(scene: Scene, *, name: str, source: SourceInfo | None, s
 
 @dataclass(frozen=True, slots=True)
 class CanBusEgoMotion:
-    """Ego motion at every frame.
+    """Ego motion at T frames: (T,) microseconds, (T, 3) position of the rear axle, global, (T, 4) unit quaternions.
 
-    Attributes:
-        utime: (T,) microseconds.
-        position: (T, 3) rear axle, global, metres.
-        rotation: (T, 4) quaternions of one hemisphere.
-        velocity: (T, 3) m/s in the ego frame.
-        acceleration: (T, 3) m/s^2 in the ego frame, gravity included, as an accelerometer reads it.
-        rotation_rate: (T, 3) rad/s; about the vertical only.
-        steering: (T,) steering wheel angle, radians, left positive.
+    Quaternions are of one hemisphere. Velocity, m/s, and acceleration, m/s^2, are (T, 3) in the ego frame, gravity
+    included, as an accelerometer reads it; rotation rates, rad/s, are about the vertical only. ``steering`` is the (T,)
+    steering wheel angle, radians, left positive.
     """
 
     utime: Floats
@@ -108,10 +100,7 @@ class CanBusEgoMotion:
 
 
 def derive_messages(scene: Scene) -> dict[str, Any]:
-    """Content of all message files of a scene, made from its ego track.
-
-    By message name: the six kinds of messages, ``meta`` and ``route``.
-    """
+    """Content of all message files of a scene from its ego track: the six kinds of messages, ``meta`` and ``route``."""
     motion = CanBusEgoMotion.of(scene)
     first, last = int(scene.timestamps_us[0]), int(scene.timestamps_us[-1])
     content: dict[str, Any] = {}

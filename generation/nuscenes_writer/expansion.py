@@ -1,7 +1,4 @@
-"""The vector map in nuScenes' map-expansion format, version 1.3.
-
-Centre lines as chains of circular arcs and straight pieces, the form ``arcline_path_3`` has in map expansion 1.3.
-"""
+"""The vector map in nuScenes' map-expansion format, version 1.3, with centre lines as ``arcline_path_3``."""
 
 from collections.abc import Iterable
 from typing import Any, Final
@@ -25,10 +22,7 @@ _SHORTEST_M = 1e-3
 
 
 def fit_arcline_path(centerline: Floats) -> list[dict[str, Any]]:
-    """Arcs and straight pieces fitted to an (M, 2) centre line, metres.
-
-    Each begins where the previous one ends; none if the line has no length.
-    """
+    """Arcs and straight pieces, end to end, fitted to an (M, 2) centre line, metres; none if it has no length."""
     points = np.asarray(centerline, np.float64)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     points = points[np.concatenate([[True], steps > _SHORTEST_M])]
@@ -152,11 +146,10 @@ _SEGMENT_TYPES: Final = {
 
 
 def build_map_expansion(road_map: RoadMap) -> Row:
-    """A road map as the content of ``maps/expansion/<location>.json``.
+    """The whole map of a place as the content of ``maps/expansion/<location>.json``, for the devkit's ``NuScenesMap``.
 
-    Lanes, crossings and the like keep their identifiers as tokens. Lane connectors and lanes without a surface get
-    one around their centre line. There are no traffic lights. The devkit's ``NuScenesMap`` reads it; ``road_map``
-    is the whole map of the place.
+    Lanes, crossings and the like keep their identifiers as tokens. Lane connectors and lanes without a surface get one
+    around their centre line. There are no traffic lights.
     """
     writer = _LayerWriter(road_map.location)
     writer.add_areas(road_map)

@@ -34,8 +34,8 @@ def finish_data_set(
     Args:
         plan: The data set.
         keys: Return values of `write_scene`, in the order of the scenes in the tables.
-        extra_splits: Further splits: scene names by split. Their scenes are not in ``plan.split``, unless
-            ``plan.split`` is given here as well.
+        extra_splits: Scene names by further split. These scenes are not in ``plan.split``, unless that is given here as
+            well.
 
     Raises:
         InputError: If there are no keys, a key was never written, two scenes have the same name, files or instances,
@@ -72,7 +72,6 @@ def _read_fragment(plan: DataSetPlan, key: str) -> Fragment:
 
 
 def _require_distinct(members: Sequence[Fragment]) -> None:
-    """Refuse scenes that would overwrite each other."""
     names: set[str] = set()
     owners: dict[str, dict[str, str]] = {"files": {}, "instances": {}}
     for fragment in members:
@@ -101,7 +100,6 @@ def _build_splits(plan: DataSetPlan, names: Sequence[str], extra: Mapping[str, S
 
 
 def _list_roots(plan: DataSetPlan, roots: Mapping[int, Any]) -> list[Path]:
-    """Roots that are written now or were written before."""
     variants = set(roots) | {claim["variant"] for claim in _read_claims(plan).values()}
     return sorted({plan.data_root(variant) for variant in variants})
 
@@ -178,7 +176,6 @@ def _write_root(
 
 
 def _merge_labels(known: Mapping[str, Row], members: Sequence[Fragment], table: str) -> list[Row]:
-    """The vocabulary's rows, and those that scenes had to make up."""
     used = {row["name"]: row for fragment in members for row in fragment["labels"][table]}
     return [*known.values(), *(row for name, row in sorted(used.items()) if name not in known)]
 
@@ -215,7 +212,6 @@ def _describe_left_out(plan: DataSetPlan, variant: int, written: Sequence[int]) 
 
 
 def _remove_temporary_files(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:
-    """Remove temporary files of killed processes."""
     folders = [plan.root, plan.state, *(plan.state / name for name in STATE_FOLDERS)]
     for variant in roots:
         root = plan.data_root(variant)

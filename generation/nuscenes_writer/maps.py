@@ -1,7 +1,4 @@
-"""The map files of a finished root: the source's where it has them, else made from the scenes' road maps.
-
-Raster maps: the binary mask that the devkit loads with the tables, and the background picture of map plots.
-"""
+"""The map files of a finished root, rasters for mask and background too: the source's, else made from road maps."""
 
 import os
 import struct
@@ -46,10 +43,7 @@ def draw_drivable_mask(road_map: RoadMap) -> bytes:
 
 
 def draw_basemap(road_map: RoadMap) -> bytes:
-    """PNG in shades of grey for map plots: pavements, roads and crossings, at most 4000 pixels long.
-
-    The devkit stretches it over the whole canvas.
-    """
+    """PNG in shades of grey, 4000 pixels at most, that the devkit stretches over the whole canvas of map plots."""
     resolution = max(MASK_RESOLUTION_M, max(road_map.canvas_m) / _BASEMAP_LONGEST_PX)
     layers: list[tuple[shapely.Geometry, int]] = [(shape, _WALKWAY_GREY) for shape in road_map.walkways.values()]
     layers.append((road_map.drivable_area, _ROAD_GREY))

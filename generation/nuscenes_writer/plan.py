@@ -29,12 +29,9 @@ _PLAIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 
 @dataclass(frozen=True, slots=True)
 class SourceInfo:
-    """The data set that another one derives from.
+    """The data set that another one derives from: maps, CAN bus files and label tokens come from its ``root``.
 
-    Attributes:
-        fingerprint: Its content hash.
-        root: Its root folder; maps, CAN bus files and label tokens come from there where it has them.
-        version: Its version folder; may stay ``None`` where the root has only one.
+    ``version`` may stay ``None`` where the root has only one.
     """
 
     name: str
@@ -48,9 +45,6 @@ class DataSetPlan:
     """One data set to write.
 
     Attributes:
-        root: Folder to write.
-        split: Name of the split: ``val``, ``val-r``, ``adv``, ...
-        version: Name of the folder with the tables.
         layout: ``suffixed``: one root for all scenes. ``per-variant``: complete roots ``v0``, ``v1``, ... with the
             original scene names, which official model code accepts unpatched.
         renderer: Draws the camera images; ``None`` for a data set without cameras.
@@ -59,11 +53,9 @@ class DataSetPlan:
             the same plan with ``all`` adds later: tables, tokens and keys are the same with and without them.
         jpeg_quality: 1..100.
         lossless: Beside each JPEG file a PNG file of the same name, which no table names.
-        source: Source of the data set, or ``None``.
         frozen: Name and content hash of the frozen split that it is built from, if it is.
         search: Hash of what decided its search beside the seed; of splits that are called after their seed alone.
-        left_out: Scenes that are not written because an inspector rejected them, each with the number of its variant;
-            none of another split.
+        left_out: Scenes that an inspector rejected, each with the number of its variant; none of another split.
         keeps_instances: Whether identifiers of objects stay what they are in every scene, because each is in one scene
             alone: of imported scenes, which may be variants that had identifiers of their own already.
     """
@@ -118,13 +110,9 @@ class DataSetPlan:
 
 @dataclass(frozen=True, slots=True)
 class SceneNames:
-    """Tokens and file names of one scene.
+    """Tokens and file names of one scene; ``suffix`` is what ``name`` has after the name of the source scene.
 
-    Attributes:
-        suffix: Suffix of ``name`` after the name of the source scene; part of the file names.
-        log: Log name, as it may stand in a file name.
-        identity: Content that the tokens are hashes of, beside their own parts.
-        keeps_instances: Whether instance tokens of the source stay what they are.
+    Tokens are hashes of ``identity`` and their own parts; ``keeps_instances`` keeps those of the source's instances.
     """
 
     name: str
@@ -176,12 +164,7 @@ class SceneNames:
 def compute_scene_key(
     plan: DataSetPlan, scene: Scene, cameras: tuple[Camera, ...], *, map_key: str, labels: Mapping[str, Any]
 ) -> str:
-    """Key, 64 hexadecimal digits, of everything that the files and rows of a scene depend on.
-
-    Args:
-        cameras: Its cameras as rendered.
-        labels: Name, variant, source scene and report.
-    """
+    """Key, 64 hexadecimal digits, of all that files and rows of a scene depend on; ``cameras`` are as rendered."""
     content = {item.name: to_digestible(getattr(scene, item.name)) for item in fields(scene) if item.name != "road_map"}
     drawn = None
     if plan.renderer is not None:
@@ -193,13 +176,7 @@ def compute_scene_key(
 
 
 def to_digestible(value: Any) -> Any:
-    """A JSON value that differs whenever the content of ``value`` does.
-
-    It is made for `benchmark.machine.storage.content_key`.
-
-    Args:
-        value: Dataclasses, arrays, geometries, containers and plain values, nested at will.
-    """
+    """A JSON value for `benchmark.machine.storage.content_key` that differs whenever the nested content does."""
     if isinstance(value, np.ndarray):
         if value.dtype.kind in "UO":
             return value.tolist()

@@ -84,14 +84,10 @@ def unpack_road_map(packed: dict[str, Any]) -> RoadMap:
 
 
 def merge_road_maps(parts: Sequence[RoadMap]) -> RoadMap:
-    """One map of a place out of several, possibly overlapping, parts of it.
+    """One map out of several, possibly overlapping, parts of a place with the same identifiers for the same things.
 
-    Args:
-        parts: Maps of the same location with the same identifiers for the same things; at least one.
-
-    Returns:
-        Layers joined by identifier (of two versions the longer line or larger surface stays), drivable areas united,
-        on a canvas that holds everything.
+    Layers are joined by identifier (of two versions the longer line or larger surface stays), drivable areas united, on
+    a canvas that holds everything.
     """
     if len(parts) == 1:
         road_map = parts[0]

@@ -16,11 +16,7 @@ SceneTables = dict[str, list[Row]]
 
 @dataclass(frozen=True, slots=True)
 class SensorChannel:
-    """One sensor of one scene; without a ``camera`` it is the lidar.
-
-    ``extension`` is that of its files; ``ego`` is where the ego is when the sensor measures, ``None`` for the
-    scene's own track.
-    """
+    """One sensor, the lidar without ``camera``; ``ego`` is the ego's track as it measures, ``None`` for the scene's."""
 
     name: str
     camera: Camera | None
@@ -41,10 +37,7 @@ def build_scene_tables(
     channels: Sequence[SensorChannel],
     frames: Sequence[int],
 ) -> SceneTables:
-    """All rows that belong to one scene, linked, by table.
-
-    ``frames`` get sensor rows, ascending; the keyframes are among them.
-    """
+    """All rows of one scene, linked, by table; ``frames``, ascending with the keyframes among them, get sensor rows."""
     tables: SceneTables = {"sample": _build_samples(names, scene), "calibrated_sensor": []}
     tables["scene"] = [_build_scene_row(names, vocabulary, scene)]
     tables["sample_data"], tables["ego_pose"] = [], []
@@ -67,7 +60,6 @@ def list_used_labels(vocabulary: LabelVocabulary, scene: Scene) -> dict[str, lis
 
 
 def _link_rows(rows: list[Row]) -> list[Row]:
-    """Link rows in their order."""
     for earlier, later in pairwise(rows):
         earlier["next"], later["prev"] = later["token"], earlier["token"]
     return rows

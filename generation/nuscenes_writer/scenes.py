@@ -61,26 +61,13 @@ def write_scene_if_missing(
     variant: int = 0,
     identity: str | None = None,
 ) -> WrittenScene:
-    """Render and write one scene; a scene that is already complete is left alone.
+    """Render and write one scene, unless it is complete; gives the content key, and whether there was something to do.
 
-    Safe to call for different scenes in different processes, and to kill at any moment: the same call then goes on
-    and ends with the same bytes.
-
-    Args:
-        plan: The data set it belongs to.
-        scene: Content of the scene; a `CuttingRenderer` may leave its end out.
-        name: Its name in the data set.
-        source_scene: Name of the recorded scene it comes from.
-        report: Provenance that ends up in ``challenger.json``; plain JSON values.
-        variant: Number of the root in the ``per-variant`` layout.
-        identity: Source of tokens; the scene's motion by default, whose last bits depend on the processor.
-
-    Returns:
-        The content key, and whether there was something to do.
-
-    Raises:
-        InputError: If the scene has no keyframes or numbers that are not finite, the name is no file name, the target
-            holds another writer's data set, or the disk refuses.
+    Safe to call for different scenes in different processes, and to kill at any moment: the same call then goes on and
+    ends with the same bytes. A `CuttingRenderer` may leave the scene's end out. ``report`` is plain JSON for
+    ``challenger.json``, ``variant`` the number of the root in the ``per-variant`` layout. ``identity`` is the source of
+    tokens; the scene's motion by default, whose last bits depend on the processor. An `InputError` refuses scenes as
+    `require_valid`, names that are no file names, and targets with another writer's data set.
     """
     require_valid(scene)
     if isinstance(plan.renderer, CuttingRenderer):
@@ -209,10 +196,7 @@ def release_claim(plan: DataSetPlan, claim: dict[str, Any], keep: frozenset[str]
 
 
 def require_valid(scene: Scene) -> None:
-    """Refuse a scene whose rows would be wrong.
-
-    It needs keyframes, times that increase, finite poses and positive sizes.
-    """
+    """Refuse a scene whose rows would be wrong: it needs keyframes, rising times, finite poses and positive sizes."""
     if not len(scene.keyframes):
         raise InputError(f"{scene.name} has no keyframes to write; leave it out")
     if not (np.diff(scene.timestamps_us) > 0).all() or not (np.diff(scene.keyframes) > 0).all():
@@ -242,7 +226,6 @@ def _store_map(plan: DataSetPlan, road_map: RoadMap) -> str:
 
 
 def _build_file_path(names: SceneNames, scene: Scene, channel: SensorChannel, frame: int) -> str:
-    """Path of a sensor file below the data root."""
     timestamp, is_keyframe = int(scene.timestamps_us[frame]), bool((scene.keyframes == frame).any())
     return names.file(channel.name, timestamp, is_keyframe=is_keyframe, extension=channel.extension)
 
@@ -285,7 +268,6 @@ def _write_images(
 
 
 def _lossless_name(jpeg: str) -> str:
-    """Name of the PNG file beside a JPEG file."""
     return jpeg.removesuffix(".jpg") + ".png"
 
 

@@ -64,12 +64,10 @@ _VISIBILITY_LEVELS: Final = ("v0-40", "v40-60", "v60-80", "v80-100")
 
 @dataclass(frozen=True, slots=True)
 class LabelVocabulary:
-    """Label rows of a data set: the source's own where it has them.
+    """Label rows of a data set: the source's own where it has them; visibility in order of level.
 
-    Attributes:
-        category: Rows by name, in the order of nuScenes' table of 32, whose row numbers official code knows categories
-            by; those of the source alone come behind.
-        visibility: Rows in order of their level.
+    Categories are in the order of nuScenes' table of 32, whose row numbers official code knows them by; those of the
+    source alone come behind.
     """
 
     category: dict[str, Row]

@@ -64,10 +64,7 @@ def run_ablation(source: DataSet, planner: PlannerUnderTest, settings: BuildSett
 
 
 def estimate_ablation(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) -> str:
-    """Text for people on the work that a study is, one line for each row; nothing is written.
-
-    Arguments and errors as of `run_ablation`.
-    """
+    """Text for people on the work that a study is, one line for each row; nothing is written."""
     reports = [
         estimate_build(source, "adv", _build_variant_settings(variant, settings, planner)) for variant in VARIANTS
     ]

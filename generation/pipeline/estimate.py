@@ -1,9 +1,4 @@
-"""About how long a build takes: what finished work here took, else one small sample of each kind of work.
-
-Estimates are for people. No result depends on them.
-
-Where the time goes: the paper's runtime table, from notes that workers leave beside their results.
-"""
+"""Estimates, for people alone, of how long a build takes and where its time goes, from notes or small samples."""
 
 import functools
 import math
@@ -60,10 +55,7 @@ class RuntimeTable(BuildRuntime):
 
 
 def build_runtime_table(attempts: Iterable[Path], scenes: Iterable[Path]) -> RuntimeTable:
-    """Table of the time that notes of attempts and of rendered scenes add up to.
-
-    Damaged and absent notes are not counted.
-    """
+    """Table of the time that notes of attempts and of rendered scenes add up to; damaged and absent ones count 0."""
     of_attempts, of_scenes = _read_stage_times(attempts), _read_stage_times(scenes)
     total = dict.fromkeys(STAGES, 0.0)
     for note in (*of_attempts, *of_scenes):
@@ -73,11 +65,7 @@ def build_runtime_table(attempts: Iterable[Path], scenes: Iterable[Path]) -> Run
 
 
 def read_runtime_table(state: Path, timings: Path) -> RuntimeTable | None:
-    """Table of the time that a build took, as far as it is known.
-
-    It has all attempts that were timed there, and the scenes that are written now; ``None`` if there are none;
-    neither folder need exist.
-    """
+    """Table of the time that a build took, of all attempts timed there and the scenes that are written now, if any."""
     attempts = sorted((timings / "attempts").glob("*.timing.json"))
     written = sorted((state / "fragments").glob("*.json"))
     runtime = build_runtime_table(attempts, [timings / "rendering" / f"{path.stem}.timing.json" for path in written])
@@ -111,10 +99,8 @@ _PREVIOUS = np.array([-4.0, 0.0, 0.0])
 class WorkEstimate:
     """Amount of work, and about how long it takes.
 
-    Attributes:
-        attempts: Vehicles left to try, with those of later adversaries where several are wanted.
-        scenes: Scenes to render, at most or expected.
-        workers: Processes that share the planning, ``None`` where it is not known.
+    ``attempts`` are left, with those of later adversaries; ``scenes`` to render are at most or expected; ``workers``
+    share the planning, ``None`` where their number is not known.
     """
 
     attempts: int
@@ -216,10 +202,7 @@ def _keep_unchanged(waypoints: Floats, rng: np.random.Generator) -> Floats:
 def estimate_rendering(
     renderer: Renderer | None, scene: Scene, frames: Literal["all", "keyframes"], timing: Path
 ) -> float:
-    """Processor seconds of rendering one scene; of a renderer that takes long, what it says itself.
-
-    Without a renderer it is none; ``timing`` is the folder of notes on scenes that were rendered before.
-    """
+    """Processor seconds of rendering one scene, 0 without a renderer; one that takes long says it itself."""
     if renderer is None:
         return 0.0
     if isinstance(renderer, SlowRenderer):

@@ -13,9 +13,8 @@ from generation.splits.packaged import list_packaged_splits, read_frozen_split
 def read_recorded_settings(root: Path, made: Mapping[str, Any] | None) -> dict[str, Any]:
     """Settings of the search behind a root; ``made`` is the content of its ``challenger.json``.
 
-    Returns:
-        Those in ``search.json`` of a root that was searched. A frozen split says the hash of its settings alone: for a
-        packaged one, those of the default or of a preset that have this hash. Empty where neither is known.
+    Those in ``search.json`` of a root that was searched. A frozen split says the hash of its settings alone: for a
+    packaged one, those of the default or of a preset that have this hash. Empty where neither is known.
     """
     recorded = read_cached_json(root / "search.json")
     if isinstance(recorded, dict) and isinstance(recorded.get("hyper"), dict):

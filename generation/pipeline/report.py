@@ -1,7 +1,4 @@
-"""Report of a build: numbers for machines, a short table for people.
-
-How much work a build is, counted and timed by small samples; nothing is written.
-"""
+"""Report of a build: numbers for machines, a short table for people, and an estimate that writes nothing."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -30,30 +27,25 @@ from generation.search.verify import DiscardReason, format_masked_steps, sum_mas
 
 @dataclass(frozen=True, slots=True)
 class BuildReport:
-    """Numbers of one build.
+    """Numbers of one build; counts by reason where they are dictionaries.
 
     Attributes:
-        split: Split that was built.
         scenes: Source scenes looked at.
         tried: Attempts, one per chosen vehicle.
         finished_before: Attempts that were already on disk (dry run only).
         survived: Generated scenes that passed verification with the wanted number of adversaries.
-        discarded: Number of attempts that did not pass verification, by reason.
+        discarded: Attempts that did not pass verification.
         written: Names of the scenes written, best first for ``adv``.
-        dropped: Number of attempts that passed verification but are not written, by reason.
-        not_tried: Number of objects that are not tried in the recorded scenes, by reason.
+        dropped: Attempts that passed verification but are not written.
+        not_tried: Objects that are not tried in the recorded scenes.
         unsolvable: Scenes that passed everything else and that no driver could have avoided: ``dropped`` for that, and
             ``written`` where they are kept; ``None`` where there was no search.
         masked_steps: By protocol, steps of the written scenes that its ground-truth check takes from every planner:
             because the recorded ego touches an ``adversary``, or only something else (``others``).
-        adversaries: In each scene written.
         requests: By kind of manoeuvre, if any was asked for: of how many vehicles (``asked``), how many of them drive
             in a direction in which they can do it (``tried``), attempts that passed verification and do it (``kept``),
             and how many are ``written``.
-        surrogate: Results of the surrogate on the surviving scenes, if there was one.
-        estimate: How much work there is (dry run only).
         runtime: How long the work took, on this or an earlier run; no part of the JSON, which is the same every time.
-        dry_run: Whether the work was only counted.
         unlabelled: Recorded scenes that were skipped because they have no annotations; no part of the JSON where there
             are none.
     """
@@ -187,7 +179,6 @@ class BuildReport:
 
 
 def _count_requests(result: SearchResult, written: Sequence[AdversaryChain]) -> dict[str, dict[str, int]]:
-    """Counts of how often each kind was asked for, tried, kept and written."""
     kept = Counter(attempted.unit.asked for attempted in result.tried if attempted.attempt.kept)
     wrote = Counter(link.unit.asked for chain in written for link in chain.links)
     return {
@@ -209,7 +200,6 @@ def estimate_build(source: DataSet, split: str, settings: BuildSettings) -> Buil
 
 
 def _estimate_search(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
-    """Estimate of the work that there is to do."""
     chosen = find_first_units(search, source, names, keep=False)
     units = [unit for _, of_scene in chosen for unit in of_scene]
     with_rounds = settings.keep_rounds and settings.adversaries == 1

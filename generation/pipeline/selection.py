@@ -1,9 +1,4 @@
-"""Which generated scenes are written: the most challenging that no inspector rejected and the surrogate fails.
-
-Generated scenes that an inspector rejected: they are not written again.
-
-Variants of one recording that differ: the next one is the farthest from all that are kept already.
-"""
+"""Generated scenes that are written: most challenging, failed by the surrogate, not rejected, and varied."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,9 +24,8 @@ FAR_M: Final = 10.0
 def compute_distance(first: SearchAttempt, second: SearchAttempt) -> float:
     """Difference of two adversaries of one recording, 0 to 2.
 
-    Returns:
-        The mean distance of their centres at the frames at which both act, in units of 10 m and at most 1 at each
-        (1 where they never act together), and 1 more where their primary manoeuvres are of different kinds.
+    The mean distance of their centres at the frames at which both act, in units of 10 m and at most 1 at each (1 where
+    they never act together), and 1 more where their primary manoeuvres are of different kinds.
     """
     tracks, starts = [], []
     for attempted in (first, second):
@@ -76,13 +70,9 @@ def _compute_chain_distance(first: AdversaryChain, second: AdversaryChain) -> fl
 def find_rejected_jobs(
     plan: DataSetPlan, jobs: Sequence[WritingJob], read: Callable[[str], Scene]
 ) -> dict[str, tuple[int, StandingVerdict]]:
-    """Scenes of a build that an inspector rejected: verdicts beside the root stand on the same motion alone.
+    """Variant and verdict, by name of the job, of scenes that an inspector rejected while they had the same motion.
 
-    Args:
-        read: Gives a recorded scene by name; asked for scenes with a rejection alone.
-
-    Returns:
-        By name of the job: the variant, and what was said, under the name in the data set.
+    ``read`` gives a recorded scene by name; asked for scenes with a rejection alone.
     """
     verdicts = read_review(plan.root)
     rejected = {}
@@ -108,12 +98,9 @@ def find_rejected_jobs(
 
 @dataclass(frozen=True, slots=True)
 class SceneSelection:
-    """Scenes that are written, best first.
+    """Scenes that are written, best first; ``left_out`` were rejected and have the numbers of their variants.
 
-    Attributes:
-        staging: The data set that the surrogate was judged on.
-        staged: Content keys in it by name of the scene.
-        left_out: Scenes that an inspector rejected, each with the number of its variant.
+    ``staging`` is the data set that the surrogate was judged on, ``staged`` has its content keys by name of the scene.
     """
 
     chains: list[AdversaryChain]

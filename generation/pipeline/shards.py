@@ -31,13 +31,10 @@ class BuiltShard:
 
 
 def build_shard(source: DataSet, split: str, settings: BuildSettings, shard: Shard) -> BuiltShard:
-    """Do a share of a build: search, or draw once everything is searched; no tables are written.
+    """Do every n-th share of a build: search, or draw once everything is searched; no tables are written.
 
-    `generation.pipeline.split.build_split` with the same settings does what is left.
-
-    Args:
-        settings: As of `build_split`, without a surrogate: it judges all scenes together.
-        shard: Which share: every n-th recorded scene with all that is searched in it, every n-th scene that is drawn.
+    `generation.pipeline.split.build_split` with the same settings does what is left; a surrogate is refused, because it
+    judges all scenes together.
     """
     if settings.surrogate is not None:
         raise InputError(
@@ -61,10 +58,7 @@ def build_shard(source: DataSet, split: str, settings: BuildSettings, shard: Sha
 def draw_frozen_shard(
     source: DataSet, split: NamedSplit, settings: BuildSettings, shard: Shard, *, as_split: str = "adv"
 ) -> BuiltShard:
-    """Draw a share of a frozen split; `generation.splits.building.build_frozen` does what is left.
-
-    Arguments and errors as there; a shard is every n-th scene.
-    """
+    """Draw every n-th scene of a frozen split; `generation.splits.building.build_frozen` does what is left."""
     plan, chosen, report = require_rebuildable(source, split, settings, as_split)
     jobs, _, _ = build_frozen_jobs(source, plan, shard.part(chosen), split)
     return _draw_part(source, plan, jobs, len(chosen), build_report_files(report), settings)
@@ -89,7 +83,6 @@ def _draw_part(
 def _find_finished_search(
     source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
 ) -> PreparedBuild | None:
-    """Choice of the search, if every attempt is kept."""
     try:
         return prepare_build(
             source, split, search, names, replace(settings, executor=_CachedOnlyExecutor()), keep=False

@@ -72,10 +72,7 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
 
 @dataclass(frozen=True, slots=True)
 class PreparedBuild:
-    """Found scenes and those of them that are written.
-
-    ``report`` says it of both, ``files`` the same as files, by name.
-    """
+    """Found scenes and those of them that are written; ``files`` has the report on both, by file name."""
 
     found: SearchResult
     chosen: SceneSelection
@@ -109,10 +106,7 @@ def prepare_build(
     *,
     keep: bool = True,
 ) -> PreparedBuild:
-    """Search, or find what was searched, and choose; nothing is published.
-
-    ``keep`` says whether choices of vehicles are written.
-    """
+    """Search, or find what was searched, and choose; nothing is published. ``keep`` writes choices of vehicles."""
     result = run_search(source, search, names, settings, keep=keep)
     plan = _build_plan(source, split, settings)
     chosen = select_scenes(source, plan, result, settings)
@@ -151,7 +145,6 @@ def _build_adversarial(
 
 
 def _format_advice(report: BuildReport, settings: BuildSettings) -> str:
-    """Advice for a search of which nothing came."""
     if report.tried:
         return f"try more scenes or another --seed (details in {settings.out / ATTEMPTS_FILE})"
     reasons = sorted(report.not_tried.items(), key=lambda row: (-row[1], row[0]))
@@ -226,7 +219,6 @@ def _build_plan(source: DataSet, split: str, settings: BuildSettings) -> DataSet
 
 
 def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], settings: BuildSettings) -> list[Path]:
-    """Render, write and finish a data set; returns the notes on how long rendering took."""
     timing = settings.timing / "rendering"
     keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
     publish(WrittenScenes(plan, jobs, keys, source))
@@ -236,7 +228,6 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
 def _build_report_files(
     report: BuildReport, result: SearchResult, written: Sequence[AdversaryChain]
 ) -> dict[str, bytes]:
-    """Reports of a build on itself, by file name."""
     name_of = {link.unit: chain.name for chain in written for link in chain.links}
     attempts = []
     for attempted in result.tried:

@@ -1,6 +1,6 @@
 """A planner in the loop: keep only the scenes in which it collides (appendix "Attack Transferability").
 
-The survivors are written as a data set of their own below the output and evaluated like any other. Those that the
+The survivors are written as a data set of their own below the output and evaluated like any other; those that the
 planner fails are taken over from there, pictures included.
 """
 
@@ -31,12 +31,7 @@ PROTOCOL = "exact"
 
 @dataclass(frozen=True, slots=True)
 class PlannerUnderTest:
-    """A planner that generated scenes are judged with.
-
-    Attributes:
-        images: Whether it looks at images; without, none are drawn for it.
-        workers: Processes of its evaluation; no result depends on them.
-    """
+    """A planner that judges generated scenes, drawn if it looks at images; no result depends on ``workers``."""
 
     factory: "PlannerFactory"
     images: bool = True
@@ -47,12 +42,8 @@ class PlannerUnderTest:
 class SurrogateResult:
     """Judgement of a planner on generated scenes.
 
-    Attributes:
-        failed: Scenes in which it touches the adversary first in at least one sample, by the names that the evaluated
-            data set has.
-        samples: Samples that count.
-        colliding_samples: Those of them whose first contact within three seconds is with the adversary.
-        record: Directory of the run record.
+    ``failed`` scenes, by their names in the evaluated data set, are those in which it touches the adversary first in at
+    least one sample; ``colliding_samples`` are those whose first contact within 3 s is with the adversary.
     """
 
     planner: str
@@ -76,10 +67,7 @@ class SurrogateResult:
 
 
 def build_staging_plan(plan: DataSetPlan, planner: PlannerUnderTest) -> DataSetPlan:
-    """The data set that a planner is judged on: as the final one, but hidden below it.
-
-    It has no images unless the planner looks at them.
-    """
+    """The data set that a planner is judged on: as the final one, but hidden below it; with images if it looks."""
     renderer = plan.renderer if planner.images else None
     return replace(plan, root=plan.root / STATE_FOLDER / "surrogate" / "data", renderer=renderer)
 
@@ -87,15 +75,7 @@ def build_staging_plan(plan: DataSetPlan, planner: PlannerUnderTest) -> DataSetP
 def evaluate_surrogate(
     plan: DataSetPlan, keys: Sequence[str], planner: PlannerUnderTest, runs: Path, *, name: str, seed: int
 ) -> SurrogateResult:
-    """Finish a data set of written scenes and run a planner on it.
-
-    Args:
-        keys: Return values of `write_scene`.
-        seed: Seed of the record's intervals.
-
-    Raises:
-        InputError: If the planner fails on any sample, so that it cannot be said which scenes it copes with.
-    """
+    """Finish a data set of written scenes and run a planner on it, which is refused if it fails on any sample."""
     finish_data_set(plan, keys)
     data = open_data(plan.root, version=plan.version, name=name)
     settings = EvalSettings(protocols=(PROTOCOL,), workers=planner.workers, seed=seed)
@@ -130,10 +110,7 @@ def require_all_planned(record: RunRecord) -> None:
 
 
 def reuse_scenes(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> None:
-    """Put finished scenes of one data set into another without drawing them again; `write_scene` finds them complete.
-
-    The two are the same in all that the bytes of a scene depend on.
-    """
+    """Put finished scenes into another data set of the same bytes; `write_scene` then finds them complete."""
     for key in keys:
         fragment = read_stored_fragment(staging, key)
         if fragment is None:

@@ -39,14 +39,10 @@ from generation.nuscenes_writer.scenes import WrittenScene, read_state, read_sto
 class WritingJob:
     """One scene to write: a recording, or a variant of it.
 
-    Attributes:
-        variant: Number of its root in the ``per-variant`` layout; part of its tokens in any.
-        make: Turns the recorded scene into what is written; picklable, as jobs go to workers.
-        report: Its entry in ``challenger.json``.
-        last_attempt: Content key of the attempt that made its last adversary, and the place of that among the scene's
-            adversaries; ``None`` for a recording.
-        identity: Source of its tokens, if not its motion.
-        tracks: How its adversaries were made, if it is to be judged where it is written.
+    ``variant`` numbers its root in the ``per-variant`` layout and is part of its tokens in any. ``make`` turns the
+    recorded scene into what is written and goes to workers by pickle. ``last_attempt`` is the content key of the
+    attempt that made its last adversary, with that one's place; ``identity`` the source of its tokens, if not its
+    motion; ``tracks`` how its adversaries were made, if it is to be judged where it is written.
     """
 
     name: str
@@ -74,13 +70,10 @@ def write_scenes(
     timing: Path,
     label: str = "rendering",
 ) -> list[str]:
-    """Render and write scenes; those that are there already are left alone.
+    """Render and write scenes that are not there already; content keys for `finish_data_set` in the order of the jobs.
 
-    Content keys in the order of the jobs are for `finish_data_set`; the bytes do not depend on ``executor``.
-
-    Args:
-        read: Gives a recorded scene by name; called here, so that workers need not open the source.
-        timing: Folder for notes on how long rendering took; no result depends on them.
+    The bytes do not depend on ``executor``. ``read`` gives a recorded scene by name; it is called here, so that workers
+    need not open the source. No result depends on the notes in the folder ``timing``.
     """
     _remove_other_layout(plan)
     # Variants of one recording after each other: it is read once.
@@ -126,10 +119,7 @@ def publish_reports(root: Path, files: dict[str, bytes]) -> None:
 
 
 def mark_unfinished_if_changed(root: Path, files: dict[str, bytes]) -> bool:
-    """Take the mark of a finished data set away where other things are said of it than these.
-
-    It is true if other things were said, or nothing.
-    """
+    """Take a finished data set's mark away where its files say other things than these, or nothing; true if so."""
     if all((root / name).is_file() and (root / name).read_bytes() == data for name, data in files.items()):
         return False
     mark_unfinished(root)
@@ -155,11 +145,7 @@ class WrittenScenes:
 
 
 def _publish_rounds(written: WrittenScenes) -> None:
-    """Put the kept rounds of written scenes where scene pages look for them, and take those of others away.
-
-    Of a scene with several adversaries they are the last one's. A reader of the data set does not see them: they are no
-    part of its fingerprint.
-    """
+    """Put the rounds of scenes' last adversaries where scene pages look, outside of the fingerprint; remove others."""
     plan, wanted = written.plan, set()
     for job, key in zip(written.jobs, written.keys, strict=True):
         content = _read_rounds(plan, job, key)
@@ -280,10 +266,7 @@ def _remove_other_layout(plan: DataSetPlan) -> None:
 
 
 def mark_unfinished(root: Path) -> None:
-    """Take the mark of a finished data set away, lest it be read beside reports of another build.
-
-    Rounds and judgements go with it: they belong to the search that the reports are about.
-    """
+    """Remove a data set's mark, rounds and judgements, lest they be read beside reports of another build."""
     for path in (*_list_marks(root), *(root / KEPT_ROUNDS_FOLDER).glob("*")):
         with writing_to(path):
             # Another shard may remove it at the same moment.
@@ -291,10 +274,7 @@ def mark_unfinished(root: Path) -> None:
 
 
 def withdraw(root: Path) -> None:
-    """Take away the tables of an earlier build, lest they be taken for the result of one that found nothing.
-
-    Pictures and the writer's notes stay: the next build that succeeds uses or removes them.
-    """
+    """Remove an earlier build's tables, lest they pass for this one's, which found nothing; pictures stay for later."""
     if not (root / STATE_FOLDER).is_dir():
         return
     mark_unfinished(root)

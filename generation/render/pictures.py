@@ -30,10 +30,7 @@ _GAP_PX: Final = 4
 
 
 def choose_frames(scene: Scene, *, count: int = PANELS, step_s: float = 1.0) -> list[int]:
-    """Frames around the first adversary's closest approach, or spread over a scene without one.
-
-    They are in order; the closest approach is a little behind the middle.
-    """
+    """Frames in order around the first adversary's closest approach, a little behind the middle, or spread evenly."""
     last = len(scene.timestamps_us) - 1
     if not scene.adversaries:
         return [round(frame) for frame in np.linspace(0, last, count)]
@@ -70,10 +67,7 @@ def draw_scene_strip(
 
 
 def find_best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) -> str:
-    """The camera in which the adversaries appear largest over some frames.
-
-    It is ``CAM_FRONT``, or the first camera there is, where no adversary is in sight.
-    """
+    """The camera in which the adversaries appear largest over some frames; where none is in sight, the front one."""
     cameras = renderer.cameras(scene)
     names = [camera.name for camera in cameras]
     usual = "CAM_FRONT" if "CAM_FRONT" in names else names[0]
@@ -120,7 +114,6 @@ def write_pictures(data: DataSet, names: Sequence[str], folder: Path, renderer: 
 
 
 def _draw_label(picture: Picture, channel: str, width_px: int) -> Picture:
-    """A camera's picture as wide as a panel, with the camera's name."""
     height_px = max(round(picture.shape[0] * width_px / picture.shape[1]), 1)
     small = np.asarray(cv2.resize(picture, (width_px, height_px), interpolation=cv2.INTER_AREA), np.uint8)
     write_text(small, channel, (10.0, 14.0), size_px=13, plate=PAPER)

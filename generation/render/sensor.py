@@ -23,12 +23,7 @@ _STYLES: Final = {"first": FIRST, "second": SECOND}
 
 @dataclass(frozen=True, slots=True)
 class SchematicSensor:
-    """Draws from the ego's true pose, for the scene's own rig.
-
-    Attributes:
-        style: ``first`` or ``second`` (`generation.render.schematic.styles`): that of the data set's own images.
-        name: Part of the name of what was measured.
-    """
+    """Draws from the ego's true pose, for the scene's own rig, in the data set's ``first`` or ``second`` style."""
 
     style: str = "second"
     name: str = SCHEMATIC
@@ -47,20 +42,13 @@ class SchematicSensor:
 
 @dataclass(frozen=True, slots=True)
 class SchematicCameraViews:
-    """A scene made ready to be looked at.
-
-    ``cameras`` are the rig at the size that is drawn; ``stage`` has road, houses and trees, which do not change
-    from picture to picture.
-    """
+    """A rig at the drawn size in a scene whose road, houses and trees do not change from picture to picture."""
 
     cameras: tuple[Camera, ...]
     stage: PreparedScene
 
     def views(self, driven: Scene) -> dict[str, CameraView]:
-        """Pictures of now, as bytes in memory: nothing else of the world can be reached from them.
-
-        The last frame of the driven world is now.
-        """
+        """Pictures of now, the driven world's last frame, as bytes in memory: nothing else can be reached from them."""
         self.stage.go_on(driven)
         now = len(driven.timestamps_us) - 1
         pictures = self.stage.pictures(now)
@@ -78,5 +66,4 @@ class SchematicCameraViews:
 
 
 def _copy_writable(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A picture that its reader may change."""
     return picture.copy()

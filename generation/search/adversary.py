@@ -1,7 +1,4 @@
-"""One unit of work: one vehicle of one scene becomes an adversary (Algorithm 1).
-
-Pure: the same scene, vehicle, seed, settings and prior give the same track, on any machine at any time.
-"""
+"""One unit of work: one vehicle of one scene becomes an adversary (Algorithm 1), with the same track on any machine."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -37,11 +34,8 @@ ALGORITHM_VERSION = "4"
 class SearchOutcome:
     """Outcome of the search with one (scene, vehicle, seed).
 
-    Attributes:
-        finding: Why the result is not kept and what shows it, or ``None``.
-        poses: (T - start, 3) executed poses of the box centre; fewer where planning gave up, (0, 3) without launch.
-        rounds: Rounds of the search, if the whole track was planned and rounds are kept.
-        stage_seconds: Processor seconds of all tries by stage: sampling, physics, scoring, other (everything else).
+    ``poses`` are (T - start, 3), executed, of the box centre; fewer where planning gave up, (0, 3) without launch.
+    ``stage_seconds`` are processor seconds of all tries: sampling, physics, scoring, other (everything else).
     """
 
     attempt: Attempt
@@ -77,14 +71,9 @@ def search_vehicles(
     """Let vehicles challenge the ego from their launch to the end of the scene, with ``hyper.tries`` chances each.
 
     They are searched side by side, so that the diffusion model answers all of them in one call; each is as if alone.
-
-    Args:
-        vehicles: Recorded scenes and indices of vehicles in them; earlier adversaries are surroundings like any other.
-        diversify: Spread of the initial batch; by default the package's own, or none (``hyper.varied``).
-        model: Physics; those of ``hyper`` by default.
-        keep_rounds: Whether the candidates of every round are kept; no other result depends on it.
-        earlier: For each vehicle the launch frames of the adversaries that its scene has already, by identifier.
-        asked: Manoeuvre requested from each vehicle, ``None`` for any, which is the default for all.
+    Earlier adversaries are surroundings like any other; ``earlier`` has their launch frames by identifier, for each
+    vehicle. ``asked`` is the manoeuvre requested from each, ``None`` for any. No other result depends on
+    ``keep_rounds``.
     """
     model = model or hyper.motion_model()
     for scene, agent in vehicles:
@@ -105,7 +94,7 @@ def search_vehicles(
 
 
 def _compute_stage_seconds(simulated_and_scored: Mapping[str, float], spent: SearchSeconds) -> dict[str, float]:
-    """All of an attempt's seconds by stage; what a search does beside physics and scoring is ``other``."""
+    """Seconds of an attempt by stage; what a search does beside physics and scoring is ``other``."""
     other = spent.search - sum(simulated_and_scored.values())
     return {"sampling": spent.answers, "physics": 0.0, "scoring": 0.0, **simulated_and_scored, "other": other}
 
@@ -122,7 +111,7 @@ def _search_vehicle(
     earlier: Mapping[str, int],
     asked: Manoeuvre | None,
 ) -> SearchSteps[SearchOutcome]:
-    """Searches for one vehicle until one is kept or there is no use in another."""
+    """Search until a result is kept or there is no use in another try."""
     start = find_launch_frame(scene, agent, hyper)
     blank = _build_blank_outcome(scene.name, scene.agents.ids[agent], seed, start, asked)
     if start is None:
@@ -171,7 +160,6 @@ def _build_blank_outcome(
 
 
 def _assess(outcome: SearchOutcome, planning: AdversaryPlanning, earlier: Mapping[str, int]) -> SearchOutcome:
-    """The result with its verdict and its numbers."""
     agent, start = planning.agent, planning.start
     changed = planning.scene.with_adversary(agent, slice(start, start + len(outcome.poses)), outcome.poses)
     # The reference code makes all its checks at the planning frames.
@@ -221,7 +209,6 @@ def compute_scene_identity(scene: Scene) -> str:
 
 
 def _keep_unchanged(waypoints: Floats, rng: np.random.Generator) -> Floats:
-    """A first batch without any spread."""
     return waypoints
 
 

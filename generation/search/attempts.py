@@ -1,4 +1,4 @@
-"""Attempts as resumable work: found by content key on disk, computed where missing, wherever an executor puts them.
+"""Attempts as resumable work: found by content key on disk, computed where missing, by any executor.
 
 Workers never open the data set: they are sent the scene that they work on.
 """
@@ -65,11 +65,7 @@ class StoredAttempt(BaseModel):
 def read_or_compute_eligibility(
     search: Search, scene_name: str, earlier: tuple[EarlierAdversary, ...], read: Callable[[], Scene], *, keep: bool
 ) -> Eligibility:
-    """Vehicles of a scene that are tried; read from disk, or looked at and kept.
-
-    ``read`` gives the scene with its earlier adversaries; it is called only where the choice is not on disk.
-    ``keep`` says whether the choice is written.
-    """
+    """Vehicles of a scene that are tried, from disk if kept; ``read`` gives the scene with its earlier adversaries."""
     key, store = search.compute_eligibility_key(scene_name, earlier), open_eligibility_store(search)
     cached = store.get(key)
     if cached is not None and cached.scene_name == scene_name:
@@ -114,14 +110,9 @@ def run_attempts(
 ) -> list[StoredAttempt]:
     """Results of the units in their order; finished ones are read, missing ones are computed and kept.
 
-    Args:
-        scene_of: Gives the scene of a unit, with the earlier adversaries in it; called here, for missing units only.
-        together: Units that a worker plans side by side, which pays on an accelerator; no result depends on it.
-        keep_rounds: Whether the rounds of attempts that pass verification are kept as well. Those that were kept
-            without are searched again.
-
-    Raises:
-        InputError: If workers are lost, results cannot be written, or searching again gives another track.
+    ``scene_of`` gives the scene of a unit with the earlier adversaries in it, here and for missing units only. A worker
+    plans ``together`` units side by side, which pays on an accelerator; no result depends on it. With ``keep_rounds``,
+    attempts whose rounds are missing are searched again; an `InputError` says so where that gives another track.
     """
     stored_attempts = [read_cached_attempt(search, unit, with_rounds=keep_rounds) for unit in units]
     missing = [index for index, stored in enumerate(stored_attempts) if stored is None]
@@ -193,7 +184,6 @@ def _require_same_track(before: StoredAttempt, again: StoredAttempt) -> None:
 
 
 def _write_rounds(search: Search, unit: SearchUnit, scene: Scene, frames: tuple[TraceFrame, ...]) -> None:
-    """Keep what was searched, under the names that the source has."""
     trace = RefinementTrace(
         schema=SCHEMA,
         scene=unit.scene_name,
@@ -206,7 +196,7 @@ def _write_rounds(search: Search, unit: SearchUnit, scene: Scene, frames: tuple[
 
 
 def _check_earlier_adversaries(result: SearchOutcome, unit: SearchUnit, hyper: HyperParameters) -> SearchOutcome:
-    """The attempt, discarded if an earlier adversary would no longer pass verification beside it."""
+    """Discard an attempt beside which an earlier adversary would no longer pass verification."""
     if hyper.discards is DiscardRules.REFERENCE:
         return result
     limits = hyper.motion_model().limits

@@ -1,10 +1,6 @@
-"""Which background vehicles may become adversaries, when they launch, and how they move then.
+"""Background vehicles that may become adversaries, why the others may not, when they launch, and their reach.
 
 Appendix "The Adv-nuSc Dataset": up to 10 background vehicles that come close to the ego.
-
-Which vehicles can get in the way of the recorded ego, how soon, and whether they can stay near it afterwards.
-
-Which vehicles of a scene are tried as adversaries, and for each of the others why not.
 """
 
 from collections import Counter
@@ -67,8 +63,7 @@ class TakeoverStart:
 def compute_reach_s(scene: Scene, way: RecordedEgoPath, start: TakeoverStart, half_extent_m: float) -> Floats:
     """Time until a vehicle can be in the ego's way, driving an arc at a steady change of speed on the road.
 
-    (F,) seconds, infinite where it cannot, or where it could not stay in the area afterwards (``half_extent_m``:
-    half the side of the square around the ego).
+    (F,) seconds, infinite where it cannot, or could not stay in the area, of half side ``half_extent_m``, afterwards.
     """
     step = FRAMES_PER_KEYFRAME
     ahead = np.arange(round(SOONEST_S * FRAME_HZ), round(LATEST_S * FRAME_HZ) + 1, step)
@@ -125,11 +120,10 @@ def _is_staying(scene: Scene, frames: NDArray[np.int64], points: Floats, half_ex
 
 
 def find_launch_in_reach(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
-    """When a vehicle takes over: at the first frame from which it is in the ego's way within 3 s, else the soonest.
+    """First frame from which a vehicle is in the ego's way within 3 s, else the soonest; ``None`` if it can never be.
 
-    Frames are looked at every half second. As everywhere it has been there for the history, drives forwards, stands
-    on the road in the area around the ego, and enough of the scene is left. ``None`` where it can never get in the
-    ego's way.
+    Frames are looked at every half second. The vehicle has been there for the history, drives forwards, stands on the
+    road in the area around the ego, and enough of the scene is left.
     """
     valid = scene.agents.valid[agent]
     eligible = np.convolve(valid, np.ones(hyper.history_frames + 1), mode="full")[: len(valid)] > hyper.history_frames
@@ -199,10 +193,7 @@ def draw_candidates(scene: Scene, eligible: Sequence[int], hyper: HyperParameter
 
 
 def find_exclusion_reason(scene: Scene, agent: int, hyper: HyperParameters) -> ExclusionReason | None:
-    """First reason why an object cannot become an adversary, or ``None``.
-
-    An eligible vehicle comes close on the road and launches at a driving ego.
-    """
+    """First reason against an adversary; ``None`` if it comes close on the road and launches at a driving ego."""
     agents = scene.agents
     if agents.categories[agent] not in FOUR_WHEELED_CATEGORIES:
         return ExclusionReason.NOT_FOUR_WHEELED
@@ -247,10 +238,7 @@ def _find_own_exclusion(scene: Scene, agent: int, hyper: HyperParameters) -> Exc
 
 
 def compute_staying_share(scene: Scene, agent: int, hyper: HyperParameters) -> float:
-    """Share of the frames after its launch that an eligible vehicle's recording spends in the area around the ego.
-
-    It is more than 0.
-    """
+    """Share, more than 0, of the frames after its launch that a vehicle's recording is in the area around the ego."""
     launch = find_launch_frame(scene, agent, hyper)
     inside = is_in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m) & scene.agents.valid[agent]
     return float(inside[launch:].mean())
@@ -279,10 +267,9 @@ def find_launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int |
 
 
 def _find_launch_near_ego(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
-    """First frame at which an agent may take over near the ego.
+    """First frame at which an agent near the ego may take over.
 
-    It has been there for the history, is close enough to the ego, drives forwards without sliding, stands on the
-    road, and enough of the scene is left.
+    It has been there for the history, drives forwards without sliding on the road, and enough of the scene is left.
     """
     valid = scene.agents.valid[agent]
     has_history = (
@@ -312,10 +299,7 @@ class VehicleEligibility(BaseModel):
 
 
 class Eligibility(BaseModel):
-    """Four-wheeled vehicles of one scene, in its order, and which of them are tried.
-
-    ``objects`` only counts everything that is annotated.
-    """
+    """Four-wheeled vehicles of one scene and which of them are tried; ``objects`` counts everything annotated."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -338,10 +322,7 @@ class Eligibility(BaseModel):
         return {reason: count for reason, count in counts.items() if count}
 
     def row(self, earlier: tuple[str, ...]) -> dict[str, Any]:
-        """One line of ``candidates.jsonl``.
-
-        ``earlier`` are the instances that are adversaries already when these vehicles are looked at.
-        """
+        """One line of ``candidates.jsonl``; ``earlier`` are the instances that are adversaries already."""
         return {
             "scene": self.scene_name,
             "earlier": list(earlier),
@@ -364,10 +345,7 @@ def sum_exclusions(looks: Sequence[Eligibility]) -> dict[str, int]:
 
 
 def compute_eligibility(scene: Scene, hyper: HyperParameters, seed: int) -> Eligibility:
-    """Which vehicles of a scene are tried and why the others are not.
-
-    ``seed`` chooses where more than ``hyper.candidate_limit`` qualify.
-    """
+    """Vehicles of a scene that are tried, and why not the others; ``seed`` chooses among more than the limit."""
     reasons: dict[int, ExclusionReason | None] = {
         agent: find_exclusion_reason(scene, agent, hyper) for agent in range(len(scene.agents))
     }

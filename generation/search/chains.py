@@ -1,7 +1,6 @@
 """Scenes with one or more adversaries, each planned in the scene that the ones before it made.
 
-Appendix "Extending to Multiple Adversarial Vehicles": the generated scene is fed in again with another vehicle; earlier
-adversaries are environment.
+Appendix "Extending to Multiple Adversarial Vehicles": the generated scene is fed in again with another vehicle.
 """
 
 import functools
@@ -123,8 +122,7 @@ class AdversaryChain:
     def report(self) -> dict[str, Any]:
         """Report for ``challenger.json`` on the scene: the adversary's report, or one for each of several.
 
-        Judgements are in a file of their own (`benchmark.datasets.scene_assessments`): better definitions make no
-        other data set.
+        Judgements are elsewhere (`benchmark.datasets.scene_assessments`): better definitions make no other data set.
         """
         left_out = {"plans", "judgements"}
         reports = [link.attempt.model_dump(mode="json", exclude_unset=True, exclude=left_out) for link in self.links]
@@ -135,10 +133,7 @@ class AdversaryChain:
 
 @dataclass(frozen=True, slots=True)
 class RequestCounts:
-    """Requests for one kind of manoeuvre.
-
-    ``tried`` counts the vehicles that drive in a direction in which they can do it (`asked_manoeuvres.able`).
-    """
+    """Requests for one kind of manoeuvre; ``tried`` counts vehicles that drive in a direction that allows it."""
 
     vehicles: int = 0
     tried: int = 0
@@ -146,13 +141,7 @@ class RequestCounts:
 
 @dataclass(slots=True)
 class SearchResult:
-    """Outcome of a search.
-
-    Attributes:
-        eligibility: Every look at the vehicles of a scene, after the instances that were adversaries already.
-        chains: Generated scenes with the wanted number of adversaries.
-        requests: Where manoeuvres were asked for: how many vehicles each kind was asked of and how many were tried.
-    """
+    """Outcome of a search; ``eligibility`` pairs each look at a scene's vehicles with the adversaries by then."""
 
     eligibility: list[tuple[tuple[str, ...], Eligibility]] = field(default_factory=list)
     tried: list[SearchAttempt] = field(default_factory=list)
@@ -191,16 +180,11 @@ def search_chains(
     keep_rounds: bool = False,
     keep: bool = True,
 ) -> SearchResult:
-    """Search for scenes with a number of adversaries in each.
+    """Search for scenes with a number of adversaries in each, with the same result on every executor.
 
     Every vehicle that is chosen in a recorded scene and passes verification begins a chain. In each chain, vehicles
     are chosen again and tried; the one that challenges most goes on, and a chain in which none passes is dropped.
-    The result is the same with every executor.
-
-    Args:
-        together: Attempts that a worker plans side by side; no result depends on it.
-        keep_rounds: Whether rounds are kept of the last adversary of each chain: the others are as they are shown.
-        keep: Whether choices of vehicles are written.
+    ``keep_rounds`` keeps rounds of the last adversary of each chain: the others are as they are shown.
     """
     result, scenes = SearchResult(), _ChainScenes(source)
     chains = [AdversaryChain(name) for name in names]
@@ -231,7 +215,6 @@ def search_chains(
 
 
 def _start_chains(links: Sequence[SearchAttempt]) -> list[AdversaryChain]:
-    """Every first adversary is a chain of its own."""
     return [AdversaryChain(link.scene_name, (link,)) for link in links]
 
 
@@ -261,7 +244,6 @@ def _read_scene(scenes: "_ChainScenes", owner: Mapping[SearchUnit, AdversaryChai
 def _choose_vehicles(
     search: Search, chain: AdversaryChain, scenes: "_ChainScenes", *, keep: bool
 ) -> tuple[Eligibility, list[SearchUnit]]:
-    """Which vehicles of a scene are tried, and the vehicles to try in it."""
     vehicles = read_or_compute_eligibility(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
     units = [
         SearchUnit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in vehicles.chosen

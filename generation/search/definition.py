@@ -25,11 +25,9 @@ TRACE_VERSION: Final = "1"
 
 @dataclass(frozen=True, slots=True)
 class PackagedPrior:
-    """The diffusion model, loaded once in each process.
+    """The diffusion model, loaded once in each process; ``weights`` of ``None`` are those in the package.
 
-    Attributes:
-        weights: Its weights, ``None`` for those in the package.
-        device: Where the network runs; of several names, between commas, each worker takes one in turns.
+    Of several ``device`` names, between commas, each worker takes one in turns.
     """
 
     weights: Path | None = None
@@ -48,10 +46,7 @@ def _load_prior(weights: Path | None, device: str, sampler: SamplerSettings) -> 
 
 @dataclass(frozen=True, slots=True)
 class EarlierAdversary:
-    """An adversary that a scene has already.
-
-    ``key`` is the content key of the attempt that made it, ``start`` the frame of its launch.
-    """
+    """An adversary of a scene: content ``key`` of the attempt that made it, and frame ``start`` of its launch."""
 
     key: str
     agent: int
@@ -61,11 +56,7 @@ class EarlierAdversary:
 
 @dataclass(frozen=True, slots=True)
 class SearchUnit:
-    """One vehicle of one scene of the source.
-
-    ``earlier`` are the adversaries that the scene has already, in the order of their planning; ``asked`` is the
-    kind of manoeuvre that is asked for, if any.
-    """
+    """One vehicle of one scene of the source; ``earlier`` adversaries are in the order of their planning."""
 
     scene_name: str
     agent: int
@@ -78,13 +69,7 @@ class SearchUnit:
 class Search:
     """Everything that decides what an attempt gives.
 
-    Attributes:
-        fingerprint: Of the data set.
-        prior_fingerprint: Of the diffusion model.
-        state: Where finished work is kept.
-        timings: Where notes on how long it took are kept.
-        asked: Kinds of manoeuvre that every vehicle is asked for, one attempt each; none for one attempt that may do
-            anything.
+    ``asked`` are kinds of manoeuvre that every vehicle is asked for, one attempt each; none for one free attempt.
     """
 
     fingerprint: str

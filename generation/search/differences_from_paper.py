@@ -1,7 +1,7 @@
-"""Where the presets ``paper`` and ``reference`` do not follow what they are named after, each with its reason.
+"""Differences of the presets ``paper`` and ``reference`` from what they are named after, each with its reason.
 
-One list for ``generate --preset NAME --dry-run`` and for ``docs/generation.md``, which a test compares. What the paper
-leaves open is no departure; `INTERPRETATIONS` says how it is read and what each reading kept where it was tried.
+Shown by ``generate --preset NAME --dry-run`` and in ``docs/generation.md``. What the paper leaves open is no departure;
+`INTERPRETATIONS` says how it is read and what each reading kept where it was tried.
 """
 
 from dataclasses import dataclass, fields
@@ -25,10 +25,7 @@ class PresetDifference:
 
 @dataclass(frozen=True, slots=True)
 class PaperInterpretation:
-    """A point that the paper leaves open or says in two ways, and the preset's reading of it.
-
-    ``why`` tells which other readings were tried and what they kept, or why none was.
-    """
+    """A point that the paper leaves open; ``why`` tells what other readings kept, or why none was tried."""
 
     open: str
     taken: str
@@ -222,10 +219,7 @@ INTERPRETATIONS: Final[tuple[PaperInterpretation, ...]] = (
 
 
 def list_differences(preset: str, hyper: HyperParameters) -> tuple[PresetDifference, ...]:
-    """Departures of a search from what its preset is named after (``paper`` or ``reference``).
-
-    Settings that were changed are departures, too; ``default`` follows neither and has none.
-    """
+    """Departures of a search, changed settings too, from what its preset is named after; ``default`` has none."""
     match preset:
         case "paper":
             known, preset_hyper = PAPER, HyperParameters.paper()

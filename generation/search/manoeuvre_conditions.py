@@ -1,8 +1,8 @@
 """How far a candidate is from what the label of a manoeuvre asks for (docs/manoeuvres.md), condition by condition.
 
-Every kind is a few conditions in the frame of the ego's driven path. Each condition is turned into metres that are
-missing until it holds, so that candidates that do not do it yet can be told apart; docs/generation.md has the table.
-Bodies are rectangles of the straight path here, where labels project every corner: the label decides in the end.
+Each condition, in the frame of the ego's driven path, is turned into metres that are missing until it holds;
+docs/generation.md has the table. Bodies are rectangles of the straight path here, where labels project every corner:
+the label decides in the end.
 """
 
 from collections.abc import Callable
@@ -51,12 +51,10 @@ _SIDES: Final = {"left": 1.0, "right": -1.0}
 
 @dataclass(frozen=True, slots=True)
 class EgoAtFrames:
-    """The ego at S frames: (S,) their indices, their times, stations of its centre, and speeds in m/s.
+    """The ego at S frames: (S,) indices, times, stations of its centre, and speeds.
 
-    Attributes:
-        soon: (S,) station of its front 3 s later; beyond the scene's end it goes on as fast as at the end.
-        recent: (S,) station of its rear 3 s before, not before the scene's first frame.
-        half_width: Of the ego, and of the strip that it sweeps.
+    ``soon`` is the (S,) station of its front 3 s later, beyond the scene's end as fast as at the end; ``recent`` that
+    of its rear 3 s before, not before the first frame.
     """
 
     way: RecordedEgoPath
@@ -92,16 +90,11 @@ class EgoAtFrames:
 
 @dataclass(frozen=True)
 class ManoeuvrePlacement:
-    """Candidates beside the ego, (B, S) each.
+    """Candidates beside the ego, (B, S) each, in metres, radians and m/s.
 
-    Attributes:
-        offset: Of the centre, left of the path is positive.
-        turn: Heading relative to the path's.
-        speed: Of the vehicle, m/s.
-        along: The part of it along the path.
-        braking: Deceleration along the path over the second around each frame, m/s^2.
-        half_length: Half the extent along the path.
-        half_width: Half the extent across it.
+    ``offset`` is of the centre, left of the path positive; ``turn`` is relative to the path. ``along`` is the speed
+    along the path, ``braking`` the deceleration along it over the second around each frame, m/s^2. Half extents are
+    along and across the path.
     """
 
     ego: EgoAtFrames
@@ -116,10 +109,7 @@ class ManoeuvrePlacement:
 
     @classmethod
     def of(cls, ego: EgoAtFrames, center: Floats, speed: Floats, size: Floats) -> "ManoeuvrePlacement":
-        """Place candidates at the ego's S frames.
-
-        (B, S, 3) poses of box centres, (B, S) speeds in m/s, (2,) length and width.
-        """
+        """Place (B, S, 3) poses of box centres, with (B, S) speeds and (2,) length and width, at the ego's S frames."""
         station, offset, turn = ego.way.places(center, ego.frames[0], ego.frames[-1])
         cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
         along = speed * np.cos(turn)
@@ -218,7 +208,7 @@ def _compute_missing_cut_in(placed: ManoeuvrePlacement, side: float) -> Floats:
 
 
 def _approach_cut_in(placed: ManoeuvrePlacement, side: float) -> Floats:
-    """Past the ego on the outside: who is behind it or abreast cannot come in."""
+    """Past the ego on the outside: a vehicle behind it or abreast cannot come in."""
     return (
         _PREPARING_M
         + placed.missing_outside(side)
@@ -229,7 +219,6 @@ def _approach_cut_in(placed: ManoeuvrePlacement, side: float) -> Floats:
 
 
 def _let_ego_pass(placed: ManoeuvrePlacement) -> Floats:
-    """Likewise the other way round: let the ego pass."""
     return _PREPARING_M + placed.missing_outside(0.0) + placed.missing_fallen_back() + placed.missing_heading(0.0)
 
 

@@ -1,7 +1,4 @@
-"""Manoeuvres on request: what an adversary is asked for, whether it can do it, and when it has done it.
-
-How far a candidate is from a kind is `generation.search.manoeuvre_conditions`.
-"""
+"""Manoeuvres on request: what an adversary is asked for, whether it can do it, and when it has done it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,10 +27,7 @@ LOOK_AHEAD_FRAMES: Final = 48
 
 @dataclass(frozen=True, slots=True)
 class ManoeuvreRequest:
-    """A kind of manoeuvre that one adversary is asked for.
-
-    ``scene`` is the one before the adversary acts, ``start`` the frame of its launch.
-    """
+    """A manoeuvre asked of one adversary, in the scene before it acts; ``start`` is the frame of its launch."""
 
     kind: Manoeuvre
     scene: Scene
@@ -41,14 +35,10 @@ class ManoeuvreRequest:
     start: int
 
     def at(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[Floats, Floats], Floats]:
-        """Distance of candidates from the manoeuvre that was asked for, at a planning frame.
+        """Function of (B, S, 3) poses and (B, S) speeds that gives the (B,) mean of `compute_missing`, metres.
 
-        Args:
-            offsets: S frames after it that are scored; every half second of them is looked at.
-            track: (F, 3) executed poses of the box centre from the launch to the planning frame.
-
-        Returns:
-            A function of (B, S, 3) poses and (B, S) speeds that gives the mean of `compute_missing`, (B,) metres.
+        Of the S frames after the planning frame every half second is looked at; ``track`` are the (F, 3) executed poses
+        of the box centre from the launch to that frame.
         """
         ahead = EgoLookahead.of(self.scene, frame, offsets)
         ego, columns = EgoAtFrames.of(self.scene, ahead.frames, ahead.way), list(ahead.columns)
@@ -108,9 +98,8 @@ def parse_manoeuvre(name: str) -> Manoeuvre:
 def can_perform(kind: Manoeuvre, scene: Scene, agent: int, start: int) -> bool:
     """Whether a vehicle drives in a direction that allows the requested manoeuvre; none turns round for it.
 
-    Returns:
-        For `ONCOMING`, whether it is opposing at the launch; for `CROSSING`, whether its recording is ever across
-        the ego's path from then on; for every other kind, whether it is not opposing at the launch.
+    For `ONCOMING` it is opposing at the launch; for `CROSSING` its recording is ever across the ego's path from then
+    on; for every other kind it is not opposing at the launch.
     """
     boxes, present = read_agent_boxes(scene, agent), scene.agents.valid[agent]
     turn = np.abs(compute_path_interaction(scene.ego.boxes, boxes, scene.seconds, present, start).other.turn)

@@ -1,7 +1,4 @@
-"""The planning frames of one adversary: searched one after the other, the best candidate executed up to the next.
-
-Discard rules of the public reference code: a bad score, or a place far from the ego. Contact is no reason.
-"""
+"""Planning frames of one adversary, and the discard rules of the reference code: bad score or place, never contact."""
 
 import time
 from collections.abc import Callable
@@ -64,12 +61,7 @@ def find_distance_failure(scene: Scene, centers: Floats, first: int) -> Verifica
 
 @dataclass(frozen=True, slots=True)
 class PlannedTrack:
-    """Executed track of an adversary, and how it was planned.
-
-    Attributes:
-        poses: (F, 3) executed poses from the launch on.
-        gave_up: Why the rest was not planned: what `verify` could only discard; ``None`` if nothing was left out.
-    """
+    """(F, 3) executed poses of an adversary from the launch on, how they were planned, and why the rest was not."""
 
     poses: Floats
     plans: tuple[PlanningFrame, ...]
@@ -81,10 +73,8 @@ class PlannedTrack:
 class AdversaryPlanning:
     """Planning frames of one adversary, one after the other.
 
-    Attributes:
-        rng: Source of every random number.
-        stages: Seconds of physics and scoring are added here.
-        road_around: (3,) pose around which the road is looked at; by default the ego's, at each planning frame.
+    ``stages`` collects seconds of physics and scoring. ``road_around`` is the (3,) pose around which the road is looked
+    at, by default the ego's at each planning frame.
     """
 
     scene: Scene
@@ -138,7 +128,7 @@ class AdversaryPlanning:
         return compute_initial_state(self.scene, self.agent, self.start, self.model.limits)
 
     def _compute_next_state(self, refinement: Refinement, steps: int, track: Floats) -> VehicleState:
-        """Motion at the next planning frame: where the executed candidate has got to, or what two positions say."""
+        """Motion at the next planning frame: of the executed candidate, or what two positions say."""
         if self.hyper.motion is ExecutionModel.REFERENCE:
             return self._compute_state_from_positions(self.start + len(track) - 1, track)
         return refinement.motion.state(refinement.chosen, steps)
@@ -228,7 +218,6 @@ class AdversaryPlanning:
         return build_surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
 
     def _build_raster(self, frame: int) -> DrivableRaster:
-        """Drivable area around the ego's lidar at a planning frame, or around the pose that was given."""
         pose = self.road_around
         if pose is None:
             pose = self.scene.ego.pose[frame]
@@ -245,16 +234,15 @@ class AdversaryPlanning:
         return None if wish.is_fulfilled(track) else wish.at(frame, offsets, track)
 
     def _compute_distances(self, frame: int, track: Floats) -> Floats:
-        """Distances from its centre to the ego's rear axle, from the frame before the launch to ``frame``."""
+        """(F,) from its centre to the ego's rear axle, from the frame before the launch to ``frame``."""
         first = max(self.start - 1, 0)
         centers = np.stack([self._find_pose(at, track)[:2] for at in range(first, frame + 1)])
         return np.asarray(np.linalg.norm(centers - self.scene.ego.pose[first : frame + 1, :2], axis=1))
 
     def _find_previous_pose(self, frame: int, state: VehicleState, track: Floats) -> Floats:
-        """Own pose (3,) half a second ago in the local frame: recorded before the launch, executed after.
+        """Own rear-axle pose (3,) half a second ago in the local frame: recorded before the launch, executed after.
 
-        Of the rear axle; the reference code takes the box centre four frames ago. A vehicle that was not there yet had
-        its present speed.
+        The reference code takes the box centre four frames ago. A vehicle that was not there yet had its present speed.
         """
         if self.hyper.motion is ExecutionModel.REFERENCE:
             return compute_reference_previous(
@@ -277,7 +265,6 @@ class AdversaryPlanning:
         return np.array([*agents.position[self.agent, frame, :2], agents.yaw[self.agent, frame]])
 
     def _touched(self, frame: int, executed: Floats) -> str | None:
-        """Agent that is touched first, or ``None``."""
         frames = frame + 1 + np.arange(len(executed))
         size = np.broadcast_to(self.scene.agents.size[self.agent, :2], (len(executed), 2))
         boxes = np.column_stack([executed[:, :2], size, executed[:, 2]])

@@ -1,8 +1,7 @@
 """The settings that a search starts from: this project's, the paper's text, or the public reference code.
 
-This project has two: ``default`` threatens (`generation.search.threat`), and ``near`` is what the default was before,
-when it asked for nearness alone as the paper does. The frozen splits mini-adv-1 and mini-adv-2 are of that search,
-mini-adv-3 is of the default.
+``near`` is this project's before it threatened, with the paper's nearness alone: the search of the frozen splits
+mini-adv-1 and mini-adv-2. mini-adv-3 is of ``default``.
 """
 
 from collections.abc import Mapping, Sequence

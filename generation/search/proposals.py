@@ -1,7 +1,7 @@
 """Requests of searches to a diffusion model, and batching of many searches.
 
-A search is a generator: it yields a request for trajectories and is sent the answer. One search alone and many side by
-side run through the same code (`run_searches`), so that a model on an accelerator can answer all of them in one call.
+A search is a generator: it yields a request for trajectories and is sent the answer. One alone and many side by side
+run through the same code (`run_searches`), so that an accelerator answers all of them in one call.
 """
 
 import time
@@ -18,13 +18,7 @@ Outcome = TypeVar("Outcome")
 
 @dataclass(frozen=True, slots=True)
 class SamplingRequest:
-    """A request for new trajectories by the full reverse process.
-
-    Attributes:
-        count: How many.
-        previous: (3,) pose half a second ago in the rear-axle frame of the vehicle now.
-        rng: All chance; it belongs to one search.
-    """
+    """A request for new trajectories; ``previous`` is the (3,) pose half a second ago in the rear-axle frame now."""
 
     count: int
     previous: Floats
@@ -33,14 +27,7 @@ class SamplingRequest:
 
 @dataclass(frozen=True, slots=True)
 class MutationRequest:
-    """A request for variants of trajectories by a truncated diffusion process.
-
-    Attributes:
-        waypoints: (B, 16, 3) trajectories to change.
-        noise_level: Diffusion steps that are added and taken away again.
-        previous: (3,) pose half a second ago.
-        rng: All chance; it belongs to one search.
-    """
+    """A request for variants of (B, 16, 3) waypoints by ``noise_level`` diffusion steps and back."""
 
     waypoints: Floats
     noise_level: int
@@ -72,20 +59,14 @@ Diversify = Callable[[Floats, np.random.Generator], Floats]
 
 @dataclass(frozen=True, slots=True)
 class SearchSeconds:
-    """Processor seconds of one search: of its own, and of the answers that it got.
-
-    ``answers`` takes an equal share of each call that was shared.
-    """
+    """Processor seconds of one search; ``answers`` takes an equal share of each call that was shared."""
 
     answers: float
     search: float
 
 
 def run_searches(searches: Sequence[SearchSteps[Outcome]], prior: Prior) -> tuple[list[Outcome], list[SearchSeconds]]:
-    """Run fresh searches side by side until each has ended; gives what each returned, and how long it took.
-
-    All requests that are open at a time are answered in one call.
-    """
+    """Run fresh searches side by side until each has ended; all requests open at a time are answered in one call."""
     outcomes: dict[int, Outcome] = {}
     answering, searching = [0.0] * len(searches), [0.0] * len(searches)
     waiting: dict[int, Request] = {}

@@ -55,10 +55,7 @@ def compute_challenge_score(scene: Scene, agent: int, start: int) -> float:
 
 
 def rank_scenes(results: Sequence[AnyRankedScene], *, per_scene: int | None, total: int | None) -> list[AnyRankedScene]:
-    """The most challenging scenes, best first; ties are broken by name, so that the order is always the same.
-
-    ``per_scene`` limits those of one original scene, ``total`` all; ``None`` keeps all.
-    """
+    """The most challenging scenes, best first, ties by name; at most ``per_scene`` of one recording."""
     order = sorted(results, key=lambda result: (-result.challenge, result.scene_name, result.agent_id))
     taken: Counter[str] = Counter()
     selected: list[AnyRankedScene] = []

@@ -26,16 +26,10 @@ SPEED_FRAMES: Final = FRAMES_PER_KEYFRAME // 2
 
 @dataclass(frozen=True, slots=True)
 class RecordedEgoPath:
-    """The recorded ego along its own path.
+    """The recorded ego along its own path: (V,) vertices and (T,) frames, metres, radians and m/s, global.
 
-    Attributes:
-        points: (V, 2) of the path, metres, global.
-        headings: (V,) of the path there, radians.
-        stations: (V,) metres along it.
-        station: (T,) of the ego's centre.
-        speed: (T,) of the ego along the path, m/s.
-        overrun: (T,) metres by which an ego that had kept one of its speeds of the last 3 s would be ahead of it, at
-            most, within a second.
+    ``station`` is of the ego's centre. ``overrun`` is how far an ego that had kept one of its speeds of the last 3 s
+    would be ahead of it, at most, within a second (`compute_overrun`).
     """
 
     points: Floats
@@ -92,11 +86,9 @@ def compute_smooth_speed(station: Floats, seconds: Floats) -> Floats:
 
 
 def compute_overrun(station: Floats, speed: Floats) -> Floats:
-    """Distance ahead of the recorded ego at which one would be that had kept its speed.
+    """Distance, (T,) metres, ahead of the recorded ego at which one would be that had kept its speed.
 
-    ``o(t) = max over t' in {t, t - 0.5 s, ..., t - 3 s} of s(t') + u(t') (t - t') - s(t)``.
-
-    (T,) metres, not negative, of (T,) stations in metres and speeds in m/s.
+    ``o(t) = max over t' in {t, t - 0.5 s, ..., t - 3 s} of s(t') + u(t') (t - t') - s(t)``, which is not negative.
     """
     over = np.zeros(len(station))
     step = round(PLAN_STEP_S * FRAME_HZ)

@@ -1,7 +1,4 @@
-"""Where a recorded vehicle is around the ego, and how it moves at a frame: what a hand-over starts from.
-
-Check that the recorded ego passes: its own trajectory, scored as the metrics score a plan.
-"""
+"""Motion of recorded vehicles around the ego at a hand-over, and contacts of the recorded ego as metrics score them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +17,7 @@ from benchmark.scene import Scene
 
 
 def find_log_replay_contacts(scene: Scene, agents: NDArray[np.int64] | None = None) -> Bools:
-    """Which agents the recorded ego touches when a metric replays the scene from its 2 Hz annotations.
-
-    (N,) verdicts for ``agents``, all by default; False for those that were not tested.
-    """
+    """(N,) whether the recorded ego touches ``agents`` when a metric replays the scene from its 2 Hz annotations."""
     chosen = np.arange(len(scene.agents)) if agents is None else agents
     contacts = np.zeros(len(scene.agents), dtype=np.bool_)
     if len(scene.keyframes) < 2 or not len(chosen):
@@ -47,8 +41,8 @@ def _interpolate_annotations(scene: Scene, chosen: NDArray[np.int64]) -> tuple[F
 def _compute_ego_footprints(scene: Scene) -> list[tuple[Floats, slice]]:
     """Metric footprints (I, 5, 5) of the recorded ego with the keyframe intervals they belong to.
 
-    The first has the real heading over the whole scene; the others are what a protocol makes of the recorded future
-    of each sample, whose headings are chords between waypoints.
+    The first has the real heading over the whole scene; the others are what a protocol makes of the recorded future of
+    each sample, whose headings are chords between waypoints.
     """
     pose = compute_planar_lidar_poses(scene)
     footprints = [(interpolate_footprints(pose[:-1], pose[1:]), slice(0, len(pose) - 1))]
@@ -103,11 +97,10 @@ def is_driving_forward(scene: Scene, agent: int, frame: int) -> bool:
 
 
 def compute_initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits | None) -> VehicleState:
-    """Motion of a recorded vehicle at the hand-over, so that the new track goes on where the old one stops.
+    """Rear-axle motion of a recorded vehicle at the hand-over, so that the new track goes on where the old one stops.
 
-    Speed is signed along the heading and then not negative (the reference lost the sign: reversing cars shot
-    ahead). The state is that of the rear axle. It is brought inside ``limits``; without any, only the steering
-    inside that of the physics.
+    Speed is signed along the heading and then not negative (the reference lost the sign: reversing cars shot ahead).
+    The state is brought inside ``limits``; without any, only the steering inside that of the physics.
     """
     velocity, acceleration, yaw_rate = _fit_motion(scene, agent, frame)
     yaw = float(scene.agents.yaw[agent, frame])

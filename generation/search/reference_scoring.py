@@ -1,11 +1,8 @@
-"""The score of the public reference code, beside the paper's (`generation.search.scoring`); lower is better.
+"""The score of the public reference code, beside the paper's, and its rules before: choice, launch, initial motion.
 
 It looks at all 81 poses of a candidate, weighs the far ones little, squares distances to the ego, inflates the
-candidate where boxes are intersected, and gives candidates that would touch the ego the worst challenge of the batch.
-What the paper says in their place is in `generation.search.differences_from_paper`. Vectorised over candidates, poses
-and objects.
-
-Rules of the public reference code before its score: choice of vehicles, launch times, initial motion.
+candidate where boxes are intersected, and gives candidates that would touch the ego the worst challenge of the batch
+(`generation.search.differences_from_paper`). Lower is better.
 """
 
 from collections.abc import Sequence
@@ -54,12 +51,10 @@ KEPT_SHARE: Final = 0.7
 
 @dataclass(frozen=True, slots=True)
 class ReferenceTerms(ScoreTerms):
-    """The terms of the reference code; S poses, the planning frame's among them.
+    """The terms of the reference code's score at S poses, the planning frame's among them.
 
-    Attributes:
-        corners_off: (B, S) how many of the four points that pass for corners are off the road.
-        hits_ego: (B,) whose inflated box touches the ego's soon; they get the worst challenge of the batch.
-        challenged: Whether the challenge counts in this planning frame (`is_challenge_on`).
+    ``corners_off`` (B, S) counts the four points that pass for corners. ``hits_ego`` (B,) marks an inflated box that
+    touches the ego's soon: it gets the worst challenge. ``challenged`` is `is_challenge_on`.
     """
 
     corners_off: NDArray[np.int64]
@@ -68,10 +63,9 @@ class ReferenceTerms(ScoreTerms):
 
     @classmethod
     def challenges(cls, batches: Sequence[Self]) -> Floats:
-        """The challenge mapped to [0, 1] over R batches together, (R, B).
+        """The challenge mapped to [0, 1] over R batches together, (R, B); zeros where it is switched off.
 
-        Candidates that hit the ego count where the smallest value is looked for, and then get the largest. Zeros where
-        the challenge is switched off.
+        Candidates that hit the ego count where the smallest value is looked for, and then get the largest.
         """
         raw, finite, hits = (
             np.stack([getattr(b, name) for b in batches]) for name in ("challenge", "finite", "hits_ego")
@@ -108,10 +102,9 @@ def build_reference_surroundings(
 ) -> ScoringSurroundings:
     """Everything but one agent as the reference code sees it, the ego 7 m long around its lidar.
 
-    It is challenged at its rear axle. Objects that are absent in a frame are left out. In the reference code they
-    are boxes without a size at the ego's lidar, well inside the ego's box: touching one is touching the ego, so
-    that no verdict changes. The first of the S frames is the planning frame, at which ``raster`` has the drivable
-    area around the ego's lidar; ``ego_center`` of the result is the rear axle.
+    ``ego_center`` is the rear axle. Objects that are absent in a frame are left out. In the reference code they are
+    boxes without a size at the ego's lidar, well inside the ego's box: touching one is touching the ego, so that no
+    verdict changes. The first of the S frames is the planning frame, of which ``raster`` is.
     """
     around = build_surroundings(scene, agent, frames, raster)
     pose = scene.ego.pose[np.asarray(frames)]
@@ -131,15 +124,10 @@ def compute_lidar_positions(scene: Scene) -> Floats:
 def compute_reference_terms(
     center: Floats, size: Floats, around: ScoringSurroundings, *, challenged: bool = True
 ) -> ReferenceTerms:
-    """The terms of the reference code's score.
+    """The terms of the reference code's score, of (B, S, 3) box centres from the planning frame on.
 
-    Args:
-        center: (B, S, 3) poses of the candidates' box centres from the planning frame on; S is 81, or as many as the
-            scene has left.
-        around: Surroundings at the same S frames, the ego last (`build_reference_surroundings`).
-
-    Returns:
-        The terms. Poses beyond the ends of the raster are read at its border, as the reference code does.
+    S is 81, or as many as the scene has left, in ``around`` too, the ego last (`build_reference_surroundings`). Poses
+    beyond the ends of the raster are read at its border, as the reference code does.
     """
     poses = center.shape[1]
     finite = np.isfinite(center).all(axis=(1, 2))
@@ -181,11 +169,10 @@ def is_drivable_at_border(raster: DrivableRaster, points: Floats) -> Bools:
 
 
 def compute_corner_points(center: Floats, size: Floats) -> Floats:
-    """The points (B, S, 4, 2) that the reference code takes for the corners of a box.
+    """The points (B, S, 4, 2), metres, global, that the reference code takes for the corners of a box.
 
-    Half the width along x times the cosine, half the length along y times the sine of the heading: no rotation.
-    Heading along x, all four lie on a line through the middle of the vehicle. Metres, global, from (B, S, 3) poses
-    of box centres.
+    Half the width along x times the cosine, half the length along y times the sine of the heading: no rotation. Heading
+    along x, all four lie on a line through the middle of the vehicle.
     """
     signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
     half = 0.5 * size[::-1] * np.stack([np.cos(center[..., 2]), np.sin(center[..., 2])], axis=-1)
@@ -196,10 +183,8 @@ def compute_corner_points(center: Floats, size: Floats) -> Floats:
 class ReferenceContacts:
     """Collisions as the reference code counts them.
 
-    Attributes:
-        sure: (B, S) nearer to something than half the short edges; no other test is made there.
-        collision: (B, S) those, and those whose inflated box is met.
-        hits_ego: (B,) whose box meets the ego's and no other object's at one of the first 14 poses.
+    ``sure`` (B, S) are nearer than half the short edges; ``collision`` (B, S) those, and those whose inflated box is
+    met; ``hits_ego`` (B,) has a box that meets the ego's and no other object's at one of the first 14 poses.
     """
 
     sure: Bools
@@ -209,11 +194,10 @@ class ReferenceContacts:
 
 
 def find_reference_collisions(center: Floats, size: Floats, around: ScoringSurroundings) -> ReferenceContacts:
-    """Collisions as the reference code counts them.
+    """Collisions as the reference code counts them, of (B, S, 3) finite poses; the ego is last in ``around``.
 
-    At every pose: nearer than half the short edges collides. Nearer than half the long edges, at poses 0 to 13, 16,
-    20 and 24: the candidate's box, 1.2 times its size, is intersected. ``center`` holds (B, S, 3) finite poses,
-    ``around`` the objects at the same frames, the ego last.
+    At every pose: nearer than half the short edges collides. Nearer than half the long edges, at poses 0 to 13, 16, 20
+    and 24: the candidate's box, 1.2 times its size, is intersected.
     """
     boxes = np.empty((center.shape[1], center.shape[0], 5))
     boxes[..., [0, 1, 4]] = center.transpose(1, 0, 2)
@@ -254,12 +238,9 @@ def _do_inflated_meet(first: Floats, second: Floats) -> Bools:
 def is_challenge_on(distance_m: Floats, launch: int, frame: int, rng: np.random.Generator) -> bool:
     """Whether the challenge counts at a planning frame: off in half of those, after 3 s, at which it is near.
 
-    The reference draws once a frame from a stream that other draws shift; here the search's own generator is asked.
-
-    Args:
-        distance_m: (T,) from the adversary's centre to the ego's rear axle, from the frame before the launch on at
-            least up to the frame before this one.
-        rng: Asked once, whether or not it is needed, so that chance does not hang on distances.
+    ``distance_m`` (T,) is from the adversary's centre to the ego's rear axle, from the frame before the launch to the
+    one before this at least. The reference draws from a stream that other draws shift; here the search's own generator
+    is asked once in any case, so that chance does not hang on distances.
     """
     drawn = rng.random()
     smoothed = 0.0
@@ -299,10 +280,7 @@ def is_in_reference_canvas(scene: Scene, agent: int) -> Bools:
 
 
 def is_near_and_on_road(scene: Scene, agent: int) -> tuple[bool, bool]:
-    """Whether the reference code would edit a vehicle: comes within 20 m of the lidar, and is on the road while near.
-
-    A vehicle that is never in the area has neither.
-    """
+    """Whether the reference code would edit a vehicle: within 20 m of the lidar at some time, and on the road then."""
     canvas = is_in_reference_canvas(scene, agent)
     if not canvas.any():
         return False, False
@@ -312,10 +290,9 @@ def is_near_and_on_road(scene: Scene, agent: int) -> tuple[bool, bool]:
 
 
 def find_reference_launch(scene: Scene, agent: int) -> int | None:
-    """First frame, not before 20, at which the reference code takes a vehicle over.
+    """First frame, from 20 to 140, at which the reference code takes a vehicle over, or ``None``.
 
-    ``None`` if there is none up to frame 140, and where the vehicle was not there over the history that is read,
-    which the reference code does not ask: it goes on with positions of nothing.
+    ``None`` too where the history is missing, which that code does not ask: it goes on with positions of nothing.
     """
     valid = scene.agents.valid[agent]
     near = valid & (compute_lidar_distance(scene, agent) < LAUNCH_WITHIN_M)

@@ -1,8 +1,6 @@
 """Multi-round trajectory refinement: sample, score, resample, renew with a little diffusion noise, repeat.
 
-Paper section 3 "Multi-round Trajectory Refinement", Algorithm 1 lines 4-18 and appendix of the same name.
-
-The rounds of a search as they are shown: candidates and scores at every planning frame (``rounds.json``).
+Paper section 3 "Multi-round Trajectory Refinement", Algorithm 1 lines 4-18, appendix of that name; ``rounds.json``.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,11 +31,7 @@ class EvaluatedBatch:
 
 @dataclass(frozen=True, slots=True)
 class RoundSummary:
-    """Outcome of one round.
-
-    ``scores`` are (B,) final scores, normalised within the round; ``collision_free`` counts candidates without
-    contact over the horizon.
-    """
+    """(B,) scores of one round, normalised within it, and how many candidates have no contact over the horizon."""
 
     scores: Floats
     collision_free: int
@@ -45,15 +39,7 @@ class RoundSummary:
 
 @dataclass(frozen=True, slots=True)
 class Refinement:
-    """Result of one planning frame.
-
-    Attributes:
-        waypoints: (16, 3) chosen trajectory.
-        motion: Batch that the chosen one belongs to.
-        chosen: Its index in ``motion``.
-        round: Its round, 0 is the initial batch.
-        score: Its final score, normalised over all rounds together.
-    """
+    """Chosen (16, 3) trajectory of one planning frame; round 0 is the initial batch, ``score`` compares all rounds."""
 
     waypoints: Floats
     motion: SimulatedMotion
@@ -86,15 +72,8 @@ def refine(
 ) -> SearchSteps[Refinement]:
     """Search one planning frame; yields its requests to the diffusion model (`generation.search.proposals`).
 
-    Args:
-        evaluate: Simulates and scores (B, 16, 3) waypoints.
-        previous: (3,) pose half a second ago in the local frame.
-
-    Returns:
-        The best candidate of all rounds, or of the last one (``hyper.best_of_all_rounds``).
-
-    Raises:
-        NothingToDraw: If the resampling underflows.
+    ``evaluate`` takes (B, 16, 3) waypoints, ``previous`` is the (3,) pose half a second ago in the local frame. The
+    result is the best candidate of all rounds, or of the last one (``hyper.best_of_all_rounds``).
     """
     waypoints = diversify((yield SamplingRequest(hyper.candidates, previous, rng)), rng)
     batches: list[SearchedBatch] = []
@@ -115,16 +94,10 @@ def refine(
 
 
 def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Draw a batch with replacement with probability softmax(-score x temperature).
+    """(B,) indices drawn with replacement with probability softmax(-score x temperature); lower scores are better.
 
-    Args:
-        scores: (B,) lower is better; infinite ones are never drawn.
-
-    Returns:
-        (B,) indices. Uniform over the finite ones without scoring, over all where none is finite.
-
-    Raises:
-        NothingToDraw: If every weight underflows, which only an unstable softmax can do.
+    Infinite scores are never drawn. Uniform over the finite ones without scoring, over all where none is finite;
+    `NothingToDraw` if every weight underflows, which only an unstable softmax can do.
     """
     finite = np.isfinite(scores)
     if not finite.any():
@@ -143,10 +116,7 @@ def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -
 
 
 def compare_scores(batches: Sequence[SearchedBatch], hyper: HyperParameters) -> Floats:
-    """Final scores by which rounds compare, the challenge normalised over all of them together.
-
-    (R, B) of R rounds of as many candidates each; lower is better, infinite where a candidate must never be chosen.
-    """
+    """(R, B) scores with the challenge normalised over all rounds; lower is better, infinite is never chosen."""
     terms = [batch.evaluated.terms for batch in batches]
     finite = np.stack([batch_terms.finite for batch_terms in terms])
     challenge = terms[0].challenges(terms)
@@ -160,7 +130,6 @@ def compare_scores(batches: Sequence[SearchedBatch], hyper: HyperParameters) -> 
 def _find_best(
     batches: Sequence[SearchedBatch], hyper: HyperParameters, rng: np.random.Generator
 ) -> tuple[int, int, float]:
-    """Round, index and score of the best candidate of all rounds that count."""
     skipped = 0 if hyper.best_of_all_rounds else len(batches) - 1
     score = compare_scores(batches[skipped:], hyper)
     if hyper.scored:
@@ -193,11 +162,7 @@ def build_trace_frame(
     hyper: HyperParameters,
     model: MotionModel,
 ) -> TraceFrame:
-    """Candidates and scores that were searched at one planning frame.
-
-    Candidates are relative to the origin of the scene's sheet; for scores by which rounds compare, the challenge is
-    normalised over all rounds of the frame together.
-    """
+    """Candidates relative to the sheet's origin and scores, the challenge normalised over all rounds of the frame."""
     steps = max(SHOWN_FRAMES, hyper.scored_frames[-1])
     length_m, origin_m = float(scene.agents.size[agent, 0]), np.array(find_origin(scene))
     rounds, place = [], 0
@@ -222,13 +187,7 @@ def build_trace_frame(
 
 
 def select_shown_candidates(scores: Floats, drawable: NDArray[np.bool_], chosen: int | None) -> NDArray[np.int64]:
-    """Increasing indices, at most `SHOWN_CANDIDATES`, of the candidates of a round that are kept.
-
-    Args:
-        scores: (B,) lower is better.
-        drawable: (B,) whether the motion is finite; other candidates are not kept.
-        chosen: Index that is among them in any case, if drawable.
-    """
+    """Increasing indices, at most `SHOWN_CANDIDATES`, of drawable candidates that are kept, the chosen one included."""
     order = np.argsort(scores, kind="stable")
     order = order[drawable[order]]
     if len(order) > SHOWN_CANDIDATES:

@@ -1,6 +1,6 @@
 """Trajectory scorer: drivable area compliance, collisions, adversarial challenge; lower is better.
 
-Paper section 3 "Trajectory Scorer" and appendix "Trajectory Scoring". Vectorised over candidates, frames and objects.
+Paper section 3 "Trajectory Scorer" and appendix "Trajectory Scoring".
 """
 
 from collections.abc import Sequence
@@ -24,12 +24,8 @@ ROUNDING_M2, UNDERSTATED = 1e-6, 1.0 - 1e-12
 class ScoringSurroundings:
     """Objects and road that a candidate can hit, leave and approach; S scored frames, M objects.
 
-    Attributes:
-        boxes: (S, M, 5) boxes of everything but the candidate; the ego's body is among them, with raster footprints
-            of it if they were asked for.
-        present: (S, M) whether the object is there.
-        ego_center: (S, 2) centre of the ego's body.
-        raster: Drivable area around the ego at the planning frame.
+    ``boxes`` (S, M, 5) are of everything but the candidate; the ego's body is among them, with raster footprints of it
+    if asked for. ``ego_center`` is (S, 2); ``raster`` is around the ego at the planning frame.
     """
 
     boxes: Floats
@@ -40,20 +36,12 @@ class ScoringSurroundings:
 
 @dataclass(frozen=True, slots=True)
 class ScoreTerms:
-    """The three terms of B candidates before weighting.
+    """The three terms of B candidates at S frames before weighting.
 
-    Attributes:
-        center_off_road: (B, S) centre off the drivable area.
-        corner_off_road: (B, S) any corner off the drivable area.
-        collision: (B, S) contact with any object.
-        distance: (B, S) centre to centre distance to the ego.
-        dac: (B,) drivable area compliance score.
-        cr: (B,) collision score.
-        challenge: (B,) ACScore' of the appendix, not yet normalised.
-        finite: (B,) False for candidates that must never be chosen.
-        asked: (B,) metres that are missing to the manoeuvre that was asked for, if one was
-            (`generation.search.manoeuvre_conditions`), not yet normalised.
-        further: (B,) weighted sum of the terms of `generation.search.threat`; ``None`` where none has a weight.
+    ``distance`` is centre to centre to the ego, metres; ``dac`` and ``cr`` are the (B,) scores of drivable area and
+    collision. ``challenge`` (ACScore' of the appendix) and ``asked`` (metres missing to the requested manoeuvre,
+    `generation.search.manoeuvre_conditions`) are not yet normalised. Candidates that are not ``finite`` must never be
+    chosen; ``further`` is the weighted sum of `generation.search.threat`, ``None`` where none has a weight.
     """
 
     center_off_road: Bools
@@ -89,10 +77,9 @@ class ScoreTerms:
 def build_surroundings(
     scene: Scene, agent: int, frames: tuple[int, ...], raster: DrivableRaster, *, raster_ego: bool = False
 ) -> ScoringSurroundings:
-    """Everything but one agent at some frames; the ego comes last.
+    """Everything but one agent at some frames, without objects that are absent throughout; the ego comes last.
 
-    Objects that are absent throughout are left out. ``raster`` is around the ego at the planning frame; with
-    ``raster_ego`` the ego is there as the rasters of protocols show it, too (`HyperParameters.raster_ego`).
+    With ``raster_ego`` the ego is there as the rasters of protocols show it, too (`HyperParameters.raster_ego`).
     """
     at = np.asarray(frames)
     is_present = scene.agents.valid[:, at].any(axis=1)
@@ -107,7 +94,6 @@ def build_surroundings(
 
 
 def _select_boxes(scene: Scene, rows: NDArray[np.int64], at: NDArray[np.int64]) -> Floats:
-    """(S, M, 5) boxes of some agents at some frames."""
     agents = scene.agents
     grid = np.ix_(rows, at)
     size = np.broadcast_to(agents.size[rows, None, :2], (len(rows), len(at), 2))
@@ -118,13 +104,9 @@ def _select_boxes(scene: Scene, rows: NDArray[np.int64], at: NDArray[np.int64]) 
 def compute_score_terms(
     center: Floats, size: Floats, around: ScoringSurroundings, hyper: HyperParameters, *, speed: Floats | None = None
 ) -> ScoreTerms:
-    """The three terms (appendix: DACScore, CRScore, ACScore').
+    """The three terms (appendix: DACScore, CRScore, ACScore') of (B, S, 3) poses of box centres.
 
-    Args:
-        center: (B, S, 3) poses of the candidates' box centres at ``hyper.scored_frames``, or at fewer of them where
-            the scene ends.
-        around: Surroundings at the same S frames.
-        speed: (B, S) of the candidates, metres per second; needed for a headway.
+    S are ``hyper.scored_frames``, or fewer where the scene ends; (B, S) ``speed`` in m/s is needed for a headway.
     """
     finite = np.isfinite(center).all(axis=(1, 2))
     if speed is not None:
@@ -167,7 +149,6 @@ def _arrange_by_step(center: Floats, size: Floats, finite: Bools) -> Floats:
 
 
 def _is_any_corner_off(boxes: Floats, raster: DrivableRaster) -> Bools:
-    """(...) whether any corner of a box is off the drivable area."""
     on_road = raster.look_up(box_corners(boxes))
     return np.asarray(~on_road.all(axis=-1))
 
@@ -175,14 +156,11 @@ def _is_any_corner_off(boxes: Floats, raster: DrivableRaster) -> Bools:
 def find_collisions(
     boxes: Floats, around: ScoringSurroundings, reading: CollisionReading = CollisionReading.GEOMETRY
 ) -> Bools:
-    """Whether candidates collide with any present object (appendix, CollisionScore; three steps, see `build_columns`).
+    """(B, S) whether (B, S, 5) boxes collide with any present object (appendix, CollisionScore; see `build_columns`).
 
-    With ``GEOMETRY`` this is contact: the broad phase rejects pairs whose circumscribed circles are apart, which
-    never changes the answer. (B, S) verdicts.
-
-    Args:
-        boxes: (B, S, 5) boxes of the candidates. Clearance or headway that they were grown by counts in all three
-            steps: a grown vehicle has grown edges, too.
+    With ``GEOMETRY`` this is contact: the broad phase rejects pairs whose circumscribed circles are apart, which never
+    changes the answer. Clearance or headway that boxes were grown by counts in all three steps: a grown vehicle has
+    grown edges, too.
     """
     own = build_columns(boxes.transpose(1, 0, 2), reading)
     other = build_columns(around.boxes, reading)
@@ -231,8 +209,7 @@ def build_columns(boxes: Floats, reading: CollisionReading) -> Floats:
 def find_near_pairs(own: Floats, other: Floats, present: Bools) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs (P,) of candidate and object, counted over steps and boxes, that are not farther than the outer bound.
 
-    Squared distances minus squared bounds are one matrix product a step. They are understated a little, which
-    only adds pairs.
+    Squared distances minus squared bounds are one matrix product a step; understated a little, which only adds pairs.
     """
     (x, y, reach), (other_x, other_y, other_reach) = own[[0, 1, 7]], other[[0, 1, 7]]
     near = present.copy()
@@ -259,10 +236,7 @@ def find_near_pairs(own: Floats, other: Floats, present: Bools) -> tuple[NDArray
 
 
 def normalise_challenge(challenge: Floats, finite: Bools) -> Floats:
-    """ACScore of the appendix: ACScore' mapped to [0, 1] over the batch.
-
-    (B,) values, zeros where all are equal; ``finite`` says which take part.
-    """
+    """ACScore of the appendix: (B,) ACScore' mapped to [0, 1] over the finite candidates, zeros where all are equal."""
     if not finite.any():
         return np.zeros_like(challenge)
     low, high = challenge[finite].min(), challenge[finite].max()

@@ -1,9 +1,7 @@
-"""Terms that ask a candidate to threaten the ego as traffic does, beside the paper's, which asks for nearness alone.
+"""Terms that ask a candidate to threaten the ego as traffic does and not to drive against lanes, beside the paper's.
 
-``docs/generation.md``, "Terms of a threat", has each as an equation. All are means over half seconds of what is
-scored, so that weights compare with those of the paper's terms, and lower is better.
-
-Which way lanes lead, for candidates that must not drive against traffic.
+``docs/generation.md``, "Terms of a threat", has each as an equation. All are means over half seconds of what is scored,
+so that weights compare with those of the paper's terms, and lower is better.
 """
 
 import functools
@@ -115,12 +113,8 @@ FREE_SHARE: Final = 0.6
 class EgoLookahead:
     """Knowledge at a planning frame of the S scored frames that count, half a second apart where there are such.
 
-    Attributes:
-        columns: (S,) which of the scored frames they are.
-        offsets: (S,) frames after the planning frame.
-        way: The ego's way.
-        frames: (S,) frames of the scene.
-        ego: (S, 3) poses of the ego's rear axle.
+    ``columns`` says which of the scored frames they are, ``offsets`` counts frames after the planning frame; ``ego``
+    are the (S, 3) poses of its rear axle.
     """
 
     columns: tuple[int, ...]
@@ -152,14 +146,11 @@ class EgoLookahead:
 
 @dataclass(frozen=True)
 class ThreatPlacement:
-    """B candidates at S frames, along the ego's way.
+    """B candidates at S frames, along the ego's way, in metres and m/s.
 
-    Attributes:
-        room: (B, S) metres from the ego's front to the candidate's rear, negative where they overlap or it is behind.
-        lag: (B, S) metres from the candidate's front to the ego's rear.
-        side: (B, S) metres from the ego's strip to the candidate, negative where it reaches in.
-        closing: (B, S) m/s by which the ego is faster along the way.
-        ego_speed: (S,) m/s.
+    ``room`` is from the ego's front to the candidate's rear, negative where they overlap or it is behind; ``lag`` from
+    the candidate's front to the ego's rear; ``side`` from the ego's strip to the candidate, negative where it reaches
+    in; ``closing`` by how much the ego is faster along the way. (B, S); ``ego_speed`` is (S,).
     """
 
     room: Floats
@@ -170,10 +161,7 @@ class ThreatPlacement:
 
     @classmethod
     def of(cls, ahead: EgoLookahead, center: Floats, speed: Floats, size: Floats) -> "ThreatPlacement":
-        """Place candidates at the S frames.
-
-        (B, S, 3) poses of box centres, (B, S) speeds in m/s, (2,) length and width.
-        """
+        """Place (B, S, 3) poses of box centres, with (B, S) speeds and (2,) length and width, at the S frames."""
         way = ahead.way
         station, offset, turn = way.places(center, ahead.frames[0], ahead.frames[-1])
         cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
@@ -263,10 +251,7 @@ def build_threat_rating(
     around: ScoringSurroundings,
     hyper: HyperParameters,
 ) -> Callable[[SimulatedMotion], Floats]:
-    """Function of the motion of B candidates that gives the (B,) weighted sums of the terms at a planning frame.
-
-    ``offsets`` are the frames after it that are scored, ``around`` has what is there at them.
-    """
+    """Function of B motions for the (B,) weighted sums of terms at a frame; ``offsets`` after it are scored."""
     ahead = EgoLookahead.of(scene, frame, offsets)
     size = scene.agents.size[agent, :2]
     columns = list(ahead.columns)

@@ -1,7 +1,4 @@
-"""Weights of the terms that ask a candidate to threaten the ego, and not merely to be near it; all 0 in the paper.
-
-Values of settings, from text.
-"""
+"""Weights of the terms that ask a candidate to threaten the ego, all 0 in the paper, and their values from text."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum

@@ -1,8 +1,6 @@
-"""Verification of adversarial scenes: challenging, drivable, and passable for the recorded ego.
+"""Verification of adversarial scenes: challenging, drivable, and passable for the recorded ego in official protocols.
 
 Paper section 3 (last paragraph of "Multi-round Trajectory Refinement") and appendix "The Adv-nuSc Dataset".
-
-Ground-truth checks: whether the recorded ego is clear of an adversary under the official protocols.
 """
 
 from collections import Counter
@@ -35,11 +33,9 @@ from generation.splits.format import METRE_DIGITS, YAW_DIGITS
 def find_recorded_contacts(
     scene: Scene, instances: Collection[str], protocols: Iterable[str]
 ) -> dict[str, tuple[Bools, Bools]]:
-    """Contacts that protocols find of the recorded ego: at the key frames of the data set, as they see it from each.
+    """Contacts of the recorded ego at key frames, by protocol, with these instances and with anything else.
 
-    Returns:
-        For each protocol two times (K, 6) verdicts for K samples and the steps after them, False where the recording
-        has ended: contact with one of these instances, and contact with anything else.
+    Each is (K, 6) verdicts for K samples and the steps after them, False where the recording has ended.
     """
     known = find_masking_protocols()
     truths = stack(compute_truth(scene, [""] * len(scene.keyframes)))
@@ -51,11 +47,7 @@ def find_recorded_contacts(
 
 
 def count_masked_steps(scene: Scene) -> dict[str, MaskedSteps]:
-    """Steps of a scene that each protocol with a ground-truth check takes from every planner.
-
-    They are counted by protocol: steps at which the recorded ego touches an adversary, and those at which it
-    touches others alone.
-    """
+    """Steps that each protocol's ground-truth check takes from every planner, for an adversary or for others alone."""
     return {
         name: MaskedSteps(adversary=int(own.sum()), others=int((others & ~own).sum()))
         for name, (own, others) in find_recorded_contacts(scene, scene.adversaries, find_masking_protocols()).items()
@@ -80,8 +72,8 @@ def format_masked_steps(sums: Mapping[str, Mapping[str, int]]) -> str:
 def compute_raster_footprints(scene: Scene, frames: NDArray[np.int64]) -> Floats:
     """The recorded ego as the rasters of the native protocols show it, wherever key frames may lie.
 
-    At a frame that a plan reaches at its k-th step the ego looks as it did k half seconds before. (S, 6, 5) boxes,
-    one for each step of (S,) frames: what any of the rasters covers on average.
+    At a frame that a plan reaches at its k-th step the ego looks as it did k half seconds before. (S, 6, 5) boxes, one
+    for each step of (S,) frames: what any of the rasters covers on average.
     """
     rasters = [known for known in map(find_protocol, NATIVE_PROTOCOLS) if isinstance(known, RasterProtocol)]
     ends = np.stack([raster.mean_ends_m for raster in rasters])
@@ -132,13 +124,9 @@ class DiscardReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class VerificationFailure:
-    """A reason to discard a scene, and what shows it.
+    """A reason to discard a scene, and the first frame at which it shows; ``other`` was touched, or is ``ego``.
 
-    Attributes:
-        frame: First frame at which it shows, where there is one.
-        other: Instance identifier of what was touched, or ``ego``.
-        quantity: Measured quantity, with its unit.
-        limit: How much was allowed, or needed.
+    ``quantity`` has its unit, ``limit`` is what was allowed or needed.
     """
 
     reason: DiscardReason
@@ -162,10 +150,9 @@ EGO = "ego"
 def verify(
     scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits | None
 ) -> VerificationFailure | None:
-    """First reason to discard an adversarial scene, ``None`` to keep it.
+    """First reason to discard an adversarial scene, ``None`` to keep it: all of ours, or those that the paper names.
 
-    All of our reasons are looked at, or those alone that the paper names. ``start`` is the first frame of the
-    adversarial track; ``limits`` of ``None`` are of planning without any: the usual ones are asked for.
+    ``start`` is the first frame of the adversarial track; without ``limits`` of planning the usual ones are asked for.
     """
     boxes = read_agent_boxes(scene, agent)[start:]
     if not np.isfinite(boxes).all():
@@ -242,8 +229,8 @@ def check_fairness(
 ) -> VerificationFailure | None:
     """Why a scene that passed everything else asks too much of its driver (``docs/severity.md``), if it does.
 
-    Either no driver could have avoided it, or the careful and competent human touches something: no planner is to
-    blame for what that driver does not avoid. There is one judgement for each adversary.
+    Either no driver could have avoided it, or the careful and competent human touches something: no planner is to blame
+    for what that driver does not avoid. There is one judgement for each adversary.
     """
     if hyper.solvable and is_unsolvable(judgements):
         return VerificationFailure(DiscardReason.UNSOLVABLE)
@@ -264,10 +251,7 @@ def _interpolate_annotations(scene: Scene) -> Scene:
 def find_contacts(
     boxes: Floats, scene: Scene, agent: int, frames: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Step of each contact of a track with another present agent, ascending, and the index of that agent.
-
-    (F, 5) boxes at (F,) frames; ``agent`` is the track's own, which is left out.
-    """
+    """Step of each contact, ascending, of a track ((F, 5) boxes) with another present agent, and that agent's index."""
     at = frames
     present = scene.agents.valid[:, at].copy()
     present[agent] = False

@@ -142,7 +142,6 @@ def build_town_data_set(root: Path, settings: TownSettings, *, workers: int) -> 
 
 
 def _read_drive_record(folder: Path) -> DriveRecord:
-    """The only record of drives in a folder."""
     records = find_drives(folder)
     if len(records) != 1:
         raise InputError(
@@ -152,7 +151,6 @@ def _read_drive_record(folder: Path) -> DriveRecord:
 
 
 def _read_drives(settings: TownSettings) -> dict[int, PlannerDrive]:
-    """Drives of training scenes, by the number of the scene."""
     if settings.driven is None:
         return {}
     if settings.off_path or settings.train_scenes:

@@ -39,22 +39,12 @@ _MARK: Final = "frozen.json"
 
 @dataclass(frozen=True, slots=True)
 class FrozenBuildReport:
-    """Report of a built frozen split.
+    """Report of a built frozen split; the scenes are ``written`` most challenging first.
 
-    Attributes:
-        name: Of the frozen split.
-        content: Its content hash.
-        scenes: Recorded scenes used.
-        written: Names of the scenes, most challenging first.
-        other_tables: Scenes whose tables differ from those that were frozen.
-        images: Renderer and settings of the frozen image hashes, if the images here could be compared.
-        other_images: Scenes whose images differ.
-        verified_by: Version of the search that verified the scenes; they are not verified anew.
-        unsolvable: Scenes that no driver could have avoided (``docs/severity.md``); kept as frozen.
-        masked_steps: By protocol, steps that are masked for every plan (`BuildReport.masked_steps`).
-        estimate: How much work there is (dry run only).
-        split: Name of the split.
-        faults: Faults in the motion of adversaries, by scene; only of edited scenes, which are not verified.
+    ``other_tables`` and ``other_images`` are scenes that differ from the frozen ones; ``images`` is the renderer of the
+    frozen hashes, if the images here could be compared. Scenes are not verified anew: ``verified_by`` is the version of
+    the search that did. ``unsolvable`` ones (``docs/severity.md``) are kept as frozen; ``masked_steps`` is as in
+    `BuildReport`; ``faults`` in the motion of adversaries are of edited scenes, which are not verified.
     """
 
     name: str
@@ -199,10 +189,7 @@ def build_frozen(
 def require_rebuildable(
     source: DataSet, split: NamedSplit, settings: BuildSettings, as_split: str
 ) -> tuple[DataSetPlan, list[tuple[FrozenScene, int]], FrozenBuildReport]:
-    """Refuse what cannot be built from a frozen split, as `build_frozen` does.
-
-    It gives the data set to write, its scenes with the numbers of their variants, and the report on both.
-    """
+    """Refuse as `build_frozen`; gives the data set to write, scenes with numbers of their variants, and the report."""
     require_seed(as_split, split.frozen.search.seed, f"frozen split {split.name}")
     chosen = split.chosen(settings.scenes, settings.limit)
     content = split.frozen.content_id
@@ -291,11 +278,7 @@ def _build_plan(source: DataSet, split: NamedSplit, as_split: str, settings: Bui
 def build_frozen_jobs(
     source: DataSet, plan: DataSetPlan, chosen: Sequence[tuple[FrozenScene, int]], split: NamedSplit
 ) -> tuple[list[WritingJob], list[str], dict[str, dict[str, int]]]:
-    """Way in which scenes of a frozen split are written.
-
-    ``chosen`` has each scene with the number of its variant; with the jobs come the hash of each scene's tables,
-    and the masked steps of all scenes.
-    """
+    """Jobs of scenes with the numbers of their variants, hashes of their tables, and masked steps of all scenes."""
     built: dict[int, tuple[WritingJob, str]] = {}
     masked = []
     for index in sorted(range(len(chosen)), key=lambda index: (chosen[index][0].source, index)):
@@ -323,7 +306,7 @@ def build_frozen_jobs(
 def _find_other_images(
     plan: DataSetPlan, frozen: ImageMetadata | None, chosen: Sequence[tuple[FrozenScene, int]], keys: Sequence[str]
 ) -> tuple[ImageMetadata | None, tuple[str, ...]]:
-    """Images that were compared, and the scenes whose images are not those that were frozen."""
+    """The compared images, and the scenes whose images are not those that were frozen."""
     other = []
     for (scene, _), key in zip(chosen, keys, strict=True):
         fragment = read_stored_fragment(plan, key)

@@ -13,10 +13,7 @@ from generation.splits.packaged import read_newest_split
 
 
 def build_cached_root(source: DataSet, renderer: Renderer, workers: int, say: Callable[[str], None]) -> Path:
-    """Root of the newest frozen split; built where it is not finished, key frames only.
-
-    ``say`` is told which split it is, and what came of building it.
-    """
+    """Root of the newest frozen split; built where it is not finished, key frames only. ``say`` is told of it."""
     from benchmark.machine.workers import LocalProcesses
     from generation.pipeline.settings import BuildSettings
     from generation.splits.building import build_frozen
@@ -34,10 +31,7 @@ def build_cached_root(source: DataSet, renderer: Renderer, workers: int, say: Ca
 
 
 def list_scene_names(data: str, split: str, root: Path) -> tuple[str, ...]:
-    """Names of a generated split's scenes, read from a finished root or else from the newest frozen split.
-
-    They are in the order of the data set.
-    """
+    """Names of a generated split's scenes, in its order, from a finished root or else from the newest frozen split."""
     if is_finished(root):
         return list_scenes(root, split)
     return tuple(sorted(scene.name for scene in read_newest_split(data, split).frozen.scenes))

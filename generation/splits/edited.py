@@ -97,7 +97,6 @@ def build_edited_split(source: DataSet, path: Path, edited: EditedScenes | None 
 
 
 def _read_recording(source: DataSet, exchanged: ExchangedScene, file: Path) -> Scene:
-    """The recording of an edited scene."""
     names = source.scene_names(None)
     recorded_name = next((name for name in (exchanged.source_scene, exchanged.scene.name) if name in names), None)
     if recorded_name is None:
@@ -110,11 +109,7 @@ def _read_recording(source: DataSet, exchanged: ExchangedScene, file: Path) -> S
 
 
 def build_edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene:
-    """Change of an edited scene in its recording: the scene with its adversaries, without hashes.
-
-    The adversaries are in the order in which they depart from the recording; ``file`` is for messages. Errors as in
-    `build_edited_split`.
-    """
+    """Change of an edited scene in its recording, adversaries in order of departure, without hashes."""
     _require_same_drive(scene, recorded, file)
     rows = _match_objects(scene, recorded, file)
     adversaries = []
@@ -153,7 +148,6 @@ def _require_same_drive(scene: Scene, recorded: Scene, file: Path) -> None:
 
 
 def _match_objects(scene: Scene, recorded: Scene, file: Path) -> NDArray[np.int64]:
-    """Index in the edited scene of each recorded object."""
     ids = {name: row for row, name in enumerate(scene.agents.ids)}
     # Generated scenes that share a root have new identifiers, derived from those of the recording.
     called = [name if name in ids else make_token("instance", scene.name, name) for name in recorded.agents.ids]

@@ -1,7 +1,7 @@
 """The file of a frozen split, checked at the edge: tracks of adversaries, and what they are put into.
 
-Nothing of the recordings is in it but names, instance identifiers and, for each adversary, the pose in which it was
-recorded at its launch (docs/frozen-splits.md).
+Nothing of the recordings is in it but names, instance identifiers and each adversary's recorded pose at its launch
+(docs/frozen-splits.md).
 """
 
 from pathlib import Path
@@ -38,14 +38,7 @@ class _FrozenModel(BaseModel):
 
 
 class FrozenAdversary(_FrozenModel):
-    """One adversary of a scene.
-
-    Attributes:
-        instance: Identifier of the vehicle in the recordings.
-        launch_frame: Frame (12 Hz) from which on it follows the track.
-        recorded: Where the recording has it at that frame.
-        track: Where it is instead, from that frame to the last one.
-    """
+    """One adversary: from ``launch_frame`` (12 Hz), where it was ``recorded``, it follows the track to the end."""
 
     instance: _Name
     launch_frame: Annotated[int, Field(ge=0, le=1_000_000)]
@@ -54,14 +47,9 @@ class FrozenAdversary(_FrozenModel):
 
 
 class FrozenScene(_FrozenModel):
-    """One scene.
+    """One scene, with its adversaries in the order in which they were planned.
 
-    Attributes:
-        name: Its name in the split.
-        source: Name of the recorded scene.
-        adversaries: In the order in which they were planned.
-        tables: Hash of its tables, numbers rounded to a nanometre (`generation.splits.tracks`).
-        images: Hash of its key frames' images, if they were compared.
+    ``tables`` is a hash with numbers rounded to a nanometre (`generation.splits.tracks`), ``images`` one of key frames.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)]
@@ -93,14 +81,9 @@ class RecordingsIdentity(_FrozenModel):
 
 
 class SearchMetadata(_FrozenModel):
-    """Facts on the search.
+    """Hashes that identify a search, and its seed.
 
-    Attributes:
-        algorithm: Version of the algorithm.
-        hyper: Hash of its settings.
-        prior: Hash of its trajectory model.
-        seed: The seed.
-        solvable: Whether scenes that no driver could have avoided were dropped; older files do not say, and none were.
+    ``solvable`` says whether scenes that no driver could have avoided were dropped; none were in files without.
     """
 
     algorithm: str
@@ -125,18 +108,10 @@ class FrozenRejection(_FrozenModel):
 
 
 class SceneChoice(_FrozenModel):
-    """Choice of the scenes.
+    """Choice of the scenes: numbers tried and kept, and limits, of which null keeps all.
 
-    Attributes:
-        scenes: Recorded scenes looked at.
-        tried: Vehicles tried.
-        survived: Scenes that passed verification.
-        per_scene: Most kept of one recorded scene, null for all.
-        total: Most kept at all, null for all.
-        surrogate: Planner that fails every scene, if one was asked.
-        rejected: Scenes that inspectors rejected, if they did; files without have no such field.
-        variants: Most kept of one recorded scene where they were to differ; likewise.
-        asked: Kinds of manoeuvre that were asked for, if any; likewise.
+    ``surrogate`` fails every scene, if one was asked. Files without inspectors' rejections, ``variants`` that were to
+    differ or ``asked`` manoeuvres have no such fields.
     """
 
     scenes: int
@@ -168,18 +143,7 @@ class ImageMetadata(_FrozenModel):
 
 
 class FrozenSplit(_FrozenModel):
-    """A frozen split.
-
-    Attributes:
-        format: Format name of the file.
-        schema_version: Version of the format.
-        split: Name of the split.
-        recordings: Data set that it was made from.
-        search: Identity of the search.
-        chosen: How its scenes were chosen.
-        images: Renderer and settings of the scenes' image hashes; null if there are none.
-        scenes: The scenes, most challenging first.
-    """
+    """A frozen split, its scenes most challenging first; ``images`` is null if no scene has an image hash."""
 
     format: Literal["challenger-bench frozen split"] = FORMAT
     schema_version: Annotated[int, Field(alias="schema")] = SCHEMA
@@ -238,10 +202,7 @@ def read_frozen(path: Path) -> FrozenSplit:
 
 
 def require_freezable(split: str, path: Path) -> None:
-    """Refuse, before a long search, what could not be frozen after it.
-
-    It must be searched for, the folder be there, and nothing else have the name.
-    """
+    """Refuse, before a long search, what could not be frozen after it: no search, no folder, or a taken name."""
     if not is_adversarial(split):
         raise InputError(f"only adv can be frozen, because {split} involves no search; leave --freeze out")
     if path.exists() and not path.is_file():

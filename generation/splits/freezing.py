@@ -39,10 +39,7 @@ def freeze_split(
     chosen: SceneChoice,
     executor: Executor,
 ) -> FrozenSplit:
-    """Freeze scenes, best first; nothing depends on where images are drawn.
-
-    The images of the data set of ``plan``, which was built, are compared later.
-    """
+    """Freeze scenes, best first; where images are drawn changes nothing: those of ``plan`` are compared later."""
     assert plan.source is not None
     images = build_image_facts(plan, source.scene(chains[0].scene_name))
     order = sorted(range(len(chains)), key=lambda index: (chains[index].scene_name, index))

@@ -1,7 +1,4 @@
-"""Frozen splits by name: those that come with the package, and any file.
-
-Splits that are searched with several seeds: which search each comes from, and their frozen files.
-"""
+"""Frozen splits by name: packaged ones, any file, and files of one search with several seeds."""
 
 import re
 from collections.abc import Sequence
@@ -27,11 +24,9 @@ class NamedSplit:
     path: Path | None = field(default=None, compare=False)
 
     def chosen(self, scenes: Sequence[str] | None, limit: int | None) -> list[tuple[FrozenScene, int]]:
-        """Some of its scenes, each with its number among the variants of its recording.
+        """Some scenes, of the first ``limit`` recordings, each with its number among the variants of its recording.
 
-        Args:
-            scenes: Names of its scenes, or of recorded ones for all that are made of them; ``None`` for all.
-            limit: Only those of the first so many recorded scenes.
+        ``scenes`` are names in the split, or of recorded scenes for all that are made of them; ``None`` for all.
         """
         variant_counts: dict[str, int] = {}
         numbered = []
@@ -100,10 +95,7 @@ def read_frozen_split(file: str | Path) -> NamedSplit:
 
 
 def compute_search_hash(search: SearchMetadata, chosen: SceneChoice, adversaries: int) -> str:
-    """Hash of what decided a split beside its recordings and its seed: splits of one search differ in the seed alone.
-
-    64 hexadecimal digits. ``chosen`` says how scenes were chosen; what came of it is no part of the hash.
-    """
+    """Hash, 64 hexadecimal digits, of what decided a split, without its recordings, its seed and its outcome."""
     searched = [search.algorithm, search.hyper, search.prior, *([] if search.solvable is None else [search.solvable])]
     chose: list[Any] = [chosen.scenes, chosen.per_scene, chosen.total, chosen.surrogate, adversaries]
     younger = {"variants": chosen.variants, "asked": chosen.asked}
@@ -118,10 +110,7 @@ def format_seed_path(path: Path, seed: int) -> Path:
 
 
 def read_frozen_of_seed(path: Path, seed: int) -> NamedSplit:
-    """Read the frozen split of one seed; it must have been searched with that seed.
-
-    ``path`` is what the files of all seeds are called after.
-    """
+    """Read the frozen split of one seed, searched with it; ``path`` is what the files of all seeds are called after."""
     own = format_seed_path(path, seed)
     if not own.exists():
         raise InputError(

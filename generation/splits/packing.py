@@ -51,13 +51,7 @@ class PackedFile(Stored):
 
 
 class PackedSplit(Stored):
-    """One frozen split of a package.
-
-    Attributes:
-        content: Hash of all that it says (`FrozenSplit.content_id`).
-        recordings: Name of the data set that it was made from.
-        fingerprint: Content hash of that.
-    """
+    """One frozen split of a package, by `FrozenSplit.content_id`, with name and content hash of its recordings."""
 
     name: Annotated[str, Field(pattern=_PLAIN.pattern, max_length=200)]
     content: Hash
@@ -67,10 +61,7 @@ class PackedSplit(Stored):
 
 
 class PackageManifest(Stored):
-    """``manifest.json``, the first file of a package.
-
-    ``files`` are all the others, ``made_with`` is the version of the program.
-    """
+    """``manifest.json``, the first file of a package; ``files`` are all the others."""
 
     format: Literal["challenger-bench split package"] = FORMAT
     schema_version: Annotated[int, Field(alias="schema")] = SCHEMA
@@ -196,7 +187,6 @@ def _encode_json(value: Any) -> bytes:
 def _collect_root_files(
     root: DataSet, splits: Sequence[NamedSplit], executor: Executor
 ) -> dict[str, tuple[Kind, bytes]]:
-    """Verdicts and statistics of a data set that was built from the splits."""
     known = {scene.name for split in splits for scene in split.frozen.scenes}
     names = root.scene_names(None)
     # In variant roots scenes are named after their recordings.
@@ -222,7 +212,6 @@ def _collect_root_files(
 
 
 def _encode_drive(record: DriveRecord, splits: Sequence[NamedSplit]) -> tuple[str, tuple[Kind, bytes]]:
-    """Settings of one record of drives, under a name made of them."""
     known = {scene.name for split in splits for scene in split.frozen.scenes}
     inner = {name.rpartition("/")[2] for name in record.facts.scenes}
     if record.facts.frozen_split not in {split.name for split in splits} and not inner <= known:

@@ -1,7 +1,4 @@
-"""Frozen tracks put into recorded scenes, after a look at whether these are the recordings that they belong to.
-
-Hashes by which a rebuilt scene is compared with the one that was frozen: of its tables, and of its images.
-"""
+"""Frozen tracks put into the recorded scenes that they belong to, and hashes of tables and images to compare them."""
 
 import hashlib
 from collections.abc import Iterable
@@ -34,10 +31,7 @@ _REPORT_DIGITS: Final = 6
 
 
 def add_frozen_adversaries(frozen: FrozenScene, scene: Scene) -> Scene:
-    """A recorded scene with the adversaries of a frozen one.
-
-    It must be that recording: each vehicle in it and, at the launch, in its place, and as many frames.
-    """
+    """A recorded scene with frozen adversaries; refused if its length or a vehicle's place at the launch differs."""
     changed = scene
     for adversary in frozen.adversaries:
         agent, stop = _find_vehicle(adversary, scene), adversary.launch_frame + len(adversary.track)
@@ -49,7 +43,6 @@ def add_frozen_adversaries(frozen: FrozenScene, scene: Scene) -> Scene:
 
 
 def _find_vehicle(adversary: FrozenAdversary, scene: Scene) -> int:
-    """Index of an adversary's vehicle in its recording."""
     if adversary.instance not in scene.agents.ids:
         raise InputError(
             f"{scene.name} has no object {adversary.instance}, its adversary in the frozen split; these are "
@@ -101,10 +94,7 @@ def round_pose(pose: Floats | tuple[float, float, float]) -> Pose:
 
 
 def build_scene_report(frozen: FrozenScene, scene: Scene, seed: int) -> dict[str, Any]:
-    """Report on a rebuilt scene for ``challenger.json``: as of a search, described anew from the track.
-
-    Numbers are rounded, so that they are the same on every machine.
-    """
+    """Report on a rebuilt scene for ``challenger.json``, anew from the track; rounded, the same on every machine."""
     reports = [_build_attempt(adversary, frozen.source, scene, seed) for adversary in frozen.adversaries]
     if len(reports) == 1:
         return reports[0]
@@ -148,10 +138,7 @@ _NANOMETRE_DIGITS: Final = 9
 
 
 def compute_tables_digest(plan: DataSetPlan, scene: Scene, frozen: FrozenScene) -> str:
-    """Hash of a scene's tables at its key frames, without cameras: the same in any layout, with any frames.
-
-    64 hexadecimal digits, made of numbers rounded to a nanometre.
-    """
+    """Hash, 64 hexadecimal digits, of key-frame tables without cameras, to a nanometre: the same in any layout."""
     like = replace(plan, split="adv", layout="suffixed", renderer=None, frames="keyframes")
     names = SceneNames.of(
         like, scene, name=frozen.name, variant=0, source_scene=frozen.source, identity=frozen.identity

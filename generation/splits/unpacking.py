@@ -31,12 +31,7 @@ from generation.splits.packing import (
 
 @dataclass(frozen=True, slots=True)
 class SplitPackage:
-    """A package that was read and found whole.
-
-    Attributes:
-        files: Content of every file but the manifest and those that are left out, by name.
-        left_out: A sentence for each file that an extension reads which is not installed.
-    """
+    """A package that was found whole; ``left_out`` has a sentence for each file whose extension is not installed."""
 
     path: Path
     manifest: PackageManifest

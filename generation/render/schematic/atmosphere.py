@@ -1,6 +1,6 @@
-"""Light, weather and colours: everything that makes day, dusk, night and rain look different.
+"""Light, weather and colours (RGB, 0..255): everything that makes day, dusk, night and rain look different.
 
-Colours are RGB, 0..255. Surfaces have one daylight colour; a look tints them, adds haze and turns lamps on.
+Surfaces have one daylight colour; a look tints them, adds haze and turns lamps on.
 """
 
 from dataclasses import dataclass
@@ -19,18 +19,10 @@ Rgb = tuple[float, float, float]
 class Atmosphere:
     """Light and weather of a look.
 
-    Attributes:
-        sky: Colour overhead.
-        haze: Colour at the horizon; distant things fade into it.
-        haze_m: Distance at which two thirds of a thing's contrast is gone.
-        tint: Light on every surface, as a factor per channel.
-        sun: Direction towards the sun, (3,) not normalised.
-        sun_share: Part of the light that comes from the sun; the rest comes from everywhere.
-        shadow: Darkness of the shadow under a vehicle, 0..1.
-        wetness: How dark and smooth the road is, 0..1.
-        lamps: Whether head and tail lamps are on and windows lit.
-        beam: Light of the ego's own head lamps, as a factor at its brightest.
-        rain: Whether rain streaks fall.
+    ``haze`` is the colour at the horizon, which leaves a third of a thing's contrast at ``haze_m``; ``tint`` a factor
+    per channel on all surfaces. ``sun`` is a direction, (3,) not normalised, ``sun_share`` its part of the light; the
+    rest comes from everywhere. ``shadow`` under vehicles and ``wetness``, dark and smooth, are 0..1; ``lamps`` also
+    light windows; ``beam`` is a factor of the ego's head lamps at their brightest.
     """
 
     sky: Rgb
@@ -50,10 +42,7 @@ class Atmosphere:
         return np.asarray(1.0 - np.exp(-((np.maximum(distance_m, 0.0) / self.haze_m) ** 1.5)))
 
     def compute_beam(self, ahead_m: Floats, left_m: Floats) -> Floats:
-        """Light of the ego's head lamps at points around it.
-
-        Metres ahead of the rear axle and to the left; the result is a factor to add to the tint.
-        """
+        """Factor, added to the tint, of the ego's head lamps at points ahead of the rear axle and to the left."""
         if self.beam == 0.0:
             return np.zeros(np.broadcast_shapes(np.shape(ahead_m), np.shape(left_m)))
         reach = np.maximum(np.asarray(ahead_m, np.float64) - 2.5, 0.0)

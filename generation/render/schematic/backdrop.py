@@ -25,10 +25,9 @@ _STEEPEST, _LEVELS = 0.6, 1 << 12
 
 @dataclass(frozen=True, slots=True)
 class GroundBand:
-    """Rows of an image, ``first`` to before ``last``, that look at the ground from similar distances.
+    """Rows, ``first`` to before ``last``, that see ground at similar distances, and the plan view that they read.
 
-    ``plan`` is the plan view that they read, 0 fine, 1 middle, 2 coarse; ``samples`` per pixel, vertical, are
-    averaged.
+    ``plan`` is 0 fine, 1 middle, 2 coarse; ``samples`` per pixel, vertical, are averaged.
     """
 
     first: int
@@ -39,15 +38,11 @@ class GroundBand:
 
 @dataclass(frozen=True, slots=True)
 class Backdrop:
-    """Parts of a view that depend only on how the camera stands above the ground.
+    """Parts of a view, (h, w), that depend only on how the camera stands above the ground.
 
-    Attributes:
-        sky: (h, w, 3) sky; the haze colour below the horizon.
-        fade: (h, w) share of haze over the ground; 1 at and above the horizon.
-        clear: (h, w) what haze leaves of it.
-        light: (h, w, 3) light on the ground, 255 for white.
-        bands: Rows that show ground, from the horizon down.
-        hazy_until: First row from which haze is invisible.
+    ``sky`` is the haze colour below the horizon; ``fade`` the share of haze over the ground, 1 at and above the
+    horizon; ``clear`` what haze leaves of it; ``light`` is 255 for white. ``bands`` go from the horizon down, and from
+    row ``hazy_until`` on haze is invisible.
     """
 
     sky: NDArray[np.uint8]
@@ -149,7 +144,6 @@ def _find_bands(
 
 
 def _warp_ground(image: NDArray[np.uint8], plan: NDArray[np.uint8], image_to_plan: Floats, band: GroundBand) -> None:
-    """Fill some rows of a view, (h, w, 3), with the ground of a plan view."""
     # Row r of the finer image looks through row (r + 0.5) / samples - 0.5 of the band.
     rows = np.array(
         [[1.0, 0.0, 0.0], [0.0, 1.0 / band.samples, 0.5 / band.samples - 0.5 + band.first], [0.0, 0.0, 1.0]]
@@ -170,10 +164,7 @@ def _warp_ground(image: NDArray[np.uint8], plan: NDArray[np.uint8], image_to_pla
 
 @dataclass(frozen=True, slots=True)
 class Skyline:
-    """Distant blocks around the horizon, fixed to compass directions.
-
-    ``quads`` are (B, 4, 3) directions of their corners, ``colour`` is (B, 3) RGB.
-    """
+    """Distant blocks around the horizon: (B, 4, 3) directions of corners, fixed to the compass, and (B, 3) RGB."""
 
     quads: Floats
     colour: Floats

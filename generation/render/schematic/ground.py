@@ -34,13 +34,7 @@ FINE_UNTIL_M, MIDDLE_UNTIL_M = 9.0, 22.0
 
 @dataclass(frozen=True, slots=True)
 class PlanView:
-    """A plan view.
-
-    Attributes:
-        pixels: (n, n, 3) RGB; rows run along -y.
-        origin: (2,) x of the left and y of the upper edge, metres, global.
-        resolution_m: Size of a pixel.
-    """
+    """A plan view, (n, n, 3) RGB with rows along -y; ``origin`` is x of the left and y of the upper edge, global."""
 
     pixels: NDArray[np.uint8]
     origin: Floats
@@ -57,10 +51,7 @@ class PlanView:
 
 @dataclass(slots=True)
 class PaintedGround:
-    """Plan views around the place of the ego.
-
-    ``colours`` has the RGB of each coat, ``base`` that of the ground that nothing covers.
-    """
+    """Plan views around the ego, RGB by coat; ``base`` is that of the ground that nothing covers."""
 
     polygons: tuple[PaintedPolygons, ...]
     colours: dict[PaintCoat, Rgb]

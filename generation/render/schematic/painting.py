@@ -36,12 +36,7 @@ class PaintCoat(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class PaintedPolygons:
-    """Polygons of one coat.
-
-    Attributes:
-        rings: For each polygon its outer ring and holes, each (M, 2) metres, global.
-        bounds: (P, 4) x_min, y_min, x_max, y_max of each polygon.
-    """
+    """Polygons of one coat, outer ring and holes of (M, 2) global metres; bounds (P, 4) x_min, y_min, x_max, y_max."""
 
     coat: PaintCoat
     rings: tuple[tuple[Floats, ...], ...]
@@ -77,10 +72,9 @@ def paint(
     world_to_pixel: Floats,
     colours: Mapping[PaintCoat, tuple[float, float, float]],
 ) -> None:
-    """Fill polygons in a plan view, (h, w, 3) RGB, in place; pixels that no polygon covers stay.
+    """Fill polygons in a plan view, (h, w, 3) RGB, in place; coats without a colour are left out.
 
-    ``world_to_pixel`` is the (2, 3) affine map from metres to columns and rows; coats without a colour are left
-    out.
+    ``world_to_pixel`` is the (2, 3) affine map from metres to columns and rows.
     """
     window = _compute_world_window(canvas, world_to_pixel)
     for layer in polygons:
@@ -125,7 +119,6 @@ def _build_polygons(coat: PaintCoat, shapes: Iterable[shapely.Geometry]) -> Pain
 
 
 def _build_line_paint(divider: Divider) -> list[shapely.Geometry]:
-    """The painted strips of a divider."""
     line = shapely.LineString(divider.line)
     if line.length == 0.0:
         return []

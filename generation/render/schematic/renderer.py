@@ -1,7 +1,4 @@
-"""The main path of the schematic renderer: scene and frame to six pictures.
-
-Agents of one frame as facets: size, heading, paint and lamps.
-"""
+"""The main path of the schematic renderer: scene and frame to six pictures, with agents as facets."""
 
 import functools
 from collections.abc import Iterator, Sequence
@@ -67,12 +64,9 @@ def _choose_colours(instance: str, category: str, salt: tuple[str, ...]) -> Floa
 
 @dataclass(frozen=True, slots=True)
 class AgentFacets:
-    """The agents of a scene, ready to be placed.
+    """Agents of a scene, one solid each around the origin, heading along +x, lamps off; ready to be placed.
 
-    Attributes:
-        bodies: One solid per agent around the origin, heading along +x, lamps off.
-        role: (Q,) materials of their facets.
-        braking: (N, T) whether a vehicle's brake lamps are on.
+    ``role`` (Q,) are materials of facets; ``braking`` (N, T) says where brake lamps are on.
     """
 
     scene: Scene
@@ -271,10 +265,7 @@ class PreparedScene:
         )
 
     def go_on(self, scene: Scene) -> None:
-        """Draw the frames of another scene from now on, of the same road and the same agents with other tracks.
-
-        It may be the world as it was driven so far.
-        """
+        """Draw from now on frames of another scene of the same road and agents, such as the world as driven so far."""
         self.scene, self.traffic = scene, self.traffic.in_scene(scene)
 
     def pictures(self, frame: int) -> Images:
@@ -299,7 +290,6 @@ class PreparedScene:
         return images
 
     def _build_solids(self, frame: int, pose: Floats, ground_z: float) -> tuple[Facets, NDArray[np.uint8]]:
-        """Everything that stands near the ego, and its colours."""
         around = self.ground.find_centre(pose[:2])
         if self.beside is None or self.beside[0] != around:
             offset = self.standing.centre[:, :2] - np.array(around)
@@ -337,7 +327,6 @@ def _clip_map_to_sight(scene: Scene) -> RoadMap:
 
 
 def _draw_rain(image: NDArray[np.uint8], seed: int) -> None:
-    """Faint slanted streaks, in place."""
     height, width = image.shape[:2]
     random = np.random.default_rng(seed)
     starts = random.random((90, 2)) * [width, height]

@@ -1,7 +1,4 @@
-"""Buildings and trees beside the road, made from the map alone: the same place always looks the same.
-
-Flat facets in the world: what agents, buildings and trees become before any camera looks at them.
-"""
+"""Flat facets of solids, and buildings and trees beside the road, the same for the same place of a map."""
 
 import itertools
 from dataclasses import dataclass
@@ -20,10 +17,9 @@ from generation.render.schematic.atmosphere import Atmosphere, choose_facade
 
 @dataclass(frozen=True, slots=True)
 class Facets:
-    """Q quadrilaterals that belong to N upright solids.
+    """Q quadrilaterals, (4, 3) global metres, counter-clockwise from outside, that belong to N upright solids.
 
     Attributes:
-        quads: (Q, 4, 3) corners, metres, global, counter-clockwise seen from outside.
         normal: (Q, 3) outward unit normals.
         colour: (Q, 3) RGB under white light.
         glows: (Q,) whether the facet is a light source.
@@ -33,9 +29,7 @@ class Facets:
         detail_px: (Q,) the facet is left out where its solid appears lower than this.
         batch: (Q,) facets of one batch have one colour and layer and are filled together.
         footprint: (N, 4, 2) outlines on the ground.
-        centre: (N, 3) metres.
-        height: (N,) metres.
-        radius: (N,) of the circumscribed sphere, metres.
+        centre: (N, 3) metres, of the circumscribed sphere with (N,) ``radius``.
         split: (N, 3) split plane a x + b y = c, with (a, b) pointing ahead.
     """
 
@@ -97,10 +91,7 @@ def compute_unit_normals(quads: Floats) -> Floats:
 
 
 def compute_seen_colours(facets: Facets, air: Atmosphere, ego_pose: Floats) -> NDArray[np.uint8]:
-    """Colours, (Q, 3) RGB, after light, head lamps and haze.
-
-    Head lamps and distance refer to the (3,) planar pose.
-    """
+    """Colours, (Q, 3) RGB, after light, head lamps and haze, seen from the (3,) planar pose."""
     sun = np.array(air.sun) / np.linalg.norm(air.sun)
     # Half the light wraps around to the side away from the sun, as it does under an open sky.
     facing = np.maximum(0.4 + 0.6 * (facets.normal @ sun), 0.0)
@@ -143,10 +134,7 @@ class BuildingPlots:
 
 
 def build_roadside(scene: Scene, *, lamps: bool, salt: tuple[str, ...] = ()) -> Facets:
-    """One solid per building or tree beside the road along the way of the ego; none where the map has no road.
-
-    ``lamps`` lights windows; ``salt`` of a style goes into the colours of facades.
-    """
+    """One solid per building or tree beside the ego's road, if the map has one; a style's ``salt`` colours facades."""
     road_map = scene.road_map
     if road_map.drivable_area.is_empty:
         return Facets.empty()
@@ -248,7 +236,6 @@ def _find_tree_plots(
 
 
 def _build_building(box: Floats, seed: int, *, lamps: bool, salt: tuple[str, ...]) -> Facets:
-    """A block with rows of windows."""
     random = np.random.default_rng(seed)
     draw = random.random(8)
     storeys = 2 + int(draw[4] ** 2 * 7)
@@ -294,7 +281,6 @@ def _build_upright_rectangles(start: Floats, end: Floats, low: Floats, high: Flo
 
 
 def _build_tree(box: Floats, seed: int) -> Facets:
-    """A trunk and a crown of flat facets."""
     draw = np.random.default_rng(seed).random(8)
     height, crown = 5.0 + 5.0 * draw[4], 1.7 + 0.8 * draw[5]
     angle = 2 * np.pi * draw[6] + np.arange(6) * np.pi / 3
@@ -324,7 +310,6 @@ def _build_solid(
     detail: Floats, footprint: Floats,
     height: float,
 ) -> Facets:  # fmt: skip
-    """One solid that stands on the ground and has one part."""
     middle = footprint.mean(axis=0)
     reach = np.linalg.norm(quads - np.array([*middle, height / 2]), axis=-1).max()
     return Facets(

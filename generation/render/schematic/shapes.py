@@ -1,7 +1,4 @@
-"""Shapes of road users, by category and size; coordinates as in `drafting`.
-
-Solids of flat facets in a unit box, and the pen that draws them.
-"""
+"""Shapes of road users, by category and size, as solids of flat facets in a unit box, and the pen that draws them."""
 
 import functools
 from dataclasses import dataclass, field
@@ -34,15 +31,10 @@ class FacetMaterial(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class SolidShape:
-    """A solid of flat facets in a unit box.
+    """A solid of F flat facets, (4, 3) counter-clockwise from outside, in a unit box.
 
-    Attributes:
-        quads: (F, 4, 3) corners, counter-clockwise seen from outside.
-        role: (F,) materials.
-        layer: (F,) drawing order, lower first.
-        ahead: (F,) whether the facet belongs to the part ahead of ``split``.
-        detail_px: (F,) the facet is left out where the solid appears lower than this many pixels.
-        split: x of the plane between the front and the rear part.
+    ``role`` are materials, ``layer`` the drawing order, lower first; ``ahead`` marks the part ahead of x = ``split``. A
+    facet is left out where the solid appears lower than ``detail_px`` pixels.
     """
 
     quads: Floats
@@ -171,7 +163,6 @@ def _add_lamps(
 def _build_car(
     cabin: tuple[float, float], inset: tuple[float, float, float], *, bonnet_drop: float, belt: float
 ) -> SolidShape:
-    """A car: sill and wheels, lower body with lamps, and a cabin with windows."""
     draft = SolidDraft()
     draft.box((-0.45, 0.45), (-0.42, 0.42), (0.04, 0.22), FacetMaterial.RUBBER, layer=0)
     body = draft.box(
@@ -372,10 +363,7 @@ def get_shape(name: str) -> SolidShape:
 
 
 def choose_shape_name(category: str, size: Floats) -> str:
-    """Name of an object's shape, for `get_shape`; an unknown category is a crate.
-
-    ``size`` is length, width, height, metres.
-    """
+    """Name of an object's shape, for `get_shape`, by (length, width, height); an unknown category is a crate."""
     if category == "vehicle.car":
         return "van" if size[2] > 2.0 else ("suv" if size[2] > 1.66 else "sedan")
     if category == "vehicle.emergency.ambulance":

@@ -1,7 +1,4 @@
-"""Drawing what stands on the ground: shadows, then solids from far to near.
-
-Which upright solid hides which: a drawing order from far to near that respects every separating line.
-"""
+"""Drawing what stands on the ground: shadows, then solids from far to near, as every separating line orders them."""
 
 import functools
 import heapq
@@ -23,10 +20,9 @@ _NEXT = (1, 2, 3, 0)
 def compute_drawing_order(footprints: Floats, eye: Floats) -> list[int]:
     """Order upright convex solids so that each is drawn after everything that it can hide.
 
-    Of two solids seen in the same direction, the one whose farthest point is nearer than the other's nearest point
-    is in front; where their distances overlap, a line along one of their sides that separates them decides: the
-    solid on the eye's side is in front. (N, 4, 2) footprints are counter-clockwise, metres; the N indices have the
-    first to be drawn first.
+    Of two solids seen in the same direction, the one whose farthest point is nearer than the other's nearest point is
+    in front; where their distances overlap, a line along one of their sides that separates them decides: the solid on
+    the eye's side is in front. (N, 4, 2) footprints are counter-clockwise, metres.
     """
     behind = _is_behind(np.asarray(footprints, np.float64) - np.asarray(eye, np.float64))
     offset = footprints - eye
@@ -119,10 +115,7 @@ _PART_STEP = 64
 
 
 def draw_solids(image: NDArray[np.uint8], view: PlacedCamera, facets: Facets, colours: NDArray[np.uint8]) -> None:
-    """Draw solids with correct occlusion into an (h, w, 3) RGB backdrop.
-
-    ``colours`` are (Q, 3) as seen, from `facets.seen_colours`.
-    """
+    """Draw solids, (Q, 3) colours as seen from `facets.seen_colours`, with correct occlusion into an (h, w, 3) RGB."""
     in_view = _find_solids_in_view(view, facets)
     if not len(in_view):
         return
@@ -144,10 +137,7 @@ def draw_solids(image: NDArray[np.uint8], view: PlacedCamera, facets: Facets, co
 
 
 def draw_shadows(image: NDArray[np.uint8], view: PlacedCamera, footprints: Floats, air: Atmosphere) -> None:
-    """Darken the ground under and beside vehicles, softly, in place.
-
-    ``image`` is (h, w, 3) RGB, nothing standing drawn yet; ``footprints`` are (N, 4, 2).
-    """
+    """Darken the ground in an (h, w, 3) RGB image, softly, in place, around (N, 4, 2) footprints, before the solids."""
     if not len(footprints) or air.shadow == 0.0:
         return
     centre = footprints.mean(axis=1, keepdims=True)

@@ -34,14 +34,9 @@ _NOISE_TILE: Final = 512
 class CameraPipeline:
     """Effects of a camera on the light that reaches it; see `develop`.
 
-    Attributes:
-        blur: Standard deviation of the lens's blur, as a share of the image's width.
-        vignette: Part of the light that is lost in the corners.
-        white_balance: Gain of each channel.
-        gamma: Exponent of the tone curve; above 1 is harder.
-        read_noise: Standard deviation of the noise in the dark, grey levels of 0..255.
-        shot_noise: Increase of noise with the square root of the grey level.
-        jpeg_quality: Of the camera's own compression, 0..100.
+    ``blur`` is a standard deviation as a share of the image's width, ``vignette`` the light lost in the corners, a
+    ``gamma`` above 1 harder. Noise, in grey levels of 0..255, is ``read_noise`` in the dark and rises by ``shot_noise``
+    with the square root of the grey level. ``jpeg_quality`` is of the camera's own compression.
     """
 
     blur: float
@@ -55,20 +50,11 @@ class CameraPipeline:
 
 @dataclass(frozen=True, slots=True)
 class DrawingStyle:
-    """Way of drawing a scene beyond its content.
+    """Way of drawing a scene beyond its content, as factors on the sun, shadows, the distance of haze and channels.
 
-    Attributes:
-        name: Part of the renderer's name; empty for the first style.
-        salt: Goes into every random choice of a colour or texture.
-        sun_turn_rad: How far the sun has moved on.
-        sun_height: Factor on its height.
-        sun_share: Factor on its part of the light.
-        shadow: Factor on the darkness of shadows.
-        haze: Factor on the distance at which things fade.
-        sky: Factor on each channel of sky and haze.
-        surfaces: Factor on each channel of the ground's surfaces; those that are not named stay.
-        fine_grain: Standard deviation of the ground's fine grain, grey levels.
-        patches: Standard deviation of its soft patches.
+    The first style has an empty ``name``, a part of the renderer's. ``salt`` goes into every random choice of a colour
+    or texture; ``surfaces`` that are not named stay; ``fine_grain`` and soft ``patches`` of the ground are standard
+    deviations in grey levels.
     """
 
     name: str = ""
@@ -191,10 +177,7 @@ def _build_tiled_noise(height: int, width: int) -> NDArray[np.float32]:
 
 
 def build_grain_tile(count: int, resolution_m: float, style: DrawingStyle) -> NDArray[np.uint8]:
-    """The roughness of real surfaces as grey noise around 128: fine grain and soft patches, seamless at its edges.
-
-    (count, count, 3).
-    """
+    """Roughness of real surfaces, (count, count, 3) grey noise around 128 in fine grain and patches, seamless."""
     random = np.random.default_rng(content_seed("grain", *style.salt, count))
     fine = random.normal(0.0, style.fine_grain, (count, count))
     frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(count, resolution_m), np.fft.fftfreq(count, resolution_m)))

@@ -14,13 +14,9 @@ NEAR_M = 0.2
 
 @dataclass(frozen=True, slots=True)
 class PlacedCamera:
-    """A camera placed in the world.
+    """A camera placed in the world; ``eye`` (3,) is its optical centre, global, ``ground_z`` the flat ground's height.
 
-    Attributes:
-        camera: Calibration.
-        eye: (3,) optical centre, global.
-        rotation: (3, 3) turns global vectors into camera axes (x right, y down, z forward).
-        ground_z: Height of the flat ground, global.
+    ``rotation`` (3, 3) turns global vectors into camera axes (x right, y down, z forward).
     """
 
     camera: Camera
@@ -60,10 +56,7 @@ class PlacedCamera:
         return np.asarray(self.camera.intrinsic @ columns)
 
     def compute_pixel_rays(self, step: int = 1) -> NDArray[np.float32]:
-        """Directions, (3, h, w) global x, y, z, in which the pixels look, of every ``step``-th column and row.
-
-        Single precision, because pictures need no more and there are many pixels.
-        """
+        """Single-precision directions, (3, h, w) global x, y, z, in which every ``step``-th column and row looks."""
         turn = (self.rotation.T @ np.linalg.inv(self.camera.intrinsic)).astype(np.float32)
         columns = np.arange(0, self.camera.width, step, dtype=np.float32)
         rows = np.arange(0, self.camera.height, step, dtype=np.float32)[:, None]
@@ -79,10 +72,7 @@ def _compute_rotation_matrix(quaternion: bytes) -> Floats:
 
 
 def clip_near(polygon: Floats, near_m: float = NEAR_M) -> Floats:
-    """Part, possibly empty, of a convex polygon in front of the near plane (Sutherland and Hodgman).
-
-    (M, 3) camera axes; ``near_m`` is the depth of the plane.
-    """
+    """Part, possibly empty, of a convex polygon, (M, 3) camera axes, beyond depth ``near_m`` (Sutherland-Hodgman)."""
     clipped: list[Floats] = []
     for index in range(len(polygon)):
         corner, next_corner = polygon[index], polygon[(index + 1) % len(polygon)]

@@ -20,10 +20,7 @@ _ADULT, _CHILD = "human.pedestrian.adult", "human.pedestrian.child"
 
 
 def add_parked(world: TownWorld, near: Floats, rng: np.random.Generator, *, share: float, most: int) -> None:
-    """Fill part of the parking places along the ego's way; road works block a few of those at the kerb.
-
-    ``near`` are (K, 2) points of that way; ``share`` of the places are taken, by at most ``most`` cars.
-    """
+    """Park cars in a share of the places near the (K, 2) points of the ego's way; road works block some at the kerb."""
     places = [place for place in world.town.standing if _compute_distance(near, place.pose[:2]) < _PARKED_REACH_M]
     kerb = [index for index, place in enumerate(places) if not place.in_car_park]
     works = set()
@@ -66,10 +63,7 @@ def _add_road_works(world: TownWorld, pose: Floats, rng: np.random.Generator) ->
 
 
 def add_walkers(world: TownWorld, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
-    """Pedestrians on the pavements along the ego's way, some of them standing.
-
-    ``near`` are (K, 2) points of that way.
-    """
+    """Pedestrians on the pavements near the (K, 2) points of the ego's way, some of them standing."""
     added = 0
     for _ in range(6 * wanted):
         if added >= wanted:
@@ -103,12 +97,10 @@ def add_crossing_pedestrians(world: TownWorld, near: Floats, rng: np.random.Gene
 def add_meeting_pedestrians(
     world: TownWorld, way: Floats, rng: np.random.Generator, *, wanted: int, speed_mps: float
 ) -> None:
-    """Pedestrians who walk across the ego's way, from pavement to pavement, when it is about to come there.
+    """Pedestrians who walk across the ego's (K, 2) way, from pavement to pavement, when it is about to come there.
 
-    Args:
-        way: (K, 2) points of the ego's way, from where it starts.
-        wanted: How many; fewer where there is no pavement on both sides or another is in their way.
-        speed_mps: About how fast the ego drives where it is free to.
+    They are fewer than ``wanted`` where a pavement is missing or another is in their way; ``speed_mps`` is about what
+    the ego drives where it is free to.
     """
     length, added = float(compute_lengths(way)[-1]), 0
     for _ in range(_MEETING_TRIES * wanted):
@@ -144,7 +136,7 @@ def _find_walk_across(world: TownWorld, way: Floats, station_m: float) -> Floats
 
 
 def _add_crossing(world: TownWorld, walk: Floats, begin_s: float, rng: np.random.Generator) -> bool:
-    """One who stands at the kerb, walks across from a time on and stands there."""
+    """A pedestrian stands at the kerb, walks across from a time on and stands there."""
     speed = float(rng.uniform(1.2, 1.6))
     time = np.arange(FRAMES) / FRAME_HZ
     # Pace builds up over a second on each side of the crossing.

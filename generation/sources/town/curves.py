@@ -1,7 +1,4 @@
-"""Plane curves as polylines: straight-arc-straight turns, offsets, even spacing, smoothing.
-
-Polylines are (M, 2) arrays in metres; headings are radians counter-clockwise from +x.
-"""
+"""Plane curves as (M, 2) polylines in metres: straight-arc-straight turns, offsets, even spacing, smoothing."""
 
 import numpy as np
 
@@ -30,10 +27,7 @@ def compute_headings(line: Floats) -> Floats:
 
 
 def offset_line(line: Floats, left_m: float | Floats) -> Floats:
-    """Parallel curve of an (M, 2) smooth polyline, vertex by vertex, with the same stations.
-
-    ``left_m`` is the distance to the left of the driving direction, one number or (M,).
-    """
+    """Parallel curve, ``left_m`` (one number or (M,)) to the left of a smooth (M, 2) polyline, of the same stations."""
     heading = compute_headings(line)
     normal = np.column_stack([-np.sin(heading), np.cos(heading)])
     return np.asarray(line + np.asarray(left_m, np.float64).reshape(-1, 1) * normal)
@@ -68,8 +62,7 @@ def build_turn(
 ) -> Floats:
     """A drivable curve between two poses: straight, one arc, straight where that is possible, else a cubic.
 
-    (M, 2) polyline from ``start`` to ``end``, (2,) metres each, its vertices ``step_m`` apart. The arc is as large
-    as the shorter leg allows, its radius below ``max_radius_m``.
+    (M, 2) polyline, its vertices ``step_m`` apart. The arc is as large as the shorter leg allows.
     """
     change = float(wrap_angle(np.array(end_heading - start_heading)))
     first, second = unit_vector(start_heading), unit_vector(end_heading)
@@ -129,10 +122,7 @@ def smooth_line(line: Floats, *, spacing_m: float, deviation_m: float) -> Floats
 
 
 def interpolate_grid(values: Floats, where: Floats) -> Floats:
-    """Smooth look-up between the entries of an even grid (Catmull-Rom cubic).
-
-    (K,) fractional indices into (M, ...) entries; up to one beyond the ends is extrapolated.
-    """
+    """Catmull-Rom look-up of (K,) fractional indices into an even grid (M, ...), one entry beyond its ends at most."""
     count = len(values)
     where = np.clip(where, -1.0, float(count))
     base = np.clip(np.floor(where).astype(np.int64), 0, count - 2)

@@ -2,9 +2,9 @@
 
 From each key frame the way back is that of `generation.sources.town.off_path`: offsets aside and along the path that
 fade as quintics, at the heading of the motion. Along the path the first of these counts that a driver can drive, that
-touches none as all move in the scene, and that ends on the road: as the town's driver drives at the same
-places, which needs no knowledge of when that was, with room to a vehicle ahead; back to where that driver is at the
-same time, sooner and sooner; and to a stop, harder and harder.
+touches none as all move in the scene, and that ends on the road: as the town's driver drives at the same places, which
+needs no knowledge of when that was, with room to a vehicle ahead; back to where that driver is at the same time, sooner
+and sooner; and to a stop, harder and harder.
 """
 
 from collections.abc import Iterator, Sequence
@@ -55,10 +55,7 @@ _GAP_M: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class PlannerDrive:
-    """Drive of a planner in the ego of a scene.
-
-    (K, 3) poses of the rear axle and (K,) speeds, m/s, at the key frames until the drive was over.
-    """
+    """Drive of a planner: (K, 3) rear-axle poses and (K,) speeds, m/s, at the key frames until it was over."""
 
     planner: str
     poses: Floats
@@ -98,14 +95,10 @@ class PlannerDrive:
 
 
 def plan_ways_back(world: TownWorld, planned: PlannedEgo, driven: PlannerDrive) -> Floats:
-    """Way of a good driver from each key frame.
+    """Way of a good driver from each key frame; ``planned`` is the ego as the town's driver would drive.
 
-    Args:
-        planned: The ego as the town's driver would drive.
-
-    Returns:
-        (K, 6, 2) global positions of the lidar origin at the plan's steps; NaN where no way was found, and beyond the
-        end of the scene.
+    (K, 6, 2) global positions of the lidar origin at the plan's steps; NaN where no way was found, and beyond the end
+    of the scene.
     """
     begin = interpolate_grid(planned.path.rear, planned.stations[:1])[0]
     if np.hypot(*(begin - driven.poses[0])[:2]) > _SAME_PLACE_M:
@@ -185,7 +178,7 @@ def _compute_deviation(planned: PlannedEgo, pose: Floats, speed: float, expected
 
 
 def _approach_town_speed(planned: Floats, first: int, count: int, away: _PathDeviation) -> Floats:
-    """(N,) metres along the path at 12 Hz of who soon drives as the town's driver does at the same places."""
+    """(N,) metres along the path at 12 Hz, soon at the town driver's speeds at the same places."""
     seconds = np.arange(FRAMES) / FRAME_HZ
     # Position of that driver, from the moment nearest to now.
     near = np.flatnonzero(np.abs(planned - away.metres) <= _SAME_STATION_M)
@@ -218,7 +211,7 @@ def _approach_schedule(schedule: Floats, away: _PathDeviation) -> Iterator[Float
 
 
 def _compute_rear(planned: PlannedEgo, metres: Floats, away: _PathDeviation) -> Floats:
-    """(N, 3) rear-axle poses of who is back on the path soon."""
+    """(N, 3) rear-axle poses, soon back on the path."""
     return compute_offset_poses(planned.path, metres, *_fade_offset(metres, away))
 
 

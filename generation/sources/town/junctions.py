@@ -31,10 +31,7 @@ _BAY_WIDTH_M = 2.7
 
 
 def build_crossing(draft: TownDraft, node: TownNode, arms: list[JunctionArm], trims: dict[str, float]) -> None:
-    """Connect the arms of a crossing or T junction and add its surface.
-
-    ``trims`` has the distance of each road's beginning from the node.
-    """
+    """Connect the arms of a crossing or T junction, ``trims`` (by road) from its node on, and add its surface."""
     for arm in arms:
         for other in arms:
             if other.road != arm.road:
@@ -54,7 +51,6 @@ def build_crossing(draft: TownDraft, node: TownNode, arms: list[JunctionArm], tr
 
 
 def _build_connector_bands(draft: TownDraft, node: TownNode) -> list[Polygon]:
-    """The surfaces that the lanes of a junction need."""
     lanes = (lane for lane in draft.lanes.values() if lane.road == node.name)
     return [LineString(lane.line).buffer(0.5 * LANE_WIDTH_M, cap_style="flat") for lane in lanes]
 
@@ -182,10 +178,7 @@ def _add_ring_connector(draft: TownDraft, node: TownNode, source: str, target: s
 
 
 def build_car_park(draft: TownDraft, node: TownNode, arm: JunctionArm, *, width_m: float) -> None:
-    """A car park behind an access road: a one-way loop between four rows of bays.
-
-    It is ``width_m`` wide across the access road.
-    """
+    """A car park, ``width_m`` across its access road: a one-way loop between four rows of bays."""
     # Frame of the car park: x into it, y to the left of that.
     pose = np.array([*node.position, float(wrap_angle(np.array(arm.heading + np.pi)))])
     half, rows = 0.5 * width_m, (_BAY_LENGTH_M, _BAY_LENGTH_M + _AISLE_M + 2 * _BAY_LENGTH_M)

@@ -1,7 +1,4 @@
-"""The lane graph of a town while it is built and when it is done.
-
-Where the junctions of a town are and which roads join them, before anything has a width.
-"""
+"""The lane graph of a town: first its junctions and the roads that join them, then lanes, while built and when done."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -41,13 +38,9 @@ class TownNode:
 
 @dataclass(frozen=True, slots=True)
 class TownRoad:
-    """A road between two nodes.
+    """A road between two nodes with a parking strip on both sides or none; ``lanes`` are per direction.
 
-    Attributes:
-        reference: (M, 2) line between the directions, from node to node.
-        lanes: Lanes per direction.
-        kerb_parking: Whether it has a parking strip on both sides.
-        speed_mps: Usual speed of traffic.
+    ``reference`` (M, 2) lies between the directions; ``speed_mps`` is the usual speed of traffic.
     """
 
     name: str
@@ -176,14 +169,10 @@ class LaneRole(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TownLane:
-    """One lane with what traffic needs to know.
+    """One lane as traffic sees it: (M, 2) ``line`` in driving direction; names are those in the road map.
 
-    Attributes:
-        name: Identifier, the same as in the road map.
-        line: (M, 2) centreline in driving direction.
-        road: Name of its road, or of its node inside junctions.
-        index: 0 next to the opposite direction.
-        siblings: Names of all lanes of its direction by ``index``; stations correspond.
+    ``road`` is the node's name inside junctions; ``index`` is 0 next to the opposite direction. ``siblings`` are all
+    lanes of its direction by ``index``; stations correspond.
     """
 
     name: str
@@ -198,10 +187,7 @@ class TownLane:
 
 @dataclass(frozen=True, slots=True)
 class JunctionArm:
-    """A road where it meets a node.
-
-    ``heading`` points away from the node, radians; lanes are named from the middle outwards.
-    """
+    """A road where it meets a node: ``heading`` leads away, radians; lanes are named from the middle outwards."""
 
     road: str
     heading: float
@@ -211,10 +197,7 @@ class JunctionArm:
 
 @dataclass(frozen=True, slots=True)
 class ParkingPlace:
-    """Pose of the box centre, (3,) x, y, yaw, where something can be parked.
-
-    It is a bay of a car park, or else a strip at the kerb.
-    """
+    """Pose, (3,) x, y, yaw, of the box centre of a parked object, in a car park or on a strip at the kerb."""
 
     pose: Floats
     in_car_park: bool
@@ -222,15 +205,11 @@ class ParkingPlace:
 
 @dataclass(slots=True)
 class TownDraft:
-    """Everything that the builders of roads and junctions add to.
+    """Everything that the builders of roads and junctions add to; identifiers of the map begin with ``prefix``.
 
-    Attributes:
-        prefix: Put before identifiers of the map.
-        links: Pairs of lanes that follow each other.
-        junctions: Names in ``surfaces`` that are junctions.
-        crossing_walks: (2, 2) walking lines across the crossings, from kerb to kerb.
-        walks: (M, 2) lines along the pavements.
-        green: Traffic islands, kept free of pavement.
+    ``links`` are pairs of lanes that follow each other, ``junctions`` names in ``surfaces``. ``crossing_walks`` are (2,
+    2) walking lines from kerb to kerb, ``walks`` (M, 2) lines along the pavements; ``green`` are traffic islands, kept
+    free of pavement.
     """
 
     prefix: str
@@ -250,13 +229,9 @@ class TownDraft:
 
 @dataclass(frozen=True, slots=True)
 class Town:
-    """A finished town.
+    """A finished town; names of the lanes before and after each lane are sorted.
 
-    Attributes:
-        successors: Names of the lanes after each lane, sorted.
-        predecessors: Names of the lanes before each lane, sorted.
-        crossing_walks: (2, 2) walking lines across the pedestrian crossings.
-        walks: (M, 2) lines along the pavements, 1 m spacing.
+    ``crossing_walks`` are (2, 2) lines across the crossings, ``walks`` (M, 2) along the pavements, 1 m spacing.
     """
 
     layout: TownLayout

@@ -1,11 +1,9 @@
-"""An ego that gets off its path and comes back: what an imitator has to see before it can be driven.
+"""An ego that gets off its path and comes back without a jump: what an imitator has to see before it can be driven.
 
 The rear axle follows the planned path at a lateral offset d(s) that depends on the station, and at a station that runs
 ahead of the planned one by e(t). Its heading is that of its own motion, the path's and atan(d' / (1 - curvature d)), so
-that it never slips sideways, at any speed. Offsets are quintic: away from the path, and back to it, without a jump
-of velocity or acceleration.
-
-Driving beside a path: offsets that come and go without a jump, and the poses that they make of a path.
+that it never slips sideways, at any speed. Offsets are quintic: away from the path, and back to it, without a jump of
+velocity or acceleration.
 """
 
 from collections.abc import Sequence
@@ -29,8 +27,8 @@ def evaluate_quintic(
 ) -> tuple[Floats, Floats]:
     """(N,) values and (N,) slopes of the quintic between two values and slopes, its second derivatives zero.
 
-    Outside ``first`` to ``last``, which is greater, it is held with the value and without slope: excursions begin
-    and end with neither. ``start`` and ``goal`` are value and slope at both ends.
+    Outside ``first`` to ``last``, which is greater, it is held with the value and without slope: excursions begin and
+    end with neither. ``start`` and ``goal`` are value and slope at both ends.
     """
     length = last - first
     u = np.clip((where - first) / length, 0.0, 1.0)
@@ -56,10 +54,7 @@ def compute_curvature(path: VehiclePath, stations: Floats) -> Floats:
 def compute_offset_poses(path: VehiclePath, metres: Floats, aside: Floats, slope: Floats) -> Floats:
     """Rear-axle poses, (N, 3), of a drive beside a path without slip: the heading is that of its own motion.
 
-    Args:
-        metres: (N,) where along it.
-        aside: (N,) metres to the left of it.
-        slope: (N,) change of ``aside`` over a metre.
+    (N,) metres along the path and ``aside`` to its left, with the ``slope`` of ``aside`` over a metre.
     """
     stations = metres / STATION_M
     pose = interpolate_grid(path.rear, stations)
@@ -123,13 +118,10 @@ class _ExcursionPlan:
 def drive_off_path(
     world: TownWorld, planned: PlannedEgo, rng: np.random.Generator
 ) -> tuple[Floats, tuple[Excursion, ...]]:
-    """Let the ego depart from its path and come back, as often as the scene has time for.
+    """(FRAMES, 3) rear-axle poses of an ego that departs from its path and comes back, and the excursions in order.
 
-    An excursion is taken where the ego can drive it within a driver's limits, stays on the road and touches none; it
-    is made smaller until it can, or left out.
-
-    Returns:
-        (FRAMES, 3) rear-axle poses, and the excursions in the order of time.
+    As many as the scene has time for. An excursion is taken where the ego can drive it within a driver's limits, stays
+    on the road and touches none; it is made smaller until it can, or left out.
     """
     others = TownWorld(world.town, tracks=world.tracks)
     taken: list[_ExcursionPlan] = []

@@ -31,10 +31,7 @@ _ROOM_FOR_LANE_CHANGE_M = 75.0
 
 @dataclass(frozen=True, slots=True)
 class VehicleBody:
-    """Size, metres, and wheels of a vehicle.
-
-    ``wheelbase`` is rear to front axle, ``center_ahead`` the box centre ahead of the rear axle.
-    """
+    """Size, metres, and wheels of a vehicle; ``center_ahead`` is the box centre ahead of the rear axle."""
 
     category: str
     length: float
@@ -51,13 +48,7 @@ EGO_BODY = VehicleBody(
 
 @dataclass(frozen=True, slots=True)
 class RouteLeg:
-    """One lane of a route.
-
-    Attributes:
-        changes_to: Name of the sibling lane that it ends in, or ``None``.
-        change_from_m: Where a lane change begins, along the lane.
-        change_length_m: How long it takes.
-    """
+    """One lane of a route; ``changes_to`` is the sibling lane that it ends in, from ``change_from_m`` along it."""
 
     lane: str
     changes_to: str | None = None
@@ -72,10 +63,7 @@ class RouteLeg:
 
 @dataclass(frozen=True, slots=True)
 class VehiclePath:
-    """Way of a vehicle, station by station (`STATION_M` apart), at any speed.
-
-    (M, 3) x, y, yaw of the rear axle, and (M,) limits in m/s by sign and by curvature.
-    """
+    """Way of a vehicle, (M, 3) rear-axle x, y, yaw every `STATION_M`; (M,) limits, m/s, are by sign and curvature."""
 
     rear: Floats
     speed_limit: Floats
@@ -118,16 +106,11 @@ def find_route(
     likes: Callable[[TownLane], float],
     change_chance: float = 0.0,
 ) -> tuple[list[RouteLeg], float] | None:
-    """A random chain of lanes around a start.
+    """A random chain of lanes around a start, and the start's arc length on the first leg, at least `LEAD_M`.
 
-    Args:
-        start_m: Front axle at the start, along the lane; may be negative, then the route begins further back.
-        length_m: Least length ahead of the start.
-        likes: Weight of each possible next lane; zero forbids it.
-        change_chance: Chance of a lane change on each road that has room for it.
-
-    Returns:
-        The legs and the start's arc length on the first one, at least `LEAD_M`; ``None`` where there is no such route.
+    ``start_m`` is of the front axle along the lane; where negative, the route begins further back. At least
+    ``length_m`` lie ahead of it. ``likes`` weighs each next lane, zero forbids it; ``change_chance`` is of a lane
+    change on each road that has room for it. ``None`` where there is no such route.
     """
     before: list[str] = []
     first = lane
@@ -174,12 +157,9 @@ def build_path(
 ) -> VehiclePath:
     """The path of a vehicle along a route; its front axle follows the smoothed centrelines exactly.
 
-    The rear axle is towed by the front axle, which is the kinematic bicycle with the front wheels along the path:
-    the rear axle moves along the heading and never sideways.
-
-    Args:
-        start_m: Front axle at station 0, along the first leg.
-        lateral_m: Constant offset to the left of the centrelines.
+    The rear axle is towed by the front axle, which is the kinematic bicycle with the front wheels along the path: it
+    moves along the heading and never sideways. The front axle is at ``start_m`` of the first leg at station 0;
+    ``lateral_m`` is a constant offset to the left of the centrelines.
     """
     lines, limits, along = [], [], 0.0
     for leg in legs:

@@ -1,7 +1,4 @@
-"""Scenes of the embedded town: a pure function of split, index and seed.
-
-Keyframe annotations of simulated participants: who is seen how well, with how many lidar points.
-"""
+"""Scenes of the embedded town, a pure function of split, index and seed, and the annotations of their keyframes."""
 
 from functools import lru_cache
 from typing import Literal, get_args
@@ -62,8 +59,8 @@ _LIDAR_CERTAIN_M = 50.0
 def build_annotations(agents: Agents, parked: Bools, ego: EgoTrack, keyframes: NDArray[np.int64]) -> Annotations:
     """Annotations, (N, K), of agents at the (K,) keyframes. ``parked`` says (N,) which vehicles are parked.
 
-    Visibility is the share of sight lines from the ego's roof that no nearer box crosses; lidar points fall with
-    the square of the distance and that share, and are at least one within 50 m.
+    Visibility is the share of sight lines from the ego's roof that no nearer box crosses; lidar points fall with the
+    square of the distance and that share, and are at least one within 50 m.
     """
     position, yaw, valid = agents.position[:, keyframes], agents.yaw[:, keyframes], agents.valid[:, keyframes]
     visible_share = np.zeros(valid.shape)
@@ -157,10 +154,7 @@ _LEAST_EGO_DISTANCE_M = 60.0
 
 
 def list_town_scene_names(split: Split, count: int) -> tuple[str, ...]:
-    """Names of the first scenes of a split: four digits, none of them a scene of nuScenes.
-
-    They are ``scene-8000``... for val and ``scene-9000``... for train; four digits must be enough.
-    """
+    """Names of scenes, ``scene-8000``... for val, ``scene-9000``... for train: four digits, none of nuScenes."""
     if split not in get_args(Split):
         raise InputError(f"the embedded town has no split {split!r}; choose val or train")
     numbers = [number for block in _NUMBERS[split] for number in block]
@@ -172,22 +166,16 @@ def list_town_scene_names(split: Split, count: int) -> tuple[str, ...]:
 
 
 def build_town_scene(split: Split, index: int, *, seed: int = 0, crossing: int = 0) -> Scene:
-    """One scene of the embedded town, 20 s at 12 Hz; nothing but the arguments decides its bytes.
+    """Scene ``index`` of a split, 20 s at 12 Hz; nothing but the arguments decides its bytes.
 
-    Args:
-        split: ``val`` or ``train``; the two have different towns.
-        index: Number of the scene in its split, from 0.
-        seed: Different seeds give different towns and traffic.
-        crossing: Most pedestrians more who cross the ego's way when it comes; with any, all is different but the town.
+    The splits have different towns; each seed has its own towns and traffic. ``crossing`` is the most pedestrians more
+    who cross the ego's way when it comes; with any, all is different but the town.
     """
     return _build_scene(split, index, seed, crossing, off_path=False)[0]
 
 
 def build_town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -> tuple[Scene, tuple[Excursion, ...]]:
-    """A training scene of the embedded town in which the ego gets off its path and comes back, and when it was off it.
-
-    All others do what they do in `build_town_scene`. One of `KEPT_ON_PATH_EVERY` scenes stays as it is.
-    """
+    """A scene as of `build_town_scene` but for the ego's excursions; one of `KEPT_ON_PATH_EVERY` has none."""
     off_path = index % KEPT_ON_PATH_EVERY != KEPT_ON_PATH_EVERY - 1
     return _build_scene("train", index, seed, crossing, off_path=off_path)
 
@@ -195,11 +183,7 @@ def build_town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -
 def build_town_scene_driven(
     index: int, driven: PlannerDrive, *, seed: int = 0, crossing: int = 0
 ) -> tuple[Scene, DrivenEgoTargets]:
-    """A training scene of the embedded town in which the ego goes where a planner drove it, as long as that drove.
-
-    All others do what they do in `build_town_scene`. With the scene comes where a good driver would go from each key
-    frame.
-    """
+    """A scene as of `build_town_scene` but with the ego as driven, and a good driver's way from each key frame."""
     world, planned, programme = _find_populated_world("train", index, seed, crossing)
     wanted = plan_ways_back(world, planned, driven)
     world.place_ego(driven.rear())
@@ -225,7 +209,6 @@ def _build_scene(
 def _find_populated_world(
     split: Split, index: int, seed: int, crossing: int
 ) -> tuple[TownWorld, PlannedEgo, SceneProgramme]:
-    """World of a scene with all in it, and the ego as it would drive."""
     if index < 0:
         raise InputError(f"the number of a town scene starts at 0, got {index}")
     list_town_scene_names(split, index + 1)
@@ -300,7 +283,6 @@ def _add_leader(
     pace: Floats,
     rng: np.random.Generator,
 ) -> bool:
-    """A vehicle ahead of the ego on its route, slow or stopping."""
     slow = programme.theme.leader == "slow"
     ahead, index = start_m + float(rng.uniform(24.0, 30.0) if slow else rng.uniform(15.0, 19.0)), 0
     while ahead > compute_lane_length(world.town.lanes[legs[index].lane]):

@@ -38,12 +38,9 @@ def count_reachable_stations(path: VehiclePath) -> int:
 
 
 def find_blocked_stations(path: VehiclePath, others: Floats, present: Bools) -> Bools:
-    """Places, (Q, B), at which the vehicle would touch another, with a margin.
+    """Places, (Q, B), at which the vehicle would touch (J, Q, 5) boxes at quarter seconds, with a margin.
 
-    Args:
-        path: The vehicle's path, B = `count_reachable_stations` of it matter.
-        others: (J, Q, 5) boxes at quarter seconds; Q = 1 for things that stand still.
-        present: (J, Q) whether they are there.
+    B = `count_reachable_stations` of the path matter; Q = 1 for things that stand still.
     """
     count = count_reachable_stations(path)
     own = path.boxes(np.arange(0.0, count, 2.0))
@@ -72,10 +69,8 @@ def plan_speed(
 ) -> Floats | None:
     """The cheapest profile along a path: (FRAMES,) fractional stations, or ``None`` if every profile touches another.
 
-    Args:
-        blocked: (4 * SECONDS + 1, B) from `find_blocked_stations`.
-        desired_mps: (B,) speed the driver would like at each station.
-        pace: (SECONDS,) factor on it for each second.
+    ``blocked`` is (4 * SECONDS + 1, B) from `find_blocked_stations`, ``desired_mps`` (B,) the driver's liking at each
+    station, ``pace`` (SECONDS,) a factor on it.
     """
     room = round((_STANDING_GAP_M + _HEADWAY_AT_START_S * start_mps) / STATION_M)
     choices = None if blocked[0, :room].any() else _search(path, blocked, start_mps, desired_mps, pace)
@@ -125,7 +120,7 @@ def _search(path: VehiclePath, blocked: Bools, start_mps: int, desired: Floats, 
 
 
 def _advance_one_second(cost: Floats, here: Floats, blocked: Bools, count: int) -> tuple[Floats, NDArray[np.int8]]:
-    """One second of the search: costs after it and the acceleration by which each state was reached."""
+    """Costs after one second of the search and the acceleration by which each state was reached."""
     after, choice = np.full_like(cost, np.inf), np.zeros(len(cost), dtype=np.int8)
     active = np.flatnonzero(np.isfinite(cost))
     speed, station = active // count, active % count

@@ -27,15 +27,10 @@ class RouteStretch:
 
 @dataclass(frozen=True, slots=True)
 class SceneTheme:
-    """A kind of scene.
+    """A kind of scene; ``begins_on`` is where the ego starts.
 
-    Attributes:
-        fits: Whether a route suits the theme.
-        begins_on: Role of the lane on which the ego starts.
-        leader: ``none``, ``slow`` (a bus or truck) or ``stop-and-go``.
-        companions: Vehicles around the ego at the start.
-        passing: Vehicles that meet it later.
-        parked: Most parked cars.
+    ``leader`` is ``none``, ``slow`` (a bus or truck) or ``stop-and-go``; ``companions`` are around the ego at the
+    start, ``passing`` meet it later; ``parked`` is at most.
     """
 
     name: str

@@ -1,7 +1,4 @@
-"""Whole towns: layout, roads, junctions and surfaces put together; one per location, kept for the process.
-
-From road references to lanes, paint, crossings, parking strips and pavements.
-"""
+"""Whole towns, one per location, kept for the process: from road references to lanes, paint and pavements."""
 
 from functools import lru_cache
 
@@ -94,10 +91,7 @@ def _choose_kerb_radius(road: TownRoad, other: TownRoad) -> float:
 def build_road(
     draft: TownDraft, layout: TownLayout, road: TownRoad, trims: dict[tuple[str, str], float]
 ) -> tuple[JunctionArm, JunctionArm]:
-    """Add one road to the draft; gives its arms at its start and at its end.
-
-    ``trims`` are the `compute_trim_lengths` of the graph.
-    """
+    """Add one road to the draft, shortened by `compute_trim_lengths`; gives its arms at its start and at its end."""
     total = float(compute_lengths(road.reference)[-1])
     line = cut_line(road.reference, trims[road.name, road.ends[0]], total - trims[road.name, road.ends[1]], _STATION_M)
     forward, backward = _add_lanes(draft, road, line)
@@ -214,9 +208,9 @@ _ISLAND_KERB_M = 0.5
 
 @lru_cache(maxsize=8)
 def build_town(location: str, seed: int) -> Town:
-    """The town at a location of `OFFICIAL_LOCATIONS`; the same object on every call of this process.
+    """The town at a location of `OFFICIAL_LOCATIONS` and of a seed; the same object on every call of this process.
 
-    Every second one has an avenue, the others a ring road; different seeds give different towns.
+    Every second one has an avenue, the others a ring road.
     """
     rng = np.random.default_rng(content_seed("town", TOWN_VERSION, location, seed))
     layout = make_layout(PLANS[OFFICIAL_LOCATIONS.index(location) % len(PLANS)], rng)

@@ -63,11 +63,7 @@ MIXED = VehicleFleet((COMPACT, SEDAN, SUV, VAN, TRUCK, BUS, MOTORCYCLE), (0.21, 
 
 @dataclass(frozen=True, slots=True)
 class VehicleStart:
-    """Start of a vehicle's drive.
-
-    ``along_m`` is its front axle along the lane, negative for a lane before it; ``lateral_m`` is to the left of the
-    lane's middle.
-    """
+    """Start of a drive: front axle along the lane, negative for a lane before it, and to the left of its middle."""
 
     lane: str
     along_m: float
@@ -88,11 +84,8 @@ def add_vehicle(
 ) -> bool:
     """Plan a vehicle and add it if it can drive there and is seen for some seconds; says whether it was added.
 
-    Args:
-        likes: Weight of each lane for its route.
-        eagerness: Factor on the speed limit.
-        pace: (SECONDS,) factor on the speed in each second.
-        change_chance: Chance of a lane change per road.
+    ``likes`` weighs each lane for its route, ``eagerness`` is a factor on the speed limit, ``pace`` (SECONDS,) one on
+    the speed, ``change_chance`` that of a lane change per road.
     """
     heavy = body.length > 6.0
 
@@ -144,10 +137,7 @@ def build_route_weights(town: Town, legs: list[RouteLeg]) -> Callable[[TownLane]
 
 @dataclass(frozen=True, slots=True)
 class LanePoints:
-    """All points of all lanes of a town, to find the lanes near a place.
-
-    (N, 3) poses x, y, heading; (N,) arc length ``along`` the lane, which ``names`` names for each point.
-    """
+    """All points of all lanes of a town: (N, 3) poses, and (N,) arc length along the lane that ``names`` names."""
 
     names: tuple[str, ...]
     poses: Floats

@@ -26,10 +26,7 @@ _KERB_TOLERANCE_M = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ParticipantTrack:
-    """Motion of one participant: (FRAMES, 5) boxes, or (1, 5) for things that stand still.
-
-    ``parked`` says that it stands there without a driver.
-    """
+    """Motion of a participant: (FRAMES, 5) boxes, or (1, 5) for one that stands still; ``parked`` has no driver."""
 
     category: str
     height: float
@@ -39,12 +36,7 @@ class ParticipantTrack:
 
 @dataclass(slots=True)
 class TownWorld:
-    """Everything placed so far.
-
-    Attributes:
-        ego_rear: (FRAMES, 3) rear-axle poses of the ego, once it is planned.
-        ego_boxes: (FRAMES, 5) its metric footprint.
-    """
+    """Everything placed so far; the ego's (FRAMES, 3) rear-axle poses and (FRAMES, 5) footprint once planned."""
 
     town: Town
     ego_rear: Floats | None = None
@@ -52,10 +44,9 @@ class TownWorld:
     tracks: list[ParticipantTrack] = field(default_factory=list)
 
     def drive(self, path: VehiclePath, *, start_mps: int, eagerness: float, pace: Floats) -> Floats | None:
-        """Plan a vehicle among those already there.
+        """Plan a vehicle among those there: (FRAMES, 3) rear-axle poses, ``None`` if it cannot drive without a touch.
 
-        (FRAMES, 3) rear-axle poses, ``None`` if it cannot drive without a touch. ``eagerness`` is a factor on the
-        speed limit that it likes to drive, ``pace`` (SECONDS,) one on that in each second.
+        ``eagerness`` is a factor on the speed limit that it likes to drive, ``pace`` (SECONDS,) one on that.
         """
         stations = self.stations(path, start_mps=start_mps, eagerness=eagerness, pace=pace)
         return None if stations is None else interpolate_grid(path.rear, stations)
