@@ -59,9 +59,7 @@ def test_failures_stand_apart_and_privileged_planners_last(tmp_path: Path) -> No
     cells = dict(zip(replay.columns, replay.rows[1]))
     assert cells["failed"] == "1" and cells["contact %"] == "0.0" and cells["impact m/s"] == "–"
     assert any("privileged: sees boxes" in note for note in replay.notes)
-    assert any("not HUGSIM" in note for note in replay.notes) and any(
-        "too narrow" in note for note in replay.notes
-    )
+    assert any("not HUGSIM" in note for note in replay.notes) and any("too narrow" in note for note in replay.notes)
     record = records(tmp_path / "again")[1]
     assert describe_failures(record) == (
         "seeing failed in 1 of 2 drives (1 raised; the first, scene-2: ValueError: no)"
