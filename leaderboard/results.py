@@ -58,15 +58,13 @@ def _require_same_content(records: Sequence[RunRecord]) -> None:
             raise InputError(
                 f"{first.directory} and {record.directory} ran under different verdicts of inspectors on "
                 f"{format_split(record.run.split, record.run.data.name)} ({_verdict_key(first)} and "
-                f"{_verdict_key(record)}); run "
-                "challenger-bench eval again for the older one, or move it away"
+                f"{_verdict_key(record)}); run challenger-bench eval again for the older one, or move it away"
             )
         if first.run.data.fingerprint != record.run.data.fingerprint:
             raise InputError(
                 f"{first.directory} and {record.directory} ran on different content of "
                 f"{format_split(record.run.split, record.run.data.name)} (the data fingerprints differ); run "
-                "challenger-bench eval again for the older "
-                "one, or move it away"
+                "challenger-bench eval again for the older one, or move it away"
             )
 
 
@@ -90,9 +88,8 @@ def _require_one_split(records: Sequence[RunRecord]) -> None:
         )
         if adversarial_scenes and record.run.split == "val":
             raise InputError(
-                f"{record.directory} lists scenes with a generated adversary ({adversarial_scenes[0]}); "
-                "remove it and run "
-                "challenger-bench eval --split adv"
+                f"{record.directory} lists scenes with a generated adversary ({adversarial_scenes[0]}); remove it and "
+                "run challenger-bench eval --split adv"
             )
 
 

@@ -47,9 +47,8 @@ def read_motion_anchors(path: Path) -> Tensor:
     if len(groups) != _SHAPE[0] or shapes != {_SHAPE[1:]}:
         summary = f"{len(groups)} of {', '.join(map(str, sorted(shapes, key=str))) or 'nothing'}"
         raise InputError(
-            f"the motion anchors in {path} are {summary}, but UniAD needs {_SHAPE[0]} arrays of {_SHAPE[1:]}; "
-            f"get {FILE} "
-            "(weights list)"
+            f"the motion anchors in {path} are {summary}, but UniAD needs {_SHAPE[0]} arrays of {_SHAPE[1:]}; get "
+            f"{FILE} (weights list)"
         )
     anchors = np.stack([np.asarray(group, np.float64) for group in groups])
     if not np.isfinite(anchors).all() or np.abs(anchors).max() > FARTHEST_WAYPOINT_M:

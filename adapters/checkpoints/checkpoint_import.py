@@ -126,8 +126,7 @@ def match_model(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -
     if broken:
         raise InputError(
             f"{path}: {pluralise(len(broken), 'tensor')} hold NaN or infinity (first: {broken[0]}); the file is "
-            "damaged or the "
-            "training diverged; get another file"
+            "damaged or the training diverged; get another file"
         )
     return model, converted
 
@@ -179,8 +178,7 @@ class ImportedWeights:
         known = self.provenance
         return (
             f"{self.path}: {known.model}, {pluralise(self.tensors, 'tensor')}, {self.parameters / 1e6:.1f} M "
-            "parameters, "
-            f"pixel values {known.normalisation} (source: {known.normalisation_from})"
+            f"parameters, pixel values {known.normalisation} (source: {known.normalisation_from})"
         )
 
 

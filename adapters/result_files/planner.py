@@ -68,8 +68,7 @@ class ResultFileFactory:
         plans_from = self.plans_from
         lines = [
             f"{', '.join(plans_from.files)}: {plans_from.format}, {plans_from.plans} plans for "
-            f"{pluralise(plans_from.samples, 'sample')}; "
-            f"order {plans_from.order}: {plans_from.shown_by}"
+            f"{pluralise(plans_from.samples, 'sample')}; order {plans_from.order}: {plans_from.shown_by}"
         ]
         if plans_from.mirrored is not None:
             lines.append(f"x is {'mirrored in the file and turned back' if plans_from.mirrored else 'not mirrored'}")

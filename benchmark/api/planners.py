@@ -223,8 +223,7 @@ class PlannerSource:
         if given_option is not None and not any(is_third_party(name) for name in self.names):
             raise InputError(
                 f"{given_option} is of planners of other packages, which run in a process of their own "
-                "(docs/planners.md); "
-                "leave it out"
+                "(docs/planners.md); leave it out"
             )
         return SandboxLimits.of(self.sample_limit, self.memory_limit)
 

@@ -127,9 +127,8 @@ class DataSource:
             if not is_generated(split) or not all_scenes:
                 raise
             raise InputError(
-                f"split {split!r} of {name} is missing at {split_folder}; build it with: challenger-bench "
-                "generate --data "
-                f"{self.data} {format_generate_options(split)} --out {self.out}"
+                f"split {split!r} of {name} is missing at {split_folder}; build it with: challenger-bench generate "
+                f"--data {self.data} {format_generate_options(split)} --out {self.out}"
             ) from error
         return SourcePreview(_choose_scenes(of_split, split, scenes, limit))
 

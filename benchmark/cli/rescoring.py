@@ -120,9 +120,8 @@ def transfer_command(options: TransferOptions) -> None:
         of_data = "" if options.data is None else f" for data set {options.data!r}"
         raise InputError(
             f"no complete run records of split {options.split!r} below {', '.join(map(str, folders))}{of_data}; "
-            f"{describe_recorded(list_recorded(folders))}; name one of these or run challenger-bench eval "
-            f"--split {options.split} "
-            "first"
+            f"{describe_recorded(list_recorded(folders))}; name one of these or run challenger-bench eval --split "
+            f"{options.split} first"
         )
     if options.figure is not None:
         if len(matrices) > 1:

@@ -209,8 +209,7 @@ def slices_command(options: SlicesOptions) -> None:
     if not chosen:
         raise InputError(
             f"no matching run records below {', '.join(map(str, folders))}; "
-            f"{describe_recorded(list_recorded(folders))}; name "
-            "one of these or run challenger-bench eval first"
+            f"{describe_recorded(list_recorded(folders))}; name one of these or run challenger-bench eval first"
         )
     kinds = select_kinds(options.by or KINDS)
     names = sorted({record.run.data.name for record in chosen})

@@ -172,9 +172,8 @@ def _read_recording(path: Path) -> _ScenarioNetFile:
     is_complete = isinstance(length, int | np.integer) and len(seconds) == length >= 2
     if not is_complete or not np.isfinite(seconds).all() or not (steps > 0).all():
         raise InputError(
-            f"{path}: metadata 'ts' must be {to_one_line(length, 40)} increasing finite times, one a step; fetch "
-            "the file "
-            "again"
+            f"{path}: metadata 'ts' must be {to_one_line(length, 40)} increasing finite times, one a step; fetch the "
+            "file again"
         )
     if not 0.01 <= float(np.median(steps)) <= 1.0:
         raise InputError(f"{path}: 'ts' steps by {np.median(steps):g}; it must be in seconds, at 1 to 100 Hz")

@@ -59,8 +59,7 @@ def find_own_block(metadata: Mapping[Any, Any], path: Path) -> Mapping[Any, Any]
     if not isinstance(additions, dict) or additions.get("schema") != SCHEMA:
         schema = additions.get("schema") if isinstance(additions, dict) else None
         raise InputError(
-            f"{path} was exported by another version (its {OWN} block has schema {schema!r:.40}, this "
-            "version reads "
+            f"{path} was exported by another version (its {OWN} block has schema {schema!r:.40}, this version reads "
             f"{SCHEMA}); upgrade challenger-bench or export it again"
         )
     return additions

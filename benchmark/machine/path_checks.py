@@ -63,9 +63,8 @@ def require_room(folder: Path, needed: int, what: str, option: str) -> None:
     free = shutil.disk_usage(nearest).free
     if free < needed:
         raise InputError(
-            f"{what} needs about {format_gigabytes(needed)} in {folder} and {format_gigabytes(free)} are free; "
-            "free some space or "
-            f"choose another path with {option}"
+            f"{what} needs about {format_gigabytes(needed)} in {folder} and {format_gigabytes(free)} are free; free "
+            f"some space or choose another path with {option}"
         )
 
 

@@ -195,9 +195,8 @@ def _count_slots(ray: Any, address: str | None, gpus: int) -> int:
     for resource, needed, resource_name in (("CPU", 1, "processors"), ("GPU", gpus, "GPUs")):
         if resources.get(resource, 0) < needed:
             raise InputError(
-                f"the Ray cluster at {address} has no {resource_name} to work on; add a node that has some with "
-                "ray start "
-                "--address=HOST:PORT"
+                f"the Ray cluster at {address} has no {resource_name} to work on; add a node that has some with ray "
+                "start --address=HOST:PORT"
             )
     processors = int(resources["CPU"])
     return min(processors, int(resources["GPU"]) // gpus) if gpus else processors

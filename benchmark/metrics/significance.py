@@ -122,9 +122,8 @@ def compare_planners(
         second.protocol,
     ):
         raise InputError(
-            f"{describe_record(first.record)} and {describe_record(second.record)} are not of the same data, "
-            "split and protocol; "
-            "compare planners on the same samples"
+            f"{describe_record(first.record)} and {describe_record(second.record)} are not of the same data, split and "
+            "protocol; compare planners on the same samples"
         )
     mine, theirs = _find_common_rows(first, second)
     unit_of = map_scenes_to_sources(first.record)

@@ -193,8 +193,7 @@ class QualityRecord:
             Caveat(
                 kind="masks",
                 sentence=f"{count} of {pluralise(total, 'scene')} have no mask of {subject} from {self.masks}: "
-                "they are in "
-                "none of its numbers",
+                "they are in none of its numbers",
             )
             for count, total, subject in missing
             if count

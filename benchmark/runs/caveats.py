@@ -40,22 +40,19 @@ def list_data_caveats(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
         yield Caveat(
             kind="boxes",
             sentence=f"the boxes of {across} of {pluralise(moving, 'moving object')} lie across their motion "
-            "(width and "
-            "length exchanged, or headings turned by 90 degrees): contacts are misplaced",
+            "(width and length exchanged, or headings turned by 90 degrees): contacts are misplaced",
         )
     if turned := [name for name, inputs in facts.items() if inputs.turned_quaternions]:
         yield Caveat(
             kind="pose",
             sentence=f"rotations in {_format_scenes(turned, facts)} make sense only if read as x, y, z, w, and "
-            "nuScenes has w "
-            "first: headings and all derived values are wrong",
+            "nuScenes has w first: headings and all derived values are wrong",
         )
     if without := [name for name, inputs in facts.items() if not inputs.lidar]:
         yield Caveat(
             kind="lidar",
             sentence=f"{_format_scenes(without, facts)} {_have(without)} no LIDAR_TOP: the lidar, whose place "
-            "plans and protocols "
-            "is assumed to be mounted as on nuScenes' cars",
+            "plans and protocols is assumed to be mounted as on nuScenes' cars",
         )
 
 
@@ -92,8 +89,7 @@ def list_planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts]
         yield Caveat(
             kind="motion",
             sentence=f"{_format_scenes(derived, scenes)} {_have(derived)} no CAN bus: the ego motion that it "
-            "plans from "
-            "is derived from poses",
+            "plans from is derived from poses",
         )
     if offered and without:
         yield Caveat(
@@ -196,8 +192,7 @@ def _boxes(known: Mapping[str, TruthFacts]) -> Iterator[Caveat]:
         yield Caveat(
             kind="boxes",
             sentence=f"{pluralise(sum(without.values()), 'annotation')} of {_names([*without])} without length, "
-            "width or "
-            "height: they are ignored",
+            "width or height: they are ignored",
         )
 
 
@@ -244,9 +239,8 @@ def list_time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
     if irregular:
         samples, cut = (sum(getattr(truth, name) for truth in irregular) for name in ("irregular", "cut_short"))
         sentences.append(
-            f"{pluralise(samples, 'sample')} of {pluralise(len(irregular), 'scene')} have key frames ahead that "
-            "are not "
-            "half a second apart: exact and driving scores interpolate steps there"
+            f"{pluralise(samples, 'sample')} of {pluralise(len(irregular), 'scene')} have key frames ahead that are "
+            "not half a second apart: exact and driving scores interpolate steps there"
             + (f" and give no verdict beyond a gap over 0.75 s ({pluralise(cut, 'sample')})" if cut else "")
             + ", and official protocols take the k-th key frame for step k"
         )

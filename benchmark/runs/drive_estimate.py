@@ -54,6 +54,5 @@ def estimate_driving(data: "DataSet", split: str, planner: PlannerFactory, setti
     return (
         f"would drive {planner.facts.name} through {where} ({pluralise(len(units), 'drive')}{done}; engine "
         f"{settings.measured.world}, sensor {settings.sensor.name}): at most about "
-        f"{format_duration(seconds / workers)} on "
-        f"{pluralise(workers, 'process', 'processes')}"
+        f"{format_duration(seconds / workers)} on {pluralise(workers, 'process', 'processes')}"
     )

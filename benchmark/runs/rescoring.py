@@ -42,9 +42,8 @@ def require_vocabulary(counts: AnnotationCount, asked: Iterable[str], protocols:
     wrong = next((name for name in asked if name in silent), None)
     if wrong is not None:
         raise InputError(
-            f"{counts.sentence} in {where}, so that {wrong}, which depends on categories, sees almost no road "
-            "users; map "
-            "them with --categories (short, lyft, t4, argoverse2 or a JSON file)"
+            f"{counts.sentence} in {where}, so that {wrong}, which depends on categories, sees almost no road users; "
+            "map them with --categories (short, lyft, t4, argoverse2 or a JSON file)"
         )
 
 

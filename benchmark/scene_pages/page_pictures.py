@@ -38,9 +38,8 @@ def keep_existing_images(scene: str, videos: Videos) -> Videos:
     missing = [path for path in paths if not path.is_file()]
     if missing and len(missing) < len(paths):
         raise InputError(
-            f"image {missing[0]} is missing, {len(missing)} of {pluralise(len(paths), 'image')} of scene {scene} "
-            "are; complete the "
-            "data set, or make sheets with --pictures none"
+            f"image {missing[0]} is missing, {len(missing)} of {pluralise(len(paths), 'image')} of scene {scene} are; "
+            "complete the data set, or make sheets with --pictures none"
         )
     return {} if missing else {name: views for name, views in videos.items() if views}
 

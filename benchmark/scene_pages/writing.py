@@ -159,9 +159,8 @@ class WrittenPages:
             else "already made"
         )
         return (
-            f"{pluralise(len(self.scenes), 'sheet')} in {self.directory} ({when}): "
-            f"{total['sheet_bytes'] / 1e6:.1f} MB, with {pluralise(total['pictures'], 'picture')} of "
-            f"{total['picture_bytes'] / 1e6:.1f} MB"
+            f"{pluralise(len(self.scenes), 'sheet')} in {self.directory} ({when}): {total['sheet_bytes'] / 1e6:.1f} "
+            f"MB, with {pluralise(total['pictures'], 'picture')} of {total['picture_bytes'] / 1e6:.1f} MB"
             + ("" if self.traced is None else f"\nrounds of refinement of {pluralise(self.traced, 'scene')}")
         )
 

@@ -68,8 +68,7 @@ def read_stored(path: Path, limits: Limits = CHECKPOINT, *, checksums: bool = Tr
     if claimed > EXPANSION * len(mapped) + MIB:
         raise InputError(
             f"{path} claims tensors of {claimed} bytes but has {len(mapped)}; it may be malicious, get it from a "
-            "source "
-            "that you trust"
+            "source that you trust"
         )
     return StoredCheckpoint(tensors, storages, structure["big_endian"], structure["configuration"])
 

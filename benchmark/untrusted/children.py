@@ -107,9 +107,8 @@ def read_pickle(path: Path, limits: Limits = PICKLE) -> Any:
         return answer.parts[0]
     if answer.kind == "refused":
         raise InputError(
-            f"{path} is refused: its pickle uses {answer.parts[0]}, which is not among the arrays and containers "
-            "that a recording needs and could run code; do not open this file, get the recording from a source you "
-            "trust"
+            f"{path} is refused: its pickle uses {answer.parts[0]}, which is not among the arrays and containers that "
+            "a recording needs and could run code; do not open this file, get the recording from a source you trust"
         )
     reason = ": ".join(answer.parts)
     raise InputError(f"{path} is not a readable pickle ({reason}); it may be truncated, fetch it again")

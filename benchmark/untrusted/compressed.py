@@ -79,9 +79,8 @@ def _require_harmless(path: Path, entries: list[zipfile.ZipInfo], size: int, lim
     claimed = sum(entry.file_size for entry in entries)
     if claimed > min(size, limits.content_bytes):
         raise InputError(
-            f"{path} claims to hold {format_bytes(claimed)} in a file of {format_bytes(size)}; it is damaged or "
-            "made to harm, "
-            "get it from a source that you trust"
+            f"{path} claims to hold {format_bytes(claimed)} in a file of {format_bytes(size)}; it is damaged or made "
+            "to harm, get it from a source that you trust"
         )
 
 
@@ -126,9 +125,8 @@ def unpack_archive(path: Path, folder: Path, limits: Limits = ARCHIVE) -> None:
                 content = archive.extractfile(member) if member.isreg() else None
                 if content is None or name.is_absolute() or ".." in name.parts or not member.name.isprintable():
                     raise InputError(
-                        f"{path} holds {to_one_line(member.name, 80)}, which is no plain file inside it; it is "
-                        "damaged or "
-                        "made to harm, get it from a source that you trust"
+                        f"{path} holds {to_one_line(member.name, 80)}, which is no plain file inside it; it is damaged "
+                        "or made to harm, get it from a source that you trust"
                     )
                 target = folder / name
                 target.parent.mkdir(parents=True, exist_ok=True)

@@ -161,8 +161,7 @@ def open_file(path: Path, limits: Limits) -> BufferedReader:
         os.close(descriptor)
         raise InputError(
             f"{path} has {format_bytes(status.st_size)}, but a {limits.what} has at most "
-            f"{format_bytes(limits.file_bytes)}; it "
-            "is damaged or another kind of file, get it again"
+            f"{format_bytes(limits.file_bytes)}; it is damaged or another kind of file, get it again"
         )
     return os.fdopen(descriptor, "rb")
 

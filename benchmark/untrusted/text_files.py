@@ -144,9 +144,8 @@ def read_lines(path: Path, limits: Limits = JSON) -> Iterator[tuple[int, str]]:
     for number, line in enumerate(text.splitlines(), start=1):
         if len(line) > limits.line_bytes:
             raise InputError(
-                f"{path} line {number} is longer than {format_bytes(limits.line_bytes)}; it is damaged or "
-                "something else, "
-                "fetch or make it again"
+                f"{path} line {number} is longer than {format_bytes(limits.line_bytes)}; it is damaged or something "
+                "else, fetch or make it again"
             )
         yield number, line
 

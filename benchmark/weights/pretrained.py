@@ -52,9 +52,8 @@ class OptionalLibrary:
         missing = sorted(report["missing_keys"])
         if missing:
             raise InputError(
-                f"the weights in {folder} lack {pluralise(len(missing), 'tensor')} of {kind} (first: "
-                f"{missing[0]}); get them again "
-                "(challenger-bench weights list)"
+                f"the weights in {folder} lack {pluralise(len(missing), 'tensor')} of {kind} (first: {missing[0]}); "
+                "get them again (challenger-bench weights list)"
             )
         return network.eval()
 

@@ -150,9 +150,8 @@ def _format_advice(report: BuildReport, settings: BuildSettings) -> str:
     reasons = sorted(report.not_tried.items(), key=lambda row: (-row[1], row[0]))
     exclusions = ", ".join(f"{count} {reason}" for reason, count in reasons) or "nothing is annotated"
     return (
-        f"of {pluralise(sum(report.not_tried.values()), 'object')} none can be tried ({exclusions}): choose "
-        "other scenes with "
-        "--source-split or --scenes"
+        f"of {pluralise(sum(report.not_tried.values()), 'object')} none can be tried ({exclusions}): choose other "
+        "scenes with --source-split or --scenes"
     )
 
 

@@ -100,12 +100,10 @@ def require_all_planned(record: RunRecord) -> None:
     """Refuse a run in which the planner raised: a sample without a plan is neither a collision nor none."""
     if record.summary.failed:
         raise InputError(
-            f"{record.planner} raised on {record.summary.failed} of "
-            f"{pluralise(record.summary.samples, 'sample')}, so it "
-            f"is unknown which scenes it passes; the first: {find_first_failure(record.rows)}; all "
-            "tracebacks are "
-            f"in {record.directory / FAILURES_FILE}; fix the "
-            "planner, or render images if it needs them, then run the same command again"
+            f"{record.planner} raised on {record.summary.failed} of {pluralise(record.summary.samples, 'sample')}, so "
+            f"it is unknown which scenes it passes; the first: {find_first_failure(record.rows)}; all tracebacks are "
+            f"in {record.directory / FAILURES_FILE}; fix the planner, or render images if it needs them, then run the "
+            "same command again"
         )
 
 

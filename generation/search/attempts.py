@@ -176,9 +176,8 @@ def _require_same_track(before: StoredAttempt, again: StoredAttempt) -> None:
     )
     if not same or not np.abs(poses - expected).max(initial=0.0) <= SAME_M:
         raise InputError(
-            f"searching again for {first_report.agent} in {first_report.scene} gives another track here than the "
-            "one that "
-            "stored (other versions of numerical libraries can cause this), so its rounds cannot be stored; leave "
+            f"searching again for {first_report.agent} in {first_report.scene} gives another track here than the one "
+            "that stored (other versions of numerical libraries can cause this), so its rounds cannot be stored; leave "
             "--keep-rounds out, or delete the output and generate it again"
         )
 

@@ -95,8 +95,7 @@ class FrozenBuildReport:
         if self.estimate is not None:
             return (
                 f"would build {pluralise(count, 'scene')} of frozen split {self.name} from "
-                f"{pluralise(self.scenes, 'recorded scene')}; "
-                f"{self.estimate.sentence()}; nothing was written"
+                f"{pluralise(self.scenes, 'recorded scene')}; {self.estimate.sentence()}; nothing was written"
             )
         tables = (
             "equal to the frozen ones"
@@ -236,9 +235,8 @@ def _require_free_root(root: Path, name: str, content: str) -> None:
     stored = read_cached_json(state / _MARK)
     if isinstance(stored, dict) and stored.get("content") != content:
         raise InputError(
-            f"{root} was built from another frozen split ({stored.get('name')}); build {name} in "
-            "another "
-            "--out, nothing was changed"
+            f"{root} was built from another frozen split ({stored.get('name')}); build {name} in another --out, "
+            "nothing was changed"
         )
 
 

@@ -102,8 +102,7 @@ def _read_recording(source: DataSet, exchanged: ExchangedScene, file: Path) -> S
     if recorded_name is None:
         raise InputError(
             f"{file} was made from {to_one_line(exchanged.source_scene, 80)}, which {source.name} has no recording of; "
-            "choose the "
-            "recordings that it was exported from with --data"
+            "choose the recordings that it was exported from with --data"
         )
     return source.scene(recorded_name)
 
@@ -193,9 +192,8 @@ def _build_adversary(
     missing = np.flatnonzero(~scene.agents.valid[row, launch:])
     if len(missing):
         raise InputError(
-            f"{described} is absent at frame {launch + int(missing[0])}; a vehicle that is edited must be "
-            "there from its "
-            f"first change to the end (frame {len(scene.timestamps_us) - 1})"
+            f"{described} is absent at frame {launch + int(missing[0])}; a vehicle that is edited must be there from "
+            f"its first change to the end (frame {len(scene.timestamps_us) - 1})"
         )
     poses = np.column_stack([scene.agents.position[row, launch:, :2], scene.agents.yaw[row, launch:]])
     return FrozenAdversary(

@@ -122,8 +122,7 @@ def _read_manifest(path: Path, data: bytes | None) -> PackageManifest:
     if type(stored.get("schema")) is not int or stored["schema"] != SCHEMA:
         raise InputError(
             f"{path} has version {to_one_line(stored.get('schema'), 40)} of the format, but this version reads "
-            f"{SCHEMA}; "
-            "upgrade challenger-bench"
+            f"{SCHEMA}; upgrade challenger-bench"
         )
     return validate_stored(PackageManifest.model_validate, stored, _build_damage_formatter(path, MANIFEST))
 

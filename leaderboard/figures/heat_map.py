@@ -159,10 +159,9 @@ def _draw_shares(matrix: TransferMatrix, theme: PlotTheme) -> Figure:
 
 def _draw_lift(matrix: TransferMatrix, theme: PlotTheme) -> Figure:
     caption = (
-        f"{_describe_matrix(matrix)}.\nAbove the diagonal: lift, how many times\nmore often both fail than by "
-        "chance (1).\n"
-        "Below: φ, correlation of verdicts (0).\nOrange: more than chance; purple: less.\n"
-        "Small: 95 % interval; bold: beyond chance.\nHatched: undefined."
+        f"{_describe_matrix(matrix)}.\nAbove the diagonal: lift, how many times\nmore often both fail than by chance "
+        "(1).\nBelow: φ, correlation of verdicts (0).\nOrange: more than chance; purple: less.\nSmall: 95 % interval; "
+        "bold: beyond chance.\nHatched: undefined."
     )
     rates = [rate.value for rate in matrix.base_rates]
     failed = ["" if rate is None else f"fails {100 * rate:.0f} %" for rate in rates]

@@ -280,11 +280,9 @@ def _describe_rounds(rounds: RefinementTrace, at: TraceFrame, theme: PlotTheme) 
     seconds = (max(len(line) for entry in at.rounds for line in entry.candidates) - 1) / 2
     better = "brighter" if theme.dark else "darker"
     return (
-        "A: adversary, E: ego, dashed: path of the ego, star: executed. "
-        f"Lines: the adversary's centre over {seconds:g} s{drawn_note}; the {better}, the better. Scores are "
-        "compared over "
-        "all rounds together; beside: each candidate, median and quartiles. Free: candidates without contact in the "
-        "part that would be executed."
+        "A: adversary, E: ego, dashed: path of the ego, star: executed. Lines: the adversary's centre over "
+        f"{seconds:g} s{drawn_note}; the {better}, the better. Scores are compared over all rounds together; beside: "
+        "each candidate, median and quartiles. Free: candidates without contact in the part that would be executed."
     )
 
 

@@ -189,8 +189,7 @@ def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
             summary = record.summary
             notes.append(
                 f"{run_name}: {pluralise(summary.failed, 'sample')} failed. The rates cover "
-                f"{100 * summary.coverage:.1f} % of "
-                f"{pluralise(summary.samples, 'sample')}."
+                f"{100 * summary.coverage:.1f} % of {pluralise(summary.samples, 'sample')}."
             )
         if not record.covers_split:
             notes.append(f"{run_name}: {describe_split_part(len(record.run.scenes), record.run.scenes_in_split)}.")

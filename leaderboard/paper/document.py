@@ -54,8 +54,7 @@ def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
         rows,
         notes=(
             "As in the paper, each planner is scored by the protocol of its own repository (exact if it has none): "
-            "planners are not comparable. ×: (adv − val) / val of the averages. In the paper "
-            f"{split_names}.",
+            f"planners are not comparable. ×: (adv − val) / val of the averages. In the paper {split_names}.",
             *row_notes([row for block in blocks for row in block.values()]),
         ),
         text_columns=2,

@@ -242,10 +242,9 @@ def _require_same_content(records: Sequence[RunRecord], sheets: ScenePages) -> N
         record = content.get((data_name, split))
         if record is not None and record.run.data.fingerprint != stored.sheet.data.fingerprint:
             raise InputError(
-                f"the sheet of {scene} ({stored.directory}) shows other content of "
-                f"{format_split(split, data_name)} than "
-                "the run records saw (the data fingerprints differ); run challenger-bench sheets again, or eval again "
-                "if the data is newer"
+                f"the sheet of {scene} ({stored.directory}) shows other content of {format_split(split, data_name)} "
+                "than the run records saw (the data fingerprints differ); run challenger-bench sheets again, or eval "
+                "again if the data is newer"
             )
 
 

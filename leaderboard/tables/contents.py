@@ -323,20 +323,17 @@ def missing_notes(frame: DataSetRuns) -> list[str]:
             )
         if any(None in record.columns.values(field) for field in ("place", "speed_m_s")):
             notes.append(
-                f"{run_name}: the record does not say where its samples are, in what light and how fast, so that "
-                "it is in "
-                "no table by place, light or speed; run challenger-bench rescore."
+                f"{run_name}: the record does not say where its samples are, in what light and how fast, so that it is "
+                "in no table by place, light or speed; run challenger-bench rescore."
             )
         if has_adversaries(record) and not has_severity(record):
             notes.append(
-                f"{run_name}: the record does not say how severe its plans are, so that it is in no table of "
-                "attack success "
-                "or severity; run challenger-bench rescore."
+                f"{run_name}: the record does not say how severe its plans are, so that it is in no table of attack "
+                "success or severity; run challenger-bench rescore."
             )
         if record.run.split == "adv" and not record.run.scene_facts:
             notes.append(
-                f"{run_name}: the record does not say which recordings its scenes come from, so that intervals "
-                "take scenes "
-                "of one recording as independent; run challenger-bench rescore."
+                f"{run_name}: the record does not say which recordings its scenes come from, so that intervals take "
+                "scenes of one recording as independent; run challenger-bench rescore."
             )
     return notes

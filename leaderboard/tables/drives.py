@@ -40,9 +40,8 @@ _RATES_NOTE = (
     "failed only in that loop; agree: share of the others. Only scenes with a verdict in both loops count."
 )
 _SCENES_NOTE = (
-    "Scenes that a planner fails in only one of the loops; only closed: a drive ends in a contact and no plan "
-    f"of the recording collides under {OPEN_LOOP}. Contact: of the first run that has one, in seconds after the drive "
-    "began."
+    "Scenes that a planner fails in only one of the loops; only closed: a drive ends in a contact and no plan of the "
+    f"recording collides under {OPEN_LOOP}. Contact: of the first run that has one, in seconds after the drive began."
 )
 _LoopPair = tuple[DriveTableRow, PlannerLoopComparison]
 """A planner in closed loop, and in both."""
@@ -204,9 +203,8 @@ _NOTE_FAIRNESS: Final = (
 )
 _PUBLISHED: Final = ("NNS as published code rounds", "CR % as published code rounds")
 _PUBLISHED_NOTE: Final = (
-    "As published code rounds: means over runs, then scenes, then families, each rounded to three digits; a scene "
-    "with an unscored run is left out; as in NeuroNCAP's tables. NNS and CR % have no intermediate "
-    "rounding."
+    "As published code rounds: means over runs, then scenes, then families, each rounded to three digits; a scene with "
+    "an unscored run is left out; as in NeuroNCAP's tables. NNS and CR % have no intermediate rounding."
 )
 _FAMILIES: Final = ("stationary", "frontal", "side")
 _BRIEF: Final = (
@@ -308,6 +306,5 @@ def describe_failures(record: DriveRecord) -> str:
     lines = first.failure.text.strip().splitlines() or [first.failure.reason]
     return (
         f"{record.planner} failed in {record.summary.failed} of {pluralise(record.summary.drives, 'drive')} "
-        f"({reasons}; "
-        f"the first, {first.scene}: {lines[-1]})"
+        f"({reasons}; the first, {first.scene}: {lines[-1]})"
     )

@@ -99,9 +99,8 @@ def _notes(frame: DataSetRuns) -> list[str]:
         run_name, summary = f"{record.planner} on {record.run.split}", record.summary.driving
         if summary is None:
             sentences.append(
-                f"{run_name}: no driving scores; challenger-bench rescore computes them where the data set has a "
-                "map and "
-                "nuScenes' categories."
+                f"{run_name}: no driving scores; challenger-bench rescore computes them where the data set has a map "
+                "and nuScenes' categories."
             )
         elif summary.version != VERSION:
             sentences.append(

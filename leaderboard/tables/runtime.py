@@ -123,8 +123,7 @@ def _table(data_name: str, split: SplitPage, runtime: BuildRuntime) -> Table:
         [_values(split, runtime, stage) for stage in (*list_stages(runtime), ALL)],
         (
             f"Here: seconds of one processor core over {pluralise(runtime.attempts, 'attempt')} and "
-            f"{pluralise(runtime.scenes, 'rendered scene')}, on any machine; each: one attempt, rendering: one "
-            "scene.",
+            f"{pluralise(runtime.scenes, 'rendered scene')}, on any machine; each: one attempt, rendering: one scene.",
             f"Paper: wall-clock seconds for one scene of about 240 frames and six cameras on {RUNTIME_MACHINE}. The "
             "two columns have different units of work and are not comparable.",
         ),

@@ -166,9 +166,8 @@ def _check_labels(tables: CheckedTables, faults: FaultList) -> None:
             sentence = f"{scene['name']} has no annotations: contacts cannot be detected, and rates exclude it"
         else:
             sentence = (
-                f"{scene['name']} has no annotations at {len(missing)} of {pluralise(len(counts), 'sample')}, "
-                "the first "
-                f"of them number {missing[0]}: contacts cannot be detected there"
+                f"{scene['name']} has no annotations at {len(missing)} of {pluralise(len(counts), 'sample')}, the "
+                f"first of them number {missing[0]}: contacts cannot be detected there"
             )
         faults.add(_LABELS, "scene", scene["token"], sentence, severity="warning")
 

@@ -74,8 +74,7 @@ def require_records(
                 raise InputError(f"{path}: {what} {index} has no field {name}; fetch or make it again")
             if not kind.holds(record[name]):
                 raise InputError(
-                    f"{path}: {name} of {what} {index} is {format_value(record[name])}, it must be {kind.words}; "
-                    "fetch or "
-                    "make it again"
+                    f"{path}: {name} of {what} {index} is {format_value(record[name])}, it must be {kind.words}; fetch "
+                    "or make it again"
                 )
     return records

@@ -104,8 +104,7 @@ def write_records_card(
     count = len(records) + len(drives)
     description = (
         f"{pluralise(len(rows), 'rate')} from {pluralise(count, 'record')} of driving models on adversarial and "
-        "ordinary "
-        "scenes, each by a named, versioned protocol, with its sample count and interval."
+        "ordinary scenes, each by a named, versioned protocol, with its sample count and interval."
     )
     card_description = DataSetDescription(
         name=settings.title or "challenger-bench results",

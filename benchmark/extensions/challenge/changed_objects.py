@@ -278,8 +278,7 @@ def check_labels(
             yield RefusalReason(
                 rule="unchanged.points",
                 sentence=f"has no lidar point on {_name_object(entry, changed_object.agent)} where it is "
-                "changed, so that protocols "
-                "leave it out",
+                "changed, so that protocols leave it out",
             )
 
 

@@ -154,8 +154,7 @@ def check_times(entry: Scene, recorded: Scene, common: CommonKeyframes) -> Itera
         first = int(np.argmax(times != 0))
         sentence = (
             f"has {pluralise(theirs - len(common.here), 'keyframe')} at another time than the recording, first "
-            "keyframe "
-            f"{first}, by {abs(int(times[first])) * 1e-3:.3g} ms"
+            f"keyframe {first}, by {abs(int(times[first])) * 1e-3:.3g} ms"
         )
     yield RefusalReason(rule="unchanged.times", sentence=sentence)
 
@@ -171,8 +170,7 @@ def check_ego(entry: Scene, recorded: Scene, common: CommonKeyframes, rules: Unc
         yield RefusalReason(
             rule="unchanged.position_m" if moved[at] > rules.position_m else "unchanged.rotation",
             sentence=f"moves the ego at {pluralise(int(wrong.sum()), 'keyframe')}, first at keyframe "
-            f"{common.here[at]}, "
-            f"by up to {_metres(float(moved.max()))}",
+            f"{common.here[at]}, by up to {_metres(float(moved.max()))}",
         )
     elif np.array_equal(entry.timestamps_us, recorded.timestamps_us):
         off = np.abs(entry.ego.position - recorded.ego.position).max(axis=1)

@@ -124,9 +124,8 @@ class HttpConnection:
             size += len(part)
             if size > HTTP_ANSWER.file_bytes:
                 raise PlannerGoneError(
-                    f"{self.what} at {self.url} answers {path} with more than "
-                    f"{format_bytes(HTTP_ANSWER.file_bytes)}; this "
-                    "is not an answer of this protocol; check the address"
+                    f"{self.what} at {self.url} answers {path} with more than {format_bytes(HTTP_ANSWER.file_bytes)}; "
+                    "this is not an answer of this protocol; check the address"
                 )
             parts.append(part)
         return b"".join(parts)
@@ -138,9 +137,8 @@ class HttpConnection:
 
     def _build_away_error(self, path: str, error: Any) -> PlannerAwayError:
         return PlannerAwayError(
-            f"{self.what} at {self.url} hung up before answering {path} ({to_one_line(error, 80)}); look "
-            "at its "
-            "log, restart it, then run the same command again: finished work is kept"
+            f"{self.what} at {self.url} hung up before answering {path} ({to_one_line(error, 80)}); look at its log, "
+            "restart it, then run the same command again: finished work is kept"
         )
 
 

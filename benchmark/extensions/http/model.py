@@ -107,9 +107,8 @@ class HttpPlanner:
             )
         if _LEAST_ERROR <= reply.status < _LEAST_FAILURE:
             raise PlannerGoneError(
-                f"{self._who} refuses {path} (status {reply.status}: {_read_detail(reply)}); it speaks another "
-                "version of "
-                f"NeuroNCAP's protocol, needs another --image-format, or is not a model server"
+                f"{self._who} refuses {path} (status {reply.status}: {_read_detail(reply)}); it speaks another version "
+                "of NeuroNCAP's protocol, needs another --image-format, or is not a model server"
             )
 
 

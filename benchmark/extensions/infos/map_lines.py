@@ -63,8 +63,7 @@ class MapLines:
         except KeyError as error:
             raise InputError(
                 f"{path}: layer or record {to_one_line(repr(error.args[0]))} is missing; the map expansion is "
-                "incomplete, "
-                "fetch or make it again"
+                "incomplete, fetch or make it again"
             ) from error
         except (TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:
             raise self._malformed(error) from error

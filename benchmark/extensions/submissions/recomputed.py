@@ -124,8 +124,7 @@ def recompute_run(record: RunRecord, data: "DataSet") -> Iterator[GradedSentence
         first = different[0]
         yield (
             FindingLevel.ERROR,
-            f"claims other verdicts than its plans on {len(different)} of {pluralise(len(anew), 'sample')}, "
-            "first on "
+            f"claims other verdicts than its plans on {len(different)} of {pluralise(len(anew), 'sample')}, first on "
             f"sample {first.sample_token} of {first.scene}; {_RESCORE}",
         )
     scored = [row for row, computed in zip(record.rows, anew) if not _is_same_driving(row.driving, computed.driving)]

@@ -182,9 +182,8 @@ class RenderingEstimate:
         height, width = self.size
         known = "measured on one of its layers" if self.measured else "as given"
         lines = [
-            f"a scene of {self.frames} frames and six views at {height}x{width}: about "
-            f"{format_duration(self.seconds)} on "
-            f"{self.device} at {self.tera_operations:.3g} TFLOP/s ({known}), without reading weights"
+            f"a scene of {self.frames} frames and six views at {height}x{width}: about {format_duration(self.seconds)} "
+            f"on {self.device} at {self.tera_operations:.3g} TFLOP/s ({known}), without reading weights"
         ]
         for stage in self.stages:
             seconds = stage.operations / (self.tera_operations * 1e12)

@@ -83,8 +83,7 @@ def find_model_order(scene: Scene) -> Sequence[int]:
         available = ", ".join(names) or "none"
         raise InputError(
             f"{scene.name} has no camera {missing[0]} (it has {available}); MagicDriveDiT draws the six views of "
-            "nuScenes, "
-            "add its calibration or import the scene with the standard rig"
+            "nuScenes, add its calibration or import the scene with the standard rig"
         )
     cameras: list[Camera] = [scene.cameras[names.index(name)] for name in MODEL_CAMERAS]
     for camera in cameras:

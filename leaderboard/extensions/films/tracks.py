@@ -102,16 +102,14 @@ def _find_record(sheet: ScenePage, records: Sequence[RunRecord], name: str) -> R
     if not preferred:
         there = f"; there are {', '.join(sorted({record.planner for record in known}))}" if known else ""
         raise InputError(
-            f"no run record of {name} has scene {sheet.scene} of "
-            f"{format_split(sheet.split, sheet.data.name)}{there}; run "
-            f"challenger-bench eval --split {sheet.split} --model {name} for that data set"
+            f"no run record of {name} has scene {sheet.scene} of {format_split(sheet.split, sheet.data.name)}{there}; "
+            f"run challenger-bench eval --split {sheet.split} --model {name} for that data set"
         )
     if len(preferred) > 1:
         raise InputError(
             f"{name} ran {len(preferred)} times on {format_split(sheet.split, sheet.data.name)} "
             f"({', '.join(str(record.directory) for record in preferred)}); name one of "
-            f"{', '.join(e.planner for e in preferred)} "
-            "with --model, or the folder of one run with --records"
+            f"{', '.join(e.planner for e in preferred)} with --model, or the folder of one run with --records"
         )
     return preferred[0]
 
