@@ -56,7 +56,7 @@ def is_running(course: SimulationConfig, world: WorldState) -> bool:
 
 
 def step(course: SimulationConfig, world: WorldState, waypoints: Floats) -> WorldState:
-    """The world half a second later; what are no waypoints raises `UndrivablePlanError`.
+    """The world half a second later; what are no waypoints raises `InfeasiblePlanError`.
 
     Waypoints are (6 to 16, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
     """
@@ -80,7 +80,7 @@ def step_together(
 
 
 def require_drivable(course: SimulationConfig, plan: Any) -> Floats:
-    """(6 to 16, 2) waypoints as in `step`, of a plan that can be driven, else `UndrivablePlanError`."""
+    """(6 to 16, 2) waypoints as in `step`, of a plan that can be driven, else `InfeasiblePlanError`."""
     try:
         waypoints = np.array(plan, np.float64)
     except (TypeError, ValueError):

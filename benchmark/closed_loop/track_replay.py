@@ -8,7 +8,7 @@ import numpy as np
 from benchmark.closed_loop.agent_policy import AgentMotion, TrafficSnapshot
 from benchmark.closed_loop.plan_tracking import INSTANT_US, INSTANTS
 from benchmark.geometry import Bools, Floats
-from benchmark.interactions.tracks import ContinuousTracks, Integers
+from benchmark.interactions.tracks import ContinuousTracks
 
 _END_S = 1e-9
 
@@ -42,11 +42,6 @@ class TrackReplay:
             np.ascontiguousarray(present.T) & inside[:, None],
             np.ascontiguousarray(velocity.transpose(1, 0, 2)),
         )
-
-    @property
-    def first_rows(self) -> Integers:
-        """(N,) first row in which each agent is there; R for who never is."""
-        return np.where(self.present.any(axis=0), self.present.argmax(axis=0), len(self.present))
 
     def init(self, time_us: int, key: int) -> tuple[None, AgentMotion]:
         """All agents at a time of the drive."""

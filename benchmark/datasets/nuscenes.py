@@ -178,7 +178,7 @@ class NuScenesData:
         return find_expansion_file(self.root, self._log(self._row(name))["location"]) is not None
 
     def has_lidar(self, name: str) -> bool:
-        """Whether the tables say where the lidar of a scene sits (`standard_lidar` is taken where they do not)."""
+        """Whether the tables say where the lidar of a scene sits (`make_standard_lidar` is taken where they do not)."""
         row = self._row(name)
         return LIDAR_NAME in list_samples(self._devkit(row), row)[0]["data"]
 

@@ -86,7 +86,7 @@ def select_scenes(
     (``scene-0001-suffix``). 2. nuScenes' official lists, of the scenes that are here. 3. ``val``, of all scenes, where
     no official list names any.
 
-    A split that does not exist raises `NoSuchSplit`, a scene in ``splits.json`` that is not here `InputError`.
+    A split that does not exist raises `NoSuchSplitError`, a scene in ``splits.json`` that is not here `InputError`.
     ``where`` names the data set in messages.
     """
     if split in custom and not custom[split]:

@@ -1,6 +1,6 @@
 """How near many pairs of short tracks come to a contact: `benchmark.fairness.severity_series` for all plans of a scene.
 
-The definitions are those of one encounter; `severity_of` is what the tests hold this to.
+The definitions are those of one encounter; `severity_series.measure_severity` is what the tests hold this to.
 """
 
 from dataclasses import dataclass

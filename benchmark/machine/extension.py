@@ -27,12 +27,12 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "leaderboard submit-check": "benchmark.extensions.submissions.cli:submit_check_command",
         "train": "adapters.extensions.training.cli:app",
     },
-    # From the engine's name and its scenarios to a `closed_loop.riding.RideMaker`.
+    # From the engine's name and its scenarios to a `closed_loop.simulation_state.SimulatorBackend`.
     "engine": {
         "neuroncap@code": "benchmark.extensions.neuroncap.simulation_state:build_neuroncap_backend",
         "neuroncap@paper": "benchmark.extensions.neuroncap.simulation_state:build_neuroncap_backend",
     },
-    # From settings to a `closed_loop.adversary.AdversaryMaker`.
+    # From settings to a `closed_loop.adversary.AdversaryFactory`.
     "agents": {"adversary": "generation.extensions.reactive_adversary.adversary_maker:build_reactive_adversary_maker"},
     # From an address to a planner, and to a `closed_loop.sensors.Sensor`; by scheme.
     "planner": {"http": "benchmark.extensions.http.model:http_planner"},

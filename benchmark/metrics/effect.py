@@ -222,7 +222,7 @@ def find_first_contacts(record: RunRecord, protocol: str = EXACT) -> FirstContac
 def find_touched_scenes(record: RunRecord, protocol: str = EXACT) -> dict[str, bool | None]:
     """Which scenes a planner fails by touching the adversary first; on a split without adversaries, any object.
 
-    Verdicts as `benchmark.records.run.scene_failures` has them; ``None`` also where a plan collides and the record does
+    Verdicts as of `benchmark.records.rows.find_scene_failures`; ``None`` also where a plan collides and the record does
     not say with whom.
     """
     any_failures = find_scene_failures(record.rows, protocol)

@@ -1,6 +1,6 @@
 """Open loop beside closed loop: the same planner on the same scenes, judged by both, from records alone.
 
-Open loop fails a scene where any plan touches a recorded future (`benchmark.records.run.scene_failures`, ``exact``);
+Open loop fails a scene where any plan touches a recorded future (`records.rows.find_scene_failures`, ``exact``);
 closed loop fails it where the driven ego touched an object in any run. A scene enters only where both can say.
 """
 

@@ -1,6 +1,6 @@
 """Do scenes that break one planner break another: the surrogate-filtered matrix of the paper's appendix.
 
-A scene fails a planner if any counted sample of it collides at any step (`benchmark.records.run.scene_failures`). Cell
+A scene fails a planner if any counted sample of it collides at any step (`records.rows.find_scene_failures`). Cell
 (surrogate, victim) is the share of the surrogate's failed scenes that the victim fails too. It is not symmetric, and
 the victim's failure rate over all scenes (``base_rates``) belongs beside it: transfer is what exceeds that. Two
 planners that fail many scenes share many of them by chance; lift and the phi coefficient say how much more than that.
@@ -287,7 +287,7 @@ def _quotient(above: Floats, below: Floats) -> Floats:
 def find_adversary_failures(record: RunRecord) -> dict[str, bool | None]:
     """Scenes that a planner fails by touching the adversary first.
 
-    Verdicts as `benchmark.records.run.scene_failures` has them; the record must say whom contacts are with.
+    Verdicts as `records.rows.find_scene_failures` has them; the record must say whom contacts are with.
     """
     if not knows_contact_partners(record):
         raise InputError(

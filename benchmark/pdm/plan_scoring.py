@@ -110,7 +110,7 @@ def _score_batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Flo
 def _find_touched_objects(
     events: NDArray[np.int64], number: NDArray[np.int64], recorded: RecordedScene, plans: int
 ) -> list[dict[str, Any]]:
-    """Whom each of some plans touches; contacts in order of time within each plan, `number` as of `Traffic`."""
+    """Whom each of some plans touches; contacts in order of time within each plan, `number` as of `SampleTraffic`."""
     touched: list[dict[str, Any]] = [
         {"hit": None, "first_contact_s": None, "hit_adversary": False, "adversary_contact_s": None}
         for _ in range(plans)

@@ -34,7 +34,7 @@ class PlanRow(Stored):
 
 
 class OutcomeRow(Stored):
-    """The verdict of one protocol on one sample (`benchmark.protocols.Outcomes`).
+    """The verdict of one protocol on one sample (`benchmark.protocols.ProtocolOutcomes`).
 
     ``collision`` is null where the data do not say whom a plan could touch; what ``steps`` has of contacts is no
     verdict then. ``l2`` is in metres, null past the end of the scene; ``counted`` is whether the sample is in

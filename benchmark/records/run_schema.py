@@ -285,7 +285,7 @@ class ProtocolSummary(Stored):
         incomplete: The other samples that were planned: the protocol does not count them, or not at every horizon, or
             nothing is known of their contacts.
         scenes_failed: Scenes with a counted sample that collides.
-        scenes_decided: Scenes of which that can be said (see `scene_failures`).
+        scenes_decided: Scenes of which that can be said (see `benchmark.records.rows.find_scene_failures`).
         mask_removed_steps: Colliding steps that do not count because the recorded ego collides there too under the same
             protocol; null for protocols without such a mask, where no sample was planned, and in records of schema 1.
         mask_removed_for_adversary: Those of them at which the recorded ego touches an adversary; at the others it

@@ -1,7 +1,7 @@
 """Compact encoding of observations: the numbers of all arrays in one block, plain values beside it.
 
 Ready-made encodings look at every object by itself, which costs as much as all else that is done for a sample. Of
-pictures there are names here, calibration and poses (`pictures.py` has what is on them).
+pictures there are names here, calibration and poses (`shared_images.py` has what is on them).
 """
 
 import math

@@ -65,8 +65,8 @@ class TensorRefusedError(ValueError):
 def decode_image(data: bytes, *, tensors: bool, limits: Limits = HTTP_PICTURE) -> NDArray[np.uint8]:
     """(height, width, 3) RGB of a PNG, JPEG or WebP file, an array of numpy, or a saved tensor.
 
-    Raises `TensorRefused` for a saved tensor unless `tensors` is set, `ValueError` for anything else that is no such
-    picture, in words that fit behind "the picture".
+    Raises `TensorRefusedError` for a saved tensor unless `tensors` is set, `ValueError` for anything else that is no
+    such picture, in words that fit behind "the picture".
     """
     if len(data) > limits.file_bytes:
         raise ValueError(f"has {format_bytes(len(data))}, but a picture has at most {format_bytes(limits.file_bytes)}")

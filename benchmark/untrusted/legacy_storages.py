@@ -208,7 +208,8 @@ class _StorageUnpickler(_PlainUnpickler):
 def read_legacy_storage(data: Any) -> LegacyStorage:
     """Numbers of a storage that `torch.save` wrote in its old form.
 
-    Raises `Refused` if the stream asks for anything but storages; any other error is one of a damaged pickle.
+    Raises `DisallowedNameError` if the stream asks for anything but storages; any other error is one of a damaged
+    pickle.
     """
     if not isinstance(data, bytes | bytearray):
         raise DisallowedNameError("torch.storage._load_from_bytes of something other than bytes")

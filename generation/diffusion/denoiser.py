@@ -38,8 +38,9 @@ class DenoiserConfig:
         preconditioned: Whether a Gaussian of the data carries the linear part (`GaussianPreconditioner`).
         attention: Whether waypoints are tokens of a transformer; otherwise they are one vector
             (`generation.diffusion.preconditioning`), and heads, history and logits play no part.
-        conditioned: Whether the network can be told how the vehicle moves now (`present_features`), so that no vehicle
-            brakes into reverse. The published network cannot; one that can answers without where it is not told.
+        conditioned: Whether the network can be told how the vehicle moves now (`compute_present_features`), so that no
+            vehicle brakes into reverse. The published network cannot; one that can answers without where it is not
+            told.
     """
 
     feature_dim: int = 256
@@ -224,8 +225,8 @@ class TrajectoryDenoiser(nn.Module):
     ) -> Tensor:
         """Predict the standard normal noise, (B, 16, 3), in noisy standardised actions at (1,) or (B,) timesteps 0..99.
 
-        ``present`` are (1, 4) or (B, 4) `present_features`, which a network that cannot be told ignores; ``None`` says
-        nothing. ``step`` is the output of `step` for these timesteps and conditions, if already computed.
+        ``present`` are (1, 4) or (B, 4) `compute_present_features`, which a network that cannot be told ignores;
+        ``None`` says nothing. ``step`` is the output of `step` for these timesteps and conditions, if already computed.
         """
         step = step or self.step(timesteps, present)
         if step.shares is None:

@@ -160,7 +160,7 @@ class PreconditionedInput:
         return (self.gaussian.along(noise.flatten(1)) - self.guess) / self.left
 
     def along(self, answer: Tensor) -> Tensor:
-        """(B, 48) the network's answer along the axes, to compare with `residual`."""
+        """(B, 48) the network's answer along the axes, to compare with `compute_residual`."""
         return self.gaussian.along(answer.flatten(1))
 
 

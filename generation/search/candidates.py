@@ -251,7 +251,7 @@ def compute_nearness(scene: Scene, agent: int, hyper: HyperParameters) -> float:
 
 
 def find_launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
-    """First frame at which an agent may take over by the rule of ``hyper`` (`hyperparameters.Launch`), if any."""
+    """First frame at which an agent may take over by the rule of ``hyper`` (`hyperparameters.LaunchRule`), if any."""
     match hyper.launch:
         case LaunchRule.NEAR:
             return _find_launch_near_ego(scene, agent, hyper)

@@ -60,7 +60,7 @@ class SearchAttempt:
 
     @property
     def challenge(self) -> float:
-        """Its `ranking.challenge_score`."""
+        """Its `ranking.compute_challenge_score`."""
         return self.attempt.challenge
 
 

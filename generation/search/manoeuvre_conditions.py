@@ -203,7 +203,7 @@ def _compute_braking(along: Floats, seconds: Floats) -> Floats:
 
 
 def _compute_missing_cut_in(placed: ManoeuvrePlacement, side: float) -> Floats:
-    """From outside on one side into the strip, ahead, reached within 3 s; `asked_manoeuvres.Wish` says when."""
+    """From outside on one side into the strip, ahead, reached within 3 s; `ManoeuvreRequest` says when."""
     return placed.inside() + placed.ahead() + placed.missing_reached() + placed.missing_heading(0.0)
 
 

@@ -97,7 +97,7 @@ def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -
     """(B,) indices drawn with replacement with probability softmax(-score x temperature); lower scores are better.
 
     Infinite scores are never drawn. Uniform over the finite ones without scoring, over all where none is finite;
-    `NothingToDraw` if every weight underflows, which only an unstable softmax can do.
+    `ResamplingUnderflowError` if every weight underflows, which only an unstable softmax can do.
     """
     finite = np.isfinite(scores)
     if not finite.any():

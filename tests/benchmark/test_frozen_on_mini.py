@@ -104,7 +104,8 @@ def test_scenes_of_other_splits_and_data_sets_are_not_known_without_opening_them
 
 def test_names_are_known_without_torch_and_the_devkit() -> None:
     program = (
-        "import sys, pathlib; from benchmark import api; assert len(api.known_scenes('mini', 'adv', "
-        "pathlib.Path('/none'))) == 19; assert not {'torch', 'nuscenes'} & set(sys.modules)"
+        "import sys, pathlib; from benchmark import api; "
+        "assert len(api.known_scenes('mini', 'adv', pathlib.Path('/none'))) == 19; "
+        "assert not {'torch', 'nuscenes'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)

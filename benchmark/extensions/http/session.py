@@ -197,7 +197,7 @@ class PlannerSession:
         self._begun = False
 
     def reset(self) -> bytes:
-        """Begin a scene, always, and give the body of the answer; `Refused` if the planner fails in it."""
+        """Begin a scene, always, and give the body of the answer; `PlanRequestError` if the planner fails in it."""
         self._memory = ObservationHistory()
         self._begun = False
         try:
@@ -207,7 +207,7 @@ class PlannerSession:
         return encode_json(True)
 
     def infer(self, body: bytes) -> bytes:
-        """Answer one posted observation; `Refused` if unreadable, out of order, or if the planner fails."""
+        """Answer one posted observation; `PlanRequestError` if unreadable, out of order, or if the planner fails."""
         try:
             request = InferRequest.read(body)
             self._require_later(request.timestamp)

@@ -151,7 +151,7 @@ class QualityNetworks:
 
 
 def load_networks(definition: QualityDefinition, folders: Mapping[str, Path], place: torch.device) -> QualityNetworks:
-    """Load the source of masks, DINO and MUSIQ of a definition, with weights by name (`needed_for`)."""
+    """Load the source of masks, DINO and MUSIQ of a definition, with weights by name (`list_required_weights`)."""
     masks: MaskMaker = BoxMasks(definition)
     if definition.masks != "boxes":
         from benchmark.extensions.quality.segmentation import Detector, Segmenter

@@ -139,7 +139,8 @@ def cut_windows(file: TrackFile, stride_s: float = 0.5) -> TrackWindows:
     """Windows of half a second of past and eight seconds of future.
 
     Left out are those that move less than 5 m, that no tyre holds (8 m/s^2 along or across), that jitter, at one place
-    or throughout, whose heading does not fit the motion, and those with a step that no car can take (`Motion.excess`).
+    or throughout, whose heading does not fit the motion, and those with a step that no car can take
+    (`TrajectoryMotion.excess`).
     """
     step, stride = round(STEP_S / GRID_S), max(round(stride_s / GRID_S), 1)
     reach = step * (WAYPOINTS + 1)

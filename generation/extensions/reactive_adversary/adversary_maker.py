@@ -19,7 +19,7 @@ from generation.search.hyperparameters import HyperParameters
 
 @dataclass(frozen=True, slots=True)
 class ReactiveAdversaryMaker:
-    """Maker of adversaries that are planned while a planner drives (`AdversaryMaker`)."""
+    """Maker of adversaries that are planned while a planner drives (`AdversaryFactory`)."""
 
     settings: AdversarySettings
     prior: PriorFactory = field(default_factory=PackagedPrior)

@@ -115,7 +115,7 @@ _PART_STEP = 64
 
 
 def draw_solids(image: NDArray[np.uint8], view: PlacedCamera, facets: Facets, colours: NDArray[np.uint8]) -> None:
-    """Draw solids, (Q, 3) colours as seen from `facets.seen_colours`, with correct occlusion into an (h, w, 3) RGB."""
+    """Draw solids with correct occlusion into an (h, w, 3) RGB; (Q, 3) colours are of `compute_seen_colours`."""
     in_view = _find_solids_in_view(view, facets)
     if not len(in_view):
         return

@@ -49,8 +49,9 @@ def test_who_is_killed_while_writing_leaves_nothing(tmp_path: Path, there: bool)
     if there:
         path.write_bytes(b"before")
     script = (
-        "import os, signal, sys; from pathlib import Path; from benchmark.machine import storage;storage.os.fsync = "
-        f"lambda _: os.kill(os.getpid(), signal.SIGKILL);storage.write_bytes(Path({str(path)!r}), b'x' * 100_000)"
+        "import os, signal, sys; from pathlib import Path; from benchmark.machine import storage;"
+        "storage.os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL);"
+        f"storage.write_bytes(Path({str(path)!r}), b'x' * 100_000)"
     )
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=False)
     assert done.returncode == -signal.SIGKILL

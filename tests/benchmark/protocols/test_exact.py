@@ -1,4 +1,4 @@
-"""The exact protocol on cases made by hand; `test_protocols_slow` and `test_protocols_verification` have the rest."""
+"""The exact protocol on cases made by hand; `test_slow` and the golden sets have the rest."""
 
 import numpy as np
 import pytest

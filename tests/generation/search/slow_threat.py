@@ -1,6 +1,6 @@
 """The terms of a threat written candidate by candidate, as ``docs/generation.md`` says them.
 
-Nothing is shared with the fast side but the settings and the ego's way, which `test_ego_way` checks by itself.
+Nothing is shared with the fast side but the settings and the ego's path, which has tests of its own.
 """
 
 import math
