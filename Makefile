@@ -10,7 +10,7 @@ INSTALLED := build/installed
 # PyTorch's own index has builds without CUDA, which save 6 GB where there is no NVIDIA GPU.
 TORCH_CPU ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: setup browser demo paper test core-alone check wheel wheel-check docs bench gpu attack clean
+.PHONY: setup browser demo paper test test-extensions test-all test-fast test-slow core-alone check wheel wheel-check docs bench gpu attack clean
 
 setup: $(VENV)/.complete
 
@@ -51,11 +51,27 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Installs nothing beside the packages of set-up: without Chromium the tests in a browser are skipped.
+# ruff, mypy, the core's tests and a golden path of each extension. Installs nothing beside the packages of set-up:
+# without Chromium the tests in a browser are skipped.
 test: check
-	$(BIN)/pytest -n auto --dist loadscope
+	$(BIN)/pytest -n auto --dist loadscope --part core
 	@{ command -v "$${CHROMIUM:-chromium}" && command -v "$${CHROMEDRIVER:-chromedriver}"; } >/dev/null 2>&1 || \
 	  echo "there is no Chromium with its driver here: the tests of the site in a browser were skipped; make browser installs it"
+
+# What is left of the extensions' tests.
+test-extensions: setup
+	$(BIN)/pytest -n auto --dist loadscope --part extensions
+
+test-all: test test-extensions
+
+# The tests of the folders that the working tree changes (of the last commit, if it changes none), within a minute.
+test-fast: setup
+	$(BIN)/ruff check .
+	$(BIN)/pytest -n auto --dist loadscope --part core --budget 45 $$($(BIN)/python -m tests.parts)
+
+# Training, soaks and kills: what runs at night.
+test-slow: setup
+	$(BIN)/pytest -n auto --dist loadscope --part slow
 
 # The tests of the core in a copy without any extension.
 core-alone: setup

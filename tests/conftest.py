@@ -1,9 +1,42 @@
-"""What all tests share."""
+"""What all tests share, and the parts in which they run: the core, the extensions, and what runs at night."""
 
 import gc
+import time
 from collections.abc import Iterator
 
 import pytest
+
+from tests.parts import PARTS, part_of
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--part", choices=PARTS, help="run one part of the tests instead of all")
+    parser.addoption("--budget", type=float, metavar="SECONDS", help="start no test after so many seconds")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--budget") is not None:
+        config.pluginmanager.register(Budget(config.getoption("--budget")))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if (part := config.getoption("--part")) is None:
+        return
+    chosen = [item for item in items if part_of(item) == part]
+    config.hook.pytest_deselected(items=[item for item in items if part_of(item) != part])
+    items[:] = chosen
+
+
+class Budget:
+    """Skips the tests that come after the budget is spent, so that the summary counts them."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds, self.start = seconds, time.monotonic()
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_setup(self) -> None:
+        if time.monotonic() - self.start > self.seconds:
+            pytest.skip(f"after the budget of {self.seconds:g} s; make test runs it")
 
 
 @pytest.fixture(scope="module", autouse=True)

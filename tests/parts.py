@@ -1,0 +1,67 @@
+"""The parts of the tests, and which of them a change touches."""
+
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PARTS = ("core", "extensions", "slow")
+"""`make test` runs the first, `make test-extensions` the second, `make test-slow` the last, at night."""
+
+
+def part_of(item: pytest.Item) -> str:
+    """A test is slow if it is marked so; of an extension, its marked golden path (``path``) runs with the core."""
+    if item.get_closest_marker("slow"):
+        return "slow"
+    in_extension = "extensions" in item.path.parts and not item.get_closest_marker("path")
+    return "extensions" if in_extension else "core"
+
+
+def list_changed(root: Path = ROOT) -> list[str]:
+    """Changed and new files of the working tree, or the files of the last commit where nothing is changed."""
+    head = ["diff", "--name-only", "--no-renames", "HEAD"]
+    for commands in ([head, ["ls-files", "--others", "--exclude-standard"]], [[*head[:-1], "HEAD~1", "HEAD"]]):
+        lines = [
+            line
+            for command in commands
+            for line in subprocess.run(
+                ["git", *command], cwd=root, capture_output=True, text=True, check=True
+            ).stdout.splitlines()
+        ]
+        if lines:
+            return lines
+    return []
+
+
+def select_touched(changed: Iterable[str], root: Path = ROOT) -> list[str]:
+    """Test folders and modules that mirror the changed files; the layers' tests always.
+
+    A file of ``benchmark/protocols`` touches ``tests/benchmark/protocols``; one without a mirror, the tests of the
+    nearest folder above it that has some. A changed test module touches itself.
+    """
+    selected = {"tests/test_layers.py"}
+    for name in changed:
+        path = Path(name)
+        if path.parts[0] == "tests" and path.name.startswith("test_"):
+            selected |= {name} if (root / path).exists() else set()
+            continue
+        mirror = path if path.parts[0] == "tests" else Path("tests") / path
+        # A module's own tests, if there are such: benchmark/geometry.py has tests/benchmark/test_geometry.py.
+        own = mirror.with_name(f"test_{path.stem}.py")
+        if (root / own).exists():
+            selected.add(str(own))
+            continue
+        folder = next((above for above in mirror.parents if (root / above).is_dir()), Path("tests"))
+        if len(folder.parts) > 1:
+            modules = (root / folder).glob("test_*.py")
+            deep = len(folder.parts) > 2
+            selected |= {str(folder)} if deep else {str(each.relative_to(root)) for each in modules}
+    folders = {name for name in selected if not name.endswith(".py")}
+    return sorted(name for name in selected if not any(str(above) in folders for above in Path(name).parents))
+
+
+if __name__ == "__main__":
+    sys.stdout.write("\n".join(select_touched(list_changed())) + "\n")
