@@ -39,8 +39,8 @@ def list_changed(root: Path = ROOT) -> list[str]:
 def select_touched(changed: Iterable[str], root: Path = ROOT) -> list[str]:
     """Test folders and modules that mirror the changed files; the layers' tests always.
 
-    A file of ``benchmark/protocols`` touches ``tests/benchmark/protocols``; one without a mirror, the tests of the
-    nearest folder above it that has some. A changed test module touches itself.
+    A file of ``benchmark/protocols`` touches ``tests/benchmark/protocols``; a module right below ``benchmark`` touches
+    its own tests or else those beside them. A changed test module touches itself.
     """
     selected = {"tests/test_layers.py"}
     for name in changed:
@@ -49,16 +49,13 @@ def select_touched(changed: Iterable[str], root: Path = ROOT) -> list[str]:
             selected |= {name} if (root / path).exists() else set()
             continue
         mirror = path if path.parts[0] == "tests" else Path("tests") / path
-        # A module's own tests, if there are such: benchmark/geometry.py has tests/benchmark/test_geometry.py.
-        own = mirror.with_name(f"test_{path.stem}.py")
-        if (root / own).exists():
-            selected.add(str(own))
-            continue
         folder = next((above for above in mirror.parents if (root / above).is_dir()), Path("tests"))
-        if len(folder.parts) > 1:
-            modules = (root / folder).glob("test_*.py")
-            deep = len(folder.parts) > 2
-            selected |= {str(folder)} if deep else {str(each.relative_to(root)) for each in modules}
+        if len(folder.parts) > 2:
+            selected.add(str(folder))
+        elif len(folder.parts) == 2:
+            own = folder / f"test_{path.stem}.py"
+            modules = [own] if (root / own).exists() else (root / folder).glob("test_*.py")
+            selected |= {str(folder / module.name) for module in modules}
     folders = {name for name in selected if not name.endswith(".py")}
     return sorted(name for name in selected if not any(str(above) in folders for above in Path(name).parents))
 
