@@ -43,7 +43,9 @@ def test_every_command_on_a_page_is_one(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_page_and_picture_that_a_page_names_is_there(page: Path) -> None:
     text = page.read_text()
-    named = re.findall(r"\]\(([^)#:]+)\)", text)
+    # A badge leads to the page of a workflow, beside the tree on the server.
+    badge = re.compile(r"(?:\.\./){2}actions/workflows/([\w-]+\.yml)(?:/badge\.svg)?")
+    named = [badge.sub(r".github/workflows/\1", name) for name in re.findall(r"\]\(([^)#:]+)\)", text)]
     assert not [name for name in named if not (page.parent / name).exists()]
     docs = re.findall(r"`(docs/[\w./-]+\.md)`", text)
     assert not [name for name in docs if not (ROOT / name).exists()]
