@@ -82,7 +82,7 @@ def change(node: ast.expr) -> ast.expr | None:
         return ast.BoolOp(SWAPS[type(node.op)](), node.values)  # type: ignore[arg-type]
     if isinstance(node, ast.Compare) and type(node.ops[0]) in SWAPS:
         return ast.Compare(node.left, [SWAPS[type(node.ops[0])](), *node.ops[1:]], node.comparators)  # type: ignore[list-item]
-    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+    if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
         return ast.Constant(node.value + 1)
     return None
 
