@@ -23,7 +23,8 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_eval_prints_its_table(town: Path, tmp_path: Path) -> None:
     models = ("--model", "constant-velocity", "--model", "idm")
-    command = [sys.executable, "-m", "benchmark", "eval", *models, "--data", town, "--out", tmp_path, "--workers", "1"]
+    on = ("--data", str(town), "--out", str(tmp_path), "--workers", "1")
+    command = [sys.executable, "-m", "benchmark", "eval", *models, *on]
     done = subprocess.run(
         command, cwd=ROOT, env=os.environ | {"PYTHONIOENCODING": "ascii"}, capture_output=True, check=False
     )
