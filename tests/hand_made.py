@@ -127,9 +127,7 @@ def without_frames(scene: Scene, agent: int, keyframes: slice) -> Scene:
     valid[agent, first : last + 1] = False
     annotated[agent, keyframes] = False
     return replace(
-        scene,
-        agents=replace(scene.agents, valid=valid),
-        annotations=replace(scene.annotations, valid=annotated),
+        scene, agents=replace(scene.agents, valid=valid), annotations=replace(scene.annotations, valid=annotated)
     )
 
 

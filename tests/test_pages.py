@@ -2,7 +2,6 @@
 
 import re
 import shlex
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,29 +12,19 @@ import typer
 import benchmark
 from benchmark.cli.app import app
 from generation.sources.mini import TownSettings
-from tests.benchmark.cli.cli_runs import challenger_bench
-
-ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
-
-
-def command_lines(text: str) -> Iterator[list[str]]:
-    """Arguments of every ``challenger-bench`` command that stands in a block of code."""
-    for block in re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
-        for line in block.replace("\\\n", " ").splitlines():
-            if line.strip().startswith("challenger-bench "):
-                yield [word for word in shlex.split(line, comments=True)[1:] if word != "..."]
+from tests.benchmark.cli.cli_runs import run_main
+from tests.documentation.lines_of_code import PAGES, ROOT, typed_lines
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_command_on_a_page_is_one(page: Path) -> None:
-    for arguments in command_lines(page.read_text()):
+    for line in (line for line in typed_lines(page) if line.text.startswith("challenger-bench ")):
         command: Any = typer.main.get_command(app)
-        rest = list(arguments)
+        rest = [word for word in shlex.split(line.text)[1:] if word != "..."]
         while rest and rest[0] in getattr(command, "commands", {}):
             command = command.commands[rest.pop(0)]
         # After a group come options alone: any other word would be a command that there is not.
-        assert not hasattr(command, "commands") or not rest or rest[0].startswith("-"), arguments
+        assert not hasattr(command, "commands") or not rest or rest[0].startswith("-"), line.text
         # Reads the words as the command would, and does nothing.
         command.make_context("challenger-bench", rest)
 
@@ -58,8 +47,8 @@ def test_the_planner_of_the_readme_drives(tmp_path: Path, monkeypatch: pytest.Mo
     tiny = partial(TownSettings, val_scenes=1, width=96, height=54, frames="keyframes")
     town = benchmark.build_town(tmp_path / "town", tiny(), workers=1)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    said = challenger_bench("eval", "--data", town, "--split", "val", "--model", "my_planner:MyPlanner", "--json")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    said = run_main("eval", "--data", town, "--split", "val", "--model", "my_planner:MyPlanner", "--json")
     assert said.code == 0, said.err
     summary = said.json[0]
     assert summary["failed"] == 0 and summary["samples"] > 0

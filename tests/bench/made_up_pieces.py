@@ -20,10 +20,6 @@ def breaks(setting: Setting) -> dict[str, Any]:
     raise ValueError("no memory\nat all")
 
 
-def not_a_number(setting: Setting) -> dict[str, Any]:
-    return {"count": float("nan")}
-
-
 def sleeps(setting: Setting) -> dict[str, Any]:
     write_json(setting.folder / "process.json", os.getpid())
     time.sleep(600)
@@ -35,6 +31,5 @@ def so_far(setting: Setting) -> dict[str, Any]:
 
 
 COUNT, BREAKS = Piece("count", "counts", count, told), Piece("breaks", "breaks", breaks, told)
-ODD = Piece("odd", "no number", not_a_number, told)
 LONG = Piece("long", "takes long", sleeps, told, so_far)
 WHOLE = Piece("whole", "takes long , so it is not cut", sleeps, told)

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,8 +19,8 @@ from bench.attacking.doors import (
     server_tries,
 )
 from bench.attacking.planners import ODD_PLANNERS
-from bench.attacking.servers import GOOD_PLAN, SLOW, OddServer, odd_answers
-from bench.attacking.verdicts import FINE, Verdict, door_verdict, is_sentence
+from bench.attacking.servers import SLOW, odd_answers
+from bench.attacking.verdicts import FINE, Verdict, door_verdict
 from benchmark.cli.app import app
 from benchmark.extensions.http import model
 
@@ -47,6 +46,7 @@ def test_a_good_planner_of_others_runs_and_a_failing_one_is_a_partial_run(doors:
     assert codes == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_who_would_serve_for_ever_is_interrupted(doors: DoorCampaign) -> None:
     serving = ("serve", "--seed is a number of 400 digits"), ("serve", "--seed is a billion")
     places = {(tried.command, tried.name): place for place, tried in enumerate(doors.tries)}
@@ -55,6 +55,7 @@ def test_who_would_serve_for_ever_is_interrupted(doors: DoorCampaign) -> None:
     assert refused == 2 and interrupted in (0, 130)
 
 
+@pytest.mark.slow
 def test_our_server_refuses_requests_that_are_none_and_a_server_that_died_is_seen(doors: DoorCampaign) -> None:
     numbers = [place for place, tried in enumerate(doors.tries) if tried.request is not None]
     assert len(numbers) == REQUESTS and numbers[-1] == len(doors.tries) - 1
@@ -94,32 +95,3 @@ def test_what_is_attacked_and_what_is_left_out_are_commands() -> None:
 )
 def test_every_way_to_fall_is_seen(ended: CommandOutcome, found: Verdict, tmp_path: Path) -> None:
     assert door_verdict(ended, tmp_path / "out") == found
-
-
-def test_a_server_answers_one_path_oddly_and_the_others_well() -> None:
-    def asked(server: OddServer, path: str) -> bytes:
-        with socket.create_connection(("127.0.0.1", int(server.url.rpartition(":")[2])), timeout=5.0) as stream:
-            stream.sendall(f"POST {path} HTTP/1.1\r\ncontent-length: 2\r\n\r\n{{}}".encode())
-            return b"".join(iter(lambda: stream.recv(1 << 16), b""))
-
-    with OddServer("/reset", "no HTTP") as server:
-        assert asked(server, "/reset").startswith(b"SSH-")
-        assert asked(server, "/infer").endswith(GOOD_PLAN) and asked(server, "/alive").endswith(b"\r\n\r\ntrue")
-    with OddServer("/infer", "change 3 of a plan") as server:
-        changed = asked(server, "/infer")
-        assert changed == asked(server, "/infer") and not changed.endswith(GOOD_PLAN)
-
-
-def test_what_a_command_says_of_a_server_may_come_before_its_refusal() -> None:
-    said = "the model server at http://127.0.0.1:1 is gone; waiting at most 1 s for it to return\n"
-    assert is_sentence(f"{said}error: it went away\n") and not is_sentence(f"it went away\n{said}error: a\n")
-
-
-def test_finished_work_may_stay_where_a_command_says_so(tmp_path: Path) -> None:
-    (tmp_path / "drive").touch()
-    assert door_verdict(ENDED, tmp_path, keeps_work=True) == Verdict.ANSWERED
-
-
-def test_a_refusal_that_wrote_something_is_seen(tmp_path: Path) -> None:
-    (tmp_path / "half").touch()
-    assert door_verdict(ENDED, tmp_path) == Verdict.WROTE

@@ -11,7 +11,7 @@ import pytest
 from bench.gpu import PIECES, main
 from bench.gpu_day import networks, pieces, training
 from bench.gpu_day.pieces import Setting, cached_outcome, cached_path, find_piece, markdown, run_piece
-from tests.bench.made_up_pieces import BREAKS, COUNT, LONG, ODD, WHOLE
+from tests.bench.made_up_pieces import BREAKS, COUNT, LONG, WHOLE
 from tests.generation.extensions.denoiser_training.test_loop import tracks as made_up_tracks
 
 TRIAL = ("--device", "cpu", "--tiny", "--folder")
@@ -70,44 +70,25 @@ def test_a_day_that_is_killed_leaves_no_piece_on_the_card(tmp_path: Path) -> Non
     pytest.fail("the piece runs on")
 
 
-def test_time_that_is_up_begins_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*TRIAL, str(tmp_path), "--minutes", "0"], (COUNT,)) == 1
-    assert capsys.readouterr().out == "1 pieces are left; run the same command again\n"
-
-
-def test_what_cannot_be_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*TRIAL, str(tmp_path), "--piece", "none"]) == 2
-    assert "there is no piece 'none'; they are diffusiondrive-agreement" in capsys.readouterr().err
-    assert main(["--folder", str(tmp_path), "--device", "cuda:77"]) == 2
-    assert "no GPU found for device 'cuda:77'" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
-def test_every_network_is_there_in_every_way() -> None:
-    names = {piece.name for piece in PIECES}
-    assert len(names) == len(PIECES) == 28
-    for network in ("uniad", "vad-base", "vad-tiny", "sparsedrive", "diffusiondrive"):
-        assert names >= {f"{network}-{way}" for way in ("agreement", "float32", "bfloat16", "compiled")}
-
-
 def test_a_network_is_timed_and_agrees_with_itself(tmp_path: Path) -> None:
     setting = trial(tmp_path)
-    for name in ("vad-tiny-float32", "vad-tiny-bfloat16"):
-        piece = find_piece(PIECES, name)
-        figures = piece.work(setting)
-        assert figures["frames_per_s"] > 0 and "random weights" in piece.said(figures)
+    piece = find_piece(PIECES, "vad-tiny-bfloat16")
+    figures = piece.work(setting)
+    assert figures["frames_per_s"] > 0 and "random weights" in piece.said(figures)
     piece = find_piece(PIECES, "sparsedrive-agreement")
     figures = piece.work(setting)
     assert figures["plan_m"] == 0.0 and figures["frames"] == networks.COMPARED_FRAMES
     assert "against the processor" in piece.said(figures)
 
 
+@pytest.mark.slow
 def test_the_photorealistic_network_is_timed(tmp_path: Path) -> None:
     for piece in (find_piece(PIECES, f"magicdrive-{mode}-224x400") for mode in ("kept", "decoder")):
         figures = piece.work(trial(tmp_path))
         assert figures["scene_s"] > 0 and figures["frames"] == 9 and "random weights" in piece.said(figures)
 
 
+@pytest.mark.slow
 def test_the_prior_is_timed_and_trained_to_the_end(tracks: Path, tmp_path: Path) -> None:
     setting = Setting(tmp_path / "gpu", "cpu", tiny=True, tracks=tracks)
     assert training.read_prior_progress(setting)["step"] == 0
@@ -121,12 +102,8 @@ def test_the_prior_is_timed_and_trained_to_the_end(tracks: Path, tmp_path: Path)
     assert sorted(path.name for path in setting.kept.iterdir()) == ["prior.log.jsonl", "prior.safetensors"]
 
 
+@pytest.mark.slow
 def test_a_miniature_is_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
     figures = training.miniature_speed(trial(tmp_path))
     assert figures.get("whole_s", 1.0) > 0 and figures["steps"] > 100 and figures["timed_steps"] == 2
-
-
-def test_figures_that_are_no_json_are_a_failure(tmp_path: Path) -> None:
-    outcome = run_piece(trial(tmp_path), ODD)
-    assert outcome.figures is None and str(outcome.failure).startswith("ValueError: Out of range float values")

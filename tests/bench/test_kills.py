@@ -18,7 +18,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> KillBench:
     return KillBench(tmp_path_factory.mktemp("kills"), seed=1)
 
 
-@pytest.mark.parametrize(("name", "how"), [("generate", "kill"), ("drive", "kill"), ("drive over HTTP", "server")])
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "how"), [("generate", "kill"), ("drive over HTTP", "server")])
 def test_a_command_that_is_disturbed_leaves_what_an_undisturbed_one_leaves(
     bench: KillBench, name: str, how: str
 ) -> None:

@@ -44,11 +44,6 @@ def test_the_least_of_each_side_counts(tmp_path: Path) -> None:
     assert [format_seconds(seconds) for seconds in (90.0, 1.5e-3, 2e-6)] == ["90 s", "1.5 ms", "2 us"]
 
 
-def test_a_fresh_state_is_made_for_each_turn(tmp_path: Path) -> None:
-    figures = measure(replace(MADE_UP, fresh=True), tmp_path, quick=True, repeat=2, clock=clock(*[1.0] * 4))
-    assert figures["more"] == "from [(True, '1')]"
-
-
 @pytest.mark.parametrize(
     ("strict", "says"),
     [
@@ -65,16 +60,6 @@ def test_what_is_past_its_limit_or_comes_to_something_else_is_said(tmp_path: Pat
     assert bool(quick["wrong"]) == ("something else" in says)
 
 
-def test_what_is_needed_and_is_not_here_skips_a_case(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main([], (replace(MADE_UP, needs=("no_such_package",)),)) == 0
-    assert capsys.readouterr().out.split(maxsplit=1)[1] == "skipped: it needs the package no_such_package\n"
-
-
-def test_an_unknown_name_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["made-up", "none"], (MADE_UP,)) == 2
-    assert "there is no case 'none'" in capsys.readouterr().err
-
-
 def test_names_choose_and_what_is_run_on_request_is_run_by_name_only(capsys: pytest.CaptureFixture[str]) -> None:
     two = (MADE_UP, replace(MADE_UP, name="made-up/two", on_request=True))
     for names, chosen in (([], 1), (["made-up"], 2), (["made-up/two"], 1)):
@@ -87,16 +72,3 @@ def test_a_case_is_measured_in_a_process_of_its_own(capsys: pytest.CaptureFixtur
     assert command.main(["door/recording", "--quick", "--repeat", "1", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["name"] == "door/recording" and figures["ratio"] > 0 and figures["wrong"] == []
-
-
-def test_another_tree_is_measured_in_turns(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    figures = {"name": MADE_UP.name, "unit": "thing", "peak_mb": 1, "wrong": []}
-    here = iter([{"ours_s": 3.0, "digest": "a"}, {"ours_s": 2.0, "digest": "a"}])
-
-    def found(tree: Path, _case: Case, _given: object) -> dict[str, object]:
-        return figures | (next(here) if tree == command.ROOT else {"ours_s": 5.0, "digest": "b"})
-
-    monkeypatch.setattr(command, "measure_in_tree", found)
-    assert command.main(["--against", "elsewhere"], (MADE_UP,)) == 1
-    shown = capsys.readouterr().out
-    assert "in the other tree 5 s: 2.50 times" in shown and "the other tree comes to something else" in shown

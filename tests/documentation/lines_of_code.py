@@ -85,13 +85,7 @@ LONGER: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """Something that a page tells a reader to type.
-
-    Attributes:
-        page: The page.
-        number: Line of the page, from 1.
-        text: What to type, comments removed and continued lines joined.
-    """
+    """What a page tells a reader to type, comments removed and continued lines joined; lines count from 1."""
 
     page: Path
     number: int

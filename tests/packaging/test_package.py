@@ -6,29 +6,20 @@ import re
 import subprocess
 import sys
 import tomllib
-import zipfile
 from importlib.util import find_spec
-from pathlib import Path
 
 import pytest
 
-from tests.packaging.contents import PACKAGES, ROOT, archive_files, files_of_packages, wheel_files
+from tests.packaging.contents import PACKAGES, ROOT, files_of_packages
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-MODULE_OF = {
-    "nuscenes-devkit": "nuscenes",
-    "opencv-python-headless": "cv2",
-    "pyyaml": "yaml",
-    "pillow": "PIL",
-}
+MODULE_OF = {"nuscenes-devkit": "nuscenes", "opencv-python-headless": "cv2", "pyyaml": "yaml", "pillow": "PIL"}
 BROUGHT_BY_OTHERS = {
     "huggingface_hub": "transformers and diffusers need it; `weights fetch` says so where it is missing"
 }
 SERVERS = ("benchmark/extensions/http/server.py", "benchmark/extensions/http/server.py")
 """Modules that need an extra when they are imported: `serve` imports them when everything was looked at."""
-NEEDED_BY_OTHERS = {
-    "sentencepiece": "the tokenizer of transformers that renderers load",
-}
+NEEDED_BY_OTHERS = {"sentencepiece": "the tokenizer of transformers that renderers load"}
 
 
 def distribution_names(requirements: list[str]) -> set[str]:
@@ -119,14 +110,3 @@ print(json.dumps(data + code))
     assert any(name.endswith(".safetensors") for name in expected)
     assert {name for name in expected if not name.endswith(".py")} <= packed
     assert packed == expected
-
-
-def test_contents_are_compared_file_by_file(tmp_path: Path) -> None:
-    wheel = tmp_path / "some.whl"
-    with zipfile.ZipFile(wheel, "w") as archive:
-        archive.writestr("benchmark/__init__.py", "")
-        archive.writestr("some.dist-info/METADATA", "")
-    assert wheel_files(wheel) == {"benchmark/__init__.py"}
-    assert "benchmark/__init__.py" in files_of_packages()
-    with pytest.raises(FileNotFoundError):
-        archive_files(tmp_path / "none.tar.gz")

@@ -30,15 +30,9 @@ _ENDS_AT_ONCE: Final = ("--install-completion", "--show-completion")
 def unanswered(
     lines: Iterable[str], answer: Callable[[str], str | None], renamed: Mapping[str, str] = RENAMED
 ) -> list[str]:
-    """Lines of a snapshot that neither answer nor refuse with one sentence that says the new name.
+    """A sentence for each line of a snapshot that neither answers nor refuses with one sentence that says the new name.
 
-    Args:
-        lines: Of the snapshot.
-        answer: Says of a line ``None`` if it answers as before, else how it is refused.
-        renamed: New names of what is gone.
-
-    Returns:
-        A sentence for each.
+    ``answer`` says of a line ``None`` if it answers as before, else how it is refused.
     """
     found = []
     for line in lines:

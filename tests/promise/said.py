@@ -16,15 +16,7 @@ def small_town(root: Path) -> Path:
 
 
 def said(town: Path, out: Path) -> list[str]:
-    """Lines ``command | path`` of commands that end quickly, run on a small town.
-
-    Args:
-        town: Its root.
-        out: Folder for what they make, which is taken away first.
-
-    Returns:
-        The lines.
-    """
+    """Lines ``command | path`` of commands that end quickly, run on a small town; ``out`` is taken away first."""
     shutil.rmtree(out, ignore_errors=True)
     on = "--data", town, "--split", "val", "--out", out
     commands: dict[str, tuple[str | Path, ...]] = {

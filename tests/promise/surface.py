@@ -118,13 +118,7 @@ def plain(value: Any) -> str:
 def members(value: Any, path: str = "", names: int = 0) -> set[str]:
     """Paths of all members of a JSON value; ``*`` for a name, ``[]`` for an item.
 
-    Args:
-        value: What ``--json`` printed.
-        path: Where it stands.
-        names: So many levels from here on have names of things as their members.
-
-    Returns:
-        The paths.
+    So many levels from here on as ``names`` says have names of things as their members.
     """
     found = {path} if path else set()
     if isinstance(value, dict):

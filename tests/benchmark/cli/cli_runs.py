@@ -1,5 +1,8 @@
-"""Running the installed command as a user does: another process, its output, its exit code."""
+"""Running commands as a user does, in this process, which is quick, or in another one: output and exit code."""
 
+import contextlib
+import gc
+import io
 import json
 import os
 import subprocess
@@ -8,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
 import typer
 
-from benchmark.cli.app import app
+from benchmark.cli.app import app, main
 from benchmark.errors import InputError
 
 
@@ -27,13 +31,31 @@ class Run:
         return json.loads(self.out)
 
 
-def challenger_bench(*arguments: str | Path, cache: Path | None = None, timeout: float = 600) -> Run:
-    """Run ``challenger-bench`` with arguments."""
+def run_main(*arguments: str | Path, cache: Path | None = None) -> Run:
+    """Run ``challenger-bench`` with arguments in this process, from its words to its exit code."""
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(io.StringIO()) as out,
+        contextlib.redirect_stderr(io.StringIO()) as err,
+    ):
+        patch.setattr(sys, "argv", ["challenger-bench", *map(str, arguments)])
+        patch.setattr(gc, "set_threshold", lambda *_: None)
+        patch.setenv("COLUMNS", "200")
+        if cache is not None:
+            patch.setenv("CHALLENGER_BENCH_CACHE", str(cache))
+        with pytest.raises(SystemExit) as ended:
+            main()
+    code = ended.value.code
+    return Run(code if isinstance(code, int) else 0, out.getvalue(), err.getvalue())
+
+
+def challenger_bench(*arguments: str | Path, cache: Path | None = None) -> Run:
+    """Run ``challenger-bench`` with arguments in another process."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
     if cache is not None:
         environment["CHALLENGER_BENCH_CACHE"] = str(cache)
     command = [sys.executable, "-m", "benchmark", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=timeout, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=600, check=False)
     return Run(done.returncode, done.stdout, done.stderr)
 
 

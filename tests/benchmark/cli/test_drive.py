@@ -6,24 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
-from tests.benchmark.cli.in_process import Done, run_here
-from tests.hand_made import Car, scene_on_straight_road
+from tests.benchmark.cli.in_process import run_here
+from tests.benchmark.cli.test_drive_trouble import driving, road
 
 BASELINES = {"stop", "constant-velocity", "constant-velocity-on-path", "log-replay", "idm"}
 
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("data") / "road"
-    plan = DataSetPlan(root=root, split="val", version="v1.0-mini")
-    scene = scene_on_straight_road((Car(100.0, 198.25, 0.0),), seconds=8.0)
-    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
-    return root
-
-
-def driving(source: Path, out: Path, *more: str) -> Done:
-    return run_here("drive", "--data", source, "--split", "val", "--out", out, "--workers", "1", *more)
+    return road(tmp_path_factory.mktemp("data") / "road")
 
 
 @pytest.fixture(scope="module")
@@ -54,21 +45,6 @@ def test_a_dry_run_says_how_long_and_writes_nothing(source: Path, tmp_path: Path
     done = driving(source, tmp_path / "new", "--dry-run", "--model", "stop", "--no-baselines")
     assert done.code == 0 and "would drive stop through 1 scene of val" in done.out and "at most about" in done.out
     assert not (tmp_path / "new").exists()
-
-
-def test_a_planner_that_fails_ends_with_code_one_and_is_named(source: Path, tmp_path: Path) -> None:
-    done = driving(source, tmp_path, "--model", "tests.benchmark.planners:Failing", "--no-baselines")
-    assert (
-        done.code == 1 and "failing failed in 1 of 1 drive (1 raised; the first, scene-9901: RuntimeError" in done.err
-    )
-    assert "–" in done.out
-
-
-def test_latency_and_agents_are_part_of_what_was_measured(source: Path, out: Path) -> None:
-    done = driving(source, out, "--agents", "idm", "--latency", "300", "--model", "stop", "--no-baselines", "--json")
-    (row,) = json.loads(done.out)
-    assert row["measured"]["agents"] == "idm" and row["measured"]["latency_ms"] == 300
-    assert "default-idm-none-300ms" in row["directory"]
 
 
 def test_a_network_sees_what_the_sensor_draws(source: Path, tmp_path: Path) -> None:

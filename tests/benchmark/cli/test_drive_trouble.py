@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from benchmark.machine.storage import lock_folder
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.cli.in_process import Done, run_here
+from tests.generation.nuscenes_writer.written_roots import write_root
 from tests.hand_made import Car, scene_on_straight_road
 
 
@@ -23,45 +23,30 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def road(root: Path) -> Path:
     """A data set of one scene: a car stands ahead."""
-    plan = DataSetPlan(root=root, split="val", version="v1.0-mini")
     scene = scene_on_straight_road((Car(100.0, 198.25, 0.0),), seconds=8.0)
-    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
-    return root
+    return write_root(root, [scene], version="v1.0-mini", renderer=None).root
 
 
 def driving(source: Path, out: Path, *more: str) -> Done:
     return run_here("drive", "--data", source, "--split", "val", "--out", out, "--workers", "1", *more)
 
 
-@pytest.mark.parametrize(
-    ("planner", "engine", "reason"),
-    [
-        ("Failing", "default", "raised"),
-        ("Poisoned", "default", "unusable plan"),
-    ],
-)
-def test_who_fails_is_counted_and_scored_nowhere(
-    source: Path, tmp_path: Path, planner: str, engine: str, reason: str
-) -> None:
-    model = f"tests.benchmark.planners:{planner}"
-    done = driving(
-        source, tmp_path, "--model", model, "--model", "stop", "--no-baselines", "--engine", engine, "--json"
-    )
+@pytest.mark.parametrize(("planner", "reason"), [("Failing", "raised"), ("Poisoned", "unusable plan")])
+def test_who_fails_is_counted_and_scored_nowhere(source: Path, tmp_path: Path, planner: str, reason: str) -> None:
+    models = ("--model", f"tests.benchmark.planners:{planner}", "--model", "stop", "--no-baselines", "--json")
+    done = driving(source, tmp_path, *models)
     failed, sound = json.loads(done.out)
     assert done.code == 1 and f"failed in 1 of 1 drive (1 {reason}" in done.err
     assert failed["failed"] == 1 and failed["reasons"] == {reason: 1} and failed["columns"] == {}
     assert failed["status"] == "partial" and sound["status"] == "complete" and sound["failed"] == 0
     # What failed is kept: the same command asks nobody again, and says the same.
     before = bytes_below(tmp_path)
-    again = driving(
-        source, tmp_path, "--model", model, "--model", "stop", "--no-baselines", "--engine", engine, "--json"
-    )
+    again = driving(source, tmp_path, *models)
     assert again.code == 1 and again.out == done.out and bytes_below(tmp_path) == before
 
 
-@pytest.mark.parametrize("engine", ["default"])
-def test_six_identical_points_are_driven(source: Path, tmp_path: Path, engine: str) -> None:
-    options = ("--model", "tests.benchmark.planners:OnePoint", "--no-baselines", "--engine", engine, "--json")
+def test_six_identical_points_are_driven(source: Path, tmp_path: Path) -> None:
+    options = ("--model", "tests.benchmark.planners:OnePoint", "--no-baselines", "--json")
     (row,) = json.loads(driving(source, tmp_path, *options).out)
     assert row["failed"] == 0 and row["coverage"] == 1.0 and 0.0 < row["columns"]["route"]["value"] < 0.5
 
@@ -101,9 +86,3 @@ def test_two_commands_on_the_same_record_do_not_mix(source: Path, tmp_path: Path
     with lock_folder(Path(record["directory"])):
         done = driving(source, tmp_path, *models)
     assert done.code == 2 and "another command is writing to" in done.err and bytes_below(tmp_path) == before
-
-
-def test_a_place_that_cannot_be_written_is_one_sentence(source: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    done = driving(source, tmp_path / "file" / "out", "--model", "stop", "--no-baselines")
-    assert done.code == 2 and "--out" in done.err and "Traceback" not in done.err

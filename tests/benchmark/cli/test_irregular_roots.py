@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.benchmark.cli.cli_runs import challenger_bench, refusal
+from tests.benchmark.cli.cli_runs import refusal, run_main
 from tests.benchmark.edited_roots import copy_of, small_town
 from tests.benchmark.irregular_time import at_rate, without_sample
 
@@ -19,15 +19,15 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_missing_key_frame_is_named_by_the_check_the_command_and_the_table(town: Path, tmp_path: Path) -> None:
     root = copy_of(town, tmp_path / "root")
     without_sample(root, "scene-8000", 20)
-    check = challenger_bench("data", "check", root)
+    check = run_main("data", "check", root)
     assert check.code == 0, check.out
     assert "keyframes 19 and 20 of scene-8000 are 1 s apart" in check.out + check.err
-    run = challenger_bench(*EVAL, "--data", root, "--out", tmp_path / "out")
+    run = run_main(*EVAL, "--data", root, "--out", tmp_path / "out")
     assert run.code == 0
     warnings = [line for line in run.err.splitlines() if line.startswith("warning:")]
     assert len(warnings) == 1 and "6 samples of 1 scene have key frames ahead" in warnings[0]
     assert "constant-velocity ¶" in run.out
-    table = challenger_bench("rescore", "--data", root, "--out", tmp_path / "out")
+    table = run_main("rescore", "--data", root, "--out", tmp_path / "out")
     assert table.code == 0
 
 
@@ -35,7 +35,7 @@ def test_another_rate_is_evaluated_and_not_driven(town: Path, tmp_path: Path) ->
     root = copy_of(town, tmp_path / "root")
     at_rate(root, 0.2)
     out = tmp_path / "out"
-    run = challenger_bench(*EVAL, "--data", root, "--out", out, "--protocol", "exact", "--protocol", "vad", "--json")
+    run = run_main(*EVAL, "--data", root, "--out", out, "--protocol", "exact", "--protocol", "vad", "--json")
     assert run.code == 0, run.err
     assert "the key frames of 1 scene are 0.1 s apart, not 0.5 s" in run.err
     said = refusal("drive", "--split", "val", "--model", "stop", "--data", root, "--out", out, "--workers", "1")

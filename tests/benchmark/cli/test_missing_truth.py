@@ -1,5 +1,6 @@
 """Commands on roots that lack truth: the sentence, the mark, the exit code."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -78,3 +79,20 @@ def test_a_map_of_categories_is_taken_by_name_and_refused_before_anything_else(f
     for command in (("eval", "--model", "stop"), ("drive",), ("generate",)):
         done = run_here(*command, "--categories", "shirt", "--data", foreign, "--out", tmp_path / "other")
         assert done.code == 2 and "did you mean short?" in done.err
+
+
+def test_a_missing_map_is_said_once_for_each_planner_and_marks_the_row(town: Path, tmp_path: Path) -> None:
+    root = copy_of(town, tmp_path / "data" / "root")
+    shutil.move(root / "maps" / "expansion", tmp_path / "data" / "expansion")
+    checked = run_here("data", "check", root)
+    assert checked.code == 0 and "lies at ../expansion/boston-seaport.json" in checked.out
+    done = run_here("eval", "--data", root, "--model", "idm", "--model", "stop", "--out", tmp_path / "out")
+    warnings = [line for line in done.err.splitlines() if line.startswith("warning: ")]
+    assert done.code == 0 and [line.split(":")[1] for line in warnings] == [" idm", " stop"]
+    assert (
+        "idm † ¶" in done.out
+        and "drives straight instead" in warnings[0]
+        and "drives straight instead" not in warnings[1]
+    )
+    sound = run_here("eval", "--data", town, "--model", "idm", "--out", tmp_path / "sound")
+    assert sound.code == 0 and "warning" not in sound.err and "¶" not in sound.out

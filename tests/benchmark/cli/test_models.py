@@ -7,7 +7,7 @@ import torch
 
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
-from tests.benchmark.cli.cli_runs import challenger_bench
+from tests.benchmark.cli.cli_runs import run_main
 
 
 @pytest.fixture(scope="module")
@@ -18,14 +18,14 @@ def official(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_weights_are_listed_imported_and_then_known(official: Path, tmp_path: Path) -> None:
-    before = challenger_bench("weights", "list", "--json", cache=tmp_path)
+    before = run_main("weights", "list", "--json", cache=tmp_path)
     assert before.code == 0, before
     assert {entry["model"] for entry in before.json} >= {"vad-tiny", "vad-base"}
     assert not any(entry["imported"] for entry in before.json)
-    run = challenger_bench("weights", "import", official, "--json", cache=tmp_path)
+    run = run_main("weights", "import", official, "--json", cache=tmp_path)
     assert run.code == 0, run
     assert (run.json["model"], run.json["normalisation"]) == ("vad-tiny", "bgr-mean")
-    after = challenger_bench("weights", "list", "--json", cache=tmp_path).json
+    after = run_main("weights", "list", "--json", cache=tmp_path).json
     assert [entry["model"] for entry in after if entry["imported"]] == ["vad-tiny"]
 
 
@@ -38,7 +38,7 @@ def test_bad_weights_and_options_are_one_sentence_and_exit_code_2(official: Path
         ("weights", "import", official, "--model", "vad-base"),
         ("weights", "fetch", "no-such-model"),
     ):
-        run = challenger_bench(*arguments, cache=tmp_path / "cache")
+        run = run_main(*arguments, cache=tmp_path / "cache")
         assert run.code == 2, run
         assert run.out == ""
         assert run.err.startswith("error: ") and run.err.count("\n") == 1, run.err

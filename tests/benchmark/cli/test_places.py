@@ -34,14 +34,6 @@ def test_a_place_that_can_be_written_to_stays_as_it_was(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_below_a_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match=r"--out .*file is a file"):
-        require_place(tmp_path / "file" / "a" / "b", "--out")
-    with pytest.raises(InputError, match=r"--figure .* is a folder"):
-        require_output_file(tmp_path, "--figure")
-
-
 def test_a_disk_without_room_is_refused(tmp_path: Path, free: Have) -> None:
     free(5e8)
     require_room(tmp_path / "a", 500_000_000, "it", "--out")

@@ -1,6 +1,7 @@
 """Killed at any moment and started again, or started twice: the same bytes as an undisturbed run."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from benchmark.cli.app import app
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.cli_runs import bytes_below
+from tests.generation.nuscenes_writer.written_roots import write_root
 from tests.hand_made import scene_on_straight_road
 
 SEARCH = ("--preset", "near", "--candidates", "16", "--rounds", "1", "--vehicles", "2", "--seed", "3")
@@ -21,10 +22,7 @@ IMAGES = ("--size", "64x40", "--frames", "keyframes", "--workers", "1")
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("data") / "road"
-    plan = DataSetPlan(root=root, split="val", version="v1.0-mini")
-    scene = scene_on_straight_road(seconds=8.0)
-    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
-    return root
+    return write_root(root, [scene_on_straight_road(seconds=8.0)], version="v1.0-mini", renderer=None).root
 
 
 def generating(source: Path, out: Path) -> list[str]:
@@ -37,11 +35,11 @@ def evaluating(source: Path, out: Path) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(source: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def undisturbed(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("undisturbed")
     for command in (generating(source, out), evaluating(source, out)):
         finish(command)
-    return bytes_below(out)
+    return out
 
 
 def finish(command: list[str]) -> None:
@@ -71,14 +69,21 @@ def kill_at(command: list[str], out: Path, files: int) -> None:
     process.communicate()
 
 
-def test_killed_in_every_phase(source: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
-    made = sum(name.startswith("data/") for name in undisturbed)
+def test_an_evaluation_that_is_killed_goes_on(source: Path, undisturbed: Path, tmp_path: Path) -> None:
+    shutil.copytree(undisturbed / "data", tmp_path / "data")
+    made = len(bytes_below(tmp_path))
+    kill_at(evaluating(source, tmp_path), tmp_path, made + 2)
+    finish(evaluating(source, tmp_path))
+    assert bytes_below(tmp_path) == bytes_below(undisturbed)
+
+
+@pytest.mark.slow
+def test_a_split_whose_generation_is_killed_is_the_same(source: Path, undisturbed: Path, tmp_path: Path) -> None:
+    made = len(bytes_below(undisturbed / "data"))
     for files in (2, made - 4):
         kill_at(generating(source, tmp_path), tmp_path, files)
     finish(generating(source, tmp_path))
-    kill_at(evaluating(source, tmp_path), tmp_path, made + 2)
-    finish(evaluating(source, tmp_path))
-    assert bytes_below(tmp_path) == undisturbed
+    assert bytes_below(tmp_path / "data") == bytes_below(undisturbed / "data")
 
 
 def driving(source: Path, out: Path) -> list[str]:
@@ -86,6 +91,7 @@ def driving(source: Path, out: Path) -> list[str]:
     return ["drive", "--data", str(source), "--out", str(out), *split, "--model", "stop", "--agents", "idm"]
 
 
+@pytest.mark.slow
 def test_drives_that_are_killed_go_on(source: Path, tmp_path: Path) -> None:
     finish(driving(source, tmp_path / "whole"))
     whole = bytes_below(tmp_path / "whole")
@@ -95,7 +101,8 @@ def test_drives_that_are_killed_go_on(source: Path, tmp_path: Path) -> None:
     assert bytes_below(tmp_path / "cut") == whole and len(whole) == 5 * 4
 
 
-def test_two_at_once(source: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_two_at_once(source: Path, undisturbed: Path, tmp_path: Path) -> None:
     """Each of them ends well or says in one sentence that the other one is at work; the result is right."""
     both = [started(generating(source, tmp_path)) for _ in range(2)]
     codes = []
@@ -105,5 +112,4 @@ def test_two_at_once(source: Path, undisturbed: dict[str, bytes], tmp_path: Path
         refused = out == "" and err.count("\n") == 1 and err.startswith("error: another command is writing to")
         assert process.returncode == 0 or (process.returncode == 2 and refused), err
     assert 0 in codes
-    expected = {name: data for name, data in undisturbed.items() if name.startswith("data/")}
-    assert bytes_below(tmp_path) == expected
+    assert bytes_below(tmp_path / "data") == bytes_below(undisturbed / "data")

@@ -30,12 +30,7 @@ def printed(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
 
 def test_all_kinds_are_printed_unless_some_are_asked_for(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     every = printed(capsys, "--records", runs)
-    assert [kind for kind in KINDS if f" by {kind}, protocol exact" in every] == [
-        "place",
-        "light",
-        "speed",
-        "command",
-    ]
+    assert [kind for kind in KINDS if f" by {kind}, protocol exact" in every] == ["place", "light", "speed", "command"]
     by_speed = printed(capsys, "--records", runs, "--by", "speed", "--protocol", "pdm", "--protocol", "diagnosis")
     assert "5 to 10 m/s" in by_speed and "driving scores (%) by speed" in by_speed
     assert "causes of collisions" in by_speed and "by place" not in by_speed and "protocol vad" not in by_speed

@@ -11,6 +11,7 @@ from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.records.made_judgements import made_judgement
 from tests.generation.labels.recorded_roads import recorded
+from tests.generation.nuscenes_writer.written_roots import write_root
 from tests.hand_made import Car
 
 
@@ -45,16 +46,13 @@ def test_scenes_with_adversaries_are_judged_and_recordings_when_asked(root: Path
 def test_nothing_is_judged_where_nobody_wants_it_or_nobody_is_adversarial(root: Path, tmp_path: Path) -> None:
     counted = json.loads(run_here("data", "stats", root, "--no-judge", "--json").out)
     assert counted["judgement"] is None and counted["counts"]["scenes"] == 2
-    plan = DataSetPlan(root=tmp_path / "val", split="val", version="v1.0-mini")
-    scene = recorded("scene-0002")
-    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    plan = write_root(tmp_path / "val", [recorded("scene-0002")], version="v1.0-mini", renderer=None)
     said = run_here("data", "stats", plan.root)
     assert said.code == 0 and "Who survives" not in said.out
 
 
 def test_recordings_that_are_given_stand_beside(root: Path, tmp_path: Path) -> None:
-    plan = DataSetPlan(root=tmp_path / "val", split="val", version="v1.0-mini")
     scene = recorded("scene-0001", (Car(90.0, 198.25, 8.0),), seconds=4.0)
-    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    plan = write_root(tmp_path / "val", [scene], version="v1.0-mini", renderer=None)
     said = json.loads(run_here("data", "stats", root, "--recordings", plan.root, "--json").out)["judgement"]
     assert {row["of"] for row in said["ladder_of_recordings"]} == {1}

@@ -10,11 +10,11 @@ from benchmark import api
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.sandbox.limits import SandboxLimits
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.pipeline.surrogate import read_surrogate_result
 from tests.benchmark.cli.cli_runs import refusal
 from tests.benchmark.cli.in_process import Done, run_here
 from tests.benchmark.fake_data import town_of_two
+from tests.generation.nuscenes_writer.written_roots import write_root
 from tests.hand_made import Car, scene_on_straight_road
 
 MORTAL = """
@@ -42,12 +42,8 @@ SAMPLES = 8
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("data") / "road"
-    plan = DataSetPlan(root=root, split="val", version="v1.0-mini")
     scenes = [scene_on_straight_road((Car(100.0, 198.25, 8.0),), name=f"scene-{each}", seconds=4.0) for each in (1, 2)]
-    finish_data_set(
-        plan, [write_scene(plan, each, name=each.name, source_scene=each.name, report={}) for each in scenes]
-    )
-    return root
+    return write_root(root, scenes, version="v1.0-mini", renderer=None).root
 
 
 @pytest.fixture
@@ -100,13 +96,6 @@ def test_a_surrogate_is_watched_over_and_its_death_is_no_verdict(home: Path) -> 
     record = evaluate(data, "val", under_test.factory, home / "runs", settings)
     with pytest.raises(InputError, match=r"mortal raised on .* the planner's process ended by itself"):
         read_surrogate_result(record)
-
-
-@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "1e9"])
-def test_limits_are_checked_first(value: str) -> None:
-    model = ("--model", "mortal_planner:Mortal")
-    assert "--sample-limit must be" in refusal("eval", *model, "--sample-limit", value)
-    assert "--memory-limit must be" in refusal("drive", *model, "--memory-limit", value)
 
 
 def test_limits_are_of_planners_of_other_packages() -> None:

@@ -1,8 +1,8 @@
 """One cluster of two nodes on this machine for all cases: starting one takes seconds. `test_ray_cluster` runs them."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,20 +12,13 @@ import pytest
 from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.errors import InputError
 from benchmark.machine import ray_cluster
-from benchmark.machine.progress import CountedUnits
-from benchmark.machine.ray_cluster import Item, RayCluster, Result
-from benchmark.machine.workers import Executor, LocalProcesses
+from benchmark.machine.ray_cluster import RayCluster
+from benchmark.machine.workers import LocalProcesses
 from benchmark.runs.driving import DriveSettings, drive_split
-from generation.pipeline.settings import BuildSettings
-from generation.pipeline.split import build_split
-from generation.search.definition import PackagedPrior
-from generation.search.hyperparameters import HyperParameters
-from generation.sources.town import build_town_scene
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.machine import units_of_work
 from tests.benchmark.planners import Factory, Remembering
-from tests.generation.labels.recorded_roads import contents, write_source
 
 # Ray leaves sockets and log files to the collector when its nodes are stopped.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
@@ -116,68 +109,6 @@ def test_nothing_is_lost_when_a_node_dies_half_way(cluster: Any, executor: RayCl
     assert {path.name: path.read_bytes() for path in there.glob("*.json")} == {
         path.name: path.read_bytes() for path in here.glob("*.json")
     }
-
-
-@dataclass(frozen=True)
-class LosesANode:
-    """A cluster one of whose nodes dies in the middle of a stage, with a unit of work on it.
-
-    Attributes:
-        joined: How the cluster is used.
-        cluster: The cluster.
-        stage: Label of the stage.
-        lost: Filled with how many results of the stage were there, and how many there are in all.
-    """
-
-    joined: Executor
-    cluster: Any
-    stage: str
-    lost: list[tuple[int, int]]
-
-    def map(
-        self,
-        function: Callable[[Item], Result],
-        items: Iterable[Item],
-        *,
-        total: int,
-        label: str,
-        count: CountedUnits | None = None,
-    ) -> Iterator[Result]:
-        dies = label == self.stage and not self.lost
-        node = self.cluster.add_node(num_cpus=1, object_store_memory=80 * 2**20) if dies else None
-        for number, result in enumerate(self.joined.map(function, items, total=total, label=label, count=count)):
-            yield result
-            if node is not None and number + 1 < total and not self.lost and busy(node.node_id):
-                self.cluster.remove_node(node, allow_graceful=False)
-                self.lost.append((number + 1, total))
-
-
-def busy(node_id: str) -> bool:
-    """Whether a unit of work is on a node: its one processor is taken."""
-    from ray._private.state import available_resources_per_node
-
-    return "CPU" not in available_resources_per_node().get(node_id, {"CPU": 1.0})
-
-
-def test_a_build_that_loses_a_node_has_the_bytes_of_local_processes(
-    cluster: Any, executor: RayCluster, tmp_path: Path
-) -> None:
-    """Town, the packaged denoiser and the writer, from a recorded scene to files."""
-    source = write_source(tmp_path / "town", build_town_scene("val", 0))
-    settings = BuildSettings(
-        out=tmp_path / "here",
-        hyper=HyperParameters(candidates=64, multi_round=False, candidate_limit=16),
-        prior=PackagedPrior(),
-        frames="keyframes",
-        executor=LocalProcesses(1),
-    )
-    build_split(source, "adv", settings)
-    loses = LosesANode(executor, cluster, "planning adversaries", [])
-    report = build_split(source, "adv", replace(settings, out=tmp_path / "there", executor=loses))
-    assert report.written
-    [(there, total)] = loses.lost
-    assert 0 < there < total
-    assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
 
 def test_drives_on_a_cluster_are_the_same_bytes(executor: RayCluster, tmp_path: Path) -> None:

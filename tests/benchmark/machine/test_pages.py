@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.machine import metering as pages
-
 ROOT = Path(__file__).resolve().parents[3]
 FAULTS = """
 import resource, sys
@@ -38,13 +36,3 @@ def faults(how: str) -> int:
 
 def test_kept_pages_are_not_cleared_again() -> None:
     assert faults("keep") * 10 < faults("give back")
-
-
-def test_pages_are_kept_for_planners_that_have_weights(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[bool] = []
-    monkeypatch.setattr(pages, "disable_malloc_trim", lambda: asked.append(True))
-    pages.disable_malloc_trim_for()
-    pages.disable_malloc_trim_for(None, None)
-    assert not asked
-    pages.disable_malloc_trim_for(None, "0" * 64)
-    assert asked == [True]

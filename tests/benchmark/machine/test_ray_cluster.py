@@ -17,14 +17,17 @@ from tests.benchmark.machine import units_of_work
 CASES = Path(__file__).with_name("ray_cluster_cases.py")
 
 
-def test_the_cases_on_a_cluster() -> None:
+@pytest.mark.parametrize(
+    "chosen", ["-k=test_results_are_those_of_local_processes", pytest.param("-k=test", marks=pytest.mark.slow)]
+)
+def test_the_cases_on_a_cluster(chosen: str) -> None:
     """In a process of their own, and once more if a signal ends it.
 
     Where a node is lost on a machine with many times more work than processors, Ray's library has been seen to crash
     the process that joined (a general protection fault in its input and output thread), which ended all tests of it.
     """
     pytest.importorskip("ray")
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist", str(CASES)]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist", chosen, str(CASES)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     if ended.returncode < 0:
         ended = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -39,7 +42,7 @@ def test_a_cluster_that_is_no_more_is_a_sentence(tmp_path: Path, monkeypatch: py
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))
     monkeypatch.setattr("ray.is_initialized", lambda: False)
-    monkeypatch.setattr(ray_cluster, "ANSWER_S", 5.0)
+    monkeypatch.setattr(ray_cluster, "ANSWER_S", 2.0)
     with pytest.raises(InputError, match=r"no Ray cluster answers at auto; start it with"):
         list(RayCluster("auto").map(units_of_work.doubled, [1], total=1, label="doubling"))
 
@@ -61,7 +64,7 @@ def test_where_no_cluster_answers_a_sentence_comes_at_once(
     answer: bytes | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another kind of server, one that hangs up, one that says nothing, and then none at all."""
-    monkeypatch.setattr(ray_cluster, "ANSWER_S", 3.0)
+    monkeypatch.setattr(ray_cluster, "ANSWER_S", 1.0)
     ended = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"

@@ -84,13 +84,6 @@ def test_where_files_have_names_from_the_start(tmp_path: Path, monkeypatch: pyte
     assert {each.name for each in tmp_path.iterdir()} == {"file", "folder"}
 
 
-def test_a_folder_in_the_way_is_a_sentence(tmp_path: Path) -> None:
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(InputError, match="cannot write"):
-        write_bytes(tmp_path / "folder", b"")
-    assert [each.name for each in tmp_path.iterdir()] == ["folder"]
-
-
 def test_many_write_the_same_file_at_once(tmp_path: Path) -> None:
     contents = [bytes([number]) * 5000 for number in range(8)]
     with ThreadPoolExecutor(8) as pool:

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-from benchmark.closed_loop.default_engine import DefaultBackend
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
 from benchmark.records.drives import DriveRecord, load_drives
@@ -13,14 +12,8 @@ from benchmark.runs.driving import DriveSettings, drive_planners, drive_shard, d
 from benchmark.runs.units import Shard
 from leaderboard.tables.runtime import drive_cost_table
 from tests.benchmark.cli.cli_runs import bytes_below
-from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Factory, Straight
-
-SETTINGS = DriveSettings("default", DefaultBackend())
-
-
-def town() -> FakeData:
-    return town_of_two(slow_leader=True)
+from tests.benchmark.runs.test_driving import SETTINGS, town
 
 
 def noting(tmp_path: Path) -> DriveSettings:
@@ -62,13 +55,6 @@ def test_a_plan_that_was_not_made_has_no_latency(tmp_path: Path) -> None:
     (spent,) = noted(tmp_path, record).scenes.values()
     assert record.rows[0].status == "failed"
     assert len(spent.latency_s) == 3 and spent.latency_s[-1] is None and None not in spent.latency_s[:-1]
-
-
-def test_kept_drives_keep_what_was_noted_and_others_are_forgotten(tmp_path: Path) -> None:
-    record = drive_split(town(), "val", Straight(0.01), tmp_path / "drives", noting(tmp_path))
-    before = noted(tmp_path, record)
-    again = drive_split(town(), "val", Straight(), tmp_path / "drives", noting(tmp_path))
-    assert noted(tmp_path, again) == before
 
 
 def test_processes_and_shards_note_the_same_drives(tmp_path: Path) -> None:

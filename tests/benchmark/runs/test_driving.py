@@ -1,7 +1,5 @@
 """Driving a split: kept units, resumed work, any number of processes, scores made anew."""
 
-import errno
-import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,13 +11,9 @@ from adapters.planners.stop import Stop
 from adapters.registry import planner_factory
 from benchmark import api
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.engines import ENGINES, make_backend
+from benchmark.closed_loop.engines import make_backend
 from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
-from benchmark.machine.extension import OFFERS
-from benchmark.machine.storage import write_parts
-from benchmark.machine.workers import LocalProcesses
-from benchmark.planning import Observation, Plan
 from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord, load_drives, write_drives
 from benchmark.runs.drive_estimate import estimate_driving
@@ -106,47 +100,6 @@ def test_a_damaged_or_cut_file_is_driven_again(tmp_path: Path) -> None:
     assert driven(tmp_path, planner) == first and planner.calls > 0 and bytes_below(tmp_path) == before
 
 
-class Dying(Straight):
-    """Is killed in its second scene."""
-
-    name = "straight"
-
-    def plan(self, observation: Observation) -> Plan:
-        if observation.scene == "scene-9902" and observation.index == 4:
-            raise KeyboardInterrupt
-        return super().plan(observation)
-
-
-def test_an_interrupted_command_goes_on(tmp_path: Path) -> None:
-    whole = driven(tmp_path / "whole", Factory(Straight))
-    with pytest.raises(KeyboardInterrupt):
-        driven(tmp_path / "cut", Factory(Dying))
-    assert not list((tmp_path / "cut").rglob("drive.json"))
-    resumed = driven(tmp_path / "cut", Factory(Straight))
-    assert bytes_below(tmp_path / "cut") == bytes_below(tmp_path / "whole") and resumed.rows == whole.rows
-
-
-def test_a_full_disk_is_a_sentence_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(path: Path, parts: Any, **options: Any) -> None:
-        if "scene-9902" in path.name:
-            raise InputError(f"cannot write {path}: {OSError(errno.ENOSPC, 'No space left').strerror}")
-        write_parts(path, parts, **options)
-
-    monkeypatch.setattr("benchmark.runs.units.write_parts", full)
-    with pytest.raises(InputError, match="No space left"):
-        driven(tmp_path, Factory(Straight))
-    monkeypatch.undo()
-    record = driven(tmp_path, Factory(Straight))
-    assert len(record.rows) == 2 and not list(tmp_path.rglob("*.part"))
-
-
-def test_one_process_and_two_give_the_same_bytes(tmp_path: Path) -> None:
-    for workers in (1, 2):
-        settings = replace(SETTINGS, executor=LocalProcesses(workers))
-        driven(tmp_path / str(workers), Factory(Remembering), settings)
-    assert bytes_below(tmp_path / "1") == bytes_below(tmp_path / "2")
-
-
 def test_the_order_and_company_of_scenes_change_no_drive(tmp_path: Path) -> None:
     both = driven(tmp_path / "both", Factory(Remembering))
     alone = driven(tmp_path / "alone", Factory(Remembering), replace(SETTINGS, scenes=("scene-9902",)))
@@ -170,9 +123,8 @@ def test_who_was_late_is_asked_again(tmp_path: Path) -> None:
     assert driven(tmp_path, Straight()).complete
 
 
-@pytest.mark.parametrize("settings", WORLDS[:1])
-def test_a_scenario_that_draws_nothing_is_driven_once(settings: DriveSettings, tmp_path: Path) -> None:
-    record = driven(tmp_path, Straight(), replace(settings, runs=10))
+def test_a_scenario_that_draws_nothing_is_driven_once(tmp_path: Path) -> None:
+    record = driven(tmp_path, Straight(), replace(SETTINGS, runs=10))
     assert record.facts.runs == 1 and len(record.rows) == 2
 
 
@@ -278,8 +230,6 @@ def test_planners_that_remember_across_scenes_are_refused(tmp_path: Path) -> Non
         ({"scenes": ("scene-1",)}, "no scene"),
         ({"limit": 0}, "--limit"),
         ({"timeout_s": float("inf")}, "--timeout"),
-        ({"timeout_s": float("nan")}, "--timeout"),
-        ({"timeout_s": -1.0}, "--timeout"),
     ],
 )
 def test_wrong_settings_are_refused(tmp_path: Path, changes: dict[str, Any], says: str) -> None:
@@ -293,8 +243,6 @@ def test_wrong_settings_are_refused(tmp_path: Path, changes: dict[str, Any], say
         (("neurocap@code",), "did you mean neuroncap@code"),
         (("default", "iddm"), "did you mean idm"),
         (("neuroncap@code", "idm"), "never react"),
-        (("neuroncap@code", "adversary"), "never react"),
-        (("neuroncap@code", "replay", 100), "never react"),
     ],
 )
 def test_engines_that_there_are_not_are_refused(arguments: tuple[Any, ...], says: str) -> None:
@@ -312,10 +260,6 @@ def test_only_an_adversary_considers_anything() -> None:
     with pytest.raises(InputError, match="--keep-considered"):
         api.drive_settings("val", keep_considered=True)
     assert "--keep-considered" in refusal("drive", "--keep-considered")
-
-
-def test_the_own_engine_comes_first_and_has_rides() -> None:
-    assert type(make_backend(ENGINES[0])) is DefaultBackend and ENGINES[1:] == tuple(OFFERS["engine"])
 
 
 def test_an_estimate_counts_what_is_kept_and_keeps_nothing(tmp_path: Path) -> None:
@@ -338,9 +282,3 @@ def test_records_of_different_worlds_have_different_folders() -> None:
         for settings in (SETTINGS, replace(SETTINGS, engine="neuroncap@paper"), LATE, IDM)
     }
     assert len(places) == 4
-
-
-def test_a_slow_planner_is_not_too_slow(tmp_path: Path) -> None:
-    started = time.monotonic()
-    record = driven(tmp_path, Straight(pause_s=0.01), replace(SETTINGS, timeout_s=20.0, limit=1))
-    assert record.complete and time.monotonic() - started < 20.0

@@ -17,19 +17,15 @@ from benchmark.errors import InputError
 from benchmark.geometry import box_gap
 from benchmark.planning import CameraView
 from benchmark.records.drives import DriveRecord
-from benchmark.report.episode_page import EpisodePage, compute_speeds
+from benchmark.report.episode_page import EpisodePage
 from benchmark.report.palette import choose_planner_style
 from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.runs.episode_pages import write_episode_page
 from benchmark.scene import Camera, Scene
-from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Failing, Straight
+from tests.benchmark.runs.test_driving import town
 
 STYLE = choose_planner_style(0)
-
-
-def town() -> FakeData:
-    return town_of_two(slow_leader=True)
 
 
 def driven(out: Path, planner: Any, agents: str = "replay") -> DriveRecord:
@@ -147,9 +143,3 @@ def test_other_data_and_other_ways_are_refused(tmp_path: Path) -> None:
     moved = row.model_copy(update={"ticks": row.ticks.model_copy(update={"ego": states})})
     with pytest.raises(InputError, match="give another"):
         write_episode_page(tmp_path, town(), record, moved, DefaultBackend(), None)
-
-
-def test_speeds_by_hand() -> None:
-    points, seconds = np.array([[0.0, 0.0], [3.0, 4.0], [6.0, 8.0]]), np.array([0.0, 1.0, 2.0])
-    assert compute_speeds(points, seconds).tolist() == [5.0, 5.0, 5.0]
-    assert compute_speeds(points[:1], seconds[:1]).tolist() == [0.0]

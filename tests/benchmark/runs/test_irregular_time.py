@@ -126,7 +126,7 @@ def test_comparisons_leave_out_what_is_unknown(tmp_path: Path) -> None:
     assert compare_protocols(gap)["vad"].samples.compared == 3
 
 
-@pytest.mark.parametrize("every", [1, 2, 3])
+@pytest.mark.parametrize("every", [1, 3])
 def test_at_another_rate_exact_says_the_same_and_official_protocols_say_nothing(tmp_path: Path, every: int) -> None:
     scene = town(SLOW, Car(60.0, 194.75, 10.0))
     usual = run(scene, tmp_path / "usual", tuple(PROTOCOLS))
@@ -151,22 +151,3 @@ def test_key_frames_farther_apart_than_steps_may_be_say_nothing(tmp_path: Path) 
     record = run(with_key_frames(scene, scene.keyframes[::2]), tmp_path)
     assert denominators(record, "exact") == [0] * 4 and denominators(record, "uniad") == [0] * 4
     assert all(set(row.outcomes["exact"].l2) == {None} for row in record.rows)
-
-
-def test_gaps_are_named_by_the_check(tmp_path: Path) -> None:
-    scenes = {
-        "gap": without_key_frames(town(), 7),
-        "short": at_other_times(town(), [0.5] * 5 + [0.7, 0.3] + [0.5] * 8),
-        "dense": with_key_frames(town(), np.arange(91)),
-    }
-    said = {}
-    for name, scene in scenes.items():
-        root = TinyRoot.of(tmp_path / name, [scene], cameras=()).write()
-        faults = [fault for fault in check_tables(root) if "apart" in fault.sentence]
-        assert all(fault.severity == "warning" for fault in faults)
-        said[name] = [fault.sentence for fault in faults]
-    assert len(said["gap"]) == 1 and said["gap"][0].startswith(
-        "keyframes 6 and 7 of scene-9901 are 1 s apart: exact and driving scores treat steps in"
-    )
-    assert [one.split(" are ")[1].split(":")[0] for one in said["short"]] == ["0.7 s apart", "0.3 s apart"]
-    assert len(said["dense"]) == 1 and "are 0.0833 s apart (median)" in said["dense"][0]

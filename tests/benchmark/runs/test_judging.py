@@ -25,6 +25,8 @@ from tests.hand_made import Car, scene_on_straight_road
 ALL = tuple(PROTOCOLS)
 DATA = town_of_two(slow_leader=True)
 SCENE = "scene-9902"
+Rows = list[dict[str, Any]]
+Truths = tuple[SampleTruth, ...]
 
 
 class Known(SceneReading):
@@ -59,23 +61,21 @@ class Foreseeing(Straight):
         return Plan(super().plan(observation).waypoints, PlanFrame.EGO, forecasts=self.forecasts)
 
 
-def planned(planner: Straight, tmp_path: Any) -> list[dict[str, Any]]:
+def planned(planner: Straight, tmp_path: Any) -> Rows:
     return plan_scene(planner, DATA, SCENE, tmp_path / "rows.jsonl", "key", fresh=True).rows
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+def rows(tmp_path_factory: pytest.TempPathFactory) -> Rows:
     return planned(Failing(), tmp_path_factory.mktemp("judging"))
 
 
 @pytest.fixture(scope="module")
-def truths() -> tuple[SampleTruth, ...]:
+def truths() -> Truths:
     return DATA.truth(SCENE)
 
 
-def test_every_protocol_gives_the_outcomes_that_it_gives_alone(
-    rows: list[dict[str, Any]], truths: tuple[SampleTruth, ...]
-) -> None:
+def test_every_protocol_gives_the_outcomes_that_it_gives_alone(rows: Rows, truths: Truths) -> None:
     together = judge(rows, truths, ALL)
     for name in ALL:
         alone = judge(rows, truths, (name,))
@@ -86,7 +86,7 @@ def test_every_protocol_gives_the_outcomes_that_it_gives_alone(
     assert together[0].outcomes["uniad"].model_dump() == by_hand.as_rows()[0]
 
 
-def test_a_sample_is_judged_alike_in_any_company(rows: list[dict[str, Any]], truths: tuple[SampleTruth, ...]) -> None:
+def test_a_sample_is_judged_alike_in_any_company(rows: Rows, truths: Truths) -> None:
     whole = judge(rows, truths, ALL)
 
     @settings(max_examples=15, deadline=None)
@@ -98,7 +98,7 @@ def test_a_sample_is_judged_alike_in_any_company(rows: list[dict[str, Any]], tru
     judged_alike()
 
 
-def test_a_sample_without_a_plan_has_no_verdict(rows: list[dict[str, Any]], truths: tuple[SampleTruth, ...]) -> None:
+def test_a_sample_without_a_plan_has_no_verdict(rows: Rows, truths: Truths) -> None:
     judged = judge(rows, truths, ALL)
     assert [row.index for row in judged if not row.outcomes] == [3]
     assert judged[3].status == "failed" and judged[3].diagnosis is None and judged[3].disagreements == {}
@@ -107,9 +107,7 @@ def test_a_sample_without_a_plan_has_no_verdict(rows: list[dict[str, Any]], trut
     assert all(row.outcomes == {} for row in judge(nothing, truths, ALL))
 
 
-def test_what_is_diagnosed_is_what_exact_calls_a_collision(
-    rows: list[dict[str, Any]], truths: tuple[SampleTruth, ...]
-) -> None:
+def test_what_is_diagnosed_is_what_exact_calls_a_collision(rows: Rows, truths: Truths) -> None:
     judged = [row for row in judge(rows, truths, ALL) if row.outcomes]
     hits = [any(row.outcomes["exact"].collision or ()) for row in judged]
     assert any(hits) and not all(hits)
@@ -119,9 +117,7 @@ def test_what_is_diagnosed_is_what_exact_calls_a_collision(
     assert all(set(row.outcomes) <= {"uniad", "vad"} for row in without)
 
 
-def test_plans_are_severe_where_they_touch_somebody(
-    rows: list[dict[str, Any]], truths: tuple[SampleTruth, ...]
-) -> None:
+def test_plans_are_severe_where_they_touch_somebody(rows: Rows, truths: Truths) -> None:
     judged = judge(rows, truths, ("exact",), scene=DATA.scene(SCENE))
     assert judged[3].severity is None and judged[3].status == "failed"
     touched = [row for row in judged if row.severity is not None and row.severity.contact is not None]
@@ -151,7 +147,7 @@ def test_who_comes_from_the_side_is_nobodys_fault_without_a_map(tmp_path: Any) -
     assert found[True] and set(found[True]) == {None} and set(found[False]) == {False}
 
 
-def test_forecasts_reach_the_diagnosis_and_the_record(tmp_path: Any, truths: tuple[SampleTruth, ...]) -> None:
+def test_forecasts_reach_the_diagnosis_and_the_record(tmp_path: Any, truths: Truths) -> None:
     judged = judge(planned(Foreseeing(), tmp_path), truths, ALL)
     assert all(row.plan is not None and row.plan.forecasts is not None for row in judged)
     causes = {row.diagnosis.cause for row in judged if row.diagnosis is not None}
@@ -165,9 +161,7 @@ def test_forecasts_reach_the_diagnosis_and_the_record(tmp_path: Any, truths: tup
         Forecasts(np.zeros((0, 5)), np.zeros((0, 6, 2)), np.zeros(0)),
     ],
 )
-def test_forecasts_of_nobody_are_forecasts(
-    forecasts: Forecasts, tmp_path: Any, truths: tuple[SampleTruth, ...]
-) -> None:
+def test_forecasts_of_nobody_are_forecasts(forecasts: Forecasts, tmp_path: Any, truths: Truths) -> None:
     rows = planned(Foreseeing(forecasts), tmp_path)
     assert rows[0]["plan"]["forecasts"] == {"boxes": [], "trajectories": [], "scores": []}
     again = parse_plan(rows[0]["plan"]).forecasts
@@ -213,14 +207,12 @@ def test_a_plan_reads_back_as_it_was_given(tmp_path: Any) -> None:
         {"forecasts": {"boxes": [[0.0] * 5], "trajectories": [], "scores": [[1.0]]}},
     ],
 )
-def test_a_stored_plan_of_another_form_is_one_sentence(damage: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+def test_a_stored_plan_of_another_form_is_one_sentence(damage: dict[str, Any], rows: Rows) -> None:
     with pytest.raises(InputError, match=r"waypoints|a stored plan cannot be read"):
         parse_plan({**rows[0]["plan"], **damage})
 
 
-def test_other_samples_and_unknown_protocols_are_refused(
-    rows: list[dict[str, Any]], truths: tuple[SampleTruth, ...]
-) -> None:
+def test_other_samples_and_unknown_protocols_are_refused(rows: Rows, truths: Truths) -> None:
     with pytest.raises(ValueError, match="do not have the same samples"):
         judge(rows[1:], truths, ALL)
     with pytest.raises(InputError, match="unknown protocol"):

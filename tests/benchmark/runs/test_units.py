@@ -1,6 +1,5 @@
 """One store of finished work: what is kept is what was put there, or nothing."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -9,19 +8,12 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from benchmark.errors import InputError
-from benchmark.machine.workers import LocalProcesses
-from benchmark.runs.units import ResultStore, Shard, run_units
+from benchmark.runs.units import ResultStore
 
 
 class Measured(BaseModel):
     value: float
     seen: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Drawn:
-    number: int
-    kept: bool = False
 
 
 def store_in(folder: Path) -> ResultStore[Measured]:
@@ -58,14 +50,6 @@ def test_what_is_none_of_its_files_is_nothing(tmp_path: Path, content: bytes) ->
     assert store.get("key") is None
 
 
-@pytest.mark.parametrize("cut", [1, 50, 90])
-def test_truncated_is_nothing(tmp_path: Path, cut: int) -> None:
-    store = store_in(tmp_path)
-    store.put("key", Measured(value=1.0))
-    store.path("key").write_bytes(store.path("key").read_bytes()[:-cut])
-    assert store.get("key") is None
-
-
 def test_a_result_of_another_form_is_nothing(tmp_path: Path) -> None:
     other: ResultStore[dict[str, str]] = ResultStore(tmp_path, dict[str, str])
     other.put("key", {"value": "many"})
@@ -95,19 +79,3 @@ def test_a_folder_that_is_a_file_is_said(tmp_path: Path) -> None:
     assert store.get("key") is None
     with pytest.raises(InputError, match="cannot write"):
         store.put("key", Measured(value=1.0))
-
-
-def draw(number: int) -> Drawn:
-    return Drawn(number, kept=number == 1)
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_results_come_in_the_order_of_the_units(workers: int) -> None:
-    found = run_units(draw, range(5), LocalProcesses(workers), total=5, label="drawing")
-    assert [each.number for each in found] == [0, 1, 2, 3, 4]
-
-
-def test_shards_are_all_units_and_none_twice() -> None:
-    parts = [Shard(number, 3).part(range(8)) for number in (1, 2, 3)]
-    assert sorted(unit for part in parts for unit in part) == list(range(8))
-    assert max(map(len, parts)) - min(map(len, parts)) <= 1

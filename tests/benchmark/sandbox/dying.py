@@ -1,6 +1,5 @@
 """A planner that dies in as many ways as scenes have names, for tests; built in processes of its own."""
 
-import asyncio
 import ctypes
 import os
 import random
@@ -106,23 +105,18 @@ def leave_a_copy(notes: Path) -> None:
 
 
 WAYS: Final[dict[str, Callable[[Path], Any]]] = {
-    "sleeps": lambda _: time.sleep(1000.0),
     "spins": lambda _: spin(),
     "deaf": lambda _: deaf(),
     "segmentation-fault": lambda _: ctypes.string_at(0),
-    "aborts": lambda _: os.abort(),
     "leaves": lambda _: os._exit(0),
     "leaves-with-3": lambda _: os._exit(3),
     "kills-itself": lambda _: os.kill(os.getpid(), signal.SIGKILL),
-    "ends-itself": lambda _: os.kill(os.getpid(), signal.SIGTERM),
     "closes-everything": lambda _: os.closerange(0, 256),
     "talks-nonsense": lambda _: os.write(connection(), b"x" * 64),
     "answers-before": lambda _: answer_before_it_is_asked(),
     "leaves-a-process": leave_a_process,
     "raises": lambda _: raising(ValueError("no idea")),
     "exits": lambda _: sys.exit(0),
-    "generator-exit": lambda _: raising(GeneratorExit()),
-    "cancelled": lambda _: raising(asyncio.CancelledError()),
     "interrupts": lambda _: raising(KeyboardInterrupt()),
     "own-base-exception": lambda _: raising(Own("mine")),
     "wordless": lambda _: raising(Wordless()),

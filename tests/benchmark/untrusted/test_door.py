@@ -54,7 +54,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(VALUES)
 def test_plain_values_come_back_as_they_were(value: Any) -> None:
     assert same(value, through(value))
@@ -98,7 +98,7 @@ def test_what_no_recording_holds_is_not_answered() -> None:
     assert through(defaultdict(list, a=[1]))["b"] == []
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_a_damaged_pickle_or_answer_never_breaks_the_reader(data: st.DataObject) -> None:
     whole = bytearray(pickle.dumps({"id": "x", "n": 3, "ts": np.arange(4.0), "set": {1, 2}, "t": (1, [2])}))
@@ -176,8 +176,6 @@ def waiting(folder: Path, monkeypatch: pytest.MonkeyPatch, program: str) -> Path
     [
         ("import time; time.sleep(60)", "takes longer than"),
         ("import os; os.kill(os.getpid(), 11)", "signal SIGSEGV"),
-        ("import os; os.kill(os.getpid(), 9)", "signal SIGKILL"),
-        ("import os; os.abort()", "signal SIGABRT"),
         ("import os; os.kill(os.getpid(), 40)", "signal 40"),
         ("raise SystemExit(3)", r"exit status 3"),
         ("print('hello')", r"exit status 0"),
@@ -239,9 +237,7 @@ def test_the_child_ends_with_its_parent(tmp_path: Path) -> None:
 
 SIGNS = st.text('[]{}\\"a\u00e9\ud7ff')
 JSON_VALUES = st.recursive(
-    st.none() | st.integers(-9, 9) | SIGNS,
-    lambda inner: st.lists(inner) | st.dictionaries(SIGNS, inner),
-    max_leaves=30,
+    st.none() | st.integers(-9, 9) | SIGNS, lambda inner: st.lists(inner) | st.dictionaries(SIGNS, inner), max_leaves=30
 )
 
 

@@ -17,14 +17,7 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One attack.
-
-    Attributes:
-        kind: What is attacked.
-        name: How, in words.
-        change: Bytes of the hostile file, from those of a valid one.
-        harmless: Whether it may be read as well as refused.
-    """
+    """One attack on a kind of file: the hostile bytes from those of a valid one, which may be harmless to read."""
 
     kind: str
     name: str
@@ -47,7 +40,6 @@ DEPTH = 100_000
 DEEP = "[" * DEPTH + "]" * DEPTH
 PICKLES = (
     Variant("pickle", "lists nested 10^5 deep", lambda _: _pickled(b"]" * DEPTH + b"a" * (DEPTH - 1))),
-    Variant("pickle", "tuples nested 10^5 deep", lambda _: _pickled(b")" + b"\x85" * DEPTH)),
     Variant("pickle", "tuples nested 10^6 deep as a key", lambda _: _pickled(b"})" + b"\x85" * 1_000_000 + b"Ns")),
     Variant("pickle", "a key whose hash takes 2^60 steps", lambda _: _pickled(b"})" + b"2\x86" * 60 + b"Ns")),
     Variant("pickle", "a value that unfolds to 2^60", lambda _: _pickled(b")" + b"2\x86" * 60)),
@@ -146,8 +138,6 @@ CHECKPOINTS = (
     Variant("checkpoint", "strides that go back", _says(15, (4,), (-1,))),
     Variant("checkpoint", "strides that leave the storage", _says(0, (2, 2), (1 << 62, 1))),
     Variant("checkpoint", "a shape of more than 64 bits", _says(0, (1 << 70,), (1,))),
-    Variant("checkpoint", "a negative shape", _says(0, (-4,), (1,))),
-    Variant("checkpoint", "one number said to be 2^40", _says(0, (1 << 40,), (0,))),
     Variant("checkpoint", "an empty tensor that is endless", _says(0, (0, 1 << 62), (1, 1))),
     Variant("checkpoint", "ten thousand axes", _says(0, (1,) * 10_000, (1,) * 10_000)),
     Variant("checkpoint", "more strides than axes", _says(0, (4,), (1, 1))),
@@ -164,7 +154,6 @@ CHECKPOINTS = (
     Variant("checkpoint", "two records with the same name", _twice_named),
     Variant("checkpoint", "a record that begins beyond the file", _directory_says(42, 1 << 31)),
     Variant("checkpoint", "a record that ends beyond the file", _directory_says(24, 1 << 30)),
-    Variant("checkpoint", "another checksum", _directory_says(16, 7)),
     Variant("checkpoint", "a key whose hash takes 2^60 steps", _in_data(b"})" + b"2\x86" * 60 + b"Ns")),
     Variant("checkpoint", "tuples nested 10^6 deep as a key", _in_data(b"})" + b"\x85" * 1_000_000 + b"Ns")),
     Variant("checkpoint", "an empty archive", lambda _: b"PK\5\6" + bytes(18)),
@@ -200,20 +189,15 @@ SAFETENSORS = (
     Variant("safetensors", "ten thousand axes", _entry(shape=[1] * 10_000)),
     Variant("safetensors", "a negative axis", _entry(shape=[-4])),
     Variant("safetensors", "an axis that is true", _entry(shape=[4, True])),
-    Variant("safetensors", "places that go back", _entry(data_offsets=[16, 0])),
     Variant("safetensors", "an unknown type", _entry(dtype="F31")),
-    Variant("safetensors", "a type that is a list", _entry(dtype=[])),
     Variant("safetensors", "no shape", _entry(shape=None)),
-    Variant("safetensors", "an entry too many", _entry(more=1)),
     Variant("safetensors", "an entry that is text", lambda _: safetensors({"w": "F32"})),
     Variant("safetensors", "a name of a million characters", lambda _: safetensors({"w" * 1_000_000: {}})),
     Variant("safetensors", "a name of half a pair", lambda _: safetensors(b'{"\\ud800": {}}')),
     Variant("safetensors", "metadata that are a list", _metadata([])),
-    Variant("safetensors", "metadata that are numbers", _metadata({"a": 1})),
     Variant("safetensors", "metadata nested 10^5 deep", _metadata({"challenger-bench": DEEP})),
     Variant("safetensors", "metadata that are no JSON", _metadata({"challenger-bench": "{"})),
     Variant("safetensors", "bytes that belong to nothing", _entry(shape=[2], data_offsets=[0, 8])),
-    Variant("safetensors", "seven bytes", lambda _: b"\1\0\0\0\0\0\0"),
     Variant("safetensors", "half", lambda valid: valid[: len(valid) // 2]),
 )
 
@@ -223,7 +207,6 @@ JSONS = (
     Variant("json", "lists nested 100 deep", lambda _: b'["[{", ' + b"[" * 100 + b"]" * 100 + b"]"),
     Variant("json", "lists that are never closed", lambda _: b"[" * 2_000_000),
     Variant("json", "half a pair, escaped", lambda _: b'{"name": "scene-\\ud800"}'),
-    Variant("json", "half a pair, escaped in capitals", lambda _: b'{"name": "scene-\\uDfff"}'),
     Variant("json", "half a pair, in bytes", lambda _: b'{"name": "scene-\xed\xa0\x80"}'),
     Variant("json", "bytes that are not text", lambda _: b'{"name": "\xff"}'),
     Variant("json", "a whole number of a million digits", lambda _: b"[" + b"1" * 1_000_000 + b"]"),
@@ -239,12 +222,10 @@ def _columns(count: int) -> bytes:
 
 PLANS = (
     Variant("plans", "a first line with a million columns", lambda _: _columns(1_000_000) + b"\n"),
-    Variant("plans", "a first line with a thousand columns", lambda _: _columns(1000) + b"\n"),
     Variant("plans", "a later line with a million columns", lambda valid: valid + b"," * 1_000_000 + b"\n"),
     Variant("plans", "a line of ten million characters", lambda valid: valid + b"x" * 10_000_000),
     Variant("plans", "a quote that is never closed", lambda valid: valid + b'"' + b"a\n" * 100_000),
     Variant("plans", "ten million lines", lambda valid: valid + b"\n" * 10_000_000),
-    Variant("plans", "ten million lines of another kind", lambda valid: valid + b"\r" * 10_000_000),
     Variant("plans", "a zero byte", lambda valid: valid.replace(b",", b",\0", 30)),
     Variant("plans", "bytes that are not text", lambda valid: valid.replace(b",", b",\xff", 30)),
     Variant("plans", "text of 16 bits", lambda valid: valid.decode().encode("utf-16")),
@@ -258,12 +239,7 @@ def _json(value: Any) -> bytes:
 
 JSON_PLANS = (
     Variant("json plans", "a row with a million columns", lambda _: _json([{str(n): 1 for n in range(10**6)}])),
-    Variant(
-        "json plans",
-        "rows with columns of their own",
-        lambda _: _json([{str(n): 1} for n in range(10**5)]),
-    ),
-    Variant("json plans", "a row that is a list of a million", lambda _: _json([[1] * 10**6])),
+    Variant("json plans", "rows with columns of their own", lambda _: _json([{str(n): 1} for n in range(10**5)])),
     Variant("json plans", "rows nested 10^5 deep", lambda _: DEEP.encode()),
     Variant("json plans", "a table by column", lambda _: b'{"a": [1]}'),
     Variant("json plans", "text", lambda _: b'"plans"'),
@@ -299,7 +275,6 @@ NPZS = (
     Variant("npz", "an array of objects", _claims("'|O'", "(1,)", pickle.dumps([1]))),
     Variant("npz", "a header nested 10^4 deep", _claims("(" * 9000 + ")" * 9000, "()")),
     Variant("npz", "a header that is no header", lambda _: npz({"x": b"\x93NUMPY\1\0\xff\xff"})),
-    Variant("npz", "an array that is none", lambda _: npz({"x": b"hello"})),
     Variant("npz", "twenty thousand arrays", lambda _: npz({str(number): b"" for number in range(20_000)})),
     Variant("npz", "an empty archive", lambda _: b"PK\5\6" + bytes(18), harmless=True),
     Variant("npz", "nothing", lambda _: b""),

@@ -31,15 +31,7 @@ def notices(verify: Verify, folder: Path) -> None:
 
 
 def refuses(verify: Verify, whole: Path, file: str, array: str, work: Path) -> None:
-    """No damaged copy of a set is compared.
-
-    Args:
-        verify: The family.
-        whole: A set.
-        file: One of its npz files.
-        array: Numbers in it.
-        work: Empty.
-    """
+    """No damaged copy of a set, in whose npz file ``array`` holds numbers, is compared; ``work`` is an empty folder."""
     with np.load(whole / file) as stored:
         arrays = {name: stored[name] for name in stored.files}
     numbers = arrays[array].astype(np.float64)

@@ -24,13 +24,6 @@ def test_report_has_a_line_for_each_and_counts() -> None:
     assert last == "1 of 2 quantities agree"
 
 
-def test_a_report_fits_the_terminal() -> None:
-    check = Check(
-        "the difference of a quantity whose name takes a lot of words to say", 1e-9, 1e-6, 10**9, "seen " * 30
-    )
-    assert all(len(line) <= 80 for line in format_report([check, Check("short", 0.0, 0.0, 1)]).splitlines())
-
-
 def test_json_has_no_nan() -> None:
     values = Check("a", float("nan"), 1e-6, 3).as_json()
     assert json.loads(json.dumps(values, allow_nan=False))["error"] is None

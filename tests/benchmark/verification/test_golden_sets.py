@@ -1,7 +1,6 @@
 """The one reader of golden sets and the one form in which they are declared."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -74,10 +73,3 @@ def test_equality_and_series_need_the_same_shape() -> None:
     assert not comparison.series("series", np.zeros(3), np.zeros(0))
     (check,) = comparison.checks()
     assert not check.ok and check.count == 1
-
-
-def test_a_place_adds_its_name_and_what_quantities_begin_with() -> None:
-    comparison: Any = Comparison({"car: *": 0.5})
-    comparison.at("step 1", "car: ").numbers("x", 1.0, 2.0)
-    (check,) = comparison.checks()
-    assert (check.quantity, check.note) == ("car: x", "worst in step 1")

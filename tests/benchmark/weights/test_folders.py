@@ -12,7 +12,7 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
-from benchmark.weights.catalogue import FOLDERS, PublishedFile, PublishedWeights
+from benchmark.weights.catalogue import PublishedFile, PublishedWeights
 from benchmark.weights.folders import (
     compute_content_hash,
     fetch_folder,
@@ -188,15 +188,6 @@ def test_the_hash_of_the_content_sees_changes_without_reading_everything(tmp_pat
         compute_content_hash(entry(), folder)
 
 
-def test_sizes_and_places_are_told(tmp_path: Path) -> None:
-    assert find_cached_folder(entry(), tmp_path) is None
-    folder = import_folder(entry(), written(tmp_path / "mine"), tmp_path)
-    assert find_cached_folder(entry(), tmp_path) == folder
-    known = entry(files=(PublishedFile("a", 10**6), PublishedFile("b", 10**6)))
-    sizes = [entry().size_text, entry(about_megabytes=None).size_text, known.size_text]
-    assert sizes == ["about 5 MB", "size unknown", "2 MB"]
-
-
 def test_what_a_path_holds_is_told_by_its_name_or_asked(tmp_path: Path) -> None:
     clone = written(tmp_path / "small-model")
     entries = (entry(), entry(name="one", repository="owner/one", files=(PublishedFile("one.pth"),)))
@@ -214,13 +205,6 @@ def test_names_that_leave_the_folder_are_a_mistake_of_the_program() -> None:
     for name in ("../a", "/a", "", "a/../../b"):
         with pytest.raises(ValueError, match="not a file inside"):
             entry(files=(PublishedFile(name),))
-
-
-def test_folders_have_names_of_their_own_licences_and_addresses() -> None:
-    assert len({weights.name for weights in FOLDERS}) == len(FOLDERS)
-    for weights in FOLDERS:
-        assert weights.licence and weights.address.startswith("https://") and weights.is_folder
-        assert all(weights.url(file).startswith("https://") for file in weights.files)
 
 
 def test_folders_of_the_hub_come_by_its_own_client_and_are_checked(
