@@ -312,7 +312,7 @@ def test_what_the_writer_writes_is_read_back(tmp_path: Path) -> None:
         )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(st.booleans(), min_size=1, max_size=12).filter(any))
 def test_nearest_valid_is_nearest_and_valid(flags: list[bool]) -> None:
     valid = np.array([flags])

@@ -46,7 +46,7 @@ def test_all_tables_are_described_and_every_link_leads_into_one() -> None:
     assert all("token" in fields for fields in SCHEMA.values())
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(kind=st.sampled_from(list(KINDS.values())), values=st.lists(VALUES, min_size=1, max_size=3))
 def test_a_column_that_passes_the_quick_look_holds_only_what_it_may(kind: ValueKind, values: list[Any]) -> None:
     alone = [kind.holds(value) for value in values]
@@ -74,7 +74,7 @@ def errors(root: Path) -> list[str]:
     return [f"{fault.table}: {fault.sentence}" for fault in check_tables(root) if fault.severity == "error"]
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(data=st.data())
 def test_what_the_writer_writes_conforms(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     number = st.floats(-100.0, 100.0, width=32)
@@ -106,7 +106,7 @@ def written(root: Path, scenes: list[Scene]) -> None:
 
 
 def test_the_embedded_town_conforms(tmp_path: Path) -> None:
-    written(tmp_path, [build_town_scene("val", index) for index in range(2)])
+    written(tmp_path, [build_town_scene("val", 0)])
 
 
 def test_recorded_scenes_conform(tmp_path: Path) -> None:

@@ -233,7 +233,7 @@ def test_wrong_roots_splits_and_labels_are_one_sentence(tmp_path: Path) -> None:
             statistics(root)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     rows=st.lists(
         st.dictionaries(st.text(max_size=4), st.none() | st.floats(allow_nan=False) | st.text(max_size=6), max_size=3),

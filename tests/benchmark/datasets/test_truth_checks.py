@@ -13,17 +13,11 @@ from tests.benchmark.edited_roots import (
     copy_of,
     edit,
     rename_categories,
-    small_town,
     table_of,
     without_annotations,
 )
 
 GHOST = "f" * 32
-
-
-@pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return small_town(tmp_path_factory.mktemp("town") / "town")
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """Random samples and plans for tests of the protocols."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -51,6 +52,25 @@ def traits(*, coarse: bool) -> st.SearchStrategy[Traits]:
     )
 
 
+def made_truth(boxes: Floats, future: Floats, *, name: str = "s", **changes: Any) -> SampleTruth:
+    """A sample whose ego looks along +y; cars (M, 7, 5), all annotated and seen unless ``changes`` say otherwise.
+
+    ``future`` is (6, 2), heading straight ahead, or (6, 3).
+    """
+    boxes = np.asarray(boxes, np.float64).reshape(-1, 7, 5)
+    there = changes.get("annotated", np.ones(boxes.shape[:2], np.bool_))
+    heading = np.full((6, 3 - np.shape(future)[1]), np.pi / 2)
+    content: dict[str, Any] = {
+        **{"scene": "scene-0001", "sample_token": name, "index": 0, "timestamp_us": 0, "command": Command.STRAIGHT},
+        **{"lidar_pose": np.zeros(3), "lidar_ahead_m": 0.94, "ego_future": np.column_stack([future, heading])},
+        "ego_future_valid": np.ones(6, np.bool_),
+        "instances": tuple(f"{name}-{row}" for row in range(len(boxes))),
+        "categories": ("vehicle.car",) * len(boxes),
+        **{"boxes": boxes, "annotated": there, "has_points": there, "has_lidar_points": there},
+    }
+    return SampleTruth(**{**content, **changes})
+
+
 def sample_of(kind: Traits, name: str = "s") -> SampleTruth:
     """Objects of all categories with gaps and without points, around a recorded ego that may drive through them."""
     rng = np.random.default_rng([kind.seed, 1])
@@ -70,19 +90,13 @@ def sample_of(kind: Traits, name: str = "s") -> SampleTruth:
     annotated[:, 1:] &= valid
     points = annotated & (rng.random((count, 7)) < 0.85)
     rng_past = np.random.default_rng([kind.seed, 3])
-    return SampleTruth(
-        scene="scene-0001",
-        sample_token=name,
+    return made_truth(
+        boxes,
+        future,
+        name=name,
         index=int(kind.seed % 5),
-        timestamp_us=0,
-        lidar_pose=np.zeros(3),
-        lidar_ahead_m=0.94,
-        ego_future=np.column_stack([future, np.full(6, np.pi / 2)]),
         ego_future_valid=valid,
-        command=Command.STRAIGHT,
-        instances=tuple(f"{name}-{row}" for row in range(count)),
         categories=tuple(CATEGORIES[kind] for kind in rng.integers(0, len(CATEGORIES), count)),
-        boxes=boxes,
         annotated=annotated,
         has_points=points,
         has_lidar_points=points & (rng.random((count, 7)) < 0.9),

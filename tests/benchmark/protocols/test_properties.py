@@ -29,7 +29,7 @@ BOXES = st.tuples(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(BOXES, BOXES)
 def test_overlap_is_that_of_polygons_away_from_touching(first: Box, second: Box) -> None:
     boxes = np.array([first, second])
@@ -39,7 +39,7 @@ def test_overlap_is_that_of_polygons_away_from_touching(first: Box, second: Box)
         assert bool(boxes_overlap(boxes[0], boxes[1])) == one.intersects(other)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(traits(coarse=True))
 def test_a_box_collides_wherever_its_centre_does(kind: Traits) -> None:
     sample, plan = sample_of(kind), plan_of(kind)
@@ -55,8 +55,8 @@ def verdicts(name: str, truths: Sequence[SampleTruth], plans: Floats) -> list[di
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
-@settings(max_examples=25, deadline=None)
-@given(kinds=st.lists(traits(coarse=True), min_size=2, max_size=8), data=st.data())
+@settings(max_examples=8, deadline=None)
+@given(kinds=st.lists(traits(coarse=True), min_size=2, max_size=6), data=st.data())
 def test_order_and_company_of_samples_change_nothing(name: str, kinds: list[Traits], data: st.DataObject) -> None:
     truths = [sample_of(kind, str(index)) for index, kind in enumerate(kinds)]
     plans = np.array([plan_of(kind) for kind in kinds])
@@ -68,7 +68,7 @@ def test_order_and_company_of_samples_change_nothing(name: str, kinds: list[Trai
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(kind=traits(coarse=True), data=st.data())
 def test_order_of_objects_changes_nothing(name: str, kind: Traits, data: st.DataObject) -> None:
     sample, plan = sample_of(kind), plan_of(kind)
@@ -85,26 +85,23 @@ def test_order_of_objects_changes_nothing(name: str, kind: Traits, data: st.Data
 
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_more_samples_than_fit_in_a_batch_change_nothing(name: str) -> None:
-    kinds = [Traits(index, index % 5, 20.0, 6, "drive", False) for index in range(600)]
+    # The exact protocol takes 256 at once, the others 64 at the most.
+    count = 300 if name == "exact" else 100
+    kinds = [Traits(index, index % 5, 20.0, 6, "drive", False) for index in range(count)]
     truths = [sample_of(kind, str(index)) for index, kind in enumerate(kinds)]
     plans = np.array([plan_of(kind) for kind in kinds])
-    cuts = [slice(start, start + 70) for start in range(0, 600, 70)]
+    cuts = [slice(start, start + 40) for start in range(0, count, 40)]
     assert verdicts(name, truths, plans) == [one for cut in cuts for one in verdicts(name, truths[cut], plans[cut])]
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
-def test_samples_without_objects_and_no_samples(name: str) -> None:
+def test_nothing_is_hit_without_objects_and_far_away(name: str) -> None:
     assert verdicts(name, [], np.empty((0, 6, 2))) == []
     kind = Traits(3, 0, 9.0, 6, "drive", False)
     alone = verdicts(name, [sample_of(kind)], plan_of(kind)[None])
     assert alone[0]["collision"] == [False] * 6 and alone[0]["counted"]
-
-
-@pytest.mark.parametrize("name", PROTOCOLS)
-@pytest.mark.parametrize("place", [1e4, -1e4])
-def test_plans_far_away_hit_nothing_near(name: str, place: float) -> None:
-    sample = sample_of(Traits(3, 12, 9.0, 6, "drive", False))
-    assert not PROTOCOLS[name].evaluate([sample], np.full((1, 6, 2), place)).collision.any()
+    sample = sample_of(replace(kind, objects=12))
+    assert not PROTOCOLS[name].evaluate([sample] * 2, np.full((2, 6, 2), [[[1e4]], [[-1e4]]])).collision.any()
 
 
 def moved(scene: Scene, pose: Floats) -> Scene:
@@ -138,7 +135,7 @@ CARS = st.lists(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(CARS, st.tuples(st.floats(-2000, 2000), st.floats(-2000, 2000), st.floats(-7, 7)), st.integers(0, 2**32))
 def test_where_the_scene_lies_changes_nothing_in_exact(
     cars: list[Car], pose: tuple[float, float, float], seed: int
@@ -166,7 +163,7 @@ def touches_barely(truth: SampleTruth, plan: Floats) -> bool:
     return bool((find_contacts(wider, [truth])[0] != find_contacts(narrower, [truth])[0]).any())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(traits(coarse=False))
 def test_contact_is_where_the_gap_is_zero(kind: Traits) -> None:
     sample, plan = sample_of(kind), plan_of(kind)
@@ -180,7 +177,7 @@ def test_contact_is_where_the_gap_is_zero(kind: Traits) -> None:
     assert found.tolist() == touching.tolist()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.floats(-np.pi, np.pi), st.floats(0.05, 0.29))
 def test_creeping_keeps_the_heading(direction: float, chord: float) -> None:
     step = 0.5 * chord * np.array([np.cos(direction), np.sin(direction)])
@@ -188,7 +185,7 @@ def test_creeping_keeps_the_heading(direction: float, chord: float) -> None:
     assert chord_headings(plan[None], start_heading_rad=np.pi / 2) == pytest.approx(np.full((1, 6), np.pi / 2))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.lists(st.sampled_from([CLEAN, HIT, FAILED]), min_size=1, max_size=12))
 def test_a_failed_sample_is_never_a_zero(samples: list[str | None]) -> None:
     scenes = {f"scene-{first}": samples[first::3] for first in range(min(3, len(samples)))}

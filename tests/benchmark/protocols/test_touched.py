@@ -37,7 +37,7 @@ def case(kind: Traits, adversaries: list[int]) -> tuple[SampleTruth, Floats]:
 
 
 @pytest.mark.parametrize("name", BY_STEP)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(kind=traits(coarse=True), adversaries=st.lists(st.integers(0, 11), max_size=3))
 def test_who_is_touched_is_who_would_be_touched_alone(name: str, kind: Traits, adversaries: list[int]) -> None:
     sample, plan = case(kind, adversaries)
@@ -54,7 +54,7 @@ def test_who_is_touched_is_who_would_be_touched_alone(name: str, kind: Traits, a
         assert found.facts[TOUCHED_ADVERSARY][0][step] == bool(sample.adversaries & set(touching))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(kind=traits(coarse=False), adversaries=st.lists(st.integers(0, 11), max_size=3))
 def test_exact_says_when_an_adversary_is_touched_whoever_was_before(kind: Traits, adversaries: list[int]) -> None:
     sample, plan = case(kind, adversaries)
