@@ -37,13 +37,8 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 def scene(latency_s: Sequence[float | None], memory_mb: float | None = 100.0) -> SceneCost:
-    return SceneCost(
-        planning_s=1.0,
-        latency_s=list(latency_s),
-        peak_memory_mb=memory_mb,
-        peak_device_mb=None,
-        device="accelerator",
-    )
+    known = {"peak_memory_mb": memory_mb, "peak_device_mb": None, "device": "accelerator"}
+    return SceneCost.model_validate({"planning_s": 1.0, "latency_s": list(latency_s), **known})
 
 
 def timed(tmp_path: Path, planner: Straight) -> RunRecord:

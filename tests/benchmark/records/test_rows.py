@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.evaluation import evaluate
 from benchmark.metrics.consistency import measure_plan_distance, measure_plan_distances
 from benchmark.protocols import ProtocolOutcomes
 from benchmark.records import columns as columns_module
@@ -17,14 +16,7 @@ from benchmark.records.columns import RowColumns, build_batch
 from benchmark.records.row_schema import OutcomeRow, SampleRow
 from benchmark.records.rows import SampleRows, find_scene_failures, format_line, get_columns
 from benchmark.records.run import RunRecord, load_record, write_record
-from tests.benchmark.fake_data import town_of_two
-from tests.benchmark.planners import Failing
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
-
-
-@pytest.fixture(scope="module")
-def real(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
-    return evaluate(town_of_two(slow_leader=True), "val", Failing(), tmp_path_factory.mktemp("rows"))
 
 
 def test_compressed_rows_are_the_rows(real: RunRecord) -> None:

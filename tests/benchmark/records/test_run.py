@@ -11,14 +11,11 @@ import pytest
 from pydantic import ValidationError
 
 from benchmark.errors import InputError
-from benchmark.evaluation import evaluate
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.records.row_schema import CAUSES, DiagnosisRow, SampleRow
 from benchmark.records.rows import find_scene_failures
-from benchmark.records.run import find_records, load_record, resolve_protocol, summarise_rows
+from benchmark.records.run import RunRecord, find_records, load_record, resolve_protocol, summarise_rows
 from benchmark.records.run_schema import SceneFacts
-from tests.benchmark.fake_data import town_of_two
-from tests.benchmark.planners import Straight
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "records"
 
@@ -111,8 +108,8 @@ def test_the_two_causes_of_old_records_are_read_as_three(word: str, reason: str,
 
 
 @pytest.fixture
-def directory(tmp_path: Path) -> Path:
-    return evaluate(town_of_two(), "val", Straight(), tmp_path / "runs").directory
+def directory(sound: RunRecord, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(sound.directory, tmp_path / "runs" / "town" / "one"))
 
 
 def test_a_scene_fails_if_any_counted_sample_collides() -> None:
@@ -245,19 +242,6 @@ def test_numbers_in_files_are_json(directory: Path) -> None:
         json.loads(line, parse_constant=refuse)
 
 
-def test_a_newer_schema_is_refused(directory: Path) -> None:
-    change(directory / "run.json", schema=99)
-    with pytest.raises(InputError, match="upgrade challenger-bench"):
-        load_record(directory)
-
-
-@pytest.mark.parametrize("schema", [0, -1])
-def test_a_schema_that_never_existed_is_refused(directory: Path, schema: int) -> None:
-    change(directory / "run.json", schema=schema)
-    with pytest.raises(InputError, match="never existed"):
-        load_record(directory)
-
-
 def test_rows_that_are_no_text_are_refused(directory: Path) -> None:
     (directory / "samples.jsonl").write_bytes(b"\xd0\x00\xff")
     with pytest.raises(InputError, match="is not text"):
@@ -294,36 +278,28 @@ def test_names_that_no_file_can_have_are_refused_in_few_words(directory: Path) -
     assert len(str(refused.value)) < 500
 
 
-@pytest.mark.parametrize("protocols", [None, ["exact", None], "exact", ["exat"]])
-def test_settings_that_judging_anew_would_replace_are_read_first(directory: Path, protocols: object) -> None:
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"schema": 99}, "upgrade challenger-bench"),
+        *(({"schema": never}, "never existed") for never in (0, -1)),
+        *(
+            ({"config": {"protocols": wrong}}, "must be those that judged")
+            for wrong in (None, ["exact", None], "exact", ["exat"])
+        ),
+        *(({"scenes": wrong}, "scenes") for wrong in ([], ["a\0b"], ["../a"], ["twice", "twice"], ["another"])),
+        ({"scene_facts": {"another": {"source": "another"}}}, "scene_facts must be of the scenes"),
+        ({"files": {"../../secret": "0" * 64}}, r"run\.json"),
+        ({"files": {}}, "does not belong"),
+        # Texts and numbers say what the machine is; judging anew must not mend anything else.
+        ({"environment": {"packages": {"torch": [1, "a", None]}}}, r"run\.json .*environment"),
+    ],
+)
+def test_what_a_run_must_not_say_is_refused(directory: Path, changes: dict[str, Any], says: str) -> None:
     run = json.loads((directory / "run.json").read_text())
-    change(directory / "run.json", config={**run["config"], "protocols": protocols})
-    with pytest.raises(InputError, match="must be those that judged"):
-        load_record(directory)
-
-
-@pytest.mark.parametrize("scenes", [[], ["a\0b"], ["../a"], ["twice", "twice"], ["another"]])
-def test_scenes_of_a_record_are_those_of_its_rows(directory: Path, scenes: list[str]) -> None:
-    change(directory / "run.json", scenes=scenes)
-    with pytest.raises(InputError, match="scenes"):
-        load_record(directory)
-
-
-def test_facts_are_of_the_scenes_that_ran(directory: Path) -> None:
-    change(directory / "run.json", scene_facts={"another": {"source": "another"}})
-    with pytest.raises(InputError, match="scene_facts must be of the scenes"):
-        load_record(directory)
-
-
-def test_a_file_outside_the_record_is_never_hashed(directory: Path) -> None:
-    change(directory / "run.json", files={"../../secret": "0" * 64})
-    with pytest.raises(InputError):
-        load_record(directory)
-
-
-def test_a_record_without_hashes_is_refused(directory: Path) -> None:
-    change(directory / "run.json", files={})
-    with pytest.raises(InputError, match="does not belong"):
+    inside = {name: {**run[name], **value} for name, value in changes.items() if name in ("config", "environment")}
+    change(directory / "run.json", **{**changes, **inside})
+    with pytest.raises(InputError, match=says):
         load_record(directory)
 
 

@@ -23,15 +23,8 @@ FRAMES = (
 
 
 def pursued(y: float = 0.0) -> EpisodeRow:
-    adversary = {
-        "agent": 0,
-        "uuid": "a",
-        "start": 12,
-        "poses": [[0.0, y, 0.0]],
-        "replanned": [12, 24],
-        "scores": [None, -2.5],
-    }
-    return row(adversary=adversary)
+    adversary = {"agent": 0, "uuid": "a", "start": 12, "poses": [[0.0, y, 0.0]]}
+    return row(adversary={**adversary, "replanned": [12, 24], "scores": [None, -2.5]})
 
 
 def test_it_reads_back_for_its_own_drive_alone(tmp_path: Path) -> None:
