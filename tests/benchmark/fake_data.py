@@ -116,10 +116,7 @@ def sample_truth(scene: Scene, index: int) -> SampleTruth:
     frames = scene.keyframes[at]
     boxes[..., 4] = wrap_angle(scene.agents.yaw[rows][:, frames] - lidar[index, 2] + np.pi / 2)
     future = np.column_stack(
-        [
-            in_lidar_axes(lidar[at[1:], :2], lidar[index]),
-            wrap_angle(lidar[at[1:], 2] - lidar[index, 2] + np.pi / 2),
-        ]
+        [in_lidar_axes(lidar[at[1:], :2], lidar[index]), wrap_angle(lidar[at[1:], 2] - lidar[index, 2] + np.pi / 2)]
     )
     annotated: Bools = scene.annotations.valid[rows][:, at] & valid
     points = scene.annotations.num_lidar_pts[rows][:, at] > 0

@@ -20,9 +20,7 @@ def turned_scene(scene: Scene, angle_rad: float) -> Scene:
         ego=EgoTrack(_points(scene.ego.position, angle_rad), _rotations(scene.ego.rotation, angle_rad)),
         agents=replace(agents, position=_points(agents.position, angle_rad), yaw=agents.yaw + angle_rad),
         annotations=replace(
-            known,
-            position=_points(known.position, angle_rad),
-            rotation=_rotations(known.rotation, angle_rad),
+            known, position=_points(known.position, angle_rad), rotation=_rotations(known.rotation, angle_rad)
         ),
         road_map=_map(scene.road_map, angle_rad),
     )

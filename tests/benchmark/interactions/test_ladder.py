@@ -110,12 +110,7 @@ def test_whom_the_ego_touches_at_the_start_is_ignored_for_good() -> None:
 
 
 def test_all_drivers_together_do_what_each_does_alone() -> None:
-    tracks = scene(
-        ego(12.0),
-        shifting(22.0, 7.0, 3.5, 1.0, 1.2),
-        along(-30.0, -3.5, 14.0),
-        along(60.0, 3.5, 5.0),
-    )
+    tracks = scene(ego(12.0), shifting(22.0, 7.0, 3.5, 1.0, 1.2), along(-30.0, -3.5, 14.0), along(60.0, 3.5, 5.0))
     together = outcomes(tracks, *map(ReferenceDriver, REFERENCE_DRIVER_KINDS))
     for driver, outcome in zip(REFERENCE_DRIVER_KINDS, together):
         (alone,) = outcomes(tracks, ReferenceDriver(driver))

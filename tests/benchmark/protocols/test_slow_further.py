@@ -16,11 +16,7 @@ from tests.benchmark.protocols import slow_further_protocols as further
 from tests.benchmark.protocols import slow_protocols as slow
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
 
-SLOW = {
-    "stp3": further.slow_stp3,
-    "bev-planner": further.slow_bev_planner,
-    "omnidrive": further.slow_omnidrive,
-}
+SLOW = {"stp3": further.slow_stp3, "bev-planner": further.slow_bev_planner, "omnidrive": further.slow_omnidrive}
 
 
 @pytest.mark.parametrize("name", SLOW)

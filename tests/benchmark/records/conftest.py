@@ -1,4 +1,3 @@
-
 import pytest
 
 from benchmark.evaluation import evaluate

@@ -14,14 +14,7 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate, plan_shard
 from benchmark.machine.metering import Meter, peak_memory_mb
-from benchmark.records.planner_cost import (
-    PlannerCost,
-    SceneCost,
-    cost_path,
-    note_cost,
-    read_cost,
-    summarise_cost,
-)
+from benchmark.records.planner_cost import PlannerCost, SceneCost, cost_path, note_cost, read_cost, summarise_cost
 from benchmark.records.record_costs import with_cost
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.planner_facts import build_planner_facts

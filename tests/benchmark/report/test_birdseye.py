@@ -22,13 +22,7 @@ from benchmark.report.palette import (
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED
 from tests.benchmark.report.one_scene import agent, record, sheet, with_plan
 
-LAND, PERSON, ROAD, STRIPE, VEHICLE = (
-    ON_LIGHT.land,
-    ON_LIGHT.person,
-    ON_LIGHT.road,
-    ON_LIGHT.stripe,
-    ON_LIGHT.vehicle,
-)
+LAND, PERSON, ROAD, STRIPE, VEHICLE = (ON_LIGHT.land, ON_LIGHT.person, ON_LIGHT.road, ON_LIGHT.stripe, ON_LIGHT.vehicle)
 SIZE, EXTENT = 400, 20.0
 """Ten pixels a metre."""
 
