@@ -67,39 +67,51 @@ def edit(root: Path, name: str, change: Callable[[list[Row]], list[Row] | None])
     path.write_text(json.dumps(rows if changed is None else changed))
 
 
+def remove_annotations(root: Path, gone: Callable[[Row], bool]) -> None:
+    """Take annotations away; chains are mended, instances that are left without any are gone too."""
+    rows: list[Row] = []
+    edit(root, "sample_annotation", rows.extend)
+    by_token = {row["token"]: row for row in rows}
+    removed = [row for row in rows if gone(row)]
+    for row in removed:
+        for link, back in (("prev", "next"), ("next", "prev")):
+            if row[link]:
+                by_token[row[link]][back] = row[back]
+    lost = {row["token"] for row in removed}
+    left = [row for row in rows if row["token"] not in lost]
+    edit(root, "sample_annotation", lambda _: left)
+    touched = {row["instance_token"] for row in removed}
+
+    def counted(instances: list[Row]) -> list[Row]:
+        for one in instances:
+            if one["token"] in touched:
+                own = [row for row in left if row["instance_token"] == one["token"]]
+                one["nbr_annotations"] = len(own)
+                for field, link in (("first_annotation_token", "prev"), ("last_annotation_token", "next")):
+                    one[field] = next((row["token"] for row in own if not row[link]), "")
+        return [one for one in instances if one["nbr_annotations"]]
+
+    edit(root, "instance", counted)
+
+
+def samples_of(root: Path, scene: str) -> list[Row]:
+    """The samples of a scene by time."""
+    scenes, samples = (json.loads(table_of(root, name).read_text()) for name in ("scene", "sample"))
+    (token,) = (row["token"] for row in scenes if row["name"] == scene)
+    return sorted((row for row in samples if row["scene_token"] == token), key=lambda row: int(row["timestamp"]))
+
+
 def without_annotations(root: Path, scenes: set[str] | None = None) -> None:
     """Take all annotations of scenes away, of all scenes by default."""
-    tables = {name: json.loads(table_of(root, name).read_text()) for name in ("scene", "sample", "sample_annotation")}
-    tokens = {row["token"] for row in tables["scene"] if scenes is None or row["name"] in scenes}
-    samples = {row["token"] for row in tables["sample"] if row["scene_token"] in tokens}
-    left = [row for row in tables["sample_annotation"] if row["sample_token"] not in samples]
-    named = {row["instance_token"] for row in left}
-    edit(root, "sample_annotation", lambda _: left)
-    edit(root, "instance", lambda rows: [row for row in rows if row["token"] in named])
+    names = [row["name"] for row in json.loads(table_of(root, "scene").read_text())]
+    for name in names if scenes is None else scenes:
+        annotated_until(root, name, 0)
 
 
 def annotated_until(root: Path, scene: str, samples: int) -> None:
     """Take the annotations of a scene away from a sample on, as where labelling stopped half-way."""
-    tables = {name: json.loads(table_of(root, name).read_text()) for name in ("scene", "sample", "sample_annotation")}
-    (token,) = (row["token"] for row in tables["scene"] if row["name"] == scene)
-    own = sorted((row for row in tables["sample"] if row["scene_token"] == token), key=lambda row: row["timestamp"])
-    gone = {row["token"] for row in own[samples:]}
-    left = [row for row in tables["sample_annotation"] if row["sample_token"] not in gone]
-    tokens = {row["token"] for row in left}
-    chains: dict[str, list[Row]] = {}
-    for row in left:
-        row["next"] = row["next"] if row["next"] in tokens else ""
-        chains.setdefault(row["instance_token"], []).append(row)
-
-    def shortened(rows: list[Row]) -> list[Row]:
-        for row in rows:
-            chain = chains.get(row["token"], [])
-            row["nbr_annotations"] = len(chain)
-            row["last_annotation_token"] = next((each["token"] for each in chain if not each["next"]), "")
-        return [row for row in rows if row["token"] in chains]
-
-    edit(root, "sample_annotation", lambda _: left)
-    edit(root, "instance", shortened)
+    tokens = {row["token"] for row in samples_of(root, scene)[samples:]}
+    remove_annotations(root, lambda row: row["sample_token"] in tokens)
 
 
 def rename_categories(root: Path, renamed: Callable[[str], str]) -> None:

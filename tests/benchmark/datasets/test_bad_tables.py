@@ -50,16 +50,8 @@ def test_a_broken_root_is_refused_in_one_sentence_and_the_check_finds_why(
     assert all(fault.sentence.isprintable() and len(fault.sentence) < 400 for fault in errors)
 
 
-def other_scene(made: TinyRoot) -> None:
-    made.row("sample", "scene-9901-sample-2")["scene_token"] = "scene-9902-token"
-
-
-def circle(made: TinyRoot) -> None:
-    made.tables["sample"][-1]["next"] = made.tables["sample"][0]["token"]
-
-
-def into_the_next_scene(made: TinyRoot) -> None:
-    made.row("scene", "scene-9901-token")["first_sample_token"] = "scene-9902-sample-0"
+def set_row(table: str, token: str, **values: object) -> Callable[[TinyRoot], None]:
+    return lambda made: made.row(table, token).update(values)
 
 
 def names_in_capitals(made: TinyRoot) -> None:
@@ -67,16 +59,24 @@ def names_in_capitals(made: TinyRoot) -> None:
 
 
 def scene_without_samples(made: TinyRoot) -> None:
-    empty = dict(made.tables["scene"][0], token="empty", name="scene-9903", nbr_samples=0)
-    made.tables["scene"].append(empty)
+    made.tables["scene"].append(dict(made.tables["scene"][0], token="empty", name="scene-9903", nbr_samples=0))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (other_scene, "sample-1: next scene-9901-sample-2 is not a row of scene scene-9901-token"),
-        (circle, "sample-3: next scene-9901-sample-0 is not a row of scene scene-9902-token"),
-        (into_the_next_scene, "first_sample_token is scene-9902-sample-0, the first is scene-9901-sample-0"),
+        (
+            set_row("sample", "scene-9901-sample-2", scene_token="scene-9902-token"),
+            "sample-1: next scene-9901-sample-2 is not a row of scene scene-9901-token",
+        ),
+        (
+            set_row("sample", "scene-9902-sample-3", next="scene-9901-sample-0"),
+            "sample-3: next scene-9901-sample-0 is not a row of scene scene-9902-token",
+        ),
+        (
+            set_row("scene", "scene-9901-token", first_sample_token="scene-9902-sample-0"),
+            "first_sample_token is scene-9902-sample-0, the first is scene-9901-sample-0",
+        ),
         (names_in_capitals, "2 rows have the name"),
         (scene_without_samples, r"scene\.json row empty: no sample belongs to this scene"),
     ],

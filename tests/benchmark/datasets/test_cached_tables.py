@@ -2,7 +2,6 @@
 
 import json
 import os
-import random
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -18,10 +17,8 @@ from benchmark.datasets.schema import FaultList
 from benchmark.errors import InputError
 from benchmark.machine import user_cache
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
-from tests.benchmark.datasets.test_scene_tables import everything
-from tests.hand_made import scene_on_straight_road
+from tests.benchmark.datasets.test_scene_tables import everything, shuffled
 
-NAMES = ("scene-9901", "scene-9902", "scene-9903")
 Opened = Callable[[], tuple[list[object], int]]
 
 
@@ -32,9 +29,7 @@ def tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> TinyRoot:
     monkeypatch.setattr(kept_tables, "WORTH_BYTES", 1)
     monkeypatch.setattr(kept_digests, "WORTH_BYTES", 1)
     monkeypatch.setattr(user_cache, "SETTLED_S", -1e9)
-    made = TinyRoot.of(tmp_path / "root", [scene_on_straight_road(name=name, seconds=3.0) for name in NAMES])
-    for table in ("sample_data", "ego_pose", "sample_annotation", "instance", "sample"):
-        random.Random(table).shuffle(made.tables[table])
+    made = shuffled(tmp_path / "root")
     made.write()
     return made
 

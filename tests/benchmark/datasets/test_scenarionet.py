@@ -1,3 +1,4 @@
+import os
 import pickle
 from collections import OrderedDict, defaultdict
 from pathlib import Path
@@ -206,21 +207,24 @@ def test_broken_recordings_are_refused(tmp_path: Path, value: Any, message: str)
     assert "sd_test.pkl" in str(caught.value)
 
 
-class Evil:
-    def __reduce__(self) -> Any:
-        import os
+class Call:
+    """Pickles as a call, as a stranger may write it."""
 
-        return os.system, ("touch pwned",)
+    def __init__(self, function: Any, *arguments: Any, state: Any = None) -> None:
+        self._call = (function, arguments, state)
 
-
-class EvilGetattr:
-    def __reduce__(self) -> Any:
-        return getattr, (dict, "fromkeys")
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self._call
 
 
 @pytest.mark.parametrize(
     ("payload", "name"),
-    [(Evil(), r"posix\.system"), (EvilGetattr(), r"builtins\.getattr"), (Path("x"), "pathlib"), (np.sin, "numpy")],
+    [
+        (Call(os.system, "touch pwned"), r"posix\.system"),
+        (Call(getattr, dict, "fromkeys"), r"builtins\.getattr"),
+        (Path("x"), "pathlib"),
+        (np.sin, "numpy"),
+    ],
 )
 def test_a_pickle_that_could_run_code_is_refused(
     tmp_path: Path, payload: Any, name: str, monkeypatch: pytest.MonkeyPatch
@@ -248,32 +252,21 @@ def test_arrays_and_containers_of_any_protocol_are_read(tmp_path: Path, protocol
 
 @settings(max_examples=10, deadline=None)
 @given(st.data())
-def test_a_damaged_pickle_is_refused_or_read_but_never_crashes(data: st.DataObject) -> None:
-    import tempfile
-
+def test_a_damaged_pickle_is_refused_or_read_but_never_crashes(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
     whole = bytearray(pickle.dumps(recording()))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "sd_x.pkl"
-        for _ in range(data.draw(st.integers(0, 3))):
-            whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
-        path.write_bytes(whole[: data.draw(st.integers(0, len(whole)))])
-        try:
-            read_pickle(path)
-        except InputError as error:
-            assert "sd_x.pkl" in str(error)
+    path = tmp_path_factory.getbasetemp() / "sd_x.pkl"
+    for _ in range(data.draw(st.integers(0, 3))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(whole[: data.draw(st.integers(0, len(whole)))])
+    try:
+        read_pickle(path)
+    except InputError as error:
+        assert "sd_x.pkl" in str(error)
 
 
 RECONSTRUCT = np.zeros(1).__reduce__()[0]
-
-
-class Call:
-    """Pickles as a call, as a stranger may write it."""
-
-    def __init__(self, function: Any, *arguments: Any, state: Any = None) -> None:
-        self._call = (function, arguments, state)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return self._call
 
 
 @pytest.mark.parametrize(

@@ -22,13 +22,17 @@ NAMES = ("scene-9901", "scene-9902", "scene-9903")
 ROWS = st.lists(st.dictionaries(st.text(max_size=4), st.text(max_size=6) | st.floats(allow_nan=False), max_size=3))
 
 
-@pytest.fixture
-def tables(tmp_path: Path) -> TinyRoot:
+def shuffled(root: Path) -> TinyRoot:
     """Three scenes whose rows lie in no order."""
-    made = TinyRoot.of(tmp_path, [scene_on_straight_road(name=name, seconds=3.0) for name in NAMES])
-    for table in ("sample_data", "ego_pose", "sample_annotation", "instance", "sample"):
+    made = TinyRoot.of(root, [scene_on_straight_road(name=name, seconds=3.0) for name in NAMES])
+    for table in GROWING_TABLES:
         random.Random(table).shuffle(made.tables[table])
     return made
+
+
+@pytest.fixture
+def tables(tmp_path: Path) -> TinyRoot:
+    return shuffled(tmp_path)
 
 
 @pytest.fixture

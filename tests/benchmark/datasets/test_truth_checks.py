@@ -1,6 +1,7 @@
 """``data check`` on roots that are sound and lack truth: one warning each, and none on the town as it is."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,8 +17,6 @@ from tests.benchmark.edited_roots import (
     table_of,
     without_annotations,
 )
-
-GHOST = "f" * 32
 
 
 @pytest.fixture
@@ -41,28 +40,31 @@ def test_the_town_lacks_nothing(town: Path) -> None:
     assert check_tables(town) == []
 
 
-def test_a_scene_without_annotations_is_named(root: Path) -> None:
-    without_annotations(root)
-    assert said(root).startswith(f"scene: {scene_of(root)} has no annotations: contacts cannot be detected")
-
-
-def test_labels_that_stop_half_way_are_named(root: Path) -> None:
+def stopped_labels(root: Path) -> None:
     annotated_until(root, scene_of(root), 20)
-    assert "has no annotations at 20 of 40 samples, the first of them number 20" in said(root)
 
 
-def test_a_box_without_a_size_is_named(root: Path) -> None:
+def box_without_size(root: Path) -> None:
     edit(root, "sample_annotation", lambda rows: rows[0]["size"].__setitem__(0, 0.0))
-    assert said(root).endswith("the box is ignored")
 
 
-def test_an_instance_without_a_track_is_named(root: Path) -> None:
-    def ghost(rows: list[Row]) -> None:
-        nothing = {"nbr_annotations": 0, "first_annotation_token": "", "last_annotation_token": ""}
-        rows.append({**rows[0], "token": GHOST, **nothing})
+def instance_without_track(root: Path) -> None:
+    nothing = {"nbr_annotations": 0, "first_annotation_token": "", "last_annotation_token": ""}
+    edit(root, "instance", lambda rows: rows.append({**rows[0], "token": "f" * 32, **nothing}))
 
-    edit(root, "instance", ghost)
-    assert said(root) == "instance: the instance has no annotation and is ignored"
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (without_annotations, "scene: {} has no annotations: contacts cannot be detected"),
+        (stopped_labels, "scene: {} has no annotations at 20 of 40 samples, the first of them number 20"),
+        (box_without_size, "the box is ignored"),
+        (instance_without_track, "instance: the instance has no annotation and is ignored"),
+    ],
+)
+def test_what_is_missing_is_named(root: Path, change: Callable[[Path], None], words: str) -> None:
+    change(root)
+    assert words.format(scene_of(root)) in said(root)
 
 
 def test_unknown_categories_are_counted_and_a_map_of_them_is_taken(root: Path) -> None:

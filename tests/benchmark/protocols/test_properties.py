@@ -11,15 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.datasets.sample_truth import compute_truth
-from benchmark.geometry import Floats, box_corners, box_gap, boxes_overlap, to_global, yaw_of_quaternion
+from benchmark.geometry import Floats, box_corners, box_gap, boxes_overlap
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import compute_plan_boxes, find_contacts
 from benchmark.records.rows import find_scene_failures
-from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
+from tests.benchmark.turned_scenes import turned_scene
 from tests.hand_made import Car, scene_on_straight_road
 
 PARTS = ("boxes", "annotated", "has_points", "has_lidar_points", "seen_before")
@@ -104,23 +104,6 @@ def test_nothing_is_hit_without_objects_and_far_away(name: str) -> None:
     assert not PROTOCOLS[name].evaluate([sample] * 2, np.full((2, 6, 2), [[[1e4]], [[-1e4]]])).collision.any()
 
 
-def moved(scene: Scene, pose: Floats) -> Scene:
-    """The whole scene turned about the origin and shifted."""
-
-    def points(position: Floats) -> Floats:
-        return np.concatenate([to_global(position[..., :2], pose), position[..., 2:]], axis=-1)
-
-    def rotations(rotation: Floats) -> Floats:
-        yaw = yaw_of_quaternion(rotation) + pose[2]
-        return np.stack([np.cos(yaw / 2), np.zeros_like(yaw), np.zeros_like(yaw), np.sin(yaw / 2)], axis=-1)
-
-    agents = replace(scene.agents, position=points(scene.agents.position), yaw=scene.agents.yaw + pose[2])
-    known = scene.annotations
-    annotations = replace(known, position=points(known.position), rotation=rotations(known.rotation))
-    ego = replace(scene.ego, position=points(scene.ego.position), rotation=rotations(scene.ego.rotation))
-    return replace(scene, agents=agents, annotations=annotations, ego=ego)
-
-
 CARS = st.lists(
     st.builds(
         Car,
@@ -142,7 +125,7 @@ def test_where_the_scene_lies_changes_nothing_in_exact(
 ) -> None:
     scene = scene_on_straight_road(tuple(cars), seconds=5.0)
     tokens = [str(index) for index in range(len(scene.keyframes))]
-    here, there = compute_truth(scene, tokens), compute_truth(moved(scene, np.array(pose)), tokens)
+    here, there = compute_truth(scene, tokens), compute_truth(turned_scene(scene, pose[2], shift_m=pose[:2]), tokens)
     rng = np.random.default_rng(seed)
     plans = np.cumsum(rng.normal([0.0, 4.0], [0.5, 1.0], (len(tokens), 6, 2)), axis=1)
     first, second = (PROTOCOLS["exact"].evaluate(truths, plans) for truths in (here, there))

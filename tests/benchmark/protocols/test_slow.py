@@ -32,7 +32,7 @@ def compare(name: str, judge: Slow, kind: Traits, *further: object) -> None:
         assert values[column][0] == pytest.approx(wanted, abs=0.0 if column != "l2" else 1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(traits(coarse=True))
 def test_uniad(kind: Traits) -> None:
     compare("uniad", slow.slow_uniad, kind)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.row_schema import OutcomeRow, SampleRow
@@ -55,6 +56,12 @@ def hand_made(
         files={},
     )
     return RunRecord(Path(split) / planner, run, rows, summary)
+
+
+def facts_of(run: RunFacts) -> dict[str, Any]:
+    """What `write_record` was given of a run."""
+    left_out = {"schema_version", "status", "protocols", "seed", "files"}
+    return {name: value for name, value in dict(run).items() if name in RunFacts.model_fields and name not in left_out}
 
 
 def _row(scene: str, index: int, flags: str | None, protocols: Sequence[str]) -> SampleRow:

@@ -12,6 +12,7 @@ from benchmark.runs.caveats import list_run_caveats
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.collision import collision_table
 from tests.benchmark.fake_data import town_of_two
+from tests.benchmark.records.hand_made_records import facts_of
 
 NO_MAP = Caveat(kind="map", sentence="no map, so that it drives without lanes")
 AS_IS = Caveat(kind="as-is", sentence="its plans look mirrored and are taken as they stand (--as-is)")
@@ -25,9 +26,7 @@ def test_a_sound_run_has_none_and_says_how_many_boxes_each_scene_has(sound: RunR
 
 
 def test_they_are_stored_and_mark_the_row_with_a_note(sound: RunRecord, tmp_path: Path) -> None:
-    facts = {name: value for name, value in dict(sound.run).items() if name in type(sound.run).model_fields}
-    left_out = {"schema_version", "status", "protocols", "seed", "files"}
-    facts = {name: value for name, value in facts.items() if name not in left_out} | {"caveats": [NO_MAP]}
+    facts = facts_of(sound.run) | {"caveats": [NO_MAP]}
     write_record(tmp_path / "again", facts, sound.rows, sound.run.protocols, seed=sound.run.seed)
     again = load_record(tmp_path / "again")
     assert again.run.caveats == [NO_MAP]

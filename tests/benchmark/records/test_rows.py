@@ -16,7 +16,7 @@ from benchmark.records.columns import RowColumns, build_batch
 from benchmark.records.row_schema import OutcomeRow, SampleRow
 from benchmark.records.rows import SampleRows, find_scene_failures, format_line, get_columns
 from benchmark.records.run import RunRecord, load_record, write_record
-from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
+from tests.benchmark.records.hand_made_records import CLEAN, HIT, facts_of, hand_made
 
 
 def test_compressed_rows_are_the_rows(real: RunRecord) -> None:
@@ -116,12 +116,7 @@ def test_plans_apart_are_those_one_by_one(real: RunRecord) -> None:
 def test_a_record_is_written_and_read_as_the_same_bytes(real: RunRecord, tmp_path: Path) -> None:
     again = load_record(real.directory)
     assert again.rows == real.rows and again.summary == real.summary
-    facts = {
-        name: value
-        for name, value in dict(again.run).items()
-        if name not in {"schema_version", "status", "protocols", "seed", "files"}
-    }
-    write_record(tmp_path, facts, list(again.rows), again.run.protocols, seed=again.run.seed)
+    write_record(tmp_path, facts_of(again.run), list(again.rows), again.run.protocols, seed=again.run.seed)
     for name in ("samples.jsonl", "summary.json", "run.json"):
         assert (tmp_path / name).read_bytes() == (real.directory / name).read_bytes()
     assert (tmp_path / "samples.jsonl").read_text().splitlines() == [format_line(row) for row in real.rows]

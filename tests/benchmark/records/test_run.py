@@ -21,30 +21,16 @@ GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "records"
 
 
 def row(scene: str, index: int, *, collides: bool = False, counted: bool = True, status: str = "ok") -> SampleRow:
-    verdict: dict[str, Any] = {
-        "collision": [collides] * 6,
-        "l2": [1.0] * 6 if counted else [1.0] * 5 + [None],
-        "counted": counted,
-        "steps": {},
-        "facts": {},
-    }
-    return SampleRow.model_validate(
-        {
-            "scene": scene,
-            "sample_token": f"{scene}-{index}",
-            "index": index,
-            "timestamp_us": 500_000 * index,
-            "status": status,
-            "command": 2,
-            "ego_motion": "derived",
-            "lidar_ahead_m": 0.94,
-            "complete": counted,
-            "recorded_future": [[0.0, 1.0, 1.5]] * 6,
-            "plan": None if status == "failed" else {"frame": "ego", "waypoints": [[1.0, 0.0]] * 6},
-            "error": "RuntimeError" if status == "failed" else None,
-            "outcomes": {} if status == "failed" else {"exact": verdict},
-        }
-    )
+    l2 = [1.0] * 6 if counted else [1.0] * 5 + [None]
+    verdict = {"collision": [collides] * 6, "l2": l2, "counted": counted, "steps": {}, "facts": {}}
+    if status == "failed":
+        said: dict[str, Any] = {"plan": None, "error": "RuntimeError", "outcomes": {}}
+    else:
+        plan = {"frame": "ego", "waypoints": [[1.0, 0.0]] * 6}
+        said = {"plan": plan, "error": None, "outcomes": {"exact": verdict}}
+    sample = {"scene": scene, "sample_token": f"{scene}-{index}", "index": index, "timestamp_us": 500_000 * index}
+    seen = {"command": 2, "ego_motion": "derived", "lidar_ahead_m": 0.94, "recorded_future": [[0.0, 1.0, 1.5]] * 6}
+    return SampleRow.model_validate({**sample, **seen, **said, "status": status, "complete": counted})
 
 
 @pytest.mark.parametrize("directory", sorted(GOLDEN.iterdir()), ids=lambda path: path.name)
@@ -80,9 +66,8 @@ def test_records_of_schema_2_keep_forecasts_diagnosis_and_disagreements() -> Non
     assert [set(row.disagreements) for row in record.rows if row.disagreements] == [{"uniad"}]
     partial = load_record(GOLDEN / "schema-2-partial")
     assert partial.run.status == "partial" and partial.summary.failed == 1 and partial.run.rescored is not None
-    assert partial.native_protocol == "vad" and find_scene_failures(partial.rows, "uniad") == {
-        "scene-8006-342b7d08": True
-    }
+    assert partial.native_protocol == "vad"
+    assert find_scene_failures(partial.rows, "uniad") == {"scene-8006-342b7d08": True}
     assert {row.diagnosis.cause for row in partial.rows if row.diagnosis is not None} == {"not attributable"}
 
 
@@ -113,29 +98,19 @@ def directory(sound: RunRecord, tmp_path: Path) -> Path:
 
 
 def test_a_scene_fails_if_any_counted_sample_collides() -> None:
-    rows = [
-        row("clean", 0),
-        row("hit", 0, collides=True),
-        row("hit", 1),
-        row("uncounted hit", 0, collides=True, counted=False),
-        row("uncounted hit", 1),
-        row("unknown", 0),
-        row("unknown", 1, status="failed"),
-        row("hit anyway", 0, status="failed"),
-        row("hit anyway", 1, collides=True),
-        row("failed where it does not count", 0),
-        row("failed where it does not count", 1, status="failed", counted=False),
-        row("never counted", 0, counted=False),
-    ]
-    assert find_scene_failures(rows, "exact") == {
-        "clean": False,
-        "hit": True,
-        "uncounted hit": False,
-        "unknown": None,
-        "hit anyway": True,
-        "failed where it does not count": False,
-        "never counted": None,
+    hit: dict[str, Any] = {"collides": True}
+    fails, short = {"status": "failed"}, {"counted": False}
+    cases: dict[str, tuple[bool | None, tuple[dict[str, Any], ...]]] = {
+        "clean": (False, ({},)),
+        "hit": (True, (hit, {})),
+        "uncounted hit": (False, (hit | short, {})),
+        "unknown": (None, ({}, fails)),
+        "hit anyway": (True, (fails, hit)),
+        "failed where it does not count": (False, ({}, fails | short)),
+        "never counted": (None, (short,)),
     }
+    rows = [row(name, at, **how) for name, (_, samples) in cases.items() for at, how in enumerate(samples)]
+    assert find_scene_failures(rows, "exact") == {name: fails for name, (fails, _) in cases.items()}
     assert find_scene_failures(rows[::-1], "exact") == find_scene_failures(rows, "exact")
 
 
