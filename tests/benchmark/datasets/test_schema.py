@@ -15,8 +15,6 @@ from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
 from benchmark.datasets.schema import LINKS, SCHEMA, FaultList, check_rows
 from benchmark.datasets.schema.check import check_tables
 from benchmark.datasets.schema.tables import ValueKind, is_file_inside, is_file_name
-from benchmark.scene import Scene
-from generation.sources.town import build_town_scene
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary, write_root
 from tests.hand_made import Car, scene_on_straight_road
@@ -97,22 +95,15 @@ def test_what_the_writer_writes_conforms(tmp_path_factory: pytest.TempPathFactor
     assert NuScenesData.open(root).scene(scene.name).name == scene.name
 
 
-def written(root: Path, scenes: list[Scene]) -> None:
-    write_root(root, scenes, renderer=None, frames="all")
-    assert not errors(root)
-    data = NuScenesData.open(root)
-    for scene in scenes:
-        assert np.allclose(data.scene(scene.name).ego.position[0], scene.ego.position[0])
-
-
-def test_the_embedded_town_conforms(tmp_path: Path) -> None:
-    written(tmp_path, [build_town_scene("val", 0)])
-
-
 def test_recorded_scenes_conform(tmp_path: Path) -> None:
     if not SHARED.is_dir():
         pytest.skip("the shared data is not beside the repository")
-    written(tmp_path, [read_scenarionet(path) for path in find_scenarionet(SHARED / "scenes")[:2]])
+    scenes = [read_scenarionet(path) for path in find_scenarionet(SHARED / "scenes")[:2]]
+    write_root(tmp_path, scenes, renderer=None, frames="all")
+    assert not errors(tmp_path)
+    data = NuScenesData.open(tmp_path)
+    for scene in scenes:
+        assert np.allclose(data.scene(scene.name).ego.position[0], scene.ego.position[0])
 
 
 def test_recorded_rows_conform() -> None:

@@ -4,8 +4,10 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from benchmark.datasets.annotated_objects import find_labelled_keyframes
 from benchmark.datasets.categories import read_categories
 from benchmark.datasets.schema.check import check_tables
 from tests.benchmark.edited_roots import (
@@ -88,3 +90,22 @@ def test_an_ego_pose_that_never_moves_is_named_and_one_that_trembles_is_not(root
 
     edit(root, "ego_pose", trembling)
     assert check_tables(root) == []
+
+
+@pytest.mark.parametrize(
+    ("boxes", "labelled"),
+    [
+        ((0, 0, 0), "..."),
+        ((4, 5, 3), "xxx"),
+        ((4, 3, 0, 0), "xx.."),
+        ((0, 0, 3, 4), "..xx"),
+        ((4, 0, 0, 5), "x..x"),
+        ((4, 2, 0, 0), "xxxx"),
+        ((4, 2, 0, 1, 0), "xxxxx"),
+        ((1, 0, 0, 3), "x..x"),
+        ((), ""),
+    ],
+)
+def test_a_stretch_without_boxes_beside_three_or_more_is_not_labelled(boxes: tuple[int, ...], labelled: str) -> None:
+    found = find_labelled_keyframes(np.array(boxes, np.int64))
+    assert "".join("x" if one else "." for one in found) == labelled

@@ -16,8 +16,15 @@ from benchmark.datasets.scene_assessments import (
     read_assessments,
 )
 from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.fairness.assessment_tables import build_split_tables, format_assessment
-from benchmark.fairness.data_set_assessment import assess_data_set, find_generated_agents, read_launches
+from benchmark.fairness.data_set_assessment import (
+    CACHE_FOLDER,
+    assess_data_set,
+    collect_scene_facts,
+    find_generated_agents,
+    read_launches,
+)
 from benchmark.fairness.split_assessment import (
     OWN_TOWN_REASON,
     build_validity_rows,
@@ -31,7 +38,9 @@ from benchmark.records.scene_assessment import DRIVER_NAMES
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.fairness.made_scenes import far_cut_in, hard_stop
+from tests.benchmark.planners import Straight
 from tests.benchmark.records.made_judgements import hits, made_judgement
+from tests.executors import Forbidden
 from tests.hand_made import Car, scene_on_straight_road
 
 HERE = LocalProcesses(1)
@@ -155,17 +164,18 @@ def test_the_launch_is_what_the_data_set_says(adversarial: DataSet) -> None:
     assert read_launches(adversarial, replace(scene, name="unknown")) == {}
 
 
-@pytest.mark.parametrize(("told", "found"), [([12, 6], 6), ([12], None), ([12, None], None), ([12, 10_000], None)])
-def test_of_several_adversaries_the_earliest_launch_is_known(
-    told: list[int | None], found: int | None, tmp_path: Path
-) -> None:
+def test_of_several_adversaries_the_earliest_launch_is_known(tmp_path: Path) -> None:
     data = written(tmp_path / "adv", adversarial_scenes("n008"), made_from=True)
     path = data.root / data.version / "challenger.json"
     provenance = json.loads(path.read_text())
-    provenance["scenes"][SCENES[0]]["report"] = {"adversaries": [{"launch_frame": each} for each in told]}
-    path.write_text(json.dumps(provenance))
     scene = replace(data.scene(SCENES[0]), adversaries=("a", "b"))
-    assert read_launches(open_data(data.root), scene) == ({} if found is None else {"a": found, "b": found})
+    cases: tuple[tuple[list[int | None], int | None], ...] = (
+        ([12, 6], 6), ([12], None), ([12, None], None), ([12, 10_000], None),
+    )  # fmt: skip
+    for told, found in cases:
+        provenance["scenes"][SCENES[0]]["report"] = {"adversaries": [{"launch_frame": each} for each in told]}
+        path.write_text(json.dumps(provenance))
+        assert read_launches(open_data(data.root), scene) == ({} if found is None else {"a": found, "b": found})
 
 
 def test_drivers_of_a_data_set_take_over_at_the_launch_that_it_names(adversarial: DataSet) -> None:
@@ -233,3 +243,28 @@ def test_recordings_have_nobody_to_compare(recordings: DataSet) -> None:
     judged = judge_split(recordings, recordings.scene_names(None), HERE)
     assert judged.realism.adversaries == 0 and judged.realism.not_compared is not None
     assert len(build_split_tables(judged)) == 2
+
+
+def test_scenes_are_judged_once_for_all_planners(adversarial: DataSet, tmp_path: Path) -> None:
+    first = collect_scene_facts(adversarial, SCENES, tmp_path, LocalProcesses(1))
+    assert all(facts.judgement is not None for facts in first.values())
+    assert first == collect_scene_facts(adversarial, SCENES, tmp_path, Forbidden())
+    part = collect_scene_facts(adversarial, SCENES[:1], tmp_path / "elsewhere", LocalProcesses(1))
+    assert part[SCENES[0]] == first[SCENES[0]]
+    whole = collect_scene_facts(adversarial, SCENES, tmp_path / "elsewhere", LocalProcesses(1))
+    assert whole == first
+
+
+def test_recordings_are_not_judged(recordings: DataSet, tmp_path: Path) -> None:
+    facts = collect_scene_facts(recordings, recordings.scene_names("val"), tmp_path, Forbidden())
+    assert all(each.judgement is None for each in facts.values()) and not (tmp_path / CACHE_FOLDER).exists()
+
+
+def test_records_have_them_and_damage_is_one_sentence(adversarial: DataSet, tmp_path: Path) -> None:
+    record = evaluate(adversarial, "adv", Straight(), tmp_path, EvalSettings(protocols=("exact",)))
+    said = [record.run.scene_facts[name].judgement for name in SCENES]
+    assert all(each is not None for each in said)
+    (kept,) = tmp_path.rglob(ASSESSMENTS_FILE)
+    kept.write_text("{")
+    with pytest.raises(InputError, match=ASSESSMENTS_FILE):
+        evaluate(adversarial, "adv", Straight(), tmp_path, EvalSettings(protocols=("exact",)))

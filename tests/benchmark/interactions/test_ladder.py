@@ -49,12 +49,6 @@ def test_nobody_survives_a_leader_that_stops_hard_close_ahead(place: tuple[float
     }
 
 
-def test_everybody_survives_one_that_cuts_in_far_ahead_at_the_same_speed() -> None:
-    assert survivors(CUT_IN_AHEAD) == set(REFERENCE_DRIVER_KINDS)
-    ladder = SceneReferenceDrivers.of(CUT_IN_AHEAD, 0)
-    assert not ladder.unsolvable and ladder.last_chance.contact is None and ladder.margin_s is None
-
-
 def test_what_runs_into_a_standing_or_slow_car_from_behind_is_nobodys_to_avoid() -> None:
     tracks = scene(ego(6.0), along(-25.0, 0.3, 13.0))
     found = outcomes(tracks, *map(ReferenceDriver, REFERENCE_DRIVER_KINDS))
