@@ -85,17 +85,12 @@ def test_a_changed_table_is_noticed_though_its_size_and_times_are_put_back(table
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda data: data[:-1],
-        lambda data: data + b"\0",
-        lambda data: data[: len(data) // 2],
-        lambda data: b"",
+        lambda data: data[:-1], lambda data: data + b"\0", lambda data: data[: len(data) // 2], lambda data: b"",
         lambda data: data[:-100] + bytes([data[-100] ^ 1]) + data[-99:],
-        lambda data: data[:20] + b"\xff" * 8 + data[28:],
-        lambda data: data.replace(b'"sha256":"', b'"sha256":"0', 1),
-        lambda data: data.replace(b'"made_of":"', b'"made_of":"0', 1),
-        lambda data: b"kept arrays 1\n\0\0" + data[16:],
+        lambda data: data[:20] + b"\xff" * 8 + data[28:], lambda data: data.replace(b'"sha256":"', b'"sha256":"0', 1),
+        lambda data: data.replace(b'"made_of":"', b'"made_of":"0', 1), lambda data: b"kept arrays 1\n\0\0" + data[16:],
     ],
-)
+)  # fmt: skip
 def test_what_is_damaged_is_made_again(opened: Opened, kept: Path, damage: Callable[[bytes], bytes]) -> None:
     first, _ = opened()
     sound = kept.read_bytes()

@@ -55,19 +55,14 @@ def test_official_splits_are_listed_by_their_names(tmp_path: Path) -> None:
 
 
 FOUND: dict[str, Any] = {
-    "name": "adv",
-    "root": "/data/adv",
-    "version": "v1.0-trainval",
-    "fingerprint": "f" * 64,
+    "name": "adv", "root": "/data/adv", "version": "v1.0-trainval", "fingerprint": "f" * 64,
     "made_from": {"name": "mini", "fingerprint": "0123456789abcdef" * 4},
-    "splits": {
-        "adv": {
-            "scenes": [f"scene-{number:04d}-{number:08x}" for number in range(30)],
-            **{"samples": 1200, "instances": 720, "annotations": 158400, "adversaries": 30},
-        }
-    },
+    "splits": {"adv": {
+        "scenes": [f"scene-{number:04d}-{number:08x}" for number in range(30)],
+        "samples": 1200, "instances": 720, "annotations": 158400, "adversaries": 30,
+    }},
     "unusable_splits": {},
-}
+}  # fmt: skip
 
 
 def test_a_data_set_is_told_in_words_and_a_table_not_in_dictionaries() -> None:

@@ -27,19 +27,13 @@ def track(
 ) -> dict[str, Any]:
     column = np.ones((steps, 1))
     return {
-        "type": kind,
-        "metadata": {"type": detailed or kind},
+        "type": kind, "metadata": {"type": detailed or kind},
         "state": {
             "position": np.column_stack([np.broadcast_to(x, steps), np.full(steps, y), np.full(steps, z)]),
-            "heading": np.zeros(steps),
-            "velocity": np.zeros((steps, 2)),
-            "valid": np.ones(steps),
-            "length": 4.6 * column,
-            "width": 1.9 * column,
-            "height": 1.6 * column,
-            **state,
+            "heading": np.zeros(steps), "velocity": np.zeros((steps, 2)), "valid": np.ones(steps),
+            "length": 4.6 * column, "width": 1.9 * column, "height": 1.6 * column, **state,
         },
-    }
+    }  # fmt: skip
 
 
 def recording(**changes: Any) -> dict[str, Any]:

@@ -33,14 +33,10 @@ def labelled(manoeuvre: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("name", "source"),
     [
-        ("scene-0061", "scene-0061"),
-        ("scene-0061-a1b2", "scene-0061"),
-        ("scene-0061-a1-b2", "scene-0061"),
-        ("scene-00610-a", "scene-00610-a"),
-        ("city-7-night", "city-7-night"),
-        ("scene-0061-", "scene-0061-"),
+        ("scene-0061", "scene-0061"), ("scene-0061-a1b2", "scene-0061"), ("scene-0061-a1-b2", "scene-0061"),
+        ("scene-00610-a", "scene-00610-a"), ("city-7-night", "city-7-night"), ("scene-0061-", "scene-0061-"),
     ],
-)
+)  # fmt: skip
 def test_a_name_of_the_published_form_names_its_source(name: str, source: str) -> None:
     adversaries = 0 if source == name else None
     assert build_scene_facts(name, {}) == SceneFacts(source=source, manoeuvre=None, adversaries=adversaries)

@@ -25,17 +25,10 @@ KINDS = {id(field.kind): field.kind for field in FIELDS.values()}
 NUMBERS = st.floats() | st.integers() | st.integers(946_684_800_000_000, 4_102_444_800_000_000) | st.booleans()
 UNIT = st.sampled_from([[1.0, 0.0, 0.0, 0.0], [0, 1, 0, 0], [0.6, 0.0, 0.0, -0.8]])
 VALUES = st.one_of(
-    NUMBERS,
-    st.none(),
-    st.text(max_size=5),
-    st.text("ab/.:\\é", max_size=6),
-    st.lists(NUMBERS, min_size=3, max_size=4),
-    st.lists(st.floats(0.1, 100.0), min_size=3, max_size=3),
-    UNIT,
-    st.just([]),
-    st.just([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1]]),
-    st.lists(st.text(min_size=1, max_size=3), max_size=2),
-)
+    NUMBERS, st.none(), st.text(max_size=5), st.text("ab/.:\\é", max_size=6),
+    st.lists(NUMBERS, min_size=3, max_size=4), st.lists(st.floats(0.1, 100.0), min_size=3, max_size=3), UNIT,
+    st.just([]), st.just([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1]]), st.lists(st.text(min_size=1, max_size=3), max_size=2),
+)  # fmt: skip
 
 
 def test_all_tables_are_described_and_every_link_leads_into_one() -> None:

@@ -39,14 +39,9 @@ def beside(
     boxes[0, 0] = boxes[0, 1] - [0.0, 4.0, 0.0, 0.0, turn_rad]
     there = np.arange(7) <= steps
     return made_truth(
-        boxes,
-        ego,
-        instances=("adversary",),
-        categories=(category,),
-        annotated=there[None],
-        ego_future_valid=there[1:],
-        adversaries=frozenset({"adversary"}),
-    )
+        boxes, ego, instances=("adversary",), categories=(category,), annotated=there[None],
+        ego_future_valid=there[1:], adversaries=frozenset({"adversary"}),
+    )  # fmt: skip
 
 
 def on_top(**changes: Any) -> SampleTruth:

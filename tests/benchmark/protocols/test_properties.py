@@ -106,16 +106,11 @@ def test_nothing_is_hit_without_objects_and_far_away(name: str) -> None:
 
 CARS = st.lists(
     st.builds(
-        Car,
-        x=st.floats(40, 90),
-        y=st.floats(192, 206),
-        speed=st.floats(0, 12),
-        yaw=st.floats(-3, 3),
+        Car, x=st.floats(40, 90), y=st.floats(192, 206), speed=st.floats(0, 12), yaw=st.floats(-3, 3),
         size=st.tuples(st.floats(0.5, 9), st.floats(0.4, 2.6), st.just(1.7)),
     ),
-    min_size=1,
-    max_size=4,
-)
+    min_size=1, max_size=4,
+)  # fmt: skip
 
 
 @settings(max_examples=15, deadline=None)

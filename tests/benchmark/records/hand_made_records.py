@@ -43,18 +43,11 @@ def hand_made(
     run = RunFacts(
         schema=2,
         planner=PlannerFacts(name=planner, privileged=privileged, native_protocol=native, weights_sha256=weights),
-        data=DataFacts(name=data, version="v", fingerprint=f"{data} {split}"),
-        split=split,
-        scenes=list(scenes),
-        scenes_in_split=len(scenes) if scenes_in_split is None else scenes_in_split,
-        scene_facts=facts,
-        status="partial" if summary.failed else "complete",
-        protocols=judged,
-        seed=0,
-        config={},
-        environment={},
+        data=DataFacts(name=data, version="v", fingerprint=f"{data} {split}"), split=split, scenes=list(scenes),
+        scenes_in_split=len(scenes) if scenes_in_split is None else scenes_in_split, scene_facts=facts,
+        status="partial" if summary.failed else "complete", protocols=judged, seed=0, config={}, environment={},
         files={},
-    )
+    )  # fmt: skip
     return RunRecord(Path(split) / planner, run, rows, summary)
 
 

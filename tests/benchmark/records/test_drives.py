@@ -136,18 +136,12 @@ def test_numbers_of_two_engines_have_no_column_in_common_but_the_road() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"status": "failed"},
-        {"scores": None},
-        {"end": "contact"},
-        {"contact": contact()},
-        {"failure": {"reason": "raised", "text": "no"}},
-        {"failure": {"reason": "bored", "text": "no"}},
-        {"ticks": {"time_us": [0], "ego": [], "command": [], "station": []}},
-        {"scores": scores(route=1.5)},
-        {"scores": scores(comfortable=float("nan"))},
-        {"unknown": 1},
+        {"status": "failed"}, {"scores": None}, {"end": "contact"}, {"contact": contact()},
+        {"failure": {"reason": "raised", "text": "no"}}, {"failure": {"reason": "bored", "text": "no"}},
+        {"ticks": {"time_us": [0], "ego": [], "command": [], "station": []}}, {"scores": scores(route=1.5)},
+        {"scores": scores(comfortable=float("nan"))}, {"unknown": 1},
     ],
-)
+)  # fmt: skip
 def test_rows_that_cannot_be_are_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(ValueError):
         row(**changes)

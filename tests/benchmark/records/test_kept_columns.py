@@ -151,15 +151,11 @@ def beyond(batch: pa.RecordBatch) -> pa.RecordBatch:
 @pytest.mark.parametrize(
     "made",
     [
-        lambda batch: b"",
-        lambda batch: b"ARROW1\0\0 and nothing else",
-        lambda batch: pickle.dumps(batch),
-        lambda batch: batch.drop_columns([LINES]),
-        lambda batch: batch.drop_columns(["scene"]),
-        lambda batch: batch.append_column("more", pa.array([{"a": 1}] * len(batch))),
-        beyond,
+        lambda batch: b"", lambda batch: b"ARROW1\0\0 and nothing else", lambda batch: pickle.dumps(batch),
+        lambda batch: batch.drop_columns([LINES]), lambda batch: batch.drop_columns(["scene"]),
+        lambda batch: batch.append_column("more", pa.array([{"a": 1}] * len(batch))), beyond,
     ],
-)
+)  # fmt: skip
 def test_a_file_that_fits_but_was_not_made_from_rows_is_made_again(
     loaded: Loaded, kept: Path, made: Callable[[pa.RecordBatch], pa.RecordBatch | bytes]
 ) -> None:

@@ -28,19 +28,14 @@ def test_a_judgement_is_the_same_after_it_was_stored() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"drivers": {"cc": {"survives": True}}},
-        {"drivers": drivers(cc={"survives": False})},
+        {"drivers": {"cc": {"survives": True}}}, {"drivers": drivers(cc={"survives": False})},
         {"drivers": drivers(cc={**hits(), "survives": True})},
-        {"drivers": drivers(cc={"survives": True, "reacted_s": 1.0})},
-        {"chance": "until"},
-        {"margin_s": 1.0},
+        {"drivers": drivers(cc={"survives": True, "reacted_s": 1.0})}, {"chance": "until"}, {"margin_s": 1.0},
         {"faults": {}},
         {"faults": {"unknown": {"off_road": "no map"}, "beyond_limits": False, "off_road": False, "contact": False}},
-        {"encounter": {"least_gap_m": -1.0}},
-        {"definition": 0},
-        {"unheard": 1},
+        {"encounter": {"least_gap_m": -1.0}}, {"definition": 0}, {"unheard": 1},
     ],
-)
+)  # fmt: skip
 def test_what_does_not_fit_together_is_refused(changes: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         made_judgement(**changes)
