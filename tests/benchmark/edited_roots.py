@@ -1,6 +1,7 @@
 """Copies of a root with edited tables: files are linked, tables are one's own."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,26 +18,11 @@ def small_town(root: Path, scenes: int = 1, *, images: bool = False) -> Path:
 
 
 def copy_of(source: Path, target: Path) -> Path:
-    """A copy whose tables and maps can be edited; everything else is linked.
-
-    Args:
-        source: Root with one version folder.
-        target: Folder that does not exist yet.
-
-    Returns:
-        The copy.
-    """
+    """A new copy whose tables, maps and CAN bus can be edited; everything else is linked."""
     target.mkdir(parents=True)
-    version = version_of(source)
     for entry in source.iterdir():
-        if entry.name in (version, "maps", "can_bus"):
-            for path in entry.rglob("*"):
-                copied = target / path.relative_to(source)
-                if path.is_dir():
-                    copied.mkdir(parents=True, exist_ok=True)
-                else:
-                    copied.parent.mkdir(parents=True, exist_ok=True)
-                    copied.write_bytes(path.read_bytes())
+        if entry.name in (version_of(source), "maps", "can_bus"):
+            shutil.copytree(entry, target / entry.name)
         else:
             (target / entry.name).symlink_to(entry)
     return target
@@ -54,13 +40,7 @@ def table_of(root: Path, name: str) -> Path:
 
 
 def edit(root: Path, name: str, change: Callable[[list[Row]], list[Row] | None]) -> None:
-    """Change a table in place.
-
-    Args:
-        root: A copy.
-        name: Table, without its ending.
-        change: Given the rows, changes them or returns others.
-    """
+    """Change a table of a copy in place; ``change`` changes the rows or returns others."""
     path = table_of(root, name)
     rows = json.loads(path.read_text())
     changed = change(rows)

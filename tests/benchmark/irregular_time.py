@@ -22,15 +22,11 @@ def with_key_frames(scene: Scene, frames: Any) -> Scene:
     there = agents.valid[:, frames].any(axis=1)
     assert there.all(), "an object would be without annotations"
     annotations = Annotations(
-        position=agents.position[:, frames],
-        rotation=quaternion_from_yaw(agents.yaw[:, frames]),
-        size=np.repeat(agents.size[:, None], shape[1], axis=1),
-        valid=agents.valid[:, frames],
-        attribute=np.full(shape, "vehicle.moving"),
-        visibility=np.full(shape, 4),
-        num_lidar_pts=np.full(shape, 20),
+        position=agents.position[:, frames], rotation=quaternion_from_yaw(agents.yaw[:, frames]),
+        size=np.repeat(agents.size[:, None], shape[1], axis=1), valid=agents.valid[:, frames],
+        attribute=np.full(shape, "vehicle.moving"), visibility=np.full(shape, 4), num_lidar_pts=np.full(shape, 20),
         num_radar_pts=np.full(shape, 2),
-    )
+    )  # fmt: skip
     return replace(scene, keyframes=frames, annotations=annotations)
 
 

@@ -177,27 +177,28 @@ def test_a_failed_sample_is_never_a_zero(tmp_path: Path) -> None:
     assert str(ROOT) not in error and 'File "planners.py"' in error
 
 
-def test_a_planner_that_fails_at_reset_fails_its_scenes(tmp_path: Path) -> None:
-    class Broken(Straight):
-        name = "broken"
+class Broken(Straight):
+    name = "broken"
 
-        def reset(self, scene: SceneInfo) -> None:
-            raise ValueError("no weights")
+    def reset(self, scene: SceneInfo) -> None:
+        raise ValueError("no weights")
 
-    record = evaluate(town_of_two(), "val", Broken(), tmp_path, EXACT)
-    assert record.summary.coverage == 0.0
+
+class Wrong(Straight):
+    name = "wrong"
+
+    def plan(self, observation: Observation) -> Any:
+        return np.zeros((6, 2))
+
+
+@pytest.mark.parametrize(("planner", "says"), [(Broken, "ValueError: no weights"), (Wrong, "returned ndarray")])
+def test_a_planner_that_fails_at_reset_or_gives_no_plan_fails_its_scenes(
+    tmp_path: Path, planner: type[Straight], says: str
+) -> None:
+    record = evaluate(town_of_two(), "val", planner(), tmp_path, EXACT)
+    assert record.summary.failed == 32 and record.summary.coverage == 0.0
+    assert all(says in (row.error or "") for row in record.rows)
     assert record.summary.protocols["exact"].columns["collision"]["avg"].value is None
-
-
-def test_what_is_not_a_plan_is_a_failure(tmp_path: Path) -> None:
-    class Wrong(Straight):
-        name = "wrong"
-
-        def plan(self, observation: Observation) -> Any:
-            return np.zeros((6, 2))
-
-    record = evaluate(town_of_two(), "val", Wrong(), tmp_path, EXACT)
-    assert record.summary.failed == 32 and "returned ndarray" in (record.rows[0].error or "")
 
 
 def test_a_broken_image_is_the_datas_fault(tmp_path: Path) -> None:

@@ -17,14 +17,7 @@ Damage = Callable[[Path], None]
 
 @dataclass(frozen=True, slots=True)
 class HostileRoot:
-    """A change of a valid root, and what must be said about it.
-
-    Attributes:
-        name: Says what is wrong.
-        damage: Changes the root; its tables are in the folder ``v1.0-tiny``.
-        table: Table that is blamed.
-        words: Regular expression of what is said.
-    """
+    """A change of a valid root with tables in ``v1.0-tiny``, the table that is blamed and a pattern of what is said."""
 
     name: str
     damage: Damage

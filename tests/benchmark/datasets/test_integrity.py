@@ -190,14 +190,10 @@ def test_every_table_may_be_missing_or_garbage(root: Path) -> None:
 
 
 VALUES = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(-5, 5),
-    st.floats(),
-    st.text(max_size=3),
+    st.none(), st.booleans(), st.integers(-5, 5), st.floats(), st.text(max_size=3),
     st.lists(st.floats() | st.text(max_size=2), max_size=4),
     st.dictionaries(st.text(max_size=2), st.integers(), max_size=2),
-)
+)  # fmt: skip
 
 
 @settings(max_examples=20, deadline=None)

@@ -54,12 +54,7 @@ def test_a_scene_comes_back_as_it_was(tmp_path: Path, sweeps: bool) -> None:
     assert np.allclose(read.agents.yaw, scene.agents.yaw[:, : last + 1])
     for name in ("position", "rotation", "size", "valid", "attribute", "num_lidar_pts", "num_radar_pts", "visibility"):
         assert np.array_equal(getattr(read.annotations, name), getattr(scene.annotations, name)), name
-    assert (read.log, read.vehicle, read.date, read.description) == (
-        scene.log,
-        scene.vehicle,
-        scene.date,
-        scene.description,
-    )
+    assert all(getattr(read, name) == getattr(scene, name) for name in ("log", "vehicle", "date", "description"))
     assert [camera.name for camera in read.cameras] == ["CAM_FRONT"]
     assert np.array_equal(read.cameras[0].intrinsic, scene.cameras[0].intrinsic)
     assert np.array_equal(read.lidar.translation, scene.lidar.translation)

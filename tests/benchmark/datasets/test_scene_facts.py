@@ -96,10 +96,8 @@ def test_a_generated_root_says_where_its_scenes_come_from(tmp_path: Path) -> Non
 
 def test_recordings_are_their_own_source(tmp_path: Path) -> None:
     data = open_data(root_of(tmp_path, "scene-9901", "scene-9902"))
-    assert {name: facts.source for name, facts in data.scene_facts(data.scene_names()).items()} == {
-        "scene-9901": "scene-9901",
-        "scene-9902": "scene-9902",
-    }
+    found = data.scene_facts(data.scene_names())
+    assert len(found) == 2 and all(facts.source == name for name, facts in found.items())
 
 
 def test_variants_of_one_scene_share_their_source(tmp_path: Path) -> None:

@@ -70,14 +70,10 @@ def errors(root: Path) -> list[str]:
 def test_what_the_writer_writes_conforms(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     number = st.floats(-100.0, 100.0, width=32)
     car = st.builds(
-        Car,
-        x=number,
-        y=number,
-        speed=st.floats(0.0, 40.0),
-        yaw=st.floats(-10.0, 10.0),
+        Car, x=number, y=number, speed=st.floats(0.0, 40.0), yaw=st.floats(-10.0, 10.0),
         category=st.sampled_from(["vehicle.car", "vehicle.truck", "human.pedestrian.adult"]),
         size=st.tuples(*[st.floats(0.1, 30.0)] * 3),
-    )
+    )  # fmt: skip
     cars = tuple(data.draw(st.lists(car, min_size=1, max_size=4)))
     scene = scene_on_straight_road(cars, ego_x=data.draw(number), ego_speed=data.draw(st.floats(0, 40)), seconds=1.5)
     frames = data.draw(st.sampled_from(["all", "keyframes"]))

@@ -30,15 +30,13 @@ def tiny(root: Path, names: Sequence[str] = NAMES) -> TinyRoot:
 
 def labels(manoeuvre: str, place: str, gap_m: float, seconds: float | None, *others: str) -> dict[str, Any]:
     return {
-        "manoeuvre": manoeuvre,
-        "place": place,
+        "manoeuvre": manoeuvre, "place": place,
         "occurred": [
             {"kind": kind, "first_s": 0.0, "duration_s": 1.0, "least_gap_m": gap_m} for kind in (manoeuvre, *others)
         ],
         "closest_approach": {"gap_m": gap_m, "frame": 12, "time_s": 1.0, "side": "left"},
-        "time_to_collision": None if seconds is None else {"seconds": seconds, "time_s": 1.0},
-        "encroachment": None,
-    }
+        "time_to_collision": None if seconds is None else {"seconds": seconds, "time_s": 1.0}, "encroachment": None,
+    }  # fmt: skip
 
 
 def generated(root: Path) -> Path:
@@ -71,11 +69,8 @@ def by_hand(made: TinyRoot, names: Sequence[str]) -> TableCounts:
     return TableCounts(
         instances=sum(any(note["instance_token"] == row["token"] for note in notes) for row in tables["instance"]),
         ego_poses=sum(any(one["ego_pose_token"] == row["token"] for one in data) for row in tables["ego_pose"]),
-        scenes=len(scenes),
-        samples=len(samples),
-        sample_data=len(data),
-        annotations=len(notes),
-    )
+        scenes=len(scenes), samples=len(samples), sample_data=len(data), annotations=len(notes),
+    )  # fmt: skip
 
 
 def test_the_published_table_is_quoted_as_printed() -> None:

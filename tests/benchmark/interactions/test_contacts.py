@@ -53,12 +53,10 @@ def test_the_time_to_contact_is_when_small_steps_first_touch(
 def test_a_head_on_impact_by_hand() -> None:
     """10 m/s against 8 m/s, car against car: the difference is 18, of which the ego takes 1800 / 3400."""
     pair = ContactPairs(
-        ego=np.array([[0.0, 0.0, 4.084, 1.73, 0.0]]),
-        ego_speed=np.array([10.0]),
-        other=np.array([[4.0, 0.0, 4.6, 1.9, np.pi]]),
-        other_velocity=np.array([[-8.0, 0.0]]),
+        ego=np.array([[0.0, 0.0, 4.084, 1.73, 0.0]]), ego_speed=np.array([10.0]),
+        other=np.array([[4.0, 0.0, 4.6, 1.9, np.pi]]), other_velocity=np.array([[-8.0, 0.0]]),
         is_agent=np.array([True]),
-    )
+    )  # fmt: skip
     assert pair.impact_speed[0] == pytest.approx(18.0) and pair.gap[0] == 0.0
     own, others = compute_delta_v(pair.impact_speed, np.array([mass_kg("vehicle.car")]))
     assert own[0] == pytest.approx(18.0 * 1800 / 3400) and own[0] + others[0] == pytest.approx(18.0)

@@ -14,6 +14,8 @@ from benchmark.planning import Command
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.truth import SampleTruth
 
+PARTS = ("boxes", "annotated", "has_points", "has_lidar_points", "seen_before")
+"""Arrays of a sample that have a row for each object."""
 PLANS = ("drive", "still", "jitter", "reverse", "go back", "leave", "recorded")
 
 
@@ -21,14 +23,9 @@ PLANS = ("drive", "still", "jitter", "reverse", "go back", "leave", "recorded")
 class Traits:
     """What kind of sample: everything else follows from the seed.
 
-    Attributes:
-        seed: Of all numbers.
-        objects: How many.
-        spread_m: Half the side of the square where they are; more than 50 puts some over the grid's border.
-        valid: Recorded steps ahead.
-        plan: One of `PLANS`.
-        coarse: Whether places, sizes and headings are multiples of 0.25 m and 45 degrees: what is rounded to cells then
-            lies on the border between two.
+    Objects are in a square of half the side ``spread_m``, above 50 some are over the grid's border; ``valid`` steps are
+    recorded. If ``coarse``, places, sizes and headings are multiples of 0.25 m and 45 degrees: what is rounded to
+    cells then lies on the border between two.
     """
 
     seed: int
@@ -42,14 +39,10 @@ class Traits:
 def traits(*, coarse: bool) -> st.SearchStrategy[Traits]:
     """Kinds of samples."""
     return st.builds(
-        Traits,
-        seed=st.integers(0, 2**32),
-        objects=st.integers(0, 12),
-        spread_m=st.sampled_from([4.0, 9.0, 20.0, 55.0, 90.0]),
-        valid=st.sampled_from([6, 6, 6, 5, 3, 1, 0]),
-        plan=st.sampled_from(PLANS),
-        coarse=st.booleans() if coarse else st.just(False),
-    )
+        Traits, seed=st.integers(0, 2**32), objects=st.integers(0, 12),
+        spread_m=st.sampled_from([4.0, 9.0, 20.0, 55.0, 90.0]), valid=st.sampled_from([6, 6, 6, 5, 3, 1, 0]),
+        plan=st.sampled_from(PLANS), coarse=st.booleans() if coarse else st.just(False),
+    )  # fmt: skip
 
 
 def made_truth(boxes: Floats, future: Floats, *, name: str = "s", **changes: Any) -> SampleTruth:
@@ -95,6 +88,7 @@ def sample_of(kind: Traits, name: str = "s") -> SampleTruth:
         future,
         name=name,
         index=int(kind.seed % 5),
+        adversaries=frozenset(f"{name}-{row}" for row in range(min(count, 2))),
         ego_future_valid=valid,
         categories=tuple(CATEGORIES[kind] for kind in rng.integers(0, len(CATEGORIES), count)),
         annotated=annotated,

@@ -17,12 +17,11 @@ from benchmark.protocols.exact import compute_plan_boxes, find_contacts
 from benchmark.records.rows import find_scene_failures
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings
-from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
+from tests.benchmark.protocols.protocol_cases import PARTS, Traits, plan_of, sample_of, traits
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
 from tests.benchmark.turned_scenes import turned_scene
 from tests.hand_made import Car, scene_on_straight_road
 
-PARTS = ("boxes", "annotated", "has_points", "has_lidar_points", "seen_before")
 Box = tuple[float, float, float, float, float]
 BOXES = st.tuples(
     st.floats(-8, 8), st.floats(-8, 8), st.floats(0.05, 12), st.floats(0.05, 4), st.floats(-10, 10, allow_nan=False)

@@ -64,10 +64,8 @@ def _row(scene: str, index: int, flags: str | None, protocols: Sequence[str]) ->
         return plain
     steps = [flag == "x" for flag in (flags if counted else CLEAN)]
     outcome = OutcomeRow(
-        collision=steps,
-        l2=plain.outcomes["exact"].l2,
-        counted=counted,
+        collision=steps, l2=plain.outcomes["exact"].l2, counted=counted,
         steps={"waypoint_collision": steps, "before_mask": steps, **dict.fromkeys(_NEVER, [False] * 6)},
         facts={"map": True, "on_road_now": 1.0},
-    )
+    )  # fmt: skip
     return plain.model_copy(update={"outcomes": dict.fromkeys(protocols, outcome)})

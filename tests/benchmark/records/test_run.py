@@ -289,9 +289,8 @@ def test_one_damaged_record_among_others_is_named_with_what_to_do(directory: Pat
     other = tmp_path / "runs" / "another"
     shutil.copytree(directory, other)
     change(other / "run.json", status="wonderful")
-    with pytest.raises(
-        InputError, match=r"another/run\.json is not .*status.*; you can also delete or move .*/another to"
-    ):
+    todo = r"another/run\.json is not .*status.*; you can also delete or move .*/another to"
+    with pytest.raises(InputError, match=todo):
         find_records(tmp_path)
     shutil.copyfile(directory / "run.json", other / "run.json")
     (other / "samples.jsonl").write_text("")

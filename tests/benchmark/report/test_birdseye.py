@@ -124,12 +124,8 @@ def test_a_plan_is_a_line_in_the_planners_colour_and_its_first_contact_is_marked
 
 def test_verdicts_in_words() -> None:
     rows = record("p", [HIT, CLEAN, FAILED, UNCOUNTED]).rows
-    assert [describe_verdict(row, "exact").words for row in rows] == [
-        "collides within 0.5 s",
-        "no contact",
-        "the planner failed",
-        "no contact, not counted",
-    ]
+    words = ["collides within 0.5 s", "no contact", "the planner failed", "no contact, not counted"]
+    assert [describe_verdict(row, "exact").words for row in rows] == words
     assert [describe_verdict(row, "exact").collides for row in rows] == [True, False, None, False]
     with pytest.raises(InputError, match="rescore"):
         describe_verdict(rows[0], "vad")
