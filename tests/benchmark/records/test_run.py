@@ -22,7 +22,7 @@ GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "records"
 
 def row(scene: str, index: int, *, collides: bool = False, counted: bool = True, status: str = "ok") -> SampleRow:
     l2 = [1.0] * 6 if counted else [1.0] * 5 + [None]
-    verdict = {"collision": [collides] * 6, "l2": l2, "counted": counted, "steps": {}, "facts": {}}
+    verdict: dict[str, Any] = {"collision": [collides] * 6, "l2": l2, "counted": counted, "steps": {}, "facts": {}}
     if status == "failed":
         said: dict[str, Any] = {"plan": None, "error": "RuntimeError", "outcomes": {}}
     else:
