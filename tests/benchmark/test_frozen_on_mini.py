@@ -124,6 +124,7 @@ def test_samples_are_enough_unless_somebody_asks_for_more(tmp_path: Path, monkey
         return town
 
     monkeypatch.setattr(mini, "build_town_data_set", noted)
+    monkeypatch.setattr(mini, "TownSettings", TownSettings)
     for sweeps in (False, True):
         api.open_data("mini", sweeps=sweeps)
         api.open_data("demo", out=tmp_path, sweeps=sweeps)

@@ -79,9 +79,8 @@ def test_a_recording_of_another_source_becomes_a_scene(tmp_path: Path) -> None:
     x, y, _ = scene.ego.position.T
     assert np.allclose(np.diff(x), 10 / 12)
     assert np.allclose(scene.agents.position[0, 0, :2] - [x[0], y[0]], [20.0 + EGO_CENTER_FROM_REAR_AXLE_M, 0.0])
-    assert np.allclose(scene.agents.position[:, :, 2], [[0.8], [0.9], [0.9]]) and np.allclose(
-        scene.ego.position[:, 2], 0
-    )
+    assert np.allclose(scene.agents.position[:, :, 2], [[0.8], [0.9], [0.9]])
+    assert np.allclose(scene.ego.position[:, 2], 0)
     assert scene.annotations.num_lidar_pts.tolist() == [[1] * 7] * 3
     assert scene.road_map.location in OFFICIAL_LOCATIONS and scene.name.startswith("scene-")
     assert 2000 <= int(scene.name[-4:]) <= 9999
@@ -92,10 +91,8 @@ def test_negative_coordinates_are_shifted_map_and_all(tmp_path: Path) -> None:
     road_map = scene.road_map
     low = np.array(road_map.drivable_area.bounds[:2])
     assert (low > 0).all() and (scene.agents.position[..., :2] > 0).all()
-    assert (
-        road_map.is_drivable(scene.ego.position[:, :2]).all()
-        and road_map.is_drivable(scene.agents.position[0, :, :2]).all()
-    )
+    assert road_map.is_drivable(scene.ego.position[:, :2]).all()
+    assert road_map.is_drivable(scene.agents.position[0, :, :2]).all()
     assert not road_map.is_drivable(scene.agents.position[1:, :, :2]).any()
     assert road_map.canvas_m[0] > road_map.drivable_area.bounds[2]
     lane = next(iter(road_map.lanes.values()))

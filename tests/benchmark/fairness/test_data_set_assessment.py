@@ -106,13 +106,10 @@ def test_stored_judgements_are_taken_and_change_no_fingerprint(adversarial: Data
     stored = made_judgement(adversary="stored")
     path.write_text(format_assessments({SCENES[0]: (stored,)}))
     again = open_data(data.root)
-    assert again.fingerprint() == data.fingerprint() and collect_assessments(data.root, data.version) == {
-        SCENES[0]: (stored,)
-    }
+    assert again.fingerprint() == data.fingerprint()
+    assert collect_assessments(data.root, data.version) == {SCENES[0]: (stored,)}
     found = assess_data_set(again, SCENES, HERE)
-    assert (
-        found[SCENES[0]] == (stored,) and found[SCENES[1]] == assess_data_set(adversarial, SCENES[1:], HERE)[SCENES[1]]
-    )
+    assert found == {SCENES[0]: (stored,), **assess_data_set(adversarial, SCENES[1:], HERE)}
     assert collect_realism(again.root, again.version) is None
     told = measure_split_realism(adversarial, found)
     path.write_text(format_assessments({SCENES[0]: (stored,)}, told))
@@ -180,9 +177,8 @@ def test_of_several_adversaries_the_earliest_launch_is_known(tmp_path: Path) -> 
 
 def test_drivers_of_a_data_set_take_over_at_the_launch_that_it_names(adversarial: DataSet) -> None:
     found = assess_data_set(adversarial, SCENES[:1], HERE)[SCENES[0]]
-    assert [each.acts_s for each in found] == [0.5] and "first frame" not in format_assessment(
-        judge_split(adversarial, SCENES[:1], HERE)
-    )
+    assert [each.acts_s for each in found] == [0.5]
+    assert "first frame" not in format_assessment(judge_split(adversarial, SCENES[:1], HERE))
 
 
 def test_the_ladder_counts_whom_drivers_hit() -> None:
@@ -220,10 +216,8 @@ def test_a_split_is_compared_with_its_recordings_feature_by_feature(adversarial:
     assert realism.headline is not None and realism.headline.realism == min(row.realism for row in realism.features)
     assert realism.ctg is not None and (realism.ctg.version, realism.ctg.mask) == ("ctg", "current_speed")
     text = format_assessment(judged)
-    assert all(
-        name in text
-        for name in (*SCENES, "Realism, worst feature", "of the recordings", "ctg-realism@code, version ctg", "halves")
-    )
+    words = ("Realism, worst feature", "of the recordings", "ctg-realism@code, version ctg", "halves")
+    assert all(name in text for name in (*SCENES, *words))
     itself = measure_split_realism(adversarial, judged.scenes, None)
     assert itself.reference == "the unchanged agents of the same scenes" and itself.ctg is None
     severity = {row.name: row for row in judged.severity}
