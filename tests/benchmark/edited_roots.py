@@ -1,6 +1,7 @@
 """Copies of a root with edited tables: files are linked, tables are one's own."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,26 +18,11 @@ def small_town(root: Path, scenes: int = 1, *, images: bool = False) -> Path:
 
 
 def copy_of(source: Path, target: Path) -> Path:
-    """A copy whose tables and maps can be edited; everything else is linked.
-
-    Args:
-        source: Root with one version folder.
-        target: Folder that does not exist yet.
-
-    Returns:
-        The copy.
-    """
+    """A new copy whose tables, maps and CAN bus can be edited; everything else is linked."""
     target.mkdir(parents=True)
-    version = version_of(source)
     for entry in source.iterdir():
-        if entry.name in (version, "maps", "can_bus"):
-            for path in entry.rglob("*"):
-                copied = target / path.relative_to(source)
-                if path.is_dir():
-                    copied.mkdir(parents=True, exist_ok=True)
-                else:
-                    copied.parent.mkdir(parents=True, exist_ok=True)
-                    copied.write_bytes(path.read_bytes())
+        if entry.name in (version_of(source), "maps", "can_bus"):
+            shutil.copytree(entry, target / entry.name)
         else:
             (target / entry.name).symlink_to(entry)
     return target
@@ -54,52 +40,58 @@ def table_of(root: Path, name: str) -> Path:
 
 
 def edit(root: Path, name: str, change: Callable[[list[Row]], list[Row] | None]) -> None:
-    """Change a table in place.
-
-    Args:
-        root: A copy.
-        name: Table, without its ending.
-        change: Given the rows, changes them or returns others.
-    """
+    """Change a table of a copy in place; ``change`` changes the rows or returns others."""
     path = table_of(root, name)
     rows = json.loads(path.read_text())
     changed = change(rows)
     path.write_text(json.dumps(rows if changed is None else changed))
 
 
+def remove_annotations(root: Path, gone: Callable[[Row], bool]) -> None:
+    """Take annotations away; chains are mended, instances that are left without any are gone too."""
+    rows: list[Row] = []
+    edit(root, "sample_annotation", rows.extend)
+    by_token = {row["token"]: row for row in rows}
+    removed = [row for row in rows if gone(row)]
+    for row in removed:
+        for link, back in (("prev", "next"), ("next", "prev")):
+            if row[link]:
+                by_token[row[link]][back] = row[back]
+    lost = {row["token"] for row in removed}
+    left = [row for row in rows if row["token"] not in lost]
+    edit(root, "sample_annotation", lambda _: left)
+    touched = {row["instance_token"] for row in removed}
+
+    def counted(instances: list[Row]) -> list[Row]:
+        for one in instances:
+            if one["token"] in touched:
+                own = [row for row in left if row["instance_token"] == one["token"]]
+                one["nbr_annotations"] = len(own)
+                for field, link in (("first_annotation_token", "prev"), ("last_annotation_token", "next")):
+                    one[field] = next((row["token"] for row in own if not row[link]), "")
+        return [one for one in instances if one["nbr_annotations"]]
+
+    edit(root, "instance", counted)
+
+
+def samples_of(root: Path, scene: str) -> list[Row]:
+    """The samples of a scene by time."""
+    scenes, samples = (json.loads(table_of(root, name).read_text()) for name in ("scene", "sample"))
+    (token,) = (row["token"] for row in scenes if row["name"] == scene)
+    return sorted((row for row in samples if row["scene_token"] == token), key=lambda row: int(row["timestamp"]))
+
+
 def without_annotations(root: Path, scenes: set[str] | None = None) -> None:
     """Take all annotations of scenes away, of all scenes by default."""
-    tables = {name: json.loads(table_of(root, name).read_text()) for name in ("scene", "sample", "sample_annotation")}
-    tokens = {row["token"] for row in tables["scene"] if scenes is None or row["name"] in scenes}
-    samples = {row["token"] for row in tables["sample"] if row["scene_token"] in tokens}
-    left = [row for row in tables["sample_annotation"] if row["sample_token"] not in samples]
-    named = {row["instance_token"] for row in left}
-    edit(root, "sample_annotation", lambda _: left)
-    edit(root, "instance", lambda rows: [row for row in rows if row["token"] in named])
+    names = [row["name"] for row in json.loads(table_of(root, "scene").read_text())]
+    for name in names if scenes is None else scenes:
+        annotated_until(root, name, 0)
 
 
 def annotated_until(root: Path, scene: str, samples: int) -> None:
     """Take the annotations of a scene away from a sample on, as where labelling stopped half-way."""
-    tables = {name: json.loads(table_of(root, name).read_text()) for name in ("scene", "sample", "sample_annotation")}
-    (token,) = (row["token"] for row in tables["scene"] if row["name"] == scene)
-    own = sorted((row for row in tables["sample"] if row["scene_token"] == token), key=lambda row: row["timestamp"])
-    gone = {row["token"] for row in own[samples:]}
-    left = [row for row in tables["sample_annotation"] if row["sample_token"] not in gone]
-    tokens = {row["token"] for row in left}
-    chains: dict[str, list[Row]] = {}
-    for row in left:
-        row["next"] = row["next"] if row["next"] in tokens else ""
-        chains.setdefault(row["instance_token"], []).append(row)
-
-    def shortened(rows: list[Row]) -> list[Row]:
-        for row in rows:
-            chain = chains.get(row["token"], [])
-            row["nbr_annotations"] = len(chain)
-            row["last_annotation_token"] = next((each["token"] for each in chain if not each["next"]), "")
-        return [row for row in rows if row["token"] in chains]
-
-    edit(root, "sample_annotation", lambda _: left)
-    edit(root, "instance", shortened)
+    tokens = {row["token"] for row in samples_of(root, scene)[samples:]}
+    remove_annotations(root, lambda row: row["sample_token"] in tokens)
 
 
 def rename_categories(root: Path, renamed: Callable[[str], str]) -> None:

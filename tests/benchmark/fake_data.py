@@ -116,30 +116,18 @@ def sample_truth(scene: Scene, index: int) -> SampleTruth:
     frames = scene.keyframes[at]
     boxes[..., 4] = wrap_angle(scene.agents.yaw[rows][:, frames] - lidar[index, 2] + np.pi / 2)
     future = np.column_stack(
-        [
-            in_lidar_axes(lidar[at[1:], :2], lidar[index]),
-            wrap_angle(lidar[at[1:], 2] - lidar[index, 2] + np.pi / 2),
-        ]
+        [in_lidar_axes(lidar[at[1:], :2], lidar[index]), wrap_angle(lidar[at[1:], 2] - lidar[index, 2] + np.pi / 2)]
     )
     annotated: Bools = scene.annotations.valid[rows][:, at] & valid
     points = scene.annotations.num_lidar_pts[rows][:, at] > 0
     return SampleTruth(
-        scene=scene.name,
-        sample_token=make_token(scene.name, index),
-        index=index,
-        timestamp_us=int(scene.timestamps_us[scene.keyframes[index]]),
-        lidar_pose=lidar[index],
-        lidar_ahead_m=ahead,
-        ego_future=future,
-        ego_future_valid=valid[1:],
-        command=_command(future[valid[1:]]),
+        scene=scene.name, sample_token=make_token(scene.name, index), index=index,
+        timestamp_us=int(scene.timestamps_us[scene.keyframes[index]]), lidar_pose=lidar[index], lidar_ahead_m=ahead,
+        ego_future=future, ego_future_valid=valid[1:], command=_command(future[valid[1:]]),
         instances=tuple(scene.agents.ids[row] for row in rows),
-        categories=tuple(scene.agents.categories[row] for row in rows),
-        boxes=boxes,
-        annotated=annotated,
-        has_points=points & annotated,
-        has_lidar_points=points & annotated,
-    )
+        categories=tuple(scene.agents.categories[row] for row in rows), boxes=boxes, annotated=annotated,
+        has_points=points & annotated, has_lidar_points=points & annotated,
+    )  # fmt: skip
 
 
 def in_lidar_axes(points: Floats, pose: Floats) -> Floats:
@@ -152,17 +140,11 @@ def observation(scene: Scene, index: int, views: dict[str, CameraView]) -> Obser
     pose = scene.ego.pose[scene.keyframes]
     past = np.arange(index - HISTORY + 1, index + 1)
     return Observation(
-        scene=scene.name,
-        sample_token=make_token(scene.name, index),
-        index=index,
-        timestamp_us=int(scene.timestamps_us[frame]),
-        views=views,
-        lidar=scene.lidar,
+        scene=scene.name, sample_token=make_token(scene.name, index), index=index,
+        timestamp_us=int(scene.timestamps_us[frame]), views=views, lidar=scene.lidar,
         ego=compute_ego_state(scene.ego, scene.timestamps_us, frame, CanBus(None, None)),
-        past_poses=pose[np.maximum(past, 0)],
-        past_valid=past >= 0,
-        command=sample_truth(scene, index).command,
-    )
+        past_poses=pose[np.maximum(past, 0)], past_valid=past >= 0, command=sample_truth(scene, index).command,
+    )  # fmt: skip
 
 
 def _command(future: Floats) -> Command:

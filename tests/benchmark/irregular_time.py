@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.scene import Annotations, Scene
 from tests.benchmark.edited_roots import Row as Row
-from tests.benchmark.edited_roots import edit, table_of
+from tests.benchmark.edited_roots import edit, remove_annotations, samples_of
 
 STEP_US = 500_000
 
@@ -22,15 +22,11 @@ def with_key_frames(scene: Scene, frames: Any) -> Scene:
     there = agents.valid[:, frames].any(axis=1)
     assert there.all(), "an object would be without annotations"
     annotations = Annotations(
-        position=agents.position[:, frames],
-        rotation=quaternion_from_yaw(agents.yaw[:, frames]),
-        size=np.repeat(agents.size[:, None], shape[1], axis=1),
-        valid=agents.valid[:, frames],
-        attribute=np.full(shape, "vehicle.moving"),
-        visibility=np.full(shape, 4),
-        num_lidar_pts=np.full(shape, 20),
+        position=agents.position[:, frames], rotation=quaternion_from_yaw(agents.yaw[:, frames]),
+        size=np.repeat(agents.size[:, None], shape[1], axis=1), valid=agents.valid[:, frames],
+        attribute=np.full(shape, "vehicle.moving"), visibility=np.full(shape, 4), num_lidar_pts=np.full(shape, 20),
         num_radar_pts=np.full(shape, 2),
-    )
+    )  # fmt: skip
     return replace(scene, keyframes=frames, annotations=annotations)
 
 
@@ -55,67 +51,39 @@ def at_other_times(scene: Scene, key_frame_gaps_s: Any) -> Scene:
 
 def without_sample(root: Path, scene: str, number: int) -> None:
     """Take a sample out of the tables of a root; its sensor rows become sweeps, all links are mended."""
-    scenes: list[Row] = []
-    edit(root, "scene", scenes.extend)
-    (row,) = (row for row in scenes if row["name"] == scene)
-    samples: list[Row] = []
-    edit(root, "sample", samples.extend)
-    chain = sorted((one for one in samples if one["scene_token"] == row["token"]), key=lambda one: one["timestamp"])
-    gone, before, after = chain[number], chain[number - 1], chain[number + 1]
-    before["next"], after["prev"] = after["token"], before["token"]
-    row["nbr_samples"] -= 1
-    edit(root, "scene", lambda _: scenes)
-    edit(root, "sample", lambda _: [one for one in samples if one is not gone])
+    before, gone, after = (row["token"] for row in samples_of(root, scene)[number - 1 : number + 2])
+
+    def mended(rows: list[Row]) -> list[Row]:
+        for one in rows:
+            one["next"] = after if one["token"] == before else one["next"]
+            one["prev"] = before if one["token"] == after else one["prev"]
+        return [one for one in rows if one["token"] != gone]
+
+    def fewer(rows: list[Row]) -> None:
+        for one in rows:
+            one["nbr_samples"] -= one["name"] == scene
 
     def sweeps(rows: list[Row]) -> None:
         for one in rows:
-            if one["sample_token"] == gone["token"]:
-                one.update(sample_token=before["token"], is_key_frame=False)
+            if one["sample_token"] == gone:
+                one.update(sample_token=before, is_key_frame=False)
 
+    edit(root, "sample", mended)
+    edit(root, "scene", fewer)
     edit(root, "sample_data", sweeps)
-    _without_annotations_of(root, gone["token"])
-
-
-def _without_annotations_of(root: Path, sample: str) -> None:
-    removed: list[Row] = []
-
-    def mended(rows: list[Row]) -> list[Row]:
-        by_token = {one["token"]: one for one in rows}
-        removed.extend(one for one in rows if one["sample_token"] == sample)
-        for one in removed:
-            if one["prev"]:
-                by_token[one["prev"]]["next"] = one["next"]
-            if one["next"]:
-                by_token[one["next"]]["prev"] = one["prev"]
-        return [one for one in rows if one["sample_token"] != sample]
-
-    edit(root, "sample_annotation", mended)
-    lost = {one["token"]: one for one in removed}
-
-    def counted(rows: list[Row]) -> list[Row]:
-        of_instance = {one["instance_token"]: one for one in removed}
-        for one in rows:
-            if one["token"] in of_instance:
-                one["nbr_annotations"] -= 1
-                ends = {"first_annotation_token": "next", "last_annotation_token": "prev"}
-                for field, link in ends.items():
-                    if one[field] in lost:
-                        one[field] = lost[one[field]][link]
-        return [one for one in rows if one["nbr_annotations"]]
-
-    edit(root, "instance", counted)
+    remove_annotations(root, lambda row: bool(row["sample_token"] == gone))
 
 
 def at_rate(root: Path, factor: float) -> None:
     """All that happens in a root takes so many times as long."""
-    for name in ("sample", "sample_data", "ego_pose"):
-        rows: list[Row] = []
-        edit(root, name, rows.extend)
+
+    def slower(rows: list[Row]) -> None:
         first = min(one["timestamp"] for one in rows)
         for one in rows:
             one["timestamp"] = first + round((one["timestamp"] - first) * factor)
-        edit(root, name, lambda _, rows=rows: rows)  # type: ignore[misc]
-    assert table_of(root, "sample").is_file()
+
+    for name in ("sample", "sample_data", "ego_pose"):
+        edit(root, name, slower)
 
 
 @dataclass

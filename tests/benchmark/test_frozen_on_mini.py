@@ -20,7 +20,8 @@ from benchmark.records.run import load_record
 from benchmark.runs.rescoring import rescore_all
 from generation.pipeline.split import build_split
 from generation.search.hyperparameters import HyperParameters
-from generation.sources.mini import TownSettings
+from generation.sources import mini
+from generation.sources.mini import TownSettings, build_town_data_set
 from generation.splits.packaged import NamedSplit, read_frozen_split
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.generation.splits.frozen_files import BUILT
@@ -109,3 +110,24 @@ def test_names_are_known_without_torch_and_the_devkit() -> None:
         "assert not {'torch', 'nuscenes'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
+
+
+def test_samples_are_enough_unless_somebody_asks_for_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
+    town = build_town_data_set(
+        api.workspace(tmp_path).split_root("demo", "val"), TownSettings(val_scenes=1, images=False), workers=1
+    )
+    asked: list[tuple[Path, TownSettings]] = []
+
+    def noted(root: Path, settings: TownSettings, *, workers: int) -> Path:
+        asked.append((root, settings))
+        return town
+
+    monkeypatch.setattr(mini, "build_town_data_set", noted)
+    monkeypatch.setattr(mini, "TownSettings", TownSettings)
+    for sweeps in (False, True):
+        api.open_data("mini", sweeps=sweeps)
+        api.open_data("demo", out=tmp_path, sweeps=sweeps)
+    (first, few), (later, all_of_it), (demo, its_own) = asked
+    assert first == later and (few.pictures, all_of_it.pictures) == ("keyframes", "all")
+    assert demo == town and its_own == TownSettings(val_scenes=1)

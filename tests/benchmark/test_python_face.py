@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ import typer
 import benchmark
 from benchmark.cli.app import app
 from generation.sources.mini import TownSettings
-from generation.splits.packaged import NamedSplit, read_newest_split
+from generation.splits.packaged import read_newest_split
 from tests.whole_product import command_is_installed, is_installed
 
 PLACES: dict[str, str] = vars(benchmark)["_PLACES"]
@@ -27,50 +26,21 @@ HERE = {name: place for name, place in PLACES.items() if is_installed(place)}
 """Names of what is installed."""
 ROOT = Path(__file__).resolve().parents[2]
 FUNCTION_OF = {
-    "generate": "generate",
-    "ablate": "ablate",
-    "eval": "evaluate",
-    "drive": "drive_split",
-    "serve": "serve_planner",
-    "models": "known_planners",
-    "rescore": "rescore_all",
-    "transfer": "transfer_matrices",
-    "quality": "measure_quality",
-    "sheets": "write_sheets",
-    "film": "write_films",
-    "reproduce": "reproduce",
-    "verify": "verify",
-    "demo": "demo",
-    "doctor": "doctor",
-    "data info": "data_contents",
-    "data export infos": "export_infos",
-    "data export scenarionet": "export_scenarionet",
-    "data export openscenario": "export_openscenario",
-    "data pack": "pack_split",
-    "data unpack": "read_split_package",
-    "data stats": "data_statistics",
-    "data show": "write_pictures",
-    "data card": "write_data_card",
-    "data check": "check_data",
-    "data review": "record_verdicts",
-    "data import": "import_scenarionet",
-    "data build": "build_town",
-    "train denoiser": "train_denoiser",
-    "train planner": "train_planner",
-    "train judge": "judge_again",
-    "train ego-status": "train_ego_status",
-    "weights list": "known_weights",
-    "weights import": "import_weights",
-    "weights fetch": "fetch_weights",
-    "weights anchors": "write_anchors",
-    "leaderboard": "write_leaderboard",
-    "challenge check": "check_challenge",
-    "challenge score": "score_challenge",
-    "challenge rules": "challenge_rules",
-    "leaderboard slices": "slice_tables",
-    "leaderboard submit-check": "check_submission",
-    "leaderboard card": "write_records_card",
-}
+    "generate": "generate", "ablate": "ablate", "eval": "evaluate", "drive": "drive_split", "serve": "serve_planner",
+    "models": "known_planners", "rescore": "rescore_all", "transfer": "transfer_matrices",
+    "quality": "measure_quality", "sheets": "write_sheets", "film": "write_films", "reproduce": "reproduce",
+    "verify": "verify", "demo": "demo", "doctor": "doctor", "data info": "data_contents",
+    "data export infos": "export_infos", "data export scenarionet": "export_scenarionet",
+    "data export openscenario": "export_openscenario", "data pack": "pack_split", "data unpack": "read_split_package",
+    "data stats": "data_statistics", "data show": "write_pictures", "data card": "write_data_card",
+    "data check": "check_data", "data review": "record_verdicts", "data import": "import_scenarionet",
+    "data build": "build_town", "train denoiser": "train_denoiser", "train planner": "train_planner",
+    "train judge": "judge_again", "train ego-status": "train_ego_status", "weights list": "known_weights",
+    "weights import": "import_weights", "weights fetch": "fetch_weights", "weights anchors": "write_anchors",
+    "leaderboard": "write_leaderboard", "challenge check": "check_challenge", "challenge score": "score_challenge",
+    "challenge rules": "challenge_rules", "leaderboard slices": "slice_tables",
+    "leaderboard submit-check": "check_submission", "leaderboard card": "write_records_card",
+}  # fmt: skip
 
 
 def commands(command: Any, name: str = "") -> Iterator[str]:
@@ -123,29 +93,6 @@ def test_importing_it_is_light_and_a_star_imports_what_is_shown() -> None:
     subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.mark.parametrize("page", ["docs/python.md", "README.md"])
-def test_the_examples_run(page: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tiny = partial(TownSettings, val_scenes=2, width=96, height=54, frames="keyframes")
-    monkeypatch.setattr("generation.sources.mini.TownSettings", tiny)
-    whole = read_newest_split("mini")
-    of_each = {scene.source: scene for scene in whole.frozen.scenes if scene.source in ("scene-8000", "scene-8001")}
-    assert of_each, "the examples open a split that has scenes"
-    few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": tuple(of_each.values())}))
-    monkeypatch.setattr("generation.splits.cached.read_newest_split", lambda *_: few)
-    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(cache))
-    monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(>>>.*?)```", (ROOT / page).read_text(), re.DOTALL)
-    assert blocks
-    test = doctest.DocTestParser().get_doctest("\n".join(blocks), {}, page, page, 0)
-    said: list[str] = []
-    assert doctest.DocTestRunner().run(test, out=said.append).failed == 0, "".join(said)
-
-
 SMALLER = """
 from functools import partial
 
@@ -153,23 +100,49 @@ import generation.sources.mini as mini
 import generation.splits.cached as cached
 from generation.splits.packaged import NamedSplit, read_newest_split
 
-mini.TownSettings = partial(mini.TownSettings, val_scenes=2, width=96, height=54, frames="keyframes")
+small = {{"val_scenes": {scenes}, "images": {images}, "width": 96, "height": 54, "frames": "keyframes"}}
+mini.TownSettings = partial(mini.TownSettings, **small)
 whole = read_newest_split("mini")
-of_each = {scene.source: scene for scene in whole.frozen.scenes if scene.source in ("scene-8000", "scene-8001")}
-few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": tuple(of_each.values())}))
+sources = ["scene-8000", "scene-8001"][:{scenes}]
+of_each = {{scene.source: scene for scene in whole.frozen.scenes if scene.source in sources}}
+assert of_each, "the examples open a split that has scenes"
+few = NamedSplit(whole.name, whole.frozen.model_copy(update={{"scenes": tuple(of_each.values())}}))
 cached.read_newest_split = lambda *_: few
 """
 
 
+def examples(page: str) -> str:
+    return "\n".join(re.findall(r"```python\n(>>>.*?)```", (ROOT / page).read_text(), re.DOTALL))
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.mark.parametrize("page", ["docs/python.md", "README.md"])
+def test_the_examples_run(page: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Both are put back after the test.
+    monkeypatch.setattr("generation.sources.mini.TownSettings", TownSettings)
+    monkeypatch.setattr("generation.splits.cached.read_newest_split", read_newest_split)
+    exec(SMALLER.format(scenes=2, images=False), {})
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(cache))
+    monkeypatch.chdir(tmp_path)
+    test = doctest.DocTestParser().get_doctest(examples(page), {}, page, page, 0)
+    assert test.examples
+    said: list[str] = []
+    assert doctest.DocTestRunner().run(test, out=said.append).failed == 0, "".join(said)
+
+
 def test_the_examples_of_the_documentation_run_as_a_plain_script(tmp_path: Path) -> None:
-    page = (ROOT / "docs" / "python.md").read_text()
-    blocks = re.findall(r"```python\n(>>>.*?)```", page, re.DOTALL)
-    examples = [example.source for block in blocks for example in doctest.DocTestParser().get_examples(block)]
-    (tmp_path / "script.py").write_text(SMALLER + "".join(examples))
-    # Nothing is built yet, so that processes are started wherever a reader's first script starts them.
+    """Up to the first evaluation: without a guard of ``__main__``, a planner of the script, nothing built yet."""
+    parts = [example.source for example in doctest.DocTestParser().get_examples(examples("docs/python.md"))]
+    last = next(number for number, part in enumerate(parts) if "benchmark.evaluate(" in part)
+    (tmp_path / "script.py").write_text(SMALLER.format(scenes=1, images=True) + "".join(parts[: last + 1]))
+    # Processes are started wherever a reader's first script starts them.
     environment = os.environ | {"PYTHONPATH": str(ROOT), "CHALLENGER_BENCH_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(
         [sys.executable, "script.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("protocol exact") == 2
+    assert len(list((tmp_path / "challenger-out" / "runs").rglob("run.json"))) == 1

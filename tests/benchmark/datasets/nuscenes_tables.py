@@ -71,38 +71,19 @@ class TinyRoot:
         name = scene.name
         samples = [f"{name}-sample-{index}" for index in range(len(scene.keyframes))]
         if not self.tables["log"]:
-            self.tables["log"].append(
-                {
-                    "token": "log",
-                    "logfile": scene.log,
-                    "vehicle": scene.vehicle,
-                    "date_captured": scene.date,
-                    "location": scene.road_map.location,
-                }
-            )
-        self.tables["scene"].append(
-            {
-                "token": f"{name}-token",
-                "name": name,
-                "description": scene.description,
-                "log_token": "log",
-                "nbr_samples": len(samples),
-                "first_sample_token": samples[0],
-                "last_sample_token": samples[-1],
-            }
-        )
+            self.tables["log"].append({
+                "token": "log", "logfile": scene.log, "vehicle": scene.vehicle, "date_captured": scene.date,
+                "location": scene.road_map.location,
+            })  # fmt: skip
+        self.tables["scene"].append({
+            "token": f"{name}-token", "name": name, "description": scene.description, "log_token": "log",
+            "nbr_samples": len(samples), "first_sample_token": samples[0], "last_sample_token": samples[-1],
+        })  # fmt: skip
         for index, token in enumerate(samples):
-            self.tables["sample"].append(
-                {
-                    "token": token,
-                    "timestamp": int(scene.timestamps_us[scene.keyframes[index]]),
-                    "scene_token": f"{name}-token",
-                    "prev": samples[index - 1] if index else "",
-                    "next": samples[index + 1] if index + 1 < len(samples) else "",
-                }
-            )
-        channels = (*(("LIDAR_TOP",) if lidar else ()), *cameras)
-        for channel in channels:
+            time_us = int(scene.timestamps_us[scene.keyframes[index]])
+            row = {"token": token, "timestamp": time_us, "scene_token": f"{name}-token"}
+            self.tables["sample"].append(row | _links(samples, index))
+        for channel in (*(("LIDAR_TOP",) if lidar else ()), *cameras):
             self._channel(scene, channel, samples, sweeps=sweeps)
         self._objects(scene, samples)
 
@@ -113,77 +94,52 @@ class TinyRoot:
             modality = "lidar" if camera is None else "camera"
             self.tables["sensor"].append({"token": channel, "channel": channel, "modality": modality})
         calibration = f"{scene.name}-{channel}"
-        self.tables["calibrated_sensor"].append(
-            {
-                "token": calibration,
-                "sensor_token": channel,
-                "translation": mount.translation.tolist(),
-                "rotation": mount.rotation.tolist(),
-                "camera_intrinsic": [] if camera is None else camera.intrinsic.tolist(),
-            }
-        )
+        self.tables["calibrated_sensor"].append({
+            "token": calibration, "sensor_token": channel, "translation": mount.translation.tolist(),
+            "rotation": mount.rotation.tolist(), "camera_intrinsic": camera.intrinsic.tolist() if camera else [],
+        })  # fmt: skip
         keyframes = scene.keyframes.tolist()
         frames = range(len(scene.timestamps_us)) if sweeps else keyframes
         tokens = [f"{calibration}-{frame}" for frame in frames]
+        extension = "png" if camera else "pcd.bin"
         for number, (frame, token) in enumerate(zip(frames, tokens)):
-            at_keyframe = frame in keyframes
-            folder = "samples" if at_keyframe else "sweeps"
-            extension = "pcd.bin" if camera is None else "png"
-            self.tables["ego_pose"].append(
-                {
-                    "token": token,
-                    "timestamp": int(scene.timestamps_us[frame]),
-                    "translation": scene.ego.position[frame].tolist(),
-                    "rotation": scene.ego.rotation[frame].tolist(),
-                }
-            )
-            self.tables["sample_data"].append(
-                {
-                    "token": token,
-                    "sample_token": samples[int(np.searchsorted(keyframes, frame, side="right")) - 1],
-                    "ego_pose_token": token,
-                    "calibrated_sensor_token": calibration,
-                    "timestamp": int(scene.timestamps_us[frame]),
-                    "fileformat": extension.split(".")[0],
-                    "is_key_frame": at_keyframe,
-                    "width": 0 if camera is None else camera.width,
-                    "height": 0 if camera is None else camera.height,
-                    "filename": f"{folder}/{channel}/{token}.{extension}",
-                    "prev": tokens[number - 1] if number else "",
-                    "next": tokens[number + 1] if number + 1 < len(tokens) else "",
-                }
-            )
+            at_keyframe, time_us = frame in keyframes, int(scene.timestamps_us[frame])
+            self.tables["ego_pose"].append({
+                "token": token, "timestamp": time_us, "translation": scene.ego.position[frame].tolist(),
+                "rotation": scene.ego.rotation[frame].tolist(),
+            })  # fmt: skip
+            row = {
+                "token": token, "sample_token": samples[int(np.searchsorted(keyframes, frame, side="right")) - 1],
+                "ego_pose_token": token, "calibrated_sensor_token": calibration, "timestamp": time_us,
+                "fileformat": extension.split(".")[0], "is_key_frame": at_keyframe,
+                "width": camera.width if camera else 0, "height": camera.height if camera else 0,
+                "filename": f"{'samples' if at_keyframe else 'sweeps'}/{channel}/{token}.{extension}",
+            }  # fmt: skip
+            self.tables["sample_data"].append(row | _links(tokens, number))
 
     def _objects(self, scene: Scene, samples: Sequence[str]) -> None:
         known = scene.annotations
         for agent, identifier in enumerate(scene.agents.ids):
             at = np.flatnonzero(known.valid[agent]).tolist()
-            tokens = [f"{scene.name}-{identifier}-{index}" for index in at]
             instance = f"{scene.name}-{identifier}"
-            self.tables["instance"].append(
-                {
-                    "token": instance,
-                    "category_token": "cat-vehicle.car",
-                    "nbr_annotations": len(at),
-                    "first_annotation_token": tokens[0],
-                    "last_annotation_token": tokens[-1],
-                }
-            )
+            tokens = [f"{instance}-{index}" for index in at]
+            self.tables["instance"].append({
+                "token": instance, "category_token": "cat-vehicle.car", "nbr_annotations": len(at),
+                "first_annotation_token": tokens[0], "last_annotation_token": tokens[-1],
+            })  # fmt: skip
             for number, index in enumerate(at):
                 length, width, height = known.size[agent, index].tolist()
-                self.tables["sample_annotation"].append(
-                    {
-                        "token": tokens[number],
-                        "sample_token": samples[index],
-                        "instance_token": instance,
-                        "visibility_token": "4",
-                        "attribute_tokens": ["att-vehicle.moving"],
-                        "translation": known.position[agent, index].tolist(),
-                        "size": [width, length, height],
-                        "rotation": known.rotation[agent, index].tolist(),
-                        "num_lidar_pts": int(known.num_lidar_pts[agent, index]),
-                        "num_radar_pts": int(known.num_radar_pts[agent, index]),
-                        "prev": tokens[number - 1] if number else "",
-                        "next": tokens[number + 1] if number + 1 < len(tokens) else "",
-                    }
-                )
+                row = {
+                    "token": tokens[number], "sample_token": samples[index], "instance_token": instance,
+                    "visibility_token": "4", "attribute_tokens": ["att-vehicle.moving"],
+                    "translation": known.position[agent, index].tolist(), "size": [width, length, height],
+                    "rotation": known.rotation[agent, index].tolist(),
+                    "num_lidar_pts": int(known.num_lidar_pts[agent, index]),
+                    "num_radar_pts": int(known.num_radar_pts[agent, index]),
+                }  # fmt: skip
+                self.tables["sample_annotation"].append(row | _links(tokens, number))
+
+
+def _links(tokens: Sequence[str], number: int) -> Row:
+    after = tokens[number + 1] if number + 1 < len(tokens) else ""
+    return {"prev": tokens[number - 1] if number else "", "next": after}

@@ -2,7 +2,6 @@
 
 import json
 import os
-import random
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -18,10 +17,8 @@ from benchmark.datasets.schema import FaultList
 from benchmark.errors import InputError
 from benchmark.machine import user_cache
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
-from tests.benchmark.datasets.test_scene_tables import everything
-from tests.hand_made import scene_on_straight_road
+from tests.benchmark.datasets.test_scene_tables import everything, shuffled
 
-NAMES = ("scene-9901", "scene-9902", "scene-9903")
 Opened = Callable[[], tuple[list[object], int]]
 
 
@@ -32,9 +29,7 @@ def tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> TinyRoot:
     monkeypatch.setattr(kept_tables, "WORTH_BYTES", 1)
     monkeypatch.setattr(kept_digests, "WORTH_BYTES", 1)
     monkeypatch.setattr(user_cache, "SETTLED_S", -1e9)
-    made = TinyRoot.of(tmp_path / "root", [scene_on_straight_road(name=name, seconds=3.0) for name in NAMES])
-    for table in ("sample_data", "ego_pose", "sample_annotation", "instance", "sample"):
-        random.Random(table).shuffle(made.tables[table])
+    made = shuffled(tmp_path / "root")
     made.write()
     return made
 
@@ -90,17 +85,12 @@ def test_a_changed_table_is_noticed_though_its_size_and_times_are_put_back(table
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda data: data[:-1],
-        lambda data: data + b"\0",
-        lambda data: data[: len(data) // 2],
-        lambda data: b"",
+        lambda data: data[:-1], lambda data: data + b"\0", lambda data: data[: len(data) // 2], lambda data: b"",
         lambda data: data[:-100] + bytes([data[-100] ^ 1]) + data[-99:],
-        lambda data: data[:20] + b"\xff" * 8 + data[28:],
-        lambda data: data.replace(b'"sha256":"', b'"sha256":"0', 1),
-        lambda data: data.replace(b'"made_of":"', b'"made_of":"0', 1),
-        lambda data: b"kept arrays 1\n\0\0" + data[16:],
+        lambda data: data[:20] + b"\xff" * 8 + data[28:], lambda data: data.replace(b'"sha256":"', b'"sha256":"0', 1),
+        lambda data: data.replace(b'"made_of":"', b'"made_of":"0', 1), lambda data: b"kept arrays 1\n\0\0" + data[16:],
     ],
-)
+)  # fmt: skip
 def test_what_is_damaged_is_made_again(opened: Opened, kept: Path, damage: Callable[[bytes], bytes]) -> None:
     first, _ = opened()
     sound = kept.read_bytes()

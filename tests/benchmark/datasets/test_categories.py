@@ -9,12 +9,7 @@ from benchmark.constants import CATEGORIES
 from benchmark.datasets.categories import READY, read_categories, select_category_names
 from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
-from tests.benchmark.edited_roots import copy_of, rename_categories, small_town
-
-
-@pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return small_town(tmp_path_factory.mktemp("town") / "town")
+from tests.benchmark.edited_roots import copy_of, rename_categories
 
 
 @pytest.mark.parametrize("name", READY)

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,12 +18,8 @@ from tests.hand_made import scene_on_straight_road
 def test_samples_objects_and_annotations_are_counted_by_split() -> None:
     found = contents(town_of_two(slow_leader=True))
     assert found["splits"]["val"] == {
-        "scenes": ["scene-9901", "scene-9902"],
-        "samples": 32,
-        "instances": 6,
-        "annotations": 6 * 16,
-        "adversaries": 0,
-    }
+        "scenes": ["scene-9901", "scene-9902"], "samples": 32, "instances": 6, "annotations": 6 * 16, "adversaries": 0,
+    }  # fmt: skip
     assert (found["name"], found["made_from"]) == ("fake", None)
 
 
@@ -51,3 +48,27 @@ def test_splits_that_are_listed_can_be_evaluated_and_others_say_why_not(case: st
 def test_official_splits_are_listed_by_their_names(tmp_path: Path) -> None:
     root = TinyRoot.of(tmp_path, [scene_on_straight_road(name="scene-0103", seconds=3.0)]).write()
     assert list(contents(NuScenesData.open(root))["splits"]) == ["mini_val", "val"]
+
+
+FOUND: dict[str, Any] = {
+    "name": "adv", "root": "/data/adv", "version": "v1.0-trainval", "fingerprint": "f" * 64,
+    "made_from": {"name": "mini", "fingerprint": "0123456789abcdef" * 4},
+    "splits": {"adv": {
+        "scenes": [f"scene-{number:04d}-{number:08x}" for number in range(30)],
+        "samples": 1200, "instances": 720, "annotations": 158400, "adversaries": 30,
+    }},
+    "unusable_splits": {},
+}  # fmt: skip
+
+
+def test_a_data_set_is_told_in_words_and_a_table_not_in_dictionaries() -> None:
+    text = format_contents(FOUND, 80)
+    assert not set("{}[]'") & set(text)
+    assert all(len(line) <= 80 for line in text.splitlines())
+    assert "made from:   mini (0123456789ab…)" in text and "158,400" in text
+    assert "scene-0023" in text and "scene-0024" not in text and "6 more" in text
+
+
+def test_recordings_are_made_from_nothing_and_foreign_provenance_is_no_crash() -> None:
+    assert "made from" not in format_contents({**FOUND, "made_from": None}, 80)
+    assert "made from" not in format_contents({**FOUND, "made_from": "somewhere"}, 80)

@@ -47,13 +47,10 @@ print(matplotlib.axes.Axes.__name__)
 
 def _python(program: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg", **environment},
-        text=True,
-        capture_output=True,
-        check=True,
-    )
+        [sys.executable, "-c", program], cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg", **environment}, text=True,
+        capture_output=True, check=True,
+    )  # fmt: skip
 
 
 def test_evaluating_a_baseline_imports_no_heavy_package(tmp_path: Path) -> None:

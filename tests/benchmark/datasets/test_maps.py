@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 import shapely
 
+from benchmark.datasets.fingerprint import compute_fingerprint
 from benchmark.datasets.map_layers import compute_centerline, find_expansion_file, read_road_map
 from benchmark.datasets.nuscenes import MAP_MARGIN_M, NuScenesData
 from benchmark.errors import InputError
 from benchmark.road_map import DividerKind
+from benchmark.untrusted.files import TABLE
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
+from tests.benchmark.untrusted.variants import write_sparse
 from tests.hand_made import scene_on_straight_road
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
@@ -97,11 +100,8 @@ def test_every_layer_is_read(tmp_path: Path) -> None:
     road_map = read_road_map(crossroads().write(tmp_path / "boston-seaport.json"))
     assert road_map.location == "boston-seaport" and road_map.canvas_m == (500.0, 300.0)
     assert road_map.drivable_area.area == pytest.approx(4000 - 120)
-    assert road_map.is_drivable(np.array([[50.0, 105.0], [50.0, 101.0], [50.0, 120.0]])).tolist() == [
-        False,
-        True,
-        False,
-    ]
+    places = np.array([[50.0, 105.0], [50.0, 101.0], [50.0, 120.0]])
+    assert road_map.is_drivable(places).tolist() == [False, True, False]
     assert set(road_map.lanes) == {"east", "across"}
     east, across = road_map.lanes["east"], road_map.lanes["across"]
     assert east.successors == ("across",) and across.predecessors == ("east",)
@@ -116,13 +116,8 @@ def test_every_layer_is_read(tmp_path: Path) -> None:
         "middle": (DividerKind.SOLID_YELLOW, True),
     }
     assert road_map.intersections == {"junction"} and set(road_map.road_segments) == {"junction", "road"}
-    for layer, name in (
-        ("ped_crossings", "zebra"),
-        ("walkways", "pavement"),
-        ("stop_lines", "stop"),
-        ("carparks", "park"),
-    ):
-        assert set(getattr(road_map, layer)) == {name}
+    areas = {"ped_crossings": "zebra", "walkways": "pavement", "stop_lines": "stop", "carparks": "park"}
+    assert all(set(getattr(road_map, layer)) == {name} for layer, name in areas.items())
 
 
 def test_an_arc_turns_as_far_as_it_says() -> None:
@@ -168,15 +163,12 @@ def test_a_broken_expansion_is_refused(tmp_path: Path, layer: str, value: Any, m
         read_road_map(made.write(tmp_path / "m.json"))
 
 
-def test_a_missing_layer_is_named(tmp_path: Path) -> None:
+def test_an_expansion_that_lacks_a_layer_or_its_end_is_refused(tmp_path: Path) -> None:
     made = crossroads()
     del made.layers["walkway"]
+    path = made.write(tmp_path / "m.json")
     with pytest.raises(InputError, match="'walkway' is missing"):
-        read_road_map(made.write(tmp_path / "m.json"))
-
-
-def test_a_truncated_expansion_is_refused(tmp_path: Path) -> None:
-    path = crossroads().write(tmp_path / "m.json")
+        read_road_map(path)
     path.write_text(path.read_text()[:-9])
     with pytest.raises(InputError, match="not valid JSON"):
         read_road_map(path)
@@ -219,3 +211,16 @@ def test_a_lane_of_no_possible_length_is_refused_at_once(tmp_path: Path, lengths
     next(iter(made.layers["arcline_path_3"].values()))[0]["segment_length"] = lengths
     with pytest.raises(InputError, match=r"segment_length of path of lane .* 0 is .*, it must be three lengths"):
         read_road_map(made.write(tmp_path / "m.json"))
+
+
+def test_a_map_of_nowhere_that_is_longer_than_any_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "maps" / "expansion" / "atlantis.json"
+    path.parent.mkdir(parents=True)
+    path.write_text("{}")
+    known = compute_fingerprint(tmp_path, "v1.0-mini", ())
+    path.write_text("[]")
+    assert compute_fingerprint(tmp_path, "v1.0-mini", ()) != known
+    path.unlink()
+    write_sparse(path, TABLE.file_bytes + 1)
+    with pytest.raises(InputError, match=r"atlantis\.json"):
+        compute_fingerprint(tmp_path, "v1.0-mini", ())

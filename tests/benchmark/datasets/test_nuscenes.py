@@ -15,7 +15,6 @@ from benchmark.errors import InputError
 from benchmark.geometry import quaternion_from_yaw, to_global
 from benchmark.planning import Command
 from benchmark.scene import EgoTrack, Scene
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -55,12 +54,7 @@ def test_a_scene_comes_back_as_it_was(tmp_path: Path, sweeps: bool) -> None:
     assert np.allclose(read.agents.yaw, scene.agents.yaw[:, : last + 1])
     for name in ("position", "rotation", "size", "valid", "attribute", "num_lidar_pts", "num_radar_pts", "visibility"):
         assert np.array_equal(getattr(read.annotations, name), getattr(scene.annotations, name)), name
-    assert (read.log, read.vehicle, read.date, read.description) == (
-        scene.log,
-        scene.vehicle,
-        scene.date,
-        scene.description,
-    )
+    assert all(getattr(read, name) == getattr(scene, name) for name in ("log", "vehicle", "date", "description"))
     assert [camera.name for camera in read.cameras] == ["CAM_FRONT"]
     assert np.array_equal(read.cameras[0].intrinsic, scene.cameras[0].intrinsic)
     assert np.array_equal(read.lidar.translation, scene.lidar.translation)
@@ -290,29 +284,7 @@ def test_a_broken_can_bus_file_is_refused(tmp_path: Path, content: str) -> None:
         list(NuScenesData.open(root).observations("scene-9901"))
 
 
-def test_what_the_writer_writes_is_read_back(tmp_path: Path) -> None:
-    scene = scene_on_straight_road(seconds=3.0)
-    plan = DataSetPlan(root=tmp_path, split="val")
-    key = write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})
-    finish_data_set(plan, [key])
-    data = open_data(tmp_path)
-    read, last = data.scene(scene.name), int(scene.keyframes[-1])
-    assert data.scene_names("val") == (scene.name,) and data.has_map(scene.name)
-    assert np.array_equal(read.timestamps_us, scene.timestamps_us[: last + 1])
-    assert np.array_equal(read.ego.position, scene.ego.position[: last + 1])
-    order = [read.agents.ids.index(name) for name in scene.agents.ids]
-    assert np.allclose(read.agents.boxes[order], scene.agents.boxes[:, : last + 1])
-    assert {state.ego.source for state in data.observations(scene.name)} == {"can_bus"}
-    known = {line.identifier: (line.kind, line.between_directions) for line in scene.road_map.dividers}
-    assert {line.kind for line in read.road_map.dividers} == {kind for kind, _ in known.values()}
-    assert read.road_map.is_drivable(read.ego.position[:, :2]).all()
-    for lane in read.road_map.lanes.values():
-        assert any(
-            np.abs(lane.centerline[0] - other.centerline[0]).max() < 0.1 for other in scene.road_map.lanes.values()
-        )
-
-
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(st.booleans(), min_size=1, max_size=12).filter(any))
 def test_nearest_valid_is_nearest_and_valid(flags: list[bool]) -> None:
     valid = np.array([flags])

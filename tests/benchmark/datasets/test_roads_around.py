@@ -23,7 +23,7 @@ def crossing() -> SceneRoadSurfaces:
 POSES = st.tuples(st.floats(-60, 60), st.floats(-12, 12), st.floats(-3.2, 3.2)).map(np.array)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(POSES)
 def test_kerb_lines_are_the_edges_within_the_patch(pose: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
     surfaces = crossing()
@@ -58,7 +58,7 @@ def test_the_surface_is_on_the_right_of_its_edges() -> None:
     assert shapely.get_num_coordinates(surfaces.road_edges) == shapely.get_num_coordinates(outline)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(POSES, st.integers(0, 2**32))
 def test_drivable_cells_are_where_the_map_is(pose: np.ndarray[tuple[int], np.dtype[np.float64]], seed: int) -> None:
     roads = SampleRoads(crossing(), pose)

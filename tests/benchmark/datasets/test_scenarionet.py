@@ -1,3 +1,4 @@
+import os
 import pickle
 from collections import OrderedDict, defaultdict
 from pathlib import Path
@@ -26,19 +27,13 @@ def track(
 ) -> dict[str, Any]:
     column = np.ones((steps, 1))
     return {
-        "type": kind,
-        "metadata": {"type": detailed or kind},
+        "type": kind, "metadata": {"type": detailed or kind},
         "state": {
             "position": np.column_stack([np.broadcast_to(x, steps), np.full(steps, y), np.full(steps, z)]),
-            "heading": np.zeros(steps),
-            "velocity": np.zeros((steps, 2)),
-            "valid": np.ones(steps),
-            "length": 4.6 * column,
-            "width": 1.9 * column,
-            "height": 1.6 * column,
-            **state,
+            "heading": np.zeros(steps), "velocity": np.zeros((steps, 2)), "valid": np.ones(steps),
+            "length": 4.6 * column, "width": 1.9 * column, "height": 1.6 * column, **state,
         },
-    }
+    }  # fmt: skip
 
 
 def recording(**changes: Any) -> dict[str, Any]:
@@ -84,9 +79,8 @@ def test_a_recording_of_another_source_becomes_a_scene(tmp_path: Path) -> None:
     x, y, _ = scene.ego.position.T
     assert np.allclose(np.diff(x), 10 / 12)
     assert np.allclose(scene.agents.position[0, 0, :2] - [x[0], y[0]], [20.0 + EGO_CENTER_FROM_REAR_AXLE_M, 0.0])
-    assert np.allclose(scene.agents.position[:, :, 2], [[0.8], [0.9], [0.9]]) and np.allclose(
-        scene.ego.position[:, 2], 0
-    )
+    assert np.allclose(scene.agents.position[:, :, 2], [[0.8], [0.9], [0.9]])
+    assert np.allclose(scene.ego.position[:, 2], 0)
     assert scene.annotations.num_lidar_pts.tolist() == [[1] * 7] * 3
     assert scene.road_map.location in OFFICIAL_LOCATIONS and scene.name.startswith("scene-")
     assert 2000 <= int(scene.name[-4:]) <= 9999
@@ -97,10 +91,8 @@ def test_negative_coordinates_are_shifted_map_and_all(tmp_path: Path) -> None:
     road_map = scene.road_map
     low = np.array(road_map.drivable_area.bounds[:2])
     assert (low > 0).all() and (scene.agents.position[..., :2] > 0).all()
-    assert (
-        road_map.is_drivable(scene.ego.position[:, :2]).all()
-        and road_map.is_drivable(scene.agents.position[0, :, :2]).all()
-    )
+    assert road_map.is_drivable(scene.ego.position[:, :2]).all()
+    assert road_map.is_drivable(scene.agents.position[0, :, :2]).all()
     assert not road_map.is_drivable(scene.agents.position[1:, :, :2]).any()
     assert road_map.canvas_m[0] > road_map.drivable_area.bounds[2]
     lane = next(iter(road_map.lanes.values()))
@@ -206,21 +198,24 @@ def test_broken_recordings_are_refused(tmp_path: Path, value: Any, message: str)
     assert "sd_test.pkl" in str(caught.value)
 
 
-class Evil:
-    def __reduce__(self) -> Any:
-        import os
+class Call:
+    """Pickles as a call, as a stranger may write it."""
 
-        return os.system, ("touch pwned",)
+    def __init__(self, function: Any, *arguments: Any, state: Any = None) -> None:
+        self._call = (function, arguments, state)
 
-
-class EvilGetattr:
-    def __reduce__(self) -> Any:
-        return getattr, (dict, "fromkeys")
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self._call
 
 
 @pytest.mark.parametrize(
     ("payload", "name"),
-    [(Evil(), r"posix\.system"), (EvilGetattr(), r"builtins\.getattr"), (Path("x"), "pathlib"), (np.sin, "numpy")],
+    [
+        (Call(os.system, "touch pwned"), r"posix\.system"),
+        (Call(getattr, dict, "fromkeys"), r"builtins\.getattr"),
+        (Path("x"), "pathlib"),
+        (np.sin, "numpy"),
+    ],
 )
 def test_a_pickle_that_could_run_code_is_refused(
     tmp_path: Path, payload: Any, name: str, monkeypatch: pytest.MonkeyPatch
@@ -248,32 +243,21 @@ def test_arrays_and_containers_of_any_protocol_are_read(tmp_path: Path, protocol
 
 @settings(max_examples=10, deadline=None)
 @given(st.data())
-def test_a_damaged_pickle_is_refused_or_read_but_never_crashes(data: st.DataObject) -> None:
-    import tempfile
-
+def test_a_damaged_pickle_is_refused_or_read_but_never_crashes(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
     whole = bytearray(pickle.dumps(recording()))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "sd_x.pkl"
-        for _ in range(data.draw(st.integers(0, 3))):
-            whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
-        path.write_bytes(whole[: data.draw(st.integers(0, len(whole)))])
-        try:
-            read_pickle(path)
-        except InputError as error:
-            assert "sd_x.pkl" in str(error)
+    path = tmp_path_factory.getbasetemp() / "sd_x.pkl"
+    for _ in range(data.draw(st.integers(0, 3))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(whole[: data.draw(st.integers(0, len(whole)))])
+    try:
+        read_pickle(path)
+    except InputError as error:
+        assert "sd_x.pkl" in str(error)
 
 
 RECONSTRUCT = np.zeros(1).__reduce__()[0]
-
-
-class Call:
-    """Pickles as a call, as a stranger may write it."""
-
-    def __init__(self, function: Any, *arguments: Any, state: Any = None) -> None:
-        self._call = (function, arguments, state)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return self._call
 
 
 @pytest.mark.parametrize(

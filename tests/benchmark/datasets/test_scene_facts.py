@@ -33,14 +33,10 @@ def labelled(manoeuvre: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("name", "source"),
     [
-        ("scene-0061", "scene-0061"),
-        ("scene-0061-a1b2", "scene-0061"),
-        ("scene-0061-a1-b2", "scene-0061"),
-        ("scene-00610-a", "scene-00610-a"),
-        ("city-7-night", "city-7-night"),
-        ("scene-0061-", "scene-0061-"),
+        ("scene-0061", "scene-0061"), ("scene-0061-a1b2", "scene-0061"), ("scene-0061-a1-b2", "scene-0061"),
+        ("scene-00610-a", "scene-00610-a"), ("city-7-night", "city-7-night"), ("scene-0061-", "scene-0061-"),
     ],
-)
+)  # fmt: skip
 def test_a_name_of_the_published_form_names_its_source(name: str, source: str) -> None:
     adversaries = 0 if source == name else None
     assert build_scene_facts(name, {}) == SceneFacts(source=source, manoeuvre=None, adversaries=adversaries)
@@ -100,10 +96,8 @@ def test_a_generated_root_says_where_its_scenes_come_from(tmp_path: Path) -> Non
 
 def test_recordings_are_their_own_source(tmp_path: Path) -> None:
     data = open_data(root_of(tmp_path, "scene-9901", "scene-9902"))
-    assert {name: facts.source for name, facts in data.scene_facts(data.scene_names()).items()} == {
-        "scene-9901": "scene-9901",
-        "scene-9902": "scene-9902",
-    }
+    found = data.scene_facts(data.scene_names())
+    assert len(found) == 2 and all(facts.source == name for name, facts in found.items())
 
 
 def test_variants_of_one_scene_share_their_source(tmp_path: Path) -> None:

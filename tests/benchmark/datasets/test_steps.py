@@ -82,7 +82,7 @@ def test_where_intervals_are_those_of_nuscenes_steps_are_key_frames(gap_s: float
     assert is_step(400_000) and is_step(600_000) and not is_step(390_000) and not is_step(610_000)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10**6), spread=st.sampled_from([0.08, 0.2, 0.35]), mean_s=st.sampled_from([0.1, 0.2, 0.5]))
 def test_interpolation_is_that_of_the_slow_truth(seed: int, spread: float, mean_s: float) -> None:
     rng = np.random.default_rng(seed)
@@ -93,7 +93,7 @@ def test_interpolation_is_that_of_the_slow_truth(seed: int, spread: float, mean_
             require_slow_truth(scene, truth)
 
 
-@pytest.mark.parametrize("every", [1, 2, 3])
+@pytest.mark.parametrize("every", [1, 3])
 def test_more_key_frames_of_the_same_motion_say_the_same(every: int) -> None:
     scene = scene_on_straight_road(CARS)
     frames = np.arange(0, scene.keyframes[-1] + 1, every)

@@ -1,10 +1,13 @@
 """``data check`` on roots that are sound and lack truth: one warning each, and none on the town as it is."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from benchmark.datasets.annotated_objects import find_labelled_keyframes
 from benchmark.datasets.categories import read_categories
 from benchmark.datasets.schema.check import check_tables
 from tests.benchmark.edited_roots import (
@@ -13,17 +16,9 @@ from tests.benchmark.edited_roots import (
     copy_of,
     edit,
     rename_categories,
-    small_town,
     table_of,
     without_annotations,
 )
-
-GHOST = "f" * 32
-
-
-@pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return small_town(tmp_path_factory.mktemp("town") / "town")
 
 
 @pytest.fixture
@@ -47,28 +42,31 @@ def test_the_town_lacks_nothing(town: Path) -> None:
     assert check_tables(town) == []
 
 
-def test_a_scene_without_annotations_is_named(root: Path) -> None:
-    without_annotations(root)
-    assert said(root).startswith(f"scene: {scene_of(root)} has no annotations: contacts cannot be detected")
-
-
-def test_labels_that_stop_half_way_are_named(root: Path) -> None:
+def stopped_labels(root: Path) -> None:
     annotated_until(root, scene_of(root), 20)
-    assert "has no annotations at 20 of 40 samples, the first of them number 20" in said(root)
 
 
-def test_a_box_without_a_size_is_named(root: Path) -> None:
+def box_without_size(root: Path) -> None:
     edit(root, "sample_annotation", lambda rows: rows[0]["size"].__setitem__(0, 0.0))
-    assert said(root).endswith("the box is ignored")
 
 
-def test_an_instance_without_a_track_is_named(root: Path) -> None:
-    def ghost(rows: list[Row]) -> None:
-        nothing = {"nbr_annotations": 0, "first_annotation_token": "", "last_annotation_token": ""}
-        rows.append({**rows[0], "token": GHOST, **nothing})
+def instance_without_track(root: Path) -> None:
+    nothing = {"nbr_annotations": 0, "first_annotation_token": "", "last_annotation_token": ""}
+    edit(root, "instance", lambda rows: rows.append({**rows[0], "token": "f" * 32, **nothing}))
 
-    edit(root, "instance", ghost)
-    assert said(root) == "instance: the instance has no annotation and is ignored"
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (without_annotations, "scene: {} has no annotations: contacts cannot be detected"),
+        (stopped_labels, "scene: {} has no annotations at 20 of 40 samples, the first of them number 20"),
+        (box_without_size, "the box is ignored"),
+        (instance_without_track, "instance: the instance has no annotation and is ignored"),
+    ],
+)
+def test_what_is_missing_is_named(root: Path, change: Callable[[Path], None], words: str) -> None:
+    change(root)
+    assert words.format(scene_of(root)) in said(root)
 
 
 def test_unknown_categories_are_counted_and_a_map_of_them_is_taken(root: Path) -> None:
@@ -92,3 +90,22 @@ def test_an_ego_pose_that_never_moves_is_named_and_one_that_trembles_is_not(root
 
     edit(root, "ego_pose", trembling)
     assert check_tables(root) == []
+
+
+@pytest.mark.parametrize(
+    ("boxes", "labelled"),
+    [
+        ((0, 0, 0), "..."),
+        ((4, 5, 3), "xxx"),
+        ((4, 3, 0, 0), "xx.."),
+        ((0, 0, 3, 4), "..xx"),
+        ((4, 0, 0, 5), "x..x"),
+        ((4, 2, 0, 0), "xxxx"),
+        ((4, 2, 0, 1, 0), "xxxxx"),
+        ((1, 0, 0, 3), "x..x"),
+        ((), ""),
+    ],
+)
+def test_a_stretch_without_boxes_beside_three_or_more_is_not_labelled(boxes: tuple[int, ...], labelled: str) -> None:
+    found = find_labelled_keyframes(np.array(boxes, np.int64))
+    assert "".join("x" if one else "." for one in found) == labelled

@@ -46,12 +46,10 @@ def first_contact(truth: SampleTruth, plan_lidar: Floats) -> tuple[float, str, s
             back = max(at - 2, 0)
             speed = float(np.hypot(*(ego[at, :2] - ego[back, :2]))) / (0.1 * (at - back))
             pair = ContactPairs(
-                ego=ego[at, None],
-                ego_speed=np.array([speed]),
-                other=tracks.agents[row, at, None],
+                ego=ego[at, None], ego_speed=np.array([speed]), other=tracks.agents[row, at, None],
                 other_velocity=tracks.velocities_at(TIMES[at : at + 1], np.array([row]))[0],
                 is_agent=np.array([is_agent_category(truth.categories[row])]),
-            )
+            )  # fmt: skip
             return float(TIMES[at]), truth.instances[row], KINDS[pair.kinds[0]].value, float(pair.impact_speed[0])
     return None
 

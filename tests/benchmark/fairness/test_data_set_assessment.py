@@ -16,8 +16,15 @@ from benchmark.datasets.scene_assessments import (
     read_assessments,
 )
 from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.fairness.assessment_tables import build_split_tables, format_assessment
-from benchmark.fairness.data_set_assessment import assess_data_set, find_generated_agents, read_launches
+from benchmark.fairness.data_set_assessment import (
+    CACHE_FOLDER,
+    assess_data_set,
+    collect_scene_facts,
+    find_generated_agents,
+    read_launches,
+)
 from benchmark.fairness.split_assessment import (
     OWN_TOWN_REASON,
     build_validity_rows,
@@ -31,7 +38,9 @@ from benchmark.records.scene_assessment import DRIVER_NAMES
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.fairness.made_scenes import far_cut_in, hard_stop
+from tests.benchmark.planners import Straight
 from tests.benchmark.records.made_judgements import hits, made_judgement
+from tests.executors import Forbidden
 from tests.hand_made import Car, scene_on_straight_road
 
 HERE = LocalProcesses(1)
@@ -97,13 +106,10 @@ def test_stored_judgements_are_taken_and_change_no_fingerprint(adversarial: Data
     stored = made_judgement(adversary="stored")
     path.write_text(format_assessments({SCENES[0]: (stored,)}))
     again = open_data(data.root)
-    assert again.fingerprint() == data.fingerprint() and collect_assessments(data.root, data.version) == {
-        SCENES[0]: (stored,)
-    }
+    assert again.fingerprint() == data.fingerprint()
+    assert collect_assessments(data.root, data.version) == {SCENES[0]: (stored,)}
     found = assess_data_set(again, SCENES, HERE)
-    assert (
-        found[SCENES[0]] == (stored,) and found[SCENES[1]] == assess_data_set(adversarial, SCENES[1:], HERE)[SCENES[1]]
-    )
+    assert found == {SCENES[0]: (stored,), **assess_data_set(adversarial, SCENES[1:], HERE)}
     assert collect_realism(again.root, again.version) is None
     told = measure_split_realism(adversarial, found)
     path.write_text(format_assessments({SCENES[0]: (stored,)}, told))
@@ -155,24 +161,24 @@ def test_the_launch_is_what_the_data_set_says(adversarial: DataSet) -> None:
     assert read_launches(adversarial, replace(scene, name="unknown")) == {}
 
 
-@pytest.mark.parametrize(("told", "found"), [([12, 6], 6), ([12], None), ([12, None], None), ([12, 10_000], None)])
-def test_of_several_adversaries_the_earliest_launch_is_known(
-    told: list[int | None], found: int | None, tmp_path: Path
-) -> None:
+def test_of_several_adversaries_the_earliest_launch_is_known(tmp_path: Path) -> None:
     data = written(tmp_path / "adv", adversarial_scenes("n008"), made_from=True)
     path = data.root / data.version / "challenger.json"
     provenance = json.loads(path.read_text())
-    provenance["scenes"][SCENES[0]]["report"] = {"adversaries": [{"launch_frame": each} for each in told]}
-    path.write_text(json.dumps(provenance))
     scene = replace(data.scene(SCENES[0]), adversaries=("a", "b"))
-    assert read_launches(open_data(data.root), scene) == ({} if found is None else {"a": found, "b": found})
+    cases: tuple[tuple[list[int | None], int | None], ...] = (
+        ([12, 6], 6), ([12], None), ([12, None], None), ([12, 10_000], None),
+    )  # fmt: skip
+    for told, found in cases:
+        provenance["scenes"][SCENES[0]]["report"] = {"adversaries": [{"launch_frame": each} for each in told]}
+        path.write_text(json.dumps(provenance))
+        assert read_launches(open_data(data.root), scene) == ({} if found is None else {"a": found, "b": found})
 
 
 def test_drivers_of_a_data_set_take_over_at_the_launch_that_it_names(adversarial: DataSet) -> None:
     found = assess_data_set(adversarial, SCENES[:1], HERE)[SCENES[0]]
-    assert [each.acts_s for each in found] == [0.5] and "first frame" not in format_assessment(
-        judge_split(adversarial, SCENES[:1], HERE)
-    )
+    assert [each.acts_s for each in found] == [0.5]
+    assert "first frame" not in format_assessment(judge_split(adversarial, SCENES[:1], HERE))
 
 
 def test_the_ladder_counts_whom_drivers_hit() -> None:
@@ -210,10 +216,8 @@ def test_a_split_is_compared_with_its_recordings_feature_by_feature(adversarial:
     assert realism.headline is not None and realism.headline.realism == min(row.realism for row in realism.features)
     assert realism.ctg is not None and (realism.ctg.version, realism.ctg.mask) == ("ctg", "current_speed")
     text = format_assessment(judged)
-    assert all(
-        name in text
-        for name in (*SCENES, "Realism, worst feature", "of the recordings", "ctg-realism@code, version ctg", "halves")
-    )
+    words = ("Realism, worst feature", "of the recordings", "ctg-realism@code, version ctg", "halves")
+    assert all(name in text for name in (*SCENES, *words))
     itself = measure_split_realism(adversarial, judged.scenes, None)
     assert itself.reference == "the unchanged agents of the same scenes" and itself.ctg is None
     severity = {row.name: row for row in judged.severity}
@@ -233,3 +237,28 @@ def test_recordings_have_nobody_to_compare(recordings: DataSet) -> None:
     judged = judge_split(recordings, recordings.scene_names(None), HERE)
     assert judged.realism.adversaries == 0 and judged.realism.not_compared is not None
     assert len(build_split_tables(judged)) == 2
+
+
+def test_scenes_are_judged_once_for_all_planners(adversarial: DataSet, tmp_path: Path) -> None:
+    first = collect_scene_facts(adversarial, SCENES, tmp_path, LocalProcesses(1))
+    assert all(facts.judgement is not None for facts in first.values())
+    assert first == collect_scene_facts(adversarial, SCENES, tmp_path, Forbidden())
+    part = collect_scene_facts(adversarial, SCENES[:1], tmp_path / "elsewhere", LocalProcesses(1))
+    assert part[SCENES[0]] == first[SCENES[0]]
+    whole = collect_scene_facts(adversarial, SCENES, tmp_path / "elsewhere", LocalProcesses(1))
+    assert whole == first
+
+
+def test_recordings_are_not_judged(recordings: DataSet, tmp_path: Path) -> None:
+    facts = collect_scene_facts(recordings, recordings.scene_names("val"), tmp_path, Forbidden())
+    assert all(each.judgement is None for each in facts.values()) and not (tmp_path / CACHE_FOLDER).exists()
+
+
+def test_records_have_them_and_damage_is_one_sentence(adversarial: DataSet, tmp_path: Path) -> None:
+    record = evaluate(adversarial, "adv", Straight(), tmp_path, EvalSettings(protocols=("exact",)))
+    said = [record.run.scene_facts[name].judgement for name in SCENES]
+    assert all(each is not None for each in said)
+    (kept,) = tmp_path.rglob(ASSESSMENTS_FILE)
+    kept.write_text("{")
+    with pytest.raises(InputError, match=ASSESSMENTS_FILE):
+        evaluate(adversarial, "adv", Straight(), tmp_path, EvalSettings(protocols=("exact",)))

@@ -7,10 +7,10 @@ import pytest
 
 from benchmark.fairness.plan_severity import measure_plan_severities
 from benchmark.geometry import Bools, Floats, ego_footprints
-from benchmark.planning import Command
 from benchmark.protocols.exact import ExactProtocol
 from benchmark.truth import SampleTruth
 from tests.benchmark.fairness.slow_plans import encounters, first_contact
+from tests.benchmark.protocols.protocol_cases import made_truth
 
 STEPS = 0.5 * np.arange(7)
 CAR = (4.6, 1.9)
@@ -25,33 +25,12 @@ def car(x: float, y: float, vx: float, vy: float, yaw: float = AHEAD, size: tupl
     return np.column_stack([x + vx * STEPS, y + vy * STEPS, np.tile([*size, yaw], (7, 1))])
 
 
-def truth(
-    *others: Floats,
-    adversaries: tuple[int, ...] = (0,),
-    categories: tuple[str, ...] = (),
-    annotated: Bools | None = None,
-) -> SampleTruth:
+def truth(*others: Floats, adversaries: tuple[int, ...] = (0,), **changes: Any) -> SampleTruth:
     """A sample around which others move."""
+    named = frozenset(f"i-{row}" for row in adversaries)
+    place = np.array([100.0, 50.0, 0.0])
     boxes = np.array(others).reshape(-1, 7, 5)
-    there = np.ones(boxes.shape[:2], np.bool_) if annotated is None else annotated
-    return SampleTruth(
-        scene="s",
-        sample_token="t",
-        index=0,
-        timestamp_us=0,
-        lidar_pose=np.array([100.0, 50.0, 0.0]),
-        lidar_ahead_m=0.94,
-        ego_future=np.zeros((6, 3)),
-        ego_future_valid=np.ones(6, np.bool_),
-        command=Command.STRAIGHT,
-        instances=tuple(f"i{row}" for row in range(len(boxes))),
-        categories=categories or ("vehicle.car",) * len(boxes),
-        boxes=boxes,
-        annotated=there,
-        has_points=there,
-        has_lidar_points=there,
-        adversaries=frozenset(f"i{row}" for row in adversaries),
-    )
+    return made_truth(boxes, np.zeros((6, 3)), name="i", lidar_pose=place, adversaries=named, **changes)
 
 
 def straight(speed: float) -> Floats:
@@ -68,7 +47,7 @@ def test_running_into_a_standing_car() -> None:
     found = one(truth(car(0.0, NOSE_M + free + 2.3, 0.0, 0.0)), straight(10.0))
     assert found.near is None
     contact = found.contact
-    assert contact.time_s == 1.3 and contact.agent == "i0" and contact.adversary
+    assert contact.time_s == 1.3 and contact.agent == "i-0" and contact.adversary
     assert contact.kind == "stopped_track" and contact.at_fault is True
     assert contact.impact_speed_m_s == pytest.approx(10.0)
     assert contact.delta_v_ego_m_s == pytest.approx(10.0 * 1800 / 3400)
@@ -104,7 +83,7 @@ def test_near_is_about_adversaries_and_contact_about_anybody() -> None:
     by_the_way = car(6.0, 10.0, 0.0, 8.0)
     other = car(0.0, 14.0, 0.0, 0.0)
     found = one(truth(by_the_way, other), straight(8.0))
-    assert found.contact.agent == "i1" and not found.contact.adversary and found.near is None
+    assert found.contact.agent == "i-1" and not found.contact.adversary and found.near is None
     passing = one(truth(by_the_way, other, adversaries=()), straight(1.0))
     assert passing.contact is None and passing.near is None
     assert one(truth(by_the_way, other), straight(1.0)).near is not None
@@ -215,7 +194,7 @@ def test_a_plan_is_measured_alike_in_any_company(monkeypatch: pytest.MonkeyPatch
 
 
 def test_contact_is_that_of_exact_but_for_the_present() -> None:
-    truths, plans = _random(np.random.default_rng(28), 80)
+    truths, plans = _random(np.random.default_rng(28), 60)
     exact = ExactProtocol().evaluate(truths, plans)
     differs = 0
     for sample, severity, time, hit in zip(

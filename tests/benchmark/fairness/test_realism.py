@@ -181,9 +181,8 @@ def test_agents_that_appear_late_or_stand_do_not_count() -> None:
     late.position[0, :8], late.yaw[0, :8] = np.nan, np.nan
     settings = (CtgVersion.CTG, CtgNormalisation.DATASET, CtgMask.CURRENT_SPEED)
     without = SceneTracks(whole.position[1:], whole.yaw[1:])
-    assert compute_histograms([late], *settings)["jerk"] == pytest.approx(
-        compute_histograms([without], *settings)["jerk"]
-    )
+    jerks = [compute_histograms([each], *settings)["jerk"] for each in (late, without)]
+    assert jerks[0] == pytest.approx(jerks[1])
     standing = SceneTracks(np.repeat(whole.position[:, :1], 101, axis=1), whole.yaw)
     assert compute_histograms([standing], *settings)["velocity"].sum() == 0.0
 
@@ -202,6 +201,5 @@ def test_how_far_a_body_reaches_over_the_edge_of_the_road() -> None:
                       [0.0, 0.0, 4.0, 2.0, np.pi / 2], [9.0, 0.0, 4.0, 2.0, 0.0]])  # fmt: skip
     # 8 m to the island, 1 m over, far outside, 9 m to the island, 1 m inside the island's hole.
     assert edge.measure_overhang(boxes) == pytest.approx([-8.0, 1.0, 5.0, -9.0, 1.0])
-    assert RoadEdge(shapely.MultiPolygon([shapely.box(-99, -99, 99, 99)])).measure_overhang(boxes[:1]) == pytest.approx(
-        [-20.0]
-    )
+    whole = RoadEdge(shapely.MultiPolygon([shapely.box(-99, -99, 99, 99)]))
+    assert whole.measure_overhang(boxes[:1]) == pytest.approx([-20.0])

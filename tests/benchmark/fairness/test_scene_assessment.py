@@ -89,14 +89,8 @@ def test_without_an_adversary_only_the_drivers_are_judged() -> None:
     assert (found.adversary, found.unsolvable, found.encounter, found.faults) == (None, None, None, None)
     assert found.first_visible_s is None and found.drivers["recorded"].survives
     assert AssessmentSummary.of([found]).unsolvable is None and not is_unsolvable([found])
-
-
-def test_an_adversary_that_is_not_in_the_scene_is_none() -> None:
     assert judged(replace(far_cut_in(), adversaries=("nobody",))).adversary is None
-
-
-def test_a_scene_of_one_frame_is_not_judged() -> None:
-    assert assess_scene(far_cut_in().first_frames(1), GENERATED) == ()
+    assert assess_scene(far_cut_in().first_frames(1), GENERATED) == (), "one frame is no scene"
 
 
 def test_limits_and_jumps_are_not_asked_of_what_a_reader_interpolates() -> None:

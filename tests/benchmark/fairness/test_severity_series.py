@@ -70,11 +70,9 @@ def test_an_impact_in_numbers() -> None:
 
 def test_attack_success_in_three_readings() -> None:
     attacks = [
-        Attack.of(False, None, True),
-        Attack.of(True, False, True),
-        Attack.of(True, True, False),
+        Attack.of(False, None, True), Attack.of(True, False, True), Attack.of(True, True, False),
         Attack.of(True, True, True),
-    ]
+    ]  # fmt: skip
     assert compute_attack_success(attacks) == AttackSuccess(4, 0.75, 0.5, 0.25)
     assert compute_attack_success([]) == AttackSuccess(0, None, None, None)
 

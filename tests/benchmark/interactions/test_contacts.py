@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from benchmark.geometry import Floats, box_corners, boxes_overlap
 from benchmark.interactions.contacts import (
+    KINDS,
     ContactKind,
     ContactPairs,
     compute_delta_v,
@@ -30,9 +31,7 @@ def polygon(box: Floats) -> shapely.Polygon:
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    place=st.tuples(numbers, numbers, numbers), first=st.tuples(numbers, numbers), second=st.tuples(numbers, numbers)
-)
+@given(place=st.tuples(numbers, numbers, numbers), first=pairs, second=pairs)
 def test_the_time_to_contact_is_when_small_steps_first_touch(
     place: tuple[float, ...], first: tuple[float, float], second: tuple[float, float]
 ) -> None:
@@ -54,12 +53,10 @@ def test_the_time_to_contact_is_when_small_steps_first_touch(
 def test_a_head_on_impact_by_hand() -> None:
     """10 m/s against 8 m/s, car against car: the difference is 18, of which the ego takes 1800 / 3400."""
     pair = ContactPairs(
-        ego=np.array([[0.0, 0.0, 4.084, 1.73, 0.0]]),
-        ego_speed=np.array([10.0]),
-        other=np.array([[4.0, 0.0, 4.6, 1.9, np.pi]]),
-        other_velocity=np.array([[-8.0, 0.0]]),
+        ego=np.array([[0.0, 0.0, 4.084, 1.73, 0.0]]), ego_speed=np.array([10.0]),
+        other=np.array([[4.0, 0.0, 4.6, 1.9, np.pi]]), other_velocity=np.array([[-8.0, 0.0]]),
         is_agent=np.array([True]),
-    )
+    )  # fmt: skip
     assert pair.impact_speed[0] == pytest.approx(18.0) and pair.gap[0] == 0.0
     own, others = compute_delta_v(pair.impact_speed, np.array([mass_kg("vehicle.car")]))
     assert own[0] == pytest.approx(18.0 * 1800 / 3400) and own[0] + others[0] == pytest.approx(18.0)
@@ -80,15 +77,8 @@ def test_a_head_on_impact_by_hand() -> None:
     ],
 )
 def test_kinds_of_contact(x: float, y: float, speed: float, velocity: float, agent: bool, kind: ContactKind) -> None:
-    from benchmark.interactions.contacts import KINDS
-
-    pair = ContactPairs(
-        np.array([[0.0, 0.0, 4.084, 1.73, 0.0]]),
-        np.array([speed]),
-        np.array([[x, y, 4.6, 1.9, 0.0]]),
-        np.array([[velocity, 0.0]]),
-        np.array([agent]),
-    )
+    own, other = np.array([[0.0, 0.0, 4.084, 1.73, 0.0]]), np.array([[x, y, 4.6, 1.9, 0.0]])
+    pair = ContactPairs(own, np.array([speed]), other, np.array([[velocity, 0.0]]), np.array([agent]))
     assert KINDS[pair.kinds[0]] is kind
 
 
@@ -162,9 +152,8 @@ def test_feet_on_the_path_are_nearest_points(seed: int) -> None:
     )
     low, high = station - 30.0, station - 5.0
     inside, _ = path.project(points, low, high)
-    assert (
-        (inside >= np.maximum(low, path.station[0]) - 1e-9) & (inside <= np.maximum(high, path.station[0]) + 1e-9)
-    ).all()
+    assert (inside >= np.maximum(low, path.station[0]) - 1e-9).all()
+    assert (inside <= np.maximum(high, path.station[0]) + 1e-9).all()
 
 
 def test_the_left_of_the_path_is_positive() -> None:

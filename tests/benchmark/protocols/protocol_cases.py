@@ -1,6 +1,7 @@
 """Random samples and plans for tests of the protocols."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -13,6 +14,8 @@ from benchmark.planning import Command
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.truth import SampleTruth
 
+PARTS = ("boxes", "annotated", "has_points", "has_lidar_points", "seen_before")
+"""Arrays of a sample that have a row for each object."""
 PLANS = ("drive", "still", "jitter", "reverse", "go back", "leave", "recorded")
 
 
@@ -20,14 +23,9 @@ PLANS = ("drive", "still", "jitter", "reverse", "go back", "leave", "recorded")
 class Traits:
     """What kind of sample: everything else follows from the seed.
 
-    Attributes:
-        seed: Of all numbers.
-        objects: How many.
-        spread_m: Half the side of the square where they are; more than 50 puts some over the grid's border.
-        valid: Recorded steps ahead.
-        plan: One of `PLANS`.
-        coarse: Whether places, sizes and headings are multiples of 0.25 m and 45 degrees: what is rounded to cells then
-            lies on the border between two.
+    Objects are in a square of half the side ``spread_m``, above 50 some are over the grid's border; ``valid`` steps are
+    recorded. If ``coarse``, places, sizes and headings are multiples of 0.25 m and 45 degrees: what is rounded to
+    cells then lies on the border between two.
     """
 
     seed: int
@@ -41,14 +39,29 @@ class Traits:
 def traits(*, coarse: bool) -> st.SearchStrategy[Traits]:
     """Kinds of samples."""
     return st.builds(
-        Traits,
-        seed=st.integers(0, 2**32),
-        objects=st.integers(0, 12),
-        spread_m=st.sampled_from([4.0, 9.0, 20.0, 55.0, 90.0]),
-        valid=st.sampled_from([6, 6, 6, 5, 3, 1, 0]),
-        plan=st.sampled_from(PLANS),
-        coarse=st.booleans() if coarse else st.just(False),
-    )
+        Traits, seed=st.integers(0, 2**32), objects=st.integers(0, 12),
+        spread_m=st.sampled_from([4.0, 9.0, 20.0, 55.0, 90.0]), valid=st.sampled_from([6, 6, 6, 5, 3, 1, 0]),
+        plan=st.sampled_from(PLANS), coarse=st.booleans() if coarse else st.just(False),
+    )  # fmt: skip
+
+
+def made_truth(boxes: Floats, future: Floats, *, name: str = "s", **changes: Any) -> SampleTruth:
+    """A sample whose ego looks along +y; cars (M, 7, 5), all annotated and seen unless ``changes`` say otherwise.
+
+    ``future`` is (6, 2), heading straight ahead, or (6, 3).
+    """
+    boxes = np.asarray(boxes, np.float64).reshape(-1, 7, 5)
+    there = changes.get("annotated", np.ones(boxes.shape[:2], np.bool_))
+    heading = np.full((6, 3 - np.shape(future)[1]), np.pi / 2)
+    content: dict[str, Any] = {
+        **{"scene": "scene-0001", "sample_token": name, "index": 0, "timestamp_us": 0, "command": Command.STRAIGHT},
+        **{"lidar_pose": np.zeros(3), "lidar_ahead_m": 0.94, "ego_future": np.column_stack([future, heading])},
+        "ego_future_valid": np.ones(6, np.bool_),
+        "instances": tuple(f"{name}-{row}" for row in range(len(boxes))),
+        "categories": ("vehicle.car",) * len(boxes),
+        **{"boxes": boxes, "annotated": there, "has_points": there, "has_lidar_points": there},
+    }
+    return SampleTruth(**{**content, **changes})
 
 
 def sample_of(kind: Traits, name: str = "s") -> SampleTruth:
@@ -70,19 +83,14 @@ def sample_of(kind: Traits, name: str = "s") -> SampleTruth:
     annotated[:, 1:] &= valid
     points = annotated & (rng.random((count, 7)) < 0.85)
     rng_past = np.random.default_rng([kind.seed, 3])
-    return SampleTruth(
-        scene="scene-0001",
-        sample_token=name,
+    return made_truth(
+        boxes,
+        future,
+        name=name,
         index=int(kind.seed % 5),
-        timestamp_us=0,
-        lidar_pose=np.zeros(3),
-        lidar_ahead_m=0.94,
-        ego_future=np.column_stack([future, np.full(6, np.pi / 2)]),
+        adversaries=frozenset(f"{name}-{row}" for row in range(min(count, 2))),
         ego_future_valid=valid,
-        command=Command.STRAIGHT,
-        instances=tuple(f"{name}-{row}" for row in range(count)),
         categories=tuple(CATEGORIES[kind] for kind in rng.integers(0, len(CATEGORIES), count)),
-        boxes=boxes,
         annotated=annotated,
         has_points=points,
         has_lidar_points=points & (rng.random((count, 7)) < 0.9),

@@ -18,69 +18,32 @@ from benchmark.geometry import Bools, Floats
 from benchmark.truth import SampleTruth
 
 UNIAD_NAMES = {
-    "vehicle.car": "car",
-    "vehicle.bus.bendy": "bus",
-    "vehicle.bus.rigid": "bus",
-    "vehicle.construction": "construction_vehicle",
-    "vehicle.bicycle": "bicycle",
-    "vehicle.motorcycle": "motorcycle",
-    "vehicle.truck": "truck",
-    "vehicle.trailer": "trailer",
-}
+    "vehicle.car": "car", "vehicle.bus.bendy": "bus", "vehicle.bus.rigid": "bus",
+    "vehicle.construction": "construction_vehicle", "vehicle.bicycle": "bicycle", "vehicle.motorcycle": "motorcycle",
+    "vehicle.truck": "truck", "vehicle.trailer": "trailer",
+}  # fmt: skip
 TEN_CLASS_NAMES = UNIAD_NAMES | {
-    "human.pedestrian.adult": "pedestrian",
-    "human.pedestrian.child": "pedestrian",
-    "human.pedestrian.construction_worker": "pedestrian",
-    "human.pedestrian.police_officer": "pedestrian",
-    "movable_object.barrier": "barrier",
-    "movable_object.trafficcone": "traffic_cone",
-}
+    "human.pedestrian.adult": "pedestrian", "human.pedestrian.child": "pedestrian",
+    "human.pedestrian.construction_worker": "pedestrian", "human.pedestrian.police_officer": "pedestrian",
+    "movable_object.barrier": "barrier", "movable_object.trafficcone": "traffic_cone",
+}  # fmt: skip
 TABLE_32 = (
-    "noise",
-    "animal",
-    "human.pedestrian.adult",
-    "human.pedestrian.child",
-    "human.pedestrian.construction_worker",
-    "human.pedestrian.personal_mobility",
-    "human.pedestrian.police_officer",
-    "human.pedestrian.stroller",
-    "human.pedestrian.wheelchair",
-    "movable_object.barrier",
-    "movable_object.debris",
-    "movable_object.pushable_pullable",
-    "movable_object.trafficcone",
-    "static_object.bicycle_rack",
-    "vehicle.bicycle",
-    "vehicle.bus.bendy",
-    "vehicle.bus.rigid",
-    "vehicle.car",
-    "vehicle.construction",
-    "vehicle.emergency.ambulance",
-    "vehicle.emergency.police",
-    "vehicle.motorcycle",
-    "vehicle.trailer",
-    "vehicle.truck",
-)
+    "noise", "animal", "human.pedestrian.adult", "human.pedestrian.child", "human.pedestrian.construction_worker",
+    "human.pedestrian.personal_mobility", "human.pedestrian.police_officer", "human.pedestrian.stroller",
+    "human.pedestrian.wheelchair", "movable_object.barrier", "movable_object.debris",
+    "movable_object.pushable_pullable", "movable_object.trafficcone", "static_object.bicycle_rack", "vehicle.bicycle",
+    "vehicle.bus.bendy", "vehicle.bus.rigid", "vehicle.car", "vehicle.construction", "vehicle.emergency.ambulance",
+    "vehicle.emergency.police", "vehicle.motorcycle", "vehicle.trailer", "vehicle.truck",
+)  # fmt: skip
 """The first 24 of the 32 entries: what VAD's indices 2..8 and 14..23 point at."""
 COUNTED_BY_VAD = {TABLE_32[index] for index in (*range(2, 9), *range(14, 24))} & set(TEN_CLASS_NAMES)
 COUNTED_BY_VAD_23 = {
-    "human.pedestrian.wheelchair",
-    "human.pedestrian.stroller",
-    "human.pedestrian.personal_mobility",
-    "human.pedestrian.police_officer",
-    "human.pedestrian.construction_worker",
-    "animal",
-    "vehicle.car",
-    "vehicle.construction",
-    "vehicle.emergency.ambulance",
-    "vehicle.emergency.police",
-    "vehicle.trailer",
-    "movable_object.barrier",
-    "movable_object.trafficcone",
-    "movable_object.pushable_pullable",
-    "movable_object.debris",
-    "static_object.bicycle_rack",
-} & set(TEN_CLASS_NAMES)
+    "human.pedestrian.wheelchair", "human.pedestrian.stroller", "human.pedestrian.personal_mobility",
+    "human.pedestrian.police_officer", "human.pedestrian.construction_worker", "animal", "vehicle.car",
+    "vehicle.construction", "vehicle.emergency.ambulance", "vehicle.emergency.police", "vehicle.trailer",
+    "movable_object.barrier", "movable_object.trafficcone", "movable_object.pushable_pullable",
+    "movable_object.debris", "static_object.bicycle_rack",
+} & set(TEN_CLASS_NAMES)  # fmt: skip
 
 
 @dataclass

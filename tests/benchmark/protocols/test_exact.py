@@ -1,43 +1,28 @@
-"""The exact protocol on cases made by hand; `test_slow` and the golden sets have the rest."""
+"""The exact protocol and what objects count, on cases made by hand; `test_slow` and the golden sets have the rest."""
+
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmark.geometry import Bools, Floats
-from benchmark.planning import Command
-from benchmark.protocols import PROTOCOLS, ProtocolOutcomes, find_protocol, register
+from benchmark.datasets.sample_truth import compute_truth
+from benchmark.geometry import Floats
+from benchmark.protocols import PROTOCOLS, ProtocolOutcomes, find_category_protocols, find_protocol, register
 from benchmark.protocols.exact import ExactProtocol
+from benchmark.protocols.stacked_truths import stack
 from benchmark.truth import SampleTruth
-from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of
+from tests.benchmark.fake_data import town_of_two
+from tests.benchmark.protocols.protocol_cases import Traits, made_truth, plan_of, sample_of
+from tests.hand_made import Car, scene_on_straight_road
 
 STRAIGHT = np.column_stack([np.zeros(6), np.arange(1, 7) * 4.0])
 CAR = (4.6, 1.9, np.pi / 2)
 
 
-def truth(
-    boxes: Floats, annotated: Bools | None = None, *, future: Floats | None = None, valid: int = 6, name: str = "s"
-) -> SampleTruth:
-    """Boxes (M, 7, 5); the recorded ego drives straight at 8 m/s."""
-    boxes = np.asarray(boxes, np.float64).reshape(-1, 7, 5)
-    there = np.ones(boxes.shape[:2], dtype=np.bool_) if annotated is None else annotated
-    path = STRAIGHT if future is None else future
-    return SampleTruth(
-        scene="scene-0001",
-        sample_token=name,
-        index=0,
-        timestamp_us=0,
-        lidar_pose=np.zeros(3),
-        lidar_ahead_m=0.94,
-        ego_future=np.column_stack([path, np.full(6, np.pi / 2)]),
-        ego_future_valid=np.arange(6) < valid,
-        command=Command.STRAIGHT,
-        instances=tuple(f"{name}-{row}" for row in range(len(boxes))),
-        categories=("vehicle.car",) * len(boxes),
-        boxes=boxes,
-        annotated=there,
-        has_points=there,
-        has_lidar_points=there,
-    )
+def truth(boxes: Floats, **changes: Any) -> SampleTruth:
+    """The recorded ego drives straight at 8 m/s."""
+    return made_truth(boxes, STRAIGHT, **changes)
 
 
 def parked(x: float, y: float) -> Floats:
@@ -59,18 +44,18 @@ def test_contact_now_does_not_count() -> None:
     stays = np.zeros((1, 6, 2))
     away = np.concatenate([[[0.0, 1.0, *CAR]], np.tile([50.0, 50.0, *CAR], (6, 1))])
     annotated = np.array([[True, False, True, True, True, True, True]])
-    assert not ExactProtocol().evaluate([truth(away, annotated)], stays).collision.any()
+    assert not ExactProtocol().evaluate([truth(away, annotated=annotated)], stays).collision.any()
 
 
 def test_an_object_is_between_keyframes_only_if_annotated_at_both() -> None:
     crossing = np.array([[-20.0 + 10.0 * step, 10.0, *CAR] for step in range(7)])
     waits = np.column_stack([np.zeros(6), np.full(6, 10.0)])[None]
     both = np.ones((1, 7), dtype=np.bool_)
-    seen = ExactProtocol().evaluate([truth(crossing, both)], waits)
+    seen = ExactProtocol().evaluate([truth(crossing, annotated=both)], waits)
     assert seen.collision[0].tolist() == [False, True, False, False, False, False]
     gone = both.copy()
     gone[0, 2] = False
-    assert not ExactProtocol().evaluate([truth(crossing, gone)], waits).collision.any()
+    assert not ExactProtocol().evaluate([truth(crossing, annotated=gone)], waits).collision.any()
 
 
 def test_the_box_turns_with_the_plan() -> None:
@@ -89,9 +74,8 @@ def test_l2_is_at_the_step_and_ade_is_the_mean() -> None:
 
 
 def test_samples_without_a_complete_future_are_not_counted() -> None:
-    outcomes = ExactProtocol().evaluate(
-        [truth(parked(0, 8), valid=5), truth(parked(0, 8))], np.stack([STRAIGHT, STRAIGHT])
-    )
+    short = truth(parked(0, 8), ego_future_valid=np.arange(6) < 5)
+    outcomes = ExactProtocol().evaluate([short, truth(parked(0, 8))], np.stack([STRAIGHT, STRAIGHT]))
     assert outcomes.counted.tolist() == [False, True]
     assert outcomes.as_rows()[0]["l2"][5] is None
 
@@ -108,12 +92,57 @@ def test_rows_and_arrays_are_the_same(name: str) -> None:
     assert len(ProtocolOutcomes.from_rows([])) == 0
 
 
-def test_no_samples_give_no_verdicts() -> None:
-    outcomes = ExactProtocol().evaluate([], np.empty((0, 6, 2)))
-    assert len(outcomes) == 0 and outcomes.collision.shape == (0, 6)
-
-
 def test_a_name_is_registered_once() -> None:
     assert find_protocol("exact") is PROTOCOLS["exact"]
     with pytest.raises(ValueError, match="already"):
         register(ExactProtocol())
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_another_name_hides_an_object_from_those_that_go_by_names_and_from_no_other(name: str) -> None:
+    truths = town_of_two(slow_leader=True).truth("scene-9902")
+    definition = PROTOCOLS[name]
+    named = definition.counted_objects(stack(truths))
+    foreign = definition.counted_objects(
+        stack([replace(truth, categories=("car",) * len(truth.categories)) for truth in truths])
+    )
+    assert named.any()
+    assert np.array_equal(named, foreign) != definition.uses_categories
+    assert (name in find_category_protocols([name])) == definition.uses_categories
+    assert not (definition.uses_categories and foreign.any())
+
+
+def parked_ahead(lidar_points: int, radar_points: int) -> SampleTruth:
+    """A car parked on the recorded path, with so many points on it at every keyframe."""
+    scene = scene_on_straight_road((Car(x=75.0, y=200.0, speed=0.0),), seconds=5.0)
+    known = scene.annotations
+    lidar, radar = (np.full_like(known.num_lidar_pts, count) for count in (lidar_points, radar_points))
+    annotations = replace(known, num_lidar_pts=lidar, num_radar_pts=radar)
+    tokens = [str(index) for index in range(len(scene.keyframes))]
+    return compute_truth(replace(scene, annotations=annotations), tokens)[0]
+
+
+def straight_into(sample: SampleTruth) -> Floats:
+    """A plan that reaches the car at its second step and stands in it."""
+    place = sample.boxes[0, 0, :2]
+    return np.array([0.5 * place, *[place] * 5])
+
+
+@pytest.mark.parametrize("name", ["vad", "vad-23"])
+@pytest.mark.parametrize(("lidar_points", "radar_points", "seen"), [(1, 0, True), (3, 9, True), (0, 9, False)])
+def test_a_box_with_radar_points_alone_cannot_be_hit(
+    name: str, lidar_points: int, radar_points: int, seen: bool
+) -> None:
+    sample = parked_ahead(lidar_points, radar_points)
+    assert sample.has_points[0].all(), "the box has points of some sensor"
+    outcomes = PROTOCOLS[name].evaluate([sample], straight_into(sample)[None])
+    assert bool(outcomes.step("before_mask")[0, 1:].all()) == seen
+    assert bool(outcomes.step("before_mask").any()) == seen
+    assert PROTOCOLS[name].version == 2
+
+
+def test_the_others_are_as_before() -> None:
+    sample = parked_ahead(0, 9)
+    plan = straight_into(sample)[None]
+    assert PROTOCOLS["uniad"].evaluate([sample], plan).step("before_mask")[0, 1:].all()
+    assert not PROTOCOLS["sparsedrive"].evaluate([sample], plan).step("before_mask").any()

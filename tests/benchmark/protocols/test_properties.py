@@ -11,25 +11,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.datasets.sample_truth import compute_truth
-from benchmark.geometry import Floats, box_corners, box_gap, boxes_overlap, to_global, yaw_of_quaternion
+from benchmark.geometry import Floats, box_corners, box_gap, boxes_overlap
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import compute_plan_boxes, find_contacts
 from benchmark.records.rows import find_scene_failures
-from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings
-from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
+from tests.benchmark.protocols.protocol_cases import PARTS, Traits, plan_of, sample_of, traits
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
+from tests.benchmark.turned_scenes import turned_scene
 from tests.hand_made import Car, scene_on_straight_road
 
-PARTS = ("boxes", "annotated", "has_points", "has_lidar_points", "seen_before")
 Box = tuple[float, float, float, float, float]
 BOXES = st.tuples(
     st.floats(-8, 8), st.floats(-8, 8), st.floats(0.05, 12), st.floats(0.05, 4), st.floats(-10, 10, allow_nan=False)
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(BOXES, BOXES)
 def test_overlap_is_that_of_polygons_away_from_touching(first: Box, second: Box) -> None:
     boxes = np.array([first, second])
@@ -39,7 +38,7 @@ def test_overlap_is_that_of_polygons_away_from_touching(first: Box, second: Box)
         assert bool(boxes_overlap(boxes[0], boxes[1])) == one.intersects(other)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(traits(coarse=True))
 def test_a_box_collides_wherever_its_centre_does(kind: Traits) -> None:
     sample, plan = sample_of(kind), plan_of(kind)
@@ -55,8 +54,8 @@ def verdicts(name: str, truths: Sequence[SampleTruth], plans: Floats) -> list[di
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
-@settings(max_examples=25, deadline=None)
-@given(kinds=st.lists(traits(coarse=True), min_size=2, max_size=8), data=st.data())
+@settings(max_examples=8, deadline=None)
+@given(kinds=st.lists(traits(coarse=True), min_size=2, max_size=6), data=st.data())
 def test_order_and_company_of_samples_change_nothing(name: str, kinds: list[Traits], data: st.DataObject) -> None:
     truths = [sample_of(kind, str(index)) for index, kind in enumerate(kinds)]
     plans = np.array([plan_of(kind) for kind in kinds])
@@ -68,7 +67,7 @@ def test_order_and_company_of_samples_change_nothing(name: str, kinds: list[Trai
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(kind=traits(coarse=True), data=st.data())
 def test_order_of_objects_changes_nothing(name: str, kind: Traits, data: st.DataObject) -> None:
     sample, plan = sample_of(kind), plan_of(kind)
@@ -85,67 +84,42 @@ def test_order_of_objects_changes_nothing(name: str, kind: Traits, data: st.Data
 
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_more_samples_than_fit_in_a_batch_change_nothing(name: str) -> None:
-    kinds = [Traits(index, index % 5, 20.0, 6, "drive", False) for index in range(600)]
+    # The exact protocol takes 256 at once, the others 64 at the most.
+    count = 300 if name == "exact" else 100
+    kinds = [Traits(index, index % 5, 20.0, 6, "drive", False) for index in range(count)]
     truths = [sample_of(kind, str(index)) for index, kind in enumerate(kinds)]
     plans = np.array([plan_of(kind) for kind in kinds])
-    cuts = [slice(start, start + 70) for start in range(0, 600, 70)]
+    cuts = [slice(start, start + 40) for start in range(0, count, 40)]
     assert verdicts(name, truths, plans) == [one for cut in cuts for one in verdicts(name, truths[cut], plans[cut])]
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
-def test_samples_without_objects_and_no_samples(name: str) -> None:
+def test_nothing_is_hit_without_objects_and_far_away(name: str) -> None:
     assert verdicts(name, [], np.empty((0, 6, 2))) == []
     kind = Traits(3, 0, 9.0, 6, "drive", False)
     alone = verdicts(name, [sample_of(kind)], plan_of(kind)[None])
     assert alone[0]["collision"] == [False] * 6 and alone[0]["counted"]
-
-
-@pytest.mark.parametrize("name", PROTOCOLS)
-@pytest.mark.parametrize("place", [1e4, -1e4])
-def test_plans_far_away_hit_nothing_near(name: str, place: float) -> None:
-    sample = sample_of(Traits(3, 12, 9.0, 6, "drive", False))
-    assert not PROTOCOLS[name].evaluate([sample], np.full((1, 6, 2), place)).collision.any()
-
-
-def moved(scene: Scene, pose: Floats) -> Scene:
-    """The whole scene turned about the origin and shifted."""
-
-    def points(position: Floats) -> Floats:
-        return np.concatenate([to_global(position[..., :2], pose), position[..., 2:]], axis=-1)
-
-    def rotations(rotation: Floats) -> Floats:
-        yaw = yaw_of_quaternion(rotation) + pose[2]
-        return np.stack([np.cos(yaw / 2), np.zeros_like(yaw), np.zeros_like(yaw), np.sin(yaw / 2)], axis=-1)
-
-    agents = replace(scene.agents, position=points(scene.agents.position), yaw=scene.agents.yaw + pose[2])
-    known = scene.annotations
-    annotations = replace(known, position=points(known.position), rotation=rotations(known.rotation))
-    ego = replace(scene.ego, position=points(scene.ego.position), rotation=rotations(scene.ego.rotation))
-    return replace(scene, agents=agents, annotations=annotations, ego=ego)
+    sample = sample_of(replace(kind, objects=12))
+    assert not PROTOCOLS[name].evaluate([sample] * 2, np.full((2, 6, 2), [[[1e4]], [[-1e4]]])).collision.any()
 
 
 CARS = st.lists(
     st.builds(
-        Car,
-        x=st.floats(40, 90),
-        y=st.floats(192, 206),
-        speed=st.floats(0, 12),
-        yaw=st.floats(-3, 3),
+        Car, x=st.floats(40, 90), y=st.floats(192, 206), speed=st.floats(0, 12), yaw=st.floats(-3, 3),
         size=st.tuples(st.floats(0.5, 9), st.floats(0.4, 2.6), st.just(1.7)),
     ),
-    min_size=1,
-    max_size=4,
-)
+    min_size=1, max_size=4,
+)  # fmt: skip
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(CARS, st.tuples(st.floats(-2000, 2000), st.floats(-2000, 2000), st.floats(-7, 7)), st.integers(0, 2**32))
 def test_where_the_scene_lies_changes_nothing_in_exact(
     cars: list[Car], pose: tuple[float, float, float], seed: int
 ) -> None:
     scene = scene_on_straight_road(tuple(cars), seconds=5.0)
     tokens = [str(index) for index in range(len(scene.keyframes))]
-    here, there = compute_truth(scene, tokens), compute_truth(moved(scene, np.array(pose)), tokens)
+    here, there = compute_truth(scene, tokens), compute_truth(turned_scene(scene, pose[2], shift_m=pose[:2]), tokens)
     rng = np.random.default_rng(seed)
     plans = np.cumsum(rng.normal([0.0, 4.0], [0.5, 1.0], (len(tokens), 6, 2)), axis=1)
     first, second = (PROTOCOLS["exact"].evaluate(truths, plans) for truths in (here, there))
@@ -166,7 +140,7 @@ def touches_barely(truth: SampleTruth, plan: Floats) -> bool:
     return bool((find_contacts(wider, [truth])[0] != find_contacts(narrower, [truth])[0]).any())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(traits(coarse=False))
 def test_contact_is_where_the_gap_is_zero(kind: Traits) -> None:
     sample, plan = sample_of(kind), plan_of(kind)
@@ -180,7 +154,7 @@ def test_contact_is_where_the_gap_is_zero(kind: Traits) -> None:
     assert found.tolist() == touching.tolist()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.floats(-np.pi, np.pi), st.floats(0.05, 0.29))
 def test_creeping_keeps_the_heading(direction: float, chord: float) -> None:
     step = 0.5 * chord * np.array([np.cos(direction), np.sin(direction)])
@@ -188,7 +162,7 @@ def test_creeping_keeps_the_heading(direction: float, chord: float) -> None:
     assert chord_headings(plan[None], start_heading_rad=np.pi / 2) == pytest.approx(np.full((1, 6), np.pi / 2))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.lists(st.sampled_from([CLEAN, HIT, FAILED]), min_size=1, max_size=12))
 def test_a_failed_sample_is_never_a_zero(samples: list[str | None]) -> None:
     scenes = {f"scene-{first}": samples[first::3] for first in range(min(3, len(samples)))}

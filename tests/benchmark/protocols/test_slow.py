@@ -32,27 +32,27 @@ def compare(name: str, judge: Slow, kind: Traits, *further: object) -> None:
         assert values[column][0] == pytest.approx(wanted, abs=0.0 if column != "l2" else 1e-12)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(traits(coarse=True))
 def test_uniad(kind: Traits) -> None:
     compare("uniad", slow.slow_uniad, kind)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(traits(coarse=True))
 def test_vad(kind: Traits) -> None:
     compare("vad", slow.slow_vad, kind, slow.COUNTED_BY_VAD)
     compare("vad-23", slow.slow_vad, kind, slow.COUNTED_BY_VAD_23)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(traits(coarse=False))
 def test_sparsedrive_and_diffusiondrive(kind: Traits) -> None:
     compare("sparsedrive", slow.slow_sparsedrive, kind)
     compare("diffusiondrive", slow.slow_sparsedrive, kind)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(traits(coarse=False))
 def test_exact(kind: Traits) -> None:
     sample, plan = sample_of(kind), plan_of(kind)

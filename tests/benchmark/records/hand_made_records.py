@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.row_schema import OutcomeRow, SampleRow
@@ -42,19 +43,18 @@ def hand_made(
     run = RunFacts(
         schema=2,
         planner=PlannerFacts(name=planner, privileged=privileged, native_protocol=native, weights_sha256=weights),
-        data=DataFacts(name=data, version="v", fingerprint=f"{data} {split}"),
-        split=split,
-        scenes=list(scenes),
-        scenes_in_split=len(scenes) if scenes_in_split is None else scenes_in_split,
-        scene_facts=facts,
-        status="partial" if summary.failed else "complete",
-        protocols=judged,
-        seed=0,
-        config={},
-        environment={},
+        data=DataFacts(name=data, version="v", fingerprint=f"{data} {split}"), split=split, scenes=list(scenes),
+        scenes_in_split=len(scenes) if scenes_in_split is None else scenes_in_split, scene_facts=facts,
+        status="partial" if summary.failed else "complete", protocols=judged, seed=0, config={}, environment={},
         files={},
-    )
+    )  # fmt: skip
     return RunRecord(Path(split) / planner, run, rows, summary)
+
+
+def facts_of(run: RunFacts) -> dict[str, Any]:
+    """What `write_record` was given of a run."""
+    left_out = {"schema_version", "status", "protocols", "seed", "files"}
+    return {name: value for name, value in dict(run).items() if name in RunFacts.model_fields and name not in left_out}
 
 
 def _row(scene: str, index: int, flags: str | None, protocols: Sequence[str]) -> SampleRow:
@@ -64,10 +64,8 @@ def _row(scene: str, index: int, flags: str | None, protocols: Sequence[str]) ->
         return plain
     steps = [flag == "x" for flag in (flags if counted else CLEAN)]
     outcome = OutcomeRow(
-        collision=steps,
-        l2=plain.outcomes["exact"].l2,
-        counted=counted,
+        collision=steps, l2=plain.outcomes["exact"].l2, counted=counted,
         steps={"waypoint_collision": steps, "before_mask": steps, **dict.fromkeys(_NEVER, [False] * 6)},
         facts={"map": True, "on_road_now": 1.0},
-    )
+    )  # fmt: skip
     return plain.model_copy(update={"outcomes": dict.fromkeys(protocols, outcome)})

@@ -20,25 +20,14 @@ def test_it_is_read() -> None:
 @pytest.mark.parametrize(
     "broken",
     [
-        None,
-        [],
-        {},
-        {**SAID, "planner": 3},
-        {**SAID, "commands": None},
-        {**SAID, "commands": [2]},
-        {**SAID, "commands": [2, 3]},
-        {**SAID, "commands": [2, True]},
-        {**SAID, "commands": [2, [0]]},
-        {**SAID, "wanted": [WAY]},
-        {**SAID, "wanted": [WAY, None]},
-        {**SAID, "wanted": [WAY, WAY[:5]]},
-        {**SAID, "wanted": [WAY, "abcdef"]},
-        {**SAID, "wanted": [WAY, [[1.0]] * 6]},
-        {**SAID, "wanted": [WAY, [[1.0, "x"]] * 6]},
-        {**SAID, "wanted": [WAY, [[1.0, float("inf")]] * 6]},
+        None, [], {}, {**SAID, "planner": 3}, {**SAID, "commands": None}, {**SAID, "commands": [2]},
+        {**SAID, "commands": [2, 3]}, {**SAID, "commands": [2, True]}, {**SAID, "commands": [2, [0]]},
+        {**SAID, "wanted": [WAY]}, {**SAID, "wanted": [WAY, None]}, {**SAID, "wanted": [WAY, WAY[:5]]},
+        {**SAID, "wanted": [WAY, "abcdef"]}, {**SAID, "wanted": [WAY, [[1.0]] * 6]},
+        {**SAID, "wanted": [WAY, [[1.0, "x"]] * 6]}, {**SAID, "wanted": [WAY, [[1.0, float("inf")]] * 6]},
         {**SAID, "wanted": [WAY, [[1.0, 10**400]] * 6]},
     ],
-)
+)  # fmt: skip
 def test_anything_else_is_refused(broken: object) -> None:
     with pytest.raises(InputError, match="build the data again"):
         DrivenEgoTargets.from_json(broken)

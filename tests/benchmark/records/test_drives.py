@@ -8,7 +8,7 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
-from benchmark.records.drive_schema import SCHEMA, EpisodeRow
+from benchmark.records.drive_schema import SCHEMA, ClosedLoopDefinition, EpisodeRow
 from benchmark.records.drives import (
     DriveRecord,
     compute_column_values,
@@ -25,16 +25,10 @@ def row(scene: str = "scene-1", run: int = 0, **changes: Any) -> EpisodeRow:
     """A drive of two instants, without contact."""
     ego = [[0.0] * 7, [4.0, 0.0, 0.0, 8.0, 0.0, 0.0, 0.0]]
     made = {
-        "scene": scene,
-        "run": run,
-        "status": "ok",
-        "end": "end",
-        "primed": 1,
+        **{"scene": scene, "run": run, "status": "ok", "end": "end", "primed": 1},
         "ticks": {"time_us": [0, 500_000], "ego": ego, "command": [2], "station": [0.0]},
         "plans": [{"frame": "ego", "waypoints": [[4.0, 0.0]] * 6}],
-        "contact": None,
-        "scores": scores(),
-        "failure": None,
+        **{"contact": None, "scores": scores(), "failure": None},
     }
     return EpisodeRow.model_validate({**made, **changes})
 
@@ -42,10 +36,7 @@ def row(scene: str = "scene-1", run: int = 0, **changes: Any) -> EpisodeRow:
 def scores(route: float | None = 0.5, **changes: Any) -> dict[str, Any]:
     terms = dict.fromkeys(("score", "nc", "dac", "mp", "ddc", "p", "ttc", "c"), 1.0)
     made = {
-        "progress_m": 4.0,
-        "recorded_progress_m": 8.0,
-        "route_share": route,
-        "comfortable": 1.0,
+        **{"progress_m": 4.0, "recorded_progress_m": 8.0, "route_share": route, "comfortable": 1.0},
         "nuplan": {**terms, "off_road_s": None, "least_ttc_s": None},
         "hd": {"score": 0.5, "plans": 1.0, "completed": 0.5},
         "neuroncap": None,
@@ -55,15 +46,8 @@ def scores(route: float | None = 0.5, **changes: Any) -> dict[str, Any]:
 
 def contact(at_fault: bool = True) -> dict[str, Any]:
     return {
-        "seconds": 0.3,
-        "agent": "a",
-        "category": "vehicle.car",
-        "adversary": True,
-        "kind": "front",
-        "at_fault": at_fault,
-        "impact_speed": 5.0,
-        "delta_v_ego": 2.5,
-        "delta_v_other": 2.5,
+        **{"seconds": 0.3, "agent": "a", "category": "vehicle.car", "adversary": True, "kind": "front"},
+        **{"at_fault": at_fault, "impact_speed": 5.0, "delta_v_ego": 2.5, "delta_v_other": 2.5},
     }
 
 
@@ -76,15 +60,9 @@ def facts(**changes: Any) -> dict[str, Any]:
     made = {
         "planner": {"name": "made", "privileged": False},
         "data": {"name": "fake", "version": "v1", "fingerprint": "f" * 64},
-        "split": "adv",
-        "scenes": ["scene-1", "scene-2"],
-        "scenes_in_split": 2,
-        "scene_facts": {},
+        **{"split": "adv", "scenes": ["scene-1", "scene-2"], "scenes_in_split": 2, "scene_facts": {}},
         "measured": {"engine": "default", "agents": "replay", "sensor": "none"},
-        "runs": 1,
-        "scoring": 1,
-        "config": {},
-        "environment": {},
+        **{"runs": 1, "scoring": 1, "config": {}, "environment": {}},
     }
     return {**made, **changes}
 
@@ -151,30 +129,19 @@ def test_numbers_of_two_engines_have_no_column_in_common_but_the_road() -> None:
     own = {"score": 3.0, "impact_speed": 2.0, "reference_speed": 8.0}
     ncap = compute_column_values(row(scores=scores(nuplan=None, hd=None, neuroncap=own)))
     assert ncap["nns"] == 3.0 and "contact" not in ncap
-    assert set(ncap) & set(compute_column_values(row())) == {
-        "impact_speed",
-        "route",
-        "progress_m",
-        "comfortable",
-        "seconds",
-    }
+    common = {"impact_speed", "route", "progress_m", "comfortable", "seconds"}
+    assert set(ncap) & set(compute_column_values(row())) == common
 
 
 @pytest.mark.parametrize(
     "changes",
     [
-        {"status": "failed"},
-        {"scores": None},
-        {"end": "contact"},
-        {"contact": contact()},
-        {"failure": {"reason": "raised", "text": "no"}},
-        {"failure": {"reason": "bored", "text": "no"}},
-        {"ticks": {"time_us": [0], "ego": [], "command": [], "station": []}},
-        {"scores": scores(route=1.5)},
-        {"scores": scores(comfortable=float("nan"))},
-        {"unknown": 1},
+        {"status": "failed"}, {"scores": None}, {"end": "contact"}, {"contact": contact()},
+        {"failure": {"reason": "raised", "text": "no"}}, {"failure": {"reason": "bored", "text": "no"}},
+        {"ticks": {"time_us": [0], "ego": [], "command": [], "station": []}}, {"scores": scores(route=1.5)},
+        {"scores": scores(comfortable=float("nan"))}, {"unknown": 1},
     ],
-)
+)  # fmt: skip
 def test_rows_that_cannot_be_are_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(ValueError):
         row(**changes)
@@ -221,15 +188,9 @@ def test_nothing_is_written_without_drives(tmp_path: Path) -> None:
 
 
 def test_what_was_measured_is_part_of_the_name() -> None:
-    measured = write_measured("default", "idm", 200)
-    assert measured == "default, agents idm, latency 200 ms" and write_measured("neuroncap@code", "replay", 0) == (
-        "neuroncap@code"
-    )
-
-
-def write_measured(engine: str, agents: str, latency_ms: int) -> str:
-    from benchmark.records.drive_schema import ClosedLoopDefinition
-
-    return ClosedLoopDefinition.model_validate(
-        {"engine": engine, "agents": agents, "sensor": "none", "latency_ms": latency_ms}
-    ).world
+    for engine, agents, latency_ms, world in (
+        ("default", "idm", 200, "default, agents idm, latency 200 ms"),
+        ("neuroncap@code", "replay", 0, "neuroncap@code"),
+    ):
+        said = {"engine": engine, "agents": agents, "sensor": "none", "latency_ms": latency_ms}
+        assert ClosedLoopDefinition.model_validate(said).world == world

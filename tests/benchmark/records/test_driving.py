@@ -55,11 +55,8 @@ def test_filtered_scores_forgive_what_the_recorded_driver_fails() -> None:
 
 def test_a_summary_has_means_shares_counts_and_intervals_over_scenes() -> None:
     rows = [
-        sample("a", 0, ec=None),
-        sample("a", 1, nc=0.5),
-        sample("b", 0, ec=None, nc=0.0),
-        row("b", 1, counted=False),
-    ]
+        sample("a", 0, ec=None), sample("a", 1, nc=0.5), sample("b", 0, ec=None, nc=0.0), row("b", 1, counted=False),
+    ]  # fmt: skip
     summary = summarise_driving_scores(rows, [each.scene for each in rows], seed=0)
     assert summary is not None and summary.version == VERSION
     assert (summary.counted, summary.incomplete) == (3, 1)

@@ -22,15 +22,11 @@ def test_where_nothing_is_said_the_ego_was_on_its_path() -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        {"kind": "lateral"},
-        [3],
-        [AWAY.as_json() | {"kind": 3}],
-        [AWAY.as_json() | {"lateral_m": "far"}],
-        [AWAY.as_json() | {"worst_s": 1.0}],
-        [AWAY.as_json() | {"end_s": float("inf")}],
+        {"kind": "lateral"}, [3], [AWAY.as_json() | {"kind": 3}], [AWAY.as_json() | {"lateral_m": "far"}],
+        [AWAY.as_json() | {"worst_s": 1.0}], [AWAY.as_json() | {"end_s": float("inf")}],
         [AWAY.as_json() | {"begin_s": float("nan")}],
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_read_is_refused_in_one_sentence(value: Any) -> None:
     with pytest.raises(InputError) as refused:
         read_excursions(_said(value), "scene-9000")

@@ -14,14 +14,7 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate, plan_shard
 from benchmark.machine.metering import Meter, peak_memory_mb
-from benchmark.records.planner_cost import (
-    PlannerCost,
-    SceneCost,
-    cost_path,
-    note_cost,
-    read_cost,
-    summarise_cost,
-)
+from benchmark.records.planner_cost import PlannerCost, SceneCost, cost_path, note_cost, read_cost, summarise_cost
 from benchmark.records.record_costs import with_cost
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.planner_facts import build_planner_facts
@@ -37,13 +30,8 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 def scene(latency_s: Sequence[float | None], memory_mb: float | None = 100.0) -> SceneCost:
-    return SceneCost(
-        planning_s=1.0,
-        latency_s=list(latency_s),
-        peak_memory_mb=memory_mb,
-        peak_device_mb=None,
-        device="accelerator",
-    )
+    known = {"peak_memory_mb": memory_mb, "peak_device_mb": None, "device": "accelerator"}
+    return SceneCost.model_validate({"planning_s": 1.0, "latency_s": list(latency_s), **known})
 
 
 def timed(tmp_path: Path, planner: Straight) -> RunRecord:

@@ -28,24 +28,14 @@ def test_a_judgement_is_the_same_after_it_was_stored() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"drivers": {"cc": {"survives": True}}},
-        {"drivers": drivers(cc={"survives": False})},
+        {"drivers": {"cc": {"survives": True}}}, {"drivers": drivers(cc={"survives": False})},
         {"drivers": drivers(cc={**hits(), "survives": True})},
-        {"drivers": drivers(cc={"survives": True, "reacted_s": 1.0})},
-        {"chance": "until"},
-        {"margin_s": 1.0},
+        {"drivers": drivers(cc={"survives": True, "reacted_s": 1.0})}, {"chance": "until"}, {"margin_s": 1.0},
         {"faults": {}},
-        {
-            "faults": {
-                "unknown": {"off_road": "no map"},
-                **dict.fromkeys(("beyond_limits", "off_road", "contact"), False),
-            }
-        },
-        {"encounter": {"least_gap_m": -1.0}},
-        {"definition": 0},
-        {"unheard": 1},
+        {"faults": {"unknown": {"off_road": "no map"}, "beyond_limits": False, "off_road": False, "contact": False}},
+        {"encounter": {"least_gap_m": -1.0}}, {"definition": 0}, {"unheard": 1},
     ],
-)
+)  # fmt: skip
 def test_what_does_not_fit_together_is_refused(changes: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         made_judgement(**changes)
@@ -56,22 +46,12 @@ def test_a_summary_has_the_most_severe_of_several_adversaries() -> None:
     near = made_judgement(
         adversary="b",
         encounter={
-            "least_gap_m": 0.5,
-            "least_ttc_s": None,
-            "tet_s": 0.3,
-            "tit_s2": 0.1,
-            "pet_s": 1.2,
-            "pet_first": "ego",
-            "max_btn": None,
+            **{"least_gap_m": 0.5, "least_ttc_s": None, "tet_s": 0.3, "tit_s2": 0.1},
+            **{"pet_s": 1.2, "pet_first": "ego", "max_btn": None},
         },
         faults={
-            "beyond_limits": None,
-            "off_road": True,
-            "contact": False,
-            "against_traffic": False,
-            "hovering": False,
-            "teleport": False,
-            "unknown": {"beyond_limits": "no 12 Hz track"},
+            **{"off_road": True, "contact": False, "against_traffic": False, "hovering": False, "teleport": False},
+            **{"beyond_limits": None, "unknown": {"beyond_limits": "no 12 Hz track"}},
         },
     )
     summary = AssessmentSummary.of([far, near])
@@ -94,15 +74,8 @@ def test_of_several_adversaries_the_one_that_is_hit_decides() -> None:
 
 def test_attempts_of_older_versions_have_no_judgement() -> None:
     old = {
-        "scene": "s",
-        "agent": "a",
-        "seed": 0,
-        "kept": True,
-        "discard": None,
-        "launch_frame": 3,
-        "challenge": 1.0,
-        "closest_approach": None,
-        "least_time_to_collision_s": None,
+        **{"scene": "s", "agent": "a", "seed": 0, "kept": True, "discard": None, "launch_frame": 3},
+        **{"challenge": 1.0, "closest_approach": None, "least_time_to_collision_s": None},
     }
     assert Attempt.model_validate(old).judgements == () and "judgements" not in Attempt.model_validate(old).as_json()
     new = Attempt.model_validate({**old, "judgements": [made_judgement().model_dump(mode="json")]})

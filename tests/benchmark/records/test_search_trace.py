@@ -12,26 +12,15 @@ from tests.benchmark.records.test_drives import row
 FRAMES = (
     SearchTraceFrame(frame=12, time_us=1_000_000, did="track"),
     SearchTraceFrame(
-        frame=24,
-        time_us=2_000_000,
-        did="searched",
+        frame=24, time_us=2_000_000, did="searched", scores=(None, -2.5), chosen=1,
         candidates=(((0.0, 0.0), (4.0, 1.0)), ((0.0, 0.0), (4.0, -1.0))),
-        scores=(None, -2.5),
-        chosen=1,
     ),
-)
+)  # fmt: skip
 
 
 def pursued(y: float = 0.0) -> EpisodeRow:
-    adversary = {
-        "agent": 0,
-        "uuid": "a",
-        "start": 12,
-        "poses": [[0.0, y, 0.0]],
-        "replanned": [12, 24],
-        "scores": [None, -2.5],
-    }
-    return row(adversary=adversary)
+    adversary = {"agent": 0, "uuid": "a", "start": 12, "poses": [[0.0, y, 0.0]]}
+    return row(adversary={**adversary, "replanned": [12, 24], "scores": [None, -2.5]})
 
 
 def test_it_reads_back_for_its_own_drive_alone(tmp_path: Path) -> None:

@@ -39,29 +39,18 @@ def sheet(**changes: Any) -> ScenePage:
     keyframes = list(range(0, FRAMES, EVERY))
     scene = changes.get("scene", SCENE)
     content: dict[str, Any] = {
-        "schema": SCHEMA,
-        "data": DataFacts(name="d", version="v", fingerprint="d adv"),
-        "split": "adv",
-        "scene": scene,
-        "source": "scene",
-        "description": "A straight road",
-        "labels": [{"manoeuvre": "cut-in-left"}],
-        "origin_m": (600.0, 1600.0),
-        "timestamps_us": [1_000_000 + round(1e6 * frame / 12) for frame in range(FRAMES)],
-        "keyframes": keyframes,
-        "sample_tokens": [f"{scene}-{place}" for place in range(len(keyframes))],
+        "schema": SCHEMA, "data": DataFacts(name="d", version="v", fingerprint="d adv"), "split": "adv",
+        "scene": scene, "source": "scene", "description": "A straight road", "labels": [{"manoeuvre": "cut-in-left"}],
+        "origin_m": (600.0, 1600.0), "timestamps_us": [1_000_000 + round(1e6 * frame / 12) for frame in range(FRAMES)],
+        "keyframes": keyframes, "sample_tokens": [f"{scene}-{place}" for place in range(len(keyframes))],
         "ego": {
-            **{"x_m": [0.0] * FRAMES, "y_m": [0.0] * FRAMES, "yaw_rad": [0.0] * FRAMES},
-            **{"length_m": 4.084, "width_m": 1.85, "centre_ahead_m": 1.44},
+            "x_m": [0.0] * FRAMES, "y_m": [0.0] * FRAMES, "yaw_rad": [0.0] * FRAMES,
+            "length_m": 4.084, "width_m": 1.85, "centre_ahead_m": 1.44,
         },
         "agents": [agent("car", 10.0, 0.0), agent("bad", 0.0, 5.0, adversary=True)],
         "road": {"drivable": [[ROAD]], "dividers": [{"points": [(-60, 0), (60, 0)], "paint": "dashed-white"}]},
-        "cameras": [],
-        "pictures": [],
-        "adversary_edges": {},
-        "files": {},
-        **changes,
-    }
+        "cameras": [], "pictures": [], "adversary_edges": {}, "files": {}, **changes,
+    }  # fmt: skip
     return ScenePage.model_validate(content)
 
 

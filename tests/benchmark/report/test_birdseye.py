@@ -22,13 +22,7 @@ from benchmark.report.palette import (
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED
 from tests.benchmark.report.one_scene import agent, record, sheet, with_plan
 
-LAND, PERSON, ROAD, STRIPE, VEHICLE = (
-    ON_LIGHT.land,
-    ON_LIGHT.person,
-    ON_LIGHT.road,
-    ON_LIGHT.stripe,
-    ON_LIGHT.vehicle,
-)
+LAND, PERSON, ROAD, STRIPE, VEHICLE = (ON_LIGHT.land, ON_LIGHT.person, ON_LIGHT.road, ON_LIGHT.stripe, ON_LIGHT.vehicle)
 SIZE, EXTENT = 400, 20.0
 """Ten pixels a metre."""
 
@@ -130,12 +124,8 @@ def test_a_plan_is_a_line_in_the_planners_colour_and_its_first_contact_is_marked
 
 def test_verdicts_in_words() -> None:
     rows = record("p", [HIT, CLEAN, FAILED, UNCOUNTED]).rows
-    assert [describe_verdict(row, "exact").words for row in rows] == [
-        "collides within 0.5 s",
-        "no contact",
-        "the planner failed",
-        "no contact, not counted",
-    ]
+    words = ["collides within 0.5 s", "no contact", "the planner failed", "no contact, not counted"]
+    assert [describe_verdict(row, "exact").words for row in rows] == words
     assert [describe_verdict(row, "exact").collides for row in rows] == [True, False, None, False]
     with pytest.raises(InputError, match="rescore"):
         describe_verdict(rows[0], "vad")

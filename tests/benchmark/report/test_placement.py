@@ -23,16 +23,13 @@ def sample(frame: str, seed: int = 0) -> SampleRow:
     rng = np.random.default_rng(seed)
     steps = np.cumsum(rng.uniform(0.0, 3.0, (6, 2)), axis=0)
     plan = {
-        "frame": frame,
-        "waypoints": steps.tolist(),
-        "modes": [steps.tolist(), (steps[:, ::-1] + 1).tolist()],
+        "frame": frame, "waypoints": steps.tolist(), "modes": [steps.tolist(), (steps[:, ::-1] + 1).tolist()],
         "mode_scores": [0.7, 0.3],
         "forecasts": {
-            "boxes": rng.uniform(-20, 20, (3, 5)).tolist(),
+            "boxes": rng.uniform(-20, 20, (3, 5)).tolist(), "scores": [[0.2, 0.8], [0.6, 0.4], [0.5, 0.5]],
             "trajectories": rng.uniform(-20, 20, (3, 2, 6, 2)).tolist(),
-            "scores": [[0.2, 0.8], [0.6, 0.4], [0.5, 0.5]],
         },
-    }
+    }  # fmt: skip
     return SampleRow.model_validate({**row("s", 0).model_dump(), "lidar_ahead_m": AHEAD_M, "plan": plan})
 
 

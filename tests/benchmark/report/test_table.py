@@ -57,12 +57,8 @@ def test_intervals_and_signed_numbers() -> None:
     assert ValueSource().cell(0.2, "%", 4, low=0.0123, high=0.5, scale=100.0).interval().text == "[1.2, 50.0]"
     assert format_interval(-0.04, math.inf) == "[0.0, ∞]"
     assert format_interval(0.2, 0.2) == UNDEFINED, "without width it would look like certainty"
-    assert [format_number(value, 1, signed=True) for value in (1.24, -1.26, -0.01, 0.0)] == [
-        "+1.2",
-        "-1.3",
-        "0.0",
-        "0.0",
-    ]
+    numbers = {1.24: "+1.2", -1.26: "-1.3", -0.01: "0.0", 0.0: "0.0"}
+    assert all(format_number(value, 1, signed=True) == text for value, text in numbers.items())
     assert escape_latex("φ → ∞ ‡") == r"$\phi$ $\to$ $\infty$ $\ddagger$"
 
 
@@ -73,14 +69,10 @@ def test_a_row_of_the_wrong_width_is_refused() -> None:
 
 RATE = CellSource(1.25, "%", 8, "samples", 0.5, math.inf, "vad & co", "0123456789ab idm|x on adv", None)
 GROUPED = build_table(
-    "grouped",
-    "Rates",
-    ("planner", "avg", "95 %", "95 %"),
-    [("idm|x", RATE.shown(2), RATE.interval(), UNDEFINED)],
-    notes=("A note.",),
-    groups=(("", 1), ("rate in %, vad & co", 2), ("nothing", 0), ("other", 1)),
+    "grouped", "Rates", ("planner", "avg", "95 %", "95 %"), [("idm|x", RATE.shown(2), RATE.interval(), UNDEFINED)],
+    notes=("A note.",), groups=(("", 1), ("rate in %, vad & co", 2), ("nothing", 0), ("other", 1)),
     sources=("A paper",),
-)
+)  # fmt: skip
 
 
 def test_groups_cover_the_columns_and_say_whose_they_are() -> None:

@@ -6,15 +6,11 @@ from benchmark.report.words import inflect_noun, pluralise
 @pytest.mark.parametrize(
     ("count", "one", "said"),
     [
-        (0, "scene", "0 scenes"),
-        (1, "scene", "1 scene"),
-        (2, "recorded scene", "2 recorded scenes"),
-        (1204, "sample", "1,204 samples"),
-        (1, "quantity", "1 quantity"),
-        (3, "quantity", "3 quantities"),
+        (0, "scene", "0 scenes"), (1, "scene", "1 scene"), (2, "recorded scene", "2 recorded scenes"),
+        (1204, "sample", "1,204 samples"), (1, "quantity", "1 quantity"), (3, "quantity", "3 quantities"),
         (2, "day", "2 days"),
     ],
-)
+)  # fmt: skip
 def test_numbers_with_their_nouns(count: int, one: str, said: str) -> None:
     assert pluralise(count, one) == said
     assert said.endswith(inflect_noun(count, one))
