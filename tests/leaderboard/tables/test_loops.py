@@ -18,12 +18,8 @@ def test_rates_ranks_and_scenes(tmp_path: Path) -> None:
     rates, scenes = loop_tables(driven, runs)
     assert rates.name == "loops-adv-default-replay" and "beside open loop" in rates.title
     first, second, third = (dict(zip(rates.columns, each)) for each in rates.rows)
-    assert (first["open loop %"], first["contact %"], first["agree %"], first["scenes"]) == (
-        "25.0",
-        "25.0",
-        "100.0",
-        "4",
-    )
+    shown = (first["open loop %"], first["contact %"], first["agree %"], first["scenes"])
+    assert shown == ("25.0", "25.0", "100.0", "4")
     assert (second["open loop %"], second["contact %"], second["at fault %"]) == ("66.7", "66.7", "33.3")
     assert (second["only open"], second["only closed"], second["scenes"]) == ("1", "1", "3")
     assert third["contact %"] == "100.0"
