@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import permutations, product
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -37,11 +37,17 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunRecord, ...]:
     return tuple(find_records(out))
 
 
+def without_figures(patch: pytest.MonkeyPatch) -> None:
+    """Figures have tests of their own; here one test has them drawn, because each takes half a second."""
+    patch.setattr("leaderboard.figures.contents.RUN_FIGURES", (attack_figures,))
+    for name in ("draw_heat_maps", "draw_lift_maps"):
+        patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", lambda: b""))
+
+
 @pytest.fixture(autouse=True)
 def few_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures have tests of their own; here one test has them drawn, because each takes half a second."""
     if "drawn" not in request.fixturenames:
-        monkeypatch.setattr("leaderboard.figures.contents.RUN_FIGURES", (attack_figures,))
+        without_figures(monkeypatch)
 
 
 @pytest.fixture
@@ -51,9 +57,7 @@ def drawn() -> None:
 
 def texts(records: Sequence[RunRecord]) -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("draw_heat_maps", "draw_lift_maps"):
-            patch.setattr(f"leaderboard.figures.contents.{name}", lambda _: (b"", b"", lambda: b""))
-        patch.setattr("leaderboard.figures.contents.RUN_FIGURES", (attack_figures,))
+        without_figures(patch)
         files = build_leaderboard_files(read_results(records)).items()
     return {name: content.decode() for name, content in files if not name.endswith(".png")}
 
@@ -74,7 +78,6 @@ def named(record: RunRecord, *, data: str | None = None, planner: str | None = N
 def test_the_same_records_give_the_same_bytes(runs: tuple[RunRecord, ...], drawn: None) -> None:
     files = build_leaderboard_files(read_results(runs))
     assert build_leaderboard_files(read_results(runs[::-1])) == files
-    assert all(build_leaderboard_tables(some) == build_leaderboard_tables(runs) for some in [*permutations(runs)][5::7])
     assert [name for name in files if name.endswith(".png")] == [
         "figures/fake/transfer-val-exact.png",
         "figures/fake/transfer-adv-exact.png",
@@ -184,10 +187,12 @@ def test_transfer_shows_counts_and_a_dash_where_the_surrogate_never_fails() -> N
 
 def test_names_from_strangers_records_stay_inside_the_folder(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
     folder, names = tmp_path / "board", ["../../evil", "..", "a/b", ".hidden", "README.md"]
-    for path in write_leaderboard(read_results([named(runs[0], data=name) for name in names]), folder):
+    # Two planners on one split, which have figures.
+    strange = [named(record, data=name) for name in names for record in runs if record.run.split == "adv"]
+    for path in write_leaderboard(read_results(strange), folder):
         assert path.resolve().is_relative_to(folder.resolve())
     assert [path.name for path in tmp_path.iterdir()] == ["board"]
-    assert len(list((folder / "tables").iterdir())) == len(names)
+    assert len(list((folder / "tables").iterdir())) == len(list((folder / "figures").iterdir())) == len(names)
     assert sorted(path.name for path in folder.iterdir()) == ["README.md", "figures", "published", "site", "tables"]
 
 
@@ -232,7 +237,7 @@ def test_drives_alone_make_a_leaderboard_and_go_stale(runs: tuple[RunRecord, ...
     write_leaderboard(read_results((), drives=driven), folder)
     assert find_stale_files(read_results((), drives=driven), folder) == []
     assert b'"closed loop"' in (folder / "site/data/index.js").read_bytes()
-    fewer = find_stale_files(read_results(()), folder)
+    fewer = find_stale_files(read_results(runs[:1]), folder)
     assert any("drives-adv-default-replay.csv" in one and "no longer produced" in one for one in fewer)
     scenes = driven[0].facts.scenes
     hits = [drive_row(scene, end="contact", contact=contact()) for scene in scenes]

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from adapters.planners.log_replay import LogReplay
@@ -129,9 +128,3 @@ def test_the_score_is_the_formula_and_a_route_that_hardly_moves_has_no_share() -
     assert nuplan_score((0.5, 1.0, 1.0, 0.5), (0.6, 1.0, 0.0)) == pytest.approx(0.25 * (5 * 0.6 + 5) / 12)
     assert nuplan_score((1.0, 1.0, 1.0, 1.0), (1.0, 1.0, None)) == 1.0
     assert RouteProgress(0.0, 0.0, 1.0).share is None and RouteProgress(-5.0, 1.0, 50.0).share == 0.0
-
-
-def test_scores_are_the_same_twice() -> None:
-    scene = scene_on_straight_road((Car(95.0, 198.25, 2.0), Car(80.0, 194.75, 9.0)), ego_speed=8.0, seconds=8.0)
-    first, second = (scored(scene, Watching(speed=7.0, left=-0.05), "idm")[1] for _ in range(2))
-    assert first == second and np.isfinite(terms(first).score)

@@ -33,7 +33,9 @@ def truth(boxes: Floats, annotated: Bools | None = None, *, valid: int = 6) -> S
         instances=tuple(f"object-{row}" for row in range(len(boxes))),
         categories=("vehicle.car",) * len(boxes),
         boxes=boxes,
-        **dict.fromkeys(("annotated", "has_points", "has_lidar_points"), there),
+        annotated=there,
+        has_points=there,
+        has_lidar_points=there,
     )
 
 

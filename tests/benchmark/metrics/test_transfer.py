@@ -95,17 +95,6 @@ def test_order_changes_nothing_and_planners_agree_with_themselves(seed: int) -> 
     assert matrix.cells[0][2].value == 1.0 and matrix.agreements[0].phi == backward.agreements[2].phi
 
 
-def test_phi_is_a_dash_where_a_planner_fails_all_or_none() -> None:
-    some, every, none = (
-        record(name, dict(zip("abc", flags)))
-        for name, flags in (("some", (True, False, False)), ("every", (True,) * 3), ("none", (False,) * 3))
-    )
-    matrix = transfer([some, every, none])
-    assert [agreement.phi.value for agreement in matrix.agreements] == [None] * 3
-    assert [agreement.phi.low for agreement in matrix.agreements] == [None] * 3
-    assert [agreement.lift for agreement in matrix.agreements] == [1.0, None, None]
-
-
 def test_few_failures_say_little() -> None:
     matrix = transfer(
         [record(name, {f"s{index:02}": index < 2 for index in range(30)}) for name in ("first", "second")]
@@ -166,7 +155,8 @@ def test_cells_and_agreements_are_those_that_each_pair_gives_alone(seed: int) ->
         {scene: kinds[int(rng.choice(3, p=(0.4, 0.5, 0.1)))] for scene in scenes[: int(rng.integers(6, 15))]}
         for _ in range(4)
     ]
-    verdicts.append(dict.fromkeys(scenes, False))
+    # Who fails all or none agrees with nobody beyond chance.
+    verdicts += [dict.fromkeys(scenes, False), dict.fromkeys(scenes, True)]
     names = [f"planner-{number}" for number in range(len(verdicts))]
     matrix = transfer(
         [
@@ -179,7 +169,7 @@ def test_cells_and_agreements_are_those_that_each_pair_gives_alone(seed: int) ->
         ]
     )
     agreements = {agreement.planners: agreement for agreement in matrix.agreements}
-    assert len(agreements) == 10
+    assert len(agreements) == 15
     for (row, surrogate), (column, victim) in product(enumerate(verdicts), repeat=2):
         units, counts = slow_counts(surrogate, victim, sources)
         failed, cell = counts[:, 0] + counts[:, 1], matrix.cells[row][column]

@@ -39,12 +39,13 @@ def test_positions_are_the_scenes_to_the_centimetre() -> None:
     origin, agents = find_origin(scene), scene.agents
     ego = build_ego_track(scene, origin)
     assert origin == (50.0, 198.0)
-    for found, expected in ((ego, scene.ego.position), *zip(build_agent_tracks(scene, origin), agents.position)):
-        there = np.column_stack([np.array(found.x_m, float), np.array(found.y_m, float)]) + origin
+    shown = [(ego.x_m, ego.y_m), *((each.x_m, each.y_m) for each in build_agent_tracks(scene, origin))]
+    for (x_m, y_m), expected in zip(shown, [scene.ego.position, *agents.position]):
+        there = np.column_stack([np.array(x_m, float), np.array(y_m, float)]) + origin
         assert np.abs(there - expected[:, :2]).max() <= 0.0051
     for agent, yaw in zip(build_agent_tracks(scene, origin), agents.yaw, strict=True):
-        shown = np.array(agent.yaw_rad, float)
-        assert np.abs(np.angle(np.exp(1j * (shown - yaw)))).max() <= 0.0006 and np.abs(shown).max() <= 3.142
+        turned = np.array(agent.yaw_rad, float)
+        assert np.abs(np.angle(np.exp(1j * (turned - yaw)))).max() <= 0.0006 and np.abs(turned).max() <= 3.142
         assert agent.size_m == (4.6, 1.9, 1.7)
 
 

@@ -77,7 +77,7 @@ def test_names_from_strangers_are_only_text() -> None:
         ElementTree.fromstring(figure.svg)
 
 
-@pytest.mark.parametrize("count", [1, 7])
+@pytest.mark.parametrize("count", [1, 5])
 def test_any_number_of_planners_is_drawn_with_letters_of_eleven_pixels_and_light_ones_on_dark(count: int) -> None:
     figures = run_figures(DataSetRuns("d", [run(f"planner-{index}", index) for index in range(count)]))
     for figure in figures:
@@ -86,5 +86,5 @@ def test_any_number_of_planners_is_drawn_with_letters_of_eleven_pixels_and_light
         ElementTree.fromstring(figure.svg)
         # Glyphs are drawn in hundredths of a point; 96 pixels of a page are 72 points.
         assert sizes and min(sizes) * 100 * 96 / 72 >= 11.0
-        assert figure.dark() != figure.svg and DARK.paper.encode() in figure.dark()
-        assert LIGHT.ink.encode() not in figure.dark()
+        dark = figure.dark()
+        assert dark != figure.svg and DARK.paper.encode() in dark and LIGHT.ink.encode() not in dark

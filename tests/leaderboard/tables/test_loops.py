@@ -45,8 +45,6 @@ def test_worlds_are_never_mixed_and_without_runs_there_is_no_table(tmp_path: Pat
     ]
     assert [dict(zip(table.columns, table.rows[0]))["contact %"] for table in found[:2]] == ["0.0", "100.0"]
     assert loop_tables(driven, []) == [] and loop_tables([], [run()]) == []
-
-
-def test_scenarios_stand_beside_no_open_loop(tmp_path: Path) -> None:
+    # NeuroNCAP's own scenarios stand beside no open loop.
     own = {"engine": "neuroncap@paper", "agents": "replay", "sensor": "none", "scenarios": "own"}
     assert loop_tables([drives(tmp_path, hit("s1"), measured=own)], [run(hits=("s1",))]) == []

@@ -18,8 +18,8 @@ from tests.leaderboard.tables.test_terminal import fits, shows_its_cells
 
 def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) -> SceneQualityRows:
     where: dict[str, Any] = {"scene": scene, "camera": "CAM_FRONT"}
-    seen = {"category": "vehicle.car", "appearances": 3, "returns": 0, "first_us": 0, "last_us": 10**6}
-    quality = {"consistency": ExactSum.of([level, level]), "imaging": ExactSum.of([level / 2] * 3)}
+    seen: dict[str, Any] = {"category": "vehicle.car", "appearances": 3, "returns": 0, "first_us": 0, "last_us": 10**6}
+    quality: dict[str, Any] = {"consistency": ExactSum.of([level, level]), "imaging": ExactSum.of([level / 2] * 3)}
     subjects = [
         SubjectRow(**where, **seen, **quality, instance=name, adversary=adversary and name == "a", mean_area_px=2000.0)
         for name in ("a", "b")
