@@ -30,8 +30,7 @@ STATISTICS: dict[str, Any] = {
     "within_5_s": 4,
     "published_adv_nusc": {},
 }  # fmt: skip
-NO_ADVERSARY: dict[str, Any] = {
-    **STATISTICS,
+NO_ADVERSARY: dict[str, Any] = STATISTICS | {
     **{"adversaries_per_scene": {}, "labelled": 0, "manoeuvres": [], "places": {}},
     **{"gap_m": {}, "time_to_collision_s": {}, "within_5_s": 0},
 }

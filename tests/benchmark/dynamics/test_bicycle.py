@@ -158,13 +158,6 @@ def test_the_fast_side_agrees_with_the_slow_one(
         np.testing.assert_allclose(fast.commands[index], commands, atol=1e-6)
 
 
-def test_constant_speed_stays_constant() -> None:
-    motion = drive(along_x(np.full((1, 16), 10.0)), 10.0)
-    np.testing.assert_allclose(motion.states[0, :, 3], 10.0, atol=1e-6)
-    np.testing.assert_allclose(motion.states[0, -1, 0], 40.0, atol=1e-4)
-    np.testing.assert_allclose(motion.center[0, :, 0] - motion.states[0, :, 0], 0.3 * LENGTH_M)
-
-
 def test_a_standing_car_starts_and_a_moving_one_stops_and_none_reverses() -> None:
     motion = drive(along_x(np.stack([np.linspace(0.5, 8.0, 16), np.zeros(16)])), 0.0)
     assert motion.states[0, -1, 3] > 1.5
