@@ -12,15 +12,14 @@ from benchmark.records.statistics import BuildRuntime, SplitStatistics
 STATISTICS: dict[str, Any] = {
     "split": "adv",
     "counts": {
-        **{"instances": 1103, "ego_poses": 6720, "scenes": 4},
-        **{"samples": 160, "sample_data": 6720, "annotations": 2257},
+        "instances": 1103, "ego_poses": 6720, "scenes": 4, "samples": 160, "sample_data": 6720, "annotations": 2257
     },
     "adversaries_per_scene": {"1": 3, "2": 1},
     "labelled": 5,
     "manoeuvres": [
         {
-            **{"manoeuvre": "cut-in-left", "primary": 4, "occurred": 4},
-            **{"places": {"junction": 1, "straight": 3}, "median_gap_m": 0.4766},
+            "manoeuvre": "cut-in-left", "primary": 4, "occurred": 4, "places": {"junction": 1, "straight": 3},
+            "median_gap_m": 0.4766,
         },
         {"manoeuvre": "tailgating", "primary": 1, "occurred": 3, "places": {"straight": 1}, "median_gap_m": 1.7},
         {"manoeuvre": "following", "primary": 0, "occurred": 2, "places": {}, "median_gap_m": None},
@@ -30,9 +29,8 @@ STATISTICS: dict[str, Any] = {
     "time_to_collision_s": {"least": 0.8, "tenth": 0.84, "median": 1.05, "ninetieth": 1.31, "most": 1.4},
     "within_5_s": 4,
     "published_adv_nusc": {},
-}
-NO_ADVERSARY: dict[str, Any] = {
-    **STATISTICS,
+}  # fmt: skip
+NO_ADVERSARY: dict[str, Any] = STATISTICS | {
     **{"adversaries_per_scene": {}, "labelled": 0, "manoeuvres": [], "places": {}},
     **{"gap_m": {}, "time_to_collision_s": {}, "within_5_s": 0},
 }
@@ -87,26 +85,14 @@ def study(planner: str = "p", *, seed: int = 0, protocol: str = "exact") -> Abla
         nothing = {"value": None, "numerator": 0, "denominator": 0, "low": None, "high": None}
         rows.append(
             AblationRow(
-                name=variant.name,
-                attempted=4,
-                kept=kept,
-                discarded={"never-close": 4 - kept},
-                samples_attempted=80,
-                samples_kept=20 * kept,
-                colliding_samples=10 * kept,
+                name=variant.name, attempted=4, kept=kept, discarded={"never-close": 4 - kept},
+                samples_attempted=80, samples_kept=20 * kept, colliding_samples=10 * kept,
                 rate_attempted=Rate(value=kept / 8, numerator=10 * kept, denominator=80, low=0.0, high=0.5),
-                rate_kept=Rate(**(of_kept if kept else nothing)),
-                mean_gap_m=0.4 if kept else None,
+                rate_kept=Rate(**(of_kept if kept else nothing)), mean_gap_m=0.4 if kept else None,
             )
-        )
+        )  # fmt: skip
     return AblationReport(
-        schema=1,
-        data=DataFacts(name="d", version="v", fingerprint="f" * 64),
-        scenes=("s0", "s1"),
-        planner=PlannerFacts(name=planner, privileged=False),
-        protocol=(protocol, 1),
-        seed=seed,
-        hyper={},
-        prior_fingerprint="f",
-        rows=tuple(rows),
-    )
+        schema=1, data=DataFacts(name="d", version="v", fingerprint="f" * 64), scenes=("s0", "s1"),
+        planner=PlannerFacts(name=planner, privileged=False), protocol=(protocol, 1), seed=seed, hyper={},
+        prior_fingerprint="f", rows=tuple(rows),
+    )  # fmt: skip

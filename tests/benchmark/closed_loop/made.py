@@ -1,20 +1,18 @@
 """Courses of one line, and planners of three."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from benchmark.closed_loop.idm_policy import IdmPolicy
-from benchmark.closed_loop.simulation_config import (
-    build_log_replay,
-    build_simulation_config,
-    interpolate_recorded_poses,
-)
+from benchmark.closed_loop.simulation_config import build_log_replay, build_simulation_config
 from benchmark.closed_loop.stepping import begin_simulation, step
-from benchmark.closed_loop.world_state import STEP_US, SimulationConfig, WorldState
+from benchmark.closed_loop.world_state import SimulationConfig, WorldState
 from benchmark.constants import PLAN_STEPS
-from benchmark.geometry import Floats, to_local
+from benchmark.geometry import Floats
 from benchmark.scene import Scene
+from generation.sources.town import build_town_scene
 from tests.hand_made import Car, scene_on_straight_road
 
 
@@ -36,15 +34,15 @@ def straight(speed: float, count: int = PLAN_STEPS) -> Floats:
     return np.column_stack([0.5 * speed * np.arange(1, count + 1), np.zeros(count)])
 
 
+@cache
+def town_scene(index: int) -> Scene:
+    """A scene of the town, built once for all tests, which leave it as it is."""
+    return build_town_scene("val", index)
+
+
 def bend(speed: float, radius: float, count: int = PLAN_STEPS) -> Floats:
     turned = 0.5 * speed / radius * np.arange(1, count + 1)
     return radius * np.column_stack([np.sin(turned), 1 - np.cos(turned)])
-
-
-def recorded_plan(scene: Scene, world: WorldState) -> Floats:
-    """The recorded future from where the ego is."""
-    times = world.time_us + STEP_US * np.arange(1, PLAN_STEPS + 1)
-    return to_local(interpolate_recorded_poses(scene, times)[:, :2], world.ego.pose)
 
 
 def driven(made: SimulationConfig, plan: Floats, steps: int) -> list[WorldState]:
@@ -56,12 +54,11 @@ def driven(made: SimulationConfig, plan: Floats, steps: int) -> list[WorldState]
 
 def same(first: WorldState, second: WorldState) -> bool:
     """Whether two worlds are equal to the last bit."""
-    if (first.contact is None) != (second.contact is None) or first.step != second.step:
-        return False
-    egos = first.ego == second.ego and first.time_us == second.time_us
-    traces = all(
-        (a is None and b is None) or (a is not None and b is not None and a.egos.tobytes() == b.egos.tobytes())
-        for a, b in ((first.trace, second.trace),)
-    )
-    others = first.others.boxes.tobytes() == second.others.boxes.tobytes()
-    return egos and traces and others
+    found = [
+        (
+            world.contact is None, world.step, world.ego, world.time_us, world.others.boxes.tobytes(),
+            None if world.trace is None else world.trace.egos.tobytes(),
+        )
+        for world in (first, second)
+    ]  # fmt: skip
+    return found[0] == found[1]

@@ -34,7 +34,9 @@ def slow_leaders(
 
 
 def _in_the_way(path: LanePath, station: float, own: Floats, boxes: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-    path = _window(path, station)
+    first = max(int((station - 20.0) / SPACING_M), 0)
+    rows = slice(first, int((station + 2 * SIGHT_M) / SPACING_M) + 1)
+    path = LanePath(path.points[rows], path.heading[rows], path.arc_length[rows], path.curvature[rows])
     along, left = path.project(boxes[:, :2])
     heading = np.interp(along, path.arc_length, path.heading)
     cos, sin = np.cos(boxes[:, 4] - heading), np.sin(boxes[:, 4] - heading)
@@ -45,9 +47,3 @@ def _in_the_way(path: LanePath, station: float, own: Floats, boxes: Floats, velo
     gap = along - half_along - station - 0.5 * own[2]
     speed = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
     return np.asarray(np.maximum(gap, 0.0)[ahead]), np.asarray(speed[ahead])
-
-
-def _window(path: LanePath, station: float) -> LanePath:
-    first = max(int((station - 20.0) / SPACING_M), 0)
-    rows = slice(first, int((station + 2 * SIGHT_M) / SPACING_M) + 1)
-    return LanePath(path.points[rows], path.heading[rows], path.arc_length[rows], path.curvature[rows])

@@ -12,8 +12,7 @@ from benchmark.closed_loop.simulation_config import build_log_replay, build_simu
 from benchmark.closed_loop.stepping import begin_simulation, step
 from benchmark.closed_loop.track_replay import TrackReplay
 from benchmark.closed_loop.world_state import WorldState
-from generation.sources.town import build_town_scene
-from tests.benchmark.closed_loop.made import course, driven, idm_of, straight
+from tests.benchmark.closed_loop.made import course, driven, idm_of, straight, town_scene
 from tests.hand_made import Car, scene_on_straight_road
 
 
@@ -24,7 +23,7 @@ def moving(worlds: list[WorldState], agent: int) -> tuple[Any, Any]:
 
 
 def test_both_policies_keep_the_contract() -> None:
-    scene = build_town_scene("val", 0)
+    scene = town_scene(0)
     made = build_simulation_config(scene)
     for policy in (made.policy, idm_of(scene, made)):
         check_policy(policy, begin_simulation(made).others, steps=8)
@@ -34,8 +33,7 @@ def test_replayed_agents_are_where_their_tracks_are_and_gone_after_them() -> Non
     scene = scene_on_straight_road((Car(80.0, 198.25, 6.0),), seconds=4.0)
     made = build_simulation_config(scene, duration_s=6.0)
     worlds = driven(made, straight(2.0), 12)
-    x, _ = moving(worlds[:8], 0)
-    assert x == pytest.approx(80.0 + 6.0 * 0.5 * np.arange(8), abs=1e-5)
+    assert moving(worlds[:8], 0)[0] == pytest.approx(80.0 + 6.0 * 0.5 * np.arange(8), abs=1e-5)
     assert [bool(world.others.present[0]) for world in worlds] == [time < 3.92 for time in 0.5 * np.arange(13)]
     assert worlds[3].others.velocity[0] == pytest.approx([6.0, 0.0], abs=1e-5)
 

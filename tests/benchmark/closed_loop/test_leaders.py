@@ -43,7 +43,7 @@ def boxes_around(count: int, paths: list[LanePath], rng: np.random.Generator) ->
 def test_they_are_those_of_one_after_the_other(kinds: tuple[str, ...]) -> None:
     rng = np.random.default_rng(7)
     led = 0
-    for _ in range(40):
+    for _ in range(15):
         paths = tuple(road(kinds[number % len(kinds)], rng) for number in range(6))
         boxes = boxes_around(24, list(paths), rng)
         driving = rng.permutation(24)[:6]
@@ -59,19 +59,15 @@ def test_they_are_those_of_one_after_the_other(kinds: tuple[str, ...]) -> None:
         slow = slow_leaders(paths, driving, station, here, moment)
         assert [each.tobytes() for each in fast] == [each.tobytes() for each in slow]
         led += int(np.isfinite(slow[0]).sum())
-    assert led > 40
+    assert led > 15
 
 
 def test_nobody_drives_and_nobody_is_seen() -> None:
-    rng = np.random.default_rng(1)
-    ego = np.array([500.0, 500.0, 4.0, 1.7, 0.0])
-    none = np.zeros(0, np.int64)
-    nobody = TrafficSnapshot(0, ego, 5.0, np.zeros((0, 5)), np.zeros(0, np.bool_), np.zeros((0, 2)))
-    gaps, _ = find_leaders(VehicleRoads.of(()), none, np.zeros(0), none, nobody)
-    assert gaps.shape == (0,)
-    paths = (road("straight", rng),)
-    alone = TrafficSnapshot(
-        0, ego, 5.0, np.array([[*paths[0].points[3], 4.0, 1.7, 0.0]]), np.ones(1, np.bool_), np.zeros((1, 2))
-    )
+    ego, nobody = np.array([500.0, 500.0, 4.0, 1.7, 0.0]), np.zeros(0, np.int64)
+    empty = TrafficSnapshot(0, ego, 5.0, np.zeros((0, 5)), np.zeros(0, np.bool_), np.zeros((0, 2)))
+    assert find_leaders(VehicleRoads.of(()), nobody, np.zeros(0), nobody, empty)[0].shape == (0,)
+    paths = (road("straight", np.random.default_rng(1)),)
+    own = np.array([[*paths[0].points[3], 4.0, 1.7, 0.0]])
+    alone = TrafficSnapshot(0, ego, 5.0, own, np.ones(1, np.bool_), np.zeros((1, 2)))
     gaps, speeds = find_leaders(VehicleRoads.of(paths), np.zeros(1, np.int64), np.ones(1), np.zeros(1, np.int64), alone)
     assert gaps.tolist() == [np.inf] and speeds.tolist() == [0.0]

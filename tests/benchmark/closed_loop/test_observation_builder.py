@@ -104,10 +104,8 @@ def test_no_sample_of_the_recording_is_named() -> None:
 def test_motion_is_measured_while_primed_and_simulated_from_then_on() -> None:
     scene = scene_on_straight_road((), ego_speed=8.0, seconds=6.0)
     seen = seen_by(Watching(speed=4.0), scene, DefaultBackend())
-    recorded = can_of(scene)
-    for tick in range(PRIMING_STEPS + 1):
-        assert seen[tick].ego.can_motion == pytest.approx(recorded.motion[tick])
-        assert seen[tick].ego.source == "derived"
+    for primed, motion in zip(seen[: PRIMING_STEPS + 1], can_of(scene).motion):
+        assert primed.ego.can_motion == pytest.approx(motion) and primed.ego.source == "derived"
     last = seen[-1].ego
     assert last.source == "can_bus" and last.velocity[0] == pytest.approx(4.0, abs=0.5)
     assert seen[PRIMING_STEPS + 1].ego.acceleration[0] < -0.5

@@ -14,7 +14,7 @@ from benchmark.closed_loop.plan_tracking import INSTANT_US, LIMITS, SUBSTEP_S, f
 from benchmark.closed_loop.simulation_config import build_simulation_config, interpolate_recorded_poses
 from benchmark.closed_loop.stepping import InfeasiblePlanError, begin_simulation, is_running, step, step_together
 from benchmark.closed_loop.track_replay import TrackReplay
-from benchmark.closed_loop.world_state import STEP_US, SimulationConfig, WorldState, compute_ego_boxes
+from benchmark.closed_loop.world_state import STEP_US, SimulationConfig, compute_ego_boxes
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_WHEELBASE_M
 from benchmark.dynamics.lane_path import build_lane_path
 from benchmark.errors import InputError
@@ -22,19 +22,19 @@ from benchmark.geometry import Floats, boxes_overlap, to_local
 from benchmark.interactions.contacts import KINDS, ContactKind
 from benchmark.planning import Command
 from benchmark.scene import Scene
-from generation.sources.town import build_town_scene
-from tests.benchmark.closed_loop.made import bend, course, driven, recorded_plan, same, straight
+from tests.benchmark.closed_loop.made import bend, course, driven, same, straight, town_scene
 from tests.hand_made import Car, scene_on_straight_road
 
-TOWN = range(4)
+TOWN = range(3)
 
 
 def distances(scene: Scene) -> Floats:
-    """How far from the recording a planner drives that answers it, every 0.05 s."""
+    """How far from the recording a planner drives that answers it from where the ego is, every 0.05 s."""
     made = build_simulation_config(scene)
     world, found = begin_simulation(made), []
     while is_running(made, replace(world, contact=None)):
-        world = step(made, world, recorded_plan(scene, world))
+        ahead = interpolate_recorded_poses(scene, world.time_us + STEP_US * np.arange(1, 7))
+        world = step(made, world, to_local(ahead[:, :2], world.ego.pose))
         assert world.trace is not None
         times = world.time_us - STEP_US + INSTANT_US * np.arange(1, 11)
         found.append(np.hypot(*(world.trace.egos[1:, :2] - interpolate_recorded_poses(scene, times)[:, :2]).T))
@@ -44,7 +44,7 @@ def distances(scene: Scene) -> Floats:
 
 @pytest.fixture(scope="module")
 def town() -> list[Scene]:
-    return [build_town_scene("val", index) for index in TOWN]
+    return [town_scene(index) for index in TOWN]
 
 
 def test_a_planner_that_gives_the_recording_reproduces_it(town: list[Scene]) -> None:
@@ -104,7 +104,7 @@ def test_the_steps_are_those_of_a_plain_loop_to_the_last_bit(town: list[Scene]) 
 
 
 def test_company_and_order_change_no_byte(town: list[Scene]) -> None:
-    courses = [build_simulation_config(scene) for scene in town] * 3
+    courses = [build_simulation_config(scene) for scene in town] * 2
     courses += [replace(made, latency_us=latency) for made, latency in zip(courses[:3], (100_000, 300_000, 700_000))]
     rng = np.random.default_rng(3)
     plans = [straight(speed) + rng.normal(0, 0.5, (6, 2)) for speed in rng.uniform(0, 12, len(courses))]
@@ -124,10 +124,13 @@ def test_a_step_changes_nothing_that_it_was_given() -> None:
     assert same(first, second) and same(world, before) and np.array_equal(plan, straight(8.0))
 
 
-def test_constant_speed_is_constant_speed() -> None:
-    world = driven(course(), straight(8.0), 10)[-1]
-    assert world.ego.x == pytest.approx(50.0 + 8.0 * 5.0, abs=1e-6) and world.ego.y == pytest.approx(198.25, abs=1e-9)
-    assert world.ego.speed == pytest.approx(8.0, abs=1e-9) and world.time_us - course().start_us == 5_000_000
+def test_constant_speed_is_constant_speed_and_time_whole_microseconds() -> None:
+    worlds = driven(course(), straight(8.0), 10)
+    ego = worlds[-1].ego
+    assert ego.x == pytest.approx(50.0 + 8.0 * 5.0, abs=1e-6) and ego.y == pytest.approx(198.25, abs=1e-9)
+    assert ego.speed == pytest.approx(8.0, abs=1e-9)
+    assert [world.time_us - course().start_us for world in worlds] == [500_000 * number for number in range(11)]
+    assert all(isinstance(world.time_us, int) for world in worlds)
 
 
 def test_contact_is_seen_within_a_twentieth_of_a_second() -> None:
@@ -141,16 +144,13 @@ def test_contact_is_seen_within_a_twentieth_of_a_second() -> None:
     assert not is_running(made, world)
 
 
-def test_who_overlaps_the_ego_at_the_start_never_counts() -> None:
-    made = course(Car(51.0, 198.25, 8.0))
-    assert driven(made, straight(8.0), 6)[-1].contact is None
-
-
 def test_a_plan_to_stop_brakes_as_hard_as_the_car_can_and_no_harder() -> None:
     worlds = driven(course(ego_speed=15.0), np.zeros((6, 2)), 8)
     assert worlds[-1].ego.speed == 0.0 and worlds[-1].ego == worlds[-2].ego
     # 15^2 / (2 8) and what the brakes need to build up.
     assert 14.0 < worlds[-1].ego.x - 50.0 < 21.0
+    # Whom the ego overlaps at the start never counts as hit.
+    assert driven(course(Car(51.0, 198.25, 8.0)), straight(8.0), 6)[-1].contact is None
 
 
 def test_a_car_does_not_drive_backwards_or_turn_on_the_spot() -> None:
@@ -162,7 +162,7 @@ def test_a_car_does_not_drive_backwards_or_turn_on_the_spot() -> None:
                 assert (turned <= world.trace.egos[1:, 3].max() * 0.05 * np.tan(0.6) / EGO_WHEELBASE_M + 1e-12).all()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     speed=st.floats(0, 30),
     steering=st.floats(-0.5, 0.5),
@@ -199,13 +199,10 @@ def test_a_plan_takes_effect_so_much_later(latency_us: int) -> None:
     assert slower[0] * INSTANT_US == latency_us
 
 
-@pytest.mark.parametrize("latency_us", [-100_000, 50_000, 333_333])
-def test_a_latency_that_does_not_divide_is_refused(latency_us: int) -> None:
-    with pytest.raises(InputError, match="is not a multiple of the 100 ms"):
-        course(latency_us=latency_us)
-
-
-def test_a_course_without_time_is_refused() -> None:
+def test_a_latency_that_does_not_divide_and_a_course_without_time_are_refused() -> None:
+    for latency_us in (-100_000, 50_000, 333_333):
+        with pytest.raises(InputError, match="is not a multiple of the 100 ms"):
+            course(latency_us=latency_us)
     scene = scene_on_straight_road()
     with pytest.raises(InputError, match="ends when it starts"):
         build_simulation_config(scene, keyframe=len(scene.keyframes) - 1)
@@ -213,23 +210,18 @@ def test_a_course_without_time_is_refused() -> None:
         build_simulation_config(scene, keyframe=99)
 
 
-UNUSABLE: dict[str, Any] = {
-    "nan": np.full((6, 2), np.nan),
-    "infinity": np.full((6, 2), np.inf),
-    "global": np.full((6, 2), 1e5),
-    "five": np.zeros((5, 2)),
-    "seventeen": np.zeros((17, 2)),
-    "flat": np.zeros(12),
-    "text": "no",
-    "nothing": None,
-}
+UNUSABLE: list[Any] = [
+    *(np.full((6, 2), number) for number in (np.nan, np.inf, 1e5)),
+    *(np.zeros(shape) for shape in ((5, 2), (17, 2), 12)),
+    *("no", None),
+]
 
 
-@pytest.mark.parametrize("plan", UNUSABLE.values(), ids=UNUSABLE)
-def test_a_plan_that_cannot_be_driven_is_a_failure(plan: Any) -> None:
+def test_a_plan_that_cannot_be_driven_is_a_failure() -> None:
     made = course()
-    with pytest.raises(InfeasiblePlanError, match="scene-9901"):
-        step(made, begin_simulation(made), plan)
+    for plan in UNUSABLE:
+        with pytest.raises(InfeasiblePlanError, match="scene-9901"):
+            step(made, begin_simulation(made), plan)
 
 
 def test_coasting_keeps_speed_and_curvature() -> None:
@@ -239,9 +231,3 @@ def test_coasting_keeps_speed_and_curvature() -> None:
     plan = make_coasting_plan(turning, 0)
     assert np.hypot(plan.waypoints[:, 0], plan.waypoints[:, 1] - radius) == pytest.approx(np.full(6, radius))
     assert make_coasting_plan(made.start, 0).waypoints == pytest.approx(straight(made.start.speed))
-
-
-def test_time_is_whole_microseconds() -> None:
-    worlds: list[WorldState] = driven(course(), straight(8.0), 3)
-    assert [world.time_us - worlds[0].time_us for world in worlds] == [0, 500_000, 1_000_000, 1_500_000]
-    assert all(isinstance(world.time_us, int) for world in worlds)

@@ -85,15 +85,9 @@ def test_reference_profiles_repeat_the_golden_numbers() -> None:
 
 
 DEGENERATE = {
-    "zeros_moving": 1e-9,
-    "zeros_stopped": 1e-9,
-    "huge_speed": 1e-6,
+    **dict.fromkeys(("zeros_moving", "zeros_stopped", "one_point", "tiny_1e-9", "sideways"), 1e-9),
+    **dict.fromkeys(("huge_speed", "zigzag", "random_1e3"), 1e-6),
     "huge_jump": 0.1,  # 10 km in one waypoint, then the steering saturates
-    "zigzag": 1e-6,
-    "random_1e3": 1e-6,
-    "one_point": 1e-9,
-    "tiny_1e-9": 1e-9,
-    "sideways": 1e-9,
 }
 
 
@@ -130,7 +124,7 @@ def hardly_moving(rng: np.random.Generator, count: int) -> Floats:
     [(SI, driven), (SI, erratic), (SI, hardly_moving), (REFERENCE, driven), (REFERENCE, erratic)],
     ids=["si driven", "si erratic", "si hardly moving", "reference driven", "reference erratic"],
 )
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32), steps=st.integers(1, 80))
 def test_the_fast_side_agrees_with_the_slow_one(
     model: MotionModel, waypoints: Callable[[np.random.Generator, int], Floats], seed: int, steps: int
@@ -164,75 +158,39 @@ def test_the_fast_side_agrees_with_the_slow_one(
         np.testing.assert_allclose(fast.commands[index], commands, atol=1e-6)
 
 
-def test_constant_speed_stays_constant() -> None:
-    motion = drive(along_x(np.full((1, 16), 10.0)), 10.0)
-    np.testing.assert_allclose(motion.states[0, :, 3], 10.0, atol=1e-6)
-    np.testing.assert_allclose(motion.states[0, -1, 0], 40.0, atol=1e-4)
-    np.testing.assert_allclose(motion.center[0, :, 0] - motion.states[0, :, 0], 0.3 * LENGTH_M)
-
-
-def test_a_bend_is_followed() -> None:
-    turn = 0.5 * 8.0 / 20.0 * np.arange(1, 17)
-    waypoints = np.stack([20.0 * np.sin(turn), 20.0 * (1.0 - np.cos(turn)), turn], axis=-1)[None]
-    state = VehicleState(np.zeros(3), 8.0, 0.0, float(np.arctan(0.6 * LENGTH_M / 20.0)))
-    motion = simulate(waypoints, state, LENGTH_M, steps=36, model=SI)
-    radius = np.hypot(motion.states[0, :, 0], motion.states[0, :, 1] - 20.0)
-    assert np.abs(radius - 20.0).max() < 0.6
-
-
-def test_a_standing_car_starts_and_a_moving_one_stops() -> None:
-    speeds = np.stack([np.linspace(0.5, 8.0, 16), np.zeros(16)])
-    motion = drive(along_x(speeds), 0.0)
+def test_a_standing_car_starts_and_a_moving_one_stops_and_none_reverses() -> None:
+    motion = drive(along_x(np.stack([np.linspace(0.5, 8.0, 16), np.zeros(16)])), 0.0)
     assert motion.states[0, -1, 3] > 1.5
     np.testing.assert_array_equal(motion.states[1, :, :3], 0.0)
     stopping = drive(along_x(np.maximum(8.0 - 1.5 * np.arange(1, 17), 0.0)[None]), 8.0, 84)
     assert stopping.states[0, -1, 3] < 0.5
-
-
-def test_waypoints_behind_never_make_a_car_reverse_or_turn_round() -> None:
+    # Waypoints behind it.
     motion = drive(along_x(np.full((1, 16), -4.0)), 3.0, 84)
-    assert motion.states[0, :, 3].min() >= 0.0
-    assert np.abs(motion.states[0, :, 2]).max() < 0.2
+    assert motion.states[0, :, 3].min() >= 0.0 and np.abs(motion.states[0, :, 2]).max() < 0.2
     assert (np.diff(motion.states[0, :, 0]) >= 0.0).all()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32), st.floats(0.0, 25.0), st.floats(-5.0, 2.5), st.floats(-0.3, 0.3))
 def test_limits_hold_for_any_waypoints(seed: int, speed: float, acceleration: float, steering: float) -> None:
-    limits = DriverLimits()
-    steering = float(np.clip(steering, -0.4 * LENGTH_M / max(speed, 1.0) ** 2, 0.4 * LENGTH_M / max(speed, 1.0) ** 2))
-    rng = np.random.default_rng(seed)
-    waypoints = np.cumsum(rng.normal([3.0, 0.0, 0.0], [4.0, 3.0, 1.0], (12, 16, 3)), axis=1)
-    motion = drive(waypoints, speed, acceleration=acceleration, steering=steering)
-    states = motion.states
-    wheelbase = 0.6 * LENGTH_M
-    assert states[..., 3].min() >= 0.0
-    assert states[:, 1:, 4].max() <= limits.acceleration_m_s2 + 1e-9
-    assert states[:, 1:, 4].min() >= -limits.braking_m_s2 - 1e-9
+    limits, wheelbase, most = DriverLimits(), 0.6 * LENGTH_M, 0.4 * LENGTH_M / max(speed, 1.0) ** 2
+    steering = float(np.clip(steering, -most, most))
+    waypoints = np.cumsum(np.random.default_rng(seed).normal([3.0, 0.0, 0.0], [4.0, 3.0, 1.0], (12, 16, 3)), axis=1)
+    states = drive(waypoints, speed, acceleration=acceleration, steering=steering).states
+    speeds, accelerations = states[..., 3], states[:, 1:, 4]
+    assert speeds.min() >= 0.0 and accelerations.max() <= limits.acceleration_m_s2 + 1e-9
+    assert accelerations.min() >= -limits.braking_m_s2 - 1e-9
     jerk = np.diff(states[..., 4], axis=1) * 12
-    moving = states[:, 1:, 3] > 0.0
-    assert np.abs(jerk[moving]).max(initial=0.0) <= limits.jerk_m_s3 + 1e-6
-    lateral = states[:, 1:, 3] ** 2 * np.tan(states[:, 1:, 5]) / wheelbase
+    assert np.abs(jerk[speeds[:, 1:] > 0.0]).max(initial=0.0) <= limits.jerk_m_s3 + 1e-6
+    lateral = speeds[:, 1:] ** 2 * np.tan(states[:, 1:, 5]) / wheelbase
     assert np.abs(lateral).max() <= limits.lateral_acceleration_m_s2 + 1e-6
     sideways = np.diff(states[..., 1], axis=1) * np.cos(states[:, :-1, 2])
     sideways -= np.diff(states[..., 0], axis=1) * np.sin(states[:, :-1, 2])
     np.testing.assert_allclose(sideways, 0.0, atol=1e-9)
 
 
-@settings(max_examples=10, deadline=None)
-@given(st.integers(0, 2**32), st.floats(-3.0, 3.0), st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
-def test_rigid_motion_of_the_start_moves_the_result(seed: int, yaw: float, x: float, y: float) -> None:
-    waypoints = np.cumsum(np.random.default_rng(seed).normal([4.0, 0.0, 0.0], 1.0, (4, 16, 3)), axis=1)
-    here = simulate(waypoints, VehicleState(np.zeros(3), 7.0), LENGTH_M, steps=24, model=SI)
-    there = simulate(waypoints, VehicleState(np.array([x, y, yaw]), 7.0), LENGTH_M, steps=24, model=SI)
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    expected_x = x + here.center[..., 0] * cos - here.center[..., 1] * sin
-    np.testing.assert_allclose(there.center[..., 0], expected_x, atol=1e-8)
-    np.testing.assert_allclose(wrap_angle(there.center[..., 2] - here.center[..., 2] - yaw), 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize("model", [SI, REFERENCE], ids=["si", "reference"])
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308, 1e160, 1e20])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e160, 1e20])
 def test_one_broken_candidate_leaves_the_rest_undisturbed(bad: float, model: MotionModel) -> None:
     waypoints = np.cumsum(np.random.default_rng(5).normal([3.0, 0.0], 1.0, (5, 16, 2)), axis=1)
     waypoints[4] = 0.0  # comes to a stand
@@ -252,6 +210,7 @@ def test_nothing_and_no_time_are_simulated_as_such() -> None:
     assert simulate(np.zeros((0, 16, 3)), VehicleState(np.zeros(3), 5.0), 4.0, steps=12, model=SI).finite.shape == (0,)
     still = drive(along_x(np.full((2, 16), 6.0)), 6.0, 0)
     np.testing.assert_array_equal(still.states[:, 0], [[0.0, 0.0, 0.0, 6.0, 0.0, 0.0]] * 2)
+    np.testing.assert_allclose(compute_rear_axle(np.array([10.0, 5.0, np.pi / 2]), 5.0), [10.0, 3.5, np.pi / 2])
 
 
 def test_si_penalises_jerk_and_the_reference_acceleration() -> None:
@@ -266,14 +225,12 @@ def test_si_tracks_with_the_vehicles_own_wheelbase(length: float) -> None:
     turn = 0.5 * 6.0 / 30.0 * np.arange(1, 17)
     waypoints = np.stack([30.0 * np.sin(turn), 30.0 * (1.0 - np.cos(turn))], axis=-1)[None]
     on_circle = VehicleState(np.zeros(3), 6.0, 0.0, float(np.arctan(0.6 * length / 30.0)))
-    si = simulate(waypoints, on_circle, length, steps=48, model=SI)
-    radius = np.hypot(si.states[0, 24:, 0], si.states[0, 24:, 1] - 30.0)
-    assert np.abs(radius - 30.0).max() < 0.25
     believing = replace(SI, tracker_wheelbase_m=REFERENCE.tracker_wheelbase_m)
-    other = simulate(waypoints, on_circle, length, steps=48, model=believing)
-    if length == 11.0:
-        missed = np.hypot(other.states[0, 24:, 0], other.states[0, 24:, 1] - 30.0)
-        assert np.abs(missed - 30.0).max() > 2.0 * np.abs(radius - 30.0).max()
+    missed = []
+    for model in (SI, believing):
+        states = simulate(waypoints, on_circle, length, steps=48, model=model).states[0, 24:]
+        missed.append(np.abs(np.hypot(states[:, 0], states[:, 1] - 30.0) - 30.0).max())
+    assert missed[0] < 0.25 and (length != 11.0 or missed[1] > 2.0 * missed[0])
 
 
 def test_going_on_from_a_state_is_the_same_as_not_stopping() -> None:
@@ -281,7 +238,3 @@ def test_going_on_from_a_state_is_the_same_as_not_stopping() -> None:
     whole = drive(waypoints, 9.0, 24)
     half = simulate(waypoints, whole.state(0, 12), LENGTH_M, steps=12, model=SI)
     np.testing.assert_allclose(half.center[0], whole.center[0, 12:], atol=1e-6)
-
-
-def test_rear_axle_is_behind_the_center() -> None:
-    np.testing.assert_allclose(compute_rear_axle(np.array([10.0, 5.0, np.pi / 2]), 5.0), [10.0, 3.5, np.pi / 2])

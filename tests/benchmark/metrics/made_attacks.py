@@ -31,33 +31,23 @@ _FLAGS = {".": CLEAN, "!": FAILED, "-": UNCOUNTED}
 def contact(letter: str) -> PlanSeverityRow:
     """A sample that touches somebody: f and F in front, r from behind, s at the side without a map."""
     kind, blamed, speed, adversary = _CONTACTS[letter]
-    return PlanSeverityRow(
-        contact=PlanCollision(
-            time_s=1.3,
-            kind=kind,
-            at_fault=blamed,
-            impact_speed_m_s=speed,
-            delta_v_ego_m_s=0.5 * speed,
-            delta_v_other_m_s=0.4 * speed,
-            fatal_probability=min((0.5 * speed / 31.74) ** 4, 1.0),
-            agent="a" if adversary else "b",
-            adversary=adversary,
-        )
-    )
+    hit = PlanCollision(
+        time_s=1.3, kind=kind, at_fault=blamed, impact_speed_m_s=speed,
+        delta_v_ego_m_s=0.5 * speed, delta_v_other_m_s=0.4 * speed,
+        fatal_probability=min((0.5 * speed / 31.74) ** 4, 1.0), agent="a" if adversary else "b", adversary=adversary,
+    )  # fmt: skip
+    return PlanSeverityRow(contact=hit)
 
 
 def near(index: int) -> PlanSeverityRow:
     """A sample without contact: later ones come nearer; the first does not head for the adversary."""
+    ttc_s, pet_s = (None, None) if index == 0 else (3.0 / index, 2.0)
     return PlanSeverityRow(
         near=PlanNearRow(
-            least_gap_m=5.0 - index,
-            least_ttc_s=None if index == 0 else 3.0 / index,
-            tet_s=0.1 * index,
-            tit_s2=0.01 * index,
-            pet_s=None if index == 0 else 2.0,
-            max_btn=0.5 * index,
+            least_gap_m=5.0 - index, least_ttc_s=ttc_s, tet_s=0.1 * index, tit_s2=0.01 * index,
+            pet_s=pet_s, max_btn=0.5 * index,
         )
-    )
+    )  # fmt: skip
 
 
 def attacked(
@@ -81,15 +71,10 @@ def attacked(
         letter = scenes[row.scene][row.index]
         severity = None if letter == "!" else contact(letter) if letter in _CONTACTS else near(row.index)
         rows.append(row.model_copy(update={"severity": severity, "complete": letter != "-"}))
-    facts = {
-        scene: SceneFacts(
-            source=(sources or {}).get(scene, scene),
-            manoeuvre="cut-in-left",
-            adversaries=1,
-            judgement=judged(survives),
-        )
-        for scene, survives in careful.items()
-    }
+    facts = {}
+    for scene, survives in careful.items():
+        source = (sources or {}).get(scene, scene)
+        facts[scene] = SceneFacts(source=source, manoeuvre="cut-in-left", adversaries=1, judgement=judged(survives))
     return replace(record, rows=tuple(rows), run=record.run.model_copy(update={"scene_facts": facts}))
 
 
@@ -112,34 +97,20 @@ def with_realism(record: RunRecord, worst: float | None) -> RunRecord:
         ValidityRow(fault="off_road", count=1, of=count),
         ValidityRow(fault="teleport", count=0, of=0, unknown=("the generated 12 Hz track is not in the data set",)),
     )
-    if worst is None:
-        said = SplitRealism(adversaries=count, validity=validity, not_compared="the recordings are our own town")
-    else:
+    said = SplitRealism(adversaries=count, validity=validity, not_compared="the recordings are our own town")
+    if worst is not None:
         features = tuple(
             FeatureRealism(
-                name=name,
-                w1=0.4,
-                w1_of_halves=0.2,
-                w1_in_halves=2.0,
-                realism=realism,
-                realism_of_halves=0.94,
+                name=name, w1=0.4, w1_of_halves=0.2, w1_in_halves=2.0, realism=realism, realism_of_halves=0.94,
                 interval=(realism - 0.05, realism + 0.02),
             )
             for name, realism in (("speed", 0.95), ("jerk_along", worst))
+        )  # fmt: skip
+        ctg = CtgRow(
+            version="ctg", normalisation="scene", mask="current_speed", mean_real_dev=0.05, mean_real_dev_int=None
         )
         said = SplitRealism(
-            adversaries=count,
-            validity=validity,
-            reference="vehicle.car of 3 scenes",
-            samples=(120, 900),
-            features=features,
-            worst="jerk_along",
-            ctg=CtgRow(
-                version="ctg",
-                normalisation="scene",
-                mask="current_speed",
-                mean_real_dev=0.05,
-                mean_real_dev_int=None,
-            ),
-        )
+            adversaries=count, validity=validity, reference="vehicle.car of 3 scenes", samples=(120, 900),
+            features=features, worst="jerk_along", ctg=ctg,
+        )  # fmt: skip
     return replace(record, run=record.run.model_copy(update={"realism": said}))

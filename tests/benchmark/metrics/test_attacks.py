@@ -45,19 +45,12 @@ def test_three_readings_of_samples_and_of_scenes() -> None:
     assert (found.judged, found.spared, found.unknown_fault) == (3, 2, 0)
 
 
-def test_nobody_judged_anything() -> None:
-    found = compute_attack_rates(attacked("p", {"a": "f.", "b": ".."}, {"a": None, "b": None}))
-    assert found.samples["attributable"].value is None and found.scenes["attributable"].denominator == 0
-    assert found.scenes["at_fault"].value == 0.5 and found.judged == 0
-
-
 def test_what_is_unknown_in_a_scene_makes_it_unknown_unless_something_is_found() -> None:
     record = attacked("p", {"a": "s...", "b": "sf..", "c": "!...", "d": "!f.."}, dict.fromkeys("abcd", True))
-    verdicts = {scene: attack.verdicts for scene, attack in collect_scene_attacks(record).items()}
-    assert verdicts["a"] == {"contact": True, "at_fault": None, "attributable": None}
-    assert verdicts["b"] == {"contact": True, "at_fault": True, "attributable": True}
-    assert verdicts["c"] == {"contact": None, "at_fault": None, "attributable": None}
-    assert verdicts["d"] == {"contact": True, "at_fault": True, "attributable": True}
+    verdicts = {scene: tuple(attack.verdicts.values()) for scene, attack in collect_scene_attacks(record).items()}
+    assert list(collect_scene_attacks(record)["a"].verdicts) == ["contact", "at_fault", "attributable"]
+    unknown, found_there = (None, None, None), (True, True, True)
+    assert verdicts == {"a": (True, None, None), "b": found_there, "c": unknown, "d": found_there}
     found = compute_attack_rates(record)
     assert (found.scenes["at_fault"].numerator, found.scenes["at_fault"].denominator) == (2, 2)
     assert found.unknown_fault == 2 and found.samples["at_fault"].denominator == 12
@@ -85,13 +78,14 @@ def test_intervals_draw_recorded_scenes() -> None:
     assert found == expected and found.low is not None and found.low < 0.75
 
 
-def test_older_records_do_not_say_how_severe_plans_are() -> None:
+def test_older_records_do_not_say_how_severe_plans_are_and_others_may_judge_nothing() -> None:
     old = hand_made("p", {"a": [CLEAN]})
     assert not has_severity(old) and has_adversaries(old)
     assert has_severity(attacked("p", {"a": ".!"}, {"a": True}))
     assert not has_adversaries(hand_made("p", {"a": [CLEAN]}, split="val"))
-    elsewhere = attacked("p", {"a": "."}, {"a": None}, split="night")
-    assert has_adversaries(elsewhere)
+    found = compute_attack_rates(attacked("p", {"a": "f.", "b": ".."}, {"a": None, "b": None}))
+    assert found.samples["attributable"].value is None and found.scenes["attributable"].denominator == 0
+    assert found.scenes["at_fault"].value == 0.5 and found.judged == 0
 
 
 def test_distributions_over_contacts_and_near_passes() -> None:
@@ -145,8 +139,5 @@ def test_a_driver_that_a_record_does_not_name_is_unknown() -> None:
 def test_machines_read_the_readings_of_splits_with_adversaries() -> None:
     said = attack_rates_to_json(attacked("p", {"a": "f...", "b": "...."}, {"a": True, "b": None}))["attack_success"]
     assert said["samples"]["contact"]["value"] == 0.125 and said["scenes"]["attributable"]["denominator"] == 1
-    assert (
-        attack_rates_to_json(hand_made("p", {"a": [CLEAN]}, split="val"))
-        == {}
-        == attack_rates_to_json(hand_made("p", {"a": [CLEAN]}))
-    )
+    for split in ("val", "adv"):
+        assert attack_rates_to_json(hand_made("p", {"a": [CLEAN]}, split=split)) == {}

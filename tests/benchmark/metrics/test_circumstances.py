@@ -47,15 +47,12 @@ def test_speed_is_that_of_the_recording_and_needs_no_can_bus() -> None:
     assert speeds == pytest.approx(8.0 - scene.seconds[scene.keyframes], abs=2e-3)
 
 
-def test_without_a_map_every_place_is_unknown() -> None:
-    scene = replace(scene_on_straight_road(), road_map=RoadMap("nowhere", MultiPolygon()))
-    assert {one.place for one in read_sample_contexts(scene)} == {PlaceKind.UNKNOWN}
-
-
-def test_a_map_that_is_asked_often_answers_as_one_that_is_asked_once() -> None:
-    road_map, boxes = straight_road(), scene_on_straight_road().ego.boxes[::7]
-    places = PlaceClassifier(road_map)
+def test_a_map_that_is_asked_often_answers_as_one_that_is_asked_once_and_without_a_map_all_is_unknown() -> None:
+    road_map, scene = straight_road(), scene_on_straight_road()
+    places, boxes = PlaceClassifier(road_map), scene.ego.boxes[::7]
     assert [places.of(box, box) for box in boxes] == [classify_place(road_map, box, box) for box in boxes]
+    unmapped = replace(scene, road_map=RoadMap("nowhere", MultiPolygon()))
+    assert {one.place for one in read_sample_contexts(unmapped)} == {PlaceKind.UNKNOWN}
 
 
 def test_rows_say_where_their_samples_are_and_read_back_so(tmp_path: Path) -> None:

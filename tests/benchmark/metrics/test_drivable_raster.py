@@ -34,7 +34,7 @@ def scattered(seed: int) -> MultiPolygon:
     return as_multipolygon(shapely.difference(added, cut))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(("half_extent_m", "resolution_m"), [(16.0, 0.5), (15.5, 1.0), (7.0, 0.4)])
 def test_every_node_is_as_the_point_test_says(seed: int, half_extent_m: float, resolution_m: float) -> None:
     road_map = RoadMap("nowhere", scattered(seed))
@@ -48,8 +48,9 @@ def test_every_node_is_as_the_point_test_says(seed: int, half_extent_m: float, r
 def test_nodes_of_the_town() -> None:
     scene = build_town_scene("val", 0)
     shapely.prepare(scene.road_map.drivable_area)
-    raster = DrivableRaster.around(scene.road_map, scene.ego.pose[100])
-    assert np.array_equal(raster.cells, slow_cells(scene.road_map, scene.ego.pose[100], 50.0, 0.5))
+    pose = scene.ego.pose[100]
+    raster = DrivableRaster.around(scene.road_map, pose, half_extent_m=30.0, resolution_m=1.0)
+    assert np.array_equal(raster.cells, slow_cells(scene.road_map, pose, 30.0, 1.0))
 
 
 @pytest.mark.parametrize("area", [MultiPolygon(), MultiPolygon([shapely.box(-99.0, -99.0, 99.0, 99.0)])])

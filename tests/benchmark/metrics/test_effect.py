@@ -9,7 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.metrics.effect import AdversaryEffect, compute_effect
-from benchmark.metrics.rates import FEWEST_DIFFERING_OF_TEN, FEWEST_RECORDINGS, compute_paired_difference
+from benchmark.metrics.rates import (
+    FEWEST_DIFFERING_OF_TEN,
+    FEWEST_RECORDINGS,
+    PairedDifference,
+    compute_paired_difference,
+)
 from benchmark.metrics.unchanged_records import find_unchanged_record
 from benchmark.records.run import RunRecord
 from leaderboard.frame.runs import DataSetRuns
@@ -68,15 +73,12 @@ def test_who_evades_into_a_bystander_has_a_new_contact_and_who_is_spared_one_has
     assert found.new_others == pytest.approx(1 / 8) and found.lost_others == pytest.approx(2 / 8)
 
 
-def test_a_ratio_over_zero_does_not_exist() -> None:
-    found = effect({"A-1": "f..."}, {"A": "...."}).paired
-    assert found is not None and found.ratio is None and found.difference.value == pytest.approx(0.25)
-
-
-def test_what_has_no_pair_is_counted_and_named() -> None:
+def test_what_has_no_pair_is_counted_and_named_and_a_ratio_over_zero_does_not_exist() -> None:
     found = effect({"A-1": "f...", "C-1": "f..."}, {"A": "..", "B": "...."}).paired
     assert found is not None
     assert (found.pairs, found.unpaired, found.unpaired_scenes) == (2, 6, ("C-1",))
+    found = effect({"A-1": "f..."}, {"A": "...."}).paired
+    assert found is not None and found.ratio is None and found.difference.value == pytest.approx(0.25)
 
 
 def test_a_record_that_does_not_say_whom_contacts_are_with_has_dashes_and_no_zeros() -> None:
@@ -90,7 +92,7 @@ def test_a_record_that_does_not_say_whom_contacts_are_with_has_dashes_and_no_zer
 letters = st.text("fF.", min_size=4, max_size=4)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.lists(st.tuples(letters, letters, letters), min_size=5, max_size=8))
 def test_a_second_variant_that_is_the_same_changes_no_number_and_no_interval(
     recordings: list[tuple[str, str, str]],
@@ -123,30 +125,27 @@ def test_too_few_recordings_that_differ_give_no_interval_and_say_how_many_would(
 def test_four_of_fewer_than_ten_recordings_must_differ_and_five_of_more(
     recordings: int, differing: int, enough: int | None
 ) -> None:
-    sums = np.array([*np.linspace(1.0, 4.0, differing), *[0.0] * (recordings - differing)])
-    found = compute_paired_difference(sums, np.full(recordings, 30.0))
-    assert (found.low is None, found.enough) == (enough is not None, enough)
+    def found(count: int, unlike: int) -> PairedDifference:
+        sums = np.array([*np.linspace(1.0, 4.0, unlike), *[0.0] * (count - unlike)])
+        return compute_paired_difference(sums, np.full(count, 30.0))
+
+    told = found(recordings, differing)
+    assert (told.low is None, told.enough) == (enough is not None, enough)
     if enough is not None:
         # What is named does, and one fewer does not.
-        assert [_given(number, number * differing // recordings) for number in (enough - 1, enough)] == [False, True]
+        fewer, named = (found(number, number * differing // recordings) for number in (enough - 1, enough))
+        assert fewer.low is None and named.low is not None
 
 
-def _given(recordings: int, differing: int) -> bool:
-    sums = np.array([*np.linspace(1.0, 4.0, differing), *[0.0] * (recordings - differing)])
-    return compute_paired_difference(sums, np.full(recordings, 30.0)).low is not None
-
-
-@pytest.mark.parametrize(
-    ("adversarial", "said"),
-    [
+def test_the_table_says_in_words_how_many_recordings_differ() -> None:
+    many = {f"{name}-1": "f..." if name in "AB" else "...." for name in "ABCDEFG"}
+    for adversarial, said in (
         ({"A-1": "f..."}, "only 1 of 1 recordings differs, too few"),
-        ({f"{name}-1": "f..." if name in "AB" else "...." for name in "ABCDEFG"}, "only 2 of 7 recordings differ, too"),
-    ],
-)
-def test_the_table_says_in_words_how_many_recordings_differ(adversarial: Mapping[str, str], said: str) -> None:
-    unchanged = ran({scene[0]: "...." for scene in adversarial}, "val")
-    table = effect_table(DataSetRuns("d", [ran(adversarial), unchanged]))
-    assert table is not None and sum(said in note for note in table.notes) == 1
+        (many, "only 2 of 7 recordings differ, too"),
+    ):
+        unchanged = ran({scene[0]: "...." for scene in adversarial}, "val")
+        table = effect_table(DataSetRuns("d", [ran(adversarial), unchanged]))
+        assert table is not None and sum(said in note for note in table.notes) == 1
 
 
 def test_the_interval_is_that_of_t_over_recordings_of_equal_length() -> None:
@@ -157,16 +156,14 @@ def test_the_interval_is_that_of_t_over_recordings_of_equal_length() -> None:
 
 
 def test_the_partner_is_of_the_same_planner_and_has_most_of_the_recordings() -> None:
+    def of(record: RunRecord, **facts: object) -> RunRecord:
+        planner = record.run.planner.model_copy(update=facts)
+        return replace(record, run=record.run.model_copy(update={"planner": planner}))
+
     adversarial, val = ran(ADVERSARIAL), ran(UNCHANGED, "val")
     part, rendered = ran({"A": "...."}, "val"), ran(UNCHANGED, "val-r")
     assert find_unchanged_record(adversarial, [part, val, adversarial]) is val
     assert find_unchanged_record(adversarial, [val, rendered]) is val
-    seeing = [
-        replace(
-            each, run=each.run.model_copy(update={"planner": each.run.planner.model_copy(update={"miniature": True})})
-        )
-        for each in (adversarial, val, rendered)
-    ]
+    seeing = [of(each, miniature=True) for each in (adversarial, val, rendered)]
     assert find_unchanged_record(seeing[0], [seeing[2], seeing[1]]) is seeing[2]
-    other = val.run.planner.model_copy(update={"weights_sha256": "0" * 64})
-    assert find_unchanged_record(adversarial, [replace(val, run=val.run.model_copy(update={"planner": other}))]) is None
+    assert find_unchanged_record(adversarial, [of(val, weights_sha256="0" * 64)]) is None

@@ -69,7 +69,7 @@ def test_honest_plans_are_not_suspected() -> None:
     assert compute_leak_figures(drives(300, np.random.default_rng(1))).suspicions == ()
 
 
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=6)
 @given(seed=st.integers(0, 1000), metres=st.sampled_from([0.0, 0.03, 0.06, 0.12]), hard_only=st.booleans())
 def test_the_future_with_noise_is_suspected_also_on_dangerous_samples_alone(
     seed: int, metres: float, hard_only: bool

@@ -7,13 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.metrics.loops import (
-    compare_loops,
-    compute_rank_correlation,
-    find_run,
-    is_stale,
-    kendall_tau,
-)
+from benchmark.metrics.loops import compare_loops, compute_rank_correlation, find_run, is_stale, kendall_tau
 from benchmark.records.drive_schema import EpisodeRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord
@@ -85,17 +79,14 @@ def test_what_failed_leaves_its_scene_out_unless_there_is_a_contact(tmp_path: Pa
 
 def test_a_run_stands_beside_drives_of_the_same_planner_and_data_alone(tmp_path: Path) -> None:
     driven = drives(tmp_path / "a", row("s1"))
+    assert not is_stale(driven) and is_stale(drives(tmp_path / "old", row("s1"), scoring=999))
     assert find_run(driven, [run("other"), run()]) == run()
-    assert find_run(driven, [run("other")]) is None
-    assert find_run(driven, [run(split="val")]) is None and find_run(driven, [run(data="e")]) is None
-    assert find_run(driven, [run(weights="ab")]) is None
-    assert (
-        find_run(drives(tmp_path / "b", row("s1"), planner={"weights_sha256": "ab"}), [run(weights="ab")]) is not None
-    )
-    assert find_run(driven, [run(versions={"exact": 0})]) is None
+    others = (run("other"), run(split="val"), run(data="e"), run(weights="ab"), run(versions={"exact": 0}))
+    assert all(find_run(driven, [other]) is None for other in others)
+    weighted = drives(tmp_path / "b", row("s1"), planner={"weights_sha256": "ab"})
+    assert find_run(weighted, [run(weights="ab")]) is not None
     assert find_run(drives(tmp_path / "c", row("s9")), [run()]) is None
-    part = hand_made("p", {"s1": [CLEAN]})
-    both = drives(tmp_path / "d", row("s1"), row("s2"))
+    part, both = hand_made("p", {"s1": [CLEAN]}), drives(tmp_path / "d", row("s1"), row("s2"))
     assert find_run(both, [part, run()]) == run() == find_run(both, [run(), part])
 
 
@@ -109,13 +100,21 @@ def test_kendall_by_hand() -> None:
     assert kendall_tau(np.array([1.0, 1.0, 1.0]), np.array([1.0, 2.0, 3.0])) is None
 
 
-def test_rank_correlation_says_of_how_many(tmp_path: Path) -> None:
+def test_rank_correlation_says_of_how_many_and_ranks_at_fault_apart(tmp_path: Path) -> None:
     found = loops(tmp_path, {"a": (0, 1), "b": (1, 2), "c": (3, 4), "d": (2, 0)})
     correlation = compute_rank_correlation(found)
     # Of six pairs the three with d: (a, d), (b, d) and (c, d), of which the last alone is in order.
     assert correlation.tau == pytest.approx((4 - 2) / 6) and (correlation.planners, correlation.scenes) == (4, 4)
     assert compute_rank_correlation(found[:2]).tau is None and compute_rank_correlation(found[:2]).planners == 2
     assert compute_rank_correlation([]).planners == 0
+    blamed = [
+        compare_loops(
+            drives(tmp_path / f"{name}-blamed", *(hit(each, at_fault=at < count) for at, each in enumerate(SCENES))),
+            run(name, SCENES[:opened]),
+        )
+        for name, opened, count in (("a", 1, 3), ("b", 2, 2), ("c", 3, 1))
+    ]
+    assert compute_rank_correlation(blamed).tau is None and compute_rank_correlation(blamed, at_fault=True).tau == -1.0
 
 
 def test_miniatures_rank_nothing_and_only_common_scenes_count(tmp_path: Path) -> None:
@@ -126,19 +125,3 @@ def test_miniatures_rank_nothing_and_only_common_scenes_count(tmp_path: Path) ->
     assert compute_rank_correlation([*found, part]).scenes == 2
     elsewhere = compare_loops(drives(tmp_path / "e", row("s4")), run())
     assert compute_rank_correlation([*found, part, elsewhere]).tau is None
-
-
-def test_at_fault_ranks_apart(tmp_path: Path) -> None:
-    found = [
-        compare_loops(
-            drives(tmp_path / name, *(hit(each, at_fault=place < blamed) for place, each in enumerate(SCENES))),
-            run(name, SCENES[:opened]),
-        )
-        for name, opened, blamed in (("a", 1, 3), ("b", 2, 2), ("c", 3, 1))
-    ]
-    assert compute_rank_correlation(found).tau is None and compute_rank_correlation(found, at_fault=True).tau == -1.0
-
-
-def test_old_scores_are_told(tmp_path: Path) -> None:
-    assert not is_stale(drives(tmp_path / "a", row("s1")))
-    assert is_stale(drives(tmp_path / "b", row("s1"), scoring=999))

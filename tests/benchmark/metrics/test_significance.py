@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_seed
-from benchmark.metrics.rates import HORIZONS, RESAMPLES
+from benchmark.metrics.rates import RESAMPLES
 from benchmark.metrics.scores import map_scenes_to_sources, score_record
 from benchmark.metrics.significance import PlannerComparison, SplitComparison, compare_planners, compare_splits
 from benchmark.records.run import RunRecord
@@ -58,7 +58,7 @@ def slow_ends(values: list[float], low: float, high: float) -> tuple[float, floa
     return below[math.floor(0.025 * (len(values) - 1))], above[math.ceil(0.975 * (len(values) - 1))]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_changes_between_splits_are_those_of_a_slow_bootstrap(seed: int) -> None:
     rng = np.random.default_rng(seed)
     val = random_scenes(rng, [*SIX, "only-val"], 0.3)
@@ -94,7 +94,7 @@ def test_differences_between_planners_are_those_of_a_slow_bootstrap() -> None:
     assert (found.difference.low, found.difference.high) == pytest.approx(slow_ends(drawn, -1.0, 1.0))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32), data=st.data())
 def test_the_order_of_samples_and_scenes_changes_no_bit(seed: int, data: st.DataObject) -> None:
     rng = np.random.default_rng(seed)
@@ -107,38 +107,12 @@ def test_the_order_of_samples_and_scenes_changes_no_bit(seed: int, data: st.Data
     assert splits(baseline, shuffled) == splits(baseline, first)
 
 
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**32))
-def test_a_planner_does_not_differ_from_itself(seed: int) -> None:
-    scenes = random_scenes(np.random.default_rng(seed), SIX, 0.5)
+def test_a_planner_does_not_differ_from_itself() -> None:
+    scenes = random_scenes(np.random.default_rng(6), SIX, 0.5)
     for protocol in ("exact", "vad"):
         first, second = (hand_made(name, scenes, protocols=(protocol,)) for name in ("a", "b"))
-        for comparison in planners(first, second, protocol).by_horizon.values():
-            difference = comparison.difference
-            assert (difference.value, difference.low, difference.high) == (0.0, 0.0, 0.0)
-
-
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**32), chance=st.floats(0.2, 0.8))
-def test_intervals_hold_the_estimate_where_there_are_many_scenes(seed: int, chance: float) -> None:
-    rng = np.random.default_rng(seed)
-    names = [f"s{index:02}" for index in range(40)]
-    first, second = (hand_made(name, random_scenes(rng, names, chance)) for name in ("a", "b"))
-    for comparison in planners(first, second).by_horizon.values():
-        estimate = comparison.difference
-        assert estimate.value is not None and estimate.low is not None and estimate.high is not None
-        assert estimate.low <= estimate.value <= estimate.high
-
-
-def test_swapping_two_planners_turns_the_difference_round() -> None:
-    rng = np.random.default_rng(2)
-    first, second = (hand_made(name, random_scenes(rng, SIX, 0.4)) for name in ("a", "b"))
-    there, back = planners(first, second).by_horizon, planners(second, first).by_horizon
-    for horizon in HORIZONS:
-        one, other = there[horizon].difference, back[horizon].difference
-        assert (one.value, one.low, one.high) == pytest.approx(
-            tuple(-(x or 0.0) for x in (other.value, other.high, other.low))
-        )
+        found = [one.difference for one in planners(first, second, protocol).by_horizon.values()]
+        assert {(each.value, each.low, each.high) for each in found} == {(0.0, 0.0, 0.0)}
 
 
 def test_what_both_splits_share_is_not_taken_for_chance() -> None:
@@ -164,7 +138,7 @@ def test_ten_versions_of_a_recording_are_not_ten_observations() -> None:
     assert (many.low, many.high) == pytest.approx((few.low, few.high))
 
 
-def test_a_sample_that_either_failed_on_is_in_neither_rate() -> None:
+def test_a_sample_that_either_failed_on_is_in_neither_rate_and_scenes_of_one_alone_are_named() -> None:
     first = hand_made("a", {"s0": [HIT, CLEAN, FAILED, CLEAN], "s1": [CLEAN, UNCOUNTED]})
     second = hand_made("b", {"s0": [CLEAN, CLEAN, HIT, FAILED], "s1": [CLEAN, UNCOUNTED]})
     found = planners(first, second)
@@ -173,13 +147,10 @@ def test_a_sample_that_either_failed_on_is_in_neither_rate() -> None:
     assert (average.first, average.second) == pytest.approx((1 / 3, 0.0))
     nothing = planners(hand_made("a", {"s0": [FAILED]}), hand_made("b", {"s0": [HIT]})).by_horizon["avg"]
     assert nothing.first is None and nothing.second is None and nothing.difference.value is None
-
-
-def test_scenes_that_one_planner_did_not_run_on_are_named() -> None:
     found = planners(hand_made("a", {"s0": [HIT], "s1": [HIT]}), hand_made("b", {"s1": [CLEAN], "s2": [HIT]}))
     assert found.unshared == ("s0", "s2") and found.samples == 1 and found.failed == 0
-    assert found.by_horizon["avg"].difference.value == -1.0
-    assert found.by_horizon["avg"].difference.low is None
+    difference = found.by_horizon["avg"].difference
+    assert difference.value == -1.0 and difference.low is None
 
 
 def test_where_a_scene_comes_from_is_taken_from_the_record_and_else_from_its_name() -> None:
@@ -212,13 +183,14 @@ def test_native_compares_under_each_planners_own_protocol() -> None:
 def test_what_does_not_compare_is_refused() -> None:
     scenes: Scenes = {"s0": [CLEAN], "s1": [HIT]}
     val, adv = hand_made("p", scenes, split="val"), hand_made("p", scenes)
-    with pytest.raises(InputError, match=r"p on adv of d was judged by version 0 of protocol exact, now .* rescore"):
-        score_record(hand_made("p", scenes, versions={"exact": 0}))
-    with pytest.raises(InputError, match="was not judged by protocol 'vad'; run challenger-bench rescore"):
-        score_record(adv, protocol="vad")
     unknown = replace(adv, run=adv.run.model_copy(update={"protocols": {"gone": 1}}))
-    with pytest.raises(InputError, match="which is not installed"):
-        score_record(unknown, protocol="gone")
+    for record, protocol, said in (
+        (hand_made("p", scenes, versions={"exact": 0}), "exact", r"p on adv of d was judged by version 0 .* rescore"),
+        (adv, "vad", "was not judged by protocol 'vad'; run challenger-bench rescore"),
+        (unknown, "gone", "which is not installed"),
+    ):
+        with pytest.raises(InputError, match=said):
+            score_record(record, protocol=protocol)
     with pytest.raises(InputError, match="in planner"):
         splits(val, hand_made("q", scenes))
     with pytest.raises(InputError, match="different weights"):

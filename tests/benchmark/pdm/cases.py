@@ -134,21 +134,18 @@ def _surfaces() -> list[tuple[SurfaceKind, Polygon, bool]]:
             surfaces.append((SurfaceKind.LANE, _box(left, low, left + LANE_M, high), False))
         surfaces.append((SurfaceKind.ROAD_BLOCK, _box(low, -LANE_M, high, LANE_M), False))
         surfaces.append((SurfaceKind.ROAD_BLOCK, _box(-LANE_M, low, LANE_M, high), False))
-    surfaces.append((SurfaceKind.CONNECTOR, _box(-10.0, -LANE_M, 10.0, 0.0), True))
-    surfaces.append((SurfaceKind.CONNECTOR, _box(-10.0, 0.0, 10.0, LANE_M), False))
-    surfaces.append(
-        (
-            SurfaceKind.CONNECTOR,
-            Polygon([(-10, -LANE_M), (LANE_M, -LANE_M), (LANE_M, 10), (0, 10), (0, 0), (-10, 0)]),
-            True,
-        )
-    )
-    surfaces.append((SurfaceKind.INTERSECTION, _box(-10.0, -LANE_M - 1, 10.0, LANE_M + 1), False))
-    surfaces.append((SurfaceKind.CAR_PARK, _box(-60.0, LANE_M, -40.0, 15.0), False))
+    corner = Polygon([(-10, -LANE_M), (LANE_M, -LANE_M), (LANE_M, 10), (0, 10), (0, 0), (-10, 0)])
     # With an island in it.
     walled = Polygon(_box(20.0, -9.0, 60.0, -LANE_M).exterior.coords, [_box(30.0, -8.0, 34.0, -5.0).exterior.coords])
-    surfaces.append((SurfaceKind.DRIVABLE_AREA, walled, False))
-    return surfaces
+    return [
+        *surfaces,
+        (SurfaceKind.CONNECTOR, _box(-10.0, -LANE_M, 10.0, 0.0), True),
+        (SurfaceKind.CONNECTOR, _box(-10.0, 0.0, 10.0, LANE_M), False),
+        (SurfaceKind.CONNECTOR, corner, True),
+        (SurfaceKind.INTERSECTION, _box(-10.0, -LANE_M - 1, 10.0, LANE_M + 1), False),
+        (SurfaceKind.CAR_PARK, _box(-60.0, LANE_M, -40.0, 15.0), False),
+        (SurfaceKind.DRIVABLE_AREA, walled, False),
+    ]
 
 
 def _box(low_x: float, low_y: float, high_x: float, high_y: float) -> Polygon:

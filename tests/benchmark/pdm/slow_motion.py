@@ -16,27 +16,16 @@ def wrap(angle: float) -> float:
 def slow_poses(plan: Floats, now: Floats) -> Floats:
     """The 31 global poses of a plan."""
     x, y, heading = now[:3]
-    knots = [(x, y, heading)]
+    cos, sin, knots = math.cos(heading), math.sin(heading), [(x, y, heading)]
     for ahead, left, turn in plan:
-        knots.append(
-            (
-                x + ahead * math.cos(heading) - left * math.sin(heading),
-                y + ahead * math.sin(heading) + left * math.cos(heading),
-                heading + turn,
-            )
-        )
+        knots.append((x + ahead * cos - left * sin, y + ahead * sin + left * cos, heading + turn))
     poses = []
     for state in range(31):
         first = min(state // 5, 5)
         share = (state - 5 * first) / 5.0
         a, b = knots[first], knots[first + 1]
-        poses.append(
-            (
-                a[0] + share * (b[0] - a[0]),
-                a[1] + share * (b[1] - a[1]),
-                wrap(a[2] + share * wrap(b[2] - a[2])),
-            )
-        )
+        between = wrap(a[2] + share * wrap(b[2] - a[2]))
+        poses.append((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), between))
     return np.array(poses)
 
 
@@ -78,18 +67,10 @@ def slow_motion(plan: Floats, now: Floats, wheelbase: float = TRACKER_WHEELBASE)
         delta_new = min(max(delta + 0.1 * rate, -math.pi / 3), math.pi / 3)
         w_new = v_new * math.tan(delta_new) / wheelbase
         state = [
-            x + 0.1 * v_x * math.cos(heading),
-            y + 0.1 * v_x * math.sin(heading),
+            x + 0.1 * v_x * math.cos(heading), y + 0.1 * v_x * math.sin(heading),
             wrap(heading + 0.1 * v_x * math.tan(delta) / wheelbase),
-            v_new,
-            0.0,
-            a_new,
-            0.0,
-            delta_new,
-            rate,
-            w_new,
-            (w_new - w) / 0.1,
-        ]
+            v_new, 0.0, a_new, 0.0, delta_new, rate, w_new, (w_new - w) / 0.1,
+        ]  # fmt: skip
         states.append(list(state))
     return np.array(states)
 
@@ -101,19 +82,11 @@ def slow_command(state: list[float], pose: Floats, speed: Floats, curvature: Flo
         return -0.5 * (v_x - speed[j]), 0.0
     acceleration = -10.0 / 11.0 * (v_x - speed[j])
     bends = [curvature[min(k + n, j)] for n in range(10)]
-    free = [
-        -(x - pose[0]) * math.sin(pose[2]) + (y - pose[1]) * math.cos(pose[2]),
-        wrap(heading - pose[2]),
-        state[7],
-    ]
+    free = [-(x - pose[0]) * math.sin(pose[2]) + (y - pose[1]) * math.cos(pose[2]), wrap(heading - pose[2]), state[7]]
     unit = [0.0, 0.0, 0.0]
     for n in range(10):
         v = v_x + n * 0.1 * acceleration
-        free = [
-            free[0] + 0.1 * v * free[1],
-            free[1] + 0.1 * v * (free[2] / TRACKER_WHEELBASE - bends[n]),
-            free[2],
-        ]
+        free = [free[0] + 0.1 * v * free[1], free[1] + 0.1 * v * (free[2] / TRACKER_WHEELBASE - bends[n]), free[2]]
         unit = [unit[0] + 0.1 * v * unit[1], unit[1] + 0.1 * v * unit[2] / TRACKER_WHEELBASE, unit[2] + 0.1]
     free[1] = math.atan2(math.sin(free[1]), math.cos(free[1]))
     u = -(unit[0] * free[0] + 10 * unit[1] * free[1]) / (unit[0] ** 2 + 10 * unit[1] ** 2 + 1)

@@ -83,16 +83,11 @@ Thing = tuple[int, list[tuple[float, float, float] | None], list[Polygon | None]
 """Number, poses and shapes at the 31 states, speed where it is first seen, whether it moves by itself."""
 
 
-# --- objects -------------------------------------------------------------------------------------------------------
-
-
 def rectangle(x: float, y: float, heading: float, length: float, width: float) -> Polygon:
-    corners = []
+    cos, sin, corners = math.cos(heading), math.sin(heading), []
     for ahead, left in ((1, 1), (-1, 1), (-1, -1), (1, -1)):
         dx, dy = ahead * length / 2, left * width / 2
-        corners.append(
-            (x + dx * math.cos(heading) - dy * math.sin(heading), y + dx * math.sin(heading) + dy * math.cos(heading))
-        )
+        corners.append((x + dx * cos - dy * sin, y + dx * sin + dy * cos))
     return Polygon(corners)
 
 
@@ -130,9 +125,6 @@ def slow_track(thing: SlowObject) -> tuple[list[tuple[float, float, float] | Non
         mixed = (slow[0] + share * (fast[0] - slow[0]), slow[1] + share * (fast[1] - slow[1]))
         velocities.append(mixed if thing.is_agent else (0.0, 0.0))
     return poses, velocities
-
-
-# --- sub-scores ----------------------------------------------------------------------------------------------------
 
 
 def slow_verdict(plan: Floats, sample: SlowSample) -> SlowVerdict:

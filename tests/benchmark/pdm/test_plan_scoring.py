@@ -9,7 +9,6 @@ from shapely.geometry import MultiPolygon
 
 from benchmark.pdm import plan_scoring as judging
 from benchmark.pdm.plan_scoring import score_scene_plans
-from benchmark.pdm.totals import DrivenPlan
 from benchmark.planning import Plan, PlanFrame
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
@@ -92,12 +91,14 @@ def test_whom_a_plan_touches_first_and_when_it_touches_the_adversary() -> None:
     assert (free["hit"], free["first_contact_s"], free["hit_adversary"]) == (None, None, False)
 
 
-def test_leaving_the_road_and_the_wrong_side() -> None:
-    off = verdicts(EMPTY, plans(EMPTY, across=-7.0))
+def test_leaving_the_road_and_the_wrong_side_and_what_the_recorded_driver_fails() -> None:
+    off, wrong = (verdicts(EMPTY, plans(EMPTY, across=across)) for across in (-7.0, 5.0))
     assert off[0]["dac"] == 0.0 and off[0]["lk"] == 0.0
-    wrong = verdicts(EMPTY, plans(EMPTY, across=5.0))
     assert wrong[0]["dac"] == 1.0 and wrong[0]["ddc"] < 1.0
     assert verdicts(EMPTY, plans(EMPTY, across=0.3))[0]["lk"] == 1.0
+    found = verdicts(scene_on_straight_road((), ego_y=192.0))
+    assert all(verdict["dac"] == 0.0 and "dac" in verdict["forgiven"] for verdict in found)
+    assert not any(verdict["forgiven"] for verdict in off)
 
 
 def test_standing_still_makes_no_progress() -> None:
@@ -112,16 +113,9 @@ def test_plans_that_contradict_each_other_do_not_agree() -> None:
     assert [verdict["ec"] for verdict in found] == [None] + [0.0] * 9
 
 
-def test_what_the_recorded_driver_fails_is_forgiven() -> None:
-    found = verdicts(scene_on_straight_road((), ego_y=192.0))
-    assert all(verdict["dac"] == 0.0 and "dac" in verdict["forgiven"] for verdict in found)
-    assert not any(verdict["forgiven"] for verdict in verdicts(EMPTY, plans(EMPTY, across=-7.0)))
-
-
 def test_samples_that_are_too_far_apart_have_no_agreement() -> None:
-    slow = replace(
-        EMPTY, timestamps_us=EMPTY.timestamps_us[0] + (EMPTY.timestamps_us - EMPTY.timestamps_us[0]) * 6 // 5
-    )
+    start = EMPTY.timestamps_us[0]
+    slow = replace(EMPTY, timestamps_us=start + (EMPTY.timestamps_us - start) * 6 // 5)
     assert all(verdict["ec"] is None for verdict in verdicts(slow))
 
 
@@ -129,14 +123,13 @@ def test_batches_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scene_on_straight_road()
     whole = score_scene_plans(scene, plans(scene, across=2.0))
     monkeypatch.setattr(judging, "AT_ONCE", 3)
-    assert score_scene_plans(scene, plans(scene, across=2.0)) == whole
-    assert isinstance(whole[0], DrivenPlan)
+    assert score_scene_plans(scene, plans(scene, across=2.0)) == whole and whole[0] is not None
 
 
 @pytest.mark.parametrize("metres", [1e4, 1e3, 1e-3, 1e-9])
-@pytest.mark.parametrize("frame", list(PlanFrame))
-def test_no_plan_is_too_far_or_too_small(metres: float, frame: PlanFrame) -> None:
+def test_no_plan_is_too_far_or_too_small(metres: float) -> None:
     rng = np.random.default_rng(7)
-    given: list[Plan | None] = [Plan(metres * rng.uniform(-1, 1, (6, 2)), frame) for _ in EMPTY.keyframes]
-    for verdict in verdicts(EMPTY, given):
-        assert all(0.0 <= verdict[name] <= 1.0 for name in ONES) and np.isfinite(verdict["progress_m"])
+    for frame in PlanFrame:
+        given: list[Plan | None] = [Plan(metres * rng.uniform(-1, 1, (6, 2)), frame) for _ in EMPTY.keyframes]
+        for verdict in verdicts(EMPTY, given):
+            assert all(0.0 <= verdict[name] <= 1.0 for name in ONES) and np.isfinite(verdict["progress_m"])

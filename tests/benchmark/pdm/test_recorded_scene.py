@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmark.geometry import Floats
 from benchmark.pdm.plan_motion import plan_to_poses
 from benchmark.pdm.recorded_scene import RecordedScene, estimate_motion, estimate_object_velocity
 from benchmark.planning import Plan, PlanFrame
@@ -60,19 +61,18 @@ def test_the_route_is_the_recorded_path_and_a_hundred_metres_straight_ahead() ->
 
 
 def test_plans_of_both_frames_are_the_same_poses() -> None:
+    def both(ego: Floats) -> list[Floats]:
+        lidar = waypoints_in_lidar(ego, "ego", 0.94)
+        plans = Plan(ego, PlanFrame.EGO), Plan(lidar, PlanFrame.LIDAR)
+        return [plan_to_poses(plan, 0.94) for plan in plans]
+
     angle = 0.1 * np.arange(1, 7)
-    ego = np.column_stack([20 * np.sin(angle), 20 - 20 * np.cos(angle)])
-    of_axle = plan_to_poses(Plan(ego, PlanFrame.EGO), 0.94)
-    lidar = waypoints_in_lidar(ego, "ego", 0.94)
-    of_lidar = plan_to_poses(Plan(lidar, PlanFrame.LIDAR), 0.94)
+    of_axle, of_lidar = both(np.column_stack([20 * np.sin(angle), 20 - 20 * np.cos(angle)]))
     # Moved back by the lidar's chords, which point 0.94 m / 20 m to the side of the car's heading.
     assert np.abs(of_lidar - of_axle)[:, 2].max() < 0.02 and np.abs(of_lidar - of_axle).max() < 0.05
     straight = np.column_stack([3.0 * np.arange(1, 7), np.zeros(6)])
-    both = [
-        plan_to_poses(Plan(straight, PlanFrame.EGO), 0.94),
-        plan_to_poses(Plan(waypoints_in_lidar(straight, "ego", 0.94), PlanFrame.LIDAR), 0.94),
-    ]
-    assert both[0] == pytest.approx(np.column_stack([straight, np.zeros(6)])) and both[1] == pytest.approx(both[0])
+    of_axle, of_lidar = both(straight)
+    assert of_axle == pytest.approx(np.column_stack([straight, np.zeros(6)])) and of_lidar == pytest.approx(of_axle)
 
 
 def test_headings_are_those_of_chords_and_held_where_the_car_hardly_moves() -> None:

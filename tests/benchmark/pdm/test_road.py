@@ -18,7 +18,7 @@ from benchmark.pdm.road_polygons import (
     locate_on_road,
 )
 from benchmark.road_map import Lane, RoadMap
-from tests.hand_made import scene_on_straight_road, straight_road
+from tests.hand_made import straight_road
 
 EAST = build_route(np.column_stack([np.linspace(50, 130, 100), np.full(100, 198.25), np.zeros(100)]))
 
@@ -74,12 +74,9 @@ def test_a_map_without_intersections_gets_them_where_lanes_cross(named: bool) ->
     assert not derive_intersections(road_map, lanes[:4], [each.polygon or shapely.Polygon() for each in lanes[:4]])
 
 
-def test_a_map_with_road_segments_keeps_to_what_it_says() -> None:
+def test_a_map_with_road_segments_keeps_to_what_it_says_and_connectors_without_a_surface_are_strips() -> None:
     road_map = replace(crossing_map(), road_segments={"block": shapely.box(-60, -3, -6, 3)})
     assert build_road_polygons(road_map, EAST).intersections == ()
-
-
-def test_connectors_without_a_surface_are_strips() -> None:
     road = build_road_polygons(crossing_map(), EAST)
     assert sorted(round(shape.area) for shape in road.lanes) == [42, 42, 189, 189, 189, 189]
 
@@ -95,18 +92,8 @@ def test_a_corner_on_a_border_is_outside() -> None:
 
 
 def test_a_slit_between_two_surfaces_is_not_drivable() -> None:
-    halves = [shapely.box(-5, -5, 1.39, 5), shapely.box(1.39, -5, 10, 5)]
-    state = np.zeros((1, 1, 11))
+    halves, state = [shapely.box(-5, -5, 1.39, 5), shapely.box(1.39, -5, 10, 5)], np.zeros((1, 1, 11))
     state[0, 0, 0] = -4.084 / 2
-    road = RoadPolygons.of([(SurfaceKind.DRIVABLE_AREA, half, False) for half in halves])
-    assert locate_on_road(road, state).non_drivable[0, 0]
-    assert not locate_on_road(
-        RoadPolygons.of([(SurfaceKind.DRIVABLE_AREA, shapely.union_all(halves), False)]), state
-    ).non_drivable.any()
-
-
-def test_the_road_of_a_scene_is_prepared_once_and_holds_all_layers() -> None:
-    scene = scene_on_straight_road()
-    road = build_road_polygons(scene.road_map, EAST)
-    assert len(road.lanes) == 4 and len(road.drivable) == 1 and road.intersections == ()
-    assert road.on_route == (True, True, False, False)
+    for areas, outside in ((halves, True), ([shapely.union_all(halves)], False)):
+        road = RoadPolygons.of([(SurfaceKind.DRIVABLE_AREA, area, False) for area in areas])
+        assert bool(locate_on_road(road, state).non_drivable[0, 0]) is outside

@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +22,8 @@ from benchmark.scene_pages import writing as split_sheets
 from benchmark.scene_pages.writing import SheetSettings, describe_plan, write_sheets
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.pipeline.estimate import read_runtime_table
-from tests.benchmark.cli.cli_runs import bytes_below, challenger_bench
+from tests.benchmark.cli.cli_runs import bytes_below
+from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.generation.nuscenes_writer.written_roots import SIZE, short_scene, with_adversary
 from tests.generation.nuscenes_writer.written_roots import write_root as write_split
@@ -76,6 +78,13 @@ def sheets(root: Path, tmp_path_factory: pytest.TempPathFactory) -> ScenePages:
     return written(root, tmp_path_factory.mktemp("sheets"))
 
 
+@pytest.fixture
+def copied_sheets(sheets: ScenePages, tmp_path: Path) -> Path:
+    """A folder with sheets that a test may change."""
+    stored = next(iter(sheets.scenes.values()))
+    return Path(shutil.copytree(stored.directory.parents[3], tmp_path / "sheets"))
+
+
 def test_a_sheet_says_what_the_data_set_says(root: Path, sheets: ScenePages) -> None:
     data, sheet = NuScenesData.open(root, name="small"), sheet_of(sheets).sheet
     scene = data.scene(TWO[0])
@@ -91,31 +100,28 @@ def test_a_sheet_says_what_the_data_set_says(root: Path, sheets: ScenePages) -> 
     assert sheet.road.drivable
 
 
-def test_a_sheet_with_a_frame_too_many_is_named(sheets: ScenePages, tmp_path: Path) -> None:
-    folder = tmp_path / "scene"
-    shutil.copytree(next(iter(sheets.scenes.values())).directory, folder)
+def test_a_sheet_with_a_frame_too_many_is_named(copied_sheets: Path) -> None:
+    folder = scene_folder(copied_sheets, "small", "adv", TWO[0])
     content = json.loads((folder / "sheet.json").read_text())
-    content["timestamps_us"].append(content["timestamps_us"][-1] + 1)
-    (folder / "sheet.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"scene/sheet\.json has \d+ frames but another number of ego poses"):
-        read_scene_page(folder)
-    content["timestamps_us"] = content["timestamps_us"][-2::-1]
-    (folder / "sheet.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"scene/sheet\.json has frames that are not in order"):
-        read_scene_page(folder)
+    times = content["timestamps_us"]
+    for changed, said in (
+        ([*times, times[-1] + 1], r"has \d+ frames but another number"),
+        (times[::-1], "not in order"),
+    ):
+        (folder / "sheet.json").write_text(json.dumps({**content, "timestamps_us": changed}))
+        with pytest.raises(InputError, match=rf"{TWO[0]}/sheet\.json .*{said}"):
+            read_scene_page(folder)
 
 
 def test_a_split_says_what_the_search_tried(sheets: ScenePages) -> None:
     split = sheets.splits["small", "adv"]
-    assert split.scenes == TWO
-    assert split.statistics.counts.scenes == 2
+    assert split.scenes == TWO and split.statistics.counts.scenes == 2 and split.runtime is None
     assert "root" not in split.model_dump()["statistics"]
     assert [(each.agent, each.scene, each.discarded, each.manoeuvre) for each in split.attempts] == [
         ("a", TWO[0], None, "cut-in-left"),
         ("b", None, "hits-another", None),
         ("c", None, "beyond-the-number-kept", None),
     ]
-    assert split.runtime is None
 
 
 def test_pictures_show_each_camera_in_its_cell(root: Path, sheets: ScenePages) -> None:
@@ -133,36 +139,31 @@ def test_pictures_show_each_camera_in_its_cell(root: Path, sheets: ScenePages) -
     assert not sheet_of(sheets, TWO[1]).sheet.adversary_edges
 
 
-def test_all_frames_none_and_smaller_ones(root: Path, tmp_path: Path) -> None:
-    every = sheet_of(written(root, tmp_path, replace(HERE, pictures="all", cell_width_px=16))).sheet
+def test_all_frames_none_and_smaller_ones_give_the_same_bytes_for_any_workers_and_place(
+    root: Path, copied: Path, tmp_path: Path
+) -> None:
+    settings = replace(HERE, pictures="all", cell_width_px=16)
+    every = sheet_of(written(root, tmp_path / "one", settings)).sheet
+    write_sheets(NuScenesData.open(copied, name="small"), "adv", tmp_path / "many", replace(settings, workers=2))
+    assert bytes_below(tmp_path / "one") == bytes_below(tmp_path / "many")
     assert every.pictures == tuple(range(len(every.timestamps_us)))
     assert {(cell.width, cell.height) for cell in every.cameras} == {(16, 9)}
-    none = written(root, tmp_path, replace(HERE, pictures="none"))
-    assert sheet_of(none).sheet.pictures == () and sheet_of(none).sheet.cameras == ()
-    assert not list(tmp_path.rglob("*.webp"))
-    assert sheet_of(none).sheet.agents == every.agents
-
-
-def test_same_bytes_for_any_workers_and_place(root: Path, copied: Path, tmp_path: Path) -> None:
-    settings = replace(HERE, pictures="all")
-    written(root, tmp_path / "one", settings)
-    data = NuScenesData.open(copied, name="small")
-    write_sheets(data, "adv", tmp_path / "many", replace(settings, workers=2))
-    assert bytes_below(tmp_path / "one") == bytes_below(tmp_path / "many")
+    none = sheet_of(written(root, tmp_path / "one", replace(HERE, pictures="none"))).sheet
+    assert none.pictures == () and none.cameras == () and not list((tmp_path / "one").rglob("*.webp"))
+    assert none.agents == every.agents
 
 
 def test_finished_work_is_kept_and_damage_is_mended(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    root: Path, copied_sheets: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    written(root, tmp_path)
-    before = bytes_below(tmp_path)
+    before = bytes_below(copied_sheets)
     data = NuScenesData.open(root, name="small")
-    assert describe_plan(data, "adv", tmp_path, HERE).endswith("; 2 already exist")
+    assert describe_plan(data, "adv", copied_sheets, HERE).endswith("; 2 already exist")
     with monkeypatch.context() as patched:
         patched.setattr(making, "draw_mosaic", None)
         patched.setattr(split_sheets, "statistics", None)
-        assert not any(each.made for each in write_sheets(data, "adv", tmp_path, HERE).scenes)
-    folder = scene_folder(tmp_path, "small", "adv", TWO[0])
+        assert not any(each.made for each in write_sheets(data, "adv", copied_sheets, HERE).scenes)
+    folder = scene_folder(copied_sheets, "small", "adv", TWO[0])
     for damage in (
         lambda: (folder / "cameras/000000.webp").write_bytes(b"x"),
         lambda: (folder / "cameras/000006.webp").unlink(),
@@ -170,24 +171,26 @@ def test_finished_work_is_kept_and_damage_is_mended(
         lambda: (folder / "key.json").write_text("[]"),
     ):
         damage()
-        assert [each.made for each in write_sheets(data, "adv", tmp_path, HERE).scenes] == [True, False]
-        assert bytes_below(tmp_path) == before
+        assert [each.made for each in write_sheets(data, "adv", copied_sheets, HERE).scenes] == [True, False]
+        assert bytes_below(copied_sheets) == before
 
 
-def test_a_traced_search_stays_unless_it_is_damaged(root: Path, tmp_path: Path) -> None:
-    stored = sheet_of(written(root, tmp_path))
+def test_a_traced_search_stays_unless_it_is_damaged(root: Path, copied_sheets: Path) -> None:
+    stored = sheet_of(find_scene_pages(copied_sheets))
     trace = {"schema": 1, "scene": TWO[0], "agent": "a", "search": {}, "frames": []}
     rounds = stored.directory / "rounds.json"
     rounds.write_text(json.dumps({**trace, "origin_m": stored.sheet.origin_m}))
-    assert sheet_of(written(root, tmp_path, replace(HERE, cell_width_px=16))).rounds is not None
+    assert sheet_of(written(root, copied_sheets, replace(HERE, cell_width_px=16))).rounds is not None
     rounds.write_text(json.dumps({**trace, "origin_m": [0.0, 0.0]}))
-    assert sheet_of(written(root, tmp_path)).rounds is None
+    assert sheet_of(written(root, copied_sheets)).rounds is None
     rounds.write_text('{"schema"')
-    assert sheet_of(written(root, tmp_path)).rounds is None
+    assert sheet_of(written(root, copied_sheets)).rounds is None
 
 
-def test_an_interrupted_sheet_is_no_sheet(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    written(root, tmp_path / "out", replace(HERE, cell_width_px=20))
+def test_an_interrupted_sheet_is_no_sheet_and_the_other_part_stays(
+    root: Path, sheets: ScenePages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written(root, tmp_path, replace(HERE, cell_width_px=20))
     pictures = iter([b"picture"])
 
     def stopping(*arguments: object) -> bytes:
@@ -198,27 +201,13 @@ def test_an_interrupted_sheet_is_no_sheet(root: Path, tmp_path: Path, monkeypatc
     with monkeypatch.context() as patched:
         patched.setattr(making, "draw_mosaic", stopping)
         with pytest.raises(KeyboardInterrupt):
-            written(root, tmp_path / "out")
+            written(root, tmp_path)
     # What is left can be read; the scene that was being written is missing.
-    assert [scene for _, _, scene in find_scene_pages(tmp_path / "out").scenes] == [TWO[1]]
-    written(root, tmp_path / "out")
-    written(root, tmp_path / "at once")
-    assert bytes_below(tmp_path / "out") == bytes_below(tmp_path / "at once")
-
-
-def test_images_rendered_anew_give_another_sheet(copied: Path, tmp_path: Path) -> None:
-    before = sheet_of(written(copied, tmp_path / "out", replace(HERE, pictures="all"))).sheet
-    sweep = sorted((copied / "sweeps" / "CAM_FRONT").iterdir())[0]
-    cv2.imwrite(str(sweep), np.random.default_rng(0).integers(0, 255, (18, 32, 3), np.uint8))
-    after = sheet_of(written(copied, tmp_path / "out", replace(HERE, pictures="all"))).sheet
-    assert sum(before.files[name] != after.files[name] for name in after.files) == 1
-
-
-def test_a_part_stays_when_another_is_written(root: Path, tmp_path: Path) -> None:
-    written(root, tmp_path, replace(HERE, scenes=TWO[:1]))
-    both = written(root, tmp_path, replace(HERE, scenes=TWO[1:]))
-    assert [scene for _, _, scene in both.scenes] == list(TWO)
-    assert both.splits["small", "adv"].scenes == TWO
+    assert [scene for _, _, scene in find_scene_pages(tmp_path).scenes] == [TWO[1]]
+    for part in (TWO[:1], TWO[1:]):
+        both = written(root, tmp_path, replace(HERE, scenes=part))
+        assert [scene for _, _, scene in both.scenes] == list(TWO) and both.splits["small", "adv"].scenes == TWO
+    assert bytes_below(tmp_path) == bytes_below(sheet_of(sheets).directory.parents[3])
 
 
 def test_sheets_of_another_version_of_the_data_go(copied: Path, tmp_path: Path) -> None:
@@ -234,17 +223,24 @@ def test_sheets_of_another_version_of_the_data_go(copied: Path, tmp_path: Path) 
 
 
 def test_scenes_without_images_and_with_a_part_of_them(copied: Path, tmp_path: Path) -> None:
+    every, out = replace(HERE, pictures="all"), tmp_path / "out"
+    before = sheet_of(written(copied, out, every)).sheet
+    sweep = sorted((copied / "sweeps" / "CAM_FRONT").iterdir())[0]
+    cv2.imwrite(str(sweep), np.random.default_rng(0).integers(0, 255, (18, 32, 3), np.uint8))
+    # An image that was rendered anew gives another sheet.
+    after = sheet_of(written(copied, out, every)).sheet
+    assert sum(before.files[name] != after.files[name] for name in after.files) == 1
     for sweep in (copied / "sweeps").rglob("*.jpg"):
         sweep.unlink()
-    sheet = sheet_of(written(copied, tmp_path / "out", replace(HERE, pictures="all"))).sheet
+    sheet = sheet_of(written(copied, out, every)).sheet
     assert sheet.pictures == sheet.keyframes
     images = sorted((copied / "samples").rglob("*.jpg"))
     images[0].unlink()
     with pytest.raises(InputError, match=r"1 of 18 images of scene scene-9901 are; .*--pictures none"):
-        written(copied, tmp_path / "out")
+        written(copied, out)
     for image in images[1:]:
         image.unlink()
-    assert sheet_of(written(copied, tmp_path / "out")).sheet.pictures == ()
+    assert sheet_of(written(copied, out)).sheet.pictures == ()
 
 
 def test_a_data_set_with_one_camera_and_no_provenance(tmp_path: Path) -> None:
@@ -271,38 +267,41 @@ def test_variants_are_scenes_of_one_split(tmp_path: Path) -> None:
     assert found.splits["small", "val"].statistics.counts.scenes == 2
 
 
-def test_numbers_that_are_none_are_named(copied: Path, tmp_path: Path) -> None:
-    rows = json.loads((copied / "v1.0-trainval/ego_pose.json").read_text())
-    rows[3]["translation"][0] = float("nan")
-    (copied / "v1.0-trainval/ego_pose.json").write_text(json.dumps(rows))
-    with pytest.raises(InputError, match="finite"):
-        written(copied, tmp_path / "out")
-
-
 def test_labels_are_shown_as_they_are_but_for_numbers_that_are_none(copied: Path, tmp_path: Path) -> None:
     path = copied / "v1.0-trainval/challenger.json"
     made = json.loads(path.read_text())
-    made["scenes"][TWO[0]]["report"] = {
-        "adversaries": [{"labels": {"manoeuvre": "<b>", "gap": float("inf")}}, {"labels": 3}]
-    }
+    labels = {"manoeuvre": "<b>", "gap": float("inf")}
+    made["scenes"][TWO[0]]["report"] = {"adversaries": [{"labels": labels}, {"labels": 3}]}
     path.write_text(json.dumps(made))
-    data = NuScenesData.open(copied, name="small")
     job = making.PageJob(tmp_path, DataFacts(name="small", version="v", fingerprint="f"), "adv", "none", 320)
-    making.write_page(job, data, TWO[0])
+    making.write_page(job, NuScenesData.open(copied, name="small"), TWO[0])
     sheet = read_scene_page(job.folder(TWO[0])).sheet
-    assert sheet.labels == ({"manoeuvre": "<b>", "gap": None},)
-    assert sheet.manoeuvre == "<b>"
+    assert sheet.labels == ({"manoeuvre": "<b>", "gap": None},) and sheet.manoeuvre == "<b>"
 
 
-def test_a_place_that_cannot_be_written_to(root: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_read_or_written_is_one_sentence(copied: Path, tmp_path: Path) -> None:
+    out, attempts, poses = tmp_path / "out", copied / "attempts.jsonl", copied / "v1.0-trainval/ego_pose.json"
+    with lock_folder(out / "small" / "adv"), pytest.raises(InputError, match="another command is writing"):
+        written(copied, out)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot write"):
-        written(root, tmp_path / "file")
-
-
-def test_two_commands_do_not_write_the_same_sheets(root: Path, tmp_path: Path) -> None:
-    with lock_folder(tmp_path / "small" / "adv"), pytest.raises(InputError, match="another command is writing"):
-        written(root, tmp_path)
+        written(copied, tmp_path / "file")
+    for text, said in (
+        ('{"agent": "a", "scene": 7}', r"attempts\.jsonl line 1 lacks a proper scene"),
+        ("[]", "object"),
+    ):
+        attempts.write_text(f"{text}\n")
+        with pytest.raises(InputError, match=said):
+            written(copied, out)
+    rows = json.loads(poses.read_text())
+    rows[3]["translation"][0] = float("nan")
+    poses.write_text(json.dumps(rows))
+    with pytest.raises(InputError, match="finite"):
+        written(copied, out)
+    wrong: tuple[dict[str, Any], ...] = ({"cell_width_px": 0}, {"cell_width_px": 100_000}, {"workers": -1})
+    for settings in wrong:
+        with pytest.raises(InputError):
+            SheetSettings(**settings)
 
 
 def test_seconds_are_those_of_attempts_and_of_written_scenes(copied: Path, tmp_path: Path) -> None:
@@ -320,26 +319,10 @@ def test_seconds_are_those_of_attempts_and_of_written_scenes(copied: Path, tmp_p
     assert read_runtime_table(tmp_path / "nowhere", tmp_path / "nowhere") is None
 
 
-def test_broken_attempts_are_named(copied: Path, tmp_path: Path) -> None:
-    (copied / "attempts.jsonl").write_text('{"agent": "a", "scene": 7}\n')
-    with pytest.raises(InputError, match=r"attempts\.jsonl line 1 lacks a proper scene"):
-        written(copied, tmp_path / "out")
-    (copied / "attempts.jsonl").write_text("[]\n")
-    with pytest.raises(InputError, match="line 1 lacks a proper object"):
-        written(copied, tmp_path / "out")
-
-
-@pytest.mark.parametrize("wrong", [{"cell_width_px": 0}, {"cell_width_px": 100_000}, {"workers": -1}])
-def test_settings_that_make_no_sense(wrong: dict[str, int]) -> None:
-    with pytest.raises(InputError):
-        SheetSettings(**wrong)  # type: ignore[arg-type]
-
-
 def test_the_command(root: Path, tmp_path: Path) -> None:
     wanted = ("sheets", "--data", root, "--split", "adv", "--out", tmp_path, "--workers", "1")
-    first = challenger_bench(*wanted, "--json", "--limit", "1")
-    assert first.code == 0, first.err
-    assert (first.json["made"], first.json["scenes"], first.json["pictures"]) == (1, [TWO[0]], 3)
-    unknown = challenger_bench(*wanted, "--scenes", "scene-1")
-    assert unknown.code == 2
-    assert unknown.err.startswith("error: split 'adv' has no scene scene-1")
+    first = run_here(*wanted, "--json", "--limit", "1")
+    said = json.loads(first.out)
+    assert (first.code, said["made"], said["scenes"], said["pictures"]) == (0, 1, [TWO[0]], 3)
+    unknown = run_here(*wanted, "--scenes", "scene-1")
+    assert unknown.code == 2 and unknown.err.startswith("split 'adv' has no scene scene-1")

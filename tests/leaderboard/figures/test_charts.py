@@ -3,6 +3,7 @@
 import io
 import re
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
 import matplotlib as mpl
 import pytest
@@ -24,15 +25,11 @@ def run(name: str, hits: int, *, split: str = "adv", manoeuvres: bool = True) ->
     """A planner that fails the first ``hits`` of twelve scenes."""
     scenes = {f"s{index:02}": [HIT if index < hits else CLEAN, CLEAN] for index in range(12)}
     record = hand_made(name, scenes, split=split, protocols=("exact", "uniad"))
-    if not manoeuvres:
-        return record
     facts = {
         scene: SceneFacts(source=scene, manoeuvre="cut-in-left" if place % 3 else None)
         for place, scene in enumerate(scenes)
     }
-    return type(record)(
-        record.directory, record.run.model_copy(update={"scene_facts": facts}), record.rows, record.summary
-    )
+    return replace(record, run=record.run.model_copy(update={"scene_facts": facts})) if manoeuvres else record
 
 
 def names_of(*records: RunRecord) -> list[str]:
@@ -40,12 +37,8 @@ def names_of(*records: RunRecord) -> list[str]:
 
 
 def test_what_the_records_allow_is_drawn() -> None:
-    assert names_of(run("a", 3), run("a", 1, split="val")) == [
-        "rates-exact",
-        "manoeuvres-exact",
-        "disagreement-val",
-        "disagreement-adv",
-    ]
+    both = ["rates-exact", "manoeuvres-exact", "disagreement-val", "disagreement-adv"]
+    assert names_of(run("a", 3), run("a", 1, split="val")) == both
     assert names_of(run("a", 3, manoeuvres=False)) == ["rates-exact", "disagreement-adv"]
     assert names_of() == []
     assert manoeuvre_figure(DataSetRuns("d", [run("a", 3, split="val")]), "exact") is None
@@ -65,24 +58,17 @@ def test_where_records_say_whom_contacts_are_with_scenes_in_which_bystanders_are
 
     assert words(record) == ["d: scenes in which the adversary is hit first (red), protocol exact", "1/3"]
     assert words(attacked("a", letters, dict.fromkeys(letters, True))) == [
-        *("d: adversarial scenes failed (red), protocol exact", "2/3"),
+        *("d: adversarial scenes failed (red), protocol exact", "2/3")
     ]
 
 
 def test_the_same_records_give_the_same_bytes_in_any_order_and_whatever_the_users_settings() -> None:
-    records = [run("a", 3), run("b", 5), run("b", 0, split="val")]
+    records = [run("a", 3), run("b", 5)]
     first = run_figures(DataSetRuns("d", records))
     with mpl.rc_context({"font.size": 30, "svg.hashsalt": "other", "axes.facecolor": "red"}):
         assert run_figures(DataSetRuns("d", records[::-1])) == first
     other = run_figures(DataSetRuns("d", [run("a", 4), *records[1:]]))
     assert all(mine.png != theirs.png for mine, theirs in zip(first[:2], other[:2]))
-
-
-@pytest.mark.parametrize("count", [1, 7])
-def test_any_number_of_planners_can_be_drawn(count: int) -> None:
-    for figure in run_figures(DataSetRuns("d", [run(f"planner-{index}", index % 12) for index in range(count)])):
-        assert imread(io.BytesIO(figure.png))[..., :3].std() > 0.02
-        ElementTree.fromstring(figure.svg)
 
 
 def test_names_from_strangers_are_only_text() -> None:
@@ -91,12 +77,14 @@ def test_names_from_strangers_are_only_text() -> None:
         ElementTree.fromstring(figure.svg)
 
 
-@pytest.mark.parametrize("count", [2, 9])
-def test_letters_are_eleven_pixels_high_on_a_page_and_dark_ones_are_light(count: int) -> None:
+@pytest.mark.parametrize("count", [1, 5])
+def test_any_number_of_planners_is_drawn_with_letters_of_eleven_pixels_and_light_ones_on_dark(count: int) -> None:
     figures = run_figures(DataSetRuns("d", [run(f"planner-{index}", index) for index in range(count)]))
     for figure in figures:
         sizes = [float(size) for size in re.findall(rb"scale\(([0-9.]+) -", figure.svg)]
+        assert imread(io.BytesIO(figure.png))[..., :3].std() > 0.02
+        ElementTree.fromstring(figure.svg)
         # Glyphs are drawn in hundredths of a point; 96 pixels of a page are 72 points.
         assert sizes and min(sizes) * 100 * 96 / 72 >= 11.0
-        assert figure.dark() != figure.svg and DARK.paper.encode() in figure.dark()
-        assert LIGHT.ink.encode() not in figure.dark()
+        dark = figure.dark()
+        assert dark != figure.svg and DARK.paper.encode() in dark and LIGHT.ink.encode() not in dark

@@ -18,6 +18,7 @@ from benchmark.records.scene_pages import RefinementTrace, ScenePage, ScenePages
 from leaderboard.figures.refinement import draw_refinement, find_most_improved_frame, quartiles, refinement_figures
 
 ROAD = ((-50.0, -7.0), (150.0, -7.0), (150.0, 7.0), (-50.0, 7.0), (-50.0, -7.0))
+HOSTILE = ("$x_{1$ \\frac", "<script>&--", "a\x00b\nc", "日本語", "x" * 500, "")
 ISLAND = ((20.0, -1.0), (20.0, 1.0), (24.0, 1.0), (24.0, -1.0), (20.0, -1.0))
 FRAMES = 60
 
@@ -139,40 +140,24 @@ def test_the_frame_whose_best_score_falls_most_is_shown() -> None:
     assert draw_refinement(GOOD, ".png", frame=13) is None
 
 
-@pytest.mark.parametrize("rounds", [1, 2, 4, 14])
-def test_any_number_of_rounds_can_be_drawn(rounds: int) -> None:
-    drawn(stored("s", frame_of(12, [[5.0 - 0.1 * number, 7.0] for number in range(rounds)])))
+CASES: dict[str, StoredScenePage] = {
+    **{f"{n} rounds": stored("s", frame_of(12, [[5.0 - 0.1 * each, 7.0] for each in range(n)])) for n in (1, 14)},
+    **{
+        f"scores {scores[:2]}": stored("s", frame_of(12, [scores, scores]))
+        for scores in ([0.0, 0.0], [1e-9, 1e9], [-1.0, 2.0], [1e300, 1.0], [0.5, None], [7.0] * 64)
+    },
+    "the end of a scene": stored(HOSTILE[0], frame_of(FRAMES - 1, FALLING[:2])),
+    **{
+        f"{each} candidates": stored(name, frame_of(0, FALLING[:2]), candidates=each)
+        for each, name in zip((None, "many", -1, 256, 10**12), HOSTILE[1:], strict=True)
+    },
+}
 
 
-@pytest.mark.parametrize(
-    "scores",
-    [[0.0, 0.0], [1e-9, 1e9], [-1.0, 2.0], [1e300, 1.0], [0.5], [0.5, None], [7.0] * 64],
-)
-def test_any_scores_can_be_drawn(scores: list[float | None]) -> None:
-    drawn(stored("s", frame_of(12, [scores, scores])))
-
-
-@pytest.mark.parametrize("frame", [0, FRAMES - 1])
-def test_the_ends_of_a_scene_can_be_drawn(frame: int) -> None:
-    drawn(stored("s", frame_of(frame, FALLING)))
-
-
-@pytest.mark.parametrize("candidates", [None, "many", -1, 256, 10**12])
-def test_the_number_of_candidates_may_be_anything(candidates: Any) -> None:
-    drawn(stored("s", frame_of(12, FALLING[:2]), candidates=candidates))
-
-
-@pytest.mark.parametrize("name", ["$x_{1$ \\frac", "<script>&--", "a\x00b\nc", "日本語", "x" * 500, ""])
-def test_names_are_only_text(name: str) -> None:
-    drawn(stored(name, frame_of(12, FALLING[:2])))
-
-
-@pytest.mark.parametrize(
-    "changes", [{"chosen": 4}, {"chosen": -1}, {"chosen_round": 9}, {"chosen_round": -1}, {"frame": 999}, {"frame": -1}]
-)
-def test_a_trace_that_does_not_fit_together_is_refused(changes: dict[str, int]) -> None:
-    with pytest.raises(InputError, match="is inconsistent at frame"):
-        draw_refinement(stored("s", frame_of(12, FALLING, **changes)), ".png")
+@pytest.mark.parametrize("case", CASES.values(), ids=range(len(CASES)))
+def test_whatever_a_trace_holds_can_be_drawn(case: StoredScenePage) -> None:
+    """Any number of rounds and candidates, any scores, the ends of a scene; names are only text."""
+    drawn(case)
 
 
 def test_points_that_are_missing_or_far_away_can_be_drawn() -> None:
@@ -181,6 +166,14 @@ def test_points_that_are_missing_or_far_away_can_be_drawn() -> None:
     lines[0], lines[1], lines[2][6] = [], lines[1][:1], [1e6, -1e6]
     first = frame.rounds[0].model_copy(update={"candidates": tuple(tuple(map(tuple, line)) for line in lines)})
     drawn(stored("s", frame.model_copy(update={"rounds": (first, frame.rounds[1])})))
+
+
+@pytest.mark.parametrize(
+    "changes", [{"chosen": 4}, {"chosen": -1}, {"chosen_round": 9}, {"chosen_round": -1}, {"frame": 999}, {"frame": -1}]
+)
+def test_a_trace_that_does_not_fit_together_is_refused(changes: dict[str, int]) -> None:
+    with pytest.raises(InputError, match="is inconsistent at frame"):
+        draw_refinement(stored("s", frame_of(12, FALLING, **changes)), ".png")
 
 
 def test_quartiles_count_those_that_were_left_out() -> None:

@@ -3,13 +3,15 @@
 import re
 import shutil
 import subprocess
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from benchmark.published import ADV_NUSC, HYPER_PARAMETERS, RUNTIME_S
 from benchmark.report.table import LatexForm, build_table, escape_latex
-from leaderboard.build import build_leaderboard_files
+from generation.search.hyperparameters import HyperParameters
+from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from leaderboard.frame.specification import group_by_data_set
 from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
@@ -72,10 +74,6 @@ def test_hyper_parameters_stand_beside_the_printed_ones_and_differences_are_name
 
 
 def test_the_defaults_of_the_search_are_as_printed() -> None:
-    from dataclasses import asdict
-
-    from generation.search.hyperparameters import HyperParameters
-
     sheet = split_sheet("adv").model_copy(update={"hyper": asdict(HyperParameters())})
     (table,) = hyper_parameter_tables(sheets_of(sheet), [])["d"]
     assert table.notes[0] == "As the paper prints them: adv."
@@ -106,16 +104,15 @@ def test_the_chart_shows_shares_that_are_a_whole() -> None:
     assert runtime_charts("d", sheets)[0] == chart
 
 
-def test_a_leaderboard_has_them_all_and_one_document() -> None:
-    files = build_leaderboard_files(read_results(paper_runs(), sheets=paper_sheets()))
+def test_a_leaderboard_has_them_all_and_one_document(written: Path) -> None:
+    folder = written / "tables" / "d"
     wanted = ("paper-table-1", "paper-hyper-parameters", "paper-runtime-adv", "paper-data-set")
     for name in wanted:
-        for suffix in (".tex", ".csv", ".json"):
-            assert f"tables/d/{name}{suffix}" in files
-    document = files["tables/d/paper.tex"].decode()
-    assert all(files[f"tables/d/{name}.tex"].decode() in document for name in wanted)
-    assert "{paper-runtime-0.png}" in document and "tables/d/paper-runtime-0.png" in files
-    assert b"the paper's layout" in files["README.md"]
+        assert all((folder / f"{name}{suffix}").is_file() for suffix in (".tex", ".csv", ".json"))
+    document = (folder / "paper.tex").read_text()
+    assert all((folder / f"{name}.tex").read_text() in document for name in wanted)
+    assert "{paper-runtime-0.png}" in document and (folder / "paper-runtime-0.png").is_file()
+    assert "the paper's layout" in (written / "README.md").read_text()
 
 
 def test_latex_is_laid_out_as_asked() -> None:
@@ -123,23 +120,17 @@ def test_latex_is_laid_out_as_asked() -> None:
     text = build_table("t", "T", ("a", "b"), [("x", "1"), ("y", "")], latex_form=form).latex()
     assert r"\begin{tabular}{l|r}" in text and r"\resizebox{\textwidth}{!}{%" in text and r"\end{tabular}}" in text
     assert text.index(r"x & 1 \\") < text.rindex(r"\midrule") < text.index(r"\textbf{y} &  \\")
-
-
-def test_letters_that_latex_may_not_have_are_numbers() -> None:
+    # Letters that LaTeX may not have are numbers.
     assert escape_latex('a < b | "é" ≠ 字') == r"a \textless{} b \textbar{} {''}é{''} U+2260 U+5B57"
-
-
-def _latex() -> list[str] | None:
-    """The command of a LaTeX that is here."""
-    if (found := shutil.which("pdflatex")) is not None:
-        return [found, "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape"]
-    return None if (found := shutil.which("tectonic")) is None else [found, "--only-cached"]
 
 
 def compiled(folder: Path, name: str) -> str:
     """What LaTeX says of a document, which it must set."""
-    command = _latex()
-    if command is None:
+    if (found := shutil.which("pdflatex")) is not None:
+        command = [found, "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape"]
+    elif (found := shutil.which("tectonic")) is not None:
+        command = [found, "--only-cached"]
+    else:
         pytest.skip("no LaTeX here (pdflatex or tectonic); Debian has it in texlive-latex-recommended")
     done = subprocess.run([*command, name], cwd=folder, capture_output=True, timeout=300, check=False)
     said = done.stdout.decode(errors="replace") + done.stderr.decode(errors="replace")
@@ -150,13 +141,8 @@ def compiled(folder: Path, name: str) -> str:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("leaderboard")
-    for name, data in build_leaderboard_files(
-        read_results(paper_runs(), sheets=paper_sheets(), ablations=[study()])
-    ).items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+    folder, results = tmp_path_factory.mktemp("board"), read_results(paper_runs(), (), paper_sheets(), [study()])
+    write_leaderboard(results, folder, site=False)
     return folder
 
 

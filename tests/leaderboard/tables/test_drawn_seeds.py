@@ -52,16 +52,11 @@ def test_each_seed_has_its_rate_and_all_have_mean_deviation_and_both_intervals()
 
 
 def test_the_interval_of_one_seed_is_that_of_its_split() -> None:
-    flags: dict[str, list[str | None]] = {
-        f"r{number}-1": [HIT if number % 3 == 0 else CLEAN] * 2 for number in range(12)
-    }
-    one, other = run(0, flags), run(1, flags)
-    rows = rows_of(drawn_seeds_table(DataSetRuns("d", [one, other]), "exact"))
-    scenes = [name for name in flags for _ in range(2)]
-    values = np.array([[float(flags[name][0] == HIT)] for name in scenes])
-    (rate,) = compute_ratios_over_scenes(
-        values, np.ones_like(values), [name.partition("-")[0] for name in scenes], seed=0
-    )
+    flags: dict[str, list[str | None]] = {f"r{place}-1": [CLEAN if place % 3 else HIT] * 2 for place in range(12)}
+    rows = rows_of(drawn_seeds_table(DataSetRuns("d", [run(0, flags), run(1, flags)]), "exact"))
+    values = np.repeat([[float(each[0] == HIT)] for each in flags.values()], 2, axis=0)
+    sources = [name.partition("-")[0] for name in flags for _ in range(2)]
+    (rate,) = compute_ratios_over_scenes(values, np.ones_like(values), sources, seed=0)
     assert rate.low is not None and rate.high is not None
     expected = f"[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
     # Two seeds with the same scenes know no more than one.

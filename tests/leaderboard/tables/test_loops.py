@@ -18,12 +18,8 @@ def test_rates_ranks_and_scenes(tmp_path: Path) -> None:
     rates, scenes = loop_tables(driven, runs)
     assert rates.name == "loops-adv-default-replay" and "beside open loop" in rates.title
     first, second, third = (dict(zip(rates.columns, each)) for each in rates.rows)
-    assert (first["open loop %"], first["contact %"], first["agree %"], first["scenes"]) == (
-        "25.0",
-        "25.0",
-        "100.0",
-        "4",
-    )
+    shown = (first["open loop %"], first["contact %"], first["agree %"], first["scenes"])
+    assert shown == ("25.0", "25.0", "100.0", "4")
     assert (second["open loop %"], second["contact %"], second["at fault %"]) == ("66.7", "66.7", "33.3")
     assert (second["only open"], second["only closed"], second["scenes"]) == ("1", "1", "3")
     assert third["contact %"] == "100.0"
@@ -49,8 +45,6 @@ def test_worlds_are_never_mixed_and_without_runs_there_is_no_table(tmp_path: Pat
     ]
     assert [dict(zip(table.columns, table.rows[0]))["contact %"] for table in found[:2]] == ["0.0", "100.0"]
     assert loop_tables(driven, []) == [] and loop_tables([], [run()]) == []
-
-
-def test_scenarios_stand_beside_no_open_loop(tmp_path: Path) -> None:
+    # NeuroNCAP's own scenarios stand beside no open loop.
     own = {"engine": "neuroncap@paper", "agents": "replay", "sensor": "none", "scenarios": "own"}
     assert loop_tables([drives(tmp_path, hit("s1"), measured=own)], [run(hits=("s1",))]) == []

@@ -77,10 +77,9 @@ def test_an_older_summary_counts_anew_whom_contacts_are_with(tmp_path: Path) -> 
 
 
 def test_what_an_adversary_knows_never_shares_a_table(tmp_path: Path) -> None:
-    made = records(tmp_path)
-    titles = [table.title for table in drive_tables(made)]
-    assert len(set(titles)) == 3
-    shown = [dict(zip(table.columns, table.rows[0])) for table in drive_tables(made)]
+    tables = drive_tables(records(tmp_path))
+    assert len({table.title for table in tables}) == 3
+    shown = [dict(zip(table.columns, table.rows[0])) for table in tables]
     assert {each["careful survives %"] for each in shown} == {"50.0", "100.0"}
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.published import TABLE_1, PublishedRate
+from benchmark.published import TABLE_1
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
@@ -27,16 +27,14 @@ def paper_of(table: Table, planner: str) -> tuple[str, ...]:
 
 
 def test_the_papers_row_stands_beside_the_model_of_that_name_under_its_protocol() -> None:
-    records = [run("uniad", "uniad"), run("vad-mini", "vad"), run("idm", None)]
-    table = collision_table(DataSetRuns("d", records), "native")
+    runs = DataSetRuns("d", [run("uniad", "uniad"), run("vad-mini", "vad"), run("idm", None)])
+    table, of_uniad = collision_table(runs, "native"), collision_table(runs, "uniad")
     assert paper_of(table, "uniad") == ("0.80", "4.10", "6.96", "3.95")
     assert paper_of(table, "idm") == paper_of(table, "vad-mini") == (UNDEFINED,) * 4
     assert table.groups[-1] == ("paper, collision rate in %, own protocol", 4)
     assert table.sources and any("No published row is shown for vad-mini:" in note for note in table.notes)
-    of_uniad = collision_table(DataSetRuns("d", records), "uniad")
-    assert paper_of(of_uniad, "uniad")[3] == "3.95" and not any(
-        note.startswith("No published row") for note in of_uniad.notes
-    )
+    assert paper_of(of_uniad, "uniad")[3] == "3.95"
+    assert not any(note.startswith("No published row") for note in of_uniad.notes)
 
 
 @pytest.mark.parametrize("protocol", ["exact", "vad"])
@@ -53,26 +51,23 @@ def test_a_variant_is_not_the_model(name: str) -> None:
     assert any(name in note for note in said) == (name != "mine")
 
 
-def said(record: RunRecord, **facts: str | bool) -> RunRecord:
-    """A run whose planner says what it is."""
-    planner = record.run.planner.model_copy(update=facts)
-    return dataclasses.replace(record, run=record.run.model_copy(update={"planner": planner}))
-
-
 def test_a_planner_says_itself_what_the_paper_calls_it_and_that_it_is_a_miniature() -> None:
-    ours = said(run("my-uniad", "uniad"), published_as="UniAD")
-    small = said(run("vad", "vad"), miniature=True)
+    def said(record: RunRecord, **facts: str | bool) -> RunRecord:
+        planner = record.run.planner.model_copy(update=facts)
+        return dataclasses.replace(record, run=record.run.model_copy(update={"planner": planner}))
+
+    ours, small = said(run("my-uniad", "uniad"), published_as="UniAD"), said(run("vad", "vad"), miniature=True)
     table = collision_table(DataSetRuns("d", [ours, small]), "native")
     assert paper_of(table, "my-uniad")[3] == "3.95" and paper_of(table, "vad §") == (UNDEFINED,) * 4
     assert any("No published row is shown for vad:" in note for note in table.notes)
 
 
-@pytest.mark.parametrize("row", TABLE_1)
-def test_every_published_row_finds_its_place(row: PublishedRate) -> None:
-    split = {"nuScenes-val": "val", "nuScenes-val-R": "val-r", "Adv-nuSc": "adv"}[row.data_set]
-    model, protocol = row.model, row.protocol
-    record = hand_made(model.lower(), SCENES, split=split, protocols=(protocol,), native=protocol)
-    assert paper_of(collision_table(DataSetRuns("d", [record]), "native"), model.lower())[:4] == row.percent
+def test_every_published_row_finds_its_place() -> None:
+    splits = {"nuScenes-val": "val", "nuScenes-val-R": "val-r", "Adv-nuSc": "adv"}
+    for row in TABLE_1:
+        name, protocol = row.model.lower(), row.protocol
+        record = hand_made(name, SCENES, split=splits[row.data_set], protocols=(protocol,), native=protocol)
+        assert paper_of(collision_table(DataSetRuns("d", [record]), "native"), name)[:4] == row.percent
 
 
 def test_published_values_of_quality_are_those_of_the_paper() -> None:

@@ -25,11 +25,7 @@ def run(seed: int, flags: Sequence[str | None], *, name: str = "noisy", split: s
     return replace(made, run=made.run.model_copy(update={"planner": planner}))
 
 
-RUNS = [
-    run(0, [HIT, CLEAN, CLEAN, CLEAN]),
-    run(1, [HIT, HIT, CLEAN, CLEAN]),
-    run(2, [HIT, HIT, HIT, HIT]),
-]
+RUNS = [run(0, [HIT, CLEAN, CLEAN, CLEAN]), run(1, [HIT, HIT, CLEAN, CLEAN]), run(2, [HIT, HIT, HIT, HIT])]
 
 
 def rows_of(table: Table | None) -> list[dict[str, str]]:
@@ -47,27 +43,22 @@ def test_mean_ends_and_deviation_are_those_of_the_rates() -> None:
 
 
 def test_order_does_not_matter_and_a_single_seed_has_no_spread() -> None:
-    assert seed_spread_table(DataSetRuns("d", RUNS[::-1]), "exact") == seed_spread_table(
-        DataSetRuns("d", RUNS), "exact"
-    )
-    assert seed_spread_table(DataSetRuns("d", RUNS[:1]), "exact") is None
-    assert seed_spread_table(DataSetRuns("d", []), "exact") is None
-    assert seed_spread_table(DataSetRuns("d", [RUNS[0], run(0, [HIT] * 4)]), "exact") is None
+    def table(*runs: RunRecord) -> Table | None:
+        return seed_spread_table(DataSetRuns("d", runs), "exact")
+
+    assert table(*RUNS[::-1]) == table(*RUNS)
+    assert table() is table(RUNS[0]) is table(RUNS[0], run(0, [HIT] * 4)) is None
 
 
 def test_other_weights_settings_splits_and_planners_are_not_another_seed() -> None:
-    others = [
-        run(1, [HIT] * 4, weights_sha256="0" * 64),
-        run(1, [HIT] * 4, settings={"gap": 1}),
-        run(1, [HIT] * 4, split="val"),
-        run(1, [HIT] * 4, name="another"),
-    ]
+    changes: list[dict[str, Any]] = [
+        {"weights_sha256": "0" * 64}, {"settings": {"gap": 1}}, {"split": "val"}, {"name": "another"}
+    ]  # fmt: skip
+    others = [run(1, [HIT] * 4, **each) for each in changes]
     for other in others:
         assert seed_spread_table(DataSetRuns("d", [RUNS[0], other]), "exact") is None
-    assert (
-        len(rows_of(seed_spread_table(DataSetRuns("d", [*RUNS, *others, run(3, [CLEAN] * 4, split="val")]), "exact")))
-        == 2
-    )
+    whole = DataSetRuns("d", [*RUNS, *others, run(3, [CLEAN] * 4, split="val")])
+    assert len(rows_of(seed_spread_table(whole, "exact"))) == 2
 
 
 def test_runs_that_are_not_whole_are_named_and_left_out() -> None:

@@ -1,24 +1,19 @@
 """Films of drives: the driven world, the recorded path, the contact; the command finds its drives."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from adapters.planners.log_replay import LogReplay
 from adapters.planners.stop import Stop
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.constants import FRAME_HZ
 from benchmark.errors import InputError
 from benchmark.records.drives import DriveRecord
 from benchmark.report.episode_page import EpisodePage
 from benchmark.report.palette import ADVERSARY, BEST, CONTACT, EGO, PATH
 from benchmark.runs.driving import DriveSettings, drive_split
 from benchmark.runs.episode_pages import write_episode_page
-from generation.render.sensor import SchematicSensor
-from generation.sources.town import build_town_scene
 from leaderboard.extensions.films.drive_film import DRIVE_FPS, HELD_S, DriveFilm
 from leaderboard.extensions.films.film import HEIGHT_PX, TITLE_PX, WIDTH_PX, FilmLayout, FilmSettings
 from leaderboard.extensions.films.filming import FilmFormat, write_drive_film
@@ -64,47 +59,31 @@ def test_a_contact_is_announced_marked_and_held(hit: Made) -> None:
     early = int((contact.seconds - 3.3) * DRIVE_FPS)
     assert max(star[: max(early, 0) + 1]) == 0 and star[-1] > 100
     assert max(said[: len(frames) - held - 3]) == 0 and said[-1] > 100
-
-
-def test_driven_ego_and_recorded_path_are_seen_apart(hit: Made) -> None:
-    frames = list(film_of(hit, layout=FilmLayout.BIRDSEYE, end_s=2.0))
-    above = frames[-1][TITLE_PX:, WIDTH_PX - 820 :]
+    above = list(film_of(hit, layout=FilmLayout.BIRDSEYE, begin_s=1.9, end_s=2.0))[-1][TITLE_PX:, WIDTH_PX - 820 :]
     assert pixels_of(above, EGO) > 300 and pixels_of(above, PATH) > 50
 
 
-def test_what_came_after_the_contact_is_not_shown(hit: Made) -> None:
+def test_what_came_after_the_contact_is_not_shown_and_a_part_of_a_drive_holds_nothing(hit: Made) -> None:
     record, sheet = hit
     assert sheet.contact is not None
-    earlier = replace(sheet, contact=replace(sheet.contact, seconds=sheet.contact.seconds - 0.5))
-    film = film_of((record, earlier))
-    assert film.frames[-1] == earlier.last < sheet.last
-    assert pixels_of(list(film)[-1][TITLE_PX:], CONTACT) > 100
+    earlier = record, replace(sheet, contact=replace(sheet.contact, seconds=sheet.contact.seconds - 0.5))
+    assert film_of(earlier).frames[-1] == earlier[1].last < sheet.last
     with pytest.raises(InputError, match="ends after"):
-        film_of((record, earlier), begin_s=earlier.seconds[-1])
-
-
-def test_a_part_of_a_drive_holds_nothing(hit: Made) -> None:
+        film_of(earlier, begin_s=earlier[1].seconds[-1])
     assert len(film_of(hit, begin_s=1.0, end_s=2.0)) == 11
     with pytest.raises(InputError, match="choose an earlier --from"):
         film_of(hit, begin_s=99.0)
-    small = next(iter(film_of(hit, width_px=320, end_s=0.1)))
-    assert small.shape == (180, 320, 3)
+    assert next(iter(film_of(hit, width_px=320, end_s=0.1))).shape == (180, 320, 3)
 
 
-def test_without_pictures_it_is_seen_from_above(tmp_path: Path) -> None:
-    record = driven(tmp_path / "out", Stop())
-    blind = record, write_episode_page(tmp_path, town(), record, record.rows[0], DefaultBackend(), None)
+def test_a_failure_is_said_at_the_end_and_without_pictures_all_is_seen_from_above(tmp_path: Path) -> None:
+    record = driven(tmp_path / "out", Failing())
+    place = next(place for place, row in enumerate(record.rows) if row.status == "failed")
+    blind = record, write_episode_page(tmp_path, town(), record, record.rows[place], DefaultBackend(), None)
     assert film_of(blind).layout is FilmLayout.BIRDSEYE
     with pytest.raises(InputError, match="--layout birdseye"):
         film_of(blind, layout=FilmLayout.CAMERAS)
-
-
-def test_a_failure_is_said_at_the_end(tmp_path: Path) -> None:
-    record = driven(tmp_path / "out", Failing())
-    place = next(place for place, row in enumerate(record.rows) if row.status == "failed")
-    made = record, write_episode_page(tmp_path, town(), record, record.rows[place], DefaultBackend(), None)
-    frames = list(film_of(made))
-    red = [pixels_of(frame, CONTACT) for frame in frames]
+    red = [pixels_of(frame, CONTACT) for frame in film_of(blind)]
     assert red[-1] > 100 and red[0] == 0
 
 
@@ -115,7 +94,8 @@ def test_whoever_touched_the_ego_without_its_fault_is_named_and_gone(tmp_path: P
     record = drive_split(data, "val", Watching(speed=6.0), tmp_path / "out", how)
     shown = write_episode_page(tmp_path, data, record, record.rows[0], maker, None)
     (touch,) = record.rows[0].passed
-    film = film_of((record, shown), layout=FilmLayout.BIRDSEYE)
+    moment = float(shown.seconds[shown.begins]) + touch.seconds
+    film = film_of((record, shown), layout=FilmLayout.BIRDSEYE, begin_s=moment - 0.5, end_s=moment + 1.0)
     red = {frame: pixels_of(image, CONTACT) for frame, image in zip(film.frames, film)}
     said = [frame for frame, pixels in red.items() if pixels > 50]
     seconds = shown.seconds - shown.seconds[shown.begins]
@@ -126,31 +106,24 @@ def test_whoever_touched_the_ego_without_its_fault_is_named_and_gone(tmp_path: P
     assert path.name == "scene-9901-watching-default-replay-none-until-fault"
 
 
+@pytest.mark.path
 def test_a_film_has_the_name_of_what_was_measured(hit: Made, tmp_path: Path) -> None:
     record, sheet = hit
     settings = FilmSettings(fps=DRIVE_FPS, width_px=320, end_s=0.3)
     path = write_drive_film(sheet, record, "straight", tmp_path, FilmFormat.PNG, settings)
     assert path == tmp_path / "scene-9902-straight-default-replay-none" and len(list(path.iterdir())) == 4
-    film = write_drive_film(sheet, record, "straight", tmp_path, FilmFormat.WEBP, settings)
-    assert film.suffix == ".webp"
-    again = write_drive_film(sheet, record, "straight", tmp_path / "b", FilmFormat.WEBP, settings)
-    assert film.read_bytes() == again.read_bytes()
+    film, again = (write_drive_film(sheet, record, "straight", tmp_path / to, FilmFormat.WEBP, settings) for to in "ab")
+    assert film.suffix == ".webp" and film.read_bytes() == again.read_bytes()
 
 
 LARGEST_BYTES = 1_000_000
 """Of a film of 20 s with cameras, as it is made without options."""
 
 
-def test_a_film_of_twenty_seconds_is_less_than_a_megabyte(tmp_path: Path) -> None:
+def test_a_film_of_twenty_seconds_is_less_than_a_megabyte(hit: Made, tmp_path: Path) -> None:
     pytest.importorskip("av")
-    seconds = 5
-    scene = build_town_scene("val", 3).first_frames(FRAME_HZ * seconds + 1)
-    data = FakeData({scene.name: scene})
-    record = drive_split(data, "val", LogReplay(), tmp_path / "out", DriveSettings("default", DefaultBackend()))
-    shown = write_episode_page(tmp_path, data, record, record.rows[0], DefaultBackend(), SchematicSensor("first"))
-    settings = FilmSettings(fps=DRIVE_FPS)
-    film = write_drive_film(shown, record, "log-replay", tmp_path / "films", FilmFormat.WEBM, settings)
-    assert film.suffix == ".webm" and film.stat().st_size * 20 / seconds < LARGEST_BYTES
+    film = write_drive_film(hit[1], hit[0], "straight", tmp_path, FilmFormat.WEBM, FilmSettings(fps=DRIVE_FPS))
+    assert film.suffix == ".webm" and film.stat().st_size * 20 * DRIVE_FPS / len(film_of(hit)) < LARGEST_BYTES
 
 
 def test_what_an_adversary_considered_is_drawn_where_it_was_kept_and_asked_for(tmp_path: Path) -> None:
@@ -179,16 +152,10 @@ def test_what_an_adversary_considered_is_drawn_where_it_was_kept_and_asked_for(t
     assert pixels_of(whole[:, panel], ADVERSARY) > pixels_of(without[:, panel], ADVERSARY) + 20
 
 
-@pytest.fixture
-def asked(tmp_path: Path) -> Iterator[tuple[str | Path, ...]]:
-    """A command that asks for films of drives of a data set that need not be opened to refuse."""
-    yield ("film", "--drives", "--data", "mini", "--out", tmp_path, "--to", tmp_path / "films", "--format", "png")
-
-
-def test_what_is_not_there_is_one_sentence(asked: tuple[str | Path, ...], tmp_path: Path) -> None:
+def test_what_is_not_there_is_one_sentence(tmp_path: Path) -> None:
+    asked = ("film", "--drives", "--data", "mini", "--out", tmp_path, "--to", tmp_path / "films", "--format", "png")
     assert "challenger-bench drive --data mini --split adv" in refusal(*asked)
-    data = {"name": "mini", "version": "v1", "fingerprint": "f" * 64}
-    written_drives(tmp_path / "drives" / "a", data=data)
+    written_drives(tmp_path / "drives" / "a", data={"name": "mini", "version": "v1", "fingerprint": "f" * 64})
     assert "there are no drives of vad; choose one of made" in refusal(*asked, "--model", "vad")
     assert "scene scene-9 was not driven" in refusal(*asked, "--scenes", "scene-9")
     assert "there are no records of drives on mini val" in refusal(*asked, "--split", "val")

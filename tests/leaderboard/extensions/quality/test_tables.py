@@ -4,63 +4,46 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from benchmark.extensions.quality.definition import QualityDefinition
 from benchmark.records.quality import ExactSum, QualityRecord, SceneQualityRows, SubjectRow, VideoRow, write_quality
 from benchmark.records.run_schema import SceneFacts
-from leaderboard.build import build_leaderboard_files, find_stale_files, write_leaderboard
+from leaderboard.build import find_stale_files, write_leaderboard
 from leaderboard.extensions.quality.tables import quality_tables
 from leaderboard.frame.results import read_results
+from tests.leaderboard.tables import test_table_facts as any_table
+from tests.leaderboard.tables.test_terminal import fits, shows_its_cells
 
 
 def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) -> SceneQualityRows:
+    where: dict[str, Any] = {"scene": scene, "camera": "CAM_FRONT"}
+    seen: dict[str, Any] = {"category": "vehicle.car", "appearances": 3, "returns": 0, "first_us": 0, "last_us": 10**6}
+    quality: dict[str, Any] = {"consistency": ExactSum.of([level, level]), "imaging": ExactSum.of([level / 2] * 3)}
     subjects = [
-        SubjectRow(
-            scene=scene,
-            camera="CAM_FRONT",
-            instance=name,
-            category="vehicle.car",
-            adversary=adversary and name == "a",
-            appearances=3,
-            returns=0,
-            first_us=0,
-            last_us=10**6,
-            mean_area_px=2000.0,
-            consistency=ExactSum.of([level, level]),
-            imaging=ExactSum.of([level / 2] * 3),
-        )
+        SubjectRow(**where, **seen, **quality, instance=name, adversary=adversary and name == "a", mean_area_px=2000.0)
         for name in ("a", "b")
     ]
-    video = VideoRow(
-        scene=scene,
-        camera="CAM_FRONT",
-        frames=3,
-        width=size[0],
-        height=size[1],
-        formats={"jpg": 3},
-        imaging=ExactSum.of([level / 4] * 3),
-    )
-    return SceneQualityRows(scene=scene, subjects=subjects, videos=[video])
+    frames: dict[str, Any] = {"frames": 3, "width": size[0], "height": size[1], "formats": {"jpg": 3}}
+    videos = [VideoRow(**where, **frames, imaging=ExactSum.of([level / 4] * 3))]
+    return SceneQualityRows(scene=scene, subjects=subjects, videos=videos)
 
 
 def made(folder: Path, split: str, **changes: Any) -> QualityRecord:
     """A record of two scenes."""
-    definition = changes.get("definition", QualityDefinition(masks="boxes"))
     names = [f"{split}-{index}" for index in range(2)]
-    size = changes.get("size", (448, 256))
+    size, unmasked = changes.get("size", (448, 256)), changes.get("unmasked", ())
     scenes = [
         rows(name, adversary=split == "adv", level=0.8 + 0.1 * index, size=size) for index, name in enumerate(names)
     ]
-    scenes = [
-        each.model_copy(update={"subjects": []}) if each.scene in changes.get("unmasked", ()) else each
-        for each in scenes
-    ]
+    scenes = [each.model_copy(update={"subjects": []}) if each.scene in unmasked else each for each in scenes]
     described = {
         "data": {"name": "mini", "version": "v1", "fingerprint": "f"},
         "split": split,
         "scenes": names,
         "scenes_in_split": changes.get("scenes_in_split", 2),
         "scene_facts": {name: SceneFacts(source=name, adversaries=int(split == "adv")) for name in names},
-        "definition": definition.as_json(),
+        "definition": changes.get("definition", QualityDefinition(masks="boxes")).as_json(),
         "weights": {"dino-vitb16": {"repository": "r", "revision": "v", "content": changes.get("content", "c")}},
         "device": "cpu",
         "environment": {},
@@ -71,12 +54,8 @@ def made(folder: Path, split: str, **changes: Any) -> QualityRecord:
 def test_splits_stand_in_the_order_of_the_paper_with_its_values_beside(tmp_path: Path) -> None:
     (table,) = quality_tables([made(tmp_path, "adv"), made(tmp_path, "val")])
     cells = [dict(zip(table.columns[:3], row)) for row in table.rows]
-    assert [(cell["split"], cell["subjects"]) for cell in cells] == [
-        ("val", "all"),
-        ("adv", "all"),
-        ("adv", "adversary"),
-        ("adv", "others"),
-    ]
+    shown = [(cell["split"], cell["subjects"]) for cell in cells]
+    assert shown == [("val", "all"), ("adv", "all"), ("adv", "adversary"), ("adv", "others")]
     assert table.name == "quality-boxes" and table.rows[0][2:4] == ("0.8500", "[0.800, 0.900]")
     assert table.rows[0][-2:] == ("0.8349", "0.3801") and table.rows[1][-2:] == ("0.8093", "0.3469")
     assert table.rows[2][-2:] == ("–", "–")
@@ -115,11 +94,25 @@ def test_parts_and_other_frames_are_said(tmp_path: Path) -> None:
     )
 
 
-def test_the_leaderboard_has_the_table_with_and_without_runs(tmp_path: Path) -> None:
+@pytest.mark.path
+def test_the_leaderboard_has_the_table_without_runs(tmp_path: Path) -> None:
     found = [made(tmp_path / "records", "val")]
-    files = build_leaderboard_files(read_results([], found))
-    assert "tables/mini/quality-boxes.tex" in files and "tables/mini/quality-boxes.csv" in files
-    assert b"## Video quality" in files["README.md"] and "published/quality-published.tex" in files
-    write_leaderboard(read_results([], found), tmp_path / "board")
+    written = write_leaderboard(read_results([], found), tmp_path / "board")
+    files = {path.relative_to(tmp_path / "board").as_posix() for path in written}
+    assert {"tables/mini/quality-boxes.tex", "tables/mini/quality-boxes.csv"} <= files
+    assert "published/quality-published.tex" in files
+    assert "## Video quality" in (tmp_path / "board" / "README.md").read_text()
     assert find_stale_files(read_results([], found), tmp_path / "board") == []
     assert find_stale_files(read_results([], [made(tmp_path / "records", "val", size=(1, 1))]), tmp_path / "board")
+
+
+def test_tables_of_quality_keep_what_every_table_keeps(tmp_path: Path) -> None:
+    tables = quality_tables([made(tmp_path, split) for split in ("val", "adv")])
+    assert [table.name for table in tables] == ["quality-boxes"]
+    for table in tables:
+        any_table.check(table)
+        for width in (60, 80, 120):
+            fits(table, width)
+        shows_its_cells(table)
+    any_table.test_heads_differ_and_json_of_every_table_reads_back(tables)
+    any_table.test_latex_is_balanced_and_every_line_has_all_columns(tables)
