@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.extensions.golden_sets.protocols import BUILT_IN
 from benchmark.extensions.golden_sets.protocols.golden_set import ProtocolGoldenScene, read_golden_scene
 from benchmark.geometry import Floats, to_local
-from tests.benchmark.extensions.golden_sets import golden_protocols
+from tests.benchmark.extensions.golden_sets.altered import load
 from tests.benchmark.protocols import slow_further_protocols as further
 from tests.benchmark.protocols import slow_protocols as slow
 from tests.benchmark.protocols.protocol_cases import roads_of
@@ -22,7 +23,7 @@ PLANS = [1, 3, 4]
 def write(folder: Path, case: str = "scene-crossing") -> Path:
     """Write inputs and official verdicts of a scene."""
     folder.mkdir(parents=True, exist_ok=True)
-    arrays = golden_protocols.files_of(case, golden_protocols.CASES[case]())[f"{case}.npz"]
+    arrays = load(BUILT_IN / f"{case}.npz")
     path = folder / f"{case}.npz"
     np.savez_compressed(path, **inputs_of(arrays))
     np.savez_compressed(path.with_stem(f"{case}_official"), empty=np.zeros(1))
