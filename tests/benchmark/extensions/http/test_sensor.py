@@ -213,10 +213,8 @@ def test_recorded_requests_to_a_renderer_are_written_again_to_the_byte(name: str
     actors = parse_actors(next(each for each in exchanges if each["path"] == "/get_actors")["response_body"].encode())
     assert len(actors) == 3 and all(len(actor.poses) == len(actor.timestamps) for actor in actors)
     update = next(each for each in exchanges if each["path"] == "/update_actors")
-    told = [
-        MovedActor(
-            *(np.array(each[name]) for name in ("timestamps", "poses", "dims")), each["uuid"], each["is_target_actor"]
-        )
-        for each in json.loads(update["request_body"])
-    ]
+    told = []
+    for each in json.loads(update["request_body"]):
+        times, poses, dims = (np.array(each[name]) for name in ("timestamps", "poses", "dims"))
+        told.append(MovedActor(times, poses, dims, each["uuid"], each["is_target_actor"]))
     assert encode_moved_actors(told).decode() == update["request_body"]
