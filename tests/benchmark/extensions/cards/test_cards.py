@@ -113,6 +113,7 @@ def test_a_row_is_a_rate_of_a_record_and_none_is_left_out() -> None:
     assert {row["loop"] for row in rows} == {"open", "closed"} and found["frozen_split"] == "mini-adv-2"
 
 
+@pytest.mark.path
 @pytest.mark.usefixtures("without_parquet")
 def test_the_page_says_what_the_data_say_and_escapes_what_strangers_wrote(tmp_path: Path) -> None:
     data = Made(town_of_two().scenes)
@@ -124,11 +125,8 @@ def test_the_page_says_what_the_data_say_and_escapes_what_strangers_wrote(tmp_pa
     assert "# Two &lt;roads&gt;" in page and "a \\| b" in page and "road-adv-1" in page
     assert "| manoeuvres of the first adversaries | cut-in-left 2 |" in page and f"`{data.fingerprint()}`" in page
     assert "not taken by a camera" in page and "Recorded road users do not react" in page
-    assert written.rows == 2 and [path.name for path in written.files] == [
-        "README.md",
-        "scenes.parquet",
-        "croissant.json",
-    ]
+    assert written.rows == 2
+    assert [path.name for path in written.files] == ["README.md", "scenes.parquet", "croissant.json"]
     metadata = json.loads((tmp_path / "croissant.json").read_text())
     assert metadata["license"].endswith("by-nc-sa/4.0/") and metadata["datePublished"] == "2026-01-31"
     assert metadata["name"] == "Two <roads>" and metadata["creator"]["name"] == "A lab"
@@ -175,26 +173,27 @@ def test_nothing_that_somebody_wrote_is_written_over(tmp_path: Path) -> None:
         write_data_card(FakeData({}), tmp_path / "empty")
 
 
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        ({"licence": "all rights, reserved"}, "is not a licence identifier"),
-        ({"url": "javascript:alert(1)"}, "--url must begin with http"),
-        ({"published": "yesterday"}, "--published must be a day"),
-        ({"title": "two\nlines"}, "--title must be one line"),
-        ({"creator": " "}, "--creator must be one line"),
-    ],
-)
-def test_wrong_settings_are_one_sentence(changes: dict[str, str], says: str) -> None:
-    with pytest.raises(InputError, match=says):
-        replace(CardSettings(), **changes)
+def test_wrong_settings_are_one_sentence() -> None:
+    wrong: dict[str, tuple[str, str]] = {
+        "licence": ("all rights, reserved", "is not a licence identifier"),
+        "url": ("javascript:alert(1)", "--url must begin with http"),
+        "published": ("yesterday", "--published must be a day"),
+        "title": ("two\nlines", "--title must be one line"),
+        "creator": (" ", "--creator must be one line"),
+    }
+    for name, (value, says) in wrong.items():
+        changes: dict[str, Any] = {name: value}
+        with pytest.raises(InputError, match=says):
+            replace(CardSettings(), **changes)
 
 
-def test_heads_leave_out_what_is_not_there_and_sizes_have_the_hubs_names() -> None:
-    assert (
-        format_front_matter({"a": 'x: "y"', "b": None, "c": [], "d": False}) == '---\na: "x: \\"y\\""\nd: false\n---\n'
-    )
+def test_heads_leave_out_what_is_not_there_and_hubs_read_them() -> None:
+    head = format_front_matter({"a": 'x: "y"', "b": None, "c": [], "d": False})
+    assert head == '---\na: "x: \\"y\\""\nd: false\n---\n'
     assert [find_size_category(count) for count in (0, 999, 1000, 10**6)] == ["n<1K", "n<1K", "1K<n<10K", "n>1M"]
+    yaml = pytest.importorskip("yaml")
+    said = {"pretty_name": "a: 'b' \u00e4 # c", "tags": ["x", "y: z"], "configs": [{"default": True}]}
+    assert yaml.safe_load(format_front_matter(said).split("---\n")[1]) == said
 
 
 def test_the_index_reads_back(tmp_path: Path) -> None:
@@ -210,6 +209,7 @@ def test_the_index_reads_back(tmp_path: Path) -> None:
     assert (tmp_path / "scenes.parquet").read_bytes() == before
 
 
+@pytest.mark.path
 def test_the_commands_write_cards(tmp_path: Path) -> None:
     done = run_here("leaderboard", "card", "--records", GOLDEN / "schema-3-adv", "--to", tmp_path / "card", "--json")
     assert done.code == 0 and "is undecided; set it with" in done.err
@@ -234,13 +234,6 @@ def test_mlcroissant_accepts_the_metadata_and_reads_the_rows(tmp_path: Path) -> 
     shutil.copy(tmp_path / "data" / "scenes.parquet", tmp_path)
     with pytest.raises(mlcroissant.ValidationError):
         mlcroissant.Dataset(jsonld=tmp_path / "broken.json")
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_hubs_read_the_head(tmp_path: Path) -> None:
-    yaml = pytest.importorskip("yaml")
-    said = {"pretty_name": "a: 'b' \u00e4 # c", "tags": ["x", "y: z"], "configs": [{"default": True}]}
-    assert yaml.safe_load(format_front_matter(said).split("---\n")[1]) == said
 
 
 def test_the_citation_names_this_version_and_the_paper() -> None:

@@ -115,7 +115,7 @@ class Forged:
         present = {row["instance_token"] for row in self.read("sample_annotation") if row["sample_token"] in inside}
         return [str(row["token"]) for row in self.read("instance") if row["token"] in present][agent]
 
-    def annotations(self, change: Callable[[int, Row], None], agent: int, name: str = "scene-9901-a") -> None:
+    def annotations(self, change: Callable[[int, Row], object], agent: int, name: str = "scene-9901-a") -> None:
         """Change the annotations of a car; the function is given the keyframe and the row."""
         instance = self.instance(agent, name)
         at = {token: index for index, token in enumerate(self.samples(name))}

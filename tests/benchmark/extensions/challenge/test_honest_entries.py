@@ -1,8 +1,10 @@
 """What this project's own search makes, by every preset, is no cheating."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,12 +22,17 @@ from tests.generation.labels.recorded_roads import CHEAP
 from tests.generation.splits.frozen_files import recordings
 
 
+def at_night(names: Sequence[str], *slow: str) -> list[Any]:
+    """Searches and splits take seconds each: some of them run at night."""
+    return [pytest.param(name, marks=[pytest.mark.slow] if name in slow else []) for name in names]
+
+
 @pytest.fixture(scope="module")
 def road(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     return recordings(tmp_path_factory.mktemp("road"))
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", at_night(PRESETS, "near", "reference"))
 def test_no_entry_of_a_preset_is_refused(preset: Preset, road: DataSet, tmp_path: Path) -> None:
     hyper = replace(build_hyper_parameters(preset), candidates=24, rounds=2)
     build_split(road, "adv", replace(CHEAP, out=tmp_path, hyper=hyper, per_scene=3))
@@ -48,7 +55,7 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     return open_data(root)
 
 
-@pytest.mark.parametrize("name", ["mini-adv-1", "mini-adv-2", "mini-adv-3"])
+@pytest.mark.parametrize("name", at_night(("mini-adv-1", "mini-adv-2", "mini-adv-3"), "mini-adv-2"))
 def test_no_scene_of_a_packaged_split_is_refused(name: str, town: DataSet, tmp_path: Path) -> None:
     packaged = read_frozen_split(name)
     few = [scene for scene in packaged.frozen.scenes if scene.source in town.scene_names(None)]

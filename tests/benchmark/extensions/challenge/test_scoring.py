@@ -24,13 +24,7 @@ from benchmark.metrics.challenge_entries import (
     sum_collisions,
 )
 from benchmark.metrics.rates import SceneSums
-from benchmark.records.challenge import (
-    ChallengeScores,
-    EntryScore,
-    find_scores,
-    read_scores,
-    write_scores,
-)
+from benchmark.records.challenge import ChallengeScores, EntryScore, find_scores, read_scores, write_scores
 from benchmark.records.run import find_records
 from leaderboard.build import build_leaderboard_files
 from leaderboard.extensions.challenge.tables import challenge_tables
@@ -63,11 +57,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def scores(entry: Path, base: DataSet, folder: Path) -> ChallengeScores:
-    entries = {
-        "slight": slight(folder / "slight"),
-        "half": half_forged(entry, folder / "half"),
-        "cut-in": open_data(entry),
-    }
+    half = half_forged(entry, folder / "half")
+    entries = {"slight": slight(folder / "slight"), "half": half, "cut-in": open_data(entry)}
     planners = [planner_factory(name) for name in (HASTY, STEADY)]
     found = score_entries(entries, base, planners, ScoreSettings(folder / "out"))
     assert read_scores(write_scores(folder / "out", found)) == found
@@ -105,11 +96,7 @@ def test_a_refused_scene_counts_as_one_on_which_nobody_collides(scores: Challeng
 
 
 def test_scores_are_the_same_again(scores: ChallengeScores, entry: Path, base: DataSet, folder: Path) -> None:
-    entries = {
-        "half": open_data(folder / "half"),
-        "cut-in": open_data(entry),
-        "slight": open_data(folder / "slight"),
-    }
+    entries = {"half": open_data(folder / "half"), "cut-in": open_data(entry), "slight": open_data(folder / "slight")}
     planners = [planner_factory(name) for name in (HASTY, STEADY)]
     assert score_entries(entries, base, planners, ScoreSettings(folder / "out")) == scores
 
@@ -134,21 +121,9 @@ def test_what_an_entry_says_of_itself_is_not_read(entry: Path, base: DataSet, tm
         for name, said in honest.judgements.items()
     }
     (forged.folder / ASSESSMENTS_FILE).write_text(format_assessments(liar))
-    (forged.root / "review.json").write_text(
-        json.dumps(
-            {
-                "format": "challenger-bench review",
-                "schema": 1,
-                "verdicts": {
-                    "scene-9901-a": {
-                        "verdict": "rejected",
-                        "reason": "too hard",
-                        "token": forged.scene()["token"],
-                    }
-                },
-            }
-        )
-    )
+    rejected = {"verdict": "rejected", "reason": "too hard", "token": forged.scene()["token"]}
+    review = {"format": "challenger-bench review", "schema": 1, "verdicts": {"scene-9901-a": rejected}}
+    (forged.root / "review.json").write_text(json.dumps(review))
     again = open_data(forged.root)
     assert again.scene_names("adv") == ("scene-9902-a",)
     checked = CheckedEntry.of(again, "honest", tmp_path / "place", check_entry(again, base, ChallengeRules()))
@@ -190,6 +165,7 @@ def test_under_another_protocol_its_collision_rate_ranks(entry: Path, base: Data
     assert ranking.columns[4:8] == ("collision rate (%)", "95 %", "adversary (%)", "95 %")
 
 
+@pytest.mark.path
 def test_contacts_with_bystanders_are_in_another_column() -> None:
     record = ran({"A-1": "fF..", "B-1": "F..."})
     refused = (RefusedScene("B", 4),)
@@ -218,6 +194,7 @@ def sums(rates: dict[str, float], samples: int = 10) -> SceneSums:
     return SceneSums(tuple(rates), values, np.full_like(values, samples))
 
 
+@pytest.mark.path
 def test_places_are_told_apart_only_where_recordings_agree() -> None:
     names = [f"r{number:02d}" for number in range(30)]
     draw = np.random.default_rng(0)
@@ -235,6 +212,7 @@ def test_places_are_told_apart_only_where_recordings_agree() -> None:
     assert rank_entries(["high", "near", "low"], pairs) == {"high": (1, 2), "near": (1, 2), "low": (3, 3)}
 
 
+@pytest.mark.path
 def test_of_one_recording_nothing_is_told_apart() -> None:
     measured, drawn = average_planners([sums({"r": 0.9})], ["r"], 0)
     assert (measured.low, measured.high) == (None, None)
@@ -249,10 +227,6 @@ def test_the_command_scores_and_refuses(entry: Path, base: DataSet, tmp_path: Pa
     assert done.code == 0, done.err
     (found,) = find_scores(tmp_path / "challenge")
     assert json.loads(done.out)["entries"][0]["entry"]["name"] == "honest" == found.entries[0].entry.name
-    board = run_here("leaderboard", "--out", tmp_path)
-    assert board.code == 0, board.err
-    assert "challenge challenge" in (tmp_path / "leaderboard" / "README.md").read_text()
-    assert run_here("leaderboard", "--check", "--out", tmp_path).code == 0
     for extra, says in (
         ((entry, "--model", "constant-velocty"), "constant-velocity"),
         ((entry, "--protocol", "exat"), "exat"),
@@ -264,19 +238,12 @@ def test_the_command_scores_and_refuses(entry: Path, base: DataSet, tmp_path: Pa
         assert done.code == 2 and says in done.err and done.err.count("error") == 0, done
 
 
-def test_the_same_data_under_two_names_is_refused(entry: Path, base: DataSet, tmp_path: Path) -> None:
-    data = open_data(entry)
+def test_the_same_data_twice_and_damaged_scores_are_refused(entry: Path, base: DataSet, tmp_path: Path) -> None:
+    data, ours, theirs = open_data(entry), tmp_path / "ours" / "adv", tmp_path / "theirs" / "adv"
     with pytest.raises(InputError, match="the same data"):
         score_entries({"a": data, "b": data}, base, [planner_factory(STEADY)], ScoreSettings(tmp_path))
-
-
-def test_names_of_entries_are_as_long_as_they_must_be(tmp_path: Path) -> None:
-    ours, theirs = tmp_path / "ours" / "adv", tmp_path / "theirs" / "adv"
-    assert set(name_entries([ours])) == {"adv"}
-    assert set(name_entries([ours, theirs])) == {"ours/adv", "theirs/adv"}
-
-
-def test_damaged_scores_are_refused(tmp_path: Path) -> None:
+    # Names of entries are as long as they must be.
+    assert set(name_entries([ours])) == {"adv"} and set(name_entries([ours, theirs])) == {"ours/adv", "theirs/adv"}
     (tmp_path / "scores-a.json").write_text('{"format": "challenger-bench challenge scores"}')
     with pytest.raises(InputError, match="damaged"):
         read_scores(tmp_path / "scores-a.json")

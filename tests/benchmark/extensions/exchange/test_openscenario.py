@@ -17,14 +17,14 @@ from benchmark.extensions.exchange.openscenario import encode_openscenario, expo
 from benchmark.geometry import Bools, Floats
 from benchmark.scene import Scene
 from tests.benchmark.cli.in_process import run_here
-from tests.benchmark.datasets.test_scenarionet import FILES, needs_shared
+from tests.benchmark.datasets.test_scenarionet import FILES
 from tests.benchmark.extensions.exchange.wild_scenes import wild_scene
 from tests.benchmark.fake_data import town_of_two
 from tests.generation.labels.recorded_roads import recorded, write_source
 from tests.hand_made import Car, scene_on_straight_road
 
 
-@settings(deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.lists(st.booleans(), max_size=12))
 def test_stretches_are_all_that_is_there(flags: list[bool]) -> None:
     found = np.zeros(len(flags), np.bool_)
@@ -70,14 +70,8 @@ def require_same(scene: Scene, data: bytes) -> None:
     ego = np.column_stack([scene.seconds, scene.ego.position, scene.ego.yaw])
     assert np.array_equal(tracks["ego"][0], ego) and set(tracks) == {"ego", *scene.agents.ids}
     for row, name in enumerate(scene.agents.ids):
-        expected = np.column_stack(
-            [
-                scene.seconds,
-                scene.agents.position[row, :, :2],
-                scene.agents.position[row, :, 2] - scene.agents.size[row, 2] / 2,
-                scene.agents.yaw[row],
-            ]
-        )
+        place, ground = scene.agents.position[row], scene.agents.position[row, :, 2] - scene.agents.size[row, 2] / 2
+        expected = np.column_stack([scene.seconds, place[:, :2], ground, scene.agents.yaw[row]])
         longer = [(first, last) for first, last in find_stretches(scene.agents.valid[row]) if last > first]
         assert len(tracks[name]) == len(longer)
         for (first, last), vertices in zip(longer, tracks[name], strict=True):
@@ -94,7 +88,7 @@ def require_same(scene: Scene, data: bytes) -> None:
             assert [float(box.attrib[side]) for side in ("length", "width", "height")] == size.tolist()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_every_track_stands_in_the_file_and_the_official_schema_accepts_it(seed: int, tmp_path: Path) -> None:
     from scenariogeneration.xosc.xosc_reader import validate_schema
 
@@ -105,17 +99,8 @@ def test_every_track_stands_in_the_file_and_the_official_schema_accepts_it(seed:
     path = tmp_path / "scene.xosc"
     path.write_bytes(data)
     assert validate_schema(ElementTree.parse(path))
-    assert not validate_schema(
-        ElementTree.ElementTree(
-            ElementTree.fromstring(data.replace(b"<Entities>", b"<Others>").replace(b"</Entities>", b"</Others>"))
-        )
-    )
-
-
-@needs_shared
-def test_a_recording_stands_in_the_file() -> None:
-    scene = read_scenarionet(FILES[3])
-    require_same(scene, encode_openscenario(ExchangedScene(scene, scene.name)))
+    broken = ElementTree.fromstring(data.replace(b"Entities>", b"Others>"))
+    assert not validate_schema(ElementTree.ElementTree(broken))
 
 
 def test_the_package_reads_it_back(tmp_path: Path) -> None:
@@ -138,10 +123,9 @@ def test_who_comes_and_goes_is_added_and_deleted() -> None:
     scene = replace(scene, agents=replace(scene.agents, valid=valid))
     root = ElementTree.fromstring(encode_openscenario(ExchangedScene(scene, scene.name)))
     name = scene.agents.ids[0]
-    assert [
-        each.attrib["entityRef"] for each in root.iterfind("Storyboard/Init/Actions/GlobalAction/EntityAction")
-    ] == [name]
-    assert [each.attrib["entityRef"] for each in root.iterfind("Storyboard/Init/Actions/Private")] == ["ego"]
+    for path, expected in (("GlobalAction/EntityAction", name), ("Private", "ego")):
+        (each,) = root.iterfind(f"Storyboard/Init/Actions/{path}")
+        assert each.attrib["entityRef"] == expected
     events = {
         event.attrib["name"].removeprefix(f"{name} "): float(trigger.attrib["value"])
         for event in root.iter("Event")
@@ -155,11 +139,15 @@ def test_who_comes_and_goes_is_added_and_deleted() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.path
 def test_the_command_writes_a_file_a_scene(tmp_path: Path) -> None:
     data = write_source(tmp_path / "root", recorded("scene-9901"), recorded("scene-9902"))
     done = run_here("data", "export", "openscenario", data.root, "--to", tmp_path / "to", "--workers", "1")
     assert done.code == 0 and done.out.startswith("2 scenes in"), done.err
     assert sorted(path.name for path in (tmp_path / "to").iterdir()) == ["scene-9901.xosc", "scene-9902.xosc"]
+    for path in FILES[3:4]:
+        scene = read_scenarionet(path)
+        require_same(scene, encode_openscenario(ExchangedScene(scene, scene.name)))
     require_same(data.scene("scene-9902"), (tmp_path / "to" / "scene-9902.xosc").read_bytes())
     done = run_here("data", "export", "openscenario", data.root, "--limit", "1", "--to", tmp_path / "to")
     assert done.code == 2 and "holds scene-9902.xosc" in done.err

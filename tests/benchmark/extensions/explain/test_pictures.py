@@ -29,8 +29,8 @@ from tests.benchmark.planners import Failing, Straight
 @pytest.mark.parametrize(
     ("name", "examples"),
     [
-        *((name, 25) for name in ("uniad", "vad", "vad-23", "stp3", "opendrivevla", "agent-driver-stp3")),
-        *((name, 8) for name in ("bev-planner", "omnidrive")),
+        *((name, 12) for name in ("uniad", "vad", "stp3", "opendrivevla")),
+        *((name, 4) for name in ("bev-planner", "omnidrive")),
     ],
 )
 def test_cells_that_are_drawn_meet_exactly_where_the_protocol_reports_it(name: str, examples: int) -> None:
@@ -107,10 +107,6 @@ def test_a_latched_flag_is_shown_where_it_was_raised() -> None:
     assert case is not None and case.cause == "false alarm: raster" and raised[case.step]
 
 
-def test_every_cause_has_words() -> None:
-    assert set(WORDS) == set(CAUSES)
-
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[FakeData, list[RunRecord]]:
     data = town_of_two(slow_leader=True)
@@ -122,6 +118,7 @@ def causes_of(records: Sequence[RunRecord]) -> set[tuple[str, str]]:
     return {cause for record in records for row in record.rows for cause in row.disagreements.items()}
 
 
+@pytest.mark.path
 def test_one_picture_for_each_cause_and_protocol(runs: tuple[FakeData, list[RunRecord]], tmp_path: Path) -> None:
     data, records = runs
     pictures = explain(records, data, tmp_path)
@@ -129,6 +126,12 @@ def test_one_picture_for_each_cause_and_protocol(runs: tuple[FakeData, list[RunR
     assert pictures and sorted(tmp_path.iterdir()) == sorted(picture.path for picture in pictures)
     for picture in pictures:
         assert picture.case.protocol in picture.sentence and picture.case.planner in picture.sentence
+    assert set(WORDS) == set(CAUSES)
+    # Without runs nothing is written; a folder that cannot be is the user's to fix.
+    assert explain([], data, tmp_path / "none") == [] and not (tmp_path / "none").exists()
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(InputError, match="file"):
+        explain(records, data, tmp_path / "file")
 
 
 def test_the_clearest_case_does_not_depend_on_the_order_of_records(runs: tuple[FakeData, list[RunRecord]]) -> None:
@@ -140,17 +143,3 @@ def test_the_clearest_case_does_not_depend_on_the_order_of_records(runs: tuple[F
     assert [key(case) for case in find_clearest_cases(records, data)] == [
         key(case) for case in find_clearest_cases(records[::-1], data)
     ]
-
-
-def test_nothing_to_explain_writes_nothing(tmp_path: Path) -> None:
-    assert explain([], town_of_two(), tmp_path / "none") == []
-    assert not (tmp_path / "none").exists()
-
-
-def test_a_folder_that_cannot_be_written_is_the_users_to_fix(
-    runs: tuple[FakeData, list[RunRecord]], tmp_path: Path
-) -> None:
-    data, records = runs
-    (tmp_path / "file").write_text("in the way")
-    with pytest.raises(InputError, match="file"):
-        explain(records, data, tmp_path / "file")

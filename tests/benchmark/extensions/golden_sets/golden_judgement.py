@@ -40,6 +40,7 @@ from benchmark.interactions.driver_simulation import (
 )
 from benchmark.interactions.reaction import Driver
 from benchmark.interactions.tracks import ContinuousTracks
+from tests.benchmark.extensions.golden_sets.altered import load
 from tests.benchmark.interactions.made import along_bend, made_scene
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "golden"
@@ -49,33 +50,47 @@ Arrays = dict[str, NDArray[Any]]
 
 def thinned_drivers() -> tuple[dict[str, Arrays], dict[str, Any]]:
     """Arrays and JSON by file, from the set beside this repository."""
-    folder = SHARED / "drivers"
-    straight = _read(folder / "straight.npz")
-    cases = len(straight["family"])
+    held = {path.stem: load(path) for path in (SHARED / "drivers").glob("*.npz")}
+    straight, following, low_speed = held["straight"], held["tables_following"], held["tables_low_speed"]
+    cases, rows = len(straight["family"]), len(following["speed_km_h"])
+    thin = {
+        "pairs_km_h": low_speed["pairs_km_h"][::5],
+        "models": low_speed["models"],
+        "gap": low_speed["gap"][::6],
+        "lateral_speed": low_speed["lateral_speed"][2::4],
+        "crash": low_speed["crash"][::5, :, ::6, 2::4],
+    }
     arrays = {
         "straight": {k: v[::17] if len(v) == cases else v for k, v in straight.items()},
-        "functions": {k: v[::8] if k != "idm_parameters" else v for k, v in _read(folder / "functions.npz").items()},
-        "tables_following": _thinned_following(_read(folder / "tables_following.npz")),
-        "tables_low_speed": _thinned_cut_ins(_read(folder / "tables_low_speed.npz")),
-        "encounters": _some_encounters(_read(folder / "encounters.npz")),
+        "functions": {k: v[::8] if k != "idm_parameters" else v for k, v in held["functions"].items()},
+        "tables_following": {k: v[..., ::37] if v.shape[-1] == rows else v for k, v in following.items()},
+        "tables_low_speed": thin,
+        "encounters": _some_encounters("drivers"),
     }
-    return arrays, {"encounters": _some_facts(folder)}
+    return arrays, {"encounters": _some_facts("drivers")}
 
 
 def thinned_severity() -> tuple[dict[str, Arrays], dict[str, Any]]:
     """Arrays and JSON by file, from the set beside this repository."""
-    folder = SHARED / "severity"
+    folder, facts = SHARED / "severity", _some_facts("severity")
     contacts = json.loads((folder / "contacts.json").read_text())
     contacts["cases"] = contacts["cases"][::3]
-    arrays = {
-        "encounters": _some_encounters(_read(folder / "encounters.npz")),
-        "manoeuvres": {k: v for k, v in _read(folder / "manoeuvres.npz").items() if k.startswith("cut_in/")},
-    }
-    facts = _some_facts(folder)
+    manoeuvres = {k: v for k, v in load(folder / "manoeuvres.npz").items() if k.startswith("cut_in/")}
     for each in facts:
         # Costs the most by far, and says the same as the evaluations.
         each.get("last_chance", {}).pop("scan", None)
+    arrays = {"encounters": _some_encounters("severity"), "manoeuvres": manoeuvres}
     return arrays, {"contacts": contacts, "encounters": facts}
+
+
+def _some_encounters(kind: str) -> Arrays:
+    held = load(SHARED / kind / "encounters.npz")
+    return {k: v for k, v in held.items() if k.split("/")[0] in ENCOUNTERS}
+
+
+def _some_facts(kind: str) -> list[dict[str, Any]]:
+    facts = json.loads((SHARED / kind / "encounters.json").read_text())
+    return [each for each in facts if each["name"] in ENCOUNTERS]
 
 
 def made_driver_scenes() -> tuple[Arrays, list[dict[str, Any]]]:
@@ -145,7 +160,7 @@ def write() -> None:
     _write(DRIVERS, {**arrays, "scenes": made}, {**texts, "scenes": facts})
     _write(SEVERITY, *thinned_severity())
     arrays, texts = made_realism()
-    samples = _read(SHARED / "realism" / "plain_arrays.npz")
+    samples = load(SHARED / "realism" / "plain_arrays.npz")
     golden = json.loads((SHARED / "realism" / "plain_divergences.json").read_text())["arrays"]
     texts["plain_divergences"]["arrays"] = golden
     _write(REALISM, {**arrays, "plain_arrays": samples}, texts)
@@ -160,13 +175,10 @@ def _first(tracks: ContinuousTracks, frames: int) -> ContinuousTracks:
 
 def _outcome(outcome: DriverOutcome) -> dict[str, Any]:
     contact = outcome.contact
+    names = ("time", "agent", "ego_speed", "other_speed", "impact_speed")
     hit = contact and {
-        "time": contact.time,
-        "agent": contact.agent,
+        **{name: getattr(contact, name) for name in names},
         "type": contact.kind.value,
-        "ego_speed": contact.ego_speed,
-        "other_speed": contact.other_speed,
-        "impact_speed": contact.impact_speed,
         "ego_box": contact.ego.tolist(),
         "other_box": contact.other.tolist(),
     }
@@ -183,14 +195,8 @@ def _outcome(outcome: DriverOutcome) -> dict[str, Any]:
 
 
 def _scene_arrays(tracks: ContinuousTracks, keyframes: NDArray[np.int64]) -> Arrays:
-    return {
-        "seconds": tracks.seconds,
-        "keyframes": keyframes,
-        "ego": tracks.ego,
-        "agents": tracks.agents,
-        "valid": tracks.valid,
-        "categories": np.array(tracks.categories),
-    }
+    fields = {name: getattr(tracks, name) for name in ("seconds", "ego", "agents", "valid")}
+    return {**fields, "keyframes": keyframes, "categories": np.array(tracks.categories)}
 
 
 def _run_arrays(variant: str, scenes: dict[str, list[FeatureRun]]) -> Arrays:
@@ -274,34 +280,6 @@ def _ctg(positions: dict[str, list[SceneTracks]]) -> tuple[Arrays, dict[str, Any
             arrays |= {f"{label}/{variant}/{name}": values for name, values in shares.items()}
         facts[label] = {"rotated": compute_deviations(found["rotated"], found["recorded"], edges)}
     return arrays, facts
-
-
-def _thinned_following(arrays: Arrays) -> Arrays:
-    rows = len(arrays["speed_km_h"])
-    return {k: v[..., ::37] if v.shape[-1] == rows else v for k, v in arrays.items()}
-
-
-def _thinned_cut_ins(arrays: Arrays) -> Arrays:
-    return {
-        "pairs_km_h": arrays["pairs_km_h"][::5],
-        "models": arrays["models"],
-        "gap": arrays["gap"][::6],
-        "lateral_speed": arrays["lateral_speed"][2::4],
-        "crash": arrays["crash"][::5, :, ::6, 2::4],
-    }
-
-
-def _some_encounters(arrays: Arrays) -> Arrays:
-    return {k: v for k, v in arrays.items() if k.split("/")[0] in ENCOUNTERS}
-
-
-def _some_facts(folder: Path) -> list[dict[str, Any]]:
-    return [each for each in json.loads((folder / "encounters.json").read_text()) if each["name"] in ENCOUNTERS]
-
-
-def _read(path: Path) -> Arrays:
-    with np.load(path) as stored:
-        return {name: stored[name] for name in stored.files}
 
 
 def _write(folder: Path, arrays: dict[str, Arrays], texts: dict[str, Any]) -> None:

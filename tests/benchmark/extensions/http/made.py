@@ -1,5 +1,6 @@
 """A scripted server, an observation by hand, and planners for the wire."""
 
+import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -100,12 +101,7 @@ class Looking:
 
 @dataclass
 class Scripted:
-    """What a scripted server was asked, in order, and where it is.
-
-    Attributes:
-        url: Its address.
-        asked: Method, path, headers and body of each request.
-    """
+    """Where a scripted server is, and what it was asked, in order: method, path, headers and body."""
 
     url: str
     asked: list[tuple[str, str, Mapping[str, str], bytes]] = field(default_factory=list)
@@ -158,8 +154,6 @@ def scripted(answer: Callable[[str, bytes], Reply]) -> Iterator[Scripted]:
 
 def free_port() -> int:
     """A port at which nobody listens."""
-    import socket
-
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])

@@ -65,17 +65,7 @@ def malformed(count: int, seed: int = 0) -> Iterator[Request]:
 
 
 def answered(port: int, sent: bytes, whole: bool, patience_s: float = 20.0) -> bytes:
-    """What a server answers to some bytes; empty where it hangs up.
-
-    Args:
-        port: Its.
-        sent: Sent at once.
-        whole: Whether they are a whole request; what is none is broken off after a moment.
-        patience_s: How long an answer may take.
-
-    Returns:
-        All that comes.
-    """
+    """All that a server answers to bytes; empty where it hangs up. What is no whole request is broken off soon."""
     with socket.create_connection(("127.0.0.1", port), timeout=patience_s) as there:
         # A server that has seen enough hangs up while it is sent more.
         with contextlib.suppress(OSError):

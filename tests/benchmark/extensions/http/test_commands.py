@@ -1,16 +1,28 @@
-"""``serve``, and ``drive`` and ``eval`` with servers, as a user runs them."""
+"""``serve``, and ``drive`` and ``eval`` with servers, as a user runs them, the page's minimal server among them."""
 
 import json
+import re
+import threading
+from dataclasses import replace
+from http.server import HTTPServer
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import benchmark
+from benchmark.closed_loop.episodes import run_episode
+from benchmark.extensions.http.model import http_planner
 from benchmark.extensions.http.server import PlannerServer
+from benchmark.planning import SceneInfo
+from benchmark.records.drives import load_drives
+from generation.sources.mini import TownSettings, build_town_data_set
 from tests.benchmark.cli.in_process import run_here
-from tests.benchmark.extensions.http.made import Looking, scripted, serving
+from tests.benchmark.closed_loop.staged import staged
+from tests.benchmark.extensions.http.made import Looking, Painted, observed, scripted, serving
 from tests.benchmark.extensions.http.test_sensor import Renderer, small_scene
 from tests.generation.nuscenes_writer.written_roots import SIZE, write_root
+from tests.hand_made import scene_on_straight_road
 
 
 @pytest.fixture(scope="module")
@@ -78,3 +90,60 @@ def test_serve_says_where_and_warns(
     done = run_here("serve", "--model", "stop", "--port", "0", *options)
     assert done.code == 0 and len(served) == 1
     assert all(each in done.err for each in says) and not_said not in done.err and str(served[0].port) in done.err
+
+
+PAGE = Path(__file__).resolve().parents[4] / "docs" / "extensions" / "http.md"
+
+
+@pytest.mark.path
+def test_it_runs_as_it_stands_and_is_driven() -> None:
+    (code,) = re.findall(r"```python\n(# model_server\.py\n.*?)```", PAGE.read_text(), re.DOTALL)
+    assert len([line for line in code.splitlines() if line.strip()]) <= 42
+    space: dict[str, type] = {"__name__": type("model_server", (), {})}
+    exec(compile(code, "model_server.py", "exec"), space)
+    space["Server"].log_message = lambda *_: None  # type: ignore[attr-defined]
+    with HTTPServer(("127.0.0.1", 0), space["Server"]) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        planner = http_planner(f"http://127.0.0.1:{server.server_port}", image_format="png")
+        planner.require_alive()
+        planner.reset(SceneInfo("scene-1", "boston-seaport", ()))
+        np.testing.assert_allclose(planner.plan(observed(speed=6.0)).waypoints[:, 0], 3.0 * np.arange(1, 7))
+        stage = replace(staged(scene_on_straight_road((), seconds=4.0)), sensor=Painted())
+        found = run_episode(stage, planner)
+        server.shutdown()
+    assert found.failure is None and found.end == "end"
+
+
+def test_a_server_in_axes_of_the_lidar_is_named_and_driven_right_with_its_frame(tmp_path: Path) -> None:
+    """As the fork of VAD that serves NeuroNCAP answers: x right, y forward."""
+
+    settings = TownSettings(val_scenes=4, width=96, height=54, frames="keyframes")
+    root = build_town_data_set(tmp_path / "root", settings, workers=1)
+
+    def ahead(path: str, body: bytes) -> tuple[int, bytes]:
+        if path != "/infer":
+            return 200, b"true"
+        speed = json.loads(body)["canbus"][13]
+        trajectory = [[0.0, 0.5 * step * speed] for step in range(1, 7)]
+        return 200, json.dumps({"trajectory": trajectory, "aux_outputs": {}}).encode()
+
+    options = ("--data", root, "--split", "val", "--workers", "1", "--image-format", "png")
+    driving = ("--sensor", "schematic", "--no-baselines")
+    with scripted(ahead) as server:
+        asked = ("--model", f"fork={server.url}")
+        wrong = run_here("drive", *asked, *driving, *options, "--out", tmp_path / "wrong")
+        right = run_here("drive", *asked, *driving, *options, "--out", tmp_path / "right", "--frame", "lidar")
+        planned = run_here("eval", *asked, *options, "--out", tmp_path / "planned")
+        read = run_here("eval", *asked, *options, "--out", tmp_path / "read", "--frame", "lidar")
+    for done in (wrong, planned):
+        assert done.code == 0 and done.err.count("warning:") == 1 and "fork ¶" in done.out
+        assert all(words in done.err for words in ("axes x right, y forward would fit", "--frame lidar", "NeuroNCAP"))
+    for done in (right, read):
+        assert done.code == 0 and "warning" not in done.err and "¶" not in done.out
+    shares = {
+        name: [row.scores.route_share or 0.0 for row in load_drives(path.parent).rows if row.scores]
+        for name in ("wrong", "right")
+        for path in (tmp_path / name).rglob("drive.json")
+    }
+    sideways, along = ([share for share in shares[name] if share is not None] for name in ("wrong", "right"))
+    assert sideways and along and max(sideways) < 0.1 < min(along)

@@ -77,6 +77,8 @@ def test_a_drive_is_shown_by_a_renderer(form: HttpImageFormat, bare: bool, tenso
     with scripted(Renderer(scene, form, bare)) as server:
         found = run_episode(replace(staged(scene), sensor=sensor(server.url, tensors=tensors)), planner)
     assert found.failure is None and len(found.plans) > 4
+    # No file is behind a picture.
+    assert {view.path for view in planner.seen[0].views.values()} == set(map(Path, CAMERAS))
     step = ["/update_actors", *["/render_image"] * 6]
     assert server.paths == ["/get_actors", *step * len(found.plans)]
     for index, seen in enumerate(planner.seen):
@@ -124,54 +126,58 @@ def test_tracks_are_told_without_gaps_and_by_whoever_is_there() -> None:
     assert build_moved_actors(driven, frozenset(), ()) == []
 
 
-def wrong(change: Callable[[list[dict[str, Any]]], Any]) -> Callable[[Renderer], Callable[[str, bytes], Reply]]:
-    def renderer(good: Renderer) -> Callable[[str, bytes], Reply]:
-        def answer(path: str, body: bytes) -> Reply:
-            if path != "/get_actors":
-                return good(path, body)
-            actors = good.actors()
-            changed = change(actors)
-            return 200, json.dumps(actors if changed is None else changed).encode()
-
-        return answer
-
-    return renderer
+def first(**values: Any) -> Callable[[list[dict[str, Any]]], Any]:
+    return lambda actors: [{**actors[0], **values}, *actors[1:]]
 
 
-WRONG: dict[str, tuple[Callable[[Renderer], Callable[[str, bytes], Reply]], str]] = {
-    "another scene": (wrong(lambda actors: actors[0].update(uuid="stranger")), "stranger.*--scenes"),
-    "another time": (
-        wrong(lambda actors: actors[0].update(timestamps=[1] * len(actors[0]["timestamps"]))), "outside scene",
-    ),
-    "no list": (wrong(lambda actors: {"actors": actors}), "not a list"),
-    "poses of another shape": (wrong(lambda actors: actors[0].update(poses=[[0.0] * 16])), "4 x 4"),
-    "NaN": (wrong(lambda actors: actors[0].update(dims=[float("nan"), 1, 1])), "NaN"),
-    "nobody of a name": (wrong(lambda actors: actors[0].update(uuid="")), "not a string"),
-    "times with points": (wrong(lambda actors: actors[0].update(timestamps=[1.5])), "whole microseconds"),
-    "a route less": (lambda good: lambda path, body: (404, b"Not Found"), "/get_actors with status 404"),
-    "a web page": (lambda good: lambda path, body: (200, b"<html></html>"), "a web page"),
-    "a failure": (
-        lambda good: lambda path, body: (500, b"out of memory") if path == "/render_image" else good(path, body),
-        "/render_image with status 500: out of memory",
-    ),
-    "another size": (lambda good: replace(good, shape=(3, 4)), "4 x 3 pixels, but the calibration is for 8 x 6"),
-    "no picture": (
-        lambda good: lambda path, body: (200, b"hello") if path == "/render_image" else good(path, body), "not base64",
-    ),
-    "nothing": (lambda good: lambda path, body: None, "hung up before answering"),
-}  # fmt: skip
+NOT_ACTORS: dict[str, tuple[Callable[[list[dict[str, Any]]], Any], str]] = {
+    "another scene": (first(uuid="stranger"), "stranger.*--scenes"),
+    "another time": (lambda actors: first(timestamps=[1] * len(actors[0]["timestamps"]))(actors), "outside scene"),
+    "no list": (lambda actors: {"actors": actors}, "not a list"),
+    "poses of another shape": (first(poses=[[0.0] * 16]), "4 x 4"),
+    "NaN": (first(dims=[float("nan"), 1, 1]), "NaN"),
+    "nobody of a name": (first(uuid=""), "not a string"),
+    "times with points": (first(timestamps=[1.5]), "whole microseconds"),
+}
+NOT_PICTURES: dict[str, tuple[str, Reply, str]] = {
+    "a route less": ("/", (404, b"Not Found"), "/get_actors with status 404"),
+    "a web page": ("/", (200, b"<html></html>"), "a web page"),
+    "nothing": ("/", None, "hung up before answering"),
+    "a failure": ("/render", (500, b"out of memory"), "/render_image with status 500: out of memory"),
+    "no picture": ("/render", (200, b"hello"), "not base64"),
+}
+WRONG = (*NOT_ACTORS, *NOT_PICTURES, "another size")
 
 
 @pytest.mark.parametrize("name", WRONG)
 def test_what_does_not_fit_ends_the_command_and_is_nobodys_failure(name: str) -> None:
-    scene, (renderer, says) = small_scene(), WRONG[name]
-    with scripted(renderer(Renderer(scene))) as server, pytest.raises(InputError, match=says) as refused:
+    scene = small_scene()
+    good = Renderer(scene, shape=(3, 4) if name == "another size" else (6, 8))
+    change, of_actors = NOT_ACTORS.get(name, (None, ""))
+    path_wrong, reply, of_paths = NOT_PICTURES.get(name, ("none", None, ""))
+
+    def answer(path: str, body: bytes) -> Reply:
+        if path == "/get_actors" and change is not None:
+            return 200, json.dumps(change(good.actors())).encode()
+        return reply if path.startswith(path_wrong) else good(path, body)
+
+    says = of_actors or of_paths or "4 x 3 pixels, but the calibration is for 8 x 6"
+    with scripted(answer) as server, pytest.raises(InputError, match=says) as refused:
         run_episode(replace(staged(scene), sensor=sensor(server.url)), Looking())
     assert server.url in str(refused.value) and not isinstance(refused.value, PlannerGoneError)
 
 
-def test_an_adversary_that_a_renderer_cannot_show_is_refused() -> None:
+def test_what_a_renderer_cannot_show_or_send_is_refused() -> None:
     scene = small_scene()
+    with scripted(Renderer(scene)) as server:
+        with pytest.raises(InputError, match="has no CAM_FRONT"):
+            sensor(server.url).look(replace(scene, cameras=()))
+        assert server.asked == []
+        with pytest.raises(InputError, match="--accept-torch-tensors if you trust it"):
+            run_episode(replace(staged(scene), sensor=sensor(server.url, tensors=False)), Looking())
+    for body in (b"", b"[", b"[1]", b'[{"uuid": "a"}]', b"null"):
+        with pytest.raises(NeuroncapHttpError):
+            parse_actors(body)
     known = Renderer(replace(scene, agents=replace(scene.agents, ids=scene.agents.ids[:1])))
     threatened = replace(scene, adversaries=(scene.agents.ids[1],))
     with scripted(known) as server, pytest.raises(InputError, match="the adversary of scene"):
@@ -180,19 +186,6 @@ def test_an_adversary_that_a_renderer_cannot_show_is_refused() -> None:
         assert sensor(server.url).look(scene).cameras == tuple(
             next(camera for camera in scene.cameras if camera.name == name) for name in CAMERAS
         )
-
-
-def test_saved_tensors_of_a_renderer_want_a_flag() -> None:
-    scene = small_scene()
-    with scripted(Renderer(scene)) as server, pytest.raises(InputError, match="--accept-torch-tensors if you trust it"):
-        run_episode(replace(staged(scene), sensor=sensor(server.url, tensors=False)), Looking())
-
-
-def test_a_rig_without_six_cameras_is_not_shown() -> None:
-    scene = small_scene()
-    with scripted(Renderer(scene)) as server, pytest.raises(InputError, match="has no CAM_FRONT"):
-        sensor(server.url).look(replace(scene, cameras=()))
-    assert server.asked == []
 
 
 def test_what_was_measured_names_the_renderer() -> None:
@@ -220,27 +213,8 @@ def test_recorded_requests_to_a_renderer_are_written_again_to_the_byte(name: str
     actors = parse_actors(next(each for each in exchanges if each["path"] == "/get_actors")["response_body"].encode())
     assert len(actors) == 3 and all(len(actor.poses) == len(actor.timestamps) for actor in actors)
     update = next(each for each in exchanges if each["path"] == "/update_actors")
-    told = [
-        MovedActor(
-            np.array(each["timestamps"]),
-            np.array(each["poses"]),
-            np.array(each["dims"]),
-            each["uuid"],
-            each["is_target_actor"],
-        )
-        for each in json.loads(update["request_body"])
-    ]
+    told = []
+    for each in json.loads(update["request_body"]):
+        times, poses, dims = (np.array(each[name]) for name in ("timestamps", "poses", "dims"))
+        told.append(MovedActor(times, poses, dims, each["uuid"], each["is_target_actor"]))
     assert encode_moved_actors(told).decode() == update["request_body"]
-
-
-@pytest.mark.parametrize("body", [b"", b"[", b"[1]", b'[{"uuid": "a"}]', b"null"])
-def test_actors_that_are_none(body: bytes) -> None:
-    with pytest.raises(NeuroncapHttpError):
-        parse_actors(body)
-
-
-def test_no_file_is_behind_a_picture() -> None:
-    scene, planner = small_scene(), Looking()
-    with scripted(Renderer(scene)) as server:
-        run_episode(replace(staged(scene), sensor=sensor(server.url)), planner)
-    assert {view.path for view in planner.seen[0].views.values()} == set(map(Path, CAMERAS))

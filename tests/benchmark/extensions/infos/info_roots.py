@@ -51,16 +51,9 @@ def variant_root(root: Path, **plan: Any) -> Path:
     """Three variants of one recording in one root, as generated ones lie there."""
     settings: dict[str, Any] = {"split": "adv", "renderer": SolidRenderer(), **plan}
     scene, written = short_scene(seconds=SECONDS), DataSetPlan(root=root, **settings)
-    keys = [
-        write_scene(
-            written,
-            with_adversary(scene, agent),
-            name=f"scene-9901-{'cab'[agent] * 8}",
-            source_scene="scene-9901",
-            report={},
-        )
-        for agent in range(3)
-    ]
+    said: dict[str, Any] = {"source_scene": "scene-9901", "report": {}}
+    variants = [(with_adversary(scene, agent), f"scene-9901-{letter * 8}") for agent, letter in enumerate("cab")]
+    keys = [write_scene(written, variant, name=name, **said) for variant, name in variants]
     finish_data_set(written, keys)
     return root
 

@@ -57,6 +57,7 @@ def test_what_official_converters_wrote(tmp_path: Path) -> None:
     assert next(check for check in checks if check.quantity == "sparsedrive: map_annos").count > 10_000
 
 
+@pytest.mark.path
 def test_a_set_made_here_agrees(contents: Contents, root: Path, tmp_path: Path) -> None:
     assert failed(write_golden(contents, root, tmp_path / "set")) == []
 
@@ -91,14 +92,8 @@ def _wrong_vad(infos: Infos) -> list[str]:
     infos[5]["fut_valid_flag"] = not infos[5]["fut_valid_flag"]
     infos[6]["map_location"] = "singapore-onenorth"
     infos[7], infos[8] = infos[8], infos[7]
-    return [
-        "gt_agent_fut_yaw",
-        "gt_ego_lcf_feat",
-        "dtypes and shapes",
-        "gt_ego_fut_cmd",
-        "map_location",
-        "order of infos",
-    ]
+    found = ("gt_agent_fut_yaw", "gt_ego_lcf_feat", "gt_ego_fut_cmd", "map_location")
+    return [*found, "dtypes and shapes", "order of infos"]
 
 
 def _wrong_sparsedrive(infos: Infos) -> list[str]:
@@ -171,23 +166,22 @@ def test_a_broken_set_is_refused(spoil: Callable[[Path], Any], says: str, golden
     assert "\n" not in str(refused.value)
 
 
-def test_a_program_that_is_not_known_is_not_run(golden: Path, root: Path, tmp_path: Path) -> None:
+def test_a_program_that_is_not_known_is_not_run_and_no_set_is_built_in(
+    golden: Path, root: Path, tmp_path: Path
+) -> None:
     other = Path(shutil.copytree(golden, tmp_path / "set"))
     manifest = json.loads((other / "manifest.json").read_text())
     row = {**manifest["roots"]["straight"], "tables": "those of straight, through make_odd.py"}
     manifest["roots"] = {"odd": {**row, "recipe": "python make_odd.py A B 0"}, **manifest["roots"]}
     (other / "manifest.json").write_text(json.dumps(manifest))
     (other / "make_odd.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
+    with pytest.raises(InputError, match="needs --golden"):
+        GOLDEN.verify()
+    with pytest.raises(InputError, match="has no manifest"):
+        GOLDEN.verify(tmp_path)
     with pytest.raises(InputError, match=r"differs from the known program and is not run.*tables/odd"):
         GOLDEN.verify(other)
     assert not (tmp_path / "ran").exists()
     # What somebody made by running it is taken as it is.
     shutil.copytree(root, other / "tables" / "odd")
     assert failed(other) == []
-
-
-def test_there_is_no_set_built_in(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="needs --golden"):
-        GOLDEN.verify()
-    with pytest.raises(InputError, match="has no manifest"):
-        GOLDEN.verify(tmp_path)

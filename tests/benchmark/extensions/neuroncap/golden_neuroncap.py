@@ -18,20 +18,19 @@ from benchmark.extensions.neuroncap.actors import compute_heading
 from benchmark.extensions.neuroncap.loop import (
     Engine,
     NeuroncapWorld,
-    UncheckedState,
     begin,
     find_command,
     finish_run,
     is_running,
     step,
-)
+)  # fmt: skip
 from benchmark.extensions.neuroncap.recording import (
     NeuroncapAnnotations,
     NeuroncapRecording,
     build_actors,
     select_messages,
     select_steering,
-)
+)  # fmt: skip
 from benchmark.extensions.neuroncap.scenarios import Scenario
 from benchmark.extensions.neuroncap.score import score_run
 from benchmark.extensions.neuroncap.staging import RenderableActors, stage_run
@@ -39,20 +38,18 @@ from benchmark.extensions.neuroncap.verification import BUILT_IN
 from benchmark.extensions.neuroncap.verification.loops import CheckRow, list_checks
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
 from benchmark.records.neuroncap_aggregate import CODE
+from tests.benchmark.extensions.golden_sets.altered import load
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "golden" / "neuroncap"
 START_US = 1_700_000_000_000_000
 FRAMES = 30
 SPEED, RADIUS = 8.0, 70.0
 Arrays = dict[str, NDArray[Any]]
+KNOWN = ("made-0", "made-1", "made-2")
 AGGREGATES = (
-    "one_nan_score",
-    "null_for_a_whole_type",
-    "a_sequence_without_runs",
-    "a_run_without_a_key",
-    "run_folder_without_metrics",
-    "half_thousandths",
-)
+    "one_nan_score", "null_for_a_whole_type", "a_sequence_without_runs", "a_run_without_a_key",
+    "run_folder_without_metrics", "half_thousandths",
+)  # fmt: skip
 SCENARIO: dict[str, Any] = {
     "general": {"start-frame": 3, "priming_steps": 2, "time_step": 0.5, "duration": 7.0, "start_jitter": 1},
     "actors": [
@@ -183,7 +180,7 @@ def made_loops() -> tuple[dict[str, Arrays], dict[str, Any]]:
     facts = {
         "scene": "made",
         "scenario": SCENARIO,
-        "renderer_knows": ["made-0", "made-1", "made-2"],
+        "renderer_knows": [*KNOWN],
         "inputs": "made_inputs.npz",
         "arrays": "made.npz",
         "runs": runs,
@@ -198,26 +195,20 @@ def made_run(
     """One run, written down as the published engine's are."""
     scenario = Scenario.of(SCENARIO, "made")
     stage = stage_run(scenario, run, recording.times, cast_of(recording), CODE)
-    known = frozenset(("made-0", "made-1", "made-2"))
-    engine = Engine.of(
-        recording,
-        stage,
-        priming_steps=scenario.priming_steps,
-        renderer_knows=known,
-        switches=CODE,
-        check_futures=futures,
-    )
+    given: dict[str, Any] = {"renderer_knows": frozenset(KNOWN), "switches": CODE, "check_futures": futures}
+    engine = Engine.of(recording, stage, priming_steps=scenario.priming_steps, **given)
     world, log = begin(engine), _Log(engine)
     while is_running(engine, world):
         plan = plan_of(model, world)
-        log.state(world, plan)
+        log.worlds.append(world)
+        log.plans.append(plan)
         waiting = world.waiting
         after = step(engine, world, plan)
-        log.checks(waiting, len(log.plans) - 2)
+        log.checks += list_checks(engine, waiting, len(log.plans) - 2)
         if after.contact is None:
-            log.step(after)
+            log.steps.append(after)
         world = after
-    log.checks(world.waiting, len(log.plans) - 1)
+    log.checks += list_checks(engine, world.waiting, len(log.plans) - 1)
     world = finish_run(engine, world)
     arrays |= {f"{key}_{name}": array for name, array in log.arrays().items()}
     arrays[f"{key}_scenario_actor_times"] = np.array([actor.times for actor in stage.actors])
@@ -246,6 +237,15 @@ def said_of(engine: Engine, world: NeuroncapWorld) -> dict[str, Any]:
         for reading in ("code", "paper")
     }
     contact = world.contact
+    hit = contact and {
+        "actor": contact.uuid,
+        "actor_index": contact.index,
+        "time": contact.time_us,
+        "iou": contact.iou,
+        "ego_velocity": contact.ego_velocity.tolist(),
+        "actor_velocity": contact.actor_velocity.tolist(),
+        "is_target": contact.is_target,
+    }
     return {
         "n_states_checked": world.checked,
         "n_engine_actors": len(engine.actors),
@@ -253,17 +253,7 @@ def said_of(engine: Engine, world: NeuroncapWorld) -> dict[str, Any]:
         **{f"nns_{reading}": score.score for reading, score in scores.items()},
         **{f"reference_speed_{reading}": score.reference_speed for reading, score in scores.items()},
         "metrics": scores["code"].metrics,
-        "collision": None
-        if contact is None
-        else {
-            "actor": contact.uuid,
-            "actor_index": contact.index,
-            "time": contact.time_us,
-            "iou": contact.iou,
-            "ego_velocity": contact.ego_velocity.tolist(),
-            "actor_velocity": contact.actor_velocity.tolist(),
-            "is_target": contact.is_target,
-        },
+        "collision": hit,
     }
 
 
@@ -273,40 +263,25 @@ class _Log:
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self.plans: list[Floats] = []
-        self._states: list[NeuroncapWorld] = []
-        self._steps: list[NeuroncapWorld] = []
-        self._checks: list[CheckRow] = []
-
-    def state(self, world: NeuroncapWorld, plan: Floats) -> None:
-        self._states.append(world)
-        self.plans.append(plan)
-
-    def step(self, world: NeuroncapWorld) -> None:
-        self._steps.append(world)
-
-    def checks(self, waiting: UncheckedState | None, number: int) -> None:
-        self._checks += list_checks(self._engine, waiting, number)
+        self.worlds: list[NeuroncapWorld] = []
+        self.steps: list[NeuroncapWorld] = []
+        self.checks: list[CheckRow] = []
 
     def arrays(self) -> Arrays:
-        states, steps = [world.state for world in self._states], [world.state for world in self._steps]
-        driven = [world.last for world in self._steps if world.last is not None]
+        states, steps = [world.state for world in self.worlds], [world.state for world in self.steps]
+        driven = [world.last for world in self.steps if world.last is not None]
         boxes = [
-            (
-                number,
-                index,
-                *actor.pose_at(state.time_us)[:3, 3],
-                compute_heading(actor.pose_at(state.time_us)),
-                *actor.size[:2],
-            )
+            (number, index, *pose[:3, 3], compute_heading(pose), *actor.size[:2])
             for number, state in enumerate(states)
             for index, actor in enumerate(self._engine.actors)
             if actor.is_there(state.time_us) and actor.kind == "car"
+            for pose in (actor.pose_at(state.time_us),)
         ]
         return {
             "state_pose": np.array([state.pose for state in states]),
             "state_time": np.array([state.time_us for state in states]),
             "state_canbus": np.array([state.canbus for state in states]),
-            "command": np.array([find_command(self._engine, world) for world in self._states], np.int8),
+            "command": np.array([find_command(self._engine, world) for world in self.worlds], np.int8),
             "plan": np.array(self.plans, np.float32),
             "post_pose": np.array([state.pose for state in steps]),
             "post_time": np.array([state.time_us for state in steps]),
@@ -314,7 +289,7 @@ class _Log:
             "post_auto": np.array([state.is_driven for state in steps]),
             "substep_state": np.array([last.states for last in driven]),
             "substep_command": np.array([last.commands for last in driven]),
-            "check": np.array(self._checks, np.float64),
+            "check": np.array(self.checks, np.float64),
             "actor_box": np.array(boxes, np.float64),
         }
 
@@ -322,9 +297,9 @@ class _Log:
 def thinned() -> tuple[dict[str, Arrays], dict[str, Any]]:
     """What the published code said of made-up cases: arrays and JSON by file, from the set beside this repository."""
     arrays = {
-        "vehicle": _some_cases(_read(SHARED / "vehicle.npz")),
-        "contact": _some_checks(_read(SHARED / "contact.npz")),
-        "command": _made_up_paths(_read(SHARED / "command.npz")),
+        "vehicle": _some_cases(load(SHARED / "vehicle.npz")),
+        "contact": _some_checks(load(SHARED / "contact.npz")),
+        "command": _made_up_paths(load(SHARED / "command.npz")),
     }
     scenarios = json.loads((SHARED / "scenarios.json").read_text())
     # Sizes of recorded cars stay where they are; stand-ins are nobody's.
@@ -382,11 +357,6 @@ def write(folder: Path = BUILT_IN) -> None:
         np.savez_compressed(path, **held)
     for name, facts in {**made[1], **thin[1]}.items():
         (folder / f"{name}.json").write_text(json.dumps(facts, separators=(",", ":")) + "\n")
-
-
-def _read(path: Path) -> Arrays:
-    with np.load(path) as stored:
-        return {name: stored[name] for name in stored.files}
 
 
 if __name__ == "__main__":

@@ -51,14 +51,8 @@ def scenario_engine(run: int, switches: NeuroncapSwitches = CODE, *, futures: bo
     """A run of the made-up scenario."""
     recording, scenario = recording_of(made_inputs()), Scenario.of(SCENARIO, "made")
     stage = stage_run(scenario, run, recording.times, cast_of(recording), switches)
-    return Engine.of(
-        recording,
-        stage,
-        priming_steps=scenario.priming_steps,
-        renderer_knows=KNOWN,
-        switches=switches,
-        check_futures=futures,
-    )
+    given: dict[str, Any] = {"renderer_knows": KNOWN, "switches": switches, "check_futures": futures}
+    return Engine.of(recording, stage, priming_steps=scenario.priming_steps, **given)
 
 
 def constant(speed: float) -> Floats:

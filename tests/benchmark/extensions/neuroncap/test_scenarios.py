@@ -1,17 +1,26 @@
-"""Scenarios: the official ones are all there, wrong ones are refused in a sentence."""
+"""Scenarios, official and our own, and recordings of data sets: all there, driven, and refused in a sentence."""
 
 import json
 from collections import Counter
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmark.errors import InputError
+from benchmark.extensions.neuroncap.loop import Engine, NeuroncapWorld, begin, finish_run, is_running, step
+from benchmark.extensions.neuroncap.recording import NeuroncapRecording, build_own_scenarios, read_recording
 from benchmark.extensions.neuroncap.scenarios import Scenario, read_official_scenarios
-from benchmark.extensions.neuroncap.staging import stage_run
-from benchmark.records.neuroncap_aggregate import CODE
+from benchmark.extensions.neuroncap.score import score_run
+from benchmark.extensions.neuroncap.staging import RenderableActors, stage_run
+from benchmark.geometry import Floats, to_local
+from benchmark.records.neuroncap_aggregate import CODE, PAPER, NeuroncapSwitches
+from benchmark.scene import Scene
 from tests.benchmark.extensions.neuroncap.golden_neuroncap import SCENARIO, SHARED, cast_of, made_inputs, recording_of
+from tests.benchmark.extensions.neuroncap.made import KNOWN, constant, driven_by, straight
+from tests.hand_made import Car, scene_on_straight_road
 
 EVALUATED = {
     "stationary": "0099 0101 0103 0106 0108 0278 0331 0783 0796 0966",
@@ -69,8 +78,10 @@ def test_a_wrong_scenario_is_refused(facts: dict[str, Any], says: str) -> None:
         Scenario.of(facts, "scenario.json")
 
 
-def test_an_actor_that_nobody_knows_is_refused() -> None:
+def test_actors_that_nobody_knows_and_short_recordings_are_refused() -> None:
     recording = recording_of(made_inputs())
+    with pytest.raises(InputError, match="needs more than the 30 frames"):
+        stage_run(Scenario.of(changed(start_frame=29), "made"), 0, recording.times, cast_of(recording), CODE)
     for actor, says in (
         ({"uuids": ["nobody"]}, "not an instance"),
         ({"mode": "optimized", "uuids": ["made-3"]}, "track"),
@@ -82,20 +93,128 @@ def test_an_actor_that_nobody_knows_is_refused() -> None:
             stage_run(scenario, 0, recording.times, type(cast)(cast.kinds, cast.sizes, tracks), CODE)
 
 
-def test_a_recording_that_is_too_short_is_refused() -> None:
-    recording = recording_of(made_inputs())
-    with pytest.raises(InputError, match="needs more than the 30 frames"):
-        stage_run(Scenario.of(changed(start_frame=29), "made"), 0, recording.times, cast_of(recording), CODE)
-
-
-def test_a_run_is_its_index_and_nothing_else() -> None:
+def test_a_run_is_its_index_and_nothing_else_and_what_draws_nothing_says_so() -> None:
     recording, scenario = recording_of(made_inputs()), Scenario.of(SCENARIO, "made")
     runs = [stage_run(scenario, run, recording.times, cast_of(recording), CODE) for run in (4, 5, 4)]
     assert runs[0].draws == runs[2].draws != runs[1].draws
     assert all(np.array_equal(a.poses, b.poses) for a, b in zip(runs[0].actors, runs[2].actors))
-
-
-def test_what_draws_nothing_says_so() -> None:
     fixed = {**SCENARIO["actors"][1], "is_target_actor": True}
     still = Scenario.of({"general": {"start_frame": 3, "duration": 7.0}, "actors": [fixed]}, "made")
     assert not still.draws and not Scenario().draws and Scenario.of(SCENARIO, "made").draws
+
+
+@pytest.fixture(scope="module")
+def recording() -> NeuroncapRecording:
+    return recording_of(made_inputs())
+
+
+def recorded_plan(recording: NeuroncapRecording, world: NeuroncapWorld) -> Floats:
+    path, seconds = recording.path, (recording.times - recording.times[0]) / 1e6
+    asked = (world.state.time_us - int(recording.times[0])) / 1e6 + 0.5 * np.arange(1, 7)
+    places = np.column_stack([np.interp(asked, seconds, path[:, axis]) for axis in range(2)])
+    pose = world.state.pose
+    return to_local(places, np.array([pose[0, 3], pose[1, 3], np.arctan2(pose[1, 0], pose[0, 0])]))
+
+
+def driven(recording: NeuroncapRecording, scenario: Scenario, run: int, *, stops: bool) -> NeuroncapWorld:
+    stage = stage_run(scenario, run, recording.times, RenderableActors.of(recording.actors), PAPER)
+    made = Engine.of(recording, stage, priming_steps=scenario.priming_steps, renderer_knows=KNOWN, switches=PAPER)
+    world = begin(made)
+    while is_running(made, world):
+        world = step(made, world, np.zeros((6, 2)) if stops else recorded_plan(recording, world))
+    return finish_run(made, world)
+
+
+@pytest.mark.parametrize("family", ["stationary", "frontal", "side"])
+def test_the_recorded_drive_meets_the_target(recording: NeuroncapRecording, family: str) -> None:
+    scenario = build_own_scenarios(recording)[family]
+    assert scenario.draws and [actor.is_target for actor in scenario.actors] == [True]
+    worlds = [driven(recording, scenario, run, stops=False) for run in range(6)]
+    hits = [world.contact for world in worlds if world.contact is not None]
+    assert len(hits) >= 5 and all(hit.is_target for hit in hits)
+    expected = int(recording.times[16])
+    assert all(abs(hit.time_us - expected) < 1_800_000 for hit in hits)
+    assert len({hit.time_us for hit in hits}) > 1
+
+
+def test_who_stops_does_not_hit_what_stands(recording: NeuroncapRecording) -> None:
+    scenario = build_own_scenarios(recording)["stationary"]
+    assert all(driven(recording, scenario, run, stops=True).contact is None for run in range(6))
+
+
+def test_a_recording_that_meets_nobody_has_none(recording: NeuroncapRecording) -> None:
+    assert build_own_scenarios(straight(np.full(30, 0.5), recording.actors)) == {}
+    assert build_own_scenarios(straight(np.full(12, 8.0), recording.actors)) == {}
+    assert build_own_scenarios(replace(recording, actors=())) == {}
+
+
+@pytest.fixture
+def scene() -> Scene:
+    digger = Car(200.0, 205.25, 0.0, 0.3, "vehicle.construction", (6.0, 2.5, 3.0))
+    walker = Car(90.0, 190.0, 0.0, 0.0, "human.pedestrian.adult", (0.7, 0.6, 1.8))
+    made = scene_on_straight_road((Car(110.0, 198.25), digger, walker), seconds=12.0)
+    valid = made.annotations.valid.copy()
+    valid[0, :2] = False
+    return replace(made, annotations=replace(made.annotations, valid=valid))
+
+
+@pytest.fixture
+def root(tmp_path: Path, scene: Scene) -> Path:
+    start = int(scene.timestamps_us[0])
+    rows = [
+        {
+            "utime": start - 7_000 + 20_000 * number,
+            "pos": [50.0 + 0.16 * number, 198.25, 0.0],
+            "orientation": [1.0, 0.0, 0.0, 0.0],
+            "accel": [0.1, 0.2, 9.8],
+            "rotation_rate": [0.0, 0.0, 0.01],
+            "vel": [8.0 + 0.001 * number, 0.0, 0.0],
+        }
+        for number in range(600)
+    ]
+    wheel = [{"utime": start + 40_000 * number, "steer_corrected": 3.0 + number} for number in range(250)]
+    folder = tmp_path / "can_bus"
+    folder.mkdir()
+    (folder / f"{scene.name}_pose.json").write_text(json.dumps(rows))
+    (folder / f"{scene.name}_zoe_veh_info.json").write_text(json.dumps(wheel))
+    return tmp_path
+
+
+def test_frames_have_the_first_message_at_or_after_them(scene: Scene, root: Path) -> None:
+    recording = read_recording(scene, root, CODE)
+    assert np.array_equal(recording.times, scene.timestamps_us[scene.keyframes])
+    # The second message is 13 ms after the first frame; the 26th is 7 ms before the second one.
+    assert recording.canbus[:2, 13] == pytest.approx([8.001, 8.026])
+    assert recording.canbus[0, 7:10] == pytest.approx([0.1, 0.2, 9.8]) and recording.canbus.dtype == np.float32
+    assert recording.steering_wheel[:2] == pytest.approx(np.radians([3.0, 16.0]))
+    assert recording.path[:, 0] == pytest.approx(50.0 + 4.0 * np.arange(24)) and len(recording.times) == 24
+
+
+def test_actors_are_those_of_the_engine_s_classes(scene: Scene, root: Path) -> None:
+    for switches, kinds in ((CODE, ["pedestrian", "car"]), (PAPER, ["construction", "pedestrian", "car"])):
+        actors = read_recording(scene, root, switches).actors
+        # Who appears later stands later in the list.
+        assert [actor.kind for actor in actors] == kinds
+        car = actors[-1]
+        assert car.size == pytest.approx([1.9, 4.6, 1.7]) and len(car.times) == 22
+        assert car.poses[0, :3, 3] == pytest.approx([110.0, 198.25, 0.85])
+
+
+def test_a_scene_can_be_driven_and_scored(scene: Scene, root: Path) -> None:
+    for switches in (CODE, PAPER):
+        recording = read_recording(scene, root, switches)
+        scenario = Scenario(start_frame=2, priming_steps=2, duration_s=8.0)
+        run = stage_run(scenario, 0, recording.times, RenderableActors.of(recording.actors), switches)
+        made = Engine.of(recording, run, priming_steps=2, renderer_knows=frozenset(), switches=switches)
+        world = driven_by(made, constant(8.0))
+        assert world.contact is not None and world.contact.uuid == scene.agents.ids[0]
+        assert score_run(made, world).score < 0.2
+
+
+def test_a_scene_without_can_bus_is_refused(scene: Scene, root: Path) -> None:
+    for message in ("zoe_veh_info", "pose"):
+        path = root / "can_bus" / f"{scene.name}_{message}.json"
+        for spoil in (lambda path: path.write_text("[]"), Path.unlink):
+            spoil(path)
+            with pytest.raises(InputError, match=f"{message}.json holds nothing; get the CAN bus"):
+                read_recording(scene, root, NeuroncapSwitches())

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tests.benchmark.extensions.quality.small_networks import save_small_networks
+from tests.benchmark.extensions.quality.small_networks import save_scoring_networks, save_small_networks
 
 
 @pytest.fixture(scope="session")
@@ -14,6 +14,15 @@ def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with tiny random networks of every kind."""
     pytest.importorskip("transformers")
     return save_small_networks(tmp_path_factory.mktemp("networks"))
+
+
+@pytest.fixture(scope="session")
+def scoring_networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Those of them that score, which are quicker to make."""
+    pytest.importorskip("transformers")
+    folder = tmp_path_factory.mktemp("scoring")
+    save_scoring_networks(folder)
+    return folder
 
 
 @pytest.fixture(autouse=True)

@@ -16,11 +16,16 @@ DETECTOR_SIDE_PX = 128
 
 def save_small_networks(folder: Path) -> Path:
     """Everything that quality needs, each in its folder."""
-    save_dino(folder / DINO.name)
-    save_musiq(folder / MUSIQ.name)
+    save_scoring_networks(folder)
     save_sam2(folder / SAM2.name)
     save_grounding_dino(folder / GROUNDING_DINO.name)
     return folder
+
+
+def save_scoring_networks(folder: Path) -> None:
+    """What is needed where masks are boxes."""
+    save_dino(folder / DINO.name)
+    save_musiq(folder / MUSIQ.name)
 
 
 def save_dino(folder: Path) -> None:
@@ -48,41 +53,28 @@ def save_sam2(folder: Path) -> None:
 
 
 def sam2_settings() -> dict[str, Any]:
-    hidden = 128
-    side = SAM2_SIDE_PX // 4
+    hidden, side = 128, SAM2_SIDE_PX // 4
+    backbone = {
+        "model_type": "sam2_hiera_det_model", "hidden_size": 8, "num_attention_heads": 1,
+        "image_size": [SAM2_SIDE_PX, SAM2_SIDE_PX], "blocks_per_stage": [1, 2, 2, 1],
+        "embed_dim_per_stage": [8, 16, 32, 64], "num_attention_heads_per_stage": [1, 2, 4, 8],
+        "window_size_per_stage": [8, 4, 4, 4], "global_attention_blocks": [4],
+        "window_positional_embedding_background_size": [4, 4],
+    }  # fmt: skip
+    vision = {
+        "model_type": "sam2_vision_model", "backbone_config": backbone, "backbone_channel_list": [64, 32, 16, 8],
+        "backbone_feature_sizes": [[side // part] * 2 for part in (1, 2, 4)], "fpn_hidden_size": hidden,
+    }  # fmt: skip
     return {
-        "vision_config": {
-            "model_type": "sam2_vision_model",
-            "backbone_config": {
-                "model_type": "sam2_hiera_det_model",
-                "hidden_size": 8,
-                "num_attention_heads": 1,
-                "image_size": [SAM2_SIDE_PX, SAM2_SIDE_PX],
-                "blocks_per_stage": [1, 2, 2, 1],
-                "embed_dim_per_stage": [8, 16, 32, 64],
-                "num_attention_heads_per_stage": [1, 2, 4, 8],
-                "window_size_per_stage": [8, 4, 4, 4],
-                "global_attention_blocks": [4],
-                "window_positional_embedding_background_size": [4, 4],
-            },
-            "backbone_channel_list": [64, 32, 16, 8],
-            "backbone_feature_sizes": [[side, side], [side // 2, side // 2], [side // 4, side // 4]],
-            "fpn_hidden_size": hidden,
-        },
+        "vision_config": vision,
         "prompt_encoder_config": {"hidden_size": hidden, "image_size": SAM2_SIDE_PX, "patch_size": 16},
         "mask_decoder_config": {"hidden_size": hidden, "mlp_dim": 32, "iou_head_hidden_dim": 32},
-        "image_size": SAM2_SIDE_PX,
-        "memory_attention_hidden_size": hidden,
-        "memory_attention_num_layers": 1,
-        "memory_attention_feed_forward_hidden_size": 32,
-        "memory_attention_rope_feat_sizes": [side // 4, side // 4],
-        "memory_encoder_hidden_size": hidden,
-        "memory_encoder_output_channels": 64,
-        "mask_downsampler_embed_dim": hidden,
-        "memory_fuser_embed_dim": hidden,
-        "memory_fuser_intermediate_dim": 32,
+        "image_size": SAM2_SIDE_PX, "memory_attention_hidden_size": hidden, "memory_attention_num_layers": 1,
+        "memory_attention_feed_forward_hidden_size": 32, "memory_attention_rope_feat_sizes": [side // 4, side // 4],
+        "memory_encoder_hidden_size": hidden, "memory_encoder_output_channels": 64,
+        "mask_downsampler_embed_dim": hidden, "memory_fuser_embed_dim": hidden, "memory_fuser_intermediate_dim": 32,
         "memory_fuser_num_layers": 1,
-    }
+    }  # fmt: skip
 
 
 def save_grounding_dino(folder: Path) -> None:
@@ -104,31 +96,16 @@ def save_grounding_dino(folder: Path) -> None:
 
 
 def detector_settings(vocabulary: int) -> dict[str, Any]:
+    backbone = {
+        "model_type": "swin", "image_size": DETECTOR_SIDE_PX, "embed_dim": 8, "depths": [1, 1, 1, 1],
+        "num_heads": [1, 1, 2, 2], "window_size": 4, "out_indices": [2, 3, 4],
+    }  # fmt: skip
+    text = {
+        "model_type": "bert", "vocab_size": vocabulary, "hidden_size": 16, "num_hidden_layers": 1,
+        "num_attention_heads": 2, "intermediate_size": 16,
+    }  # fmt: skip
     return {
-        "backbone_config": {
-            "model_type": "swin",
-            "image_size": DETECTOR_SIDE_PX,
-            "embed_dim": 8,
-            "depths": [1, 1, 1, 1],
-            "num_heads": [1, 1, 2, 2],
-            "window_size": 4,
-            "out_indices": [2, 3, 4],
-        },
-        "text_config": {
-            "model_type": "bert",
-            "vocab_size": vocabulary,
-            "hidden_size": 16,
-            "num_hidden_layers": 1,
-            "num_attention_heads": 2,
-            "intermediate_size": 16,
-        },
-        "d_model": 32,
-        "encoder_layers": 1,
-        "decoder_layers": 2,
-        "encoder_attention_heads": 4,
-        "decoder_attention_heads": 4,
-        "encoder_ffn_dim": 32,
-        "decoder_ffn_dim": 32,
-        "num_queries": 20,
-        "max_text_len": 16,
-    }
+        "backbone_config": backbone, "text_config": text, "d_model": 32, "encoder_layers": 1, "decoder_layers": 2,
+        "encoder_attention_heads": 4, "decoder_attention_heads": 4, "encoder_ffn_dim": 32, "decoder_ffn_dim": 32,
+        "num_queries": 20, "max_text_len": 16,
+    }  # fmt: skip

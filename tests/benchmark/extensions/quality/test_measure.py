@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from typer.testing import CliRunner
 
-from benchmark.cli.app import app
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.extensions.quality import measure, musiq
-from benchmark.extensions.quality.definition import QualityDefinition, find_mask_source
-from benchmark.extensions.quality.measure import QualitySettings, describe_plan, measure_quality
+from benchmark.extensions.quality.definition import QualityDefinition, find_mask_source, list_required_weights
+from benchmark.extensions.quality.measure import QualitySettings, describe_plan, measure_quality, measure_shard
 from benchmark.extensions.quality.musiq import Musiq
 from benchmark.extensions.quality.scoring import score_scene
 from benchmark.records.quality import (
@@ -29,9 +27,12 @@ from benchmark.records.quality import (
     summarise_quality,
 )
 from benchmark.records.run_schema import SceneFacts
-from benchmark.weights.catalogue import MUSIQ
+from benchmark.runs.units import Shard
+from benchmark.weights.catalogue import FOLDERS, MUSIQ
 from leaderboard.extensions.quality.tables import quality_tables
+from tests.benchmark.cli import test_bad_input as any_command
 from tests.benchmark.cli.cli_runs import bytes_below
+from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.extensions.quality.small_networks import SMALL_MUSIQ, save_musiq
 from tests.benchmark.extensions.quality.synthetic_videos import (
     Picture,
@@ -75,6 +76,12 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_root(tmp_path_factory.mktemp("painted"), [standing_scene(TWO[0], seconds=1.5), away])
     (folder / "splits.json").write_text(json.dumps({"val": list(TWO)}))
     return folder
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene of two frames."""
+    return write_root(tmp_path_factory.mktemp("short"), [standing_scene(seconds=1.0)])
 
 
 @pytest.fixture(scope="module")
@@ -128,25 +135,6 @@ def test_the_record_says_what_was_measured(record: QualityRecord) -> None:
     assert {(video.width, video.height) for video in record.videos} == {(320, 180)}
     assert load_quality(record.directory) == record and find_quality(record.directory.parents[2]) == [record]
     assert record.facts.summary.scenes[TWO[1]].consistency == pytest.approx(1.0, abs=1e-5)
-
-
-def test_workers_make_no_difference(
-    root: Path, networks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Other processes have the published ones.
-    monkeypatch.setattr(musiq, "LONGER_SIDES_PX", PUBLISHED_SCALES)
-    for workers in (1, 2):
-        run(root, tmp_path / str(workers), settings(networks, workers=workers))
-    assert bytes_below(tmp_path / "1") == bytes_below(tmp_path / "2")
-
-
-def test_batches_differ_in_the_last_digits_only(
-    root: Path, record: QualityRecord, networks: Path, tmp_path: Path
-) -> None:
-    found = run(root, tmp_path, settings(networks, replace(BOXES, batch=3)))
-    for row, other in zip(record.subjects, found.subjects):
-        assert row.imaging.total == pytest.approx(other.imaging.total, abs=1e-5)
-        assert row.consistency.total == pytest.approx(other.consistency.total, abs=1e-5)
 
 
 def test_a_killed_command_goes_on_and_gives_the_same_bytes(
@@ -218,16 +206,11 @@ def test_small_subjects_are_no_appearances(root: Path, record: QualityRecord, ne
 
 
 def test_the_adversary_has_numbers_of_its_own(record: QualityRecord) -> None:
-    marked = [
-        SceneQualityRows(
-            scene=scene,
-            subjects=[
-                row.model_copy(update={"adversary": index == 0}) for index, row in enumerate(rows_of(record, scene))
-            ],
-            videos=[video for video in record.videos if video.scene == scene],
-        )
-        for scene in TWO
-    ]
+    marked = []
+    for scene in TWO:
+        rows = [row.model_copy(update={"adversary": not index}) for index, row in enumerate(rows_of(record, scene))]
+        videos = [video for video in record.videos if video.scene == scene]
+        marked.append(SceneQualityRows(scene=scene, subjects=rows, videos=videos))
     summary = summarise_quality(marked, {})
     groups = summary.groups
     assert groups["adversary"].subjects == 2 and groups["others"].subjects == 4
@@ -263,16 +246,18 @@ def test_the_adversary_of_a_written_split_is_the_one_that_its_provenance_names(n
         (lambda path: Image.new("RGB", (160, 90)).save(path), "differs in size from others"),
     ],
 )
-def test_images_that_cannot_be_scored_are_one_sentence(networks: Path, tmp_path: Path, damage, says: str) -> None:  # type: ignore[no-untyped-def]
-    root = write_root(tmp_path / "root", [standing_scene(seconds=1.0)])
+def test_images_that_cannot_be_scored_are_one_sentence(
+    short: Path, networks: Path, tmp_path: Path, damage: Callable[[Path], object], says: str
+) -> None:
+    root = Path(shutil.copytree(short, tmp_path / "root"))
     views = NuScenesData.open(root).videos("scene-9901", sweeps=False)["CAM_FRONT"]
     damage(views[1].path)
     with pytest.raises(InputError, match=says):
         run(root, tmp_path / "out", settings(networks))
 
 
-def test_lossless_frames_are_scored_where_asked_for(networks: Path, tmp_path: Path) -> None:
-    root = write_root(tmp_path / "root", [standing_scene(seconds=1.0)])
+def test_lossless_frames_are_scored_where_asked_for(short: Path, networks: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(short, tmp_path / "root"))
     lossless = settings(networks, replace(BOXES, files="lossless"))
     assert run(root, tmp_path / "out", lossless).videos[0].formats == {"png": 2}
     tables = root / "v1.0-tiny" / "sample_data.json"
@@ -296,14 +281,14 @@ def test_all_frames_include_the_sweeps_between_keyframes(networks: Path, tmp_pat
 
 
 @pytest.mark.parametrize("masks", ["sam2-boxes", "grounded-sam2"])
-def test_the_other_sources_of_masks_run_from_disk_to_record(networks: Path, tmp_path: Path, masks: str) -> None:
-    root = write_root(tmp_path / "root", [standing_scene(seconds=1.0)])
+def test_the_other_sources_of_masks_run_from_disk_to_record(
+    short: Path, networks: Path, tmp_path: Path, masks: str
+) -> None:
     loose = replace(BOXES, min_mask_px=1, min_overlap=0.0, box_threshold=0.0, text_threshold=0.0)
     definition = replace(loose, masks=find_mask_source(masks))
-    found = run(root, tmp_path / "out", settings(networks, definition))
+    found = run(short, tmp_path / "out", settings(networks, definition))
     assert found.masks == masks and found.facts.summary.frames == 2
     assert {"sam2.1-hiera-large"} <= set(found.facts.weights)
-    assert run(root, tmp_path / "again", settings(networks, definition)).subjects == found.subjects
 
 
 def test_without_weights_one_sentence_says_what_to_get(root: Path, tmp_path: Path) -> None:
@@ -323,13 +308,10 @@ def test_weights_that_give_no_numbers_are_one_sentence(root: Path, networks: Pat
         run(root, tmp_path / "out", settings(tmp_path / "networks"))
 
 
-def test_a_place_that_cannot_be_written_is_one_sentence(root: Path, networks: Path, tmp_path: Path) -> None:
+def test_wrong_settings_and_places_are_one_sentence(root: Path, networks: Path, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("a file where a folder should be")
     with pytest.raises(InputError, match="cannot write"):
         run(root, tmp_path / "out", settings(networks))
-
-
-def test_wrong_settings_are_one_sentence(root: Path, networks: Path, tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match="unknown source of masks 'magic'; use one of grounded-sam2, sam2-boxes, boxes"
     ):
@@ -342,12 +324,72 @@ def test_wrong_settings_are_one_sentence(root: Path, networks: Path, tmp_path: P
         settings(networks, workers=-1)
 
 
-def test_the_command_scores_a_split_and_prints_the_table(root: Path, networks: Path, tmp_path: Path) -> None:
-    places = ["--data", str(root), "--weights-folder", str(networks), "--out", str(tmp_path)]
-    arguments = ["quality", *places, "--masks", "boxes", "--device", "cpu", "--limit", "1", "--workers", "1"]
-    done = CliRunner().invoke(app, [*arguments, "--json"])
-    assert done.exit_code == 0, done.output
-    stored = json.loads(done.stdout)
+@pytest.mark.path
+def test_the_command_scores_a_split_and_prints_the_table(root: Path, scoring_networks: Path, tmp_path: Path) -> None:
+    places = ("--data", root, "--weights-folder", scoring_networks, "--out", tmp_path)
+    arguments = ("quality", *places, "--masks", "boxes", "--device", "cpu", "--limit", "1", "--workers", "1")
+    done = run_here(*arguments, "--json")
+    assert done.code == 0, done.err
+    stored = json.loads(done.out)
     assert Path(stored["directory"], "quality.json").is_file()
     assert np.isfinite(stored["summary"]["frames_imaging"]["value"])
-    assert "video quality, masks from boxes" in CliRunner().invoke(app, arguments).stdout
+    assert "video quality, masks from boxes" in run_here(*arguments).out
+
+
+def shard(root: Path, networks: Path, out: Path, number: int, of: int, **changes: object) -> int:
+    data = NuScenesData.open(root, name="painted")
+    return measure_shard(data, "val", out, settings(networks, **changes), Shard(number, of)).done  # type: ignore[arg-type]
+
+
+def finished(root: Path, networks: Path, out: Path, **changes: object) -> QualityRecord:
+    data = NuScenesData.open(root, name="painted")
+    return measure_quality(data, "val", out, settings(networks, **changes))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("of", [3])
+def test_shards_become_the_bytes_of_one_command(
+    root: Path, record: QualityRecord, networks: Path, tmp_path: Path, of: int
+) -> None:
+    done: list[int] = []
+    written: dict[Path, int] = {}
+    for number in range(of, 0, -1):
+        done.append(shard(root, networks, tmp_path, number, of))
+        now = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
+        assert written.items() <= now.items()
+        written = now
+    assert sum(done) == len(TWO)
+    made = finished(root, networks, tmp_path)
+    assert bytes_below(made.directory) == bytes_below(record.directory)
+
+
+def test_workers_and_devices_make_no_difference(
+    root: Path, networks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Other processes have the published ones.
+    monkeypatch.setattr(musiq, "LONGER_SIDES_PX", PUBLISHED_SCALES)
+    with pytest.raises(InputError, match="leaves some of cpu,cpu without work"):
+        finished(root, networks, tmp_path, device="cpu,cpu", workers=1)
+    one = finished(root, networks, tmp_path / "one")
+    for name, device, workers in (("devices", "cpu,cpu", 0), ("workers", "cpu", 2)):
+        other = finished(root, networks, tmp_path / name, device=device, workers=workers)
+        assert bytes_below(other.directory) == bytes_below(one.directory)
+
+
+def test_the_command_takes_shards_and_finishes(root: Path, networks: Path, tmp_path: Path) -> None:
+    given = ("--data", root, "--out", tmp_path)
+    how = ("--split", "val", "--masks", "boxes", "--weights-folder", networks, "--device", "cpu", "--workers", "1")
+    done = run_here("quality", *given, *how, "--shard", "2/2", "--json")
+    assert done.code == 0 and [each["scored"] for each in json.loads(done.out)] == [1], done.err
+    assert run_here("quality", *given, *how, "--shard", "1/2").code == 0
+    assert run_here("quality", *given, *how).code == 0
+
+
+def test_adversarial_scenes_are_never_val(tmp_path: Path) -> None:
+    road = any_command.write_road(tmp_path / "road")
+    any_command.test_adversarial_scenes_are_never_val(road, tmp_path, ("quality", "--masks", "boxes"), "--split")
+
+
+def test_the_weights_of_quality_are_complete() -> None:
+    assert [weights.name for weights in list_required_weights("boxes")] == ["dino-vitb16", "musiq-spaq"]
+    for weights in list_required_weights("grounded-sam2"):
+        assert weights in FOLDERS and weights.revision != "main"

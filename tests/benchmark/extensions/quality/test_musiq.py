@@ -51,6 +51,7 @@ def test_the_full_network_has_the_public_names_shapes_and_size() -> None:
     assert MusiqConfig.of(state, Path("x")) == MusiqConfig()
 
 
+@settings(max_examples=25)
 @given(st.integers(1, 200))
 def test_positions_are_hashed_evenly(count: int) -> None:
     assert _hash_positions(count, 10).tolist() == [index * 10 // count for index in range(count)]
@@ -87,9 +88,7 @@ def slow_score(network: Any, picture: Patches) -> float:
     state = torch.stack([network.transformer_encoder.cls[0, 0], *tokens])
     for layer in network.transformer_encoder.transformer.values():
         normed = layer.norm1(state)
-        query, key, value = (
-            part(normed) for part in (layer.attention.query, layer.attention.key, layer.attention.value)
-        )
+        query, key, value = (getattr(layer.attention, name)(normed) for name in ("query", "key", "value"))
         weights = torch.softmax(query @ key.T / query.shape[1] ** 0.5, dim=-1)
         state = state + layer.attention.out(weights @ value)
         state = state + layer.mlp(layer.norm2(state))
@@ -126,11 +125,8 @@ def texture_network() -> Musiq:
     with torch.no_grad():
         channels = torch.randn(64, 1, 128) / 64
         network.embedding.weight.copy_(channels.expand(64, 64, 128).flatten(1))
-        for zero in (
-            encoder.posembed_input.position_emb,
-            encoder.scaleembed_input.scale_emb,
-            layer.attention.query.weight,
-        ):
+        query = layer.attention.query.weight
+        for zero in (encoder.posembed_input.position_emb, encoder.scaleembed_input.scale_emb, query):
             zero.zero_()
         layer.attention.query.bias.zero_()
         layer.mlp.fc2.weight.zero_()

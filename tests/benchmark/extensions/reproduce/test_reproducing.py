@@ -16,16 +16,18 @@ from benchmark.extensions.reproduce.reproducing import (
     published_numbers,
     reproduce,
     store_expected,
-)
+)  # fmt: skip
 from benchmark.planning import Observation, Plan, PlanFrame
 from benchmark.published import CHECKPOINTS, PLANNING_ALLOWED, TABLE_1, find_published_results
 from benchmark.records.reproduction import (
     REPRODUCTION_FILE,
     ComparedNumber,
+    Reproduction,
     find_reproductions,
     version_key,
     with_reproductions,
-)
+)  # fmt: skip
+from benchmark.records.run import RunRecord
 from leaderboard.build import build_leaderboard_files
 from leaderboard.extensions.reproduction.tables import reproduction_table
 from leaderboard.frame.results import read_results
@@ -48,33 +50,42 @@ class Drives(Straight):
         return Plan(self._share * AHEAD, PlanFrame.EGO)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def town() -> FakeData:
     return town_of_two(slow_leader=True)
 
 
-@pytest.fixture
-def values(town: FakeData, tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def values(town: FakeData, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the right planner gives, stored."""
-    path = tmp_path / "values.json"
+    folder = tmp_path_factory.mktemp("first")
     settings = EvalSettings(protocols=("exact", "vad"))
-    store_expected(path, evaluate(town, "val", Drives(), tmp_path / "first", settings), "vad")
-    return path
+    store_expected(folder / "values.json", evaluate(town, "val", Drives(), folder / "runs", settings), "vad")
+    return folder / "values.json"
 
 
+@pytest.fixture(scope="module")
+def reproduced(
+    town: FakeData, values: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[RunRecord, Reproduction, Path]:
+    out = tmp_path_factory.mktemp("reproduced")
+    return *reproduce(town, "val", Drives(), out, expected_file(values, "drives", "val")), out
+
+
+@pytest.mark.path
 def test_the_right_planner_gives_its_numbers_and_marks_runs_of_its_version(
-    town: FakeData, values: Path, tmp_path: Path
+    town: FakeData, reproduced: tuple[RunRecord, Reproduction, Path], tmp_path: Path
 ) -> None:
-    record, found = reproduce(town, "val", Drives(), tmp_path / "runs", expected_file(values, "drives", "val"))
+    record, found, out = reproduced
     assert found.reproduced and len(found.numbers) == 9
     assert all(number.difference == pytest.approx(0.0, abs=1e-6) for number in found.numbers)
     said = reproduction_table(found).plain(wide=True)
     assert "Verdict: reproduced." in said and "FAIL" not in said and "a run of drives on fake" in said
     elsewhere = replace(town, name="elsewhere")
-    later = evaluate(elsewhere, "val", Drives(), tmp_path / "runs")
+    later = evaluate(elsewhere, "val", Drives(), tmp_path / "later")
     other = evaluate(elsewhere, "val", Drives(weights="b" * 64), tmp_path / "other")
     options = evaluate(elsewhere, "val", Drives(as_published="memory"), tmp_path / "options")
-    known = with_reproductions([record, later, other, options], find_reproductions([tmp_path / "runs"]))
+    known = with_reproductions([record, later, other, options], find_reproductions([out]))
     assert [each.reproduced is not None for each in known] == [True, True, False, False]
     (table, *_) = run_tables("elsewhere", [known[1]])
     assert "drives ✓" in table.plain(wide=True)
@@ -94,9 +105,8 @@ def test_another_planner_does_not_give_them(town: FakeData, values: Path, tmp_pa
     assert known.reproduced is None
 
 
-def test_what_failed_somewhere_is_not_marked(town: FakeData, values: Path, tmp_path: Path) -> None:
-    expected = expected_file(values, "drives", "val")
-    record, right = reproduce(town, "val", Drives(), tmp_path / "runs", expected)
+def test_what_failed_somewhere_is_not_marked(reproduced: tuple[RunRecord, Reproduction, Path]) -> None:
+    record, right, _ = reproduced
     numbers = [number.model_copy(update={"published": 77.0}) for number in right.numbers]
     wrong = right.model_copy(update={"numbers": numbers})
     assert with_reproductions([record], [right])[0].reproduced
@@ -147,8 +157,10 @@ def test_fewer_samples_are_another_number(town: FakeData, values: Path, tmp_path
         ({"more": 1}, "not a file of expected values"),
     ],
 )
-def test_files_of_expected_values_are_checked(change: dict[str, Any], sentence: str, values: Path) -> None:
-    path = values.with_name("changed.json")
+def test_files_of_expected_values_are_checked(
+    change: dict[str, Any], sentence: str, values: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "changed.json"
     path.write_text(json.dumps(json.loads(values.read_text()) | change))
     with pytest.raises(InputError, match=sentence):
         expected_file(path, "drives", "val")

@@ -106,6 +106,7 @@ def test_bad_posts_are_refused_and_record_nothing(server: ReviewServer, root: Pa
     assert read_review(root) == {}
 
 
+@pytest.mark.path
 def test_pictures_are_those_of_the_data_set(server: ReviewServer) -> None:
     _, _, said = asked(server, "GET", f"/{server.secret}/scene/1")
     scene = json.loads(said)

@@ -1,22 +1,39 @@
-"""The file of verdicts: what stands, what a stranger's file may say, and that bad ones change nothing."""
+"""Verdicts in files, evaluations and leaderboards: what stands, what is refused; bad files change nothing."""
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from adapters.registry import planner_factory
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.datasets.statistics import list_scenes, statistics
 from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.metrics.transfer import transfer
 from benchmark.records.review import NOT_REVIEWED, REVIEW_FILE, read_review
+from benchmark.records.run import load_record
+from benchmark.records.run_schema import ReviewFacts
+from benchmark.runs.rescoring import rescore
 from benchmark.untrusted.verdicts import read_verdicts
-from tests.benchmark.cli.cli_runs import challenger_bench, refusal
+from leaderboard.build import build_leaderboard_tables
+from leaderboard.frame.rows import review_notes
+from tests.benchmark.cli.cli_runs import refusal
+from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.extensions.review.small_roots import NAMES, say, three_scenes
+from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return three_scenes(tmp_path_factory.mktemp("whole") / "root").root
 
 
 @pytest.fixture
-def data(tmp_path: Path) -> DataSet:
-    return three_scenes(tmp_path / "root")
+def data(whole: Path, tmp_path: Path) -> DataSet:
+    return open_data(Path(shutil.copytree(whole, tmp_path / "root")))
 
 
 def test_without_a_verdict_nothing_is_rejected_and_it_says_so(data: DataSet) -> None:
@@ -65,14 +82,14 @@ def test_a_verdict_on_other_content_does_not_stand(data: DataSet) -> None:
     assert review.sentence() == "not reviewed; 1 older verdict on other content"
 
 
-def test_roots_side_by_side_may_have_verdicts_each_and_together(tmp_path: Path) -> None:
+def test_roots_side_by_side_may_have_verdicts_each_and_together(whole: Path, tmp_path: Path) -> None:
     for folder in ("v0", "v1"):
-        three_scenes(tmp_path / folder)
+        shutil.copytree(whole, tmp_path / folder)
     say(tmp_path / "v0", scene_9901="leaves the road")
     outer = {"v0/scene-9902": "x", "v1/scene-9901": "y"}
     said = json.dumps({name: {"verdict": "rejected", "reason": why} for name, why in outer.items()})
     (tmp_path / "said.json").write_text(said)
-    assert challenger_bench("data", "review", tmp_path, "--verdicts", tmp_path / "said.json").code == 0
+    assert run_here("data", "review", tmp_path, "--verdicts", tmp_path / "said.json").code == 0
     kept = ("v0/scene-9903", "v1/scene-9902", "v1/scene-9903")
     opened = open_data(tmp_path)
     assert opened.scene_names("val") == list_scenes(tmp_path, "val") == kept
@@ -80,6 +97,7 @@ def test_roots_side_by_side_may_have_verdicts_each_and_together(tmp_path: Path) 
     assert statistics(tmp_path, split="val").counts.scenes == 3
 
 
+@pytest.mark.path
 @pytest.mark.parametrize("name", ["said.csv", "said.json"])
 def test_a_file_of_verdicts_is_recorded_whole_and_printed(data: DataSet, tmp_path: Path, name: str) -> None:
     rows = {"scene-9901": ("accept", ""), "scene-9903": ("Rejected", "two cars, one place")}
@@ -88,11 +106,11 @@ def test_a_file_of_verdicts_is_recorded_whole_and_printed(data: DataSet, tmp_pat
     else:
         text = json.dumps({key: {"verdict": said, "reason": why} for key, (said, why) in rows.items()})
     (tmp_path / name).write_text(text)
-    done = challenger_bench("data", "review", data.root, "--verdicts", tmp_path / name)
+    done = run_here("data", "review", data.root, "--verdicts", tmp_path / name)
     assert done.code == 0, done.err
     assert "rejected: scene-9903: two cars, one place" in done.out and "2 verdicts recorded" in done.err
-    listed = challenger_bench("data", "review", data.root, "--list", "--json")
-    assert listed.json["review"]["rejected"] == 1 and listed.json["verdicts"]["scene-9901"]["verdict"] == "accepted"
+    listed = json.loads(run_here("data", "review", data.root, "--list", "--json").out)
+    assert listed["review"]["rejected"] == 1 and listed["verdicts"]["scene-9901"]["verdict"] == "accepted"
     # What the command wrote is a file of verdicts itself.
     again = read_verdicts(data.root / REVIEW_FILE)
     assert set(again) == set(rows) and again["scene-9903"]["verdict"] == "rejected"
@@ -144,3 +162,48 @@ def test_a_damaged_review_stops_whoever_reads_the_split(data: DataSet, text: str
         with pytest.raises(InputError, match=says) as raised:
             read(data.root)
         assert REVIEW_FILE in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_an_evaluation_leaves_rejected_scenes_out_and_its_record_names_the_review(
+    data: DataSet, tmp_path: Path
+) -> None:
+    factory = planner_factory("constant-velocity")
+    before = evaluate(data, "val", factory, tmp_path / "runs")
+    assert before.run.review is None and len(before.run.scenes) == 3
+    say(data.root, scene_9902="leaves the road")
+    reviewed = open_data(data.root)
+    after = evaluate(reviewed, "val", factory, tmp_path / "runs")
+    assert after.run.scenes == ["scene-9901", "scene-9903"] and after.covers_split
+    assert after.run.review == reviewed.review("val").facts
+    assert after.directory == before.directory and after.content_id != before.content_id
+    assert load_record(after.directory).run.review == after.run.review
+    assert review_notes([after]) == [f"val: {reviewed.review('val').sentence()}."]
+    # Another verdict, even one that moves no number, makes the record one of other verdicts.
+    say(data.root, scene_9901="accepted")
+    with pytest.raises(InputError, match="other verdicts of inspectors"):
+        rescore(after.directory, open_data(data.root))
+    again = evaluate(open_data(data.root), "val", factory, tmp_path / "runs")
+    assert again.summary == after.summary and again.content_id != after.content_id
+
+
+def test_a_rejected_scene_asked_for_by_name_is_refused_with_the_reason(data: DataSet) -> None:
+    say(data.root, scene_9902="leaves the road")
+    with pytest.raises(InputError, match=r"scene-9902 was rejected by hand \(leaves the road\)"):
+        EvalSettings(scenes=("scene-9902",)).chosen(open_data(data.root), "val")
+    say(data.root, scene_9901="x", scene_9903="x")
+    with pytest.raises(InputError, match="inspectors rejected all 3"):
+        EvalSettings().chosen(open_data(data.root), "val")
+
+
+def test_records_under_different_verdicts_never_stand_in_one_table() -> None:
+    first, second = (hand_made(name, {"s0": [HIT], "s1": [CLEAN]}) for name in ("p", "q"))
+    facts = ReviewFacts(content="a" * 64, accepted=1, rejected=1, not_reviewed=1)
+    reviewed = replace(second, run=second.run.model_copy(update={"review": facts}))
+    with pytest.raises(InputError, match=r"different verdicts of inspectors .*not reviewed and review aaaaaaaaaaaa"):
+        build_leaderboard_tables([first, reviewed])
+    with pytest.raises(InputError, match="other verdicts of inspectors"):
+        transfer([first, reviewed])
+    both = [replace(one, run=one.run.model_copy(update={"review": facts})) for one in (first, second)]
+    table = build_leaderboard_tables(both)[0].front[0]
+    assert "adv: 1 scene rejected by hand, 1 accepted, 1 not reviewed (review aaaaaaaaaaaa)." in table.notes
+    assert "adv: not reviewed by hand." in build_leaderboard_tables([first, second])[0].front[0].notes

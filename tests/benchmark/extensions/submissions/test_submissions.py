@@ -47,21 +47,28 @@ def checked(folder: Path) -> tuple[int, list[SubmissionFinding]]:
     return len(sound), [finding for finding in findings if finding.level is FindingLevel.ERROR]
 
 
-def edited(folder: Path, change: Callable[[dict[str, Any], list[Any], dict[str, Any]], None]) -> None:
-    """Change a record as a forger would: with hashes that agree again."""
-    run_file = next(folder.rglob("run.json"))
-    rows_file, summary_file = run_file.with_name("samples.jsonl"), run_file.with_name("summary.json")
-    run, summary = json.loads(run_file.read_text()), json.loads(summary_file.read_text())
+Forgery = Callable[[dict[str, Any], list[Any], dict[str, Any]], object]
+"""Changes the head of a record, its rows and its summary."""
+
+
+def edited(folder: Path, change: Forgery) -> None:
+    """Change a record of plans or drives as a forger would: with hashes that agree again."""
+    head = next(path for name in ("run.json", "drive.json") for path in folder.rglob(name))
+    rows_file = head.with_name("samples.jsonl" if head.name == "run.json" else "drives.jsonl")
+    summary_file = head.with_name("summary.json")
+    run, summary = json.loads(head.read_text()), json.loads(summary_file.read_text())
     rows = [json.loads(line) for line in rows_file.read_text().splitlines()]
     change(run, rows, summary)
     rows_file.write_text("".join(json.dumps(row) + "\n" for row in rows))
     summary_file.write_text(json.dumps(summary))
     run["files"] = {path.name: file_sha256(path) for path in (rows_file, summary_file)}
-    run_file.write_text(json.dumps(run))
+    head.write_text(json.dumps(run))
 
 
-def test_what_eval_writes_is_fit(folder: Path) -> None:
-    assert checked(folder) == (1, [])
+@pytest.mark.path
+@pytest.mark.parametrize("kind", ["honest", "driven"])
+def test_what_eval_and_drive_write_is_fit(kind: str, request: pytest.FixtureRequest) -> None:
+    assert checked(request.getfixturevalue(kind)) == (1, [])
 
 
 def test_a_record_from_before_verdicts_said_whom_they_are_about_is_fit_and_a_wrong_count_is_found(folder: Path) -> None:
@@ -88,74 +95,6 @@ def test_a_record_from_before_verdicts_said_whom_they_are_about_is_fit_and_a_wro
     }
 
 
-def test_a_flattering_rate_is_found(folder: Path) -> None:
-    def lower(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
-        summary["protocols"]["exact"]["columns"]["collision"]["3s"]["value"] = 0.0
-
-    edited(folder, lower)
-    sound, (error,) = checked(folder)
-    assert sound == 0
-    assert "claims collision 3s = 0.0, but its plans give" in error.sentence
-
-
-def test_a_verdict_that_the_plan_does_not_have_is_found(folder: Path) -> None:
-    def acquit(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
-        row = next(row for row in rows if any(row["outcomes"]["exact"]["collision"]))
-        row["outcomes"]["exact"]["collision"] = [False] * len(row["outcomes"]["exact"]["collision"])
-
-    edited(folder, acquit)
-    assert "claims other verdicts than its plans on 1 of" in checked(folder)[1][0].sentence
-
-
-def test_driving_scores_that_the_plans_do_not_have_are_found(folder: Path) -> None:
-    def better(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
-        next(row for row in rows if row["driving"] is not None)["driving"]["ep"] = 0.123
-
-    edited(folder, better)
-    _, (error,) = checked(folder)
-    assert "claims other driving scores than its plans give, first on sample" in error.sentence
-
-
-def test_flattering_and_left_out_driving_scores_are_found(folder: Path, tmp_path: Path) -> None:
-    def flatter(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
-        summary["driving"]["columns"]["score"]["mean"]["value"] = 1.0
-
-    def leave_out(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
-        summary["driving"] = None
-
-    def of_another_version(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
-        summary["driving"]["version"] = 0
-
-    for number, (change, says) in enumerate(
-        (
-            (flatter, "claims other driving scores than its plans give: score mean = 1.0, but its plans give"),
-            (leave_out, "has no driving scores"),
-            (of_another_version, "another version of nuscenes-pdm"),
-        )
-    ):
-        changed = Path(shutil.copytree(folder, tmp_path / f"changed-{number}"))
-        edited(changed, change)
-        _, (error,) = checked(changed)
-        assert says in error.sentence
-
-
-def test_a_moved_plan_is_found_by_its_verdicts(folder: Path) -> None:
-    def move(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
-        rows[0]["plan"]["waypoints"] = [[x + 30.0, y] for x, y in rows[0]["plan"]["waypoints"]]
-
-    edited(folder, move)
-    assert checked(folder)[1]
-
-
-def test_left_out_samples_and_other_data_are_found(folder: Path, tmp_path: Path) -> None:
-    edited(folder, lambda run, rows, summary: rows.pop())
-    assert "does not hold the samples" in checked(folder)[1][0].sentence
-    edited(folder, lambda run, rows, summary: run["data"].update(fingerprint="0" * 64))
-    assert "used other data of" in checked(folder)[1][0].sentence
-    edited(folder, lambda run, rows, summary: run["data"].update(name="elsewhere"))
-    assert "was run on the data set elsewhere" in checked(folder)[1][0].sentence
-
-
 def test_hashes_that_do_not_agree_and_truncated_files_are_found(folder: Path) -> None:
     rows_file = next(folder.rglob("samples.jsonl"))
     rows_file.write_bytes(rows_file.read_bytes()[:-40])
@@ -164,16 +103,12 @@ def test_hashes_that_do_not_agree_and_truncated_files_are_found(folder: Path) ->
     assert len(checked(folder)[1]) == 1
 
 
-def test_one_bad_record_does_not_hide_a_good_one(folder: Path) -> None:
+def test_one_bad_record_does_not_hide_a_good_one_and_the_same_twice_is_said(folder: Path) -> None:
     shutil.copytree(folder / DATA.name, folder / "copy")
+    assert "is the same planner on the same split" in checked(folder)[1][0].sentence
     (next((folder / "copy").rglob("run.json"))).write_text("{")
     sound, errors = checked(folder)
     assert sound == 1 and len(errors) == 1 and "copy" in str(errors[0].directory)
-
-
-def test_the_same_record_twice_is_said(folder: Path) -> None:
-    shutil.copytree(folder / DATA.name, folder / "copy")
-    assert "is the same planner on the same split" in checked(folder)[1][0].sentence
 
 
 def test_partial_runs_and_parts_of_a_split_are_refused(tmp_path: Path) -> None:
@@ -183,58 +118,93 @@ def test_partial_runs_and_parts_of_a_split_are_refused(tmp_path: Path) -> None:
     assert "ran on 1 of 2 scenes" in checked(tmp_path / "part")[1][0].sentence
 
 
-def test_old_and_missing_protocols_are_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Stricter(ExactProtocol):
-        version = 99
-
-    def forget(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
-        del run["protocols"]["vad"]
-        run["config"]["protocols"].remove("vad")
-
-    edited(folder, forget)
-    assert "was not scored by vad" in checked(folder)[1][0].sentence
-    monkeypatch.setitem(PROTOCOLS, "exact", Stricter())
-    assert any("other versions of exact" in error.sentence for error in checked(folder)[1])
+def acquit(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+    row = next(row for row in rows if any(row["outcomes"]["exact"]["collision"]))
+    row["outcomes"]["exact"]["collision"] = [False] * len(row["outcomes"]["exact"]["collision"])
 
 
-Forgery = Callable[[dict[str, Any], list[Any], dict[str, Any]], None]
-FORGERIES: dict[str, tuple[Forgery, str]] = {
-    "coverage": (lambda run, rows, summary: summary.update(coverage=0.5), "claims coverage = 0.5"),
-    "samples": (lambda run, rows, summary: summary.update(samples=1), "claims samples = 1"),
-    "failed": (lambda run, rows, summary: summary.update(failed=1), "claims failed = 1"),
-    "counted": (lambda run, rows, summary: summary["protocols"]["vad"].update(counted=1), "claims counted = 1"),
-    "an interval": (
-        lambda run, rows, summary: summary["protocols"]["exact"]["columns"]["collision"]["3s"].update(
-            low=0.0, high=0.0
-        ),
-        "under exact",
+def move(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+    rows[0]["plan"]["waypoints"] = [[x + 30.0, y] for x, y in rows[0]["plan"]["waypoints"]]
+
+
+def forget(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+    del run["protocols"]["vad"]
+    run["config"]["protocols"].remove("vad")
+
+
+def exact(summary: dict[str, Any]) -> Any:
+    return summary["protocols"]["exact"]["columns"]["collision"]["3s"]
+
+
+FORGERIES: list[tuple[str, Forgery]] = [
+    ("claims collision 3s = 0.0, but its plans give", lambda run, rows, summary: exact(summary).update(value=0.0)),
+    ("under exact", lambda run, rows, summary: exact(summary).update(low=0.0, high=0.0)),
+    ("claims other verdicts than its plans on 1 of", acquit),
+    ("claims other verdicts than its plans", move),
+    (
+        "claims other driving scores than its plans give, first on sample",
+        lambda run, rows, summary: next(row for row in rows if row["driving"])["driving"].update(ep=0.123),
     ),
-    "a share of driving": (lambda run, rows, summary: summary["driving"].update(counted=1), "counted = 1"),
-    "a protocol more": (
-        lambda run, rows, summary: summary["protocols"].update(kind=summary["protocols"]["exact"]),
+    (
+        "claims other driving scores than its plans give: score mean = 1.0, but its plans give",
+        lambda run, rows, summary: summary["driving"]["columns"]["score"]["mean"].update(value=1.0),
+    ),
+    ("has no driving scores", lambda run, rows, summary: summary.update(driving=None)),
+    ("another version of nuscenes-pdm", lambda run, rows, summary: summary["driving"].update(version=0)),
+    ("does not hold the samples", lambda run, rows, summary: rows.pop()),
+    ("used other data of", lambda run, rows, summary: run["data"].update(fingerprint="0" * 64)),
+    ("was run on the data set elsewhere", lambda run, rows, summary: run["data"].update(name="elsewhere")),
+    ("was not scored by vad", forget),
+    ("claims coverage = 0.5", lambda run, rows, summary: summary.update(coverage=0.5)),
+    ("claims samples = 1", lambda run, rows, summary: summary.update(samples=1)),
+    ("claims failed = 1", lambda run, rows, summary: summary.update(failed=1)),
+    ("claims counted = 1", lambda run, rows, summary: summary["protocols"]["vad"].update(counted=1)),
+    ("counted = 1", lambda run, rows, summary: summary["driving"].update(counted=1)),
+    (
         "has rates under kind",
+        lambda run, rows, summary: summary["protocols"].update(kind=summary["protocols"]["exact"]),
     ),
-    "status": (lambda run, rows, summary: run.update(status="partial"), "claims to be partial"),
-    "scenes": (lambda run, rows, summary: run.update(scenes_in_split=7), "says that val has 7 scenes"),
-    "a frozen split": (lambda run, rows, summary: run.update(frozen_split="mini-adv-1"), "frozen split"),
-    "a search": (lambda run, rows, summary: run.update(generated={"seed": 3}), "search"),
-    "weights": (lambda run, rows, summary: run["planner"].update(weights_sha256="f00"), "is not a SHA-256"),
-    "code": (lambda run, rows, summary: run["planner"].update(code_sha256="x" * 64), "is not a SHA-256"),
-    "a protocol of its own": (
-        lambda run, rows, summary: run["planner"].update(native_protocol="lenient"),
-        "names the native protocol ",
+    ("claims to be partial", lambda run, rows, summary: run.update(status="partial")),
+    ("says that val has 7 scenes", lambda run, rows, summary: run.update(scenes_in_split=7)),
+    ("frozen split", lambda run, rows, summary: run.update(frozen_split="mini-adv-1")),
+    ("search", lambda run, rows, summary: run.update(generated={"seed": 3})),
+    ("is not a SHA-256", lambda run, rows, summary: run["planner"].update(weights_sha256="f00")),
+    ("is not a SHA-256", lambda run, rows, summary: run["planner"].update(code_sha256="x" * 64)),
+    ("names the native protocol ", lambda run, rows, summary: run["planner"].update(native_protocol="lenient")),
+    ("claims 'ok'", lambda run, rows, summary: rows[3].update(plan=None, error=None, outcomes={})),
+    ("has no plan for 1 of", lambda run, rows, summary: rows[3].update(status="failed")),
+]
+OF_DRIVES: list[tuple[str, Forgery]] = [
+    (
+        "give another",
+        lambda run, rows, summary: next(row for row in rows if row["contact"]).update(contact=None, end="end"),
     ),
-    "a failure hidden": (lambda run, rows, summary: rows[3].update(plan=None, error=None, outcomes={}), "claims 'ok'"),
-    "a plan of a failure": (lambda run, rows, summary: rows[3].update(status="failed"), "has no plan for 1 of"),
-}
+    ("claims other scores", lambda run, rows, summary: rows[0]["scores"].update(progress_m=900.0)),
+    ("claims at_fault = 0.0", lambda run, rows, summary: summary["columns"]["at_fault"].update(value=0.0)),
+    ("scenes without a drive", lambda run, rows, summary: rows.pop()),
+    ("has duplicate drives", lambda run, rows, summary: rows.append(rows[0])),
+    ("give another", lambda run, rows, summary: rows[0]["ticks"]["ego"][-1].__setitem__(0, 3.0)),
+    ("was driven on", lambda run, rows, summary: run["data"].update(fingerprint="0")),
+]
+KINDS = [("honest", *row) for row in FORGERIES] + [("driven", *row) for row in OF_DRIVES]
 
 
-@pytest.mark.parametrize("name", FORGERIES)
-def test_whatever_is_edited_is_found(folder: Path, name: str) -> None:
-    change, says = FORGERIES[name]
+@pytest.mark.parametrize(("kind", "says", "change"), KINDS)
+def test_whatever_is_edited_is_found(
+    kind: str, says: str, change: Forgery, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    folder = Path(shutil.copytree(request.getfixturevalue(kind), tmp_path / "submitted"))
     edited(folder, change)
     sound, errors = checked(folder)
     assert sound == 0 and any(says in error.sentence for error in errors), [error.sentence for error in errors]
+
+
+def test_old_protocols_are_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Stricter(ExactProtocol):
+        version = 99
+
+    monkeypatch.setitem(PROTOCOLS, "exact", Stricter())
+    assert any("other versions of exact" in error.sentence for error in checked(folder)[1])
 
 
 def test_completeness_is_not_believed(tmp_path: Path) -> None:
@@ -299,48 +269,6 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("driven")
     drive_split(DATA, "val", Straight(), root, DriveSettings("default", DefaultBackend("replay"), agents="replay"))
     return root
-
-
-def edited_drives(folder: Path, change: Forgery) -> None:
-    head = next(folder.rglob("drive.json"))
-    rows_file, summary_file = head.with_name("drives.jsonl"), head.with_name("summary.json")
-    run, summary = json.loads(head.read_text()), json.loads(summary_file.read_text())
-    rows = [json.loads(line) for line in rows_file.read_text().splitlines()]
-    change(run, rows, summary)
-    rows_file.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    summary_file.write_text(json.dumps(summary))
-    run["files"] = {path.name: file_sha256(path) for path in (rows_file, summary_file)}
-    head.write_text(json.dumps(run))
-
-
-DRIVE_FORGERIES: dict[str, tuple[Forgery, str]] = {
-    "a contact forgotten": (
-        lambda run, rows, summary: next(row for row in rows if row["contact"]).update(contact=None, end="end"),
-        "give another",
-    ),
-    "another score": (lambda run, rows, summary: rows[0]["scores"].update(progress_m=900.0), "claims other scores"),
-    "another rate": (
-        lambda run, rows, summary: summary["columns"]["at_fault"].update(value=0.0),
-        "claims at_fault = 0.0",
-    ),
-    "a drive less": (lambda run, rows, summary: rows.pop(), "scenes without a drive"),
-    "duplicate drives": (lambda run, rows, summary: rows.append(rows[0]), "has duplicate drives"),
-    "another place": (lambda run, rows, summary: rows[0]["ticks"]["ego"][-1].__setitem__(0, 3.0), "give another"),
-    "another world": (lambda run, rows, summary: run["data"].update(fingerprint="0"), "was driven on"),
-}
-
-
-def test_drives_are_driven_again(driven: Path) -> None:
-    assert checked(driven) == (1, [])
-
-
-@pytest.mark.parametrize("name", DRIVE_FORGERIES)
-def test_whatever_is_edited_in_drives_is_found(driven: Path, tmp_path: Path, name: str) -> None:
-    folder = Path(shutil.copytree(driven, tmp_path / "submitted"))
-    change, says = DRIVE_FORGERIES[name]
-    edited_drives(folder, change)
-    sound, errors = checked(folder)
-    assert sound == 0 and any(says in error.sentence for error in errors), [error.sentence for error in errors]
 
 
 def test_nothing_to_check_is_said(tmp_path: Path) -> None:
