@@ -1,4 +1,3 @@
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -65,11 +64,7 @@ def test_no_jump_at_the_hand_over_and_at_replanning(kept: SearchOutcome) -> None
     recorded = scene_on_straight_road(CARS, seconds=9.0)
     start = kept.attempt.launch_frame
     np.testing.assert_array_equal(position[:start], recorded.agents.position[0, :start, :2])
-
-
-def test_the_others_stay_as_recorded(kept: SearchOutcome) -> None:
-    recorded = scene_on_straight_road(CARS, seconds=9.0)
-    assert kept.scene is not None
+    # The others stay as recorded.
     np.testing.assert_array_equal(kept.scene.agents.position[1:], recorded.agents.position[1:])
     np.testing.assert_array_equal(kept.scene.ego.position, recorded.ego.position)
 
@@ -166,23 +161,10 @@ def test_boxed_in_without_a_way_out_is_discarded() -> None:
     assert result.scene is None
 
 
-def test_ablations_and_odd_lengths_run() -> None:
-    for hyper in (
-        HyperParameters(candidates=8, scored=False),
-        HyperParameters(candidates=8, multi_round=False),
-        HyperParameters(candidates=8, horizon=7, lookahead_frames=0, clearance_m=0.0, headway_s=0.0),
-    ):
-        canonical_json(run(hyper=hyper, seconds=8.25).attempt.as_json())
-
-
-def test_bad_arguments_are_sentences() -> None:
-    scene = scene_on_straight_road(CARS)
-    with pytest.raises(InputError, match="no agent 7"):
-        attempt(scene, 7, 0, HYPER, DrivingPrior(), diversify=unchanged)
-
-
 def test_attempts_side_by_side_are_as_if_alone() -> None:
     scene = scene_on_straight_road(CARS, seconds=9.0)
+    with pytest.raises(InputError, match="no agent 7"):
+        attempt(scene, 7, 0, HYPER, DrivingPrior(), diversify=unchanged)
     alone = [attempt(scene, agent, 3, HYPER, DrivingPrior(), diversify=unchanged) for agent in (0, 1, 2)]
     vehicles = [(scene, agent) for agent in (0, 1, 2)]
     together = search_vehicles(vehicles, 3, HYPER, DrivingPrior(), diversify=unchanged)
@@ -190,23 +172,6 @@ def test_attempts_side_by_side_are_as_if_alone() -> None:
         assert canonical_json(one.attempt.as_json()) == canonical_json(other.attempt.as_json())
         np.testing.assert_array_equal(one.poses, other.poses)
     assert set(together[0].stage_seconds) == {"sampling", "physics", "scoring", "other"}
-
-
-def test_stages_add_up_to_all_that_an_attempt_takes() -> None:
-    scene = scene_on_straight_road(CARS, seconds=9.0)
-    begun = time.process_time()
-    stages = attempt(scene, 0, 3, HYPER, DrivingPrior(), diversify=slowly).stage_seconds
-    spent = time.process_time() - begun
-    assert min(stages.values()) >= 0.0
-    assert 0.9 * spent <= sum(stages.values()) <= spent
-
-
-def slowly(waypoints: Floats, rng: np.random.Generator) -> Floats:
-    """No spread at all, after 50 ms of work."""
-    until = time.process_time() + 0.05
-    while time.process_time() < until:
-        pass
-    return unchanged(waypoints, rng)
 
 
 def test_a_kept_scene_is_judged_on_its_generated_track(kept: SearchOutcome) -> None:

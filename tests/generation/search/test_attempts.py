@@ -34,29 +34,23 @@ def search_in(folder: Path, seed: int = 0) -> Search:
     return Search("data", HYPER, seed, DrivingPrior, DrivingPrior.fingerprint, folder, folder / "timings")
 
 
-def units_of(scene: Scene) -> list[SearchUnit]:
-    return [SearchUnit(scene.name, agent, scene.agents.ids[agent]) for agent in choose(scene, HYPER, 0)]
-
-
-UNITS = units_of(SCENE)
+UNITS = [SearchUnit(SCENE.name, agent, SCENE.agents.ids[agent]) for agent in choose(SCENE, HYPER, 0)]
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[StoredAttempt]]:
-    """A folder with every attempt, and what they are."""
-    folder = tmp_path_factory.mktemp("kept")
-    return folder, run_attempts(search_in(folder), UNITS, lambda unit: SCENE, LocalProcesses(1))
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("kept")
+
+
+@pytest.fixture(scope="module")
+def found(kept: Path) -> list[StoredAttempt]:
+    return run_attempts(search_in(kept), UNITS, lambda unit: SCENE, LocalProcesses(1))
 
 
 @pytest.fixture
-def search(kept: tuple[Path, list[StoredAttempt]], tmp_path: Path) -> Search:
-    """Of a copy of that folder."""
-    return search_in(Path(shutil.copytree(kept[0], tmp_path / "kept")))
-
-
-@pytest.fixture
-def found(kept: tuple[Path, list[StoredAttempt]]) -> list[StoredAttempt]:
-    return kept[1]
+def search(kept: Path, found: list[StoredAttempt], tmp_path: Path) -> Search:
+    """In a copy of the folder that holds every attempt."""
+    return search_in(Path(shutil.copytree(kept, tmp_path / "kept")))
 
 
 def never(unit: SearchUnit) -> Scene:

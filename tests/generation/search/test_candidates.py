@@ -89,6 +89,8 @@ def test_initial_state_is_the_recorded_motion() -> None:
     assert abs(state.acceleration) < 1e-6
     assert abs(state.steering) < 1e-6
     np.testing.assert_allclose(state.pose, [62.0 + 16.0 - 0.3 * 4.6, 194.75, 0.0])
+    # A car that drifts backwards starts standing.
+    assert compute_initial_state(scene_of(Car(62.0, 194.75, -0.2)), 0, 24, DriverLimits()).speed == 0.0
 
 
 def test_initial_state_of_a_turning_accelerating_car() -> None:
@@ -105,11 +107,6 @@ def test_initial_state_of_a_turning_accelerating_car() -> None:
     assert abs(state.speed - 8.0) < 0.2
     assert abs(state.acceleration - 1.0) < 0.2
     assert abs(state.speed * np.tan(state.steering) / (0.6 * 4.6) - 0.2) < 0.02
-
-
-def test_a_car_that_drifts_backwards_starts_standing() -> None:
-    state = compute_initial_state(scene_of(Car(62.0, 194.75, -0.2)), 0, 24, DriverLimits())
-    assert state.speed == 0.0
 
 
 def test_every_reason_has_its_scene() -> None:

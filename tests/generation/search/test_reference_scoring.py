@@ -15,9 +15,7 @@ from generation.search.reference_scoring import (
     is_challenge_on,
 )
 from generation.search.scoring import ScoringSurroundings, compute_final_scores
-from tests.generation.search.slow_reference_scoring import (
-    slow_reference,
-)
+from tests.generation.search.slow_reference_scoring import slow_reference
 from tests.hand_made import Car, scene_on_straight_road
 
 SIZE = np.array([4.6, 1.9])

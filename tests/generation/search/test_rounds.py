@@ -11,7 +11,6 @@ import pytest
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.machine.storage import canonical_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.records.scene_pages import RefinementTrace, StoredScenePage, find_scene_pages, kept_rounds_path
 from benchmark.runs.units import ResultStore
@@ -20,8 +19,7 @@ from generation.pipeline.report import estimate_build
 from generation.pipeline.split import build_split
 from generation.search.refinement import SHOWN_CANDIDATES, select_shown_candidates
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
-from tests.generation.search.driving_prior import DrivingPrior, unchanged
-from tests.generation.search.one_vehicle import attempt
+from tests.generation.search.driving_prior import DrivingPrior
 
 TWO = replace(CHEAP, per_scene=2, keep_rounds=True)
 
@@ -58,20 +56,6 @@ def rounds_of(stored: StoredScenePage) -> RefinementTrace:
 def data_set(root: Path) -> dict[str, bytes]:
     """All that a reader of the data set sees."""
     return {name: data for name, data in contents(root).items() if not name.startswith((".challenger", "rounds/"))}
-
-
-def test_keeping_rounds_changes_nothing_else() -> None:
-    scene = recorded("scene-9901", seconds=7.0)
-    alone, kept = (
-        attempt(scene, 0, 0, HYPER, DrivingPrior(), diversify=unchanged, keep_rounds=keep) for keep in (False, True)
-    )
-    assert canonical_json(alone.attempt.as_json()) == canonical_json(kept.attempt.as_json())
-    np.testing.assert_array_equal(alone.poses, kept.poses)
-    assert alone.rounds == () and len(kept.rounds) == len(kept.attempt.plans)
-    for at, plan in zip(kept.rounds, kept.attempt.plans, strict=True):
-        assert (at.frame, at.chosen_round) == (plan.frame, plan.round)
-        assert tuple(entry.collision_free for entry in at.rounds) == plan.collision_free
-        assert plan.score == pytest.approx(at.rounds[at.chosen_round].scores[at.chosen], abs=1e-5)
 
 
 def assert_is_what_was_driven(stored: StoredScenePage, data: DataSet) -> None:

@@ -146,21 +146,6 @@ def test_absent_objects_the_own_box_and_the_ego_are_treated_as_they_should() -> 
     assert terms.challenge[1] < terms.challenge[0]
 
 
-def test_leaving_the_road_counts_and_outside_the_raster_is_off_road() -> None:
-    scene = scene_on_straight_road()
-    raster = DrivableRaster.around(scene.road_map, scene.ego.pose[0])
-    around = build_surroundings(scene, 0, tuple(range(1, 13)), raster)
-    lanes = np.array([194.75, 193.5, 190.0])
-    poses = np.zeros((4, 12, 3))
-    poses[..., 0] = 70.0 + 0.7 * np.arange(12)
-    poses[:3, :, 1] = lanes[:, None]
-    poses[3] = [400.0, 198.25, 0.0]
-    terms = compute_score_terms(poses, SIZE, around, PAPER)
-    np.testing.assert_array_equal(terms.center_off_road.all(axis=1), [False, False, True, True])
-    np.testing.assert_array_equal(terms.corner_off_road.all(axis=1), [False, True, True, True])
-    assert terms.dac[0] == 0.0 < terms.dac[1] < terms.dac[2]
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308, -1e160])
 def test_a_broken_candidate_gets_infinity_and_does_not_touch_the_others(bad: float) -> None:
     scene = scene_on_straight_road()
