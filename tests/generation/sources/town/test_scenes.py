@@ -23,7 +23,7 @@ from generation.sources.town.speed import FRAMES, SECONDS, plan_speed
 from generation.sources.town.themes import PROGRAMME
 from generation.sources.town.towns import build_town
 
-SCENES = [("val", index) for index in range(DEFAULT_VAL_SCENES)] + [("train", 0), ("train", 11)]
+SCENES = [*(("val", index) for index in range(0, DEFAULT_VAL_SCENES, 2)), ("train", 0), ("train", 11)]
 
 
 @cache
