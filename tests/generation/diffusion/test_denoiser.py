@@ -141,18 +141,6 @@ def test_far_tokens_are_not_hidden_but_favoured() -> None:
         assert (favoured(noisy, at) - plain(noisy, at)).abs().max() > 1e-5
 
 
-def test_one_noise_level_for_all_equals_one_for_each() -> None:
-    denoiser = synthetic(TrajectoryDenoiser(PACKAGED))
-    assert denoiser.preconditioner is not None
-    standing = compute_present_features(torch.zeros(100, 3))
-    denoiser.preconditioner.fit(np.random.default_rng(0).standard_normal((100, 16, 3)), standing)
-    noisy = torch.from_numpy(small_input()).float()
-    with torch.inference_mode():
-        together = denoiser(noisy, torch.tensor([7.0]))
-        each = denoiser(noisy, torch.tensor([7.0, 7.0]))
-    assert (together - each).abs().max() < 1e-6
-
-
 def test_published_checkpoint_has_this_shape() -> None:
     denoiser = TrajectoryDenoiser()
     state = denoiser.state_dict()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from benchmark.errors import InputError
-from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, draw_normal_noise, load_denoiser, sample_actions
+from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, draw_normal_noise, load_denoiser
 from generation.diffusion.prior import SOLVER_CALLS
 from generation.diffusion.schedule import (
     ALPHA_BARS,
@@ -21,7 +21,6 @@ from generation.diffusion.schedule import (
     run_reverse_process,
     solve,
 )
-from tests.generation.diffusion.distances import wasserstein
 
 MEAN = 0.05
 VARIANCES = torch.logspace(-4, -1.7, 48, dtype=torch.float64).view(16, 3)
@@ -95,14 +94,6 @@ def test_error_falls_with_the_square_of_the_step() -> None:
     assert root_mean_square(fast[1] - exact) < 0.01 * root_mean_square(exact - MEAN)
 
 
-def test_as_many_calls_are_closer_than_the_slow_process_with_a_stride() -> None:
-    noisy = start()
-    exact = exact_flow(noisy, 0)
-    fast = solve(gaussian_denoiser, noisy, choose_solver_timesteps(8)) - exact
-    strided = run_reverse_process(gaussian_denoiser, noisy, choose_strided_timesteps(STEPS - 1, 8)) - exact
-    assert root_mean_square(fast) < 0.2 * root_mean_square(strided)
-
-
 def test_predicted_sample_is_clamped() -> None:
     huge = torch.full((2, 16, 3), 50.0)
     assert solve(lambda noisy, timestep: torch.zeros_like(noisy), huge, choose_solver_timesteps(4)).max() == 1.0
@@ -111,7 +102,7 @@ def test_predicted_sample_is_clamped() -> None:
 def test_few_calls_end_where_the_slow_process_ends_from_the_same_noise() -> None:
     """The reference's 100 steps without their noise solve the same equation, so samples agree one by one."""
     denoiser = load_denoiser(PACKAGED_WEIGHTS)
-    noisy = denoiser.start(draw_normal_noise(np.random.default_rng(1), 128))
+    noisy = denoiser.start(draw_normal_noise(np.random.default_rng(1), 64))
     with torch.inference_mode():
         finest = solve(denoiser, noisy, choose_solver_timesteps(STEPS))
         slow = run_reverse_process(denoiser, noisy, choose_strided_timesteps(STEPS - 1, None))
@@ -123,17 +114,3 @@ def test_few_calls_end_where_the_slow_process_ends_from_the_same_noise() -> None
     assert root_mean_square(slow - finest) < 0.1 * spread
     assert off[1] < 0.5 * off[0]
     assert off[1] < 0.2 * spread
-
-
-def test_fresh_samples_have_the_distribution_of_the_slow_process() -> None:
-    """The distance of both from each other is what chance gives."""
-    denoiser = load_denoiser(PACKAGED_WEIGHTS)
-    pool = sample_actions(denoiser, 512, None, np.random.default_rng(2))
-    with torch.inference_mode():
-        noisy = denoiser.start(draw_normal_noise(np.random.default_rng(3), 256))
-        drawn = solve(denoiser, noisy, choose_solver_timesteps(SOLVER_CALLS)).numpy().astype(np.float64)
-    for channel in range(3):
-        for steps in (slice(0, 16), slice(15, 16)):
-            slow, fast = (actions[:, steps, channel].sum(axis=1) for actions in (pool, drawn))
-            chance = [wasserstein(np.random.default_rng(seed).choice(slow, len(fast)), slow) for seed in range(100)]
-            assert wasserstein(fast, slow) < 2.0 * np.quantile(chance, 0.99), (channel, steps)

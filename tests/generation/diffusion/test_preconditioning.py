@@ -61,11 +61,6 @@ def test_one_row_speaks_for_all_and_rows_do_not_mind_each_other() -> None:
         assert torch.allclose(together.guess[rows], alone.guess, atol=1e-5)
 
 
-def test_one_row_that_says_nothing_means_all_vehicles() -> None:
-    preconditioner = fitted()
-    assert torch.allclose(preconditioner.start(noise(3), torch.zeros(1, 4)), preconditioner.start(noise(3)), atol=1e-5)
-
-
 def test_a_speed_with_too_few_windows_has_the_moments_of_all() -> None:
     preconditioner = GaussianPreconditioner(conditioned=True)
     told = torch.cat([features(STANDING, 900), features(FAST, 100)])

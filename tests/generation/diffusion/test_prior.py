@@ -27,7 +27,6 @@ from generation.diffusion.kinematics import compute_motion
 from generation.diffusion.prior import SOLVER_CALLS, CandidateSource, SamplerSettings, TrajectoryPrior, diversify
 from generation.diffusion.standardiser import convert_waypoints_to_actions
 from generation.search.proposals import MutationRequest, Request, SamplingRequest
-from tests.generation.diffusion.distances import wasserstein
 
 CRUISING = np.array([-4.0, 0.0, 0.0])
 SMALL = DenoiserConfig(feature_dim=16, heads=2, layers=1, feedforward_dim=16, history_tokens=1)
@@ -69,6 +68,8 @@ def stored() -> TrajectoryPrior:
 def test_stored_samples_are_drawn_without_repetition(stored: TrajectoryPrior) -> None:
     sampled = stored.sample(256, CRUISING, rng())
     assert len(np.unique(sampled.reshape(256, -1), axis=0)) == 256
+    # More than there are can be asked for.
+    assert stored.sample(5000, CRUISING, rng()).shape == (5000, 16, 3)
 
 
 def test_fresh_samples_are_none_of_the_stored_ones(prior: TrajectoryPrior, stored: TrajectoryPrior) -> None:
@@ -94,7 +95,7 @@ def test_fresh_samples_cost_few_network_calls(monkeypatch: pytest.MonkeyPatch) -
     assert rows == [320] * SOLVER_CALLS
 
 
-@pytest.mark.parametrize("speed", [0.5, 1.5, 3.0])
+@pytest.mark.parametrize("speed", [0.5, 3.0])
 def test_a_model_that_is_told_the_speed_seldom_brakes_into_reverse(speed: float) -> None:
     """As drawn, without drawing again."""
     previous = np.array([-0.5 * speed, 0.0, 0.0])
@@ -104,24 +105,20 @@ def test_a_model_that_is_told_the_speed_seldom_brakes_into_reverse(speed: float)
     assert shares[0] > shares[1] + 0.1
 
 
-@pytest.mark.parametrize("speed", [8.0, 15.0])
-def test_nearly_everything_drawn_at_speed_can_be_driven(speed: float) -> None:
-    """As drawn, without drawing again."""
-    previous = np.array([-0.5 * speed, 0.0, 0.0])
-    drawn = TrajectoryPrior.load(None, SamplerSettings(drivable=False)).sample(256, previous, rng())
-    assert (compute_motion(drawn, previous).excess == 0).mean() > 0.9
-
-
-def test_wasserstein_measures_shift_and_spread() -> None:
-    values = rng().standard_normal(5000)
-    assert wasserstein(values, values + 0.7) == pytest.approx(0.7)
-    assert wasserstein(values, 2 * values) == pytest.approx(np.abs(values).mean(), rel=0.02)
+def wasserstein(first: Floats, second: Floats) -> float:
+    """1-Wasserstein distance of two samples of one quantity, by their quantiles, in the unit of the values."""
+    at = (np.arange(2000) + 0.5) / 2000
+    quantiles = [
+        np.interp(at * (values.size - 1), np.arange(values.size), np.sort(values, axis=None))
+        for values in (np.asarray(first), np.asarray(second))
+    ]
+    return float(np.abs(quantiles[0] - quantiles[1]).mean())
 
 
 def test_bank_and_exact_sampling_have_the_same_distribution() -> None:
     """The distance of both from each other is what chance gives."""
     bank = read_bank(find_bank_path(PACKAGED_WEIGHTS), PACKAGED_WEIGHTS)
-    exact = sample_actions(load_denoiser(PACKAGED_WEIGHTS), 96, None, rng(11))
+    exact = sample_actions(load_denoiser(PACKAGED_WEIGHTS), 64, None, rng(11))
     for channel in range(3):
         for steps in (slice(0, 16), slice(15, 16)):
             pool, drawn = (actions[:, steps, channel].sum(axis=1) for actions in (bank, exact))
@@ -129,15 +126,7 @@ def test_bank_and_exact_sampling_have_the_same_distribution() -> None:
             assert wasserstein(drawn, pool) < 1.3 * np.quantile(by_chance, 0.99), (channel, steps)
 
 
-def test_exact_sampling_through_the_interface() -> None:
-    exact = TrajectoryPrior.load(None, SamplerSettings(samples=CandidateSource.REFERENCE))
-    sampled = exact.sample(8, CRUISING, rng())
-    assert sampled.shape == (8, 16, 3)
-    assert np.array_equal(sampled, exact.sample(8, CRUISING, rng()))
-    assert exact.fingerprint != TrajectoryPrior.load().fingerprint
-
-
-@pytest.mark.parametrize("speed", [0.0, 1.0, 5.0, 15.0, 30.0])
+@pytest.mark.parametrize("speed", [0.0, 5.0, 30.0])
 def test_samples_can_be_driven_from_any_speed(prior: TrajectoryPrior, speed: float) -> None:
     previous = np.array([-0.5 * speed, 0.0, 0.0])
     moved = compute_motion(prior.sample(64, previous, rng()), previous)
@@ -152,10 +141,6 @@ def test_samples_differ_from_each_other(prior: TrajectoryPrior) -> None:
     assert (ends[:, 1] > 2).any() and (ends[:, 1] < -2).any()
 
 
-def test_more_than_are_stored_can_be_asked_for(stored: TrajectoryPrior) -> None:
-    assert stored.sample(5000, CRUISING, rng()).shape == (5000, 16, 3)
-
-
 def test_mutation_changes_more_at_higher_noise(prior: TrajectoryPrior) -> None:
     start = prior.sample(128, CRUISING, rng())
     change = [np.abs(prior.mutate(start, level, CRUISING, rng(1)) - start)[..., :2].mean() for level in (1, 3, 5, 20)]
@@ -163,7 +148,7 @@ def test_mutation_changes_more_at_higher_noise(prior: TrajectoryPrior) -> None:
     assert change[2] < 5
 
 
-@pytest.mark.parametrize("speed", [0.0, 2.0, 8.0, 20.0])
+@pytest.mark.parametrize("speed", [0.0, 2.0, 20.0])
 def test_mutation_makes_no_candidate_less_drivable(prior: TrajectoryPrior, speed: float) -> None:
     previous = np.array([-0.5 * speed, 0.0, 0.0])
     start = prior.sample(64, previous, rng())

@@ -37,21 +37,16 @@ def test_counts_and_links_of_two_scenes(tmp_path: Path) -> None:
     write_root(tmp_path, scenes)
     tables = read(tmp_path)
     assert {table: len(rows) for table, rows in tables.items()} == {
-        "attribute": 8,
-        "calibrated_sensor": 2 * 7,
-        "category": 32,
-        "ego_pose": 2 * 7 * 30,
-        "instance": 2 * 3,
-        "log": 2,
-        "map": 1,
-        "sample": 2 * 5,
-        "sample_annotation": 2 * 3 * 5,
-        "sample_data": 2 * 7 * 30,
-        "scene": 2,
-        "sensor": 7,
-        "visibility": 4,
-    }
+        "attribute": 8, "calibrated_sensor": 2 * 7, "category": 32, "ego_pose": 2 * 7 * 30, "instance": 2 * 3,
+        "log": 2, "map": 1, "sample": 2 * 5, "sample_annotation": 2 * 3 * 5, "sample_data": 2 * 7 * 30, "scene": 2,
+        "sensor": 7, "visibility": 4,
+    }  # fmt: skip
     assert check_tables(tmp_path) == []
+    # Every camera has intrinsics of its own, at the rendered size.
+    channels = {row["token"]: row["channel"] for row in tables["sensor"]}
+    found = {channels[row["sensor_token"]]: row["camera_intrinsic"] for row in tables["calibrated_sensor"]}
+    assert found.pop("LIDAR_TOP") == []
+    assert found == {camera.name: camera.resized(32, 18).intrinsic.tolist() for camera in scenes[0].cameras}
 
 
 def test_keyframes_and_sweeps(tmp_path: Path) -> None:
@@ -70,17 +65,6 @@ def test_keyframes_and_sweeps(tmp_path: Path) -> None:
     row = channel_rows(tables, "CAM_BACK")[7]
     assert poses[row["token"]]["translation"] == scene.ego.position[7].tolist()
     assert (row["width"], row["height"]) == (32, 18)
-
-
-def test_every_camera_has_its_own_intrinsics_at_the_rendered_size(tmp_path: Path) -> None:
-    scene = short_scene()
-    write_root(tmp_path, [scene])
-    tables = read(tmp_path)
-    channels = {row["token"]: row["channel"] for row in tables["sensor"]}
-    found = {channels[row["sensor_token"]]: row["camera_intrinsic"] for row in tables["calibrated_sensor"]}
-    assert found.pop("LIDAR_TOP") == []
-    for camera in scene.cameras:
-        assert found[camera.name] == camera.resized(32, 18).intrinsic.tolist()
 
 
 def test_annotations_are_the_sources(tmp_path: Path) -> None:
@@ -135,32 +119,23 @@ def test_unknown_visibility_counts_as_seen(tmp_path: Path) -> None:
     assert {(row["visibility_token"], row["num_lidar_pts"]) for row in rows} == {("4", 1)}
 
 
-def test_an_object_with_a_gap_stays_one_instance(tmp_path: Path) -> None:
-    write_root(tmp_path, [without(short_scene(), agent=1, keyframes=[1, 2])])
-    tables = read(tmp_path)
-    assert [row["nbr_annotations"] for row in tables["instance"]] == [5, 3, 5]
+@pytest.mark.parametrize(("keyframes", "counts"), [([1, 2], [5, 3, 5]), ([0, 1, 2, 3, 4], [5, 5])])
+def test_an_object_with_a_gap_is_one_instance_and_none_where_it_is_on_no_keyframe(
+    tmp_path: Path, keyframes: list[int], counts: list[int]
+) -> None:
+    write_root(tmp_path, [without(short_scene(), agent=1, keyframes=keyframes)])
+    assert [row["nbr_annotations"] for row in read(tmp_path)["instance"]] == counts
     assert check_tables(tmp_path) == []
 
 
-def test_an_object_never_on_a_keyframe_is_left_out(tmp_path: Path) -> None:
-    write_root(tmp_path, [without(short_scene(), agent=1, keyframes=[0, 1, 2, 3, 4])])
-    tables = read(tmp_path)
-    assert len(tables["instance"]) == 2
-    assert check_tables(tmp_path) == []
-
-
-def test_keyframes_only(tmp_path: Path) -> None:
-    write_root(tmp_path, [short_scene()], frames="keyframes")
-    assert len(read(tmp_path)["sample_data"]) == 7 * 5
-    assert not (tmp_path / "sweeps").exists()
-    assert check_tables(tmp_path) == []
-
-
-def test_without_renderer_there_are_no_cameras(tmp_path: Path) -> None:
+def test_keyframes_only_and_no_cameras_without_a_renderer(tmp_path: Path) -> None:
+    write_root(tmp_path / "keyframes", [short_scene()], frames="keyframes")
+    assert len(read(tmp_path / "keyframes")["sample_data"]) == 7 * 5
+    assert not (tmp_path / "keyframes" / "sweeps").exists()
+    assert check_tables(tmp_path / "keyframes") == []
     write_root(tmp_path, [short_scene()], renderer=None)
     tables = read(tmp_path)
-    assert len(tables["sample_data"]) == 30
-    assert len(tables["calibrated_sensor"]) == 1
+    assert (len(tables["sample_data"]), len(tables["calibrated_sensor"])) == (30, 1)
     assert json.loads((tmp_path / "v1.0-trainval/challenger.json").read_text())["renderer"] is None
     assert check_tables(tmp_path) == []
 

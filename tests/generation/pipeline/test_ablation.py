@@ -11,9 +11,11 @@ from benchmark.errors import InputError
 from benchmark.records.ablation import VARIANTS, AblationReport, read_ablation
 from generation.pipeline.ablation import estimate_ablation, run_ablation
 from generation.pipeline.surrogate import PlannerUnderTest
-from tests.generation.labels.recorded_roads import CHEAP, contents, recorded, write_source
+from tests.generation.labels.recorded_roads import CHEAP as DEAR
+from tests.generation.labels.recorded_roads import contents, recorded, write_source
 from tests.generation.search.drivers import Drivers, RaisingDriver
 
+CHEAP = replace(DEAR, hyper=replace(DEAR.hyper, tries=1))
 FAST = PlannerUnderTest(Drivers(speed=10.0), images=False)
 
 
@@ -29,9 +31,12 @@ def study(source: DataSet, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     return out, run_ablation(source, FAST, replace(CHEAP, out=out, limit=2))
 
 
-def test_counts_add_up(source: DataSet, study: tuple[Path, AblationReport]) -> None:
+def test_counts_add_up_and_every_row_tries_the_same_vehicles(
+    source: DataSet, study: tuple[Path, AblationReport]
+) -> None:
     out, report = study
     assert [row.name for row in report.rows] == [variant.name for variant in VARIANTS]
+    tried = []
     complete = {name: sum(truth.complete for truth in source.truth(name)) for name in report.scenes}
     for row in report.rows:
         attempts = [json.loads(line) for line in (out / row.name / "attempts.jsonl").read_text().splitlines()]
@@ -41,16 +46,8 @@ def test_counts_add_up(source: DataSet, study: tuple[Path, AblationReport]) -> N
         assert row.colliding_samples <= row.samples_kept <= row.samples_attempted
         assert row.rate_attempted.value == row.colliding_samples / row.samples_attempted
         assert row.rate_kept.denominator == row.samples_kept
-
-
-def test_every_row_tries_the_same_vehicles(study: tuple[Path, AblationReport]) -> None:
-    out, report = study
-    tried = []
-    for name in (row.name for row in report.rows):
-        rows = map(json.loads, (out / name / "attempts.jsonl").read_text().splitlines())
-        tried.append([(row["scene"], row["agent"]) for row in rows])
-    assert all(agents == tried[0] for agents in tried)
-    assert tried[0]
+        tried.append([(attempt["scene"], attempt["agent"]) for attempt in attempts])
+    assert tried[0] and all(agents == tried[0] for agents in tried)
 
 
 def test_the_search_is_what_makes_scenes_hard(study: tuple[Path, AblationReport]) -> None:

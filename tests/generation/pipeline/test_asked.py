@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from benchmark.datasets.roots import DataSet
-from benchmark.machine.workers import LocalProcesses
 from benchmark.records.attempts import Attempt, ClosestApproach, ManoeuvreLabels, ManoeuvreOccurrence
 from generation.labels.manoeuvres import Manoeuvre
 from generation.pipeline.selection import compute_distance, select_differing
@@ -36,7 +35,7 @@ def build(source: DataSet, settings: BuildSettings) -> None:
 
 
 def test_the_report_says_what_was_asked_tried_and_kept(source: DataSet, tmp_path: Path) -> None:
-    once = replace(CHEAP, out=tmp_path / "out", asked=ASKED)
+    once = replace(CHEAP, out=tmp_path / "out", asked=ASKED, limit=1, hyper=replace(CHEAP.hyper, tries=1))
     build(source, once)
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     rows = [json.loads(line) for line in (tmp_path / "out" / "attempts.jsonl").read_text().splitlines()]
@@ -50,16 +49,17 @@ def test_the_report_says_what_was_asked_tried_and_kept(source: DataSet, tmp_path
     # Everybody drives the ego's way.
     assert report["requests"]["oncoming"]["tried"] == 0 < report["requests"]["tailgating"]["tried"]
     assert report["tried"] == len(rows)
-    again = replace(once, out=tmp_path / "again", executor=LocalProcesses(2))
-    build(source, again)
+    build(source, replace(once, out=tmp_path / "again", together=3))
     assert contents(tmp_path / "again") == contents(tmp_path / "out")
 
 
-def test_nothing_of_a_build_changes_where_nothing_is_asked(source: DataSet, tmp_path: Path) -> None:
-    build(source, replace(CHEAP, out=tmp_path))
+def test_nothing_of_a_build_changes_where_nothing_is_asked_and_variants_of_it(source: DataSet, tmp_path: Path) -> None:
+    whole = build_split(source, "adv", replace(CHEAP, out=tmp_path)).written
     assert json.loads((tmp_path / "report.json").read_text())["requests"] == {}
     assert all("asked" not in json.loads(line) for line in (tmp_path / "attempts.jsonl").read_text().splitlines())
     assert "asked" not in json.loads((tmp_path / "search.json").read_text())
+    written = build_split(source, "adv", replace(CHEAP, out=tmp_path, variants=1)).written
+    assert len(written) == len({name.rsplit("-", 1)[0] for name in written}) < len(whole)
 
 
 def _kept(name: str, offset_m: float, kind: Manoeuvre, challenge: float) -> AdversaryChain:
@@ -106,8 +106,3 @@ def test_distance_is_a_number_between_0_and_2_and_the_same_both_ways() -> None:
     values = np.array([[compute_distance(first, second) for second in links] for first in links])
     np.testing.assert_allclose(values, values.T)
     np.testing.assert_allclose(values, [[0.0, 0.4, 2.0], [0.4, 0.0, 2.0], [2.0, 2.0, 0.0]])
-
-
-def test_variants_of_a_build(source: DataSet, tmp_path: Path) -> None:
-    report = build_split(source, "adv", replace(CHEAP, out=tmp_path, variants=1))
-    assert len(report.written) == len({name.rsplit("-", 1)[0] for name in report.written})

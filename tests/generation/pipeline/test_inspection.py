@@ -1,6 +1,7 @@
 """Builds of reviewed splits: what an inspector rejected is not written again, and the next best takes its place."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -10,6 +11,7 @@ import pytest
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.datasets.split_reviews import record_verdicts, scene_tokens
 from benchmark.records.review import Verdict
+from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.splits.building import build_frozen
 from generation.splits.packaged import read_frozen_split
@@ -23,6 +25,19 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     return write_source(root, few_cars("scene-9901", 10.0), few_cars("scene-9902", 2.0))
 
 
+@pytest.fixture(scope="module")
+def searched(source: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The work of a search: what is built in a copy of it searches nothing again."""
+    settings = replace(CHEAP, out=tmp_path_factory.mktemp("searched") / "out")
+    build_split(source, "adv", settings)
+    return settings.out
+
+
+@pytest.fixture
+def settings(searched: Path, tmp_path: Path) -> BuildSettings:
+    return replace(CHEAP, out=Path(shutil.copytree(searched, tmp_path / "out")))
+
+
 def reject(root: Path, *names: str) -> None:
     tokens = scene_tokens(root)
     record_verdicts(
@@ -32,9 +47,9 @@ def reject(root: Path, *names: str) -> None:
 
 @pytest.mark.parametrize("layout", ["suffixed", "per-variant"])
 def test_rejected_scenes_are_not_written_again_and_the_next_best_is(
-    source: DataSet, tmp_path: Path, layout: Literal["suffixed", "per-variant"]
+    source: DataSet, settings: BuildSettings, layout: Literal["suffixed", "per-variant"]
 ) -> None:
-    settings = replace(CHEAP, out=tmp_path / "out", layout=layout)
+    settings = replace(settings, layout=layout)
     whole = build_split(source, "adv", settings)
     assert len(whole.written) >= 2, "the test needs a scene to reject and one to keep"
     tokens = scene_tokens(settings.out)
@@ -57,22 +72,16 @@ def test_rejected_scenes_are_not_written_again_and_the_next_best_is(
     assert contents(settings.out) == before
 
 
-def test_a_build_without_a_review_says_nothing_of_one(source: DataSet, tmp_path: Path) -> None:
-    build_split(source, "adv", replace(CHEAP, out=tmp_path / "out"))
-    made = open_data(tmp_path / "out").provenance()
-    assert made is not None and "left_out" not in made
-
-
-def test_a_verdict_on_another_motion_of_the_same_name_does_not_stand(source: DataSet, tmp_path: Path) -> None:
-    settings = replace(CHEAP, out=tmp_path / "out")
+def test_a_verdict_on_another_motion_of_the_same_name_does_not_stand(source: DataSet, settings: BuildSettings) -> None:
     written = build_split(source, "adv", settings).written
     record_verdicts(settings.out, {written[0]: Verdict(verdict="rejected", reason="x", token="0" * 32)})
     assert build_split(source, "adv", settings).written == written
     assert open_data(settings.out).review("adv").outdated == (written[0],)
 
 
-def test_what_was_rejected_before_freezing_is_counted_where_it_is_rebuilt(source: DataSet, tmp_path: Path) -> None:
-    settings = replace(CHEAP, out=tmp_path / "out")
+def test_what_was_rejected_before_freezing_is_counted_where_it_is_rebuilt(
+    source: DataSet, settings: BuildSettings, tmp_path: Path
+) -> None:
     written = build_split(source, "adv", settings).written
     reject(settings.out, written[0])
     build_split(source, "adv", replace(settings, freeze=tmp_path / "road-adv-1.json"))
@@ -84,14 +93,17 @@ def test_what_was_rejected_before_freezing_is_counted_where_it_is_rebuilt(source
     assert review.rejected == {written[0]: "drives oddly"} and len(review.waiting) == len(written) - 1
 
 
-def test_splits_that_nobody_reviewed_are_frozen_to_the_bytes_of_before(source: DataSet, tmp_path: Path) -> None:
-    build_split(source, "adv", replace(CHEAP, out=tmp_path / "out", freeze=tmp_path / "road-adv-1.json"))
+def test_splits_that_nobody_reviewed_say_nothing_of_a_review(
+    source: DataSet, settings: BuildSettings, tmp_path: Path
+) -> None:
+    build_split(source, "adv", replace(settings, freeze=tmp_path / "road-adv-1.json"))
+    made = open_data(settings.out).provenance()
+    assert made is not None and "left_out" not in made
     stored = json.loads((tmp_path / "road-adv-1.json").read_text())
     assert set(stored["chosen"]) == {"scenes", "tried", "survived", "per_scene", "total", "surrogate"}
 
 
-def test_when_all_are_rejected_nothing_is_written_and_it_says_why(source: DataSet, tmp_path: Path) -> None:
-    settings = replace(CHEAP, out=tmp_path / "out")
+def test_when_all_are_rejected_nothing_is_written_and_it_says_why(source: DataSet, settings: BuildSettings) -> None:
     written = build_split(source, "adv", settings).written
     reject(settings.out, *written)
     with pytest.raises(NothingSurvivedError, match=f"{len(written)} rejected-by-hand"):

@@ -19,7 +19,8 @@ from generation.splits.building import build_frozen
 from generation.splits.packaged import format_seed_path, parse_seeds, read_frozen_of_seed
 from leaderboard.frame.runs import DataSetRuns
 from leaderboard.tables.contents import drawn_seeds_table
-from tests.benchmark.cli.cli_runs import challenger_bench, refusal
+from tests.benchmark.cli.cli_runs import refusal
+from tests.benchmark.cli.in_process import run_here
 from tests.generation.labels.recorded_roads import CHEAP, write_source
 from tests.generation.pipeline.test_split import few_cars
 
@@ -126,9 +127,7 @@ def test_the_command_refuses_what_contradicts_itself(source: DataSet, tmp_path: 
 def test_the_command_builds_one_root_for_each_seed(source: DataSet, tmp_path: Path) -> None:
     options = ("--data", source.root, "--out", tmp_path, "--renderer", "none", "--seeds", "0,1", "--json")
     quick = ("--candidates", "16", "--rounds", "1", "--vehicles", "1", "--dry-run")
-    done = challenger_bench("generate", *options, *quick)
+    done = run_here("generate", *options, *quick)
     assert done.code == 0, done.err
-    assert [(said["split"], said["dry_run"]) for said in json.loads(done.out)] == [
-        ("adv-seed-0", True),
-        ("adv-seed-1", True),
-    ]
+    said = [(each["split"], each["dry_run"]) for each in json.loads(done.out)]
+    assert said == [("adv-seed-0", True), ("adv-seed-1", True)]

@@ -27,7 +27,7 @@ from tests.generation.labels.recorded_roads import CHEAP as DEAR
 from tests.generation.labels.recorded_roads import contents, recorded, write_source
 from tests.hand_made import Car
 
-CHEAP = replace(DEAR, hyper=HyperParameters(candidates=12, rounds=1))
+CHEAP = replace(DEAR, hyper=HyperParameters(candidates=12, rounds=1, tries=1))
 DRAWN = replace(CHEAP, renderer=SchematicRenderer(48, 32), frames="keyframes", keep_rounds=True)
 
 
@@ -67,7 +67,7 @@ def written_below(out: Path) -> dict[Path, tuple[int, int]]:
     return {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in files}
 
 
-@pytest.mark.parametrize(("of", "draw"), [(1, 0), (2, 3), (3, 1)])
+@pytest.mark.parametrize(("of", "draw"), [(3, 0), (2, 3)])
 def test_shards_become_the_bytes_of_a_build_that_was_never_cut(
     source: DataSet, whole: Path, tmp_path: Path, of: int, draw: int
 ) -> None:
@@ -129,15 +129,6 @@ def test_two_shards_at_once_do_not_disturb_each_other(source: DataSet, whole: Pa
             work = [(source.root, settings, number) for number in (1, 2)]
             assert pool.starmap(both_at_once, work, chunksize=1) == [did, did]
     build_split(source, "adv", settings)
-    assert contents(settings.out) == contents(whole)
-
-
-def test_what_no_shard_did_the_build_does(source: DataSet, whole: Path, tmp_path: Path) -> None:
-    settings = replace(CHEAP, out=tmp_path / "adv")
-    shards(source, settings, 3, numbers=[1, 3])
-    before = written_below(settings.out / ".challenger" / "attempts")
-    build_split(source, "adv", settings)
-    assert before.items() <= written_below(settings.out / ".challenger" / "attempts").items()
     assert contents(settings.out) == contents(whole)
 
 

@@ -1,21 +1,19 @@
 """A planner in the loop: only scenes in which it collides are written."""
 
 import json
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import pytest
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.records.rows import find_scene_failures
 from benchmark.scene import Camera, Scene
-from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import NothingSurvivedError, build_split
 from generation.pipeline.surrogate import PlannerUnderTest
 from generation.render.contract import Images
@@ -83,7 +81,7 @@ def test_the_report_says_what_the_surrogate_did(built: Path) -> None:
     assert (built / said["record"] / "run.json").is_file()
 
 
-def test_workers_and_kills_do_not_change_the_bytes(
+def test_kills_do_not_change_the_bytes(
     source: DataSet, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
@@ -102,18 +100,15 @@ def test_workers_and_kills_do_not_change_the_bytes(
             with pytest.raises(KeyboardInterrupt):
                 build_split(source, "adv", settings)
         assert not is_finished(out)
-    build_split(source, "adv", replace(settings, executor=LocalProcesses(2)))
+    build_split(source, "adv", settings)
     assert contents(out) == contents(built)
 
 
-@pytest.mark.parametrize("layout", ["suffixed", "per-variant"])
-def test_pictures_drawn_for_the_surrogate_are_used_again(
-    tmp_path: Path, layout: Literal["suffixed", "per-variant"]
-) -> None:
+def test_pictures_drawn_for_the_surrogate_are_used_again(tmp_path: Path) -> None:
     scene = scene_on_straight_road(BUSY, seconds=8.0, name="scene-9901")
     source, renderer = write_source(tmp_path / "source", scene), CountingRenderer()
     settings = replace(
-        CHEAP, out=tmp_path / "out", renderer=renderer, frames="keyframes", layout=layout, surrogate=LOOKING
+        CHEAP, out=tmp_path / "out", renderer=renderer, frames="keyframes", layout="per-variant", surrogate=LOOKING
     )
     report = build_split(source, "adv", settings)
     assert 0 < len(report.written) < report.survived == len(renderer.drawn) == len(set(renderer.drawn))
@@ -137,7 +132,8 @@ def test_a_planner_that_does_not_look_costs_no_pictures(tmp_path: Path) -> None:
 
 
 def test_limits_count_scenes_that_fail(source: DataSet, built: Path, tmp_path: Path) -> None:
-    report = build_split(source, "adv", replace(CHEAP, out=tmp_path / "out", surrogate=FAST, per_scene=1))
+    out = Path(shutil.copytree(built, tmp_path / "out"))
+    report = build_split(source, "adv", replace(CHEAP, out=out, surrogate=FAST, per_scene=1))
     scenes = {name.rsplit("-", 1)[0] for name in report.written}
     assert len(report.written) == len(scenes) == 2
     assert set(report.written) < set(open_data(built).scene_names("adv"))
@@ -145,23 +141,23 @@ def test_limits_count_scenes_that_fail(source: DataSet, built: Path, tmp_path: P
 
 
 def test_a_surrogate_that_raises_is_no_surrogate(source: DataSet, tmp_path: Path) -> None:
-    settings = replace(CHEAP, out=tmp_path / "out", surrogate=PlannerUnderTest(Drivers(RaisingDriver), images=False))
+    raising = PlannerUnderTest(Drivers(RaisingDriver), images=False)
+    settings = replace(CHEAP, out=tmp_path / "out", surrogate=raising, limit=1)
     with pytest.raises(InputError, match=r"raising raised on \d+ of \d+ samples"):
         build_split(source, "adv", settings)
     assert not is_finished(tmp_path / "out")
 
 
-def test_a_surrogate_that_never_fails_leaves_nothing(source: DataSet, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    settings: BuildSettings = replace(CHEAP, out=out, surrogate=PlannerUnderTest(Drivers(speed=8.0), images=False))
-    build_split(source, "adv", replace(settings, surrogate=None))
+def test_a_surrogate_that_never_fails_leaves_nothing(source: DataSet, built: Path, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(built, tmp_path / "out"))
+    settings = replace(CHEAP, out=out, surrogate=PlannerUnderTest(Drivers(speed=8.0), images=False))
     with pytest.raises(NothingSurvivedError, match="surrogate-does-not-fail"):
         build_split(source, "adv", settings)
     assert not is_finished(out)
 
 
 def test_the_surrogate_never_drives_scenes_of_another_layout(source: DataSet, built: Path, tmp_path: Path) -> None:
-    settings = replace(CHEAP, out=tmp_path / "out", surrogate=FAST)
+    settings = replace(CHEAP, out=Path(shutil.copytree(built, tmp_path / "out")), surrogate=FAST)
     build_split(source, "adv", replace(settings, layout="per-variant", limit=1))
     report = build_split(source, "adv", settings)
     assert set(report.written) == set(open_data(built).scene_names("adv"))

@@ -26,20 +26,9 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     return write_source(tmp_path_factory.mktemp("recorded"), scene_on_straight_road(BUSY, seconds=8.0))
 
 
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [
-        (0.4, "0.4 s"),
-        (9.96, "10 s"),
-        (35.2, "35 s"),
-        (119.0, "119 s"),
-        (720.0, "12 min"),
-        (12600.0, "3.5 h"),
-        (360000.0, "100 h"),
-    ],
-)
-def test_durations_are_said_as_people_do(seconds: float, text: str) -> None:
-    assert format_duration(seconds) == text
+def test_durations_are_said_as_people_do() -> None:
+    said = [format_duration(seconds) for seconds in (0.4, 9.96, 35.2, 119.0, 720.0, 12600.0, 360000.0)]
+    assert said == ["0.4 s", "10 s", "35 s", "119 s", "12 min", "3.5 h", "100 h"]
 
 
 def test_work_is_shared_by_workers() -> None:
@@ -69,13 +58,8 @@ def test_a_dry_run_estimates_each_stage(source: DataSet, tmp_path: Path) -> None
     more = estimate_build(source, "adv", replace(settings, out=tmp_path / "more", adversaries=2)).estimate
     assert more is not None
     assert more.attempts > before.attempts
-
-
-def test_val_r_takes_rendering_only(source: DataSet, tmp_path: Path) -> None:
-    settings = replace(CHEAP, out=tmp_path / "out", renderer=SchematicRenderer(64, 40))
-    text = estimate_build(source, "val-r", settings).summary()
-    assert "of rendering (1 scene at" in text
-    assert "planning" not in text
+    originals = estimate_build(source, "val-r", replace(settings, out=tmp_path / "val-r")).summary()
+    assert "of rendering (1 scene at" in originals and "planning" not in originals
 
 
 def test_the_runtime_table_adds_up_notes(tmp_path: Path) -> None:
@@ -93,13 +77,8 @@ def test_the_runtime_table_adds_up_notes(tmp_path: Path) -> None:
     assert lines[5].split() == ["rendering", "10.00", "10.00", "395.18"]
     assert lines[7].split() == ["all", "23.00", "16.50", f"{sum(RUNTIME_S.values()):.2f}"]
     assert compute_mean_seconds(attempts) == pytest.approx(6.5)
-
-
-def test_no_notes_are_no_times(tmp_path: Path) -> None:
-    table = build_runtime_table([tmp_path / "absent"], [])
-    assert table.each_s("sampling") is None
-    assert "-" in table.table().plain()
-    assert compute_mean_seconds([]) is None
+    nothing = build_runtime_table([tmp_path / "absent"], [])
+    assert nothing.each_s("sampling") is None and "-" in nothing.table().plain() and compute_mean_seconds([]) is None
 
 
 def test_what_a_scene_costs_before_its_first_picture_is_counted_once(source: DataSet, tmp_path: Path) -> None:

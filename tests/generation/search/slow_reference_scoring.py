@@ -11,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
+from tests.generation.search.slow_scoring import outline
 
 
 @dataclass(frozen=True)
@@ -97,15 +98,6 @@ def collides(
         return True, [], 0
     if pose > 13 and pose not in (16, 20, 24):
         return False, [], 0
-    own = polygon(x, y, 1.2 * length, 1.2 * width, heading)
+    own = shapely.Polygon(outline(x, y, 1.2 * length, 1.2 * width, heading))
     asked = [(i, other) for i, (far, other) in enumerate(pairs) if not 2 * far > max(length, width) + max(other[2:4])]
-    return False, [i for i, other in asked if own.intersects(polygon(*other))], len(asked)
-
-
-def polygon(x: float, y: float, length: float, width: float, heading: float) -> shapely.Polygon:
-    """A box."""
-    cos, sin = math.cos(heading), math.sin(heading)
-    signs = ((0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5))
-    return shapely.Polygon(
-        [(x + a * length * cos - b * width * sin, y + a * length * sin + b * width * cos) for a, b in signs]
-    )
+    return False, [i for i, other in asked if own.intersects(shapely.Polygon(outline(*other)))], len(asked)

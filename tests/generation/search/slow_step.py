@@ -182,10 +182,7 @@ class SlowStep:
         pose = around.raster.pose
         cos, sin = math.cos(pose[2]) / 0.5, math.sin(pose[2]) / 0.5
         affine = np.array(
-            [
-                [sin, -cos, 100.0 - sin * pose[0] + cos * pose[1]],
-                [cos, sin, 100.0 - cos * pose[0] - sin * pose[1]],
-            ]
+            [[sin, -cos, 100.0 - sin * pose[0] + cos * pose[1]], [cos, sin, 100.0 - cos * pose[0] - sin * pose[1]]]
         )
         slow = slow_reference(
             centers, size, around.boxes, around.present, around.ego_center, around.raster.cells, affine

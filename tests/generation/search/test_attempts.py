@@ -1,6 +1,8 @@
 """Attempts as units of work: found by content key, computed where missing."""
 
 import json
+import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from benchmark.machine.workers import LocalProcesses
 from benchmark.scene import Scene
 from generation.pipeline.estimate import build_runtime_table
 from generation.search.attempts import (
+    StoredAttempt,
     open_attempt_store,
     open_eligibility_store,
     read_cached_attempt,
@@ -31,55 +34,70 @@ def search_in(folder: Path, seed: int = 0) -> Search:
     return Search("data", HYPER, seed, DrivingPrior, DrivingPrior.fingerprint, folder, folder / "timings")
 
 
-def units_of(scene: Scene) -> list[SearchUnit]:
-    return [SearchUnit(scene.name, agent, scene.agents.ids[agent]) for agent in choose(scene, HYPER, 0)]
+UNITS = [SearchUnit(SCENE.name, agent, SCENE.agents.ids[agent]) for agent in choose(SCENE, HYPER, 0)]
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("kept")
+
+
+@pytest.fixture(scope="module")
+def found(kept: Path) -> list[StoredAttempt]:
+    return run_attempts(search_in(kept), UNITS, lambda unit: SCENE, LocalProcesses(1))
+
+
+@pytest.fixture
+def search(kept: Path, found: list[StoredAttempt], tmp_path: Path) -> Search:
+    """In a copy of the folder that holds every attempt."""
+    return search_in(Path(shutil.copytree(kept, tmp_path / "kept")))
 
 
 def never(unit: SearchUnit) -> Scene:
     raise AssertionError(f"{unit} is finished and needs no scene")
 
 
-def test_results_come_in_the_order_of_the_units_and_are_kept(tmp_path: Path) -> None:
-    search, units = search_in(tmp_path), units_of(SCENE)
-    found = run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
-    assert [stored.report.agent for stored in found] == [unit.agent_id for unit in units]
-    assert run_attempts(search, units, never, Forbidden()) == found
-    assert [read_cached_attempt(search, unit) for unit in units] == found
+def test_results_come_in_the_order_of_the_units_and_are_kept(search: Search, found: list[StoredAttempt]) -> None:
+    assert [stored.report.agent for stored in found] == [unit.agent_id for unit in UNITS]
+    assert run_attempts(search, UNITS, never, Forbidden()) == found
+    assert [read_cached_attempt(search, unit) for unit in UNITS] == found
 
 
 def path_of(search: Search, unit: SearchUnit) -> Path:
     return open_attempt_store(search).path(search.key(unit))
 
 
-def test_only_missing_ones_are_computed(tmp_path: Path) -> None:
-    search, units = search_in(tmp_path), units_of(SCENE)
-    found = run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
-    path_of(search, units[1]).write_text("{")
-    asked: list[SearchUnit] = []
+def damaged(data: bytes) -> bytes:
+    """An attempt that is whole, but says something else."""
+    return data.replace(b'"start":', b'"begin":').replace(b"0.1", b"0.2")
+
+
+@pytest.mark.parametrize("damage", [damaged, lambda data: b"{"])
+def test_only_missing_and_damaged_ones_are_computed(
+    search: Search, found: list[StoredAttempt], damage: Callable[[bytes], bytes]
+) -> None:
+    path, asked = path_of(search, UNITS[1]), []
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    assert read_cached_attempt(search, UNITS[1]) is None
 
     def scene_of(unit: SearchUnit) -> Scene:
         asked.append(unit)
         return SCENE
 
-    assert run_attempts(search, units, scene_of, LocalProcesses(1)) == found
-    assert asked == [units[1]]
+    assert run_attempts(search, UNITS, scene_of, LocalProcesses(1)) == found
+    assert asked == [UNITS[1]] and path.read_bytes() == whole
 
 
-@pytest.mark.parametrize("together", [2, 3, 50])
-def test_units_side_by_side_are_as_alone(tmp_path: Path, together: int) -> None:
-    units = units_of(SCENE)
-    alone = run_attempts(search_in(tmp_path / "1"), units, lambda unit: SCENE, LocalProcesses(1))
-    assert (
-        run_attempts(search_in(tmp_path / "n"), units, lambda unit: SCENE, LocalProcesses(1), together=together)
-        == alone
-    )
+@pytest.mark.parametrize("together", [2, 50])
+def test_units_side_by_side_are_as_alone(tmp_path: Path, found: list[StoredAttempt], together: int) -> None:
+    run = run_attempts(search_in(tmp_path), UNITS, lambda unit: SCENE, LocalProcesses(1), together=together)
+    assert run == found
 
 
-def test_an_attempt_of_another_vehicle_is_not_taken(tmp_path: Path) -> None:
-    search, units = search_in(tmp_path), units_of(SCENE)
-    run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
-    path_of(search, units[0]).write_bytes(path_of(search, units[1]).read_bytes())
-    assert read_cached_attempt(search, units[0]) is None
+def test_an_attempt_of_another_vehicle_is_not_taken(search: Search) -> None:
+    path_of(search, UNITS[0]).write_bytes(path_of(search, UNITS[1]).read_bytes())
+    assert read_cached_attempt(search, UNITS[0]) is None
 
 
 def test_keys_tell_everything_apart_that_changes_a_result(tmp_path: Path) -> None:
@@ -101,13 +119,11 @@ def test_keys_tell_everything_apart_that_changes_a_result(tmp_path: Path) -> Non
     assert len(keys) == 10
 
 
-def test_times_lie_beside_and_never_in_results(tmp_path: Path) -> None:
-    search, units = search_in(tmp_path), units_of(SCENE)
-    run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
-    table = build_runtime_table([search.timing_path(unit) for unit in units], [])
-    assert table.attempts == len(units)
+def test_times_lie_beside_and_never_in_results(search: Search) -> None:
+    table = build_runtime_table([search.timing_path(unit) for unit in UNITS], [])
+    assert table.attempts == len(UNITS)
     assert table.total_s["physics"] > 0.0
-    stored = open_attempt_store(search).get(search.key(units[0]))
+    stored = open_attempt_store(search).get(search.key(UNITS[0]))
     assert stored is not None and not any("seconds" in name for name in stored.report.as_json())
 
 
@@ -126,21 +142,8 @@ def test_vehicles_are_chosen_once(tmp_path: Path) -> None:
     assert read_or_compute_eligibility(search, SCENE.name, (), lambda: SCENE, keep=True) == found
 
 
-def test_a_damaged_attempt_is_made_again(tmp_path: Path) -> None:
-    search, units = search_in(tmp_path), units_of(SCENE)[:1]
-    path = path_of(search, units[0])
-    made = run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
-    whole = path.read_bytes()
-    path.write_bytes(whole.replace(b'"start":', b'"begin":').replace(b"0.1", b"0.2"))
-    assert read_cached_attempt(search, units[0]) is None
-    assert run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1)) == made
-    assert path.read_bytes() == whole
-    assert run_attempts(search, units, lambda unit: SCENE, Forbidden()) == made
-
-
-def test_a_track_does_not_fit_another_scene(tmp_path: Path) -> None:
-    search, units = search_in(tmp_path), units_of(SCENE)
-    stored = run_attempts(search, units, lambda unit: SCENE, LocalProcesses(1))[0]
+def test_a_track_does_not_fit_another_scene(found: list[StoredAttempt]) -> None:
+    stored = found[0]
     assert stored.adversarial(SCENE).adversaries == (stored.report.agent,)
     for other in (recorded("scene-9902"), replace(SCENE, agents=recorded("scene-9903", ()).agents)):
         with pytest.raises(InputError, match="does not fit"):
@@ -158,7 +161,7 @@ def fresh_search(folder: Path, source: SampleSource = "fresh") -> Search:
 
 
 def test_fresh_samples_give_the_same_bytes_with_any_number_of_workers(tmp_path: Path) -> None:
-    units = units_of(SCENE)[:3]
+    units = UNITS[:3]
     one, two, side_by_side = (fresh_search(tmp_path / name) for name in ("one", "two", "together"))
     found = run_attempts(one, units, lambda unit: SCENE, LocalProcesses(1))
     assert run_attempts(two, units, lambda unit: SCENE, LocalProcesses(2)) == found
@@ -172,8 +175,8 @@ def test_where_samples_come_from_is_recorded_and_part_of_the_key(tmp_path: Path)
     searches = [fresh_search(tmp_path, source) for source in sources]
     said = [json.loads(json.dumps(search.as_json()))["sampler"]["samples"] for search in searches]
     assert said == list(sources)
-    assert len({search.key(units_of(SCENE)[0]) for search in searches}) == 3
-    assert searches[0].key(units_of(SCENE)[0]) == fresh_search(tmp_path / "elsewhere").key(units_of(SCENE)[0])
+    assert len({search.key(UNITS[0]) for search in searches}) == 3
+    assert searches[0].key(UNITS[0]) == fresh_search(tmp_path / "elsewhere").key(UNITS[0])
 
 
 def test_presets_that_follow_others_are_not_told_the_speed_and_draw_nothing_again() -> None:

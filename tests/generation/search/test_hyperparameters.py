@@ -11,16 +11,8 @@ from generation.search.hyperparameters import CANDIDATE_FRAMES, CollisionReading
 from generation.search.threat_settings import ThreatSettings
 
 YOUNGER = (
-    "timestep_frames",
-    "varied",
-    "init_least",
-    "score",
-    "motion",
-    "choice",
-    "launch",
-    "discards",
-    "manoeuvre_weight",
-)
+    "timestep_frames", "varied", "init_least", "score", "motion", "choice", "launch", "discards", "manoeuvre_weight",
+)  # fmt: skip
 THREAT: dict[str, Any] = asdict(ThreatSettings())
 
 

@@ -13,10 +13,6 @@ def test_the_default_threatens_and_no_other_preset_does() -> None:
     assert build_hyper_parameters("near") == HyperParameters()
 
 
-def test_presets_are_four_searches() -> None:
-    assert len({build_hyper_parameters(preset).fingerprint for preset in PRESETS}) == 4
-
-
 def test_paper_and_reference_are_what_they_were_before_there_were_threats() -> None:
     """Their keys as they were then: whatever was kept of them is found."""
     assert build_hyper_parameters("near").fingerprint.startswith("573166c9f00d3abd")

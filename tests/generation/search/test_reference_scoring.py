@@ -10,20 +10,12 @@ from generation.search.reference_scoring import (
     CALM_FRAMES,
     ReferenceTerms,
     build_reference_surroundings,
-    compute_collision_weights,
-    compute_distance_weights,
     compute_reference_terms,
-    compute_road_weights,
     find_reference_collisions,
     is_challenge_on,
 )
 from generation.search.scoring import ScoringSurroundings, compute_final_scores
-from tests.generation.search.slow_reference_scoring import (
-    collision_weight,
-    distance_weight,
-    road_weight,
-    slow_reference,
-)
+from tests.generation.search.slow_reference_scoring import slow_reference
 from tests.hand_made import Car, scene_on_straight_road
 
 SIZE = np.array([4.6, 1.9])
@@ -66,14 +58,6 @@ def test_every_term_agrees_with_the_obvious_loops(seed: int, objects: int, poses
     np.testing.assert_allclose(compute_final_scores(fast, start, HYPER), slow.final(), atol=1e-9)
     off = compute_reference_terms(center, SIZE, around, challenged=False)
     np.testing.assert_allclose(compute_final_scores(off, start, HYPER), slow.final(challenged=False), atol=1e-9)
-
-
-@pytest.mark.parametrize("poses", [1, 5, 14, 40, 81])
-def test_weights_are_those_of_the_description(poses: int) -> None:
-    at = range(poses)
-    np.testing.assert_allclose(compute_road_weights(poses), [road_weight(pose, poses) for pose in at])
-    np.testing.assert_allclose(compute_collision_weights(poses), [collision_weight(pose) for pose in at])
-    np.testing.assert_allclose(compute_distance_weights(poses), [distance_weight(pose) for pose in at])
 
 
 def seen_from(car: Car, place: tuple[float, float]) -> tuple[ScoringSurroundings, Floats]:

@@ -1,5 +1,4 @@
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -7,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.dynamics.bicycle import SimulatedMotion
-from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.search.hyperparameters import HyperParameters
 from generation.search.proposals import MutationRequest, run_searches
@@ -71,19 +69,15 @@ def test_trace_has_one_entry_a_round_and_ablations_have_what_they_say() -> None:
     assert len({found.chosen for found in unscored}) > 3
 
 
-def test_the_best_of_all_rounds_is_kept() -> None:
-    calls = iter([np.array([5.0, 9.0]), np.array([1.0, 6.0]), np.array([4.0, 30.0])])
-    hyper = HyperParameters(candidates=2, rounds=2, init_scale=0.0)
-    found = refined(lambda waypoints: at_distance(waypoints, next(calls)), hyper)
-    assert (found.round, found.chosen) == (1, 0)
-    assert found.score == 0.0
-
-
-def test_the_reference_forgets_all_but_the_last_round() -> None:
+@pytest.mark.parametrize(("best_of_all", "best"), [(True, (1, 0)), (False, (2, 1))])
+def test_the_best_of_all_rounds_is_kept_and_the_reference_forgets_all_but_the_last(
+    best_of_all: bool, best: tuple[int, int]
+) -> None:
     calls = iter([np.array([5.0, 9.0]), np.array([1.0, 6.0]), np.array([30.0, 4.0])])
-    hyper = HyperParameters(candidates=2, rounds=2, init_scale=0.0, best_of_all_rounds=False)
+    hyper = HyperParameters(candidates=2, rounds=2, init_scale=0.0, best_of_all_rounds=best_of_all)
     found = refined(lambda waypoints: at_distance(waypoints, next(calls)), hyper)
-    assert (found.round, found.chosen) == (2, 1)
+    assert (found.round, found.chosen) == best
+    assert not best_of_all or found.score == 0.0
 
 
 def test_every_round_asks_for_less_and_less_noise() -> None:
@@ -116,13 +110,7 @@ def test_an_unstable_softmax_draws_like_a_stable_one_until_it_underflows() -> No
     np.testing.assert_array_equal(resample(parked, HYPER, np.random.default_rng(0)), drawn[0])
 
 
-def test_same_seed_same_result() -> None:
-    first, second = search(HYPER, 3), search(HYPER, 3)
-    np.testing.assert_array_equal(first.waypoints, second.waypoints)
-    assert first.score == second.score
-
-
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(st.floats(0.0, 1e4), min_size=2, max_size=40), st.integers(0, 1000))
 def test_resampling_is_stable_for_huge_scores(scores: list[float], seed: int) -> None:
     drawn = resample(np.array(scores) + 1e5, HYPER, np.random.default_rng(seed))
@@ -131,28 +119,15 @@ def test_resampling_is_stable_for_huge_scores(scores: list[float], seed: int) ->
     assert not hopeless[drawn].any()
 
 
-def test_resampling_follows_the_softmax() -> None:
-    scores = np.repeat([0.0, 1.0, np.inf], 4000)
-    drawn = resample(scores, HYPER, np.random.default_rng(1)) // 4000
+@pytest.mark.parametrize("temperature", [0.1, 1.0, 4.0])
+def test_resampling_follows_the_softmax(temperature: float) -> None:
+    scores, hyper = np.repeat([0.0, 1.0, np.inf], 4000), HyperParameters(temperature=temperature)
+    drawn = resample(scores, hyper, np.random.default_rng(1)) // 4000
     share = np.bincount(drawn, minlength=3) / len(scores)
-    np.testing.assert_allclose(share, [1 / (1 + np.exp(-1)), 1 / (1 + np.exp(1)), 0.0], atol=0.02)
-
-
-def test_higher_temperature_is_peakier() -> None:
-    scores = np.linspace(0.0, 2.0, 200)
-    mean = [
-        scores[resample(scores, HyperParameters(temperature=temperature), np.random.default_rng(0))].mean()
-        for temperature in (0.1, 1.0, 10.0)
-    ]
-    assert mean[0] > mean[1] > mean[2]
+    best = 1 / (1 + np.exp(-temperature))
+    np.testing.assert_allclose(share, [best, 1 - best, 0.0], atol=0.02)
 
 
 def test_without_a_finite_candidate_the_score_is_infinite() -> None:
     found = refined(lambda waypoints: at_distance(waypoints, np.ones(len(waypoints)), finite=False), HYPER)
     assert found.score == np.inf
-
-
-@pytest.mark.parametrize("setting", [{"candidates": 0}, {"horizon": 0}, {"clearance_m": -1.0}, {"rounds": -1}])
-def test_impossible_settings_are_refused(setting: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=next(iter(setting))):
-        HyperParameters(**setting)

@@ -1,6 +1,3 @@
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,41 +16,12 @@ from generation.search.scoring import (
 from tests.generation.search.slow_scoring import slow_collision, slow_final_scores, slow_score_terms
 from tests.hand_made import Car, scene_on_straight_road
 
-GOLDEN = Path(__file__).resolve().parents[4] / "shared" / "golden" / "scoring"
 PAPER = HyperParameters(lookahead_frames=0, clearance_m=0.0, headway_s=0.0)
 SIZE = np.array([4.6, 1.9])
 
 
 def everything_drivable() -> DrivableRaster:
     return DrivableRaster(np.ones((200, 200), dtype=np.bool_), np.zeros(3), 0.5)
-
-
-@pytest.mark.skipif(not GOLDEN.is_dir(), reason="needs the golden scores")
-@pytest.mark.parametrize("path", sorted(GOLDEN.glob("*.npz")), ids=lambda path: path.stem)
-@pytest.mark.parametrize("reading", CollisionReading)
-def test_terms_repeat_the_golden_numbers(path: Path, reading: CollisionReading) -> None:
-    golden = np.load(path)
-    boxes = golden["boxes_x_y_heading_width_length"][1:13][..., [0, 1, 4, 3, 2]]
-    affine = golden["raster_affine_global_to_index"]
-    origin = np.linalg.solve(affine[:, :2], 100.0 - affine[:, 2])
-    raster = DrivableRaster(golden["raster"], np.array([*origin, np.arctan2(affine[1, 1], affine[1, 0])]), 0.5)
-    ego = boxes[:, int(golden["ego_index"]), :2]
-    around = ScoringSurroundings(boxes, golden["valid"][1:13], ego, raster)
-    hyper = replace(PAPER, collision_reading=reading)
-    terms = compute_score_terms(golden["candidates"][:, 1:13], golden["adv_width_length"][::-1], around, hyper)
-    np.testing.assert_array_equal(terms.center_off_road, golden["paper_center_violation"])
-    np.testing.assert_array_equal(terms.corner_off_road, golden["paper_corner_violation"])
-    np.testing.assert_array_equal(terms.collision, golden[f"paper_collision_{reading}"])
-    np.testing.assert_allclose(terms.distance, golden["paper_dist"], atol=1e-9)
-    np.testing.assert_allclose(terms.dac, golden["paper_dac"], atol=1e-9)
-    np.testing.assert_allclose(terms.cr, golden[f"paper_cr_{reading}"], atol=1e-9)
-    np.testing.assert_allclose(terms.challenge, golden["paper_ac_raw"], atol=1e-9)
-    scores = compute_final_scores(terms, np.zeros(len(terms.dac)), hyper)
-    np.testing.assert_allclose(scores, golden[f"paper_final_{reading}"], atol=1e-9)
-    start = golden["paper_init_score_uniform_0_1e-3"]
-    np.testing.assert_array_equal(
-        np.argsort(compute_final_scores(terms, start, hyper)), np.argsort(golden[f"paper_final_{reading}"] + start)
-    )
 
 
 def random_boxes(rng: np.random.Generator, *shape: int) -> Floats:
@@ -137,19 +105,6 @@ def test_readings_differ_where_they_should(
     assert find_collisions(own, around)[0, 0] == geometry
 
 
-@pytest.mark.parametrize("reading", CollisionReading)
-def test_growth_only_adds_collisions(reading: CollisionReading) -> None:
-    rng = np.random.default_rng(3)
-    around = ScoringSurroundings(
-        random_boxes(rng, 4, 5), np.ones((4, 5), dtype=np.bool_), np.zeros((4, 2)), everything_drivable()
-    )
-    bare = random_boxes(rng, 60, 4)
-    grown = bare.copy()
-    grown[..., 2:4] += 0.5
-    assert not (find_collisions(bare, around, reading) & ~find_collisions(grown, around, reading)).any()
-    assert (find_collisions(grown, around, reading) & ~find_collisions(bare, around, reading)).any()
-
-
 def test_a_candidate_that_is_nowhere_does_not_hide_the_others() -> None:
     other = np.array([[[4.0, 2.0, 4.0, 2.0, 0.0]]])
     around = ScoringSurroundings(other, np.ones((1, 1), dtype=np.bool_), np.zeros((1, 2)), everything_drivable())
@@ -189,34 +144,6 @@ def test_absent_objects_the_own_box_and_the_ego_are_treated_as_they_should() -> 
     assert not terms.collision[0].any()
     assert terms.collision[1].all()
     assert terms.challenge[1] < terms.challenge[0]
-
-
-def test_leaving_the_road_counts_and_outside_the_raster_is_off_road() -> None:
-    scene = scene_on_straight_road()
-    raster = DrivableRaster.around(scene.road_map, scene.ego.pose[0])
-    around = build_surroundings(scene, 0, tuple(range(1, 13)), raster)
-    lanes = np.array([194.75, 193.5, 190.0])
-    poses = np.zeros((4, 12, 3))
-    poses[..., 0] = 70.0 + 0.7 * np.arange(12)
-    poses[:3, :, 1] = lanes[:, None]
-    poses[3] = [400.0, 198.25, 0.0]
-    terms = compute_score_terms(poses, SIZE, around, PAPER)
-    np.testing.assert_array_equal(terms.center_off_road.all(axis=1), [False, False, True, True])
-    np.testing.assert_array_equal(terms.corner_off_road.all(axis=1), [False, True, True, True])
-    assert terms.dac[0] == 0.0 < terms.dac[1] < terms.dac[2]
-
-
-def test_clearance_and_headway_only_add_collisions() -> None:
-    scene = scene_on_straight_road((Car(70.0, 198.25, 8.0),))
-    raster = DrivableRaster.around(scene.road_map, scene.ego.pose[0])
-    around = build_surroundings(scene, 0, tuple(range(1, 13)), raster)
-    pose = scene.ego.boxes[1:13][:, [0, 1, 4]].copy()
-    pose[:, 0] += 0.5 * (4.084 + 4.6) + 0.6
-    speed = np.full((1, 12), 8.0)
-    near = compute_score_terms(pose[None], SIZE, around, PAPER, speed=speed)
-    careful = HyperParameters(lookahead_frames=0, clearance_m=0.0, headway_s=0.15)
-    assert not near.collision.any()
-    assert compute_score_terms(pose[None], SIZE, around, careful, speed=speed).collision.all()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308, -1e160])

@@ -98,11 +98,6 @@ def test_what_is_not_finite_disturbs_nobody() -> None:
     np.testing.assert_array_equal(np.delete(found, 3), np.delete(expected, 3))
 
 
-def test_paper_and_reference_have_no_term() -> None:
-    assert not HyperParameters.paper().threatens and not HyperParameters.reference().threatens
-    assert all(only({name: 1.0}).threatens for name in WEIGHTS)
-
-
 def test_the_way_of_the_ego_measures_along_and_across() -> None:
     scene = braking_in_a_bend()
     way = RecordedEgoPath.of(scene)

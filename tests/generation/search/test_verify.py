@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmark.dynamics.bicycle import DriverLimits, find_broken_limit
+from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.fairness.scene_assessment import AdversaryProvenance, assess_scene
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.scene import Scene
@@ -180,10 +180,6 @@ def test_ranking_keeps_the_best_of_each_scene_whatever_the_order() -> None:
         names = [(kept.scene_name, kept.agent_id) for kept in rank_scenes(order, per_scene=1, total=3)]
         assert names == [("a", "2"), ("c", "1"), ("b", "1")]
     assert len(rank_scenes(results, per_scene=None, total=None)) == 4
-
-
-def test_short_tracks_pass_the_motion_check() -> None:
-    assert find_broken_limit(np.zeros((2, 5)), DriverLimits()) is None
 
 
 def test_a_scene_that_a_careful_human_does_not_survive_is_dropped_where_that_is_asked() -> None:

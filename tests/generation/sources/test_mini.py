@@ -1,5 +1,7 @@
 import json
+from collections.abc import Iterable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -7,42 +9,57 @@ import pytest
 from benchmark.datasets.roots import open_data
 from benchmark.datasets.schema.check import check_tables
 from benchmark.errors import InputError
+from benchmark.scene import Scene
 from generation.sources.mini import TownSettings, build_town_data_set
+from generation.sources.town import build_town_scene
 
 ONE = TownSettings(val_scenes=1, width=64, height=40, frames="keyframes")
+FRAMES = 25
+"""So long are the scenes of these towns, so that few images are drawn."""
 
 
-def test_other_settings_are_not_taken_for_finished_work(tmp_path: Path) -> None:
+@cache
+def beginning() -> Scene:
+    """Of the first scene of the town."""
+    return build_town_scene("val", 0).first_frames(FRAMES)
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("generation.sources.mini.build_town_scene", lambda *_, **__: beginning())
+
+
+def times(paths: Iterable[Path]) -> dict[Path, int]:
+    """When each file was written."""
+    return {path: path.stat().st_mtime_ns for path in paths if path.is_file()}
+
+
+def test_finished_work_is_left_alone_and_not_taken_for_other_settings(tmp_path: Path) -> None:
     build_town_data_set(tmp_path, ONE, workers=1)
-    first = open_data(tmp_path)
-    assert [first.scene(name).cameras[0].width for name in first.scene_names()] == [64]
-    build_town_data_set(tmp_path, replace(ONE, width=80), workers=1)
-    second = open_data(tmp_path)
-    assert [second.scene(name).cameras[0].width for name in second.scene_names()] == [80]
-
-
-def test_finished_work_is_left_alone(tmp_path: Path) -> None:
+    before = times(tmp_path.rglob("*"))
     build_town_data_set(tmp_path, ONE, workers=1)
-    times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
-    build_town_data_set(tmp_path, ONE, workers=1)
-    assert times == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
+    assert times(tmp_path.rglob("*")) == before
+    for width in (64, 80):
+        build_town_data_set(tmp_path, replace(ONE, width=width), workers=1)
+        data = open_data(tmp_path)
+        assert [data.scene(name).cameras[0].width for name in data.scene_names()] == [width]
 
 
 def test_a_town_of_before_gets_the_shared_tables_of_now(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now, drawn = ONE.folder_name("town"), ONE.drawn_name("town")
-    monkeypatch.setattr("generation.sources.mini.SHARED_TABLES_VERSION", 1)
-    # What is measured depends on the scenes and not on what they share.
-    assert ONE.folder_name("town") != now and ONE.drawn_name("town") == drawn
-    build_town_data_set(tmp_path, ONE, workers=1)
-    categories = tmp_path / "v1.0-mini" / "category.json"
-    categories.write_text("[]")
-    images = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.jpg")}
-    build_town_data_set(tmp_path, ONE, workers=1)
-    assert categories.read_text() == "[]"
-    monkeypatch.undo()
+    with monkeypatch.context() as before:
+        before.setattr("generation.sources.mini.SHARED_TABLES_VERSION", 1)
+        # What is measured depends on the scenes and not on what they share.
+        assert ONE.folder_name("town") != now and ONE.drawn_name("town") == drawn
+        build_town_data_set(tmp_path, ONE, workers=1)
+        categories = tmp_path / "v1.0-mini" / "category.json"
+        categories.write_text("[]")
+        images = times(tmp_path.rglob("*.jpg"))
+        build_town_data_set(tmp_path, ONE, workers=1)
+        assert categories.read_text() == "[]"
     build_town_data_set(tmp_path, ONE, workers=1)
     assert len(json.loads(categories.read_text())) == 32
-    assert images == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.jpg")}
+    assert images and times(tmp_path.rglob("*.jpg")) == images
 
 
 @pytest.mark.parametrize("settings", [replace(ONE, val_scenes=10**9), replace(ONE, train_scenes=10**400)])
@@ -67,16 +84,16 @@ def test_samples_are_drawn_first_and_the_rest_when_it_is_asked_for(tmp_path: Pat
     build_town_data_set(root, first, workers=1)
     before, identity = files_of(root), open_data(root).fingerprint()
     sweeps = {name for name in at_once if name.startswith("sweeps/CAM")}
-    assert len(sweeps) == 6 * (240 - 40)
+    assert len(sweeps) == 6 * (FRAMES - 5)
     assert before == {name: content for name, content in at_once.items() if name not in sweeps}
     # Poses between samples are there, and the check says in one sentence what is not.
-    assert len(open_data(root).scene(open_data(root).scene_names()[0]).timestamps_us) > 200
+    assert len(open_data(root).scene(open_data(root).scene_names()[0]).timestamps_us) == FRAMES
     (fault,) = check_tables(root)
     assert fault.severity == "warning" and "every other image between samples" in fault.sentence
-    samples = {path: path.stat().st_mtime_ns for path in root.glob("samples/CAM*/*.jpg")}
+    samples = times(root.glob("samples/CAM*/*.jpg"))
     build_town_data_set(root, whole, workers=1)
     assert files_of(root) == at_once and open_data(root).fingerprint() == identity
-    assert samples == {path: path.stat().st_mtime_ns for path in samples}
+    assert samples == times(samples)
     # Whoever asks for samples alone is content with more.
     build_town_data_set(root, first, workers=1)
     assert files_of(root) == at_once

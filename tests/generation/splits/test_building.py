@@ -85,26 +85,24 @@ def test_the_tracks_are_those_of_the_file_and_within_a_millimetre_of_those_that_
         assert np.hypot(*np.moveaxis(corners - were, -1, 0)).max() <= 1e-3
 
 
-def test_the_file_is_small_and_holds_nothing_of_the_recordings(split: NamedSplit, folder: Path) -> None:
+def test_the_file_is_small_holds_nothing_of_the_recordings_and_is_frozen_again_to_the_same(
+    source: DataSet, split: NamedSplit, folder: Path
+) -> None:
     text = (folder / "road-adv-1.json").read_text()
     assert len(text) / len(split.frozen.scenes) < 8_000
     for frozen in split.frozen.scenes:
         assert frozen.model_dump().keys() == {"name", "source", "adversaries", "tables", "images"}
     assert split.frozen.recordings.name and split.frozen.search.seed == 0
     assert split.frozen.chosen.scenes == 2
-
-
-def test_freezing_again_on_a_finished_root_says_the_same(source: DataSet, split: NamedSplit, folder: Path) -> None:
     before = contents(folder / "searched")
     assert frozen_file(source, folder) == split
     assert contents(folder / "searched") == before
 
 
-@pytest.mark.parametrize("workers", [1, 2])
 def test_neither_workers_nor_a_second_time_change_a_byte(
-    source: DataSet, split: NamedSplit, built: Path, tmp_path: Path, workers: int
+    source: DataSet, split: NamedSplit, built: Path, tmp_path: Path
 ) -> None:
-    settings = replace(BUILT, out=tmp_path / "out", executor=LocalProcesses(workers))
+    settings = replace(BUILT, out=tmp_path / "out", executor=LocalProcesses(2))
     for _ in range(2):
         build_frozen(source, split, settings)
         assert contents(tmp_path / "out") == contents(built)
@@ -143,9 +141,7 @@ def test_tokens_do_not_depend_on_the_last_bit_of_a_recording(
 
 def test_it_says_when_the_images_are_others(source: DataSet, split: NamedSplit, tmp_path: Path) -> None:
     other = split.frozen.model_copy(
-        update={
-            "scenes": (split.frozen.scenes[0].model_copy(update={"images": "1" * 64}), *split.frozen.scenes[1:]),
-        }
+        update={"scenes": (split.frozen.scenes[0].model_copy(update={"images": "1" * 64}), *split.frozen.scenes[1:])}
     )
     report = build_frozen(source, NamedSplit("other", other), replace(BUILT, out=tmp_path / "out"))
     assert report.other_images == (split.frozen.scenes[0].name,) and report.other_tables == ()
@@ -226,7 +222,7 @@ def of(split: NamedSplit, *scenes: object) -> NamedSplit:
 
 
 def test_a_search_and_a_frozen_split_never_share_a_root(
-    source: DataSet, split: NamedSplit, built: Path, folder: Path
+    source: DataSet, split: NamedSplit, built: Path, folder: Path, tmp_path: Path
 ) -> None:
     for root, build in (
         (built, lambda: build_split(source, "adv", replace(CHEAP, out=built))),
@@ -238,9 +234,7 @@ def test_a_search_and_a_frozen_split_never_share_a_root(
         with pytest.raises(InputError, match="another --out, nothing was changed"):
             build()
         assert contents(root) == before and is_finished(root)
-
-
-def test_a_search_that_was_only_begun_is_not_built_over(source: DataSet, split: NamedSplit, tmp_path: Path) -> None:
+    # Neither is one that was only begun.
     (tmp_path / "out" / ".challenger" / "attempts").mkdir(parents=True)
     assert "another --out" in refused(source, split, replace(BUILT, out=tmp_path / "out"))
 
@@ -275,7 +269,7 @@ def test_frozen_scenes_are_judged_where_they_are_written_and_kept_as_frozen(
         assert said.faults == before.faults
     work = built / ".challenger" / "judgements"
     assert len(list(work.iterdir())) == len(judged)
-    bare = replace(BUILT, out=tmp_path / "built", renderer=None, executor=LocalProcesses(2))
+    bare = replace(BUILT, out=tmp_path / "built", renderer=None)
     report = build_frozen(source, split, bare)
     again = open_data(tmp_path / "built")
     assert collect_assessments(again.root, again.version) == judged and report.unsolvable == ()

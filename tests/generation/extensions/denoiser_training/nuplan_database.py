@@ -40,16 +40,9 @@ def token(kind: str, number: int) -> bytes:
 def write_nuplan(
     path: Path, ego: Floats, others: Sequence[tuple[str, float, Floats]] = (), *, missing: Sequence[int] = ()
 ) -> Path:
-    """Write a database.
+    """Write (E, 3) rear-axle poses at 100 Hz, and category, length and (F, 3) box centres at 20 Hz of each vehicle.
 
-    Args:
-        path: File to make.
-        ego: (E, 3) rear-axle poses at 100 Hz.
-        others: Category, length and (F, 3) box centres at 20 Hz of each vehicle.
-        missing: Frames at which nothing was detected.
-
-    Returns:
-        The path.
+    Nothing is detected at the missing frames.
     """
     with closing(sqlite3.connect(path)) as database:
         database.executescript(SCHEMA)

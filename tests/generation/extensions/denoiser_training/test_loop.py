@@ -42,6 +42,7 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
     return read_tensors(path)[0]
 
 
+@pytest.mark.path
 def test_interrupted_training_ends_with_the_same_bytes(tracks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     straight = train_denoiser(config(tracks, tracks.parent / "a.safetensors"))
     taken = training._take_step
@@ -62,12 +63,8 @@ def test_interrupted_training_ends_with_the_same_bytes(tracks: Path, monkeypatch
     assert out.with_suffix(".log.jsonl").read_bytes() == straight.with_suffix(".log.jsonl").read_bytes()
     assert not out.with_suffix(".progress.safetensors").exists()
     assert [json.loads(row)["step"] for row in out.with_suffix(".log.jsonl").read_text().splitlines()] == [2, 4, 6]
-
-
-def test_seed_changes_the_weights(tracks: Path) -> None:
-    first = train_denoiser(config(tracks, tracks.parent / "a.safetensors"))
-    second = train_denoiser(config(tracks, tracks.parent / "b.safetensors", seed=1))
-    changed = {name.split(".")[0] for name, value in weights(first).items() if not value.equal(weights(second)[name])}
+    other = weights(train_denoiser(config(tracks, tracks.parent / "c.safetensors", seed=1)))
+    changed = {name.split(".")[0] for name, value in weights(straight).items() if not value.equal(other[name])}
     assert len(changed) > 1
 
 
@@ -87,27 +84,22 @@ def test_the_state_that_is_best_on_held_out_windows_is_kept(tracks: Path, monkey
     checked = training._evaluate_held_out
 
     def told(*arguments: Any) -> dict[str, float | None]:
-        return {**checked(*arguments), "held_out_loss": next(checks)}
+        loss = next(checks, None)
+        if loss is None:
+            raise RuntimeError
+        return {**checked(*arguments), "held_out_loss": loss}
 
     monkeypatch.setattr(training, "_evaluate_held_out", told)
     best = read_tensors(train_denoiser(config(tracks, tracks.parent / "a.safetensors")))
     assert best[1]["best_step"] == 4
-    monkeypatch.undo()
-    stopped = tracks.parent / "b.safetensors"
-    taken = training._take_step
-
-    def dies(run: Any, settings: Any, pool: Any, step: int) -> float:
-        if step == 5:
-            raise KeyboardInterrupt
-        return taken(run, settings, pool, step)
-
-    checks = iter([0.5, 0.3])
-    monkeypatch.setattr(training, "_evaluate_held_out", told)
-    monkeypatch.setattr(training, "_take_step", dies)
-    with pytest.raises(KeyboardInterrupt):
+    stopped, checks = tracks.parent / "b.safetensors", iter([0.5, 0.3])
+    # The third check finds no number: what was best until then is there.
+    with pytest.raises(RuntimeError):
         train_denoiser(config(tracks, stopped))
     kept = weights(stopped)
     assert all(torch.equal(best[0][name], kept[name]) for name in kept)
+    # Stored in half precision, but for the Gaussian.
+    assert {name.split(".")[0] for name, tensor in kept.items() if tensor.dtype != torch.float16} == {"preconditioner"}
 
 
 def test_published_architecture_can_be_trained(tracks: Path) -> None:
@@ -118,6 +110,7 @@ def test_published_architecture_can_be_trained(tracks: Path) -> None:
     assert sum(parameter.numel() for parameter in learnt.parameters()) == 6_717_187
 
 
+@pytest.mark.slow
 def test_a_network_learns_to_use_what_it_is_told(tracks: Path) -> None:
     """Slow cars speed up and fast ones slow down here, so the present speed says much."""
     slow, fast = np.clip(2 + 0.1 * np.arange(120), 0, 14), np.clip(14 - 0.1 * np.arange(120), 2, 14)
@@ -129,13 +122,6 @@ def test_a_network_learns_to_use_what_it_is_told(tracks: Path) -> None:
     assert row["held_out_loss"] < 0.95 * row["held_out_loss_untold"]
 
 
-def test_stored_weights_are_half_precision_and_the_gaussian_is_not(tracks: Path) -> None:
-    stored = weights(train_denoiser(config(tracks, tracks.parent / "a.safetensors")))
-    assert {name.split(".")[0] for name, tensor in stored.items() if tensor.dtype != torch.float16} == {
-        "preconditioner"
-    }
-
-
 def test_noise_levels_need_a_positive_power(tracks: Path) -> None:
     with pytest.raises(InputError, match="power of the noise levels"):
         config(tracks, tracks.parent / "a.safetensors", level_power=0.0)
@@ -144,7 +130,8 @@ def test_noise_levels_need_a_positive_power(tracks: Path) -> None:
 def test_learning_lowers_the_loss(tracks: Path) -> None:
     out = tracks.parent / "a.safetensors"
     plain = replace(REFERENCE_LIKE, history_tokens=0, far_logit_bias=0.0, noise_level_scale=100.0, dropout=0.0)
-    train_denoiser(config(tracks, out, steps=150, batch=32, checkpoint_every=50, warmup=10, denoiser=plain))
+    learnt = train_denoiser(config(tracks, out, steps=60, batch=32, checkpoint_every=20, warmup=10, denoiser=plain))
+    assert load_denoiser(learnt).config == plain
     losses = [json.loads(row)["loss"] for row in out.with_suffix(".log.jsonl").read_text().splitlines()]
     assert losses[-1] < 0.7 * losses[0]
 
@@ -161,8 +148,3 @@ def test_nothing_to_learn_from_is_refused(tracks: Path) -> None:
     (tracks / "made_up.npz").rename(tracks / "interaction_sample.npz")
     with pytest.raises(InputError, match="outside the held-out sources"):
         train_denoiser(config(tracks, tracks.parent / "a.safetensors"))
-
-
-def test_reference_habits_train_too(tracks: Path) -> None:
-    out = train_denoiser(config(tracks, tracks.parent / "a.safetensors", denoiser=REFERENCE_LIKE, steps=2))
-    assert load_denoiser(out).config == REFERENCE_LIKE

@@ -11,21 +11,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
+from benchmark.road_map import DrivableRaster
 from generation.extensions.golden_sets.built_in import BUILT_IN
+from generation.search.hyperparameters import CollisionReading, HyperParameters
+from generation.search.scoring import ScoringSurroundings
 from tests.generation.search.slow_reference_scoring import slow_reference
+from tests.generation.search.slow_scoring import slow_final_scores, slow_score_terms
 
 Arrays = dict[str, NDArray[Any]]
 FRAMES = 13
 EGO_WIDTH_LENGTH = (1.730, 4.084)
 EGO_CENTER_AHEAD_M, LIDAR_AHEAD_M = 1.39, 0.94
 """Of the rear axle."""
-SAFETY = [(1.0 + (math.sqrt(0.85) - 1.0) * step / 11) ** 2 for step in range(12)]
-CHALLENGE = [0.7 + 0.3 * step / 11 for step in range(12)]
 
 
 def straight(x: float, y: float, heading: float, speed: float, turn: float = 0.0) -> Floats:
@@ -125,16 +126,29 @@ def scored(
         "raster": raster,
         "raster_affine_global_to_index": affine,
     }
-    own = np.stack([np.column_stack([path, np.tile(size, (FRAMES, 1))]) for path in candidates])[:, 1:]
-    arrays |= road_and_challenge(own, boxes[1:, -1], raster, affine)
-    for reading in ("literal", "half", "geometry"):
-        hits = collisions(own, boxes[1:], valid[1:], reading)
-        term = np.array([sum(w for w, hit in zip(SAFETY, row) if hit) for row in hits])
-        final = 5.0 * arrays["paper_dac"] + 10.0 * term + arrays["paper_ac"]
-        arrays |= {f"paper_collision_{reading}": hits, f"paper_cr_{reading}": term, f"paper_final_{reading}": final}
-    rng = np.random.default_rng(content_seed("golden scoring", "start", len(own)))
-    arrays |= {"paper_init_score_uniform_0_1e-3": rng.uniform(0.0, 1e-3, len(own))}
-    return arrays | reference_scored(arrays)
+    origin = np.linalg.solve(affine[:, :2], 0.5 * len(raster) - affine[:, 2])
+    seen = DrivableRaster(
+        raster, np.array([*origin, math.atan2(affine[1, 1], affine[1, 0])]), 1 / np.hypot(*affine[0, :2])
+    )
+    around = ScoringSurroundings(boxes[1:][..., [0, 1, 4, 3, 2]], valid[1:], boxes[1:, -1, :2], seen)
+    start = np.random.default_rng(content_seed("golden scoring", "start", len(candidates))).uniform(
+        0.0, 1e-3, len(candidates)
+    )
+    for reading in CollisionReading:
+        hyper = HyperParameters(lookahead_frames=0, clearance_m=0.0, headway_s=0.0, collision_reading=reading)
+        slow = slow_score_terms(np.stack(candidates)[:, 1:], np.array(size[::-1]), around, hyper)
+        arrays |= {
+            "paper_center_violation": slow.center_off_road,
+            "paper_corner_violation": slow.corner_off_road,
+            "paper_dist": slow.distance,
+            "paper_dac": slow.dac,
+            "paper_ac_raw": slow.challenge,
+            "paper_ac": (slow.challenge - slow.challenge.min()) / (np.ptp(slow.challenge) or 1.0),
+            f"paper_collision_{reading}": slow.collision,
+            f"paper_cr_{reading}": slow.cr,
+            f"paper_final_{reading}": np.array(slow_final_scores(slow, np.zeros(len(candidates)), hyper)),
+        }
+    return reference_scored(arrays | {"paper_init_score_uniform_0_1e-3": start})
 
 
 def reference_scored(arrays: Arrays) -> Arrays:
@@ -162,7 +176,7 @@ def reference_scored(arrays: Arrays) -> Arrays:
     rows = np.concatenate([own, seen], axis=1)
     flat = np.zeros(rows.shape[:2])
     stored = [rows[..., 0], rows[..., 1], flat, rows[..., 3], rows[..., 4], flat, -rows[..., 2] - 0.5 * np.pi]
-    return {
+    return arrays | {
         "ref_boxes_x_y_z_w_l_h_yawmm": np.stack(stored, axis=-1).astype(np.float32),
         "ref_adv_row": np.array(0),
         "ref_ego_rear_xy": rear.astype(np.float32),
@@ -178,63 +192,6 @@ def reference_scored(arrays: Arrays) -> Arrays:
         "ref_final_without_noise": slow.final().astype(np.float32),
         "ref_final_with_noise": (slow.final() + arrays["paper_init_score_uniform_0_1e-3"]).astype(np.float32),
     }
-
-
-def corners(box: Floats) -> list[tuple[float, float]]:
-    """Corners of x, y, heading, width, length."""
-    x, y, heading, width, length = box.tolist()
-    cos, sin = math.cos(heading), math.sin(heading)
-    signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
-    halves = [(0.5 * length * a, 0.5 * width * b) for a, b in signs]
-    return [(x + along * cos - across * sin, y + along * sin + across * cos) for along, across in halves]
-
-
-def on_road(x: float, y: float, raster: NDArray[np.bool_], affine: Floats) -> bool:
-    """One look-up; Python rounds half to even, as the specification does."""
-    first, second = (round(row[0] * x + row[1] * y + row[2]) for row in affine.tolist())
-    inside = 0 <= first < len(raster) and 0 <= second < len(raster)
-    return inside and bool(raster[first, second])
-
-
-def road_and_challenge(own: Floats, ego: Floats, raster: NDArray[np.bool_], affine: Floats) -> Arrays:
-    """Everything that does not depend on the collision reading."""
-    center = np.array([[not on_road(box[0], box[1], raster, affine) for box in path] for path in own])
-    corner = np.array(
-        [[not all(on_road(x, y, raster, affine) for x, y in corners(box)) for box in path] for path in own]
-    )
-    distance = np.array([[math.dist(box[:2], there[:2]) for box, there in zip(path, ego)] for path in own])
-    dac = [sum(w * (a + 0.2 * b) for w, a, b in zip(SAFETY, *rows)) for rows in zip(center, corner)]
-    raw = np.array([sum(w * far for w, far in zip(CHALLENGE, row)) for row in distance])
-    spread = raw.max() - raw.min()
-    return {
-        "paper_center_violation": center,
-        "paper_corner_violation": corner,
-        "paper_dist": distance,
-        "paper_dac": np.array(dac),
-        "paper_ac_raw": raw,
-        "paper_ac": (raw - raw.min()) / spread if spread > 0 else np.zeros_like(raw),
-    }
-
-
-def collisions(own: Floats, others: Floats, present: NDArray[np.bool_], reading: str) -> NDArray[np.bool_]:
-    """Pair by pair, the three steps of the appendix."""
-    hits = np.zeros(own.shape[:2], np.bool_)
-    for candidate, step in np.ndindex(*hits.shape):
-        box = own[candidate, step]
-        pairs = (collides(box, other, reading) for other, there in zip(others[step], present[step]) if there)
-        hits[candidate, step] = any(pairs)
-    return hits
-
-
-def collides(box: Floats, other: Floats, reading: str) -> bool:
-    """One pair."""
-    share = {"literal": 1.0, "half": 0.5, "geometry": math.nan}[reading]
-    distance = math.dist(box[:2], other[:2])
-    if distance < share * (min(box[3:]) + min(other[3:])):
-        return True
-    if distance > share * (max(box[3:]) + max(other[3:])):
-        return False
-    return bool(shapely.Polygon(corners(box)).intersects(shapely.Polygon(corners(other))))
 
 
 def write(folder: Path) -> None:

@@ -4,23 +4,16 @@ import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
 from benchmark.verification.checks import format_report
 from generation.extensions.golden_sets.built_in import BUILT_IN
 from generation.extensions.golden_sets.physics import GOLDEN as PHYSICS
-from generation.extensions.golden_sets.reference_scores import find_out_of_order, is_on_raster_tie, is_touching_tie
 from generation.extensions.golden_sets.scoring import GOLDEN as SCORING
-from generation.search import scoring as scoring_kernels
-from generation.search.hyperparameters import CollisionReading
 from tests.generation.extensions.golden_sets import golden_scoring
 from tests.generation.extensions.golden_sets.golden_copies import (
     VERIFY,
@@ -44,6 +37,7 @@ def _one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
+@pytest.mark.path
 @pytest.mark.parametrize("kind", VERIFY)
 def test_built_in_sets_agree_and_are_small(kind: str) -> None:
     checks = VERIFY[kind](None)
@@ -197,46 +191,3 @@ def test_one_file_of_an_indexed_set_is_enough(tmp_path: Path) -> None:
     checks = SCORING.verify(folder)
     assert not failures(checks)
     assert checks[0].note == "2 files; 1 more in index.json is missing"
-
-
-def test_a_kernel_that_misses_collisions_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    def none(boxes: Floats, *_: Any, **__: Any) -> NDArray[np.bool_]:
-        return np.zeros(boxes.shape[:2], np.bool_)
-
-    monkeypatch.setattr(scoring_kernels, "find_collisions", none)
-    assert {"collision, geometry", "collision, half", "collision, literal"} <= failures(SCORING.verify())
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32), st.sampled_from([0.0, 1e-9, 0.3]))
-def test_order_agrees_with_all_pairs(seed: int, tie: float) -> None:
-    rng = np.random.default_rng(seed)
-    golden = np.round(rng.normal(size=12), 1)
-    ours = np.where(rng.random(12) < 0.7, golden, np.round(rng.normal(size=12), 1))
-    expected = [any(golden[j] < golden[i] - tie and not ours[j] < ours[i] for j in range(12)) for i in range(12)]
-    np.testing.assert_array_equal(find_out_of_order(ours, golden, tie), expected)
-
-
-def test_raster_ties_are_half_integers() -> None:
-    affine = np.array([[2.0, 0.0, 100.0], [0.0, 2.0, 100.0]])
-    points = np.array([[0.25, 0.1], [0.25 + 4e-10, 0.1], [0.25 + 6e-10, 0.1], [0.0, -0.75], [0.0, 0.0]])
-    np.testing.assert_array_equal(is_on_raster_tie(points, affine), [True, True, False, True, False])
-
-
-@pytest.mark.parametrize(
-    ("reading", "offset", "tie"),
-    [
-        (CollisionReading.GEOMETRY, (4.0, 0.0), True),
-        (CollisionReading.GEOMETRY, (4.0 + 1e-8, 0.0), False),
-        (CollisionReading.HALF, (4.0, 0.0), True),
-        (CollisionReading.HALF, (0.0, 2.0), True),
-        (CollisionReading.HALF, (3.8, 1.9), False),
-        (CollisionReading.LITERAL, (0.0, 4.0), True),
-        (CollisionReading.LITERAL, (0.0, 2.0), False),
-        (CollisionReading.LITERAL, (8.0, 0.0), False),
-    ],
-)
-def test_touching_ties_depend_on_the_reading(reading: CollisionReading, offset: tuple[float, float], tie: bool) -> None:
-    box, other = np.array([0.0, 0.0, 4.0, 2.0, 0.0]), np.array([[*offset, 4.0, 2.0, 0.0]])
-    assert is_touching_tie(box, other, reading) is tie
-    assert not is_touching_tie(box, np.zeros((0, 5)), reading)

@@ -14,7 +14,7 @@ from generation.extensions.magicdrive.renderer import MagicDriveRenderer, Render
 from generation.extensions.magicdrive.sampling import SamplingOptions
 from generation.extensions.magicdrive.sensor_frames import ImageGeometry, OutputSize
 from generation.extensions.magicdrive.weights import NetworkFiles
-from tests.generation.extensions.magicdrive.moved_worlds import busy_scene
+from tests.generation.extensions.magicdrive.busy_scenes import busy_scene
 from tests.generation.extensions.magicdrive.small_network import TINY, small_network
 
 CONFIG = TINY
@@ -81,11 +81,7 @@ def small_renderer(
     steps: int = 2,
 ) -> MagicDriveRenderer:
     settings = RenderSettings(
-        geometry=ImageGeometry(*SIZE, output),
-        look=look,
-        seed=seed,
-        sampling=SamplingOptions(steps=steps),
-        device="cpu",
+        geometry=ImageGeometry(*SIZE, output), look=look, seed=seed, sampling=SamplingOptions(steps=steps), device="cpu"
     )
     return MagicDriveRenderer(settings, NetworkFiles.find(weights), work, CONFIG)
 

@@ -11,11 +11,11 @@ from pyquaternion import Quaternion
 from benchmark.constants import CATEGORIES, DETECTION_CLASSES
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.scene import Scene
-from generation.extensions.magicdrive.clip import ClipBoxes, build_clip, build_clip_boxes, compute_corners
+from generation.extensions.magicdrive.clip import ClipBoxes, build_clip_boxes, compute_corners
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
 from generation.extensions.magicdrive.sensor_frames import SensorFrames
 from generation.render.schematic.view import PlacedCamera
-from tests.generation.extensions.magicdrive.moved_worlds import busy_scene, moved
+from tests.generation.extensions.magicdrive.busy_scenes import busy_scene
 from tests.generation.nuscenes_writer.written_roots import with_adversary
 
 metres = st.floats(-80.0, 80.0)
@@ -30,7 +30,7 @@ def boxes_of(scene: Scene) -> ClipBoxes:
 @given(
     floor=st.tuples(metres, metres, metres), size=st.tuples(sizes, sizes, sizes), yaw=st.floats(-np.pi + 1e-6, np.pi)
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_corners_can_be_turned_back_into_the_box(floor: tuple[float, ...], size: tuple[float, ...], yaw: float) -> None:
     corners = compute_corners(np.array(floor), np.array(size), np.array(yaw))
     ahead, left, up = corners[0] - corners[3], corners[4] - corners[0], corners[1] - corners[0]
@@ -103,24 +103,6 @@ def test_visibility_is_positive_depth_of_any_corner() -> None:
                 ]
                 assert boxes.masks[view, frame, slot] == int(max(depths) > 0.0)
     assert 0 < boxes.masks.mean() < 1
-
-
-@given(
-    yaw=st.floats(-3.1, 3.1),
-    offset=st.tuples(st.floats(-900.0, 900.0), st.floats(-900.0, 900.0), st.floats(-30.0, 30.0)),
-)
-@settings(max_examples=8, deadline=None)
-def test_conditions_do_not_depend_on_where_the_world_lies(yaw: float, offset: tuple[float, float, float]) -> None:
-    scene = busy_scene(9 / 12)
-    here, there = (build_clip(world, range(9)) for world in (scene, moved(scene, yaw, offset)))
-    assert here.boxes.ids == there.boxes.ids
-    np.testing.assert_array_equal(here.boxes.classes, there.boxes.classes)
-    np.testing.assert_array_equal(here.boxes.masks, there.boxes.masks)
-    np.testing.assert_allclose(here.boxes.corners, there.boxes.corners, atol=1e-4)
-    np.testing.assert_allclose(here.cams, there.cams, atol=1e-4)
-    np.testing.assert_allclose(here.rel_pos, there.rel_pos, atol=2e-5)
-    # A corner that lies on the border of a cell may fall to either side.
-    assert (here.maps != there.maps).mean() < 0.01
 
 
 def test_an_absent_object_is_nothing() -> None:

@@ -16,8 +16,7 @@ from generation.extensions.magicdrive.bev_map import MAP_CHANNELS, MapLayers, dr
 from generation.extensions.magicdrive.clip import build_clip
 from generation.nuscenes_writer.expansion import build_map_expansion
 from generation.nuscenes_writer.road_maps import merge_road_maps, pack_road_map, unpack_road_map
-from generation.sources.town import build_town_scene
-from tests.generation.extensions.magicdrive.moved_worlds import busy_scene
+from tests.generation.extensions.magicdrive.busy_scenes import busy_scene
 
 
 def devkit_masks(root: Path, location: str, pose: Floats, monkeypatch: pytest.MonkeyPatch) -> Any:
@@ -64,16 +63,6 @@ def test_every_channel_is_the_devkits(tmp_path: Path, monkeypatch: pytest.Monkey
     assert found.shape == slow.shape == (8, 200, 200)
     assert all(channel.any() for channel in found)
     assert_alike(found, slow)
-
-
-def test_the_towns_map_is_the_devkits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = build_town_scene("val", 2, seed=0)
-    path = written(tmp_path, scene.road_map)
-    for frame in (0, 140):
-        x, y, yaw = scene.ego.pose[frame]
-        pose = np.array([x, y, yaw - np.pi / 2])
-        slow = devkit_masks(tmp_path, scene.road_map.location, pose, monkeypatch)
-        assert_alike(MapLayers(read_road_map(path)).masks(pose), slow)
 
 
 def test_first_index_goes_right_and_second_ahead() -> None:

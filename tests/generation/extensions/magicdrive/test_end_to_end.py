@@ -1,7 +1,8 @@
 """From scenes of the town to JPEG files in a data set, with tiny random networks loaded as the real ones are."""
 
+import json
 import shutil
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from benchmark.datasets.schema.check import check_tables
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import transform_matrix
 from benchmark.machine.workers import LocalProcesses
-from benchmark.scene import Annotations, EgoTrack, Scene, SweepPoses
+from benchmark.scene import Scene, SweepPoses
 from generation.extensions.magicdrive.clip import build_clip_boxes
 from generation.extensions.magicdrive.conditions import MODEL_CAMERAS
 from generation.extensions.magicdrive.renderer import MagicDriveRenderer
@@ -23,36 +24,12 @@ from generation.extensions.magicdrive.sensor_frames import SensorFrames
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.pipeline.settings import BuildSettings
 from generation.pipeline.split import build_split
-from generation.sources.town import build_town_scene
-from tests.benchmark.cli.cli_runs import challenger_bench
+from tests.benchmark.cli.in_process import run_here
+from tests.generation.extensions.magicdrive.busy_scenes import busy_scene
 from tests.generation.extensions.magicdrive.small_weights import SIZE, small_renderer, write_weights
 from tests.generation.nuscenes_writer.written_roots import SolidRenderer, contents, write_root
 
-FRAMES, KEYFRAMES = 13, 3
-
-
-def beginning_of(scene: Scene) -> Scene:
-    """The first second of a scene."""
-    agents, known = scene.agents, scene.annotations
-    here = agents.valid[:, :FRAMES].any(axis=1) & known.valid[:, :KEYFRAMES].any(axis=1)
-    annotations = {item.name: getattr(known, item.name)[here, :KEYFRAMES] for item in fields(Annotations)}
-    annotations["size"] = known.size[here, :KEYFRAMES]
-    return replace(
-        scene,
-        timestamps_us=scene.timestamps_us[:FRAMES],
-        keyframes=scene.keyframes[:KEYFRAMES],
-        ego=EgoTrack(scene.ego.position[:FRAMES], scene.ego.rotation[:FRAMES]),
-        agents=replace(
-            agents,
-            ids=tuple(name for name, kept in zip(agents.ids, here) if kept),
-            categories=tuple(name for name, kept in zip(agents.categories, here) if kept),
-            position=agents.position[here, :FRAMES],
-            yaw=agents.yaw[here, :FRAMES],
-            size=agents.size[here],
-            valid=agents.valid[here, :FRAMES],
-        ),
-        annotations=Annotations(**annotations),
-    )
+FRAMES, KEYFRAMES = 7, 2
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +40,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     root = tmp_path_factory.mktemp("recorded") / "recorded"
-    write_root(root, [beginning_of(build_town_scene("val", number)) for number in range(2)])
+    write_root(root, [busy_scene(FRAMES / 12, f"scene-990{number}") for number in (1, 2)])
     return open_data(root)
 
 
@@ -99,6 +76,7 @@ def test_the_devkit_finds_a_picture_for_every_row(built: Path) -> None:
     assert intrinsic[0, 0] == pytest.approx(1266.0 * SIZE[1] / 1600)
 
 
+@pytest.mark.path
 def test_the_data_set_is_sound_and_planners_run_on_it(built: Path, tmp_path: Path) -> None:
     assert check_tables(built) == []
     record = evaluate(
@@ -192,15 +170,21 @@ def test_pictures_of_sweeps_are_written_with_the_poses_of_the_sweeps(source: Dat
     np.testing.assert_allclose(found.ego.position, scene.ego.position, atol=1e-9)
 
 
-def test_the_command_says_what_to_get_and_what_it_would_cost(source: DataSet, tmp_path: Path) -> None:
+@pytest.mark.path
+def test_the_command_says_what_to_get_and_what_it_would_cost(
+    source: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     arguments = ("generate", "--split", "val-r", "--data", source.root, "--renderer", "magicdrive")
     out = ("--out", tmp_path / "out", "--workers", "1")
-    run = challenger_bench(*arguments, *out, cache=tmp_path / "cache")
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
+    run = run_here(*arguments, *out)
     assert (run.code, run.out) == (2, "") and run.err.count("\n") == 1
     assert all(word in run.err for word in ("ema.pt", "about 8150 MB", "weights fetch magicdrive-dit"))
     extra = ("--dry-run", "--json", "--render-device", "cuda", "--executor", "ray", "--tflops", "400")
-    run = challenger_bench(*arguments, *out[:2], *extra, "--render-size", "424x800", cache=tmp_path / "cache")
+    run = run_here(*arguments, *out[:2], *extra, "--render-size", "424x800")
     assert run.code == 0
-    assert "a scene of 13 frames and six views at 424x800: about" in run.err and "GiB" in run.err
-    assert run.json["estimate"]["scenes"] == 2 and run.json["estimate"]["scene_s"] > 1
+    assert "a scene of 7 frames and six views at 424x800: about" in run.err and "GiB" in run.err
+    assert "a GPU at 400 TFLOP/s" in run.err and "transformer" in run.err
+    estimate = json.loads(run.out)["estimate"]
+    assert estimate["scenes"] == 2 and estimate["scene_s"] > 1
     assert not (tmp_path / "out").exists() and not (tmp_path / "cache").exists()

@@ -1,7 +1,6 @@
 """Published weights in every form they may come in, and what is not one of them."""
 
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,13 +55,6 @@ def test_weights_are_rounded_as_the_published_pipeline_does(tmp_path: Path) -> N
         assert torch.equal(exact.state_dict()[name], tensor.bfloat16().float())
 
 
-def test_the_file_can_go_once_it_is_read(tmp_path: Path) -> None:
-    path = saved(state(), tmp_path / "ema.pt")
-    network = load_published_network(path, CONFIG, dtype=torch.float32)
-    path.write_bytes(b"")
-    assert torch.equal(network.base_token, state()["base_token"])
-
-
 def test_a_shorter_null_prompt_goes_on_with_its_last_token(tmp_path: Path) -> None:
     short = state()
     short[NULL_PROMPT] = short[NULL_PROMPT][:3]
@@ -71,31 +63,24 @@ def test_a_shorter_null_prompt_goes_on_with_its_last_token(tmp_path: Path) -> No
     assert torch.equal(prompt[:3], short[NULL_PROMPT]) and torch.equal(prompt[3:], prompt[2:3].expand(9, -1))
 
 
-def _without(tensors: State, name: str) -> State:
-    return {other: tensor for other, tensor in tensors.items() if other != name}
-
-
-WRONG: dict[str, Callable[[State], State]] = {
-    r"1 missing \(first: base_token\)": lambda tensors: _without(tensors, "base_token"),
-    r"1 too many \(first: extra\)": lambda tensors: tensors | {"extra": torch.zeros(2)},
-    r"1 of another shape \(first: rope.freqs\)": lambda tensors: tensors | {"rope.freqs": torch.zeros(3)},
-    r"1 without fractions \(first: base_token\)": lambda tensors: (
-        tensors | {"base_token": torch.zeros(CONFIG.hidden, dtype=torch.int64)}
-    ),
-    "NaN or infinity in base_token": lambda tensors: (
-        tensors | {"base_token": torch.full((CONFIG.hidden,), float("inf"))}
-    ),
-    r"1 of another shape \(first: y_embedder.y_embedding\)": lambda tensors: (
-        tensors | {NULL_PROMPT: torch.zeros(0, 24)}
-    ),
-    "300 missing|missing": lambda tensors: {f"model.{name}": tensor for name, tensor in tensors.items()},
+HIDDEN = CONFIG.hidden
+WRONG: dict[str, State | None] = {
+    r"1 missing \(first: base_token\)": None,
+    r"1 too many \(first: extra\)": {"extra": torch.zeros(2)},
+    r"1 of another shape \(first: rope.freqs\)": {"rope.freqs": torch.zeros(3)},
+    r"1 without fractions \(first: base_token\)": {"base_token": torch.zeros(HIDDEN, dtype=torch.int64)},
+    "NaN or infinity in base_token": {"base_token": torch.full((HIDDEN,), float("inf"))},
+    r"1 of another shape \(first: y_embedder.y_embedding\)": {NULL_PROMPT: torch.zeros(0, 24)},
 }
 
 
 @pytest.mark.parametrize("name", ["ema.pt", "ema.safetensors"])
 @pytest.mark.parametrize("message", WRONG)
 def test_other_tensors_are_refused(message: str, name: str, tmp_path: Path) -> None:
-    path = saved(WRONG[message](state()), tmp_path / name)
+    tensors = state() | (WRONG[message] or {})
+    if WRONG[message] is None:
+        del tensors["base_token"]
+    path = saved(tensors, tmp_path / name)
     with pytest.raises(InputError, match=message):
         load_published_network(path, CONFIG)
 

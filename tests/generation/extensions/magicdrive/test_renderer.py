@@ -8,26 +8,27 @@ import numpy as np
 import pytest
 import torch
 
+from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
-from benchmark.geometry import transform_matrix
 from benchmark.machine.devices import select_worker_device
 from benchmark.machine.ray_cluster import RayCluster
 from benchmark.machine.workers import Executor, LocalProcesses
-from benchmark.scene import SweepPoses
 from benchmark.weights.catalogue import AUTOENCODER, TEXT_ENCODER, TRANSFORMER
 from benchmark.weights.folders import require_folder_of
+from generation.extensions.magicdrive import clip as clip_module
 from generation.extensions.magicdrive import renderer as renderer_module
 from generation.extensions.magicdrive.checkpoint import VideoDecoder
-from generation.extensions.magicdrive.clip import build_clip
+from generation.extensions.magicdrive.clip import compute_published_length
 from generation.extensions.magicdrive.command import build_magicdrive_renderer, build_rendering_executor
 from generation.extensions.magicdrive.config import MagicDriveConfig
 from generation.extensions.magicdrive.prompt import PromptLook
 from generation.extensions.magicdrive.renderer import MagicDriveRenderer, RenderSettings, T5TextEncoder
 from generation.extensions.magicdrive.sampling import SamplingState, cache_tensor, read_cached_tensor
-from generation.extensions.magicdrive.sensor_frames import ImageGeometry, OutputSize, SensorFrames, build_camera_tracks
+from generation.extensions.magicdrive.sensor_frames import ImageGeometry
 from generation.extensions.magicdrive.weights import NetworkFiles
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.render.contract import Images
-from tests.generation.extensions.magicdrive.moved_worlds import busy_scene
+from tests.generation.extensions.magicdrive.busy_scenes import busy_scene
 from tests.generation.extensions.magicdrive.small_weights import (
     CONFIG,
     SIZE,
@@ -82,52 +83,10 @@ def test_picture_and_calibration_agree_at_both_sizes(size: tuple[int, int], u: f
     np.testing.assert_allclose(np.array(seen) / mass.sum(), [u, v], atol=0.2)
 
 
-def test_boxes_are_where_the_conditions_say() -> None:
-    """The written calibration projects a box to where the model's own calibration puts it, resized and cut."""
-    scene = busy_scene(9 / 12)
-    clip = build_clip(scene, range(9))
-    view, frame = 1, 4
-    corners = clip.boxes.true_corners[frame, clip.boxes.masks[view, frame] == 1].reshape(-1, 3)
-    intrinsic, from_camera = clip.cams[view, frame, :, :3], np.eye(4)
-    from_camera[:3] = clip.cams[view, frame, :, 3:]
-    seen = (np.linalg.inv(from_camera) @ np.column_stack([corners, np.ones(len(corners))]).T)[:3]
-    seen = seen[:, seen[2] > 1.0]
-    full = (intrinsic @ seen)[:2] / seen[2]
-    written = next(c for c in map(ImageGeometry(output="model").camera, scene.cameras) if c.name == "CAM_FRONT")
-    found = (written.intrinsic @ seen)[:2] / seen[2]
-    np.testing.assert_allclose(found, full / 4 - np.array([[0.0], [1.0]]), atol=1e-3)
-    assert (written.width, written.height) == (400, 224)
-
-
 @pytest.mark.parametrize(("height", "width"), [(225, 400), (0, 400), (232, 400), (224, 401)])
 def test_sizes_that_the_network_does_not_have(height: int, width: int) -> None:
     with pytest.raises(InputError, match=f"{height}x{width}"):
         ImageGeometry(height, width)
-
-
-def test_a_camera_has_the_track_of_its_own_sweeps() -> None:
-    scene = busy_scene(9 / 12)
-    assert build_camera_tracks(scene) == {}
-    sensors = SensorFrames.of(scene, np.arange(9))
-    late = np.eye(4)
-    late[0, 3] = 0.35
-    order = [
-        sensors.cameras[
-            ["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT"].index(
-                c.name
-            )
-        ]
-        for c in scene.cameras
-    ]
-    swept = replace(scene, sweep_poses=SweepPoses(sensors.lidar, late @ np.stack(order)))
-    tracks = build_camera_tracks(swept)
-    for camera, poses in zip(swept.cameras, swept.sweep_poses.cameras):  # type: ignore[union-attr]
-        track = tracks[camera.name]
-        np.testing.assert_allclose(track.position, scene.ego.position + [0.35, 0, 0], atol=1e-9)
-        mount = transform_matrix(camera.rotation, camera.translation)
-        for frame in range(9):
-            ego = transform_matrix(track.rotation[frame], track.position[frame])
-            np.testing.assert_allclose(ego @ mount, poses[frame], atol=1e-9)
 
 
 def test_words_are_the_pieces_of_the_vocabulary_and_an_end(weights: Path) -> None:
@@ -335,26 +294,20 @@ def with_gpus(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     monkeypatch.setattr(torch.cuda, "device_count", lambda: count)
 
 
-@pytest.mark.parametrize(
-    ("name", "count", "numbers", "expected"),
-    [
-        ("cuda", 2, range(5), ["cuda:0", "cuda:1", "cuda:0", "cuda:1", "cuda:0"]),
-        ("auto", 3, range(3), ["cuda:0", "cuda:1", "cuda:2"]),
-        ("cuda:1", 2, range(3), ["cuda:1"] * 3),
-        ("auto", 0, range(2), ["cpu"] * 2),
-        ("cpu", 4, range(2), ["cpu"] * 2),
-    ],
-)
-def test_workers_share_the_gpus(
-    monkeypatch: pytest.MonkeyPatch, name: str, count: int, numbers: range, expected: list[str]
-) -> None:
-    with_gpus(monkeypatch, count)
-    assert [str(select_worker_device(name, number)) for number in numbers] == expected
+def test_workers_share_the_gpus(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, count, expected in (
+        ("cuda", 2, ["cuda:0", "cuda:1", "cuda:0"]),
+        ("auto", 3, ["cuda:0", "cuda:1", "cuda:2"]),
+        ("cuda:1", 2, ["cuda:1", "cuda:1"]),
+        ("auto", 0, ["cpu", "cpu"]),
+        ("cpu", 4, ["cpu", "cpu"]),
+    ):
+        with_gpus(monkeypatch, count)
+        assert [str(select_worker_device(name, number)) for number in range(len(expected))] == expected
 
 
-@pytest.mark.parametrize(
-    ("place", "device", "count", "expected"),
-    [
+def test_one_scene_is_drawn_on_each_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    cases: tuple[tuple[Executor, str, int, Executor], ...] = (
         (LocalProcesses(16), "auto", 4, LocalProcesses(4)),
         (LocalProcesses(2), "cuda", 4, LocalProcesses(2)),
         (LocalProcesses(16), "cuda:1", 4, LocalProcesses(1)),
@@ -362,16 +315,10 @@ def test_workers_share_the_gpus(
         (LocalProcesses(16), "cpu", 4, LocalProcesses(16)),
         (RayCluster("auto"), "cuda", 0, RayCluster("auto", gpus=1)),
         (RayCluster("auto"), "auto", 0, RayCluster("auto")),
-    ],
-)
-def test_one_scene_is_drawn_on_each_gpu(
-    monkeypatch: pytest.MonkeyPatch, place: Executor, device: str, count: int, expected: Executor
-) -> None:
-    with_gpus(monkeypatch, count)
-    assert build_rendering_executor(place, device) == expected
-
-
-def test_a_gpu_that_is_not_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    )
+    for place, device, count, expected in cases:
+        with_gpus(monkeypatch, count)
+        assert build_rendering_executor(place, device) == expected
     with_gpus(monkeypatch, 0)
     with pytest.raises(InputError, match="no GPU found for device 'cuda'"):
         build_rendering_executor(LocalProcesses(2), "cuda")
@@ -386,15 +333,32 @@ def test_too_little_memory_is_a_sentence(weights: Path, tmp_path: Path, monkeypa
         next(small_renderer(weights, tmp_path).render(brief_scene(), [0]))
 
 
-def test_output_sizes_are_two() -> None:
-    sizes: tuple[OutputSize, ...] = ("model", "1600x900")
-    cameras = [ImageGeometry(output=size).camera(brief_scene().cameras[0]) for size in sizes]
-    assert [(camera.width, camera.height) for camera in cameras] == [(400, 224), (1600, 900)]
-    assert ImageGeometry().output == "1600x900"
-
-
 def test_the_command_writes_the_camera_s_size_unless_told_otherwise(tmp_path: Path) -> None:
     made = build_magicdrive_renderer(tmp_path, None, device="cpu", estimates_only=True)
     assert {(camera.width, camera.height) for camera in made.cameras(brief_scene())} == {(1600, 900)}
     own = build_magicdrive_renderer(tmp_path, None, device="cpu", written_size="model", estimates_only=True)
     assert {(camera.width, camera.height) for camera in own.cameras(brief_scene())} == {(400, 224)}
+
+
+@pytest.mark.parametrize(
+    ("recorded", "written"),
+    [(7, 7), (186, 186), (187, 185), (229, 225), (233, 233), (235, 233), (240, 240), (241, 241), (361, 241)],
+)
+def test_recordings_are_cut_to_the_published_lengths(recorded: int, written: int) -> None:
+    assert compute_published_length(recorded) == written
+
+
+def test_what_is_written_ends_where_the_published_clips_do(
+    weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 20 frames as long as whole recordings, 17 are drawn, and their keyframes are the samples."""
+    monkeypatch.setattr(clip_module, "SHORTEST_WHOLE", 20)
+    renderer, scene = small_renderer(weights, tmp_path / "work", steps=1), busy_scene(20 / 12)
+    assert renderer.estimate(scene).frames == 17
+    plan = DataSetPlan(tmp_path / "root", "val-r", renderer=renderer)
+    key = write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})
+    finish_data_set(plan, [key])
+    read = NuScenesData.open(tmp_path / "root").scene(scene.name)
+    assert read.keyframes.tolist() == [0, 6, 12]
+    sweeps = list((tmp_path / "root").glob("s*s/CAM_FRONT/*.jpg"))
+    assert len(sweeps) == 17

@@ -57,6 +57,7 @@ def test_what_the_adversary_depends_on_is_part_of_what_was_measured(records: lis
     assert not {"adversary", "ladder"} & set(plain.rows[0].model_dump(mode="json"))
 
 
+@pytest.mark.path
 def test_every_drive_says_where_the_adversary_went_and_whom_the_encounter_is_fair_to(
     records: list[DriveRecord],
 ) -> None:
@@ -142,6 +143,8 @@ def test_tracks_of_one_planner_are_driven_against_another(records: list[DriveRec
         api.drive_settings("adv", agents="adversary", adversary_tracks=source.directory)
     with pytest.raises(InputError, match="add --agents adversary"):
         api.drive_settings("val", adversary_tracks=source.directory)
+    with pytest.raises(InputError, match="--keep-considered"):
+        api.drive_settings("val", keep_considered=True, agents="adversary", adversary_tracks=source.directory)
 
 
 KEEPING = replace(ADVERSARY, maker=rides(replace(SETTINGS, keep_considered=True)), keep_considered=True)
@@ -188,9 +191,3 @@ def test_an_adversary_that_would_go_elsewhere_is_not_shown(records: list[DriveRe
     data = town()
     with pytest.raises(InputError, match="give another"):
         repeat_search(rides(), data.scene(row.scene), data, elsewhere)
-
-
-def test_only_who_plans_considers_anything(records: list[DriveRecord]) -> None:
-    given: dict[str, Any] = {"agents": "adversary", "adversary_tracks": records[0].directory}
-    with pytest.raises(InputError, match="--keep-considered"):
-        api.drive_settings("val", keep_considered=True, **given)

@@ -6,6 +6,7 @@ import numpy as np
 
 from benchmark.closed_loop.adversary import AdversaryTrack
 from benchmark.constants import FRAMES_PER_KEYFRAME
+from benchmark.geometry import boxes_overlap
 from benchmark.records.search_trace import SearchTraceFrame
 from benchmark.scene import Scene
 from tests.generation.extensions.reactive_adversary.loops import HYPER, SETTINGS, loop, policy_of, road
@@ -39,10 +40,14 @@ def test_what_was_driven_is_among_it_and_nothing_else_depends_on_it() -> None:
         assert np.abs(np.array(each.candidates)[:, 0] - track.poses[at, :2]).max() < 0.02
 
 
-def test_where_nothing_is_allowed_nothing_is_chosen() -> None:
+def test_where_nothing_is_allowed_nothing_is_chosen_and_it_brakes() -> None:
+    """A wall of parked trucks across the road: there is no way on, and it stops before them."""
     wall = tuple(Car(85.0, y, category="vehicle.truck", size=(3.0, 4.0, 3.0)) for y in (194.0, 197.5, 201.5, 205.5))
     scene = road(Car(55.0, 194.75, 9.0), *wall, seconds=8.0)
-    track, _, _ = loop(scene, policy_of(scene, KEEPING))
+    track, boxes, _ = loop(scene, policy_of(scene, KEEPING))
+    assert not boxes_overlap(boxes[:, :1], boxes[:, 1:]).any()
+    assert np.hypot(*(boxes[-1, 0] - boxes[-11, 0])[:2]) < 0.5
+    assert [each.frame for each in track.replanned] == list(range(12, len(scene.timestamps_us) - 1, 12))
     found = considered(track, scene)
     slowed = [each for each in found if each.did == "slowed"]
     assert slowed and all(each.chosen is None and each.candidates for each in slowed)

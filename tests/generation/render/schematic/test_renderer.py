@@ -21,7 +21,7 @@ from generation.render.contract import Images, Renderer
 from generation.render.schematic import FIRST, SECOND, SchematicRenderer
 from generation.render.schematic.roadside import build_roadside
 from generation.render.schematic.shapes import choose_shape_name, get_shape
-from generation.render.schematic.styles import DrawingStyle, develop
+from generation.render.schematic.styles import DrawingStyle
 from tests.hand_made import Car, scene_on_straight_road
 
 SMALL = (112, 64)
@@ -123,18 +123,6 @@ def test_styles_move_nothing() -> None:
         places.append(np.abs(pair[0] - pair[1]).max(axis=-1) > 24)
     both, either = (places[0] & places[1]).sum(), (places[0] | places[1]).sum()
     assert both > 0.6 * either > 100
-
-
-def test_a_pipeline_keeps_the_mean_within_its_gains_and_adds_seeded_noise() -> None:
-    pipeline = SECOND.pipeline
-    assert pipeline is not None
-    grey = np.full((90, 160, 3), 120, dtype=np.uint8)
-    one, again, other = (develop(grey, pipeline, seed) for seed in (1, 1, 2))
-    assert np.array_equal(one, again) and not np.array_equal(one, other)
-    middle = one[30:60, 60:100].astype(float)
-    assert 1.0 < middle.std() < 12.0
-    assert middle[..., 0].mean() > middle[..., 2].mean() > 90.0
-    assert one[:8, :8].mean() < 0.85 * middle.mean()
 
 
 def test_an_agent_that_is_not_there_is_not_drawn() -> None:
@@ -245,21 +233,6 @@ def test_nothing_stands_on_the_road_or_on_anybody() -> None:
     paved = shapely.union_all([scene.road_map.drivable_area, *scene.road_map.walkways.values()])
     assert not shapely.intersects(footprints, paved).any()
     assert not shapely.intersects(footprints, shapely.Point(parked.x, parked.y)).any()
-
-
-RECORDED = Path(__file__).resolve().parents[5] / "shared" / "data" / "scenes"
-
-
-@pytest.mark.skipif(not RECORDED.is_dir(), reason="needs the recorded scenes beside the repository")
-def test_recorded_scenes_with_hills_and_hundreds_of_agents() -> None:
-    from benchmark.datasets.scenarionet import read_scenarionet
-
-    scene = read_scenarionet(RECORDED / "sd_nuscenes_v1.0-mini_scene-0061.pkl")
-    first, last = render(scene, [0, len(scene.timestamps_us) - 1])
-    assert all(image.std() > 10 for image in (*first.values(), *last.values()))
-    beside = shapely.polygons(build_roadside(scene, lamps=False).footprint)
-    there = shapely.MultiPoint(scene.agents.position[..., :2][scene.agents.valid])
-    assert not shapely.intersects(beside, there).any()
 
 
 def test_a_place_looks_the_same_in_every_scene() -> None:

@@ -14,7 +14,7 @@ from generation.sources.town import build_town_scene, build_town_scene_driven, b
 from generation.sources.town.paths import EGO_BODY, compute_body_boxes
 from tests.generation.sources.town.test_driven_ego import driven_as
 
-INDICES = (1, 8, 17)
+INDICES = (1, 8)
 MOST = 6
 
 
@@ -64,17 +64,10 @@ def _nobody_else_changed(scene: Scene, town: Scene) -> None:
     assert np.array_equal(scene.agents.position[both], town.agents.position[:, :frames][both])
 
 
-def test_same_arguments_same_scene_and_other_numbers_other_egos() -> None:
-    again = build_town_scene("train", INDICES[0], seed=21, crossing=MOST)
-    assert np.array_equal(again.ego.position, _scene(INDICES[0], MOST).ego.position)
-    assert np.array_equal(again.agents.position, _scene(INDICES[0], MOST).agents.position)
-    assert not np.array_equal(_scene(INDICES[0], 0).ego.position, again.ego.position)
-
-
 def test_the_ego_leaves_its_path_there_too() -> None:
-    scene, excursions = build_town_scene_off_path(INDICES[1], seed=21, crossing=MOST)
+    scene, excursions = build_town_scene_off_path(INDICES[0], seed=21, crossing=MOST)
     assert excursions
-    _nobody_else_changed(scene, _scene(INDICES[1], MOST))
+    _nobody_else_changed(scene, _scene(INDICES[0], MOST))
 
 
 def test_a_drive_past_them_is_none_through_the_town_without_them() -> None:

@@ -1,10 +1,9 @@
 import hashlib
 import subprocess
 import sys
-from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from generation.sources.town.speed import FRAMES, SECONDS, plan_speed
 from generation.sources.town.themes import PROGRAMME
 from generation.sources.town.towns import build_town
 
-SCENES = [("val", index) for index in range(DEFAULT_VAL_SCENES)] + [("train", 0), ("train", 11)]
+SCENES = [*(("val", index) for index in range(0, DEFAULT_VAL_SCENES, 2)), ("train", 0), ("train", 11)]
 
 
 @cache
@@ -37,32 +36,17 @@ def scene(request: pytest.FixtureRequest) -> Scene:
     return _made(*request.param)
 
 
-def digest(value: Any) -> str:
-    """SHA-256 over everything in nested dataclasses."""
-    state = hashlib.sha256()
-
-    def add(item: Any) -> None:
-        if isinstance(item, np.ndarray):
-            state.update(str(item.dtype).encode() + str(item.shape).encode() + np.ascontiguousarray(item).tobytes())
-        elif isinstance(item, shapely.Geometry):
-            state.update(item.wkb)
-        elif is_dataclass(item):
-            for entry in fields(item):
-                add(getattr(item, entry.name))
-        elif isinstance(item, dict):
-            for key, entry in item.items():
-                add(key)
-                add(entry)
-        elif isinstance(item, tuple):
-            for entry in item:
-                add(entry)
-        elif isinstance(item, frozenset):
-            add(tuple(sorted(item)))
-        else:
-            state.update(repr(item).encode())
-
-    add(value)
-    return state.hexdigest()
+def digest(scene: Scene) -> str:
+    """SHA-256 over what moves, what is annotated, and the map."""
+    agents, notes, road = scene.agents, scene.annotations, scene.road_map
+    arrays = (
+        scene.timestamps_us, scene.ego.position, scene.ego.rotation, agents.position, agents.yaw, agents.size,
+        agents.valid, notes.rotation, notes.visibility, notes.num_lidar_pts,
+    )  # fmt: skip
+    shapes = (road.drivable_area, *road.walkways.values(), *road.stop_lines.values())
+    words = repr((scene.description, agents.ids, agents.categories, notes.attribute.tolist(), sorted(road.lanes)))
+    parts = [words.encode(), *(array.tobytes() for array in arrays), *(shape.wkb for shape in shapes)]
+    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def _vehicles(scene: Scene) -> list[int]:
@@ -263,7 +247,7 @@ def test_wrong_requests_are_refused_in_a_sentence(split: Literal["val", "train"]
         build_town_scene(split, index)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(start=st.integers(0, 10), wall=st.integers(130, 400), parked=st.booleans())
 def test_a_planned_speed_profile_never_enters_what_is_blocked(start: int, wall: int, parked: bool) -> None:
     town = build_town(OFFICIAL_LOCATIONS[0], 0)
