@@ -1,5 +1,6 @@
 """``verify model --noise``: what our own rounding moves is told from what is wrong."""
 
+import shutil
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,14 @@ from tests.adapters.extensions.golden_sets.sparse_sets import change, write_set
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 
 
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_set("sparsedrive", tmp_path_factory.mktemp("golden") / "sparsedrive")
+
+
 @pytest.fixture
-def golden(tmp_path: Path) -> Path:
-    return write_set("sparsedrive", tmp_path / "sparsedrive")
+def golden(original: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(original, tmp_path / "sparsedrive"))
 
 
 def verified(golden: Path) -> dict[str, Check]:
@@ -65,22 +71,15 @@ def test_an_error_as_large_as_what_rounding_moves_says_so(golden: Path, monkeypa
 
 
 def test_a_run_leaves_threads_and_network_as_they_were() -> None:
-    network, usual = filled("sparsedrive"), torch.get_num_threads()
-    images = torch.ones(1, 3, 64, 64)
-    seen: list[torch.Tensor] = []
-    keep = network.img_backbone.register_forward_pre_hook(lambda _module, inputs: seen.append(inputs[0]))
+    network, usual, images = filled("sparsedrive"), torch.get_num_threads(), torch.ones(1, 3, 64, 64)
     with torch.inference_mode(), VerificationRun(image_noise=1e-7, threads=choose_other_thread_count()).varied(network):
-        assert torch.get_num_threads() == choose_other_thread_count() != usual or torch.get_num_threads() != usual
-        network.img_backbone(images)
-    keep.remove()
-    assert torch.get_num_threads() == usual and len(network.img_backbone._forward_pre_hooks) == 0
-    assert torch.equal(images, torch.ones_like(images))
-    with torch.inference_mode(), VerificationRun(image_noise=1e-7).varied(network):
         noisy: list[torch.Tensor] = []
         hook = network.img_backbone.register_forward_pre_hook(lambda _module, inputs: noisy.append(inputs[0]))
+        assert torch.get_num_threads() == choose_other_thread_count() != usual or torch.get_num_threads() != usual
         network.img_backbone(images)
         hook.remove()
-    assert 0 < float((noisy[0] - 1).abs().max()) < 1e-6
+    assert torch.get_num_threads() == usual and len(network.img_backbone._forward_pre_hooks) == 0
+    assert torch.equal(images, torch.ones_like(images)) and 0 < float((noisy[0] - 1).abs().max()) < 1e-6
 
 
 def compared(*errors: float, wrong: tuple[bool, ...] = (False, False)) -> Comparison:
