@@ -200,9 +200,11 @@ def test_diffusion_needs_its_noise_and_each_model_a_set(originals: dict[str, Pat
     refused(folder, "frame1_diffusion_noise")
     with pytest.raises(InputError, match="not a directory"):
         verify(tmp_path / "nowhere", "sparsedrive")
+    nothing = tmp_path / "nothing"
+    nothing.mkdir()
     for name in ("sparsedrive", "diffusiondrive"):
-        with pytest.raises(InputError, match=str(tmp_path)):
-            verify_model(name, tmp_path)
+        with pytest.raises(InputError, match=str(nothing)):
+            verify_model(name, nothing)
     with pytest.raises(InputError, match="choose one of vad-tiny, vad-base, uniad, sparsedrive, diffusiondrive"):
         verify_model("nonsense", tmp_path)
 

@@ -198,7 +198,8 @@ def test_odd_inputs_and_absent_sets_are_told(golden: Path, tmp_path: Path) -> No
     )
     with pytest.raises(InputError, match="motion_anchors"):
         compared(few)
-    for folder, says in ((tmp_path / "nowhere", "no golden set"), (tmp_path, r"no manifest\.json")):
+    (tmp_path / "empty").mkdir()
+    for folder, says in ((tmp_path / "nowhere", "no golden set"), (tmp_path / "empty", r"no manifest\.json")):
         with pytest.raises(InputError, match=says):
             verify_model("uniad", folder)
 

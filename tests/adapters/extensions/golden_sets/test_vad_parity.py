@@ -8,18 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from adapters.extensions.golden_sets.models import verify_model
 from adapters.extensions.golden_sets.parity_set import ParityManifest, ParitySet, compare_frame
 from adapters.extensions.golden_sets.tensors import OUTLIERS, Quantity, Tolerance
 from adapters.extensions.golden_sets.vad import EXACT
-from adapters.networks.vad.config import VADConfig
-from adapters.networks.vad.model import VAD
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check, Comparison, format_report
-from benchmark.verification.filled_networks import fill_network, have_same_names_and_shapes
-from benchmark.verification.golden_sets import GoldenArrays, GoldenFolder
+from benchmark.verification.golden_sets import GoldenArrays
 
 PARITY = Path(__file__).resolve().parents[5] / "shared" / "golden" / "parity"
 needs_parity = pytest.mark.skipif(not PARITY.is_dir(), reason="no shared material beside the repository")
@@ -108,27 +104,10 @@ def test_only_what_is_undecided_and_wrong_is_left_out_and_lists_have_their_lengt
     for values, unsure, ok in ((flipped, undecided, True), (flipped, ~undecided, False), (lost, undecided, False)):
         (check,) = _compared(golden, table=Quantity(values, EXACT, unsure))
         assert check.ok is ok
-        assert not ok or (check.count == 9 and check.note == "3 too close to call left out in frame 0")
+        assert not ok or (check.count == 9 and check.note.startswith("3 too close to call left out in frame 0"))
     for length in (3, 4):
         (check,) = _compared(golden, list=Quantity(np.arange(float(length)), EXACT, listed=True))
         assert check.ok is (length == 4) and ("another length" in check.note) is (length == 3)
-
-
-@pytest.mark.slow
-@needs_parity
-def test_image_features_of_the_base_network() -> None:
-    golden = ParitySet.read(GoldenFolder(PARITY / "vad_base" / "dev"))
-    network, comparison = VAD(VADConfig.base()), Comparison()
-    assert have_same_names_and_shapes(comparison, network, golden.shapes)
-    fill_network(comparison, network, golden.recipe, golden.shapes, golden.recipe.weights_sha256)
-    with torch.inference_mode():
-        maps = network.img_backbone(golden.images(0))
-        levels = network.img_neck(maps)
-    ours = {f"backbone{level}": Quantity.of(features, EXACT) for level, features in enumerate(maps)}
-    ours |= {f"neck{level}": Quantity.of(features, EXACT) for level, features in enumerate(levels)}
-    compare_frame(comparison.at("frame 0"), golden, 0, ours)
-    assert all(check.ok for check in comparison.checks()), format_report(comparison.checks())
-    assert len(comparison.checks()) == 9
 
 
 @needs_parity
