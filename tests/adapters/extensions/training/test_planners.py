@@ -176,7 +176,7 @@ def test_parts_and_weights_that_cannot_be_used_are_a_sentence(one_scene: Path, t
         ({"split": "nonsense"}, "nonsense"),
     ):
         with pytest.raises(InputError, match=sentence):
-            train_planner(replace(training, **change))  # type: ignore[arg-type]
+            train_planner(replace(training, **change))
     assert not training.out.exists()
 
 
