@@ -15,7 +15,10 @@ from adapters.networks.sparse.boxes import KeyframeMotion
 from adapters.networks.sparse.decoder import InstanceMemory
 from adapters.networks.sparse.model import SparseMemory, pose_of
 from benchmark.verification.golden_sets import GoldenArrays
-from tests.adapters.networks.sparse.miniature import MINIATURE, TIMES_S, filled, frame, noise, recipe
+from tests.adapters.networks.sparse.miniature import MINIATURE, filled, frame, noise, recipe
+
+FRAMES = 2
+"""The second sees the first."""
 
 
 def write_set(name: str, folder: Path, swapped: bool = False) -> Path:
@@ -31,13 +34,13 @@ def write_set(name: str, folder: Path, swapped: bool = False) -> Path:
         "std_rules": made.std_rules,
         "kept_buffers": list(made.kept_buffers),
     }
-    manifest |= {"image_hw": [MINIATURE.image_height_px, MINIATURE.image_width_px], "n_frames": len(TIMES_S)}
+    manifest |= {"image_hw": [MINIATURE.image_height_px, MINIATURE.image_width_px], "n_frames": FRAMES}
     (folder / "manifest.json").write_text(json.dumps(manifest))
     assert isinstance(made.kept_buffers, dict)
     np.savez(folder / "kept_buffers.npz", **{key: np.array(v, np.float32) for key, v in made.kept_buffers.items()})
     inputs: dict[str, Any] = {}
     statistics: dict[str, Any] = {}
-    for number in range(len(TIMES_S)):
+    for number in range(FRAMES):
         given, before = frame(number), network.memory
         inputs |= {
             f"frame{number}_projection_mat": given.projections.numpy()[None],

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from adapters.extensions.training.dataset_mixture import build_frames
 from benchmark.datasets.roots import open_data
@@ -12,6 +13,7 @@ from tests.benchmark.cli.cli_runs import challenger_bench
 from tests.benchmark.cli.test_driven_town import SMALL, town_and_drive
 
 
+@pytest.mark.slow
 def test_frames_of_a_driven_town_are_of_the_way_back(tmp_path: Path) -> None:
     place = town_and_drive(tmp_path)
     (record,) = find_drives(place / "train replay")

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from adapters.extensions.training.dataset_mixture import FrameStore, build_frames
+from adapters.extensions.training.dataset_mixture import FrameStore
 from adapters.extensions.training.frames import DRIVABLE_HALF_M, TrainingFrame
 from adapters.extensions.training.image_encoder import (
     CELL_PX,
@@ -18,18 +18,13 @@ from adapters.extensions.training.image_encoder import (
     ImageEncoderObjective,
     ImageTargets,
     _mirror,
-    centre_loss,
     image_targets,
 )
 from benchmark.geometry import Floats
-from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 
 @pytest.fixture(scope="module")
-def frame(tmp_path_factory: pytest.TempPathFactory) -> TrainingFrame:
-    root = tmp_path_factory.mktemp("root")
-    write_root(root, [short_scene("scene-9901", seconds=2.5)])
-    store: FrameStore = build_frames(root, "val", tmp_path_factory.mktemp("frames"))
+def frame(store: FrameStore) -> TrainingFrame:
     return store.frame(2)
 
 
@@ -72,34 +67,25 @@ def test_centres_are_where_boxes_are_and_numbers_give_them_back(frame: TrainingF
 def test_ground_is_what_the_ray_through_a_cell_meets(frame: TrainingFrame, targets: ImageTargets) -> None:
     ground_z_m = -float(frame.global_T_lidar[2, 3])
     asked = np.argwhere(targets.sees_ground[:, 0])
-    rng = np.random.default_rng(0)
     assert len(asked) > 500
-    for camera, row, column in asked[rng.permutation(len(asked))[:200]]:
+    for camera, row, column in asked[np.random.default_rng(0).permutation(len(asked))[:200]]:
         matrix = frame.lidar2img[camera].numpy()
         # The point (x, y) of the ground with u d, v d, d on the ray: two linear equations.
         u, v = (column + 0.5) * GROUND_PX, (row + 0.5) * GROUND_PX
         lines = np.stack([matrix[0] - u * matrix[2], matrix[1] - v * matrix[2]])
         x, y = np.linalg.solve(lines[:, :2], -(lines[:, 2] * ground_z_m + lines[:, 3]))
-        cell = np.floor((np.array([y, x]) + DRIVABLE_HALF_M) / 0.8).astype(int)
-        edge = np.abs((np.array([y, x]) + DRIVABLE_HALF_M) / 0.8 - np.rint((np.array([y, x]) + DRIVABLE_HALF_M) / 0.8))
-        if edge.min() > 0.01:
-            assert targets.ground[camera, 0, row, column] == float(frame.drivable[cell[0], cell[1]])
+        place = (np.array([y, x]) + DRIVABLE_HALF_M) / 0.8
+        if np.abs(place - np.rint(place)).min() > 0.01:
+            assert targets.ground[camera, 0, row, column] == float(frame.drivable[*np.floor(place).astype(int)])
 
 
-def test_lines_are_asked_for_and_lie_on_or_beside_the_road(targets: ImageTargets) -> None:
-    for kind in ("divider", "boundary"):
-        place = GROUND_KINDS.index(kind)
-        assert targets.ground[:, place].sum() > 10
+def test_lines_are_asked_for_and_no_ground_behind_a_box(frame: TrainingFrame, targets: ImageTargets) -> None:
+    assert all(targets.ground[:, GROUND_KINDS.index(kind)].sum() > 10 for kind in ("divider", "boundary"))
     assert (targets.ground <= targets.sees_ground).all()
-
-
-def test_no_ground_is_asked_for_behind_a_box(frame: TrainingFrame, targets: ImageTargets) -> None:
     for box in frame.boxes.double().numpy():
         for camera, u, v, depth in seen(frame, box[:3]):
-            assert (
-                not 5 < depth < FARTHEST_M
-                or not targets.sees_ground[camera, :, int(v // GROUND_PX), int(u // GROUND_PX)].any()
-            )
+            if 5 < depth < FARTHEST_M:
+                assert not targets.sees_ground[camera, :, int(v // GROUND_PX), int(u // GROUND_PX)].any()
 
 
 def test_mirroring_twice_changes_nothing_and_once_turns_sides(frame: TrainingFrame, targets: ImageTargets) -> None:
@@ -116,16 +102,6 @@ def test_mirroring_twice_changes_nothing_and_once_turns_sides(frame: TrainingFra
     assert torch.equal(after * torch.tensor([-1.0, 1, 1, 1, 1, 1, -1, 1]), before)
 
 
-def test_a_found_centre_costs_nothing_and_an_invented_one_much() -> None:
-    heat = torch.zeros(1, 1, 4, 4)
-    heat[0, 0, 1, 1] = 1.0
-    right = torch.where(heat > 0, 12.0, -12.0)
-    assert float(centre_loss(right, heat)) < 1e-4
-    invented = right.clone()
-    invented[0, 0, 3, 3] = 12.0
-    assert float(centre_loss(invented, heat)) > 5
-
-
 def test_losses_of_one_frame_fall(frame: TrainingFrame) -> None:
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -134,13 +110,13 @@ def test_losses_of_one_frame_fall(frame: TrainingFrame) -> None:
         noise = torch.randint(0, 256, frame.images.shape, dtype=torch.uint8)
         optimiser = torch.optim.AdamW(objective.network.parameters(), 1e-3)
         totals = []
-        for _ in range(16):
+        for _ in range(10):
             total = torch.stack(list(objective.losses([replace(frame, images=noise)]).values())).sum()
             optimiser.zero_grad()
             total.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
             totals.append(float(total.detach()))
-    assert np.mean(totals[-3:]) < 0.6 * np.mean(totals[:2])
+    assert np.mean(totals[-2:]) < 0.8 * np.mean(totals[:2])
     # Its statistics were learned; as part of a planner they stay.
     statistics = [module for module in objective.network.img_backbone.modules() if isinstance(module, nn.BatchNorm2d)]
     assert all(bool((module.running_mean != 0).any()) for module in statistics if module.running_mean is not None)

@@ -10,13 +10,11 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from adapters.extensions.training.losses import (
-    Matches,
     assign,
     box_loss,
     class_cost,
     dice_loss,
     direction_loss,
-    equivalent_lines,
     find_winning_modes,
     focal_loss,
     line_loss,
@@ -36,17 +34,22 @@ def noise(seed: int, *shape: int) -> Tensor:
     return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
 
 
-@given(SEEDS, st.integers(1, 5), st.integers(0, 5))
-def test_the_assignment_is_the_cheapest_of_all(seed: int, queries: int, wanted: int) -> None:
-    cost = noise(seed, queries, wanted)
-    found = assign(cost)
-    fewer = min(queries, wanted)
-    assert len(found.queries) == fewer == len(set(found.queries.tolist())) == len(set(found.wanted.tolist()))
-    if queries >= wanted:
-        cheapest = min(
-            sum(cost[row, column] for column, row in enumerate(rows)) for rows in permutations(range(queries), wanted)
-        )
-        assert float(cost[found.queries, found.wanted].sum()) == pytest.approx(float(cheapest), abs=1e-5)
+@given(SEEDS, st.integers(1, 5), st.lists(st.integers(0, 5), min_size=1, max_size=3))
+@settings(max_examples=40, deadline=None)
+def test_the_assignment_is_the_cheapest_in_each_key_frame(seed: int, queries: int, counts: list[int]) -> None:
+    cost = noise(seed, len(counts) * queries, sum(counts))
+    found = assign(cost, queries, counts) if len(counts) > 1 else assign(cost)
+    owners = torch.repeat_interleave(torch.arange(len(counts)), torch.tensor(counts))
+    assert torch.equal(found.queries // queries, owners[found.wanted])
+    assert len(set(found.queries.tolist())) == len(set(found.wanted.tolist())) == len(found.queries)
+    cheapest, start = 0.0, 0
+    for number, count in enumerate(counts):
+        block = cost[number * queries : (number + 1) * queries, start : start + count]
+        block, start = block if queries <= count else block.T, start + count
+        ways = permutations(range(block.shape[1]), block.shape[0])
+        cheapest += min((sum(float(block[row, place]) for row, place in enumerate(way)) for way in ways), default=0.0)
+    assert len(found.queries) == sum(min(queries, count) for count in counts)
+    assert float(cost[found.queries, found.wanted].sum()) == pytest.approx(cheapest, abs=1e-4)
 
 
 def test_predictions_that_are_not_finite_are_a_sentence() -> None:
@@ -62,13 +65,6 @@ def test_the_cost_of_a_class_is_what_the_focal_loss_changes_by(seed: int) -> Non
         without, with_it = torch.zeros(4), torch.tensor([0.0, 0.0, 1.0, 0.0])
         changed = focal_loss(logits[query], with_it, count=1) - focal_loss(logits[query], without, count=1)
         assert float(cost[query]) == pytest.approx(float(changed), abs=1e-5)
-
-
-def test_confident_truth_costs_less_than_confident_error() -> None:
-    right, wrong = torch.tensor([[6.0, -6.0]]), torch.tensor([[-6.0, 6.0]])
-    matches = Matches(torch.tensor([0]), torch.tensor([0]))
-    labels = torch.tensor([0])
-    assert query_class_loss(right, labels, matches) < 1e-4 < 1 < query_class_loss(wrong, labels, matches)
 
 
 def test_boxes_are_matched_by_place_and_kind() -> None:
@@ -91,7 +87,7 @@ def test_half_a_turn_more_is_another_heading_and_a_full_turn_is_none() -> None:
 
 
 @given(SEEDS, st.booleans(), st.integers(0, 7))
-@settings(max_examples=40)
+@settings(max_examples=25, deadline=None)
 def test_a_line_is_the_same_backwards_and_a_closed_one_from_any_start(seed: int, closed: bool, start: int) -> None:
     points = noise(seed, 8, 2).cumsum(0)
     if closed:
@@ -103,17 +99,6 @@ def test_a_line_is_the_same_backwards_and_a_closed_one_from_any_start(seed: int,
         matches, matched = match_lines(torch.zeros(1, 3), other[None], torch.tensor([1]), ring[None])
         assert float(line_loss(other[None], matched, matches)) == pytest.approx(0, abs=1e-5)
         assert float(direction_loss(other[None], matched, matches)) == pytest.approx(0, abs=1e-5)
-
-
-def test_open_lines_have_two_orders_also_beside_closed_ones() -> None:
-    angle = torch.linspace(0, 2 * math.pi, 5)
-    ring = torch.stack([angle.cos(), angle.sin()], -1)
-    straight = torch.stack([torch.arange(5.0), torch.zeros(5)], -1)
-    orders = equivalent_lines(torch.stack([ring, straight]))
-    assert orders.shape == (2, 8, 5, 2)
-    assert len({tuple(order.flatten().tolist()) for order in orders[1]}) == 2
-    assert (orders[0, :, 0] - orders[0, :, -1]).abs().max() < 1e-5
-    assert len({tuple(order.flatten().round(decimals=3).tolist()) for order in orders[0]}) == 8
 
 
 def test_lines_are_compared_in_units_of_the_scale() -> None:

@@ -1,7 +1,8 @@
-"""Figures of plans, and what a planner is shown for them."""
+"""Figures of plans and of forecasts, and what a planner is shown for them."""
 
 import json
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,27 +10,27 @@ import numpy as np
 import pytest
 
 from adapters.extensions.training.plan_figures import (
+    NEAR_M,
     ImageAblation,
     ImageCondition,
     evaluate_plans,
+    forecast_figures,
     observe_with_images,
     plan_figures,
+    visible_forecast_figures,
+    visible_instances,
 )
-from adapters.models import Model, miniatures
 from adapters.planners.constant_velocity import ConstantVelocity
+from benchmark.constants import VEHICLE_CATEGORIES
 from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.datasets.sample_truth import HIDDEN
 from benchmark.errors import InputError
-from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.geometry import Floats
+from benchmark.planning import Forecasts, Observation, Plan, PlanFrame, SceneInfo
+from benchmark.truth import SampleTruth
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 SCENES = ("scene-9901", "scene-9902")
-
-
-def facts_of(small: Model) -> dict[str, Any]:
-    """What is measured of a packaged miniature."""
-    facts = json.loads(small.packaged.with_suffix(".json").read_text())
-    assert isinstance(facts, dict)
-    return facts
 
 
 class Late:
@@ -46,13 +47,6 @@ class Late:
     def plan(self, observation: Observation) -> Plan:
         self.asked += 1
         return Plan(np.zeros((6, 2)), PlanFrame.LIDAR)
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
-    root = tmp_path_factory.mktemp("root")
-    write_root(root, [short_scene(name, seconds=5.0, ego_x=50.0 + 7 * k) for k, name in enumerate(SCENES)])
-    return NuScenesData.open(root)
 
 
 def test_distances_are_those_of_the_recording(data: NuScenesData) -> None:
@@ -112,11 +106,110 @@ def test_what_cannot_be_measured_is_a_sentence(data: NuScenesData, tmp_path: Pat
         plan_figures(Late(), NuScenesData.open(tmp_path), ["scene-9903"])
 
 
-@pytest.mark.parametrize("name", [name for name, small in miniatures().items() if "lost" in facts_of(small)])
-def test_the_packaged_miniatures_need_their_images(name: str) -> None:
-    """As measured for their cards: without its own images each is farther from where it was driven, beyond chance."""
-    lost = facts_of(miniatures()[name])["lost"]
-    assert set(lost) == {"blank", "shuffled"}
-    for each in lost.values():
-        further = ImageAblation.from_log(each).l2_3s_m
-        assert further.low is not None and further.low > 0
+# --- forecasts
+
+AWAY_M = np.array([1.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def truths(data: NuScenesData) -> list[SampleTruth]:
+    return [truth for truth in data.truth("scene-9901") if truth.complete]
+
+
+def expecting(boxes: Floats, paths: Floats) -> Plan:
+    """A plan with one wrong mode beside each path, the wrong one the less likely."""
+    modes = np.stack([paths, paths + 20.0], axis=1)
+    return Plan(
+        np.zeros((6, 2)), PlanFrame.LIDAR, forecasts=Forecasts(boxes, modes, np.tile([0.8, 0.2], (len(boxes), 1)))
+    )
+
+
+def standing(boxes: Floats) -> Plan:
+    return expecting(boxes, np.repeat(boxes[:, None, :2], 6, axis=1))
+
+
+def seen(truth: SampleTruth) -> list[int]:
+    return [number for number in range(len(truth.instances)) if truth.annotated[number, 0]]
+
+
+def perfect(truth: SampleTruth) -> Plan:
+    return expecting(truth.boxes[seen(truth), 0], truth.boxes[seen(truth), 1:, :2])
+
+
+def test_errors_are_of_the_modes_that_they_name(truths: list[SampleTruth]) -> None:
+    plans = [perfect(truth) for truth in truths]
+    found = forecast_figures(truths, plans)
+    assert found is not None and found.vehicles > 0 and found.recall == found.precision == 1.0
+    assert found.least_error_m == pytest.approx(0.0, abs=1e-9) and found.likeliest_error_m == found.least_error_m
+    for plan in plans:
+        assert plan.forecasts is not None
+        plan.forecasts.trajectories[:, 1] = plan.forecasts.trajectories[:, 0]
+        plan.forecasts.trajectories[:, 0] += AWAY_M
+    found = forecast_figures(truths, plans)
+    assert found is not None
+    assert found.likeliest_error_m == pytest.approx(1.0) and found.least_error_m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_ghosts_cost_precision_and_the_blind_lose_recall(truths: list[SampleTruth]) -> None:
+    boxes = [truth.boxes[seen(truth), 0] for truth in truths]
+    ghosts = [standing(np.concatenate([each, each - [0.0, 9.0, 0.0, 0.0, 0.0]])) for each in boxes]
+    found = forecast_figures(truths, ghosts)
+    assert found is not None and found.recall == 1.0 and found.precision < 1.0
+    assert found.likeliest_error_m == pytest.approx(found.standing_error_m)
+    assert forecast_figures(truths, [replace(plan, forecasts=None) for plan in ghosts]) is None
+    half = forecast_figures(truths, [ghosts[0], *(standing(np.zeros((0, 5))) for _ in truths[1:])])
+    assert half is not None and half.recall < 1.0
+    # Two forecasts of one vehicle are one match, that of the nearer.
+    twice = [standing(np.concatenate([each, each + [0.2, 0.0, 0.0, 0.0, 0.0]])) for each in boxes]
+    visible = visible_forecast_figures(truths, twice, [frozenset(truth.instances) for truth in truths])
+    assert visible is not None and visible.recall == 1.0 and visible.precision == pytest.approx(0.5, abs=0.1)
+    assert visible.likeliest_error_m == pytest.approx(visible.standing_error_m)
+
+
+def test_who_cannot_be_seen_costs_no_recall_and_whoever_forecasts_them_no_precision(truths: list[SampleTruth]) -> None:
+    plans, everybody = [perfect(truth) for truth in truths], [frozenset(truth.instances) for truth in truths]
+    all_seen = visible_forecast_figures(truths, plans, everybody)
+    assert all_seen is not None and all_seen.recall == all_seen.precision == 1.0
+    one = next(
+        truth.instances[number]
+        for truth in truths
+        for number in seen(truth)
+        if truth.categories[number] in VEHICLE_CATEGORIES and np.hypot(*truth.boxes[number, 0, :2]) < NEAR_M
+    )
+    hidden = [each - {one} for each in everybody]
+    fewer = visible_forecast_figures(truths, plans, hidden)
+    assert fewer is None or (fewer.vehicles < all_seen.vehicles and fewer.precision == 1.0)
+    missed = []
+    for truth in truths:
+        rows = [number for number in seen(truth) if truth.instances[number] != one]
+        missed.append(expecting(truth.boxes[rows, 0], truth.boxes[rows, 1:, :2]))
+    found = visible_forecast_figures(truths, missed, everybody)
+    assert found is None or found.recall < 1.0
+    assert visible_forecast_figures(truths, missed, hidden) == fewer
+
+
+@pytest.mark.parametrize(("away_m", "found"), [(1.9, True), (2.1, False)])
+def test_what_is_seen_is_matched_within_two_metres_of_its_centre_whatever_its_size(
+    truths: list[SampleTruth], away_m: float, found: bool
+) -> None:
+    """The rule of diagnosis measures from the axis of what is long and compares areas; this one does neither."""
+    truth = truths[0]
+    number = next(number for number in seen(truth) if truth.categories[number] in VEHICLE_CATEGORIES)
+    box = truth.boxes[number, 0] * [1, 1, 10, 10, 1] + [away_m, 0.0, 0.0, 0.0, 0.0]
+    figures = visible_forecast_figures([truth], [standing(box[None])], [frozenset([truth.instances[number]])])
+    assert (figures is not None) == found
+    assert figures is None or (figures.recall == 1.0 and figures.vehicles == 1)
+
+
+def test_who_is_hardly_visible_is_not_visible(data: NuScenesData) -> None:
+    scene = data.scene("scene-9901")
+    known, instance = scene.annotations, scene.agents.ids[0]
+
+    def visible(visibility: np.ndarray[Any, Any]) -> Sequence[frozenset[str]]:
+        return visible_instances(replace(scene, annotations=replace(known, visibility=visibility)))
+
+    hardly = known.visibility.copy()
+    hardly[0, 0] = HIDDEN
+    assert known.valid[0, 0] and instance in visible(known.visibility)[0]
+    assert instance not in visible(hardly)[0] and len(visible(hardly)) == len(scene.keyframes)
+    assert [len(each) for each in visible(np.zeros_like(hardly))] == known.valid.sum(0).tolist()

@@ -80,24 +80,19 @@ def test_values_may_be_shared_by_a_batch() -> None:
             torch.testing.assert_close(found[batch].double(), own, rtol=1e-5, atol=1e-5)
 
 
-def test_positions_enter_queries_and_keys_only() -> None:
-    block = Attention(8, 2)
+def test_a_layer_normalises_after_each_addition_and_positions_enter_queries_and_keys_only() -> None:
+    block, layer = Attention(8, 2), CrossAttentionLayer(8, 2, 16)
     perturb(block)
-    tokens, positions = torch.randn(4, 8), torch.randn(4, 8)
+    perturb(layer)
+    tokens, positions, keys, values = torch.randn(2, 8), torch.randn(2, 8), torch.randn(5, 8), torch.randn(5, 8)
+    parts: Any = layer
     with torch.no_grad():
         own = slow_attention(block.attn, tokens + positions, tokens + positions, tokens, None)
         torch.testing.assert_close(block(tokens, positions).double(), tokens + own, rtol=1e-5, atol=1e-5)
-
-
-def test_a_layer_normalises_after_each_addition() -> None:
-    layer: Any = CrossAttentionLayer(8, 2, 16)
-    perturb(layer)
-    tokens, keys, values = torch.randn(2, 8), torch.randn(5, 8), torch.randn(5, 8)
-    with torch.no_grad():
         found = layer(tokens, torch.zeros(8), keys, values)
-        attended = tokens + slow_attention(layer.attentions[0].attn, tokens, keys, values, None).float()
-        middle = layer.norms[0](attended)
-        first, second = layer.ffns[0].layers[0][0], layer.ffns[0].layers[1]
+        attended = tokens + slow_attention(parts.attentions[0].attn, tokens, keys, values, None).float()
+        middle = parts.norms[0](attended)
+        first, second = parts.ffns[0].layers[0][0], parts.ffns[0].layers[1]
         hidden = (middle @ first.weight.T + first.bias).clamp(min=0)
-        expected = layer.norms[1](middle + hidden @ second.weight.T + second.bias)
+        expected = parts.norms[1](middle + hidden @ second.weight.T + second.bias)
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-5)

@@ -39,7 +39,7 @@ def test_cells_go_row_by_row_from_the_rear_left() -> None:
     torch.testing.assert_close(pillars[0, :, 2], torch.tensor([-1.5, -0.5, 0.5, 1.5]))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_hits_are_what_each_camera_sees(seed: int) -> None:
     pillars, projections = GRID.pillars(2), cameras(seed)
@@ -67,15 +67,7 @@ def test_hits_are_what_each_camera_sees(seed: int) -> None:
     assert hits.cell_starts.tolist() == [sum(counts[:cell]) for cell in range(GRID.cells)]
 
 
-def test_what_is_behind_a_camera_is_not_seen() -> None:
-    behind = cameras(0, 1)
-    behind[:, :3] *= -1
-    ahead = find_visible_cells(GRID.pillars(2), cameras(0, 1), 60, 100)
-    assert len(ahead.cell) > 0
-    assert not set(ahead.cell.tolist()) & set(find_visible_cells(GRID.pillars(2), behind, 60, 100).cell.tolist())
-
-
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     angle=st.floats(-400, 400),
     centre=st.tuples(st.floats(-5, 12), st.floats(-5, 12)),

@@ -119,6 +119,8 @@ def test_cells_that_no_camera_sees_stay_as_they_are() -> None:
     nothing = find_visible_cells(GRID.pillars(2), torch.zeros(2, 4, 4), 60, 100)
     with torch.no_grad():
         assert torch.equal(module(cells, features, SHAPES, nothing), cells)
+    with pytest.raises(ValueError, match="shared evenly"):
+        BEVFormerEncoder(replace(SIZES, image_points=3))
 
 
 @pytest.mark.parametrize("past", [False, True])
@@ -148,11 +150,6 @@ def test_features_know_their_camera_and_level() -> None:
     expected = maps[1][1, :, 1, 2] + cameras_embedding[1] + levels_embedding[1]
     torch.testing.assert_close(found.features[1, 15 + 1 * 3 + 2], expected)
     assert (found.shapes, found.height, found.width) == (SHAPES, 24, 40)
-
-
-def test_points_are_shared_by_heights_evenly() -> None:
-    with pytest.raises(ValueError, match="shared evenly"):
-        BEVFormerEncoder(replace(SIZES, image_points=3))
 
 
 def test_a_layer_is_one_graph() -> None:

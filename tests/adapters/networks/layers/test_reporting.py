@@ -32,18 +32,17 @@ def test_of_what_is_too_near_the_surest_is_left(boxes: list[tuple[int, int, int,
             assert any(near(place, each) for each in surer)
 
 
-@pytest.mark.parametrize("apart", [0.0, PUBLISHED.apart])
-def test_as_published_everything_counts(apart: float) -> None:
-    assert find_distinct(torch.zeros(3, 2), torch.ones(3), torch.ones(3), apart).all()
-
-
-def test_cars_side_by_side_and_walkers_in_a_row_are_several() -> None:
+def test_cars_side_by_side_and_walkers_in_a_row_are_several_and_as_published_everything_counts() -> None:
     cars = torch.tensor([[0.0, 0.0], [2.6, 0.0]])
     assert find_distinct(cars, torch.full((2,), 4.6), torch.tensor([0.9, 0.5]), 0.5).all()
     walkers = torch.tensor([[0.0, 0.0], [0.6, 0.0], [1.2, 0.0]])
     assert find_distinct(walkers, torch.full((3,), 0.8), torch.tensor([0.9, 0.5, 0.7]), 0.5).all()
     twice = torch.tensor([[0.0, 0.0], [1.0, 1.0]])
     assert find_distinct(twice, torch.full((2,), 4.6), torch.tensor([0.4, 0.5]), 0.5).tolist() == [False, True]
+    for apart in (0.0, PUBLISHED.apart):
+        assert find_distinct(torch.zeros(3, 2), torch.ones(3), torch.ones(3), apart).all()
+    plan = np.full((6, 2), 0.1)
+    assert PUBLISHED.steered_from_m == 0 and limit_steering(plan, PUBLISHED.steered_from_m) is plan
 
 
 @given(st.floats(0.0, 12.0), st.floats(-1.5, 1.5))
@@ -59,8 +58,3 @@ def test_short_plans_lead_more_straight_ahead_and_long_ones_where_they_did(lengt
     else:
         share = (length_m - STANDING_M) / (6.0 - STANDING_M)
         assert found[:, 0] == pytest.approx(share * plan[:, 0], abs=1e-9)
-
-
-def test_published_networks_steer_as_they_do() -> None:
-    plan = np.full((6, 2), 0.1)
-    assert PUBLISHED.steered_from_m == 0 and limit_steering(plan, PUBLISHED.steered_from_m) is plan

@@ -44,7 +44,7 @@ def box(x: float, y: float, heading: float, speed: float = 0.0) -> Tensor:
     return torch.tensor([numbers])
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(x=NUMBERS, y=NUMBERS, turn=st.floats(-3, 3), seconds=st.floats(-3, 3), heading=st.floats(-3, 3))
 def test_boxes_go_there_and_back(x: float, y: float, turn: float, seconds: float, heading: float) -> None:
     here, there = pose(1200, 700, 0.3), pose(1200 + x, 700 + y, 0.3 + turn)
@@ -65,7 +65,7 @@ def test_an_ego_that_drives_on_sees_a_standing_car_come_nearer_and_a_moving_one_
     assert float(heading_of(moving)) == pytest.approx(math.pi / 2)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(x=NUMBERS, y=NUMBERS, turn=st.floats(-3, 3))
 def test_lines_move_point_by_point(x: float, y: float, turn: float) -> None:
     here, there = pose(1200, 700, 0.3), pose(1200 + x, 700 + y, 0.3 + turn)

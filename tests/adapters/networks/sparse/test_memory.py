@@ -33,11 +33,8 @@ def stay(seconds: float) -> KeyframeMotion:
     return KeyframeMotion.between(KeyframePose(0.0, pose, ""), KeyframePose(seconds, pose, ""), torch.device("cpu"))
 
 
-def test_of_equals_the_first_is_the_most_certain() -> None:
-    assert find_most_certain(torch.tensor([0.5, 0.9, 0.5, 0.9, 0.1]), 3).tolist() == [1, 3, 0]
-
-
 def test_confidence_falls_slowly_and_rises_at_once() -> None:
+    assert find_most_certain(torch.tensor([0.5, 0.9, 0.5, 0.9, 0.1]), 3).tolist() == [1, 3, 0], "of equals the first"
     decoder = BoxDecoder(MINIATURE, 4)
     decoder.remembered = 2
     past = InstanceMemory(torch.zeros(2, CHANNELS), torch.zeros(2, 11), torch.tensor([0.9, 0.2]), torch.tensor([0, 1]))

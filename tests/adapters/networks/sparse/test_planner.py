@@ -2,9 +2,7 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,76 +11,25 @@ import torch
 
 from adapters.camera_inputs import RGB_MEAN_STD, SPARSE_DRIVE_IMAGE
 from adapters.checkpoints.checkpoint_import import import_checkpoint, match_model
-from adapters.models import MODELS
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseDrive, SparseInputs
-from adapters.networks.sparse.planner import SparsePlanner, example_frame
+from adapters.networks.sparse.planner import SparsePlanner
 from adapters.networks.sparse.selection import SparseOutputs
-from adapters.registry import build_planner, planner_factory
-from benchmark.constants import CAMERA_NAMES
+from adapters.registry import planner_factory
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
-from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.evaluation import evaluate
 from benchmark.geometry import transform_matrix
 from benchmark.machine.storage import file_sha256
-from benchmark.planning import Observation, PlanFrame, SceneInfo
+from benchmark.planning import SceneInfo
 from benchmark.records.planner_versions import label_versions
 from benchmark.runs.planner_facts import build_planner_facts
-from benchmark.weights.catalogue import find_checkpoint
+from tests.adapters.networks.small_planners import plans, small_sparse
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
-from tests.adapters.real_sample import FRAME, SCENE, boxes_in_lidar, info, real_root
-from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
+from tests.adapters.networks.test_native_planners import Factory
 
 NAMES = ("sparsedrive", "diffusiondrive")
-real = pytest.mark.skipif(not FRAME.is_dir(), reason="no shared material beside the repository")
-
-
-def small(
-    name: str = "sparsedrive", *, seed: int = 0, config: SparseConfig = MINIATURE, **kwargs: Any
-) -> SparsePlanner:
-    settings = {"seed": seed} if name == "diffusiondrive" else {}
-    network = filled(name, config, **settings)
-    known = {"name": name, "normalisation": RGB_MEAN_STD, "native_protocol": name, "device": "cpu"}
-    return SparsePlanner(network, **{**known, **kwargs})
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
-    root = tmp_path_factory.mktemp("root")
-    write_root(root, [short_scene("scene-9901", seconds=4.5), short_scene("scene-9902", ego_speed=3.0)])
-    return NuScenesData.open(root)
-
-
-def plans(built: SparsePlanner, data: NuScenesData, name: str, *, first: int = 0) -> np.ndarray[Any, Any]:
-    scene = data.scene(name)
-    built.reset(SceneInfo(name, scene.road_map.location, scene.cameras))
-    return np.stack([built.plan(seen).waypoints for seen in list(data.observations(name))[first:]])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_plan_is_the_likeliest_mode_of_the_command(name: str, data: NuScenesData) -> None:
-    seen = next(data.observations("scene-9901"))
-    chosen = []
-    for command in type(seen.command):
-        plan = small(name).plan(replace(seen, command=command))
-        assert plan.frame is PlanFrame.LIDAR and plan.modes is not None and plan.mode_scores is not None
-        assert plan.modes.shape == (6, 6, 2) and plan.mode_scores.shape == (6,)
-        assert np.array_equal(plan.waypoints, plan.modes[plan.mode_scores.argmax()])
-        chosen.append(plan.modes)
-    assert not np.array_equal(chosen[0], chosen[1]) and not np.array_equal(chosen[1], chosen[2])
-    assert small(name).native_protocol == name
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_past_of_a_scene_counts_and_that_of_another_does_not(name: str, data: NuScenesData) -> None:
-    built = small(name)
-    assert built.settings["memory_crosses_scenes"] is False
-    alone = plans(small(name), data, "scene-9901")
-    plans(built, data, "scene-9902")
-    assert np.array_equal(plans(built, data, "scene-9901"), alone)
-    late = plans(built, data, "scene-9901", first=2)
-    assert not np.allclose(late[0], alone[2], atol=1e-6)
 
 
 def test_what_the_network_receives_is_what_the_observation_says(data: NuScenesData) -> None:
@@ -118,47 +65,12 @@ def test_images_are_scaled_and_cut_as_published() -> None:
         assert found.padded == (config.image_height_px, config.image_width_px)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_example_inputs_have_the_published_size(name: str) -> None:
-    config = MODELS[name].configuration()
-    assert not config.memory_crosses_scenes and example_frame(config).images.shape == (6, 3, 256, 704)
-
-
-def test_forecasts_are_boxes_of_this_project(data: NuScenesData) -> None:
-    class Fixed(SparseDrive):
-        def forward(self, inputs: SparseInputs, noise: torch.Tensor | None = None) -> SparseOutputs:
-            box = torch.tensor([[5.0, 20.0, -1.0, 2.0, 4.5, 1.6, 1.5, 0.0, 9.0]])
-            steps = torch.arange(12.0)[:, None].expand(12, 2)
-            return replace(
-                super().forward(inputs, noise),
-                boxes=box.expand(2, 9),
-                box_scores=torch.tensor([0.9, MINIATURE.reporting.least_score - 0.01]),
-                trajectories=steps.expand(2, 6, 12, 2),
-                trajectory_scores=torch.tensor([[0.9, 0.45, 0.15, 0.0, 0.0, 0.0]] * 2),
-            )
-
-    built = SparsePlanner(Fixed(MINIATURE), name="fixed", normalisation=RGB_MEAN_STD, device="cpu")
-    forecasts = built.plan(next(data.observations("scene-9901"))).forecasts
-    assert forecasts is not None and np.allclose(forecasts.boxes, [[5.0, 20.0, 4.5, 2.0, 1.5]])
-    assert forecasts.trajectories.shape == (1, 6, 6, 2), "three seconds of six"
-    assert forecasts.trajectories[0, 0, :, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    assert forecasts.scores[0].tolist() == pytest.approx([0.6, 0.3, 0.1, 0.0, 0.0, 0.0])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_half_precision_plans_nearly_the_same(name: str, data: NuScenesData) -> None:
-    seen = next(data.observations("scene-9902"))
-    full, half = (small(name, precision=kind).plan(seen).modes for kind in ("float32", "bfloat16"))
-    assert full is not None and half is not None
-    assert not np.array_equal(full, half) and np.median(np.abs(full - half)) < 0.1
-
-
 def test_noise_comes_from_the_seed_and_belongs_to_the_run(data: NuScenesData) -> None:
-    first, again, other = (plans(small("diffusiondrive", seed=seed), data, "scene-9902") for seed in (1, 1, 2))
+    first, again, other = (plans(small_sparse("diffusiondrive", seed=seed), data, "scene-9902") for seed in (1, 1, 2))
     assert np.array_equal(first, again) and not np.array_equal(first, other)
-    assert build_planner_facts(small("diffusiondrive", seed=2)).seed == 2
-    alone = plans(small("diffusiondrive", seed=1), data, "scene-9902", first=1)
-    built = small("diffusiondrive", seed=1)
+    assert build_planner_facts(small_sparse("diffusiondrive", seed=2)).seed == 2
+    alone = plans(small_sparse("diffusiondrive", seed=1), data, "scene-9902", first=1)
+    built = small_sparse("diffusiondrive", seed=1)
     seen = list(data.observations("scene-9902"))[1]
     built.reset(SceneInfo("scene-9902", "boston-seaport", ()))
     assert np.array_equal(built.plan(seen).waypoints, alone[0]), "noise depends on scene and time, not on the order"
@@ -167,61 +79,11 @@ def test_noise_comes_from_the_seed_and_belongs_to_the_run(data: NuScenesData) ->
 # --- from end to end
 
 
-class _Small:
-    """What `planner_factory` makes, for a network of the tests."""
-
-    def __init__(self, name: str, seed: int) -> None:
-        self.name, self.seed = name, seed
-
-    @property
-    def facts(self) -> Any:
-        return build_planner_facts(self())
-
-    def __call__(self) -> SparsePlanner:
-        return small(self.name, seed=self.seed)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_evaluation_does_not_depend_on_the_number_of_processes(
-    name: str, data: NuScenesData, tmp_path: Path
-) -> None:
-    rows = []
-    for workers in (1, 2):
-        settings = EvalSettings(workers=workers)
-        record = evaluate(data, "val", _Small(name, 3), tmp_path / str(workers), settings)
-        assert record.run.status == "complete" and record.run.planner.native_protocol == name
-        assert record.run.planner.seed == (3 if name == "diffusiondrive" else 0)
-        (written,) = (tmp_path / str(workers)).rglob("samples.jsonl")
-        rows.append(written.read_bytes())
-    assert rows[0] == rows[1]
-
-
 def test_several_seeds_are_several_rows(data: NuScenesData, tmp_path: Path) -> None:
-    records = [evaluate(data, "val", _Small("diffusiondrive", seed), tmp_path) for seed in (0, 1)]
+    factories = [Factory("diffusiondrive", seed=seed) for seed in (0, 1)]
+    records = [evaluate(data, "val", factory, tmp_path) for factory in factories]
     assert records[0].directory != records[1].directory
-    assert [record.planner for record in label_versions(records)] == [
-        "diffusiondrive (seed 0)",
-        "diffusiondrive (seed 1)",
-    ]
-
-
-def test_a_scene_without_images_is_one_sentence(data: NuScenesData) -> None:
-    seen: Observation = next(data.observations("scene-9901"))
-    with pytest.raises(InputError, match="has no image of CAM_FRONT"):
-        small().plan(replace(seen, views={}))
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"device": "abacus"}, "unknown device 'abacus'"),
-        ({"device": "cuda:97"}, "no GPU found for device 'cuda:97'"),
-        ({"precision": "int4"}, "int4"),
-    ],
-)
-def test_unknown_devices_and_precisions_are_one_sentence(options: dict[str, Any], says: str) -> None:
-    with pytest.raises(InputError, match=says):
-        SparsePlanner(filled("sparsedrive"), name="small", normalisation=RGB_MEAN_STD, **options)
+    assert [record.planner for record in label_versions(records)] == [f"diffusiondrive (seed {k})" for k in (0, 1)]
 
 
 # --- by name, with weights
@@ -240,13 +102,6 @@ def published(name: str, folder: Path) -> Path:
     path = folder / f"{name}.pth"
     torch.save({"meta": {"epoch": 10}, "state_dict": filled(name).state_dict(), "optimizer": {"state": {}}}, path)
     return path
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_registered_names_need_weights_and_say_where_they_are(name: str, cache: Path) -> None:
-    (file,) = find_checkpoint(name).files
-    with pytest.raises(InputError, match=rf"no weights for {name}; get {file.name} from .*weights import"):
-        build_planner(name)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -297,37 +152,3 @@ def test_weights_without_anchors_take_those_of_a_data_set_and_others_refuse_them
     anchors.write_bytes(anchors.read_bytes()[:-8])
     with pytest.raises(InputError, match="cannot read anchors"):
         import_checkpoint(bare, anchors=anchors)
-
-
-# --- a real sample
-
-
-@real
-def test_real_boxes_are_seen_where_another_project_sees_them(tmp_path: Path) -> None:
-    (sample,) = real_root(tmp_path).observations(SCENE)
-    received: list[SparseInputs] = []
-
-    class Listening(SparseDrive):
-        def forward(self, inputs: SparseInputs, noise: torch.Tensor | None = None) -> SparseOutputs:
-            received.append(inputs)
-            return super().forward(inputs, noise)
-
-    config = replace(MINIATURE, image_height_px=256, image_width_px=704)
-    built = SparsePlanner(Listening(config), name="listening", normalisation=RGB_MEAN_STD, device="cpu")
-    assert np.isfinite(built.plan(sample).waypoints).all()
-    (inputs,) = received
-    theirs = info()
-    boxes = boxes_in_lidar()
-    points = np.column_stack([boxes[:, :3], np.ones(len(boxes))])
-    seen = 0
-    for name, matrix in zip(CAMERA_NAMES, inputs.projections.numpy()):
-        projected = matrix @ points.T
-        pixels = (projected[:2] / projected[2]).T[projected[2] > 0]
-        for entry in theirs["cam_instances"][name]:
-            expected = 0.44 * np.array(entry["center_2d"]) - [0, 140]
-            assert np.linalg.norm(pixels - expected, axis=1).min() < 0.05
-            seen += 1
-    assert seen > 10
-    assert inputs.timestamp_s == pytest.approx(theirs["timestamp"], abs=1e-6)
-    lidar = np.array(theirs["ego2global"]) @ np.array(theirs["lidar_points"]["lidar2ego"])
-    assert np.allclose(inputs.global_T_lidar.numpy(), lidar, atol=1e-3)

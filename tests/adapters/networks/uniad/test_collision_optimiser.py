@@ -35,7 +35,7 @@ places = st.floats(-4, 4)
 some_cells = st.lists(st.tuples(st.integers(-5, 5), st.integers(-5, 5)), min_size=1, max_size=40)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(places, places, some_cells)
 def test_minima_are_minima(x: float, y: float, cells: list[tuple[int, int]]) -> None:
     reference, near = np.array([x, y]), np.array(cells, np.float64)
@@ -85,15 +85,12 @@ def test_each_point_meets_the_occupancy_of_its_time() -> None:
     assert np.array_equal(free.points, np.ones((6, 2))) and not free.cells.any()
 
 
-def test_a_plan_that_is_not_finite_is_told() -> None:
-    with pytest.raises(InputError, match="not finite"):
-        move_plan(np.full((6, 2), np.nan), np.zeros((5, 200, 200), np.bool_))
-
-
-def test_absent_casadi_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_odd_plans_and_absent_casadi_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     def absent(name: str) -> None:
         raise ImportError(name)
 
+    with pytest.raises(InputError, match="not finite"):
+        move_plan(np.full((6, 2), np.nan), np.zeros((5, 200, 200), np.bool_))
     monkeypatch.setattr(collision_solvers, "import_module", absent)
     with pytest.raises(InputError, match=r"challenger-bench\[uniad\]"):
         move_plan(np.zeros((6, 2)), np.ones((5, 200, 200), np.bool_), "ipopt")

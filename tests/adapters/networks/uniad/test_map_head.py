@@ -85,7 +85,7 @@ def squares() -> torch.Tensor:
     return values
 
 
-def test_masks_of_class_zero_take_no_place() -> None:
+def test_masks_of_class_zero_take_no_place_and_those_of_other_classes_do() -> None:
     values, scores = squares(), torch.tensor([0.9, 0.5, 0.3, 0.9])
     final, order = rank_masks(values, scores)
     areas = torch.tensor([18.0, 18.0, 18.0])
@@ -96,19 +96,10 @@ def test_masks_of_class_zero_take_no_place() -> None:
     assert road.lanes[0].sum() == 30 and not road.lanes[1:].any()
     assert road.lane_values[0, :, 0].tolist() == [2, 2, 2, 3, 4, 0]
     assert road.drivable.sum() == 18
-
-
-def test_masks_of_other_classes_do() -> None:
-    values = squares()
-    final, order = rank_masks(values, torch.tensor([0.9, 0.5, 0.3, 0.9]))
-    road = paste_masks(values, final, order, torch.tensor([1, 2, 1, 1]), values[0], 3)
     # The second is covered to two thirds by the third, the first to one third.
+    road = paste_masks(values, final, order, torch.tensor([1, 2, 1, 1]), values[0], 3)
     assert not road.lanes[2].any()
     assert road.lane_values[1, :, 0].tolist() == [2, 2, 4, 4, 4, 0]
-
-
-def test_weak_masks_are_left_out() -> None:
-    values = squares()
-    final, order = rank_masks(values, torch.full((4,), 0.004))
-    road = paste_masks(values, final, order, torch.ones(4, dtype=torch.int64), values[3], 3)
+    # Weak masks are left out.
+    road = paste_masks(values, *rank_masks(values, torch.full((4,), 0.004)), torch.ones(4).long(), values[3], 3)
     assert not road.lanes.any() and not road.drivable.any()

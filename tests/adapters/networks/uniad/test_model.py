@@ -59,17 +59,6 @@ def test_outputs_have_the_promised_shapes() -> None:
     assert all(bool(tensor.isfinite().all()) for tensor in numbers)
 
 
-def test_the_same_frames_give_the_same_bytes_and_reset_forgets() -> None:
-    network = small_network()
-    with torch.inference_mode():
-        first = [network(frame(number)) for number in range(3)]
-        carried = network(frame(0))
-        network.reset()
-        again = [network(frame(number)) for number in range(3)]
-    assert all(same(one, other) for one, other in zip(first, again, strict=True))
-    assert not same(carried, first[0])
-
-
 def test_a_new_scene_keeps_numbers_and_the_motion_but_no_tracks() -> None:
     network = small_network()
     with torch.inference_mode():
@@ -86,11 +75,6 @@ def test_a_new_scene_keeps_numbers_and_the_motion_but_no_tracks() -> None:
     assert seen[16] == frame(2).can_bus[16]
 
 
-def test_the_first_frame_of_all_sees_where_it_is_in_the_world() -> None:
-    network = small_network()
-    torch.testing.assert_close(network.ego_motion(frame(1)).can_bus, frame(1).can_bus)
-
-
 def test_the_ego_is_always_the_last_fresh_query() -> None:
     network = small_network()
     with torch.inference_mode():
@@ -98,19 +82,6 @@ def test_the_ego_is_always_the_last_fresh_query() -> None:
             p = network.predict(frame(number))
             assert (p.after.track_ids == EGO).nonzero().flatten().tolist() == [SMALL.queries]
             assert len(p.ego.scores) == 1 and len(p.forecasts.positions) == len(p.tracks.scores) + 1
-
-
-def test_the_command_changes_the_plan_and_nothing_before_it() -> None:
-    network = small_network()
-    with torch.inference_mode():
-        plans, logits = [], []
-        for command in range(3):
-            network.reset()
-            p = network.predict(replace(frame(0), command=command))
-            plans.append(p.plan.positions_m)
-            logits.append(p.occupancy.logits)
-            assert torch.equal(logits[0], logits[-1])
-    assert not torch.equal(plans[0], plans[1]) and not torch.equal(plans[1], plans[2])
 
 
 def test_no_vehicle_leaves_the_ground_free() -> None:
@@ -121,14 +92,6 @@ def test_no_vehicle_leaves_the_ground_free() -> None:
         found = network(frame(0))
     assert len(found.boxes) == 0 and not found.occupied.any()
     assert torch.equal(found.plan, found.plan_before_optimisation) and bool(found.plan.isfinite().all())
-
-
-def test_the_optimisation_can_be_switched_off() -> None:
-    network = small_network()
-    network.solver = None
-    with torch.inference_mode():
-        found = network(frame(0))
-    assert found.collision is None and found.plan is found.plan_before_optimisation
 
 
 def test_missing_or_odd_anchors_are_told() -> None:

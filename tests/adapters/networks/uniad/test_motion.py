@@ -14,8 +14,6 @@ from adapters.networks.uniad.tracking import Boxes
 from tests.adapters.networks.layers.slow_sampling import slow_sampling
 from tests.adapters.networks.uniad.small_uniad import SMALL, anchors
 
-NUSCENES = ("car", "truck", "van", "bus", "trailer", "barrier", "motorcycle", "bicycle", "pedestrian", "cone")
-
 
 @given(st.floats(-7, 7), st.floats(-20, 20), st.floats(-20, 20))
 def test_turning_is_multiplication_with_a_unit_number(angle: float, x: float, y: float) -> None:
@@ -23,14 +21,6 @@ def test_turning_is_multiplication_with_a_unit_number(angle: float, x: float, y:
     found = rotate(offsets, torch.tensor([angle], dtype=torch.float64))[0].numpy()
     expected = [complex(x, y) * np.exp(1j * angle), np.exp(1j * angle)]
     np.testing.assert_allclose(found[:, 0] + 1j * found[:, 1], expected, atol=1e-9)
-
-
-def test_groups_are_vehicles_cycles_pedestrians_and_the_rest() -> None:
-    members: dict[int, list[str]] = {}
-    for name, group in zip(NUSCENES, GROUP_OF_CLASS, strict=True):
-        members.setdefault(group, []).append(name)
-    assert members[1] == ["motorcycle", "bicycle"] and members[2] == ["pedestrian"]
-    assert members[3] == ["barrier", "cone"] and len(members[0]) == 5
 
 
 def agents(count: int) -> Boxes:

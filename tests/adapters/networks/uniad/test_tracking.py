@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,7 +19,6 @@ from adapters.networks.uniad.tracking import (
     Instances,
     Pose,
     move_references,
-    select_strongest_boxes,
     select_tracks,
     update_tracks,
 )
@@ -49,7 +47,7 @@ def detections(scores: list[float]) -> Detections:
     return Detections(torch.zeros(1, count, 16), logits, torch.zeros(1, count, 10), torch.zeros(count, 3))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     st.lists(st.lists(st.sampled_from([0.1, 0.34, 0.36, 0.39, 0.41, 0.9]), min_size=9, max_size=9), max_size=12),
     st.sampled_from([SMALL, EASY]),
@@ -144,20 +142,8 @@ def test_tracks_come_and_go_without_touching_each_other() -> None:
     assert some.queries.shape == (4, 32) and torch.equal(some.states, instances(4).states)
 
 
-@pytest.mark.parametrize("count", [0, 3, 40])
-def test_reported_boxes_are_the_most_certain_ones_in_range(count: int) -> None:
-    known = instances(count, seed=4)
-    scores = torch.rand(count, generator=torch.Generator().manual_seed(1))
-    codes = known.box_codes * torch.tensor([15.0, 15.0, 1, 1, 8.0, 1, 1, 1, 1, 1])
-    known = replace(known, scores=scores, box_codes=codes, track_ids=torch.arange(count) % 3 - 1)
-    best = sorted(range(count), key=lambda place: -float(scores[place]))[: SMALL.max_boxes]
-    inside = [p for p in best if abs(codes[p, 0]) <= 22 and abs(codes[p, 1]) <= 18 and abs(codes[p, 4]) <= 10]
-    found = select_strongest_boxes(known, SMALL)
-    torch.testing.assert_close(found.scores, scores[inside])
-
-
 @given(st.integers(0, 60), st.integers(0, 2**31), st.floats(0.2, 1.5), st.booleans())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_what_is_chosen_at_once_is_what_is_chosen_one_by_one(
     count: int, seed: int, spread: float, broken: bool
 ) -> None:

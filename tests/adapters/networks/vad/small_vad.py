@@ -1,7 +1,6 @@
 """A VAD network of a few thousand numbers, and frames for it."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -65,7 +64,3 @@ def small_frame(number: int, scene: str = "a", command: int = 2) -> VADInputs:
     can_bus[16], can_bus[17] = yaw, math.degrees(yaw)
     images = torch.randn(6, 3, 64, 96, generator=generator)
     return VADInputs(images, rig(), can_bus, command, scene)
-
-
-def with_command(inputs: VADInputs, command: int) -> VADInputs:
-    return replace(inputs, command=command)

@@ -9,11 +9,10 @@ import torch
 from adapters.networks.layers.bev_geometry import BEVGrid
 from adapters.networks.layers.deformable_decoder import are_within
 from adapters.networks.layers.ego_motion import BEVMotion
-from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.selection import VADOutputs, select_boxes, select_lines
 from benchmark.errors import InputError
-from tests.adapters.networks.vad.small_vad import SMALL, small_frame, small_network, with_command
+from tests.adapters.networks.vad.small_vad import SMALL, small_frame, small_network
 
 GRID = BEVGrid(100, 100, (-15.0, -30.0, -2.0, 15.0, 30.0, 2.0))
 
@@ -31,25 +30,18 @@ def test_state_is_carried_and_forgotten() -> None:
     network = small_network()
     first, second = run(network, small_frame(0), small_frame(1))
     network.reset()
-    again = run(network, small_frame(0), small_frame(1))
-    assert same(first, again[0]) and same(second, again[1])
+    # What it remembers is not what the caller holds.
+    given = small_frame(0)
+    again = run(network, given)[0]
+    given.can_bus.fill_(math.nan)
+    given.images.fill_(math.nan)
+    assert same(first, again) and same(second, run(network, small_frame(1))[0])
     network.reset()
     fresh = run(network, small_frame(1))[0]
     assert not torch.equal(fresh.plan, second.plan)
     other_scene = run(network, small_frame(0), small_frame(1, scene="b"))[1]
     assert same(other_scene, fresh)
     assert same(run(small_network(), small_frame(1))[0], fresh)
-
-
-def test_remembering_does_not_alias_what_the_caller_holds() -> None:
-    network = small_network()
-    frame = small_frame(0)
-    expected = run(network, frame, small_frame(1))[1]
-    network.reset()
-    run(network, frame)
-    frame.can_bus.fill_(math.nan)
-    frame.images.fill_(math.nan)
-    assert same(run(network, small_frame(1))[0], expected)
 
 
 def test_every_input_counts() -> None:
@@ -83,15 +75,6 @@ def test_cameras_that_see_nothing_and_broken_ones() -> None:
     for bad in (replace(frame, lidar2img=broken), replace(frame, can_bus=nowhere)):
         with pytest.raises(InputError, match="scene a contain NaN or infinity"):
             run(network, bad)
-
-
-def test_the_command_chooses_a_plan() -> None:
-    network = small_network()
-    for command in range(3):
-        network.reset()
-        outputs = run(network, with_command(small_frame(0), command))[0]
-        assert torch.equal(outputs.plan, outputs.plan_modes[command])
-    assert outputs.plan_modes.shape == (3, 6, 2)
 
 
 def test_reports_are_in_metres_and_in_order() -> None:
@@ -139,21 +122,6 @@ def test_a_step_ahead_shifts_the_view_ahead(yaw_deg: float) -> None:
     assert not first.shift.any() and not first.can_bus[:3].any() and first.can_bus[16] == yaw
 
 
-def test_brain_float_is_close() -> None:
-    network = small_network()
-    full = run(network, small_frame(0), small_frame(1))
-    network.reset()
-    with torch.autocast("cpu", torch.bfloat16):
-        half = run(network, small_frame(0), small_frame(1))
-    for exact, rough in zip(full, half, strict=True):
-        for field in fields(VADOutputs):
-            assert getattr(rough, field.name).isfinite().all(), field.name
-        torch.testing.assert_close(rough.plan_modes, exact.plan_modes, rtol=0, atol=0.1)
-    whole = small_network().bfloat16()
-    rough = run(whole, replace(small_frame(0), images=small_frame(0).images.bfloat16()))[0]
-    torch.testing.assert_close(rough.plan_modes.float(), full[0].plan_modes, rtol=0, atol=0.1)
-
-
 def test_gradients_reach_every_part() -> None:
     network = small_network()
     predictions = network.predict(small_frame(0))
@@ -164,9 +132,3 @@ def test_gradients_reach_every_part() -> None:
     trained = {name: parameter for name, parameter in network.named_parameters() if parameter.requires_grad}
     gradients = torch.autograd.grad(total, list(trained.values()), allow_unused=True)
     assert [name for name, gradient in zip(trained, gradients, strict=True) if gradient is None] == []
-
-
-def test_published_sizes() -> None:
-    tiny, base = VADConfig.tiny(), VADConfig.base()
-    assert (tiny.grid.cells, base.grid.cells) == (10_000, 40_000)
-    assert (tiny.backbone_outputs, base.backbone_outputs) == ((3,), (1, 2, 3))
