@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from benchmark.errors import InputError
+from benchmark.machine.extension import call_extension, list_offers
 from benchmark.metrics.attacks import has_adversaries, has_severity
 from benchmark.metrics.consistency import INSTANTS, MEAN, Consistency, measure_consistency
 from benchmark.metrics.disagreement import EXACT
@@ -268,6 +269,7 @@ def build_data_set_tables(frame: DataSetRuns) -> DataSetTables:
         *(frame.once(make) for make in FIRST_TABLES),
         *_build_judge_tables(frame, frame.judges),
         *(make(frame) for make in LAST_TABLES),
+        *(call_extension("table", name, frame) for name in list_offers("table")),
     )
     others = {}
     for name in sorted(frame.protocols - {EXACT}):

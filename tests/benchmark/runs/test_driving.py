@@ -13,7 +13,7 @@ from adapters.planners.stop import Stop
 from adapters.registry import planner_factory
 from benchmark import api
 from benchmark.closed_loop.default_engine import DefaultBackend
-from benchmark.closed_loop.engines import ENGINES, make_backend
+from benchmark.closed_loop.engines import list_engines, make_backend
 from benchmark.closed_loop.scoring import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.extension import OFFERS
@@ -315,7 +315,8 @@ def test_only_an_adversary_considers_anything() -> None:
 
 
 def test_the_own_engine_comes_first_and_has_rides() -> None:
-    assert type(make_backend(ENGINES[0])) is DefaultBackend and ENGINES[1:] == tuple(OFFERS["engine"])
+    first, *others = list_engines()
+    assert type(make_backend(first)) is DefaultBackend and others == [*OFFERS["engine"]]
 
 
 def test_an_estimate_counts_what_is_kept_and_keeps_nothing(tmp_path: Path) -> None:

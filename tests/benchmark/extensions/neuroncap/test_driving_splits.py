@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.closed_loop.engines import ENGINES, make_backend
+from benchmark.closed_loop.engines import list_engines, make_backend
 from benchmark.closed_loop.episodes import run_episode
 from benchmark.errors import InputError
 from benchmark.extensions.neuroncap.simulation_state import NeuroncapBackend
@@ -28,7 +28,7 @@ NEURONCAP = DriveSettings("neuroncap@paper", NeuroncapBackend(PAPER))
 
 
 def test_every_engine_has_rides() -> None:
-    assert [type(make_backend(engine)).__name__ for engine in ENGINES] == [
+    assert [type(make_backend(engine)).__name__ for engine in list_engines()] == [
         "DefaultBackend",
         "NeuroncapBackend",
         "NeuroncapBackend",
