@@ -132,9 +132,7 @@ def _list_extension_fields(kinds: Collection[str], core: Iterable[SettingField])
             continue
         names = {name for field in fields for name in (field.name, field.flag)}
         if names & taken:
-            warn(
-                f"the options of {of}, of the extension {owner}, are left out: {min(names & taken)} is taken; rename it"
-            )
+            warn(f"the options of {of}, of the extension {owner}, are left out: {min(names & taken)} is taken")
             continue
         taken |= names
         for field in fields:
