@@ -77,8 +77,9 @@ def add_commands_of_others(groups: Groups) -> None:
 def _list_commands(groups: Groups) -> Iterator[str]:
     """Words of the commands and groups that there are."""
     for name, group in groups.items():
-        for command in (*group.registered_commands, *group.registered_groups):
-            yield f"{name} {command.name}".strip()
+        names = [command.name for command in group.registered_commands]
+        names += [inner.name for inner in group.registered_groups]
+        yield from (f"{name} {last}".strip() for last in names)
 
 
 def _add(words: str, command: typer.Typer | Callable[..., Any], groups: Groups) -> None:

@@ -1,6 +1,6 @@
 """Protocols by name: every definition of collision and L2 that a run is judged by."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import Final
 
@@ -56,7 +56,7 @@ class ProtocolTable(dict[str, CollisionProtocol]):
     def __iter__(self) -> Iterator[str]:
         return iter((*super().__iter__(), *self._list_judges()))
 
-    def _list_judges(self) -> Iterable[str]:
+    def _list_judges(self) -> Mapping[str, str]:
         return list_offers("judge", (*super().__iter__(), "native", "pdm", "all"))
 
 
