@@ -112,7 +112,7 @@ def _list_fields(settings: Any) -> tuple[SettingField, ...]:
         if option.names is None:
             option = dataclasses.replace(option, names=f"--{field.name.replace('_', '-')}")
         if option.offers is not None:
-            kind = Literal[tuple(dict.fromkeys([*typing.get_args(kind), *list_offers(*option.offers)]))]  # type: ignore[misc]
+            kind = Literal[tuple(dict.fromkeys([*typing.get_args(kind), *list_offers(*option.offers)]))]
         default = ... if field.default is dataclasses.MISSING else field.default
         setting_fields.append(SettingField(field.name, kind, option, default, field.name in rare))
     return (*setting_fields, *_list_extension_fields(getattr(settings, "EXTENDED", ()), setting_fields))
