@@ -17,7 +17,7 @@ from typing import Any, TextIO
 from adapters.models import MODELS, published_as
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.address import Address, is_address
-from benchmark.machine.extension import OFFERS, import_reference
+from benchmark.machine.extension import OFFERS, import_reference, list_offers
 from benchmark.machine.several_devices import find_own_device
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Planner
@@ -29,7 +29,7 @@ from benchmark.sandbox.planner import PlannerIdentity, PlannerSpec, find_identit
 
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
 _MAKER_OF_NETWORKS = "adapters.checkpoints.loading:build_native_planner"
-_MAKER_OVER_HTTP = OFFERS["planner"]["http"]
+_MAKER_OVER_HTTP = OFFERS["planner scheme"]["http"]
 _CONTRACT = ("reset", "plan")
 _LONGEST_NAME = 100
 _BUILT_FROM = "adapters.registry:build_planner_with_facts"
@@ -53,6 +53,7 @@ class NamedPlanner:
     over_http: Mapping[str, Any] | None = None
     supervision: SandboxLimits | None = None
     identity: PlannerIdentity | None = None
+    options: Mapping[str, Any] | None = None
 
     def __call__(self) -> Planner:
         """Build it; one with a process of its own is built there when a scene begins."""
@@ -72,7 +73,7 @@ class NamedPlanner:
     def _maker(self) -> PlannerSpec:
         return _maker(
             self.name, self.checkpoint, seed=self.seed, device=find_own_device(self.device), precision=self.precision,
-            as_published=self.as_published,
+            as_published=self.as_published, options=self.options,
         )  # fmt: skip
 
 
@@ -87,6 +88,7 @@ def planner_factory(
     as_published: Sequence[str] = (),
     over_http: Mapping[str, Any] | None = None,
     supervision: SandboxLimits | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> NamedPlanner:
     """A planner that several processes can build; it is built once here, so that mistakes show at once.
 
@@ -99,8 +101,9 @@ def planner_factory(
     if is_third_party(name):
         limits = supervision or SandboxLimits()
         maker = _maker(
-            name, checkpoint, seed=seed, device=find_own_device(device), precision=precision, as_published=published
-        )
+            name, checkpoint, seed=seed, device=find_own_device(device), precision=precision, as_published=published,
+            options=options,
+        )  # fmt: skip
         identity = find_identity(maker, limits)
         facts = identity.facts
         _require_name(facts.name, name)
@@ -125,7 +128,9 @@ def planner_factory(
     if model is not None and model.network is not None:
         known["miniature"] = model.miniature is not None
     facts = facts.model_copy(update=known)
-    return NamedPlanner(name, checkpoint, seed, facts, device, precision, published, over_http, limits, identity)
+    return NamedPlanner(
+        name, checkpoint, seed, facts, device, precision, published, over_http, limits, identity, options
+    )
 
 
 def is_third_party(name: str) -> bool:
@@ -147,10 +152,11 @@ def _maker(
     device: str | None,
     precision: str | None,
     as_published: tuple[str, ...],
+    options: Mapping[str, Any] | None,
 ) -> PlannerSpec:
     require_known(name)
-    options = {"checkpoint": checkpoint, "seed": seed, "device": device, "precision": precision}
-    return PlannerSpec(name, _BUILT_FROM, {"name": name, **options, "as_published": as_published})
+    given = {"checkpoint": checkpoint, "seed": seed, "device": device, "precision": precision, "options": options}
+    return PlannerSpec(name, _BUILT_FROM, {"name": name, **given, "as_published": as_published})
 
 
 def build_planner(
@@ -163,10 +169,12 @@ def build_planner(
     precision: str | None = None,
     as_published: Sequence[str] = (),
     over_http: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> Planner:
-    """Build a planner that is built in, in the group ``challenger_bench.adapters``, ``package.module:Class`` or a URL.
+    """Build a planner that is built in, of an installed package, ``package.module:Class`` or a URL.
 
-    Each option is given to planners that take an argument of its name, `over_http` to those behind HTTP. An unknown
+    Each option is given to planners that take an argument of its name, `over_http` to those behind HTTP, `options` are
+    those that its extension declares. An unknown
     name, or a class that cannot be imported, is no planner, or takes no checkpoint, is an `InputError`.
     """
     require_known(name)
@@ -185,6 +193,7 @@ def build_planner(
     if checkpoint is not None and not checkpoint.exists():
         raise InputError(f"there is no checkpoint {checkpoint}")
     offered = {"checkpoint": checkpoint, "data": data, "seed": seed, "device": device, "precision": precision}
+    offered |= options or {}
     if as_published:
         offered["as_published"] = tuple(as_published)
     if is_address(name):
@@ -218,8 +227,10 @@ def describe_maker(name: str) -> str:
 
 def installed_planners() -> dict[str, EntryPoint]:
     """Planners of installed packages, by name; built-in names cannot be taken over."""
-    points = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
-    return {point.name: point for point in points if point.name not in MODELS}
+    offered = list_offers("planner", MODELS)
+    points = [EntryPoint(name, reference, ENTRY_POINT_GROUP) for name, reference in offered.items()]
+    points += entry_points(group=ENTRY_POINT_GROUP)
+    return {point.name: point for point in sorted(points, key=lambda point: point.name) if point.name not in MODELS}
 
 
 def _add_current_folder() -> None:

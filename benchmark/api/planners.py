@@ -1,7 +1,7 @@
 """Planners by name, whichever package or machine they are of."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,6 +33,7 @@ def load_planner(
     as_published: "Sequence[str]" = (),
     over_http: "Mapping[str, Any] | None" = None,
     supervision: "SandboxLimits | None" = None,
+    options: "Mapping[str, Any] | None" = None,
 ) -> "NamedPlanner":
     """A planner by name, for `benchmark.evaluate`.
 
@@ -47,6 +48,7 @@ def load_planner(
             that it knows of these (docs/models.md).
         over_http: How a model server is asked: ``image_format``, ``deadline_s``, and the ``frame`` of its answers.
         supervision: Limits of a planner of another package, which runs in a process of its own (docs/planners.md).
+        options: Values of the options that the planner's extension declares (docs/extending.md).
 
     Returns:
         What builds it in any process.
@@ -68,6 +70,7 @@ def load_planner(
         as_published=as_published,
         over_http=over_http,
         supervision=supervision,
+        options=options,
     )
 
 
@@ -125,6 +128,7 @@ class PlannerSource:
 
     ``sample_limit`` (seconds for a plan) and ``memory_limit`` (GiB) are of planners of other packages. ``frame`` is the
     one in which a model server, or a file, plans; a model server has a limit of its own beside ``deadline_s``.
+    ``of_extensions`` are options that extensions declare, by planner.
     """
 
     names: "Sequence[str]"
@@ -139,6 +143,7 @@ class PlannerSource:
     frame: str | None = None
     image_format: str | None = None
     deadline_s: float | None = None
+    of_extensions: "Mapping[str, Mapping[str, Any]]" = field(default_factory=dict)
 
     @classmethod
     def of(cls, options: Any, **others: Any) -> "PlannerSource":
@@ -187,7 +192,7 @@ class PlannerSource:
             return
         require_package("httpx2", NEEDS_SERVE.format(what="asking over HTTP", package="httpx2"))
         for name in self._served:
-            import_from_extension("planner", "http")(name).require_alive()
+            import_from_extension("planner scheme", "http")(name).require_alive()
         if is_address(sensor):
             import_from_extension("sensor", "http")(Address.of(sensor, "--sensor")).require_alive()
 
@@ -241,6 +246,7 @@ class PlannerSource:
                 as_published=self.as_published,
                 over_http={name: value for name, value in http_options.items() if value is not None},
                 supervision=supervision or self.supervision,
+                options=self.of_extensions.get(planner_name),
             )
             for planner_name in self.names
         ]

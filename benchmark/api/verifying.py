@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.extension import OFFERS, import_from_extension
+from benchmark.machine.extension import import_from_extension, list_offers
 
 if TYPE_CHECKING:
     from benchmark.verification.checks import Check
@@ -32,7 +32,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
         raise InputError("--noise applies only to verify model; leave it out")
     if model is not None:
         raise InputError("--model applies only to verify model; leave it out")
-    known = OFFERS["golden set"]
+    known = list_offers("golden set")
     if what not in known:
         others = ", ".join(name for name in known if name != "model")
         raise InputError(f"cannot verify {what!r}; golden numbers exist for {others} and model")
@@ -43,7 +43,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
 def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "list[Check]":
     from adapters.models import verified_models
 
-    renderers = OFFERS["golden set of a renderer"]
+    renderers = list_offers("golden set of a renderer")
     known = (*verified_models(), *renderers)
     if model not in known:
         missing = "verify model needs --model" if model is None else f"no model {model!r} can be verified"

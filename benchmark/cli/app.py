@@ -8,8 +8,7 @@ import errno
 import io
 import sys
 import unicodedata
-from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Final, NoReturn
 
 import typer
@@ -36,19 +35,18 @@ from benchmark.machine.extension import (
     OFFERS,
     AbsentExtensionError,
     find_absent_extension,
+    find_owner,
     import_from_extension,
+    list_offers,
     make_absent_error,
     parse_extension_name,
+    warn,
 )
 from benchmark.machine.workers import collect_rarely
 from benchmark.untrusted.files import to_one_line
 
 Groups = Mapping[str, typer.Typer]
 """Groups of commands by name: the top one is ``""``, then ``data``, ``data export`` and ``leaderboard``."""
-OfferedCommands = Mapping[str, typer.Typer | Callable[..., Any]]
-"""Commands by the words that they are called with: an application, or a function that one makes a command of."""
-ENTRY_POINTS: Final = "challenger_bench.extensions"
-"""Group in which other packages name an `OfferedCommands`."""
 
 
 def add_command_of_extension(words: str, groups: Groups) -> None:
@@ -63,14 +61,25 @@ def add_command_of_extension(words: str, groups: Groups) -> None:
 
 
 def add_commands_of_others(groups: Groups) -> None:
-    """Add the commands of other packages; one that fails is named on standard error."""
-    for entry in entry_points(group=ENTRY_POINTS):
+    """Add the commands of other packages; one that cannot be added is named on standard error."""
+    for words in list_offers("command", tuple(_list_commands(groups))):
+        if words in OFFERS["command"]:
+            continue
         try:
-            offered: OfferedCommands = entry.load()
-            for words, command in offered.items():
-                _add(words, command, groups)
-        except Exception as error:
-            print(f"warning: the extension {entry.name} adds no commands: {to_one_line(error)}", file=sys.stderr)
+            _add(words, import_from_extension("command", words), groups)
+        except InputError as error:
+            warn(str(error))
+        except (LookupError, TypeError, ValueError, RuntimeError) as error:
+            owner = find_owner("command", words)
+            warn(f"the command {words} of the extension {owner} cannot be added: {to_one_line(error)}")
+
+
+def _list_commands(groups: Groups) -> Iterator[str]:
+    """Words of the commands and groups that there are."""
+    for name, group in groups.items():
+        names = [command.name for command in group.registered_commands]
+        names += [inner.name for inner in group.registered_groups]
+        yield from (f"{name} {last}".strip() for last in names)
 
 
 def _add(words: str, command: typer.Typer | Callable[..., Any], groups: Groups) -> None:

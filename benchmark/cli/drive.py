@@ -18,7 +18,7 @@ from benchmark.cli.output import (
     repeat_data_options,
     warn_of_caveats,
 )
-from benchmark.cli.settings import Option, command
+from benchmark.cli.settings import Option, command, take_options
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,6 +39,8 @@ LONGEST_LATENCY_MS: Final = 3000
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveOptions:
     """Options of ``drive``."""
+
+    EXTENDED: ClassVar = ("planner",)
 
     RARE: ClassVar = (
         *("tables", "categories", "adversary_every", "adversary_others", "adversary_rounds", "adversary_candidates"),
@@ -65,7 +67,7 @@ class DriveOptions:
     ] = True
     engine: Annotated[
         Literal["default", "neuroncap@code", "neuroncap@paper"],
-        Option("Who drives the plans (docs/closed-loop.md).", "Search"),
+        Option("Who drives the plans (docs/closed-loop.md).", "Search", offers=("engine", ("default",))),
     ] = "default"
     agents: Annotated[
         Literal["replay", "idm", "adversary"],
@@ -138,7 +140,8 @@ def drive_command(options: DriveOptions) -> None:
     if not names:
         raise InputError("name a planner with --model (for example constant-velocity), or leave --no-baselines out")
     # A little longer than the drive's own limit, so that a late planner is reported for one reason only.
-    planners = api.PlannerSource.of(options, deadline_s=options.timeout + 5.0).require()
+    own = take_options("planner", options.model)
+    planners = api.PlannerSource.of(options, deadline_s=options.timeout + 5.0, of_extensions=own).require()
     supervision = replace(planners.supervision, sample_s=options.timeout)
     for planner in planners.runnable_names:
         if options.sensor == "none" and api.uses_images(planner):
@@ -220,7 +223,7 @@ def _settings(options: DriveOptions, scenes: tuple[str, ...] | None, place: "Exe
 
 
 def _require_engine(options: DriveOptions) -> None:
-    """Refuse what NeuroNCAP's engine has not, a latency that no engine has, and an adversary that there is not."""
+    """Refuse what engines of extensions have not, a latency that no engine has, and an adversary that there is not."""
     engine, latency = options.engine, options.latency
     if engine != "default":
         if options.agents != "replay":

@@ -14,6 +14,8 @@ from benchmark.cli.settings import Option
 class EvalOptions:
     """Options of ``eval``."""
 
+    EXTENDED: ClassVar = ("planner",)
+
     RARE: ClassVar = (
         *("tables", "categories", "results_format", "name", "native", "frame", "as_is", "dump_results", "unchanged"),
         *("precision", "image_format", "sample_limit", "memory_limit", "explain_protocols"),

@@ -19,7 +19,7 @@ from benchmark.cli.output import (
     repeat_out_option,
     warn_of_caveats,
 )
-from benchmark.cli.settings import command
+from benchmark.cli.settings import command, take_options
 from benchmark.errors import InputError
 from benchmark.report.words import pluralise
 
@@ -117,7 +117,8 @@ def eval_command(options: EvalOptions) -> None:
 
     _require_planner(options)
     protocols, scenes = _protocols_to_show(options.protocol), parse_name_list(options.scenes)
-    planners = api.PlannerSource.of(options).require()
+    own = take_options("planner", options.model)
+    planners = api.PlannerSource.of(options, of_extensions=own).require()
     shard = None if options.shard is None else Shard.named(options.shard)
     count = _processes(options, planners)
     planners.require_frame(of_file=options.plans is not None or bool(options.results))
@@ -278,7 +279,7 @@ def _explain(data_name: str, dataset: "DataSet", records: "Sequence[RunRecord]",
 
     split = records[0].run.split
     folder = api.workspace(options.out).out / "explained" / data_name / split
-    pictures = import_from_extension("judge", "explanation")(records, dataset, folder)
+    pictures = import_from_extension("explanation", "protocols")(records, dataset, folder)
     table = disagreement_table(data_name, split, records)
     typer.echo(table.plain(wide=options.wide), err=options.json_output)
     for picture in pictures:

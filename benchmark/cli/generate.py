@@ -17,15 +17,16 @@ from benchmark.cli.built_splits import (
     require_shardable,
     require_trajectory_model,
 )
-from benchmark.cli.generate_options import GenerateOptions
+from benchmark.cli.generate_options import BUILT_IN_RENDERERS, GenerateOptions
 from benchmark.cli.options import make_executor, parse_image_size, parse_name_list
 from benchmark.cli.output import print_json, print_plan, repeat_data_options
-from benchmark.cli.settings import command
+from benchmark.cli.settings import command, take_options
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from benchmark.api import PlannerSource
     from generation.labels.manoeuvres import Manoeuvre
+    from generation.render.contract import Renderer, RendererSource
 
 
 @command(GenerateOptions)
@@ -61,7 +62,7 @@ def generate_command(options: GenerateOptions) -> None:
         raise InputError("--variants keeps scenes that differ, --per-scene the most challenging ones; give only one")
     surrogate = _surrogate(options)
     require_trajectory_model(options.device, options.denoiser)
-    photorealistic = _photorealistic(options)
+    of_extension = _find_renderer(options)
     pixels, named = parse_image_size(options.size), parse_name_list(options.scenes)
     if options.executor != "local":
         require_one_device(options.device, "a Ray cluster assigns GPUs to its tasks")
@@ -92,14 +93,15 @@ def generate_command(options: GenerateOptions) -> None:
     require_cluster(place, ahead)
     from generation.pipeline.recordings import list_source_scenes
     from generation.pipeline.settings import BuildSettings
+    from generation.render.contract import SlowRenderer
 
     under_test = None if surrogate is None else surrogate.under_test(options.workers)
     space = api.workspace(options.out)
-    drawing = api.schematic_renderer(pixels) if options.renderer == "schematic" else None
+    drawing: Renderer | None = api.schematic_renderer(pixels) if options.renderer == "schematic" else None
     rendering = None
-    if photorealistic is not None:
-        drawing = network = photorealistic.renderer(space.rendering_root())
-        rendering = photorealistic.executor(place)
+    if of_extension is not None:
+        drawing = of_extension.renderer(space.rendering_root())
+        rendering = of_extension.executor(place)
     # Last: the embedded data set takes minutes to build the first time, and a mistyped option must fail before that.
     source = data.open()
     root = space.split_root(source.name, wanted[0].split)
@@ -124,8 +126,8 @@ def generate_command(options: GenerateOptions) -> None:
         "rendering": rendering,
     }
     settings = BuildSettings(**{**api.select_matching_options(BuildSettings, options), **others})
-    if photorealistic is not None:
-        typer.echo(network.estimate(source.scene(list_source_scenes(source, settings)[0])).plain(), err=True)
+    if isinstance(drawing, SlowRenderer):
+        typer.echo(drawing.estimate_sentence(source.scene(list_source_scenes(source, settings)[0])), err=True)
     settings_of_splits = []
     for split_to_build in wanted:
         root = space.split_root(source.name, split_to_build.split)
@@ -176,22 +178,14 @@ def _surrogate(options: GenerateOptions) -> "PlannerSource | None":
     return surrogate if names else None
 
 
-def _photorealistic(options: GenerateOptions) -> "Any | None":
+def _find_renderer(options: GenerateOptions) -> "RendererSource | None":
     """The renderer of an extension, if one is named, checked; it is made later."""
-    from benchmark.machine.extension import OFFERS, import_from_extension
+    from benchmark.machine.extension import call_extension, list_offers
 
-    if options.renderer not in OFFERS["renderer"]:
+    own = take_options("renderer", (options.renderer,)).get(options.renderer, {})
+    if options.renderer not in list_offers("renderer", BUILT_IN_RENDERERS):
         return None
-    renderer = import_from_extension("renderer", options.renderer)(
-        options.weights_folder,
-        drawn_size=options.render_size,
-        written_size=options.written_size,
-        look=options.prompt_look,
-        device=options.render_device,
-        seed=options.seed,
-        tera_operations=options.tflops,
-        estimates_only=options.dry_run,
-    )
+    renderer: RendererSource = call_extension("renderer", options.renderer, options, **own)
     renderer.require()
     return renderer
 

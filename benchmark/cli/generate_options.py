@@ -3,17 +3,21 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from benchmark import api
 from benchmark.cli import options as shared
 from benchmark.cli.options import list_hyper_parameters
 from benchmark.cli.settings import Option
 
+BUILT_IN_RENDERERS: Final = ("schematic", "none")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerateOptions:
     """Options of ``generate``."""
+
+    EXTENDED: ClassVar = ("renderer",)
 
     RARE: ClassVar = (
         *("address", "tables", "categories", "source_split", "surrogate_checkpoint", "sample_limit"),
@@ -38,9 +42,10 @@ class GenerateOptions:
     freeze: Annotated[
         Path | None, Option("Also write the result as a frozen split, a few kB a scene, to this file.", "Output")
     ] = None
-    renderer: Annotated[Literal["schematic", "magicdrive", "none"], Option("Who draws the images.", "Output")] = (
-        "schematic"
-    )
+    renderer: Annotated[
+        Literal["schematic", "magicdrive", "none"],
+        Option("Who draws the images.", "Output", offers=("renderer", BUILT_IN_RENDERERS)),
+    ] = "schematic"
     frames: shared.Frames = "all"
     json_output: shared.Json = False
     dry_run: shared.DryRun = False

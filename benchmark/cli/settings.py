@@ -9,17 +9,18 @@ import enum
 import inspect
 import types
 import typing
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, MutableMapping
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar, cast
 
 import typer
 
 from benchmark.cli.help import SettingsCommand
 from benchmark.errors import InputError, did_you_mean
+from benchmark.machine.extension import find_owner, import_from_extension, list_offers, warn
 
 Panel = Literal["Input", "Output", "Planner", "Search", "Execution", "Advanced"]
 SETTINGS_PAGE: Final = "docs/settings.md"
@@ -31,7 +32,7 @@ class Option:
 
     ``names`` is ``--format`` or ``--site/--no-site``; the field's name by default, empty for an argument. If
     ``separated``, several values are one text with commas; a file may give a list. ``metavar`` stands for the value in
-    place of its type.
+    place of its type. Where it ``offers`` what extensions have of a kind, their names are choices beside the core's.
     """
 
     help: str
@@ -41,6 +42,7 @@ class Option:
     min: float | None = None
     max: float | None = None
     metavar: str | None = None
+    offers: tuple[str, tuple[str, ...]] | None = None
 
     def for_typer(self, kind: Any, callback: Callable[..., Any] | None = None, *, hidden: bool = False) -> Any:
         """The field as typer takes it."""
@@ -62,13 +64,17 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class SettingField:
-    """A field of settings; the default is ``...`` where it has to be given, and help leaves out rare ones."""
+    """A field of settings; the default is ``...`` where it has to be given, and help leaves out rare ones.
+
+    One that an extension adds to a command names what it is ``of``, ``renderer NAME``.
+    """
 
     name: str
     kind: Any
     option: Option
     default: Any
     rare: bool
+    of: str = ""
 
     @property
     def repeated(self) -> bool:
@@ -105,9 +111,33 @@ def _list_fields(settings: Any) -> tuple[SettingField, ...]:
         kind, option = typing.get_args(hints[field.name])
         if option.names is None:
             option = dataclasses.replace(option, names=f"--{field.name.replace('_', '-')}")
+        if option.offers is not None:
+            kind = Literal[tuple(dict.fromkeys([*typing.get_args(kind), *list_offers(*option.offers)]))]
         default = ... if field.default is dataclasses.MISSING else field.default
         setting_fields.append(SettingField(field.name, kind, option, default, field.name in rare))
-    return tuple(setting_fields)
+    return (*setting_fields, *_list_extension_fields(getattr(settings, "EXTENDED", ()), setting_fields))
+
+
+def _list_extension_fields(kinds: Collection[str], core: Iterable[SettingField]) -> Iterator[SettingField]:
+    """Fields that extensions add for what they offer of some kinds, in panels with the extensions' names."""
+    taken = {name for field in core for name in (field.name, field.flag)}
+    for of in list_offers("options") if kinds else ():
+        if of.partition(" ")[0] not in kinds:
+            continue
+        owner = find_owner("options", of)
+        try:
+            fields = list_fields(import_from_extension("options", of))
+        except (InputError, TypeError, ValueError) as error:
+            warn(f"the options of {of}, of the extension {owner}, are left out: {error}")
+            continue
+        names = {name for field in fields for name in (field.name, field.flag)}
+        if names & taken:
+            warn(f"the options of {of}, of the extension {owner}, are left out: {min(names & taken)} is taken")
+            continue
+        taken |= names
+        for field in fields:
+            option = dataclasses.replace(field.option, panel=cast("Panel", owner))
+            yield dataclasses.replace(field, option=option, of=of)
 
 
 def _for_typer(kind: Any) -> Any:
@@ -256,6 +286,7 @@ def _convert_value(context: typer.Context, field: SettingField, value: Any, wher
 
 
 _given: ContextVar[frozenset[str]] = ContextVar("given", default=frozenset())
+_of_extensions: ContextVar[Mapping[SettingField, Any]] = ContextVar("of_extensions")
 S = TypeVar("S")
 
 
@@ -276,18 +307,19 @@ def command_function(settings: type[S], run: Callable[[S], None]) -> Callable[..
             if given.get(name) == "COMMANDLINE":
                 raise InputError(f"--set {name} and the option of that name set the same thing; give only one")
         of_fields = {
-            field_name: tuple(map(_plain, value)) if isinstance(value, list) else value
-            for field_name, value in values.items()
-            if field_name in names
+            field: tuple(map(_plain, value)) if isinstance(value := values[field.name], list) else value
+            for field in fields
         }
         token = _given.set(frozenset(name for name, source in given.items() if source != "DEFAULT"))
+        others = _of_extensions.set({field: value for field, value in of_fields.items() if field.of})
         try:
-            run(settings(**of_fields))
+            run(settings(**{field.name: value for field, value in of_fields.items() if not field.of}))
         finally:
             _given.reset(token)
+            _of_extensions.reset(others)
 
     fields, changes = list_fields(settings), hasattr(settings, "reserved")
-    names, parameters = {field.name for field in fields}, [_parameter("context", typer.Context)]
+    parameters = [_parameter("context", typer.Context)]
     for field in fields:
         callback = make_settings_callback(settings) if field.flag == SET and changes else None
         parameters.append(_parameter(field.name, *field.for_typer(callback)))
@@ -339,6 +371,21 @@ def format_rare_settings(settings: type) -> str | None:
 def is_given(name: str) -> bool:
     """Whether the user set an option of the running command, rather than leaving its default."""
     return name in _given.get()
+
+
+def take_options(kind: str, used: Collection[str]) -> dict[str, dict[str, Any]]:
+    """Values of the options that extensions add to the running command for what they offer of a kind, by its name.
+
+    `InputError` for an option of something that is not ``used``.
+    """
+    taken: dict[str, dict[str, Any]] = {}
+    for field, value in _of_extensions.get({}).items():
+        of, _, name = field.of.partition(" ")
+        if of == kind and name in used:
+            taken.setdefault(name, {})[field.name] = value
+        elif of == kind and is_given(field.name):
+            raise InputError(f"{field.flag} is only for the {kind} {name}; name that, or leave {field.flag} out")
+    return taken
 
 
 def _plain(value: Any) -> Any:

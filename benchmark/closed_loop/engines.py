@@ -7,11 +7,15 @@ from benchmark.closed_loop.default_engine import AGENTS, DefaultBackend
 from benchmark.closed_loop.simulation_state import SimulatorBackend
 from benchmark.closed_loop.world_state import ENGINE
 from benchmark.errors import InputError, did_you_mean
-from benchmark.machine.extension import OFFERS, import_from_extension
+from benchmark.machine.extension import call_extension, list_offers
 from benchmark.records.drive_schema import RECORDED, SCENARIOS, ClosedLoopDefinition, StopCondition
 
 STOP_CONDITIONS: Final[tuple[StopCondition, ...]] = get_args(StopCondition)
-ENGINES: Final = (ENGINE, *OFFERS["engine"])
+
+
+def list_engines() -> tuple[str, ...]:
+    """Names that ``--engine`` takes, those of extensions too."""
+    return ENGINE, *list_offers("engine", (ENGINE,))
 
 
 def make_backend(
@@ -22,14 +26,15 @@ def make_backend(
     adversary: AdversaryFactory | None = None,
     until: str = "contact",
 ) -> SimulatorBackend:
-    """Maker of rides of an engine, one of `ENGINES`; refuses what the engine does not have.
+    """Maker of rides of an engine, one of `list_engines`; refuses what the engine does not have.
 
     ``latency_ms`` is how much later a plan takes effect; ``scenarios`` count in NeuroNCAP's engine only. Without an
     adversary factory, only drives with stored tracks begin. ``until``, one of `STOP_CONDITIONS`, ends a drive before
     its time.
     """
-    if engine not in ENGINES:
-        raise InputError(f"unknown engine {engine!r}; {did_you_mean(engine, ENGINES)}choose from {', '.join(ENGINES)}")
+    engines = list_engines()
+    if engine not in engines:
+        raise InputError(f"unknown engine {engine!r}; {did_you_mean(engine, engines)}choose from {', '.join(engines)}")
     if agents not in AGENTS:
         known = " and ".join([", ".join(AGENTS[:-1]), AGENTS[-1]])
         raise InputError(f"unknown agents {agents!r}; {did_you_mean(agents, AGENTS)}choose from {known}")
@@ -42,13 +47,13 @@ def make_backend(
         )
     if engine == ENGINE:
         if scenarios != RECORDED:
-            raise InputError(f"scenarios need NeuroNCAP's engine; use --engine {ENGINES[1]} or leave --scenarios out")
+            raise InputError(f"scenarios need NeuroNCAP's engine; use --engine {engines[1]} or leave --scenarios out")
         return DefaultBackend(agents, 1000 * latency_ms, adversary if agents == ADVERSARY else None, until)
     if agents != "replay" or latency_ms:
         raise InputError(f"road users of {engine} never react and plans take effect at once; use --engine {ENGINE}")
     if until != "contact":
         raise InputError(f"every collision ends a run of {engine}; use --engine {ENGINE} or leave --until {until} out")
-    backend: SimulatorBackend = import_from_extension("engine", engine)(engine, scenarios)
+    backend: SimulatorBackend = call_extension("engine", engine, engine, scenarios)
     return backend
 
 

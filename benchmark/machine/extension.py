@@ -1,11 +1,15 @@
 """Contributions of extensions to the core: one table of kinds, names and where each is defined.
 
-Nothing is imported before it is requested by name; an extension that is not installed is reported in one sentence.
+Other packages add to it by entry points (docs/extending.md). Nothing is imported before it is requested by name; an
+extension that is not installed, or does not work, is reported in one sentence.
 """
 
 import importlib
 import importlib.util
-from collections.abc import Mapping
+import sys
+from collections.abc import Collection, Mapping
+from functools import cache
+from importlib.metadata import entry_points
 from typing import Any, Final
 
 from benchmark.errors import InputError
@@ -34,11 +38,16 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     # From settings to a `closed_loop.adversary.AdversaryFactory`.
     "agents": {"adversary": "generation.extensions.reactive_adversary.adversary_maker:build_reactive_adversary_maker"},
+    # A `benchmark.planning.Planner` by name, with its options.
+    "planner": {},
     # From an address to a planner, and to a `closed_loop.sensors.Sensor`; by scheme.
-    "planner": {"http": "benchmark.extensions.http.model:http_planner"},
+    "planner scheme": {"http": "benchmark.extensions.http.model:http_planner"},
     "sensor": {"http": "benchmark.extensions.http.sensor:HttpSensor"},
-    # From the options of ``generate`` to an object that checks them and makes a `generation.render.contract.Renderer`.
-    "renderer": {"magicdrive": "generation.extensions.magicdrive.cli:PhotorealisticOptions"},
+    # From the options of ``generate`` and its own to a `generation.render.contract.RendererSource`.
+    "renderer": {"magicdrive": "generation.extensions.magicdrive.cli:read_photorealistic_options"},
+    # A dataclass of settings (`benchmark.cli.settings`) by kind and name of what it is for: ``renderer NAME`` adds to
+    # ``generate``, ``planner NAME`` to ``eval`` and ``drive``. The values are given as keyword arguments.
+    "options": {},
     # Pictures of scenes for ``data show``.
     "pictures": {"conditions": "generation.extensions.magicdrive.condition_pictures:write_condition_pictures"},
     # From records of a kind to `leaderboard.page.sections.Section`, in the order of the page.
@@ -46,8 +55,14 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "challenges": "leaderboard.extensions.challenge.tables:build_sections",
         "quality": "leaderboard.extensions.quality.tables:build_sections",
     },
+    # From `leaderboard.frame.runs.DataSetRuns` to tables of the data set.
+    "table": {},
+    # From `leaderboard.frame.results.LeaderboardResults` to the text of an HTML page of the site.
+    "page": {},
+    # A `benchmark.protocols.contract.CollisionProtocol`, made without arguments, that ``--protocol`` names.
+    "judge": {},
     # From run records to pictures of disagreements between protocols.
-    "judge": {"explanation": "benchmark.extensions.explain.pictures:explain"},
+    "explanation": {"protocols": "benchmark.extensions.explain.pictures:explain"},
     # From a folder to findings that should not be published.
     "check": {"publishing": "leaderboard.extensions.publishing.checking:check_publishable"},
     # From the bytes of a member of a package of splits to the same bytes, or `InputError`.
@@ -72,6 +87,10 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     },
 }
 """By kind and name: ``package.extensions.name.module:attribute``."""
+GROUP: Final = "challenger_bench.extensions"
+"""Entry points of other packages: each names a table in the form of `OFFERS`; the module of it is imported for help."""
+OPEN_KINDS: Final = ("command", "engine", "judge", "options", "page", "planner", "renderer", "table")
+"""What other packages may offer."""
 
 
 class AbsentExtensionError(InputError):
@@ -94,9 +113,83 @@ def make_absent_error(name: str) -> AbsentExtensionError:
     return AbsentExtensionError(f"this needs the extension {name}, which is not installed; install it")
 
 
+def list_offers(kind: str, core: Collection[str] = ()) -> dict[str, str]:
+    """References of a kind by name: ours, then those of other packages, without names that the core has itself."""
+    others = {name: reference for name, (_, reference) in _read_other_packages().get(kind, {}).items()}
+    for name in core if others else ():
+        if others.pop(name, None) is not None:
+            warn(f"the {kind} {name} of the extension {find_owner(kind, name)} is left out: the core has that name")
+    return {**OFFERS[kind], **others}
+
+
+def find_owner(kind: str, name: str) -> str:
+    """Name of the extension that offers something: ours, or the entry point of another package."""
+    ours = OFFERS[kind].get(name)
+    return _read_other_packages()[kind][name][0] if ours is None else parse_extension_name(ours)
+
+
+@cache
+def _read_other_packages() -> dict[str, dict[str, tuple[str, str]]]:
+    """Name of the extension and reference, by kind and name; what is refused is said once on standard error."""
+    found: dict[str, dict[str, tuple[str, str]]] = {}
+    for entry in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        try:
+            offered = [(kind, name, str(of)) for kind, names in entry.load().items() for name, of in names.items()]
+        except Exception as error:
+            warn(f"the extension {entry.name} is left out, its table cannot be read ({_describe(error)}); reinstall it")
+            continue
+        for kind, name, reference in offered:
+            taken = kind in OPEN_KINDS and {**OFFERS[kind], **found.get(kind, {})}.get(name)
+            if kind not in OPEN_KINDS:
+                warn(f"the extension {entry.name} offers the kind {kind}, which is none of {', '.join(OPEN_KINDS)}")
+            elif taken:
+                owner = parse_extension_name(taken) if isinstance(taken, str) else taken[0]
+                warn(f"the extension {entry.name} offers the {kind} {name}, which {owner} offers already; rename it")
+            else:
+                found.setdefault(kind, {})[name] = entry.name, reference
+    return found
+
+
+@cache
+def warn(sentence: str) -> None:
+    """Say something about other packages on standard error, once."""
+    print(f"warning: {sentence}", file=sys.stderr)
+
+
+def _describe(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
 def import_from_extension(kind: str, name: str) -> Any:
-    """Import an object of a kind of `OFFERS` from its extension; `AbsentExtensionError` if that is not installed."""
-    return import_reference(OFFERS[kind][name])
+    """Import what an extension offers; `AbsentExtensionError` if one of ours is not installed.
+
+    What is raised by another package's import is an `InputError` that names the package.
+    """
+    reference = list_offers(kind)[name]
+    if name in OFFERS[kind]:
+        return import_reference(reference)
+    try:
+        return import_reference(reference)
+    except Exception as error:
+        raise InputError(
+            f"the {kind} {name} of the extension {find_owner(kind, name)} cannot be imported ({_describe(error)}); "
+            "reinstall or remove it"
+        ) from error
+
+
+def call_extension(kind: str, name: str, *arguments: Any, **options: Any) -> Any:
+    """Call what an extension offers; what another package raises is an `InputError` that names it."""
+    called = import_from_extension(kind, name)
+    if name in OFFERS[kind]:
+        return called(*arguments, **options)
+    try:
+        return called(*arguments, **options)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"the {kind} {name} of the extension {find_owner(kind, name)} failed ({_describe(error)}); see --debug"
+        ) from error
 
 
 def import_reference(reference: str) -> Any:

@@ -1,9 +1,11 @@
 """Protocols by name: every definition of collision and L2 that a run is judged by."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from typing import Final
 
 from benchmark.errors import InputError, did_you_mean
+from benchmark.machine.extension import call_extension, list_offers
 from benchmark.protocols.agent_driver import AgentDriverProtocol, AgentDriverSTP3Protocol
 from benchmark.protocols.bev_planner import BEVPlannerProtocol
 from benchmark.protocols.contract import (
@@ -39,7 +41,34 @@ __all__ = [
     "register",
 ]
 
-PROTOCOLS: dict[str, CollisionProtocol] = {}
+
+class ProtocolTable(dict[str, CollisionProtocol]):
+    """Protocols by name: ours, then judges of other packages, each imported when it is looked up."""
+
+    def __missing__(self, name: str) -> CollisionProtocol:
+        if name not in self._list_judges():
+            raise KeyError(name)
+        return _make_judge(name)
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or name in self._list_judges()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*super().__iter__(), *self._list_judges()))
+
+    def _list_judges(self) -> Mapping[str, str]:
+        return list_offers("judge", (*super().__iter__(), "native", "pdm", "all"))
+
+
+@cache
+def _make_judge(name: str) -> CollisionProtocol:
+    judge: CollisionProtocol = call_extension("judge", name)
+    if judge.name != name:
+        raise InputError(f"the judge {name} calls itself {judge.name!r}; give it the name that it is offered under")
+    return judge
+
+
+PROTOCOLS: Final = ProtocolTable()
 """Every known protocol, in the order of their columns."""
 NATIVE_PROTOCOLS: Final = ("uniad", "vad", "sparsedrive", "diffusiondrive")
 """Those of the repositories of the four planners that the paper tests."""
@@ -63,7 +92,7 @@ def register(definition: CollisionProtocol) -> None:
     Raises:
         ValueError: If the name is taken: two protocols never share a column.
     """
-    if definition.name in PROTOCOLS:
+    if dict.__contains__(PROTOCOLS, definition.name):
         raise ValueError(f"a protocol named {definition.name!r} is already registered; choose another name")
     PROTOCOLS[definition.name] = definition
 

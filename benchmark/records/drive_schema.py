@@ -14,7 +14,6 @@ SCHEMA: Final = 1
 """Version of the format of records of drives; raised whenever a field changes."""
 MOST_RUNS: Final = 10_000
 REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
-EngineName = Literal["default", "neuroncap@code", "neuroncap@paper"]
 StopCondition = Literal["contact", "fault"]
 """Event that ends a drive early: any contact, or one that is the ego's fault."""
 ScenariosName = Literal["recorded", "own", "official"]
@@ -38,7 +37,7 @@ class ClosedLoopDefinition(Stored):
         until: What ended a drive before its time. Not written where it is any contact.
     """
 
-    engine: EngineName
+    engine: Name
     agents: Name
     sensor: Name
     sensor_facts: dict[str, Any] = Field(default_factory=dict)

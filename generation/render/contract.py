@@ -1,12 +1,14 @@
 """The contract of a renderer: a scene in, six images per frame out."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
+from benchmark.machine.workers import Executor
 from benchmark.scene import Camera, EgoTrack, Scene
 
 Images = dict[str, NDArray[np.uint8]]
@@ -44,6 +46,19 @@ class Renderer(Protocol):
         """
 
 
+class RendererSource(Protocol):
+    """The renderer that ``generate --renderer NAME`` draws with, once its options are checked."""
+
+    def require(self) -> None:
+        """Raise `InputError` where it cannot draw, before anything is built."""
+
+    def renderer(self, work: Path) -> Renderer:
+        """The renderer; it is sent to workers. ``work`` is a folder for what it keeps."""
+
+    def executor(self, place: Executor) -> Executor | None:
+        """Where scenes are drawn, if not where they are searched."""
+
+
 def require_frames(scene: Scene, frames: Sequence[int]) -> None:
     """Refuse frames that a scene does not have."""
     count = len(scene.timestamps_us)
@@ -71,6 +86,9 @@ class CuttingRenderer(Renderer, Protocol):
 @runtime_checkable
 class SlowRenderer(Renderer, Protocol):
     """A renderer that takes so long that a few pictures are not drawn to find out."""
+
+    def estimate_sentence(self, scene: Scene) -> str:
+        """What a scene costs, for people, said before anything is drawn."""
 
     def scene_seconds(self, scene: Scene) -> float:
         """About how long a scene takes."""

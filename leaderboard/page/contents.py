@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 from urllib.parse import quote
 
+from benchmark.machine.extension import list_offers
 from benchmark.machine.storage import sanitise_file_name
 from benchmark.report.table import Table, escape_markdown
 from leaderboard.figures.contents import data_set_figures, matrix_figures, missing_figures
@@ -75,7 +76,11 @@ def closed_loop_sections(results: LeaderboardResults) -> Iterator[Section]:
         tables, figures = closed_loop_tables(name, own, results.runs), pressure_figures(own)
         heading, page = f"{escape_markdown(name)}: {CLOSED_LOOP}", find_page_path(name, "closed-loop")
         scenes = [table for table in tables if table.name.startswith(DISAGREEMENTS)]
-        items: list[SectionItem] = [table for table in tables if table not in scenes]
+        engines = {record.facts.measured.engine for record in own} - {"default", *list_offers("engine")}
+        items: list[SectionItem] = [
+            *(f"Engine {engine}: of an extension that is not installed here.\n" for engine in sorted(engines)),
+            *(table for table in tables if table not in scenes),
+        ]
         if scenes:
             items += [f"Scenes on which the two loops disagree: [{CLOSED_LOOP}]({quote(page)}).", ""]
         files = {page: format_page(heading, tables)}

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from benchmark.machine.extension import OFFERS, import_from_extension
+from benchmark.machine.extension import import_from_extension, list_offers
 from benchmark.machine.storage import sanitise_file_name
 from benchmark.records.driving import PDM
 from benchmark.report.table import Table
@@ -98,7 +98,7 @@ def drop_repeated_notes(shown: Iterable[SectionItem], said: Iterable[str] = ()) 
 
 def build_extension_sections(records: Mapping[str, Sequence[Any]]) -> Iterator[Section]:
     """Sections that extensions make of records by kind; kinds without a record need no extension."""
-    for kind in OFFERS["section"]:
+    for kind in list_offers("section"):
         if records.get(kind):
             extension_sections: Iterable[Section] = import_from_extension("section", kind)(records[kind])
             yield from extension_sections

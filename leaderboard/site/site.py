@@ -1,9 +1,12 @@
 """The files of the site: pages, index and scenes."""
 
 from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Final
 
+from benchmark.machine.extension import call_extension, list_offers
+from benchmark.machine.storage import sanitise_file_name
 from leaderboard.frame.results import LeaderboardResults
 from leaderboard.site.drive_data import build_drive_files
 from leaderboard.site.index_data import PlacedFigure, PlacedTable, build_index
@@ -17,6 +20,7 @@ PLAYER_FILES: Final[Sequence[Callable[[LeaderboardResults], Mapping[str, bytes |
     lambda results: build_drive_files(results.drives, results.sheets),
 )
 """Files of what the player shows."""
+_FRONT: Final = "index.html"
 _ASSETS: Final = (".html", ".css", ".js")
 _ASSETS_FOLDER: Final = Path(__file__).parent / "assets"
 
@@ -36,4 +40,8 @@ def build_site_files(
     scenes = {path: content for files in PLAYER_FILES for path, content in files(results).items()}
     index = build_index(results, tables, figures, frozenset({*copied, *scenes}))
     assets = {path.name: path.read_bytes() for path in sorted(_ASSETS_FOLDER.iterdir()) if path.suffix in _ASSETS}
-    return {INDEX_PATH: encode_script("window.CHALLENGER", index), **assets, **copied, **scenes}
+    pages = {name: f"pages/{sanitise_file_name(name)}.html" for name in list_offers("page")}
+    links = "".join(f'<a href="{path}">{escape(name)}</a>\n' for name, path in pages.items())
+    assets[_FRONT] = assets[_FRONT].replace(b"</nav>", f"{links}</nav>".encode())
+    of_extensions = {path: call_extension("page", name, results).encode() for name, path in pages.items()}
+    return {INDEX_PATH: encode_script("window.CHALLENGER", index), **assets, **copied, **scenes, **of_extensions}

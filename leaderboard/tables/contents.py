@@ -5,11 +5,12 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from benchmark.errors import InputError
+from benchmark.machine.extension import call_extension, list_offers
 from benchmark.metrics.attacks import has_adversaries, has_severity
 from benchmark.metrics.consistency import INSTANTS, MEAN, Consistency, measure_consistency
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import HORIZONS, SceneSums
-from benchmark.metrics.scores import map_scenes_to_sources, score_record
+from benchmark.metrics.scores import find_protocol_version, map_scenes_to_sources, score_record
 from benchmark.metrics.search_seeds import combine_seeds, format_seeds
 from benchmark.records.ablation import AblationReport
 from benchmark.records.attempts import parse_seed
@@ -268,6 +269,7 @@ def build_data_set_tables(frame: DataSetRuns) -> DataSetTables:
         *(frame.once(make) for make in FIRST_TABLES),
         *_build_judge_tables(frame, frame.judges),
         *(make(frame) for make in LAST_TABLES),
+        *(call_extension("table", name, frame) for name in list_offers("table")),
     )
     others = {}
     for name in sorted(frame.protocols - {EXACT}):
@@ -320,6 +322,11 @@ def missing_notes(frame: DataSetRuns) -> list[str]:
         if record.missing_protocols:
             notes.append(
                 f"{run_name}: not scored by {', '.join(record.missing_protocols)}; run challenger-bench rescore."
+            )
+        if absent := sorted(name for name in record.run.protocols if find_protocol_version(name) is None):
+            notes.append(
+                f"{run_name}: judged by protocol {', '.join(absent)}, of an extension that is not installed here; its "
+                "numbers are shown as recorded, without what is counted anew."
             )
         if any(None in record.columns.values(field) for field in ("place", "speed_m_s")):
             notes.append(

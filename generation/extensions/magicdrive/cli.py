@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from benchmark.cli.generate_options import GenerateOptions
     from benchmark.machine.workers import Executor
     from generation.extensions.magicdrive.renderer import MagicDriveRenderer
 
@@ -59,3 +60,17 @@ class PhotorealisticOptions:
         from generation.extensions.magicdrive.command import build_rendering_executor
 
         return None if self.estimates_only else build_rendering_executor(place, self.device)
+
+
+def read_photorealistic_options(options: "GenerateOptions") -> PhotorealisticOptions:
+    """Those of ``generate`` that are the renderer's."""
+    return PhotorealisticOptions(
+        options.weights_folder,
+        drawn_size=options.render_size,
+        written_size=options.written_size,
+        look=options.prompt_look,
+        device=options.render_device,
+        seed=options.seed,
+        tera_operations=options.tflops,
+        estimates_only=options.dry_run,
+    )

@@ -176,6 +176,10 @@ class MagicDriveRenderer:
             measured=settings.tera_operations is None,
         )
 
+    def estimate_sentence(self, scene: Scene) -> str:
+        """The estimate in words."""
+        return self.estimate(scene).plain()
+
     def scene_seconds(self, scene: Scene) -> float:
         """About how long a scene takes."""
         return self.estimate(scene).seconds

@@ -2,14 +2,23 @@
 
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import pytest
 import typer
 
-from benchmark.cli import app as extensions
-from benchmark.cli.app import OfferedCommands, add_commands_of_others
+from benchmark.cli import settings
+from benchmark.cli.app import add_commands_of_others
+from benchmark.cli.eval_options import EvalOptions
+from benchmark.cli.settings import Option, list_fields
+from benchmark.closed_loop.engines import list_engines, make_backend
+from benchmark.errors import InputError
+from benchmark.machine import extension
+from benchmark.machine.extension import OFFERS, call_extension, list_offers
+from benchmark.protocols import PROTOCOLS, find_protocol
 
 ROOT = Path(__file__).resolve().parents[3]
 WITHOUT = """
@@ -57,23 +66,126 @@ class Entry:
     """An entry point of another package."""
 
     name: str
-    loaded: OfferedCommands | None
+    table: dict[str, dict[str, str]] | None
 
-    def load(self) -> OfferedCommands:
-        if self.loaded is None:
+    def load(self) -> dict[str, dict[str, str]]:
+        if self.table is None:
             raise ImportError("no such\nmodule")
-        return self.loaded
+        return self.table
+
+
+@pytest.fixture
+def install(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Let other packages seem installed; what was read of them is forgotten before and after."""
+    kept = (extension._read_other_packages, extension.warn, settings._list_fields)
+
+    def put(*entries: Entry) -> None:
+        monkeypatch.setattr(extension, "entry_points", lambda group: [*entries] if group == extension.GROUP else [])
+        for function in kept:
+            function.cache_clear()
+
+    yield put
+    monkeypatch.undo()
+    for function in kept:
+        function.cache_clear()
+
+
+def told(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    return capsys.readouterr().err.splitlines()
 
 
 def test_a_broken_extension_of_another_package_costs_its_own_commands_alone(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    install: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    sound = Entry("sound", {"theirs": lambda: None, "data more": typer.Typer()})
-    found = {extensions.ENTRY_POINTS: [Entry("broken", None), sound]}
-    monkeypatch.setattr(extensions, "entry_points", lambda group: found[group])
+    words = {"theirs": f"{__name__}:command_of_theirs", "data more": f"{__name__}:GROUP_OF_THEIRS"}
+    install(
+        Entry("broken", None),
+        Entry("absent", {"command": {"gone": "no_such_module:x"}}),
+        Entry("sound", {"command": words}),
+    )
     app, data = typer.Typer(), typer.Typer()
     add_commands_of_others({"": app, "data": data})
     assert [command.name for command in app.registered_commands] == ["theirs"]
     assert [group.name for group in data.registered_groups] == ["more"]
-    said = capsys.readouterr().err
-    assert said.startswith("warning: the extension broken adds no commands: no such") and said.count("\n") == 1
+    assert told(capsys) == [
+        "warning: the extension broken is left out, its table cannot be read (ImportError: no such module); reinstall "
+        "it",
+        "warning: the command gone of the extension absent cannot be imported (ModuleNotFoundError: No module named "
+        "'no_such_module'); reinstall or remove it",
+    ]
+
+
+def test_names_that_are_taken_and_kinds_that_there_are_not_are_left_out(
+    install: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = {"command": {"film": "a:b", "eval": "a:b", "in no group": "a:b"}, "colour": {"red": "a:b"}}
+    install(
+        Entry("first", {**mine, "engine": {"default": "a:b", "rails": "a:b"}}),
+        Entry("second", {"engine": {"rails": "c:d"}}),
+    )
+    groups = {"": typer.Typer(), "data": typer.Typer()}
+    groups[""].command("eval")(command_of_theirs)
+    add_commands_of_others(groups)
+    assert [command.name for command in groups[""].registered_commands] == ["eval"]
+    assert list_engines() == ("default", *OFFERS["engine"], "rails")
+    assert list_offers("engine")["rails"] == "a:b"
+    said = told(capsys)
+    for sentence in (
+        "the extension first offers the command film, which films offers already",
+        "the extension first offers the kind colour, which is none of command, engine, ",
+        "the extension second offers the engine rails, which first offers already",
+        "the command eval of the extension first is left out: the core has that name",
+        "the engine default of the extension first is left out: the core has that name",
+        "the command in no group of the extension first cannot be ",
+    ):
+        assert [line.startswith(f"warning: {sentence}") for line in said].count(True) == 1, said
+
+
+def test_what_fails_in_another_package_is_one_sentence(install: Callable[..., None]) -> None:
+    install(
+        Entry(
+            "theirs",
+            {"engine": {"rails": "a:b"}, "table": {"odd": f"{__name__}:fail"}, "judge": {"odd": f"{__name__}:Odd"}},
+        )
+    )
+    with pytest.raises(
+        InputError, match=r"^the engine rails of the extension theirs cannot be imported \(Module.*\); "
+    ):
+        make_backend("rails")
+    with pytest.raises(
+        InputError, match=r"^the table odd of the extension theirs failed \(ZeroDivisionError: .*\); see "
+    ):
+        call_extension("table", "odd")
+    assert "odd" in PROTOCOLS and [*PROTOCOLS][-1] == "odd"
+    with pytest.raises(InputError, match=r"^the judge odd calls itself 'even'; "):
+        find_protocol("odd")
+
+
+def test_options_that_clash_with_those_of_the_command_are_left_out(
+    install: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    install(Entry("theirs", {"options": {"planner odd": f"{__name__}:Taken", "planner even": f"{__name__}:fail"}}))
+    assert [field.of for field in list_fields(EvalOptions) if field.of] == []
+    clash, other = told(capsys)
+    assert clash == "warning: the options of planner odd, of the extension theirs, are left out: --seed is taken"
+    assert other.startswith("warning: the options of planner even, of the extension theirs, are left out: ")
+
+
+def command_of_theirs() -> None:
+    """Do nothing."""
+
+
+GROUP_OF_THEIRS = typer.Typer()
+
+
+def fail() -> float:
+    return 1 / 0
+
+
+class Odd:
+    name = "even"
+
+
+@dataclass(frozen=True)
+class Taken:
+    seed: Annotated[int, Option("A seed.")] = 0
