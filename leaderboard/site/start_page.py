@@ -67,31 +67,23 @@ def _describe(index: Mapping[str, Any], scenes: Sequence[Mapping[str, Any]]) -> 
     )
 
 
+_WORDS = {
+    "table": "Every protocol, transfer between planners, causes, what protocols miss and invent.",
+    "planner": "Rates under every protocol, why it collides, its worst scenes, what exactly ran.",
+    "scene": "By manoeuvre, by who fails and who does not; each plays, with all plans.",
+    "attempt": "Vehicles that the search tried as adversaries, and why most were discarded.",
+}
+_PAGES = {"table": "tables", "planner": "models", "scene": "scenes", "attempt": "attempts"}
+
+
 def _list_links(index: Mapping[str, Any], data: str, telling: Mapping[str, Any] | None) -> list[list[str]]:
     """Address, title and words of each link."""
     scenes = index["scenes"]
     here = {"data": data} if len({scene["data"] for scene in scenes}) > 1 else {}
-    tables, own = (sum(each["data"] in (data, "") for each in index[name]) for name in ("tables", "scenes"))
-    links = [
-        [
-            address("tables", **here),
-            pluralise(tables, "table"),
-            "Every protocol, transfer between planners, causes, what protocols miss and invent.",
-        ],
-        [
-            address("models", **here),
-            pluralise(len(index["models"]), "planner"),
-            "Rates under every protocol, why it collides, its worst scenes, what exactly ran.",
-        ],
-        [
-            address("scenes", **here),
-            pluralise(own, "scene"),
-            "By manoeuvre, by who fails and who does not; each plays, with all plans.",
-        ],
-    ]
-    if index["attempts"]:
-        words = "Vehicles that the search tried as adversaries, and why most were discarded."
-        links.append([address("attempts"), pluralise(len(index["attempts"]), "attempt"), words])
+    links = []
+    for noun, page in _PAGES.items():
+        count = sum(noun in ("planner", "attempt") or each["data"] in (data, "") for each in index[page])
+        links += [[address(page, **here), pluralise(count, noun), _WORDS[noun]]] if count or noun != "attempt" else []
     compared = telling or next((each for each in scenes if each["data"] == data and len(each["marks"]) > 1), None)
     if compared is not None and len(compared["pair"]) > 1:
         first, second = compared["pair"]

@@ -195,7 +195,6 @@ DARK.addEventListener("change", () => storedTheme() ?? showTheme());
 // --- which page --------------------------------------------------------------------------------------------------------
 /** @type {Record<string, PageMaker>} By the first part of the address. */
 const pages = {};
-const OF_TABLES = ["group", "sort", "q"];
 /** @type {Record<string, string>} Pages that belong to another one of the menu. */
 const PLACES = { model: "models", scene: "scenes", compare: "scenes", drive: "scenes" };
 /** @type {Page|null} */
@@ -226,11 +225,6 @@ function pageOfAddress() {
   }
   try {
     const here = route(location.hash);
-    if (!here.parts.length && OF_TABLES.some((name) => here.params.has(name))) {
-      // The tables stood at this address once.
-      here.parts.push("tables");
-      history.replaceState(null, "", address(here.parts, here.params));
-    }
     const name = here.parts[0] ?? "start";
     const page = own(pages, name);
     if (!page) throw new AddressError(`There is no page called “${name}”.`);

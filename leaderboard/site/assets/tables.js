@@ -6,8 +6,6 @@ const LONG = 28, SHORT = 11;
 const FIGURES = "figures";
 /** Tables by place, light ...: one kind at a time, all of its slices or one; the kind is named by a column. */
 const SLICES = "slices", KIND = 2, EVERY = "all";
-/** What the first groups were called while they were one. */
-const ONCE = "exact and own protocols";
 /** How much smaller than drawn a figure may be. */
 const LEAST_SIZE = 0.97;
 /** Columns that name planners, beside the first one. */
@@ -246,7 +244,6 @@ pages.tables = (here) => {
   const drawings = figures.filter((figure) => figure.data === data);
   const groups = [...unique(mine.map((table) => table.group ?? "")), ...(drawings.length ? [FIGURES] : [])];
   const sorted = mine.find((table) => here.params.get("sort")?.endsWith(`.${table.id}`));
-  if (here.params.get("group") === ONCE) here.params.delete("group");
   const group = here.params.has("group") ? asked(here, "group", groups) : sorted?.group ?? groups[0];
   const sliced = slicesOf(mine.filter((table) => table.group === group), group, here);
   const views = tableViews(sliced.tables, { here });

@@ -117,10 +117,10 @@ def test_collisions_are_marked_where_the_record_says(browser: Browser, site: Sit
     marks = browser.all("player-collision")
     assert sorted(int(str(mark.get_attribute("data-frame"))) for mark in marks) == expected
     assert expected
-    signs = {"adversary": "✕", "other": "◇", "unsaid": "–"}
-    assert all(mark.text == signs[str(mark.get_attribute("data-whom"))] for mark in marks)
-    for kind, whom in (("adversary", True), ("other", False), ("unsaid", None)):
-        shown = [mark.get_attribute("data-frame") for mark in marks if mark.get_attribute("data-whom") == kind]
+    for code, sign, whom in (("X", "✕", True), ("a", "◇", False), ("w", "–", None)):
+        kind = [mark for mark in marks if mark.get_attribute("data-mark") == code]
+        assert all(mark.text == sign for mark in kind)
+        shown = [mark.get_attribute("data-frame") for mark in kind]
         found = [colliding_frames(site, name, scene, protocol, (whom,)) for name in planners]
         assert sorted(int(str(each)) for each in shown) == sorted(frame for frames in found for frame in frames)
     browser.click(marks[-1])
@@ -221,7 +221,7 @@ def test_the_player_begins_two_seconds_before_the_first_contact_with_planners_th
     contacts = [
         float(str(mark.get_attribute("data-frame"))) / 12 + float(str(mark.get_attribute("data-contact")))
         for mark in browser.all("player-collision")
-        if mark.get_attribute("data-whom") == "adversary"
+        if mark.get_attribute("data-mark") == "X"
     ]
     assert shown_seconds(browser) == pytest.approx(max(min(contacts) - 2.0, 0.0), abs=0.06)
     assert "?" not in browser.route

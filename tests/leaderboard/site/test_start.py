@@ -6,10 +6,9 @@ from pathlib import Path
 from selenium.webdriver.common.by import By
 
 from benchmark.records.scene_pages import NO_SCENE_PAGES
-from leaderboard.build import write_leaderboard
 from leaderboard.frame.results import read_results
 from tests.leaderboard.site.browser import HEIGHT_PX, WIDTH_PX, Browser
-from tests.leaderboard.site.conftest import Site
+from tests.leaderboard.site.conftest import Site, write_site
 from tests.leaderboard.site.reading import record_of
 
 TALLEST_PX = 2500
@@ -109,8 +108,7 @@ def test_pictures_follow_the_theme(browser: Browser) -> None:
 
 
 def test_without_sheets_the_rest_is_there(browser: Browser, site: Site, tmp_path: Path) -> None:
-    write_leaderboard(read_results(site.records, sheets=NO_SCENE_PAGES), tmp_path)
-    browser.open("#/", start=(tmp_path / "site" / "index.html").as_uri())
+    browser.open("#/", start=write_site(read_results(site.records, sheets=NO_SCENE_PAGES), tmp_path))
     assert browser.all("showing") == []
     assert "challenger-bench sheets" in browser.driver.find_element(By.TAG_NAME, "main").text
     assert browser.driver.find_elements(By.CSS_SELECTOR, "main table tbody tr")

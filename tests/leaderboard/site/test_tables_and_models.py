@@ -155,22 +155,20 @@ def test_every_planner_has_a_page(browser: Browser, site: Site) -> None:
 def test_a_planners_page_has_its_profile_of_driving_scores_val_beside_adv(browser: Browser, site: Site) -> None:
     name = site.made.planners[0]
     browser.open(f"#/model/{quote(name, safe='')}")
-    label = "nuscenes-pdm: mean of each driving sub-score"
+    label = "driving scores (%), nuscenes-pdm"
     (drawing,) = browser.driver.find_elements(By.CSS_SELECTOR, f'main svg[aria-label*="{label}"]')
     texts = [each.get_attribute("textContent") for each in drawing.find_elements(By.CSS_SELECTOR, "text")]
     assert texts[-8:] == ["NC", "DAC", "DDC", "EP", "TTC", "LK", "HC", "EC"] and "100 %" in texts
     assert len(drawing.find_elements(By.CSS_SELECTOR, "g.series")) == 2
-    table = browser.one("table-driving")
+    table = browser.one("table-made-up-pdm")
     assert cells(browser, table, 1) == ["val", "adv"]
+    heads = browser.js("return [...arguments[0].tHead.rows].at(-1).innerText.split(/\\s*\\t\\s*/);", table)
     for row, split in enumerate(("val", "adv")):
         driving = record_of(site, name, split).summary.driving
         assert driving is not None
-        for column, shown in ((2, "score"), (4, "nc"), (11, "ec")):
+        for column, shown in ((2, "score"), (heads.index("NC"), "nc"), (heads.index("EC"), "ec")):
             value = driving.columns[shown]["mean"].value
             assert cells(browser, table, column)[row] == f"{100 * (value or 0.0):.1f}"
-    browser.open("#/tables?group=driving%20scores")
-    assert any("nuscenes-pdm" in table.text for table in browser.driver.find_elements(By.CSS_SELECTOR, "main"))
-    assert browser.all("error") == []
 
 
 @pytest.mark.parametrize(
