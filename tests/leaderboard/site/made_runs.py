@@ -122,16 +122,7 @@ def _ahead(axle: Floats) -> Floats:
 def run(
     folder: Path, planner: MadePlanner, data: DataFacts, split: str, truths: Sequence[SceneTruth], *, seed: int
 ) -> None:
-    """Write the record of a planner on a split.
-
-    Args:
-        folder: Run directory.
-        planner: The planner.
-        data: Data set.
-        split: Split.
-        truths: All scenes of the split.
-        seed: Seed of the planner's habits.
-    """
+    """Write the record of a planner on a split."""
     rows = [row for found in truths for row in _rows(planner, found, seed)]
     scenes = [found.scene for found in truths]
     facts: dict[str, Any] = {

@@ -105,20 +105,7 @@ class MadeScene:
 def make_scene(
     name: str, source: str, *, adversarial: bool, agents: int, samples: int, description: str, seed: int
 ) -> MadeScene:
-    """Make one scene.
-
-    Args:
-        name: Scene name.
-        source: Recorded scene; scenes of one source have the same road and the same traffic.
-        adversarial: Whether somebody cuts in.
-        agents: How many others there are.
-        samples: Number of 2 Hz samples.
-        description: Free text.
-        seed: Seed of everything.
-
-    Returns:
-        The scene.
-    """
+    """Make one scene."""
     rng = np.random.default_rng(content_seed("made scene", source, seed))
     own = np.random.default_rng(content_seed("made adversary", name, seed))
     time = np.arange(samples * FRAMES_PER_KEYFRAME) / FRAME_HZ
@@ -179,17 +166,7 @@ def _with_adversary(others: Traffic, rng: np.random.Generator, time: Floats, ego
 
 
 def sheet_of(scene: MadeScene, data: DataFacts, split: str, pictures: dict[str, str]) -> ScenePage:
-    """What is shown of a scene.
-
-    Args:
-        scene: The scene.
-        data: Data set.
-        split: Split.
-        pictures: SHA-256 of the pictures by their path below the sheet's folder.
-
-    Returns:
-        The sheet.
-    """
+    """What is shown of a scene."""
     ego, label = scene.on_plane(scene.ego_s_m), labels_of(scene)
     frames = tuple(frame for frame in range(scene.frames) if picture_name(frame) in pictures)
     return ScenePage.model_validate(

@@ -53,7 +53,7 @@ def value_of(script: bytes) -> Any:
 
 
 @given(value=st.recursive(st.none() | st.booleans() | st.integers() | st.text(), lambda inner: st.lists(inner)))
-@settings(deadline=None)
+@settings(deadline=None, max_examples=25)
 def test_a_script_says_any_value_and_nothing_else(value: Any) -> None:
     script = encode_script("window.X", value)
     assert value_of(script) == value
@@ -313,7 +313,7 @@ def test_settings_that_are_no_numbers_of_json_are_shown_as_text(site: Site) -> N
         ),
     )
 )
-@settings(deadline=None)
+@settings(deadline=None, max_examples=25)
 def test_any_labels_have_words(label: dict[str, Any]) -> None:
     assert isinstance(describe_label(label), str)
 

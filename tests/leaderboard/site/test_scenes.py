@@ -227,7 +227,7 @@ def test_a_scene_without_a_sheet_is_in_the_frame_of_the_ego(site: Site, files: M
     assert first is not None
     way = path_of(value["recorded"][0])
     assert way[0] == pytest.approx([first[1] + rows[0].lidar_ahead_m, -first[0]], abs=0.006)
-    assert path_of(value["models"][1]["samples"][0]["path"])[0] == pytest.approx(
+    assert path_of(value["models"][0]["samples"][0]["path"])[0] == pytest.approx(
         [rows[0].lidar_ahead_m, 0.0], abs=0.006
     )
     assert len(way) == 6

@@ -170,19 +170,15 @@ def test_a_deep_link_restores_the_filters(browser: Browser, site: Site) -> None:
     assert browser.value("filter-split") == "adv"
     assert browser.value("filter-manoeuvre") == manoeuvre
     assert browser.value("filter-fails") == planner
-
-
-def test_a_card_leads_to_its_scene_and_back_leads_to_the_filters(browser: Browser, site: Site) -> None:
-    browser.open("#/scenes?split=adv")
+    # A card leads to its scene, and back to the filters.
     card = browser.all("scene-card")[0]
-    key = str(card.get_attribute("data-key"))
+    card_key = card.get_attribute("data-key")
     browser.click(card.find_element(By.CSS_SELECTOR, "a.name"))
     browser.one("player-scrub")
-    assert browser.route.startswith(f"#/scene/{key}")
+    assert browser.route.startswith(f"#/scene/{card_key}")
     browser.driver.back()
     browser.one("scene-count")
-    assert browser.value("filter-split") == "adv"
-    assert set(shown_scenes(browser)) == keys(site, site.made.adversarial)
+    assert browser.value("filter-split") == "adv" and set(shown_scenes(browser)) == keys(site, expected)
 
 
 def test_attempts_say_what_was_discarded_and_why(browser: Browser, site: Site) -> None:
@@ -201,10 +197,7 @@ def test_attempts_say_what_was_discarded_and_why(browser: Browser, site: Site) -
     assert browser.value("filter-reason") == HOSTILE_REASON
     assert browser.js("return document.querySelectorAll('main svg[onload]').length;") == 0
     assert browser.js("return window.noted;") == []
-
-
-def test_a_kept_attempt_leads_to_its_scene(browser: Browser, site: Site) -> None:
-    browser.open("#/attempts?reason=kept")
+    browser.choose("filter-reason", "kept")
     links = browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=table-attempts] tbody a")
     assert len(links) == len(site.made.adversarial)
     browser.click(links[0])

@@ -16,7 +16,7 @@ from leaderboard.site.scene_plans import build_sample
 from tests.leaderboard.site.big_workspace import DATA_NAME
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site, write_site
-from tests.leaderboard.site.reading import birdseye, open_player
+from tests.leaderboard.site.reading import birdseye
 from tests.leaderboard.site.test_scenes import row_of
 
 STRAIGHT: Final = [[0.0, 2.0 * step] for step in range(1, 7)]
@@ -84,20 +84,16 @@ def test_every_scene_page_has_its_plans_on_a_grid(browser: Browser, site: Site, 
     assert "plain grid" in browser.js("return document.querySelector('main').textContent;")
 
 
-def test_a_straight_plan_is_drawn(browser: Browser, site: Site, without_sheets: Path) -> None:
-    planner, scene = site.made.planners[1], site.made.adversarial[0]
-    key = content_key(DATA_NAME, "adv", scene)[:16]
-    open_player(browser, f"#/scene/{key}?model={planner}&t=0")
-    browser.open(f"#/scene/{key}?model={planner}&t=0", start=without_sheets.as_uri())
-    browser.one("player-scrub")
-    shown = birdseye(browser)
-    browser.click(next(box for box in browser.all("player-model") if box.get_property("value") == planner))
-    assert birdseye(browser) != shown
-
-
-def test_comparisons_have_a_grid_each(browser: Browser, site: Site, without_sheets: Path) -> None:
+def test_a_straight_plan_is_drawn_and_comparisons_have_a_grid_each(
+    browser: Browser, site: Site, without_sheets: Path
+) -> None:
     key = content_key(DATA_NAME, "adv", site.made.adversarial[0])[:16]
     first, second = site.made.planners[:2]
+    browser.open(f"#/scene/{key}?model={second}&t=0", start=without_sheets.as_uri())
+    browser.one("player-scrub")
+    shown = birdseye(browser)
+    browser.click(next(box for box in browser.all("player-model") if box.get_property("value") == second))
+    assert birdseye(browser) != shown
     browser.open(f"#/compare/{key}?a={first}&b={second}", start=without_sheets.as_uri())
     browser.one("player-scrub")
     assert len(browser.all("player-birdseye")) == 2
