@@ -151,7 +151,6 @@ def _build_scene(
         build_planner_samples(planner_run.record, planner_run.rows, tokens, poses, times, protocols, agents)
         for planner_run in ran
     ]
-    privileged = {planner_run.record.planner for planner_run in ran if planner_run.record.run.planner.privileged}
     closest = None
     if stored is not None and any(agent.adversary for agent in stored.sheet.agents):
         closest = seconds[find_closest_frame(stored.sheet)]
@@ -160,7 +159,7 @@ def _build_scene(
         **drawn,
         "samples": samples,
         "models": models,
-        "shown": [list_differing(models, place, privileged) for place in range(len(protocols))],
+        "shown": [list_differing(models, place) for place in range(len(protocols))],
         "closest": closest,
         "apart": list_distances(models, len(samples)),
     }

@@ -28,14 +28,9 @@ _MICROSECONDS: Final = 1e6
 
 @dataclass(frozen=True, slots=True)
 class SceneSeverity:
-    """Severity of a planner's plans on one scene.
+    """Severity of a planner's plans on one scene: `contacts` with an adversary (with anything without one) and others.
 
-    Attributes:
-        contacts: Samples whose first contact is with an adversary, with any object on a split without them.
-        bystanders: Samples whose first contact is with another; ``None`` on a split without adversaries.
-        at_fault: Verdict on the scene, ``None`` if unknown, as `attributable` is.
-        kind: Of the most severe of `contacts`, as `speed`, `delta_v` and `fatal` are.
-        ttc: Least of samples without contact, as `gap` is.
+    Verdicts are on the scene; `kind` to `fatal` are of the most severe contact, `ttc` and `gap` the least without one.
     """
 
     contacts: int

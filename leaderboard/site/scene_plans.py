@@ -40,10 +40,11 @@ def build_planner_samples(
 ) -> dict[str, Any]:
     """One planner's part of a scene's script; a plan with lists of the wrong lengths is an `InputError`.
 
-    ``name``, ``shown`` (the name with its marks), ``first`` (for each protocol when the first counted plan touches
-    the adversary, or without one anybody, seconds; null where none does), ``outcome`` (kind and words of the same under
-    the first protocol) and ``samples``: null where the record has no row, else `build_sample`. `tokens` are the scene's samples in order, `poses` (S, 3) of the rear axle at these, local, `times`
-    their seconds; `protocols` are in the order of the verdicts; `agents` numbers by instance identifier.
+    ``name``, ``shown`` (the name with its marks), ``first`` (for each protocol when the first counted plan touches the
+    adversary, or without one anybody, seconds; null where none does), ``outcome`` (kind and words of the same under the
+    first protocol) and ``samples``: null where the record has no row, else `build_sample`. `tokens` are the scene's
+    samples in order, `poses` (S, 3) of the rear axle at these, local, `times` their seconds; `protocols` are in the
+    order of the verdicts; `agents` numbers by instance identifier.
     """
     known = knows_adversaries(record) if attributes_contacts(record) else None
     entries = [
@@ -84,25 +85,17 @@ def _describe_outcome(
     return ["good", "○ stays clear"] if unsaid is None else ["open", "– would collide; with whom is not said"]
 
 
-def list_differing(models: Sequence[Mapping[str, Any]], protocol: int, privileged: set[str]) -> list[str]:
-    """Planners whose verdicts differ: two that fail and one that does not, plain ones before privileged ones.
+def list_differing(models: Sequence[Mapping[str, Any]], protocol: int) -> list[str]:
+    """Planners, privileged ones last, whose verdicts differ: two that fail and one that does not.
 
     Where nobody differs, the first ones, those that fail before the others.
     """
     ran = [model for model in models if any(model["samples"])]
-    failing = [model for model in ran if model["first"][protocol] is not None]
-    clear = [model for model in ran if model["first"][protocol] is None and _is_judged(model, protocol)]
-
-    def plain_first(found: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-        return sorted(found, key=lambda model: model["name"] in privileged)
-
-    chosen = (
-        [*plain_first(failing)[:2], *plain_first(clear)]
-        if failing and clear
-        else sorted(ran, key=lambda model: (model["name"] in privileged, model["first"][protocol] is None))
-    )[:3]
-    names = {model["name"] for model in chosen}
-    return [model["name"] for model in ran if model["name"] in names]
+    failing = [model["name"] for model in ran if model["first"][protocol] is not None]
+    others = [model["name"] for model in ran if model["first"][protocol] is None]
+    clear = [model["name"] for model in ran if model["name"] in others and _is_judged(model, protocol)]
+    chosen = [*failing[:2], *clear][:3] if failing and clear else [*failing, *others][:3]
+    return [model["name"] for model in ran if model["name"] in chosen]
 
 
 def _is_judged(model: Mapping[str, Any], protocol: int) -> bool:

@@ -13,7 +13,7 @@ from benchmark.report.cells import MINIATURE_WORDS, UNDEFINED, format_number
 from benchmark.report.table import Table
 from benchmark.report.words import pluralise
 from leaderboard.frame.rows import name_cell
-from leaderboard.frame.specification import Columns, group_columns, number_columns, tabulate, text_columns
+from leaderboard.frame.specification import Columns, Values, group_columns, number_columns, tabulate, text_columns
 from leaderboard.site.scene_facts import SceneSeverity, SceneSummary
 from leaderboard.tables.scenario_assessment import DRIVER_HEADS
 
@@ -42,9 +42,7 @@ _VERDICTS: Final = {
     "faulty": "adversary with a fault",
 }
 _FAULT: Final = "fault: "
-_MINIATURE_NOTE: Final = f"{MINIATURE_WORDS}."
-Part = str | list[str]
-"""Text, or text and the address that it links."""
+_HEADS: Final[Mapping[str, str]] = {str(name): head for name, head in DRIVER_HEADS.items()}
 
 
 def address(*parts: str, **params: str) -> str:
@@ -123,7 +121,7 @@ def judge_entry(said: AssessmentSummary | None, severity: Mapping[str, SceneSeve
     survives, hits = _split_drivers(said)
     faults = [name.replace("_", " ") for name in said.faults]
     careful = "cc" in survives
-    heads = ", ".join(DRIVER_HEADS[name] for name in survives) or "no reference driver"
+    heads = ", ".join(_HEADS[name] for name in survives) or "no reference driver"
     entry["judged"] = [
         ["bad", "nobody could avoid it", ""]
         if said.unsolvable is True
@@ -154,7 +152,7 @@ def _describe_contact(of: SceneSeverity) -> list[Any]:
 def list_filters(entries: Sequence[Mapping[str, Any]], planners: Sequence[str]) -> list[dict[str, Any]]:
     """What scenes are filtered by: ``name``, ``label``, ``any`` (words for no choice) and ``choices`` of each."""
     judged = any(entry["judged"] for entry in entries)
-    drivers = [[name, DRIVER_HEADS[name]] for name in DRIVER_NAMES] if judged else []
+    drivers = [[name, _HEADS[name]] for name in DRIVER_NAMES] if judged else []
     faults = sorted({word for entry in entries for word in entry["verdict"] if word.startswith(_FAULT)})
     verdicts = [list(choice) for choice in _VERDICTS.items()] + [[fault, fault] for fault in faults] if judged else []
     values = {name: list(dict.fromkeys(entry[name] for entry in entries if entry[name])) for name in _BY_VALUE}
@@ -184,7 +182,7 @@ def list_orders(entries: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 def build_facts(
     entry: Mapping[str, Any], said: AssessmentSummary | None, siblings: Iterable[Mapping[str, Any]]
 ) -> list[list[Any]]:
-    """Facts of a scene's page, a term and its lines of `Part` each."""
+    """Facts of a scene's page, a term and its lines each: of texts, and of texts with the address that they link."""
     split, labels, source = str(entry["split"]), entry["labels"], entry["source"]
     facts: list[list[Any]] = [["data set", [[entry["data"]]]], ["split", [[split]]]]
     if entry["manoeuvre"]:
@@ -205,13 +203,9 @@ def build_facts(
 
 def _list_judgement_facts(said: AssessmentSummary, split: str) -> list[list[Any]]:
     facts: list[list[Any]] = []
-    by_filter = zip(("survived by", "not survived by"), ("survives", "hits"), _split_drivers(said), strict=True)
-    for term, name, drivers in by_filter:
-        parts: list[Part] = []
-        for driver in drivers:
-            link = address("scenes", split=split, **{name: driver})
-            parts += [", ", [DRIVER_HEADS[driver], link]]  # type: ignore[index]
-        facts += [[term, [parts[1:]]]] if parts else []
+    for term, name, drivers in zip(("survived by", "not survived by"), ("survives", "hits"), _split_drivers(said)):
+        links = [[_HEADS[driver], address("scenes", split=split, **{name: driver})] for driver in drivers]
+        facts += [[term, [[part for link in links for part in (", ", link)][1:]]]] if links else []
     facts += [["verdict", [["nobody could avoid it"]]]] if said.unsolvable is True else []
     if said.margin_s is not None:
         aside = "" if said.has_map else " (no map: it may lead off the road)"
@@ -232,58 +226,45 @@ def _list_judgement_facts(said: AssessmentSummary, split: str) -> list[list[Any]
 
 def verdict_table(scene: SceneSummary, planners: Mapping[str, PlannerFacts], protocols: Sequence[str]) -> Table | None:
     """Verdicts on one scene of all planners that ran, under all protocols."""
-    ran = {name: facts for name, facts in planners.items() if name in scene.verdicts}
-    if not ran:
-        return None
     samples = ["samples that hit it", "another"] if scene.adversarial else ["colliding samples"]
-    rows = []
-    for name, facts in ran.items():
+    rows: dict[str, Values] = {}
+    for name in planners.keys() & scene.verdicts.keys():
         marks = {protocol: mark_planner(scene, name, protocol) for protocol in protocols}
-        causes = scene.causes.get(name, {})
-        counts = (scene.colliding, scene.bystanders)[: len(samples)]
-        rows.append(
-            {
-                "planner": name_cell(name, facts),
-                **{each: f"{LEGEND[mark][0]} {LEGEND[mark][2]}" for each, mark in marks.items() if mark is not None},
-                **{head: _format_count(of.get(name, 0)) for head, of in zip(samples, counts, strict=True)},
-                "failed samples": str(scene.failed.get(name, 0)),
-                "causes (exact)": ", ".join(f"{cause} {count}" for cause, count in causes.items()),
-            }
+        counts = (of.get(name, 0) for of in (scene.colliding, scene.bystanders))
+        rows[name] = {
+            **{each: f"{LEGEND[mark][0]} {LEGEND[mark][2]}" for each, mark in marks.items() if mark is not None},
+            **{head: _format_count(count) for head, count in zip(samples, counts)},
+            "failed samples": str(scene.failed.get(name, 0)),
+            "causes (exact)": ", ".join(f"{cause} {count}" for cause, count in scene.causes.get(name, {}).items()),
+        }
+    first = "A planner fails a scene if one of its counted samples collides within 3 s under the protocol."
+    if scene.adversarial:
+        first = (
+            f"A planner fails a scene if one of its counted samples hits the adversary first within 3 s under the "
+            f"protocol. ◇: one hits another first, and none the adversary. {UNDEFINED}: neither the record nor the "
+            "protocol says whom."
         )
-    first = (
-        "A planner fails a scene if one of its counted samples hits the adversary first within 3 s under the protocol. "
-        f"◇: one hits another first, and none the adversary. {UNDEFINED}: neither the record nor the protocol says whom."
-        if scene.adversarial
-        else "A planner fails a scene if one of its counted samples collides within 3 s under the protocol."
-    )
     kind = "Samples" if scene.adversarial else "Colliding samples"
-    notes = [first, f"{kind} and causes are those under protocol exact.", *_list_notes(ran)]
     columns = [
-        *text_columns("planner"),
         *group_columns("protocol", text_columns(*protocols)),
         *number_columns(*samples, "failed samples", "causes (exact)"),
     ]
-    return tabulate("verdicts", "Who fails this scene", columns, rows, notes)
+    notes = (first, f"{kind} and causes are those under protocol exact.")
+    return _tabulate("verdicts", "Who fails this scene", planners, columns, rows, notes)
 
 
 def severity_table(scene: SceneSummary, planners: Mapping[str, PlannerFacts]) -> Table | None:
     """How severe the plans of each planner are on one scene."""
-    ran = {name: facts for name, facts in planners.items() if name in scene.severity}
-    if not ran:
-        return None
     others = ["with others"] if scene.adversarial else []
-    rows = []
-    for name, facts in ran.items():
-        of = scene.severity[name]
+    heads = ["contacts", "at fault", "attributable", *others, "kind", *_WORST, *_NEAR]
+    rows: dict[str, Values] = {}
+    for name, of in scene.severity.items():
         fatal = None if of.fatal is None else 100 * of.fatal
         amounts = ((of.speed, 1), (of.delta_v, 1), (fatal, 2), (of.ttc, 2), (of.gap, 2))
-        cells = [str(of.contacts), _format_verdict(of.at_fault), _format_verdict(of.attributable)]
-        cells += [_format_count(of.bystanders)] if others else []
-        cells += [of.kind or UNDEFINED, *(format_number(value, digits) for value, digits in amounts)]
-        heads = ["contacts", "at fault", "attributable", *others, "kind", *_WORST, *_NEAR]
-        rows.append({"planner": name_cell(name, facts), **dict(zip(heads, cells, strict=True))})
-    columns: Columns = [
-        *text_columns("planner"),
+        verdicts = [{None: UNDEFINED, True: "yes", False: "no"}[said] for said in (of.at_fault, of.attributable)]
+        cells = [str(of.contacts), *verdicts, *[_format_count(of.bystanders)][: len(others)], of.kind or UNDEFINED]
+        rows[name] = dict(zip(heads, [*cells, *(format_number(*amount) for amount in amounts)], strict=True))
+    columns = [
         *group_columns("attack", number_columns("contacts", "at fault", "attributable", *others)),
         *group_columns("most severe contact", number_columns("kind", *_WORST)),
         *group_columns("without contact, least", number_columns(*_NEAR)),
@@ -295,25 +276,31 @@ def severity_table(scene: SceneSummary, planners: Mapping[str, PlannerFacts]) ->
         "planner's fault, and whether the careful human survives the scene besides; "
         f"{UNDEFINED}: nobody can tell.",
         "TTC, gap: plans without contact and the adversary (docs/severity.md).",
-        *_list_notes(ran),
     )
-    return tabulate("severity", "How severe it is", columns, rows, notes)
+    return _tabulate("severity", "How severe it is", planners, columns, rows, notes)
+
+
+def _tabulate(
+    name: str,
+    title: str,
+    planners: Mapping[str, PlannerFacts],
+    columns: Columns,
+    rows: Mapping[str, Values],
+    notes: Sequence[str],
+) -> Table | None:
+    """Rows of planners in their order; ``None`` without any."""
+    shown = {planner: facts for planner, facts in planners.items() if planner in rows}
+    marks = [f"{MINIATURE_WORDS}."] if any(facts.miniature for facts in shown.values()) else []
+    named = [{"planner": name_cell(planner, facts), **rows[planner]} for planner, facts in shown.items()]
+    return tabulate(name, title, [*text_columns("planner"), *columns], named, [*notes, *marks]) if named else None
 
 
 _WORST: Final = ("impact, m/s", "delta-v, m/s", "P(fatal), %")
 _NEAR: Final = ("TTC, s", "gap, m")
 
 
-def _list_notes(planners: Mapping[str, PlannerFacts]) -> list[str]:
-    return [_MINIATURE_NOTE] if any(facts.miniature for facts in planners.values()) else []
-
-
 def _format_count(count: int | None) -> str:
     return UNDEFINED if count is None else str(count)
-
-
-def _format_verdict(said: bool | None) -> str:
-    return UNDEFINED if said is None else "yes" if said else "no"
 
 
 def _format_margin(seconds: float) -> str:
