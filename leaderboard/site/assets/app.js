@@ -14,14 +14,9 @@ class AddressError extends Error {}
 const site = () => window.CHALLENGER;
 
 // --- elements ----------------------------------------------------------------------------------------------------------
-/**
- * Gives a node attributes and children; text from records only ever becomes text.
- * @template {Element} T
- * @param {T} node
- * @param {Record<string, any>} attributes `on...` are listeners; null, undefined and false are left out.
- * @param {any[]} children Nodes, texts, nested lists; null, undefined and false are left out.
- * @returns {T}
- */
+/** Gives a node attributes and children; text from records only ever becomes text. @template {Element} T
+ * @param {T} node @param {Record<string, any>} attributes `on...` are listeners; null, undefined and false are left
+ * out. @param {any[]} children Nodes, texts, nested lists; null, undefined and false are left out. @returns {T} */
 function fill(node, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === null || value === undefined || value === false) continue;
@@ -33,10 +28,8 @@ function fill(node, attributes, children) {
   return node;
 }
 
-/**
- * @template {keyof HTMLElementTagNameMap} K
- * @param {K} tag @param {Record<string, any>} [attributes] @param {...any} children @returns {HTMLElementTagNameMap[K]}
- */
+/** @template {keyof HTMLElementTagNameMap} K @param {K} tag @param {Record<string, any>} [attributes]
+ * @param {...any} children @returns {HTMLElementTagNameMap[K]} */
 const element = (tag, attributes = {}, ...children) => fill(document.createElement(tag), attributes, children);
 
 /** @param {string} tag @param {Record<string, any>} [attributes] @param {...any} children @returns {Element} */
@@ -115,11 +108,8 @@ function asked(here, name, values) {
 }
 
 // --- controls ----------------------------------------------------------------------------------------------------------
-/**
- * A list to choose from.
- * @param {{label: string, value: string, choices: (string|[string, string])[], testid?: string,
- *   change: (value: string) => void}} of Choices are values, or values with what is shown.
- */
+/** A list to choose from. @param {{label: string, value: string, choices: (string|[string, string])[], testid?:
+ * string, change: (value: string) => void}} of Choices are values, or values with what is shown. */
 function choice({ label, value, choices, testid, change }) {
   const options = choices.map((each) => {
     const [name, shown] = Array.isArray(each) ? each : [each, each];

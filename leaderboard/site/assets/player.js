@@ -94,10 +94,8 @@ class Player {
   told = "";
   ready = false;
 
-  /**
-   * @param {HTMLElement} place Its content is replaced. @param {string} key Key of the scene.
-   * @param {PlayerOptions} options What is shown at first.
-   */
+  /** @param {HTMLElement} place Its content is replaced. @param {string} key Key of the scene.
+   * @param {PlayerOptions} options What is shown at first. */
   constructor(place, key, options) {
     this.place = place;
     this.options = options;

@@ -6,10 +6,8 @@ const SCENES_KEPT = 6;
 const STEPS = 6, STEP_S = 0.5;
 const KEY = /^[0-9a-f]{16}$/;
 
-/**
- * @param {(number|null)[]} steps @param {number} count @param {number} unit
- * @returns {Float64Array} Values; NaN where there is none.
- */
+/** @param {(number|null)[]} steps @param {number} count @param {number} unit
+ * @returns {Float64Array} Values; NaN where there is none. */
 function unpack(steps, count, unit) {
   const values = new Float64Array(count);
   let now = 0;
@@ -21,10 +19,8 @@ function unpack(steps, count, unit) {
   return values;
 }
 
-/**
- * @param {number[]} steps x and y in turn. @param {number} unit @param {number} [x] @param {number} [y] Where it begins.
- * @returns {Float64Array} x and y in turn, metres.
- */
+/** @param {number[]} steps x and y in turn. @param {number} unit @param {number} [x]
+ * @param {number} [y] Where it begins. @returns {Float64Array} x and y in turn, metres. */
 function unpackPath(steps, unit, x = 0, y = 0) {
   const path = new Float64Array(steps.length);
   let [nowX, nowY] = [Math.round(x / unit), Math.round(y / unit)];
@@ -97,10 +93,8 @@ function boxAt(x, y, yaw, { length, width, ahead }) {
   return { x: x + ahead * Math.cos(yaw), y: y + ahead * Math.sin(yaw), yaw, length, width };
 }
 
-/**
- * Where the ego's rectangle is along a plan: linear between waypoints, the heading by the shortest arc.
- * @param {Plan} plan @param {number} seconds After the sample. @param {Body} body @param {number} startYaw
- */
+/** Where the ego's rectangle is along a plan: linear between waypoints, the heading by the shortest arc.
+ * @param {Plan} plan @param {number} seconds After the sample. @param {Body} body @param {number} startYaw */
 function bodyAlong(plan, seconds, body, startYaw) {
   const place = Math.min(Math.max(seconds / STEP_S, 0), STEPS);
   const before = Math.min(Math.floor(place), STEPS - 1);

@@ -43,11 +43,8 @@ function along(node, scene, frame) {
   return node;
 }
 
-/**
- * Marks where plans of one planner collide, and where it failed.
- * @param {HTMLElement} track @param {Scene} scene @param {Planner} model @param {string|null} protocol
- * @param {(frame: number) => void} seek
- */
+/** Marks where plans of one planner collide, and where it failed. @param {HTMLElement} track @param {Scene} scene
+ * @param {Planner} model @param {string|null} protocol @param {(frame: number) => void} seek */
 function fillTrack(track, scene, model, protocol, seek) {
   const { name } = model;
   const judge = scene.protocols.indexOf(protocol ?? "");
@@ -125,12 +122,9 @@ function sentenceOf(scene, models, sample, protocol) {
   return [`${sampleTime(scene, sample)}.`, ...said].join(" ");
 }
 
-/**
- * Verdicts on the plans of one sample.
- * @param {Scene} scene @param {Planner[]} models @param {number} sample @param {string|null} protocol
- * @param {boolean} compare Whether to mark what differs between the first two.
- * @returns {HTMLElement[]} A table, and what is to be said below it.
- */
+/** Verdicts on the plans of one sample. @param {Scene} scene @param {Planner[]} models @param {number} sample
+ * @param {string|null} protocol @param {boolean} compare Whether to mark what differs between the first two.
+ * @returns {HTMLElement[]} A table, and what is to be said below it. */
 function verdictNodes(scene, models, sample, protocol, compare) {
   const command = COMMANDS[scene.samples[sample].command ?? -1];
   const caption = `Sample ${sample + 1} of ${scene.samples.length}, ${sampleTime(scene, sample)}${

@@ -19,13 +19,10 @@ function sceneOf(key) {
 }
 
 // --- lists that are filtered -------------------------------------------------------------------------------------------
-/**
- * What an address asks of a list, and the controls that change it.
- * @template T
- * @param {Route} here @param {Filter[]} filters Those with one choice are not shown, but the first one's "all" is.
+/** What an address asks of a list, and the controls that change it. @template T @param {Route} here @param {Filter[]}
+ * filters Those with one choice are not shown, but the first one's "all" is.
  * @param {(item: T, name: string, value: string) => boolean} fits @param {() => void} refresh
- * @returns {{controls: (HTMLElement|null)[], fitting: (items: T[]) => T[]}}
- */
+ * @returns {{controls: (HTMLElement|null)[], fitting: (items: T[]) => T[]}} */
 function filtersOf(here, filters, fits, refresh) {
   const used = filters.filter(({ choices }) => choices.length);
   for (const { name, choices } of used) asked(here, name, choices.map((each) => (Array.isArray(each) ? each[0] : each)));
@@ -261,12 +258,10 @@ function driveLinks(scene) {
       key ? element("a", { href: address(["drive", key]) }, planner) : planner, ` ${measured}: ${outcome}`))));
 }
 
-/**
- * The player in its place.
- * @param {Route} here @param {string} key @param {PlayerOptions} options Beside those that the address has.
- * @param {(state: any) => Record<string, any>} kept What of the player's state goes into the address.
- * @param {() => void} [follow] Called when the address has changed, for links that take the state along.
- */
+/** The player in its place. @param {Route} here @param {string} key
+ * @param {PlayerOptions} options Beside those that the address has. @param {(state: any) => Record<string, any>} kept
+ * What of the player's state goes into the address. @param {() => void} [follow] Called when the address has changed,
+ * for links that take the state along. */
 function playerIn(here, key, options, kept, follow) {
   const node = element("div", { class: "player-place", "data-testid": "player" });
   const t = Number(here.params.get("t") || NaN);

@@ -161,13 +161,10 @@ function tableHead(table) {
       kind === "tex" ? "TeX" : kind.toUpperCase()))) : null);
 }
 
-/**
- * A table with its title, files and notes.
- * @param {TableData} table
- * @param {{notes?: string[], here?: Route, link?: string}} [state] Notes to show, if not all; the page whose address
- *   holds the order, as `column.asc.id` or `column.desc.id`; test id of its planners.
- * @returns {{node: HTMLElement, filter: (fits: (text: string, row: string[]) => boolean) => void}}
- */
+/** A table with its title, files and notes. @param {TableData} table @param {{notes?: string[], here?: Route, link?:
+ * string}} [state] Notes to show, if not all; the page whose address holds the order, as `column.asc.id` or
+ * `column.desc.id`; test id of its planners. @returns {{node: HTMLElement, filter: (fits: (text: string, row:
+ * string[]) => boolean) => void}} */
 function tableView(table, { notes = table.notes, here, link } = {}) {
   const body = tableBody(table, link);
   const rows = [...body.rows];

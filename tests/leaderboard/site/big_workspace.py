@@ -58,15 +58,7 @@ _QUANTILES = ("least", "tenth", "median", "ninetieth", "most")
 
 @dataclass(frozen=True, slots=True)
 class BigWorkspace:
-    """What was made.
-
-    Attributes:
-        out: The folder, as ``--out`` wants it.
-        planners: Names of the planners.
-        adversarial: Names of the scenes of split ``adv``.
-        recorded: Names of the scenes of split ``val``.
-        without_sheet: Name of the one scene that has no sheet.
-    """
+    """What was made."""
 
     out: Path
     planners: tuple[str, ...]

@@ -67,14 +67,7 @@ def _program(*names: str | None) -> Path | None:
 
 @dataclass(slots=True)
 class Browser:
-    """One browser with one page.
-
-    Attributes:
-        driver: Selenium's driver.
-        start: Address of the site's ``index.html``.
-        messages: Warnings and errors of the console so far.
-        requests: Addresses that were asked for so far.
-    """
+    """One browser with one page."""
 
     driver: webdriver.Chrome
     start: str

@@ -23,16 +23,7 @@ FIRST_TIMESTAMP_US = 1_700_000_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """Everything else on the road, along it.
-
-    Attributes:
-        s_m: (A, T) centres.
-        d_m: (A, T) centres.
-        turned_rad: (A,) heading against the road's.
-        size_m: (A, 3) length, width, height.
-        categories: A categories.
-        first: (A,) first frame at which each is there.
-    """
+    """Everything else on the road, along it."""
 
     s_m: Floats
     d_m: Floats
@@ -44,20 +35,7 @@ class Traffic:
 
 @dataclass(frozen=True, slots=True)
 class MadeScene:
-    """One scene.
-
-    Attributes:
-        name: Scene name.
-        source: Recorded scene that it was made from.
-        description: Free text.
-        manoeuvre: What the last of the others does; ``None`` in recordings.
-        bend_per_m: Curvature of the road, positive to the left.
-        origin_m: Where it is in the global frame.
-        heading_rad: Of the road at its start, global frame.
-        ego_s_m: (T,) rear axle along the road.
-        others: The traffic; an adversary comes last.
-        cut_in_s: When it comes to its point, seconds.
-    """
+    """One scene."""
 
     name: str
     source: str
